@@ -75,13 +75,29 @@ class Structure(Described):
         _check_probes(self)
 
     def body(self, name: str, where: str = "structure") -> NDArray[np.int64]:
-        """Return the cells of a body; if there is none, an InputError suggests the closest name."""
+        """Return the cells of a body; if there is none, an InputError suggests the closest name.
+
+        Parameters
+        ----------
+        name : str
+            The body.
+        where : str
+            Place that names it, for the error.
+        """
         if name not in self.bodies:
             raise unknown_name("body", name, self.bodies, where)
         return self.bodies[name]
 
     def surface(self, name: str, where: str = "structure") -> NDArray[np.int64]:
-        """Return the facets of a surface; otherwise an InputError suggests the closest name."""
+        """Return the facets of a surface; if there is none, an InputError suggests a name.
+
+        Parameters
+        ----------
+        name : str
+            The surface.
+        where : str
+            Place that names it, for the error.
+        """
         if name not in self.surfaces:
             raise unknown_name("surface", name, self.surfaces, where)
         return self.surfaces[name]

@@ -48,9 +48,9 @@ def test_its_structured_text_runs_with_the_block_that_was_exported(followed, tmp
 static prg_compensation_t all;
 int main(void)
 { begin_prg_compensation(&all);
-  /* As in the first row of unseen.csv. */
-  all.v_temp3_degc = 24.81; all.v_temp4_degc = 23.885; all.v_temp9_degc = 31.191;
-  all.v_temp10_degc = 25.56; all.v_spindle_rpm = 3750.0;
+  /* As cold as the log goes: the past of a warm machine is unknown, and no axis follows. */
+  all.v_temp3_degc = 24.76; all.v_temp4_degc = 20.7; all.v_temp9_degc = 31.15;
+  all.v_temp10_degc = 25.53; all.v_spindle_rpm = 3750.0;
   for (int k = 0; k < 10; k++) prg_compensation(&all);
   return !(all.v_spindle.v_status == 0 && all.v_offset_um != 0.0 && !all.v_first); }
 """

@@ -56,11 +56,23 @@ class Log(Described):
         return tuple(column.name for column in self.columns)
 
     def of(self, quantity: str) -> tuple[str, ...]:
-        """Return the names of the columns of a quantity, e.g. ``temperature``."""
+        """Return the names of the columns of a quantity.
+
+        Parameters
+        ----------
+        quantity : str
+            Its name, e.g. ``temperature``.
+        """
         return tuple(column.name for column in self.columns if column.quantity == quantity)
 
     def at(self, name: str) -> Array:
-        """Return a column, by its name with or without unit, in SI, shape (k,)."""
+        """Return a column in SI, shape (k,).
+
+        Parameters
+        ----------
+        name : str
+            With or without its unit.
+        """
         return np.asarray(self.values[:, self.index(name)])
 
     def index(self, name: str) -> int:
@@ -90,7 +102,13 @@ class Log(Described):
             yield self.part(slice(first, end))
 
     def part(self, samples: slice) -> Log:
-        """Return some consecutive samples of a log."""
+        """Return some consecutive samples of a log.
+
+        Parameters
+        ----------
+        samples : slice
+            Without a step.
+        """
         first, end, _ = samples.indices(len(self.times))
         inside = tuple(start - first for start in self.starts if first < start < end)
         return replace(

@@ -229,7 +229,13 @@ class LearnedModel(Described):
         }
 
     def renamed_in(self, columns: Sequence[str]) -> dict[str, str]:
-        """Return the new names of the required columns and the clock for reading a log."""
+        """Return the new names of columns for reading a log like the learning log.
+
+        Parameters
+        ----------
+        columns : sequence of str
+            Required columns; the clock is always included.
+        """
         return {
             theirs: ours for theirs, ours in self.renamed.items() if ours in (*columns, "time_s")
         }
