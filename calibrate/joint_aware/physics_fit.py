@@ -262,6 +262,7 @@ def _search(
     held: Flags | None = None,
 ) -> OptimizeResult:
     """Search from a start; parameters that are `held` stay at zero."""
+    least = np.array([parameter.least for parameter in parameters])
     # The bounds of a search are apart.
     highest = np.where(np.zeros(start.size, bool) if held is None else held, 1e-9, 3.0)
     spread = np.array([parameter.spread for parameter in parameters])
@@ -290,10 +291,11 @@ def _search(
 
     return least_squares(
         of,
-        start,
+        # Rounding may have moved a parameter at its bound beyond it.
+        np.clip(start, least, highest),
         slope,
         method="dogbox",
-        bounds=([parameter.least for parameter in parameters], highest),
+        bounds=(least, highest),
         xtol=search.close,
         ftol=search.close,
         gtol=1e-8,

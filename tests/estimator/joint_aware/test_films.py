@@ -76,6 +76,13 @@ def test_a_cool_down_tells_the_films(machine, inside):
     assert np.all(np.sqrt(np.diag(fit.covariance)) < 0.5 * fit.spread)
 
 
+def test_a_film_far_beyond_the_prior_ends_at_its_bound(machine):
+    """Three standard deviations of 0.4, which rounding takes beyond 3 on the way."""
+    small = along(replace(machine, step=60.0), ["x", "y"])
+    fit = fit_physics(small, [cooled(small, {"film": 8.0})], ["film"], Search(starts=0))
+    assert fit.coordinates == pytest.approx([1.2])
+
+
 def test_the_run_that_tells_most_is_named_with_its_gain():
     days = {"none": (3.0, 4.0), "cool-down of 4 h": (0.3, 0.4), "step of 35 min": (2.9, 3.9)}
     runs = [
