@@ -221,7 +221,7 @@ def fit_physics(
             break
     if (held := _undecided(parameters, result, search)).any():
         defect = _defect(whole, problem, parameters, now)
-        result = _search(problem, parameters, np.where(held, 0.0, now), defect, search, held)
+        result = _search(problem, parameters, now, defect, search, held)
         evaluations, now = evaluations + 2 + _counted(result), np.where(held, 0.0, result.x)
     return _fit(whole, parameters, now, result.jac[: defect.size], tuple(tried), evaluations)
 
@@ -229,8 +229,8 @@ def fit_physics(
 def _undecided(parameters: tuple[Parameter, ...], result: OptimizeResult, search: Search) -> Flags:
     """Films that the case does not have and the data do not show, (k,).
 
-    Errors of the model that a film happens to explain are no evidence of one. In the fit there is
-    none, then; its uncertainty stays.
+    A film may explain errors of the model, which is no evidence of one. The fit sets it to zero and
+    keeps its uncertainty.
     """
     deviation = np.sqrt(np.diag(np.linalg.inv(result.jac.T @ result.jac)))
     added = np.array([isinstance(parameter, AddedFilm) for parameter in parameters])
@@ -264,13 +264,19 @@ def _search(
     """Search from a start; parameters that are `held` stay at zero."""
     least = np.array([parameter.least for parameter in parameters])
     # The bounds of a search are apart.
-    highest = np.where(np.zeros(start.size, bool) if held is None else held, 1e-9, 3.0)
+    highest = np.full(start.size, 3.0)
+    if held is not None:
+        highest[held] = 1e-9
     spread = np.array([parameter.spread for parameter in parameters])
     first: list[Array] = []
+    # The slope is asked for where the residuals were found last.
+    last: list[tuple[Array, Array]] = []
 
     def of(scaled: Array) -> Array:
         try:
-            penalty = defect + residuals(problem, parameters, spread * scaled)
+            found = residuals(problem, parameters, spread * scaled)
+            last[:] = [(scaled.copy(), found)]
+            penalty = defect + found
         except ConvergenceError:
             # Trial step too large: return a cost above the initial one, so that it is shortened.
             if not first:
@@ -281,7 +287,9 @@ def _search(
         return np.concatenate([penalty, scaled])
 
     def slope(scaled: Array) -> Array:
-        here = residuals(problem, parameters, spread * scaled)
+        [(place, here)] = last
+        if not np.array_equal(place, scaled):
+            here = residuals(problem, parameters, spread * scaled)
         beside = [
             residuals(problem, parameters, spread * at)
             for at in scaled + search.difference * np.eye(spread.size)

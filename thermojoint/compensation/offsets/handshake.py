@@ -17,9 +17,9 @@ import numpy as np
 
 from thermojoint.artefacts.arrays import Array
 
-#: Why a handshake is broken.
+#: Reasons why a handshake is broken.
 DISABLED, SILENT, DIFFERS = "disabled", "no-heartbeat", "differs"
-#: It is not.
+#: The state of an intact handshake.
 STANDS = "stands"
 
 
