@@ -11,6 +11,7 @@ descriptors that the service held, and its memory before and after.
 from __future__ import annotations
 
 import argparse
+import asyncio
 import json
 import os
 import resource
@@ -27,9 +28,12 @@ from contextlib import suppress
 from pathlib import Path
 
 import psutil
+from asyncua import Client, ua
+from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 
 from benchmarks.live_load import ROOT, free_port, names_of
 from thermojoint.live.archive import Archive
+from thermojoint.live.certificates import APPLICATION, own_identity
 from thermojoint.live.users import add_user
 
 _SERVICE = """
@@ -78,7 +82,24 @@ def crowd(ports: tuple[int, int], held: list[socket.socket], count: int) -> int:
     return opened
 
 
-def answers(port: int) -> bool:
+async def opcua_answers(folder: Path, port: int) -> bool:
+    """Say whether a new client of OPC UA logs in and reads the number of the last sample."""
+    own = own_identity(folder / "panel", ())
+    client = Client(f"opc.tcp://127.0.0.1:{port}/thermojoint", timeout=10.0)
+    client.application_uri = APPLICATION
+    certificate = str(folder / "state" / "certificate.pem")
+    await client.set_security(
+        SecurityPolicyBasic256Sha256, own.certificate, own.key, server_certificate=certificate
+    )
+    client.set_user("panel")
+    client.set_password((folder / "password").read_text())
+    with suppress(OSError, ua.UaError, TimeoutError):
+        async with client:
+            return bool(await client.get_node("ns=2;s=mill.SampleNumber").read_value() > 0)
+    return False
+
+
+def https_answers(port: int) -> bool:
     """Say whether the dashboard answers a new client."""
     context = ssl._create_unverified_context()
     end = time.monotonic() + 30.0
@@ -108,7 +129,8 @@ def main() -> None:
         (place / "service.toml").write_text(text)
         (place / "token").write_text(secrets.token_urlsafe(32))
         (place / "token").chmod(0o600)
-        add_user(place / "users", "panel", "viewer", secrets.token_urlsafe(12))
+        (place / "password").write_text(secrets.token_urlsafe(12))
+        add_user(place / "users", "panel", "viewer", (place / "password").read_text())
         line = ",".join(["{time}", *("20.0" for _ in names)]) + "\n"
         with (place / "log.csv").open("w") as out, (place / "log").open("wb") as log:
             out.write(",".join(["time_s", *names]) + "\n")
@@ -154,7 +176,8 @@ def main() -> None:
                     "lines": lines,
                     "samples": said.number if said is not None else 0,
                     "alive": alive,
-                    "answers": alive and answers(ports[0]),
+                    "https_answers": alive and https_answers(ports[0]),
+                    "opcua_answers": alive and asyncio.run(opcua_answers(place, ports[1])),
                     "mb_before": round(before / 2**20, 1),
                     "mb_after": round(process.memory_info().rss / 2**20, 1) if alive else None,
                     "log": sorted(
@@ -171,7 +194,8 @@ def main() -> None:
                     service.wait(30.0)
                 service.kill()
     print(json.dumps(found, indent=2))
-    sys.exit(not (found["alive"] and found["answers"] and found["samples"] == found["lines"]))
+    held = found["https_answers"] and found["opcua_answers"]
+    sys.exit(not (held and found["samples"] == found["lines"]))
 
 
 if __name__ == "__main__":

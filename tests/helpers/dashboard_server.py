@@ -151,6 +151,7 @@ def serving(
     folder, archive, machines, newest, scenes=None, residuals=None, security="none", **settings
 ):
     """Run a server until the block ends."""
+    handshakes = settings.pop("handshakes", {})
     hub, registry = Hub(), CollectorRegistry()
     hub.publish(newest)
     Gauge("machines", "Machines served", registry=registry).set(len(machines))
@@ -162,7 +163,7 @@ def serving(
         folder / "users",
         {digest_of(TOKEN): READER},
     )
-    sources = Sources(hub, archive, machines, registry, scenes or {}, residuals or {})
+    sources = Sources(hub, archive, machines, registry, scenes or {}, residuals or {}, handshakes)
     opened = open_http(section, sources, accounts, folder)
     ready, found = threading.Event(), []
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from collections.abc import Coroutine
 from contextlib import suppress
@@ -14,6 +15,7 @@ from thermojoint.compensation.offsets.handshake import Answer
 from thermojoint.live.arrivals import Arrival
 from thermojoint.live.floor import Floor, Place, answer
 from thermojoint.live.former_models import former_of, read_record, roll_back
+from thermojoint.live.publication import micrometres
 from thermojoint.live.residuals import residuals_of
 from thermojoint.live.running import Running
 from thermojoint.live.settings import HandshakeSection, HttpServer, OpcuaServer, Service
@@ -34,7 +36,11 @@ async def open_doors(running: Running) -> list[Coroutine[Any, Any, None]]:
 
         address = address_of(service.given.mqtt, "mqtt")
         topics, controls = service.given.mqtt, _handshakes(service, "mqtt")
-        doors.append(write_topics(running.hub, address, topics, running.floor, controls))
+        doors.append(
+            write_topics(
+                running.hub, address, topics, running.floor, controls, running.accounts.audit
+            )
+        )
     if service.given.opcua is not None:
         doors += await _opcua_server(running, service.given.opcua)
     if service.given.http is not None:
@@ -68,6 +74,11 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
             for name, place in running.floor.places.items()
             if place.served.residuals is not None
         },
+        {
+            name: partial(_handshake_of, place)
+            for name, place in running.floor.places.items()
+            if place.served.handshake is not None
+        },
         lambda name: former_of(read_record(folder), folder, name),
         partial(_roll_back, running),
     )
@@ -98,6 +109,19 @@ def _scenes(running: Running) -> dict[str, Scene]:
 
 def _residuals_of(place: Place) -> dict[str, float | None] | None:
     return residuals_of(place.served, place.machine)
+
+
+def _handshake_of(place: Place) -> dict[str, Any]:
+    """Return what the control of a machine has said."""
+    said, clock = place.machine.handshake, time.monotonic()
+    controls = place.served.layout.controls
+    return {
+        "state": said.state,
+        "enabled": said.enabled,
+        "heartbeat": said.heartbeat,
+        "heartbeat_age_s": round(clock - said.beaten, 1) if math.isfinite(said.beaten) else None,
+        "acknowledged_um": micrometres(controls, said.acknowledged),
+    }
 
 
 def _state_of(place: Place) -> Array:

@@ -7,7 +7,7 @@ administrator. Here nobody is an administrator, and only users of the users' fil
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
@@ -79,6 +79,8 @@ class Door(UserManager):
         Receives everybody who is refused.
     controls : mapping of str to str
         By machine: the only user who may write its control's side of the handshake.
+    machines : collection of str
+        Names of the machines.
     peer : str
         Address of the client that logs in now.
     """
@@ -88,6 +90,7 @@ class Door(UserManager):
     trust: TrustList
     log: EventLog
     controls: Mapping[str, str]
+    machines: Collection[str]
     peer: str = ""
 
     def get_user(
@@ -120,7 +123,7 @@ class Door(UserManager):
 
     def refusal(self, user: User, node: ua.NodeId, role: Role) -> str:
         """Return why a user may not read or write a node now; empty if he may."""
-        machine = machine_of(node)
+        machine = self.machine_of(node)
         if not isinstance(user, Known) or machine is None:
             return ""
         principal: Principal | None = user.principal
@@ -131,6 +134,17 @@ class Door(UserManager):
         if role == "operator" and f"{machine}.Control." in node.Identifier and owner != user.name:
             return f"only {owner} writes for the control"
         return "the user was removed" if principal is None else principal.refusal(role, machine)
+
+    def hides(self, user: User, node: ua.NodeId) -> bool:
+        """Say whether a node belongs to a machine that does not exist for a user."""
+        machine = self.machine_of(node)
+        return machine is not None and isinstance(user, Known) and not user.principal.sees(machine)
+
+    def machine_of(self, node: ua.NodeId) -> str | None:
+        """Return the machine of a node (``NAME`` or ``NAME.Folder.name``); None for all others."""
+        text = node.Identifier
+        name = text.partition(".")[0] if isinstance(text, str) else ""
+        return name if name in self.machines else None
 
     def has_ended(self, user: User) -> bool:
         """Say whether a user was removed or has another password since the log-in."""
@@ -152,7 +166,7 @@ class Door(UserManager):
             if why or not isinstance(event.user, Known):
                 self._audit(event.user, one.NodeId, why or "not logged in")
                 raise ServiceError(_DENIED)
-            if machine_of(one.NodeId) is not None:
+            if self.machine_of(one.NodeId) is not None:
                 self._audit(event.user, one.NodeId, "")
 
     def after_read(self, event: ServerItemCallback, service: object) -> None:
@@ -166,7 +180,7 @@ class Door(UserManager):
     def _audit(self, user: User, node: ua.NodeId, why: str) -> None:
         """Write one line; what cannot be audited is refused."""
         who, origin = str(user.name), getattr(user, "origin", "opcua")
-        what, machine = f"write {node.Identifier}", machine_of(node)
+        what, machine = f"write {node.Identifier}", self.machine_of(node)
         if why:
             self.accounts.audit.refused(who, origin, what, why, machine)
             return
@@ -174,12 +188,6 @@ class Door(UserManager):
             self.accounts.audit.written(who, origin, what, machine)
         except OSError as error:
             raise ServiceError(_DENIED) from error
-
-
-def machine_of(node: ua.NodeId) -> str | None:
-    """Return the machine that a node belongs to (``NAME.Folder.name``); None for all others."""
-    text = node.Identifier
-    return text.partition(".")[0] if isinstance(text, str) and "." in text else None
 
 
 def restrict(

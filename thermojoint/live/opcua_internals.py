@@ -104,6 +104,9 @@ class Watched(Protocol):
     def refusal(self, user: User, node: ua.NodeId, role: Role) -> str:
         """Return why a user may not read a node; empty if he may."""
 
+    def hides(self, user: User, node: ua.NodeId) -> bool:
+        """Say whether a node does not exist for a user."""
+
 
 async def disconnect_ended(server: Server) -> None:
     """Disconnect users whose account has ended, for ever; they would go on with what they have."""
@@ -116,10 +119,10 @@ async def disconnect_ended(server: Server) -> None:
 
 
 def watch_callers(server: Server, door: Watched) -> None:
-    """Tell a door from where a user logs in, and refuse items that a user may not see."""
+    """Tell a door from where a user logs in, and hide what a user may not see."""
     inner = server.iserver
     decrypt, service = inner.decrypt_user_token, inner.subscription_service
-    create = service.create_monitored_items
+    create, begin = service.create_monitored_items, inner.create_session
 
     def decrypt_of(session: Any, token: ua.UserNameIdentityToken) -> tuple[str, str]:  # noqa: ANN401
         # A session carries the address of its connection as its name.
@@ -136,6 +139,29 @@ def watch_callers(server: Server, door: Watched) -> None:
                 raise ServiceError(ua.StatusCodes.BadUserAccessDenied)
         return await create(params)
 
+    def session_of(*given: Any, **named: Any) -> Any:  # noqa: ANN401
+        session = begin(*given, **named)
+        browse, translate = session.browse, session.translate_browsepaths_to_nodeids
+
+        async def browse_seen(params: ua.BrowseParameters) -> list[ua.BrowseResult]:
+            results = await browse(params)
+            for one in results:
+                one.References = [
+                    found for found in one.References if not door.hides(session.user, found.NodeId)
+                ]
+            return results
+
+        async def translate_seen(params: list[ua.BrowsePath]) -> list[ua.BrowsePathResult]:
+            results = await translate(params)
+            for one in results:
+                if any(door.hides(session.user, found.TargetId) for found in one.Targets):
+                    one.Targets, one.StatusCode = [], ua.StatusCode(ua.StatusCodes.BadNoMatch)
+            return results
+
+        session.browse, session.translate_browsepaths_to_nodeids = browse_seen, translate_seen
+        return session
+
+    inner.create_session = session_of
     inner.decrypt_user_token = decrypt_of
     service.create_monitored_items = create_seen
 

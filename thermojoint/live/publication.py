@@ -146,9 +146,9 @@ def as_json(publication: Publication) -> dict[str, Any]:
         "published_s": _number(publication.published),
         "quality": publication.quality.word,
         "status": publication.status,
-        "displacement_um": _micrometres(layout.axes, publication.displacement),
-        "band_um": _micrometres(layout.axes, publication.band),
-        "offsets_um": _micrometres(layout.controls, publication.offsets),
+        "displacement_um": micrometres(layout.axes, publication.displacement),
+        "band_um": micrometres(layout.axes, publication.band),
+        "offsets_um": micrometres(layout.controls, publication.offsets),
         "offset_mode": publication.offset_mode or None,
         "handshake": publication.handshake or None,
         "details": {
@@ -168,7 +168,8 @@ def _shown(channel: Channel, value: float) -> float:
     return MEGA * value if channel.unit == "m" else value
 
 
-def _micrometres(names: Iterable[str], values: Array) -> dict[str, float | None]:
+def micrometres(names: Iterable[str], values: Array) -> dict[str, float | None]:
+    """Return lengths (m) in µm by name, to a tenth of a nanometre; None for unknown ones."""
     told = (MEGA * values).tolist()
     return {
         name: round(value, 4) if math.isfinite(value) else None

@@ -289,6 +289,7 @@ def service_from_data(data: dict[str, Any], where: str, base: Path) -> Service:
         )
     for name, source in given.sources.items():
         _check_pattern(f"{where}: sources.{name}", source, name, machines)
+    _check_topics(f"{where}: mqtt", given, machines)
     _check_protected(where, given)
     return Service(given, machines)
 
@@ -343,6 +344,16 @@ def _check_pattern(
         )
     if isinstance(source, OpcuaSource) and "{reading}" not in pattern:
         raise InputError(f"{where}.node: write {{reading}} in place of the name of a reading")
+
+
+def _check_topics(where: str, given: ServiceFile, machines: Mapping[str, MachineSection]) -> None:
+    """A message belongs to one machine: to a control, or from it."""
+    answering = [one for one in machines.values() if one.handshake and one.handshake.by == "mqtt"]
+    for key, count in (("topic", len(machines)), ("control_topic", len(answering))):
+        if given.mqtt and count > 1 and "{machine}" not in getattr(given.mqtt, key):
+            raise InputError(
+                f"{where}.{key}: is for {count} machines; write {{machine}} in place of their names"
+            )
 
 
 def _check_protected(where: str, given: ServiceFile) -> None:

@@ -375,6 +375,16 @@ def plant(tmp_path_factory):
                 node = client.get_node(f"ns=2;s={machine}.Displacement.x")
                 read = await node.read_data_value(raise_on_bad_status=False)
                 found["read", machine] = read.StatusCode.name
+            tree = await client.get_node("ns=2;s=Machines").get_children()
+            found["browsed"] = [one.nodeid.Identifier for one in tree]
+            path = ["2:Machines", "2:lathe-1"]
+            with contextlib.suppress(ua.UaStatusCodeError):
+                found["translated"] = await client.nodes.objects.get_child(path)
+            node = client.get_node("ns=2;s=lathe-1.Displacement")
+            found["children"] = await node.get_children()
+            (unit,) = await client.get_node("ns=2;s=mill-1.Displacement.x").get_properties()
+            found["unit"] = (await unit.read_value()).DisplayName.Text
+            node = client.get_node("ns=2;s=lathe-1.Displacement.x")
             subscription = await client.create_subscription(100.0, None)
             with contextlib.suppress(ua.UaError):
                 await subscription.subscribe_data_change(node)
@@ -429,3 +439,11 @@ def test_values_of_other_machines_are_not_read_by_opcua(plant):
     assert plant["read", "mill-1"] == "Good"
     assert plant["read", "lathe-1"] == "BadUserAccessDenied"
     assert "subscribed" not in plant
+
+
+def test_other_machines_cannot_be_browsed_by_opcua(plant):
+    assert [name for name in plant["browsed"] if name != "Heartbeat"] == ["mill-1"]
+    assert "translated" not in plant
+    assert plant["children"] == []
+    # What machines share stays readable.
+    assert plant["unit"] == "µm"

@@ -62,7 +62,10 @@ def floor(tmp_path_factory, coarse_data):
     archive = keep(folder / "store.db", runs, [event("mill-10", "status", "T1 is distrusted")])
     machines = {run[-1].machine: about(estimator, layout, told[0].time) for run in runs}
     newest = [one[-1] for one in runs]
-    with serving(folder, archive, machines, newest, scenes, differ, requests_per_s=1e3) as server:
+    said = {"state": "differs", "enabled": True, "heartbeat": 17, "heartbeat_age_s": 0.4}
+    handshakes = {"mill-1": lambda: said | {"acknowledged_um": {"X": -12.3, "Y": None}}}
+    given = {"handshakes": handshakes, "requests_per_s": 1e3}
+    with serving(folder, archive, machines, newest, scenes, differ, **given) as server:
         yield server
 
 
@@ -205,6 +208,16 @@ def test_a_sensor_that_is_missing_or_distrusted_is_named(page, floor):
     until(page, "document.querySelector('#reading-T1_K .residual').textContent === '+5.25'")
     page.wait_for_selector("#events li time")
     assert "T1 is distrusted" in page.inner_text("#events")
+
+
+def test_the_handshake_shows_whether_the_control_takes_part(page, floor):
+    opened(page, floor, "/machines/mill-1")
+    until(page, "document.querySelectorAll('#handshake dd').length === 5")
+    assert page.locator("#handshake dd").all_inner_texts() == [
+        "▲ the control acknowledges other offsets", "yes", "17, changed now", "−12.3 µm", "–"
+    ]  # fmt: skip
+    opened(page, floor, "/machines/mill-2")
+    assert not page.is_visible("#handshake-card")
 
 
 def test_a_machine_that_is_silent_is_bad_and_says_how_old_its_value_is(page, floor):

@@ -106,6 +106,19 @@ def test_a_control_that_returns_goes_on_from_what_it_has(has, begins):
     assert continued_from(back, judged(LIMITS, back, 3.0), LIMITS) is None
 
 
+def test_a_control_that_holds_an_old_offset_within_the_tolerance_goes_on_from_it():
+    """It was disconnected for a moment, unnoticed, while the offset moved on."""
+    at_once = dict.fromkeys(("dead_band_um", "filter_s", "freeze_s", "recover_s"), 0.0)
+    given = at_once | {"resolution_um": 0.1, "rate_um_s": 0.05, "oldest_s": 3.0, "decay_s": 5.0}
+    found = offset_invariant.Offsets()
+    found.begin(offset_invariant.settings_of(given, two=False), shakes=True)
+    found.control_returns(linked=False, clears=False, count=8, value=1.0)
+    found.control_returns(linked=False, clears=False, count=3, value=0.0)
+    # Each publication is held against what it received last.
+    found.control_returns(linked=True, clears=False, count=3, value=0.0)
+    found.teardown()
+
+
 @pytest.mark.parametrize(
     "payload",
     [b"", b"[]", b"[" * 5000, b'{"enable": 1, "heartbeat": 2}', b'{"enable": true}', b"\xff",
@@ -264,6 +277,9 @@ def test_controls_shake_hands_by_opcua_and_by_mqtt(hand_made_model, tmp_path):
             value = await controls.node("mill.Offset.X").read_data_value(raise_on_bad_status=False)
             assert value.StatusCode.name == "UncertainLastUsableValue"
             assert await controls.node("mill.Handshake").read_value() == SILENT
+            audited = (tmp_path / "state" / "audit.jsonl").read_text()
+            assert '"what": "write thermojoint/lathe/control (enable)"' in audited
+            assert '"what": "write mill.Control.Enable"' in audited
             assert await controls.node("Heartbeat").read_value() > 0
             async with await client_of(tmp_path, port, "other", "other-secret") as stranger:
                 with pytest.raises(ua.UaError):

@@ -40,10 +40,11 @@ def changed(**parts):
 OFFSETS = {"m": {"file": "m.json", "offsets": "offsets.toml"}}
 
 
-def shaking(by, user=None, **parts):
-    """A machine with a handshake."""
+def shaking(by, user=None, count=None, **parts):
+    """A machine with a handshake, or several."""
     handshake = {"by": by} | ({} if user is None else {"user": user})
-    return {"machines": {"mill": {"model": "m", "source": "s", "handshake": handshake}}, **parts}
+    mill = {"model": "m", "source": "s", "handshake": handshake, "count": count}
+    return {"machines": {"mill": mill}, **parts}
 
 
 def test_a_section_with_a_count_is_so_many_machines(tmp_path):
@@ -116,6 +117,12 @@ def test_names_of_files_are_relative_to_the_file_of_the_service(tmp_path):
         (shaking("mqtt", models=OFFSETS), "there is no [mqtt]"),
         (shaking("opcua", models=OFFSETS, opcua={"security": "none"}), "name a file of users"),
         (shaking("mqtt", models=OFFSETS, mqtt={}, user="plc"), "the broker says who"),
+        (changed(mqtt={"topic": "estimates"}), "mqtt.topic: is for 3 machines; write {machine}"),
+        (
+            shaking("mqtt", models=OFFSETS, mqtt={"control_topic": "plc"}, count=2)
+            | {"sources": GOOD["sources"]},
+            "mqtt.control_topic: is for 2 machines",
+        ),
     ],
 )
 def test_a_mistake_is_one_line(parts, told, tmp_path):

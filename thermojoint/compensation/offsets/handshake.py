@@ -175,7 +175,10 @@ def sent(
     """Return the handshake after offsets (m) were sent at a time (s)."""
     recent = (*_recent(settings, handshake, clock), (clock, offsets))
     if handshake.state == STANDS and handshake.agreed == clock:
+        # What acts in the control stays among it, however long ago it was sent.
+        acts = np.clip(handshake.acknowledged, handshake.low, handshake.high)
         low, high = _range(recent)
+        low, high = np.fmin(low, acts), np.fmax(high, acts)
     else:
         low, high = np.minimum(handshake.low, offsets), np.maximum(handshake.high, offsets)
     return handshake._replace(sent=recent, low=low, high=high)

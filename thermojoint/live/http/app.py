@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import sqlite3
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from typing import Any
 from urllib.parse import parse_qs
@@ -103,6 +103,7 @@ class Site:
             Route(f"{machine}/scene", self.scene),
             Route(f"{machine}/fields", self.fields),
             Route(f"{machine}/residuals", self.residuals),
+            Route(f"{machine}/handshake", self.handshake),
             Route("/api/events", self.events),
             Route("/api/stream", self.stream),
             Route("/metrics", self.metrics),
@@ -215,7 +216,11 @@ class Site:
         """Return the constant data of a machine."""
         name, about = self._machine(request)
         read_parameters(request.query_params.multi_items(), {})
-        further = {"scene": self.sources.scenes, "residuals": self.sources.residuals}
+        further: dict[str, Collection[str]] = {
+            "scene": self.sources.scenes,
+            "residuals": self.sources.residuals,
+            "handshake": self.sources.handshakes,
+        }
         return answered(
             about_body(
                 name,
@@ -291,6 +296,14 @@ class Site:
         if residuals is None:
             raise HTTPException(404, f"nothing is known of {name} yet; ask again later")
         return answered({"machine": name, "residuals_K": residuals})
+
+    async def handshake(self, request: Request) -> Response:
+        """Return what the control of a machine has said."""
+        name, _ = self._machine(request)
+        read_parameters(request.query_params.multi_items(), {})
+        if name not in self.sources.handshakes:
+            raise HTTPException(404, f"{name} has no handshake with its control")
+        return answered({"machine": name, **self.sources.handshakes[name]()})
 
     async def stream(self, request: Request) -> Response:
         """Return a stream of new samples."""

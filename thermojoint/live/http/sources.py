@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 from prometheus_client import CollectorRegistry
 
@@ -59,6 +60,8 @@ class Sources:
     residuals : mapping
         Residuals (reading minus model, K) of the machines whose estimator predicts readings; None
         before the first sample.
+    handshakes : mapping
+        What the controls have said, of the machines that have a handshake.
     former : callable
         Machine to the last model before its present one; None without any.
     roll_back : callable
@@ -71,5 +74,6 @@ class Sources:
     registry: CollectorRegistry
     scenes: Mapping[str, Scene]
     residuals: Mapping[str, Callable[[], dict[str, float | None] | None]]
+    handshakes: Mapping[str, Callable[[], dict[str, Any]]] = field(default_factory=dict)
     former: Callable[[str], Deployment | None] = lambda machine: None
     roll_back: Callable[[str], object] = lambda machine: None

@@ -7,10 +7,12 @@ import json
 import time
 from collections.abc import Collection, Coroutine
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
 import aiomqtt
 
+from thermojoint.live.audit import Audit
 from thermojoint.live.floor import Floor
 from thermojoint.live.hub import Hub
 from thermojoint.live.mqtt_session import (
@@ -33,7 +35,12 @@ _AT_ONCE = 64
 
 
 async def write_topics(
-    hub: Hub, address: Address, topics: MqttTopics, floor: Floor, controls: Collection[str]
+    hub: Hub,
+    address: Address,
+    topics: MqttTopics,
+    floor: Floor,
+    controls: Collection[str],
+    audit: Audit,
 ) -> None:
     """Publish new samples of every machine, for ever; the newest of each is retained.
 
@@ -48,9 +55,12 @@ async def write_topics(
         The machines; its log notes connections.
     controls : collection of str
         The machines whose controls answer here.
+    audit : Audit
+        Records their answers. A broker does not tell who published them.
     """
     log, status_topic = floor.log, topics.status_topic
     delay, where = FIRST_S, f"{address.host}:{address.port}"
+    written = partial(audit.written, "mqtt", f"mqtt {where}")
     will = aiomqtt.Will(status_topic, _status("gone"), qos=1, retain=True)
     while True:
         try:
@@ -61,7 +71,7 @@ async def write_topics(
                 watch = asyncio.create_task(
                     _any(
                         lost(client),
-                        attend(client, topics.control_topic, floor, controls),
+                        attend(client, topics.control_topic, floor, controls, written),
                         beat(client, topics.heartbeat_topic, hub),
                     )
                 )

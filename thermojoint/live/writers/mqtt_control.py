@@ -10,7 +10,7 @@ import asyncio
 import json
 import math
 import time
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 
 import aiomqtt
 from pydantic import BaseModel, ValidationError
@@ -25,9 +25,12 @@ _BEAT_S = 0.5
 #: No answer is larger, bytes.
 _LARGEST = 16_384
 
+#: Records what was written, and on which machine.
+Written = Callable[[str, str], None]
+
 
 async def attend(
-    client: aiomqtt.Client, pattern: str, floor: Floor, names: Collection[str]
+    client: aiomqtt.Client, pattern: str, floor: Floor, names: Collection[str], written: Written
 ) -> None:
     """Take what the controls of some machines publish, until the connection is lost.
 
@@ -39,6 +42,8 @@ async def attend(
     floor : Floor
     names : collection of str
         Of the machines.
+    written : callable
+        Records what was published, on which machine; an OSError refuses it.
     """
     machines = {pattern.replace("{machine}", name): name for name in names}
     for topic in machines:
@@ -50,6 +55,10 @@ async def attend(
         axes = floor.places[machine].served.layout.controls
         try:
             said = answer_of(message.payload[:_LARGEST], axes)
+            written(f"write {message.topic} ({'enable' if said.enabled else 'disable'})", machine)
+        except OSError as error:
+            text = f"the control's word is refused: the audit log cannot be written ({error})"
+            floor.log.say(time.time(), "audit", text, machine)
         except ValidationError as error:
             text = f"what the control says is no answer: {error.errors()[0]['msg']}"
             floor.log.say(time.time(), "malformed", text, machine)

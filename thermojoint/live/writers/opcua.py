@@ -313,7 +313,7 @@ async def open_server(
         await server.load_certificate(own.certificate)
         await server.load_private_key(own.key)
     trust = TrustList(section.trusted, entry.folder / "rejected")
-    door = Door(entry.accounts, asks, trust, entry.log, entry.controls)
+    door = Door(entry.accounts, asks, trust, entry.log, entry.controls, machines)
     server.iserver.set_user_manager(door)
     restrict(
         server,

@@ -207,6 +207,23 @@ async function residuals() {
   }
 }
 
+// Whether the control takes part, and which offset acts in it.
+const HANDSHAKES = {
+  stands: "✓ stands", disabled: "▲ the control has not enabled offsets",
+  "no-heartbeat": "▲ no heartbeat of the control", differs: "▲ the control acknowledges other offsets",
+};
+async function handshake() {
+  if (document.hidden) return;
+  const said = await ask(`${base}/handshake`), list = document.getElementById("handshake");
+  const facts = [["State", HANDSHAKES[said.state] || said.state], ["Enabled by the control", said.enabled ? "yes" : "no"],
+    ["Heartbeat of the control", said.heartbeat === null ? "none" : `${said.heartbeat}, changed ${age(said.heartbeat_age_s ?? NaN)}`]];
+  for (const [axis, value] of Object.entries(said.acknowledged_um)) {
+    facts.push([`Acknowledged ${axis}`, value === null ? "–" : `${shown(value, 1, true)} µm`]);
+  }
+  if (!list.children.length) for (const [term] of facts) list.append(el("dt", "", term), el("dd"));
+  facts.forEach(([, text], k) => write(list.children[2 * k + 1], text));
+}
+
 function model() {
   const about = page.about, list = document.getElementById("model");
   const facts = [["Kind", about.kind], ["File", about.model], ["Since", dayTime(about.since_s)]];
@@ -293,6 +310,11 @@ ask(base).then(async (about) => {
     document.querySelector("th.residual").hidden = false;
     setInterval(() => residuals().catch(() => {}), 5000);
     setTimeout(() => residuals().catch(() => {}), 1000);
+  }
+  if (about.offers.includes("handshake")) {
+    document.getElementById("handshake-card").hidden = false;
+    handshake().catch(() => {});
+    setInterval(() => handshake().catch(() => {}), 1000);
   }
   if (about.offers.includes("scene")) {
     document.getElementById("scene-card").hidden = false;
