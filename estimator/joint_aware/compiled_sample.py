@@ -17,12 +17,16 @@ from estimator.sensor_faults import Channels, Sample, Thresholds, certainly_alik
 from fesim.jit import compiled
 from fesim.march.compiled_step import (
     HeatStep,
+    HeatWork,
     JointKernel,
     JointState,
+    JointWork,
     conduct_step,
+    heat_work,
+    joint_work,
     settle_step,
 )
-from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array, Flags
 
 
 class Filter(NamedTuple):
@@ -58,12 +62,40 @@ class Filter(NamedTuple):
     forgetting: float
 
 
+class SampleWork(NamedTuple):
+    """Storage of a sample of p + 1 readings; its content is not used afterwards."""
+
+    heat: HeatWork
+    joint: JointWork
+    predicted: Array
+    innovation: Array
+    odd: Flags
+    near: Flags
+    discrepancy: Array
+
+
 class Place(NamedTuple):
-    """Data for one sample: the machine and its joint over one step, and the filter."""
+    """Data for one sample: the machine and its joint over one step, the filter, storage."""
 
     own: Filter
     heat: HeatStep
     joint: JointKernel
+    work: SampleWork
+
+
+def place_of(own: Filter, heat: HeatStep, joint: JointKernel) -> Place:
+    """Return the data for samples, with their storage."""
+    count, axes = len(own.rows), len(joint.free)
+    work = SampleWork(
+        heat_work(joint),
+        joint_work(joint),
+        np.empty(count),
+        np.empty(count),
+        np.empty(count, np.bool_),
+        np.empty(count, np.bool_),
+        np.empty(axes),
+    )
+    return Place(own, heat, joint, work)
 
 
 @compiled
@@ -95,7 +127,7 @@ def usual_sample(
     bool
         Whether the sample was ordinary. If not, the content of `state` is invalid.
     """
-    own, heat, joint = place.own, place.heat, place.joint
+    own, heat, joint, work = place.own, place.heat, place.joint, place.work
     channels, size = own.rows.shape
     judging = state.pending.channel[()]
     if state.memory[()] == UNKNOWN or judging == judging:
@@ -110,17 +142,17 @@ def usual_sample(
     sources, rates = own.relaxing.shape
     dynamic = modes + sources * rates
     linear, inputs, relaxed = state.linear, state.linear[dynamic:], state.linear[modes:dynamic]
-    conduct_step(heat, joint, linear[:modes], inputs, state.pressure)
+    conduct_step(heat, joint, work.heat, linear[:modes], inputs, state.pressure)
     for s in range(sources):
         for q in range(rates):
             kept = own.relaxing[s, q]
             k = s * rates + q
             relaxed[k] = kept * relaxed[k] + (1.0 - kept) * inputs[s] / own.power[s]
-    predicted = np.dot(own.rows, linear)
-    innovation = readings - predicted
+    predicted, innovation, odd, near = work.predicted, work.innovation, work.odd, work.near
+    np.dot(own.rows, linear, predicted)
+    np.subtract(readings, predicted, innovation)
     if not certainly_alike(innovation, own.rules):
         return False
-    odd, near = np.empty(channels, np.bool_), np.empty(channels, np.bool_)
     sample = Sample(time, readings, predicted)
     look(state.watch, sample, own.channels, own.rules, odd, near)
     if odd.any():
@@ -129,9 +161,10 @@ def usual_sample(
         for c in range(channels):
             linear[k] += own.gain[k, c] * innovation[c]
     now = JointState(state.gap, state.slip, state.pressure, state.change)
-    if settle_step(joint, linear[:modes], now, displacement) != 0:
+    if settle_step(joint, work.joint, linear[:modes], now, displacement) != 0:
         return False
-    displacement += np.dot(own.discrepancy, relaxed)
+    np.dot(own.discrepancy, relaxed, work.discrepancy)
+    displacement += work.discrepancy
     kept = math.exp(-own.forgetting * length)
     told = state.model_error
     for axis in range(displacement.size):

@@ -198,7 +198,7 @@ class JointAware(Described):
             rules=self.thresholds.faults,
             forgetting=1.0 / self.thresholds.probe.memory,
         )
-        return compiled_sample.Place(own, heat_step(model.modes, model.step), kernel)
+        return compiled_sample.place_of(own, heat_step(model.modes, model.step), kernel)
 
     def sample(self, state: Array, time: float, values: Sequence[float]) -> tuple[Array, Estimate]:
         """Take one sample; see `estimator.interface.Estimator`.

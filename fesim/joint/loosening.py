@@ -37,12 +37,46 @@ _LEAST, _STIFFNESS, _GROUP, _PLACE = 0, 1, 2, 3
 
 
 class Watched(NamedTuple):
-    """Data of a `Watch` for compiled code; nothing is checked if there are no rows."""
+    """Precomputed data of m contact elements for compiled code; nothing is checked without them.
+
+    Attributes
+    ----------
+    table : ndarray, shape (m, 6)
+        Smallest effective pressure (Pa), tangential stiffness while sticking (Pa/m; 0 without
+        friction), group of elements between the same bodies, centre (m).
+    needed : ndarray of int, shape (groups,)
+        Number of sticking elements of a group, clearly off each other's line, that constrain as
+        much as the whole group: 1 to 3.
+    rows : ndarray, shape (m, 3, 6 p)
+        Displacement of each contact element along normal and tangents under unit motions.
+    supports : ndarray, shape (6 p, 6 p)
+        Gram matrix of the constraints by the supports.
+    """
 
     table: Array
     needed: NDArray[np.int64]
     rows: Array
     supports: Array
+
+
+class WatchWork(NamedTuple):
+    """Storage of a check: sticking elements of each group, and the stiffness (6 p, 6 p)."""
+
+    corner_count: NDArray[np.int64]
+    whole: NDArray[np.bool_]
+    corners: NDArray[np.int64]
+    matrix: Array
+
+
+def watch_work(watched: Watched) -> WatchWork:
+    """Return storage for checks."""
+    groups = watched.needed.size
+    return WatchWork(
+        np.empty(groups, dtype=np.int64),
+        np.empty(groups, dtype=np.bool_),
+        np.empty((groups, 2), dtype=np.int64),
+        np.empty_like(watched.supports),
+    )
 
 
 #: Nothing is watched.
@@ -57,16 +91,8 @@ class Watch:
     ----------
     constraints : Constraints
         Possible constraints of the bodies.
-    table : ndarray, shape (m, 6)
-        Smallest effective pressure (Pa), tangential stiffness while sticking (Pa/m; 0 without
-        friction), group of elements between the same bodies, centre (m).
-    needed : ndarray of int, shape (groups,)
-        Number of sticking elements of a group, clearly off each other's line, that constrain as
-        much as the whole group: 1 to 3.
-    rows : ndarray, shape (m, 3, 6 p)
-        Displacement of each contact element along normal and tangents under unit motions.
-    supports : ndarray, shape (6 p, 6 p)
-        Gram matrix of the constraints by the supports.
+    watched : Watched
+        Data of the quick checks.
     friction : ndarray, shape (m,)
         mu.
     preload : ndarray, shape (m,)
@@ -74,22 +100,9 @@ class Watch:
     """
 
     constraints: Constraints
-    table: Array
-    needed: NDArray[np.int64]
-    rows: Array
-    supports: Array
+    watched: Watched
     friction: Array
     preload: Array
-
-    @property
-    def watched(self) -> Watched:
-        """Data for compiled code."""
-        return Watched(
-            self.table,
-            np.asarray(self.needed, dtype=np.int64),
-            np.ascontiguousarray(self.rows),
-            np.ascontiguousarray(self.supports),
-        )
 
     def check(self, pressure: Array, tangent: Array) -> None:
         """Raise ConvergenceError if a converged state leaves a body loose.
@@ -101,11 +114,9 @@ class Watch:
         tangent : ndarray, shape (6, m)
             See `fesim.joint.law.Traction`.
         """
-        if _as_at_rest(pressure, tangent, self.table, self.needed):
+        if surely_held(self.watched, watch_work(self.watched), pressure, tangent):
             return
-        if _surely_held(pressure, tangent, self.table, self.rows, self.supports):
-            return
-        motions = self._unheld(pressure > self.table[:, _LEAST], tangent)
+        motions = self._unheld(pressure > self.watched.table[:, _LEAST], tangent)
         if motions.shape[1]:
             raise _loose(self.constraints, motions)
 
@@ -122,15 +133,16 @@ class Watch:
         slides = size > (1.0 - SPARE) * self.friction * pressure
         first, second = traction.value[1:] / np.where(size > 0.0, size, 1.0)
         tangent, shears = traction.tangent.copy(), [ALONG, CROSS, ACROSS]
+        table = self.watched.table
         across = np.array([second * second, -first * second, first * first])
-        tangent[shears] = np.where(slides, -self.table[:, _STIFFNESS] * across, tangent[shears])
-        motions = self._unheld(pressure > SPARE / NOTHING * self.table[:, _LEAST], tangent)
+        tangent[shears] = np.where(slides, -table[:, _STIFFNESS] * across, tangent[shears])
+        motions = self._unheld(pressure > SPARE / NOTHING * table[:, _LEAST], tangent)
         if motions.shape[1]:
             raise _loose(self.constraints, motions)
 
     def _unheld(self, pressed: NDArray[np.bool_], tangent: Array) -> Array:
         normals, *tangents = self.constraints.directions
-        stiffness = self.table[:, _STIFFNESS]
+        stiffness = self.watched.table[:, _STIFFNESS]
         shear = -np.moveaxis(tangent_matrix(tangent)[1:, 1:], -1, 0)
         sizes, axes = np.linalg.eigh(0.5 * (shear + shear.transpose(0, 2, 1)))
         held = (sizes > NOTHING * stiffness[:, None]) & (pressed & (stiffness > 0.0))[:, None]
@@ -157,14 +169,19 @@ def watch_of(constraints: Constraints, laws: Sequence[tuple[JointLaw, int]]) -> 
         [constraints.frame.rows(constraints.centre, d) for d in constraints.directions], axis=1
     )
     width = constraints.supports.shape[1]
-    return Watch(
-        constraints=constraints,
-        table=table,
+    watched = Watched(
+        table,
         needed=np.array(
-            [_needed(constraints.centre[group == k]) for k in range(len(sides))], dtype=int
+            [_needed(constraints.centre[group == k]) for k in range(len(sides))], dtype=np.int64
         ),
-        rows=np.einsum("mp,mdi->mdpi", constraints.share, rows).reshape(count, 3, width),
-        supports=constraints.supports.T @ constraints.supports,
+        rows=np.ascontiguousarray(
+            np.einsum("mp,mdi->mdpi", constraints.share, rows).reshape(count, 3, width)
+        ),
+        supports=np.ascontiguousarray(constraints.supports.T @ constraints.supports),
+    )
+    return Watch(
+        constraints,
+        watched,
         friction=np.repeat([law.friction.coefficient for law, _ in laws], counts),
         preload=np.repeat([law.preload for law, _ in laws], counts),
     )
@@ -189,13 +206,13 @@ def _loose(constraints: Constraints, motions: Array) -> ConvergenceError:
 
 
 @compiled
-def _as_at_rest(pressure: Array, tangent: Array, table: Array, needed: NDArray[np.int64]) -> bool:
+def _as_at_rest(watched: Watched, work: WatchWork, pressure: Array, tangent: Array) -> bool:
     """Whether every group of contact elements certainly constrains all that it does at rest."""
-    count, groups = table.shape[0], needed.size
-    corner_count = np.zeros(groups, dtype=np.int64)
-    whole = np.ones(groups, dtype=np.bool_)
-    corners = np.empty((groups, 2), dtype=np.int64)
-    for e in range(count):
+    table, needed = watched.table, watched.needed
+    corner_count, whole, corners = work.corner_count, work.whole, work.corners
+    corner_count[:] = 0
+    whole[:] = True
+    for e in range(table.shape[0]):
         k = int(table[e, _GROUP])
         if corner_count[k] >= needed[k]:
             continue
@@ -211,7 +228,7 @@ def _as_at_rest(pressure: Array, tangent: Array, table: Array, needed: NDArray[n
             else:
                 corner_count[k] += _off_line(table, corners[k, 0], corners[k, 1], e)
     held = True
-    for k in range(groups):
+    for k in range(needed.size):
         held = held and (corner_count[k] >= needed[k] or whole[k])
     return held
 
@@ -226,15 +243,14 @@ def _off_line(table: Array, a: int, b: int, c: int) -> bool:
 
 
 @compiled
-def _surely_held(
-    pressure: Array, tangent: Array, table: Array, rows: Array, supports: Array
-) -> bool:
+def _stiff(watched: Watched, work: WatchWork, pressure: Array, tangent: Array) -> bool:
     """Whether all Cholesky pivots of the stiffness against rigid motions are clearly positive.
 
     Each contact element has unit stiffness along its normal and while it sticks.
     """
-    size = supports.shape[0]
-    matrix = supports.copy()
+    table, rows, matrix = watched.table, watched.rows, work.matrix
+    size = matrix.shape[0]
+    matrix[:] = watched.supports
     for e in range(table.shape[0]):
         if pressure[e] <= table[e, _LEAST]:
             continue
@@ -269,13 +285,15 @@ def _surely_held(
 
 
 @compiled
-def surely_held(watched: Watched, pressure: Array, tangent: Array) -> bool:
+def surely_held(watched: Watched, work: WatchWork, pressure: Array, tangent: Array) -> bool:
     """Whether nothing is watched, or a converged state certainly leaves no body loose.
 
     Parameters
     ----------
     watched : Watched
         `UNWATCHED`, or that of a `Watch`.
+    work : WatchWork
+        Storage.
     pressure : ndarray, shape (m,)
         Pa.
     tangent : ndarray, shape (6, m)
@@ -283,6 +301,4 @@ def surely_held(watched: Watched, pressure: Array, tangent: Array) -> bool:
     """
     if watched.table.shape[0] == 0:
         return True
-    return _as_at_rest(pressure, tangent, watched.table, watched.needed) or _surely_held(
-        pressure, tangent, watched.table, watched.rows, watched.supports
-    )
+    return _as_at_rest(watched, work, pressure, tangent) or _stiff(watched, work, pressure, tangent)

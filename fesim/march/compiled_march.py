@@ -12,18 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fesim.jit import compiled
-from fesim.joint.compiled_gap import NewtonWork, Trial
 from fesim.joint.frozen_tangent import MADE, FrozenTangents, put_tangents
-from fesim.joint.loosening import Watched, surely_held
+from fesim.joint.loosening import Watched, WatchWork, surely_held
 from fesim.joint.modified_newton import settle_near
 from fesim.march.compiled_step import (
     HeatStep,
     JointKernel,
     JointState,
+    JointWork,
     conduct,
     drive,
     gap_kernel,
-    new_trial,
     settle_by_newton,
     take,
 )
@@ -60,13 +59,16 @@ class Kept(NamedTuple):
         Of the gap equations, block by block.
     flows : Flows
         Of the joint heat flows.
-    newton : NewtonWork
+    work : JointWork
+        Storage.
+    check : WatchWork
         Storage.
     """
 
     tangents: FrozenTangents
     flows: Flows
-    newton: NewtonWork
+    work: JointWork
+    check: WatchWork
 
 
 class Solved(NamedTuple):
@@ -104,10 +106,9 @@ class Record(NamedTuple):
 
 
 @compiled
-def _settle(
-    joint: JointKernel, kept: Kept, free_gap: Array, now: JointState, trial: Trial
-) -> tuple[bool, float, int]:
+def _settle(joint: JointKernel, kept: Kept, now: JointState) -> tuple[bool, float, int]:
     """The kept inverse first, then Newton's method: whether it is solved, residual, iterations."""
+    free_gap, trial = kept.work.free_gap, kept.work.trial
     np.add(now.gap, now.change, trial.gap)
     try:
         solved, residual, iterations = settle_near(
@@ -119,7 +120,7 @@ def _settle(
         return True, residual, iterations
     kept.tangents.every.about[:, MADE] = 0
     np.add(now.gap, now.change, trial.gap)
-    return settle_by_newton(joint, free_gap, now, trial, kept.newton)
+    return settle_by_newton(joint, free_gap, now, trial, kept.work.newton)
 
 
 @compiled
@@ -138,8 +139,8 @@ def march_steps(
     """
     heat, joint = machine.heat, machine.joint
     count, thermal = now.joint.pressure.size, heat.drive.shape[1]
-    trial, flow, conducted = new_trial(count), np.empty(count), np.empty(count)
-    beyond, jump, free_gap = np.empty(count), np.empty(count), np.empty(3 * count)
+    flow, conducted = np.empty(count), np.empty(count)
+    beyond, jump, free_gap = np.empty(count), np.empty(count), kept.work.free_gap
     amplitudes, drawn = np.empty_like(now.amplitudes), np.empty_like(now.amplitudes)
     for k in range(len(inputs)):
         amplitudes[:] = now.amplitudes
@@ -154,17 +155,20 @@ def march_steps(
         np.dot(joint.gap, amplitudes, free_gap)
         for i in range(joint.loaded.shape[1]):
             free_gap += inputs[k, thermal + i] * joint.loaded_gap[:, i]
-        solved, residual, iterations = _settle(joint, kept, free_gap, now.joint, trial)
+        solved, residual, iterations = _settle(joint, kept, now.joint)
         if not solved:
             return k, SNAPS
         now.amplitudes[:] = amplitudes
-        take(joint, trial, now.joint, record.remainder[k])
-        displacement = np.dot(joint.free, amplitudes) + np.dot(joint.moved, record.remainder[k])
+        take(joint, kept.work.trial, now.joint, record.remainder[k])
+        displacement = record.displacement[k]
+        np.dot(joint.free, amplitudes, displacement)
+        np.dot(joint.moved, record.remainder[k], kept.work.moved)
+        displacement += kept.work.moved
         for i in range(joint.loaded.shape[1]):
             displacement += inputs[k, thermal + i] * joint.loaded[:, i]
-        record.displacement[k] = displacement
         _note(record, k, now, kept, Solved(conducted, flow, residual, iterations))
-        if not surely_held(machine.watched, now.joint.pressure, trial.tangent):
+        tangent = kept.work.trial.tangent
+        if not surely_held(machine.watched, kept.check, now.joint.pressure, tangent):
             return k + 1, LOOSE
     return len(inputs), THROUGH
 

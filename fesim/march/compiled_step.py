@@ -12,7 +12,14 @@ from typing import NamedTuple
 import numpy as np
 
 from fesim.jit import compiled
-from fesim.joint.compiled_gap import GapKernel, NewtonWork, Trial, newton_work, solve_in_place
+from fesim.joint.compiled_gap import (
+    GapKernel,
+    NewtonWork,
+    Trial,
+    newton_work,
+    solve_in_place,
+    trial_at,
+)
 from thermojoint.artefacts.arrays import Array
 
 
@@ -104,6 +111,60 @@ class JointState(NamedTuple):
     change: Array
 
 
+class HeatWork(NamedTuple):
+    """Storage of a heat step with m contact elements; its content is not used afterwards.
+
+    Attributes
+    ----------
+    beyond, driving : ndarray, shape (m,)
+        Conductance times area that the modes lack, W/K, and times the temperature jump, W.
+    system : ndarray, shape (m, m)
+        `flow_system`.
+    drawn : ndarray, shape (r,)
+        Amplitudes that the joint heat flows take.
+    """
+
+    beyond: Array
+    driving: Array
+    system: Array
+    drawn: Array
+
+
+class JointWork(NamedTuple):
+    """Storage of the settling of m contact elements; its content is not used afterwards.
+
+    Attributes
+    ----------
+    trial : Trial
+        Of the gap equations.
+    newton : NewtonWork
+        Of their solution by Newton's method.
+    free_gap, remainder : ndarray, shape (3 m,)
+        J0^-1 g_T, m, and z + k g, Pa.
+    moved : ndarray, shape (axes,)
+        Displacement by the joint, m.
+    """
+
+    trial: Trial
+    newton: NewtonWork
+    free_gap: Array
+    remainder: Array
+    moved: Array
+
+
+def heat_work(joint: JointKernel) -> HeatWork:
+    """Return storage for the heat steps of a machine."""
+    count, modes = joint.jump.shape
+    return HeatWork(np.empty(count), np.empty(count), np.empty((count, count)), np.empty(modes))
+
+
+def joint_work(joint: JointKernel) -> JointWork:
+    """Return storage for the settling of a joint."""
+    size, axes = joint.springs.size, len(joint.free)
+    trial, newton = trial_at(np.zeros((3, size // 3))), newton_work(size // 3)
+    return JointWork(trial, newton, np.empty(size), np.empty(size), np.empty(axes))
+
+
 @compiled
 def drive(heat: HeatStep, amplitudes: Array, inputs: Array) -> None:
     """The amplitudes after a step without joint, in place."""
@@ -123,38 +184,37 @@ def conduct(joint: JointKernel, pressure: Array, conducted: Array) -> None:
 
 
 @compiled
-def flow_system(joint_influence: Array, beyond: Array) -> Array:
-    """I + diag(beyond) S (m, m), which joint heat flows solve for what drives them."""
+def flow_system(joint_influence: Array, beyond: Array, system: Array) -> None:
+    """I + diag(beyond) S into `system` (m, m), the matrix of the joint heat flows."""
     count = beyond.size
-    system = np.empty((count, count))
     for e in range(count):
         for f in range(count):
             system[e, f] = beyond[e] * joint_influence[e, f]
         system[e, e] += 1.0
-    return system
 
 
 @compiled
 def conduct_step(
-    heat: HeatStep, joint: JointKernel, amplitudes: Array, inputs: Array, pressure: Array
+    heat: HeatStep,
+    joint: JointKernel,
+    work: HeatWork,
+    amplitudes: Array,
+    inputs: Array,
+    pressure: Array,
 ) -> None:
-    """Advance the amplitudes (r,) by one step, in place, at the conductance of pressures (m,)."""
-    count = pressure.size
+    """Advance the amplitudes (r,) by one step, in place, at the conductance of pressures (m,).
+
+    The one array that is allocated is the solution by LAPACK, which Numba copies.
+    """
+    beyond, driving = work.beyond, work.driving
     drive(heat, amplitudes, inputs)
-    beyond = np.empty(count)
     conduct(joint, pressure, beyond)
     beyond -= joint.held
-    driving = beyond * np.dot(joint.jump, amplitudes)
-    flow = np.linalg.solve(flow_system(heat.joint_influence, beyond), driving)
-    amplitudes -= np.dot(heat.influence, flow)
-
-
-@compiled
-def new_trial(count: int) -> Trial:
-    """Storage for a trial of m contact elements."""
-    return Trial(
-        np.empty((3, count)), np.empty((3, count)), np.empty((2, count)), np.empty((6, count))
-    )
+    np.dot(joint.jump, amplitudes, driving)
+    driving *= beyond
+    flow_system(heat.joint_influence, beyond, work.system)
+    np.dot(heat.influence, np.linalg.solve(work.system, driving), work.drawn)
+    amplitudes -= work.drawn
 
 
 @compiled
@@ -164,19 +224,22 @@ def gap_kernel(joint: JointKernel) -> GapKernel:
 
 
 @compiled
-def settle_step(joint: JointKernel, amplitudes: Array, now: JointState, displacement: Array) -> int:
+def settle_step(
+    joint: JointKernel, work: JointWork, amplitudes: Array, now: JointState, displacement: Array
+) -> int:
     """Settle the joint and read the displacement (axes,), in place.
 
     Returns 0, or anything else if no equilibrium was near: then the joint is as it was.
     """
-    trial, remainder = new_trial(now.pressure.size), np.empty(3 * now.pressure.size)
-    trial.gap[:] = now.gap + now.change
-    work = newton_work(now.pressure.size)
-    solved, _, _ = settle_by_newton(joint, np.dot(joint.gap, amplitudes), now, trial, work)
+    np.add(now.gap, now.change, work.trial.gap)
+    np.dot(joint.gap, amplitudes, work.free_gap)
+    solved, _, _ = settle_by_newton(joint, work.free_gap, now, work.trial, work.newton)
     if not solved:
         return 1
-    take(joint, trial, now, remainder)
-    displacement[:] = np.dot(joint.free, amplitudes) + np.dot(joint.moved, remainder)
+    take(joint, work.trial, now, work.remainder)
+    np.dot(joint.free, amplitudes, displacement)
+    np.dot(joint.moved, work.remainder, work.moved)
+    displacement += work.moved
     return 0
 
 

@@ -67,12 +67,15 @@ class Flows(NamedTuple):
         Conductance times area at which it was made, W/K; zero at first.
     inverse : ndarray, shape (m, m)
         (I + diag(conducted) S)^-1.
+    driving : ndarray, shape (m,)
+        Storage: conductance times area times temperature jump, W.
     krylov : Krylov
         Storage.
     """
 
     conducted: Array
     inverse: Array
+    driving: Array
     krylov: Krylov
 
 
@@ -86,13 +89,14 @@ def new_flows(count: int) -> Flows:
         turn=np.empty((2, most)),
         left=np.empty(most + 1),
     )
-    return Flows(np.zeros(count), np.zeros((count, count)), krylov)
+    return Flows(np.zeros(count), np.zeros((count, count)), np.empty(count), krylov)
 
 
 @compiled
 def invert(joint_influence: Array, beyond: Array, flows: Flows) -> None:
     """Make the inverse anew, for conductances times areas (m,), W/K."""
-    flows.inverse[:] = np.linalg.inv(flow_system(joint_influence, beyond))
+    flow_system(joint_influence, beyond, flows.inverse)
+    flows.inverse[:] = np.linalg.inv(flows.inverse)
     flows.conducted[:] = beyond
 
 
@@ -101,7 +105,8 @@ def solve_flows(
     joint_influence: Array, beyond: Array, jump: Array, flows: Flows, flow: Array
 ) -> None:
     """Solve for the joint heat flows (m,), W, into `flow`; `beyond` is c, W/K, `jump` in K."""
-    equations = Equations(joint_influence, beyond, beyond * jump)
+    np.multiply(beyond, jump, flows.driving)
+    equations = Equations(joint_influence, beyond, flows.driving)
     if not flows.conducted.any():
         invert(joint_influence, beyond, flows)
     for attempt in range(2):
@@ -132,7 +137,7 @@ def _improve(equations: Equations, flows: Flows, flow: Array) -> bool:
 
 @compiled
 def _apply(equations: Equations, flow: Array, into: Array) -> None:
-    """(I + diag(c) S) j into `found` (m,)."""
+    """(I + diag(c) S) j into `into` (m,)."""
     np.dot(equations.joint_influence, flow, into)
     for e in range(flow.size):
         into[e] = flow[e] + equations.beyond[e] * into[e]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fesim.joint.blocks import Blocks, blocks_of, one_block, part_of
-from fesim.joint.compiled_gap import compile_gap, newton_work
+from fesim.joint.compiled_gap import compile_gap
 from fesim.joint.conductance import FixedConductance
 from fesim.joint.frozen_tangent import (
     MADE,
@@ -22,7 +22,7 @@ from fesim.joint.frozen_tangent import (
     put_tangents,
 )
 from fesim.joint.law import JointLaw, PowerLawConductance
-from fesim.joint.loosening import UNWATCHED
+from fesim.joint.loosening import UNWATCHED, watch_work
 from fesim.march.compiled_march import (
     FROZEN_CONDUCTED,
     FROZEN_TANGENT,
@@ -33,7 +33,7 @@ from fesim.march.compiled_march import (
     Record,
     march_steps,
 )
-from fesim.march.compiled_step import HeatStep, JointKernel, JointState
+from fesim.march.compiled_step import HeatStep, JointKernel, JointState, joint_work
 from fesim.march.contact import ContactProblem
 from fesim.march.joint_flows import invert, new_flows
 from fesim.march.machine import CondensedMachine, State
@@ -112,10 +112,14 @@ def _frozen(kept: Kept) -> Array:
     return stored
 
 
-def new_kept(blocks: Blocks) -> Kept:
+def new_kept(machine: MarchKernel, blocks: Blocks) -> Kept:
     """Return the inverses and the storage of a march that has not begun."""
-    count = blocks.elements.size
-    return Kept(frozen_tangents(blocks), new_flows(count), newton_work(count))
+    return Kept(
+        frozen_tangents(blocks),
+        new_flows(blocks.elements.size),
+        joint_work(machine.joint),
+        watch_work(machine.watched),
+    )
 
 
 def new_record(steps: int, now: Moving, axes: int) -> Record:

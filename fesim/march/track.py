@@ -137,7 +137,7 @@ def kernel_march(machine: CondensedMachine) -> Callable[[State, Array], Track | 
     kernel = step_kernel(machine)
     if kernel is None:
         return None
-    return partial(_kernel_track, machine, kernel, new_kept(kernel.blocks))
+    return partial(_kernel_track, machine, kernel, new_kept(kernel.machine, kernel.blocks))
 
 
 def _kernel_track(

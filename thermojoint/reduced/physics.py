@@ -18,7 +18,15 @@ from fesim.joint.blocks import one_block
 from fesim.joint.law import JointLaw
 from fesim.joint.loosening import UNWATCHED
 from fesim.march.compiled_march import MarchKernel, Moving, march_steps
-from fesim.march.compiled_step import HeatStep, JointKernel, JointState, conduct_step, settle_step
+from fesim.march.compiled_step import (
+    HeatStep,
+    JointKernel,
+    JointState,
+    conduct_step,
+    heat_work,
+    joint_work,
+    settle_step,
+)
 from fesim.march.contact import ContactProblem
 from fesim.march.kernel import joint_kernel, new_kept, new_record
 from fesim.march.settling import settle_along
@@ -121,7 +129,7 @@ def conduct(
     kernel = physics.kernel
     if kernel is not None:
         after = np.array(amplitudes)
-        conduct_step(step, kernel, after, inputs, pressure)
+        conduct_step(step, kernel, heat_work(kernel), after, inputs, pressure)
         return after
     alone = step.decay * amplitudes + step.drive @ inputs
     if not physics.contacts:
@@ -147,7 +155,7 @@ def settle_joint(
     if kernel is not None:
         after = JointState(*map(np.array, joint))
         displacement = np.empty(len(physics.modes.elastic.probe_thermal))
-        if settle_step(kernel, amplitudes, after, displacement) == 0:
+        if settle_step(kernel, joint_work(kernel), amplitudes, after, displacement) == 0:
             return after, displacement
     return settle_plainly(physics, joint, amplitudes)
 
@@ -201,16 +209,14 @@ def simulate_known(physics: Physics, inputs: Array, length: float) -> tuple[Arra
             history[at] = amplitudes
         modes = physics.modes
         return history @ modes.sensors.T, history @ modes.elastic.probe_thermal.T
-    kept = None
     if kernel is not None:
-        kept = new_kept(one_block(kernel.springs, kernel.compliance, kernel.columns))
+        machine = MarchKernel(step, kernel, UNWATCHED)
+        kept = new_kept(machine, one_block(kernel.springs, kernel.compliance, kernel.columns))
     while k < len(inputs):
-        if kernel is not None and kept is not None:
+        if kernel is not None:
             now = Moving(amplitudes, joint)
             record = new_record(len(inputs) - k, now, displacement.shape[1])
-            taken, _ = march_steps(
-                MarchKernel(step, kernel, UNWATCHED), kept, inputs[k:], now, record
-            )
+            taken, _ = march_steps(machine, kept, inputs[k:], now, record)
             history[k : k + taken] = record.amplitudes[:taken]
             displacement[k : k + taken] = record.displacement[:taken]
             k += taken

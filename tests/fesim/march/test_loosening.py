@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from fesim.case.schema import case_from_data
 from fesim.joint.law import ACROSS, ALONG, CROSS, NORMAL, Traction
-from fesim.joint.loosening import _as_at_rest, _surely_held, watch_of
+from fesim.joint.loosening import _as_at_rest, _stiff, watch_of, watch_work
 from fesim.setup.machine import set_up, with_laws
 from fesim.simulate import simulate
 from fesim.solid.rigid_motions import constraints_of
@@ -178,9 +178,10 @@ def test_what_the_quick_checks_take_as_held_is_held(states, seed, rough):
     )
     pressure, tangent = np.concatenate([left, right]), np.concatenate([first, second], axis=-1)
     left_over = watch._unheld(pressure > 0.0, tangent).shape[1]
-    if _as_at_rest(pressure, tangent, watch.table, watch.needed):
+    checked = watch.watched, watch_work(watch.watched), pressure, tangent
+    if _as_at_rest(*checked):
         assert left_over == 0
-    if _surely_held(pressure, tangent, watch.table, watch.rows, watch.supports):
+    if _stiff(*checked):
         assert left_over == 0
     if left_over:
         with pytest.raises(ConvergenceError, match="body 'middle'"):
