@@ -74,8 +74,8 @@ def clean(table: Table, displacements: tuple[str, ...], rules: Cleaning) -> Clea
         )
     slower = max(1.0, table.interval / rules.pace)
     rules = replace(rules, moved=slower * rules.moved, jump=slower * rules.jump)
-    drives, warnings = _drives(table)
-    changes = _changes_of(table, drives)
+    drives, warnings = _drives(table, rules)
+    changes = _changes_of(table, drives, rules)
     faults: list[str] = []
     sensors: list[str] = []
     for k, column in enumerate(table.columns):
@@ -88,8 +88,8 @@ def clean(table: Table, displacements: tuple[str, ...], rules: Cleaning) -> Clea
             faults.append(f"{column.name}: {fault}; left out")
         if fault is None and table.spikes[k]:
             count = int(table.spikes[k])
-            told = f"{count} spikes; they are" if count > 1 else "1 spike; it is"
-            faults.append(f"{column.name}: {told} left out")
+            spikes = f"{count} spikes; they are" if count > 1 else "1 spike; it is"
+            faults.append(f"{column.name}: {spikes} left out")
         if fault is None and table.missing[k]:
             faults.append(f"{column.name}: {int(table.missing[k])} readings missing; bridged")
     if not sensors and (faults or not drives):
@@ -102,7 +102,7 @@ def clean(table: Table, displacements: tuple[str, ...], rules: Cleaning) -> Clea
     for name in displacements:
         _check_displacement(table, names.index(name), changes, rules)
     moved = [float(np.nanstd(table.values[:, names.index(name)])) for name in sensors]
-    if not drives and max(moved, default=0.0) < 5.0 * rules.still:
+    if not drives and max(moved, default=0.0) < rules.warms:
         raise InputError(
             "log: nothing warms the machine: no temperature moves by more than a few tenths of a "
             "kelvin and no speed is recorded; record a spindle test"
@@ -136,7 +136,7 @@ def _length(table: Table) -> float:
     )
 
 
-def _drives(table: Table) -> tuple[list[str], list[str]]:
+def _drives(table: Table, rules: Cleaning) -> tuple[list[str], list[str]]:
     """Return the columns that drive heat and vary, and warnings."""
     drives, warnings = [], []
     for k, column in enumerate(table.columns):
@@ -144,11 +144,11 @@ def _drives(table: Table) -> tuple[list[str], list[str]]:
             continue
         values = table.values[:, k][np.isfinite(table.values[:, k])]
         largest = float(np.abs(values).max(initial=0.0))
-        if not largest or float(np.ptp(values)) < 1e-3 * largest:
+        if not largest or float(np.ptp(values)) < rules.constant * largest:
             warnings.append(f"{column.name} is constant: its effect is not identifiable; left out")
             continue
         drives.append(column.name)
-        if column.quantity == "speed" and _levels(np.abs(values) / largest) == 1:
+        if column.quantity == "speed" and _levels(np.abs(values) / largest, rules) == 1:
             warnings.append(
                 f"{column.name} has one level only: the effect of other speeds is extrapolated"
             )
@@ -157,23 +157,24 @@ def _drives(table: Table) -> tuple[list[str], list[str]]:
     return drives, warnings
 
 
-def _levels(speeds: Array) -> int:
+def _levels(speeds: Array, rules: Cleaning) -> int:
     """Return the number of non-zero levels of a relative speed."""
-    held = np.round(speeds[speeds > 0.05], 1)
+    held = np.round(speeds[speeds > rules.stopped] / rules.level)
     values, counts = np.unique(held, return_counts=True)
-    return int((counts > 0.02 * len(speeds)).sum()) if len(values) else 0
+    return int((counts > rules.seldom * len(speeds)).sum()) if len(values) else 0
 
 
-def _changes_of(table: Table, drives: list[str]) -> Array:
+def _changes_of(table: Table, drives: list[str], rules: Cleaning) -> Array:
     """Return whether a drive changes at a row or beside it, or a gap ends there, shape (k,)."""
     names = [column.name for column in table.columns]
     changing = np.zeros(len(table.times), dtype=bool)
     for name in drives:
         values = table.values[:, names.index(name)]
-        step = np.abs(np.diff(values, prepend=values[0])) > 0.02 * np.nanmax(np.abs(values))
-        changing |= np.convolve(step, np.ones(5), mode="same") > 0.0
+        least = rules.stepped * np.nanmax(np.abs(values))
+        step = np.abs(np.diff(values, prepend=values[0])) > least
+        changing |= np.convolve(step, np.ones(1 + 2 * rules.beside), mode="same") > 0.0
     # During a gap anything may have changed.
-    changing |= np.diff(table.times, prepend=-np.inf) > 2.5 * table.interval
+    changing |= np.diff(table.times, prepend=-np.inf) > rules.gap * table.interval
     changing[list(table.starts)] = True
     return changing
 
@@ -195,8 +196,8 @@ def _fault(table: Table, k: int, changes: Array, rules: Cleaning) -> str | None:
     if table.spikes[k] > rules.spikes * table.samples:
         return f"{int(table.spikes[k])} spikes in {table.samples} samples"
     times, read = table.times[there], read_time(table)[there]
-    stuck = _longest_still(seen, read)
-    if stuck > max(rules.stuck * (read[-1] - read[0]), 1800.0):
+    stuck = _longest_still(seen, read, rules.unchanged)
+    if stuck > max(rules.stuck * (read[-1] - read[0]), rules.shortest_stuck):
         return f"stuck at one value for {stuck / 60.0:.0f} min"
     jump = _jump(seen, changes[there], rules)
     if jump is not None:
@@ -206,9 +207,9 @@ def _fault(table: Table, k: int, changes: Array, rules: Cleaning) -> str | None:
     return None
 
 
-def _longest_still(values: Array, times: Array) -> float:
+def _longest_still(values: Array, times: Array, unchanged: float) -> float:
     """Return the longest reading time with an unchanged value, s."""
-    new = np.flatnonzero(np.abs(np.diff(values)) > 1e-9)
+    new = np.flatnonzero(np.abs(np.diff(values)) > unchanged)
     ends = np.concatenate(([0], new + 1, [len(values) - 1]))
     return float(np.diff(times[ends]).max(initial=0.0))
 
@@ -219,8 +220,8 @@ def _jump(values: Array, changing: Array, rules: Cleaning) -> tuple[int, float] 
     if len(values) < 4 * side:
         return None
     steps = np.where(changing[1:], 0.0, np.diff(values))
-    usual = float(np.median(np.abs(steps))) + 1e-3
-    for row in np.argsort(-np.abs(steps))[:5]:
+    usual = float(np.median(np.abs(steps))) + rules.least_usual
+    for row in np.argsort(-np.abs(steps))[: rules.candidates]:
         size = float(steps[row])
         if abs(size) < max(rules.moved, rules.usual * usual):
             return None
@@ -228,7 +229,7 @@ def _jump(values: Array, changing: Array, rules: Cleaning) -> tuple[int, float] 
         after = values[row + 1 : row + 1 + side]
         lasting = float(np.median(after) - np.median(before))
         quiet = max(float(np.ptp(before)), float(np.ptp(after[1:]))) if len(after) > 1 else 0.0
-        if len(after) > side // 2 and lasting * np.sign(size) > 0.7 * abs(size) > quiet:
+        if len(after) > side // 2 and lasting * np.sign(size) > rules.lasting * abs(size) > quiet:
             return int(row + 1), size
     return None
 
@@ -236,7 +237,7 @@ def _jump(values: Array, changing: Array, rules: Cleaning) -> tuple[int, float] 
 def _check_displacement(table: Table, k: int, changing: Array, rules: Cleaning) -> None:
     column, values = table.columns[k], table.values[:, k]
     there = np.isfinite(values)
-    if there.mean() < 0.5:
+    if there.mean() < 1.0 - rules.displacement_missing:
         raise InputError(f"{column.name}: mostly missing; record it with the temperatures")
     seen = values[there]
     size = float(np.ptp(seen))
@@ -244,11 +245,11 @@ def _check_displacement(table: Table, k: int, changing: Array, rules: Cleaning) 
         raise InputError(f"{column.name}: constant within {1e6 * size:.2g} um; nothing to learn")
     side, steps = rules.side, np.where(changing[there], 0.0, np.diff(seen, prepend=seen[0]))
     usual = float(np.median(np.abs(steps)))
-    for row in np.argsort(-np.abs(steps))[:5]:
+    for row in np.argsort(-np.abs(steps))[: rules.candidates]:
         before, after = seen[max(0, row - side) : row], seen[row : row + side]
         lasting = abs(float(np.median(after) - np.median(before))) if len(before) else 0.0
         far = max(rules.jump * size, rules.usual * usual)
-        if abs(steps[row]) > far and lasting > 0.7 * abs(steps[row]):
+        if abs(steps[row]) > far and lasting > rules.lasting * abs(steps[row]):
             hours = (table.times[there][row] - table.times[0]) / 3600.0
             raise InputError(
                 f"{column.name}: jumps by {1e6 * steps[row]:.1f} um {hours:.1f} h after the start, "

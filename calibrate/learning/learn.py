@@ -331,16 +331,16 @@ def _model(
     channels = []
     for c, name in enumerate(cleaned.displacements):
         spread = rules.open * fitted.covariance[c][np.ix_(used, used)] * np.outer(size, size)
-        told = cleaned.at(name)
-        told = told[np.isfinite(told)]
+        values = cleaned.at(name)
+        values = values[np.isfinite(values)]
         channels.append(
             LearnedChannel(
                 name,
                 float(fitted.offset[c]) / MEGA,
                 tuple(map(float, weights[:, c])),
                 tuple(tuple(map(float, row)) for row in 0.5 * (spread + spread.T)),
-                max(float(fitted.errors[c]), 0.05) / MEGA,
-                (float(told.min()), float(told.max())),
+                max(float(fitted.errors[c]), rules.least_drift) / MEGA,
+                (float(values.min()), float(values.max())),
                 float(widening[c]),
             )
         )

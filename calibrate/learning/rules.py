@@ -22,6 +22,8 @@ class Thinning:
         Shortest interval, s.
     most_rows : int
         Longer logs have longer intervals.
+    uneven : float
+        Mean times of uneven samples vary by up to this factor around the interval.
     spike, neighbours, least_spike : float
         A value is a spike if it is above, or below, the medians of `neighbours` values on either
         side by `spike` times their usual distance and by `least_spike`, K. The latter grows with
@@ -30,6 +32,7 @@ class Thinning:
 
     interval: float = 60.0
     most_rows: int = 100_000
+    uneven: float = 1.5
     spike: float = 12.0
     neighbours: int = 4
     least_spike: float = 0.5
@@ -49,20 +52,35 @@ class Cleaning:
         Fewer rows cannot be held out block by block.
     still, still_length : float
         A sensor within this range has not moved, K; a displacement, m.
-    stuck, missing : float
-        A sensor is excluded if it is stuck for this fraction of the log, or if more than this is
-        missing.
+    warms : float
+        Without a drive, one temperature must have this standard deviation, K.
+    stuck, shortest_stuck, unchanged : float
+        A sensor is excluded if it stays within `unchanged`, K (rounding of what it shows), for this
+        fraction of the log and for this time, s.
+    missing, displacement_missing : float
+        A sensor is excluded, a displacement refused, if more than this is missing.
     spikes : float
         More spikes than this share of the samples are a fault.
-    moved, usual : float
-        A jump within one interval, K, as a multiple of usual changes.
-    side : int
-        Rows on either side used to distinguish a jump from a spike.
+    moved, usual, least_usual : float
+        A jump within one interval, K, as a multiple of usual changes; these are at least the
+        resolution of a thermometer, K.
+    side, candidates : int
+        Rows on either side used to distinguish a jump from a spike; largest changes looked at.
+    lasting : float
+        A jump remains by this part of its size between the medians of both sides.
     jump : float
         A displacement that jumps by this fraction of its range has lost its zero.
     pace : float
         Longest interval for these limits of jumps, s; for a longer one they grow with it, since the
         machine moves between samples.
+    constant : float
+        A drive that varies by less than this part of its largest value has no identifiable effect.
+    level, stopped, seldom : float
+        Levels of a speed differ by this part of the largest; below `stopped` the spindle stands;
+        a level held in fewer than this share of the rows is a ramp.
+    stepped, beside, gap : float
+        A drive that changes by this part of its largest value explains a jump within so many rows,
+        and so does a gap of so many intervals.
     possible : (float, float)
         Temperatures of a machine tool lie within this range, K.
     """
@@ -72,14 +90,28 @@ class Cleaning:
     fewest: int = 48
     still: float = 0.1
     still_length: float = 0.5e-6
+    warms: float = 0.5
     stuck: float = 0.1
+    shortest_stuck: float = 1800.0
+    unchanged: float = 1e-9
     missing: float = 0.2
+    displacement_missing: float = 0.5
     spikes: float = 1e-2
     moved: float = 1.0
     usual: float = 15.0
+    least_usual: float = 1e-3
     side: int = 20
+    candidates: int = 5
+    lasting: float = 0.7
     jump: float = 0.15
     pace: float = 600.0
+    constant: float = 1e-3
+    level: float = 0.1
+    stopped: float = 0.05
+    seldom: float = 0.02
+    stepped: float = 0.02
+    beside: int = 2
+    gap: float = 2.5
     possible: tuple[float, float] = POSSIBLE
 
 
@@ -165,12 +197,15 @@ class Judging:
         Fraction of the errors that lies within the band.
     useful : float
         A model must have less than this fraction of the mean's error.
+    least_drift : float
+        A displacement drifts at least as much as a probe resolves, um.
     """
 
     blocks: int = 4
     open: float = 4.0
     within: float = 0.95
     useful: float = 0.9
+    least_drift: float = 0.05
 
 
 @dataclass(frozen=True)

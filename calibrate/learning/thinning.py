@@ -101,19 +101,19 @@ def thinned(
         columns,
         np.array([values for _, values in rows]),
         tuple(dict.fromkeys(starts or [0])),
-        _usual_step(times, interval),
+        _usual_step(times, interval, rules.uneven),
         samples,
         spikes,
         missing,
     )
 
 
-def _usual_step(times: Array, interval: float) -> float:
+def _usual_step(times: Array, interval: float, uneven: float) -> float:
     steps = np.diff(times)
     steps = steps[steps > 0.0]
     slower = float(np.median(steps)) if steps.size else 0.0
     # Mean times of uneven samples vary around the interval.
-    return slower if slower > 1.5 * interval else interval
+    return slower if slower > uneven * interval else interval
 
 
 def without_spikes(

@@ -21,12 +21,10 @@ from estimator.span import SLACK, with_slack
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.quantities import column_named
-from thermojoint.models.learned import LearnedModel
+from thermojoint.models.learned import LARGEST, LearnedModel
 
 #: Terms of the series of h, which is accurate for x below 1.
 TERMS = 18
-#: A value that is not finite, or as large as this, is a missing reading.
-LARGEST = 1e30
 #: Exponents that need no power function.
 _PRODUCTS = (1.0, 2.0)
 _STATUSES = (

@@ -34,7 +34,7 @@ class Precision(StrEnum):
     SINGLE = "single"
 
 
-def export(
+def export(  # noqa: PLR0913 - the options of a command
     model: Annotated[
         Path,
         typer.Argument(help="Model file, learned or joint-aware model, or what 'assemble' wrote."),

@@ -26,7 +26,7 @@ class LearnedKind(StrEnum):
     JOINT_AWARE = "joint-aware"
 
 
-def learn(
+def learn(  # noqa: PLR0913 - the options of a command
     logs: Annotated[list[Path], typer.Argument(help="Logs (CSV), in the order of time.")],
     displacement: Annotated[
         list[str], typer.Option(help="A column to learn, e.g. x_um; give one or more.")

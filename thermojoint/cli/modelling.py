@@ -44,7 +44,7 @@ EstimatorFile = Annotated[
 ]
 
 
-def calibrate(
+def calibrate(  # noqa: PLR0913 - the options of a command
     reference: Annotated[Path, typer.Option(help="Response to the reference step (NetCDF).")],
     out: Annotated[Path, typer.Option(help="Model file to write (JSON).")],
     given: Annotated[
@@ -149,7 +149,7 @@ def tables(model: ModelFile, as_json: arguments.Json = None) -> None:
     console.wrote(as_json)
 
 
-def estimate(
+def estimate(  # noqa: PLR0913 - the options of a command
     model: EstimatorFile,
     temperatures: Annotated[
         Path,
@@ -345,7 +345,7 @@ def assemble(
     console.wrote(out)
 
 
-def validate(
+def validate(  # noqa: PLR0913 - the options of a command
     model: ModelFile,
     data: Annotated[
         list[Path],

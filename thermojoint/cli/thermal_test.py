@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from thermojoint.standards.iso230_3.record import Record
 
 
-def iso230_3(
+def iso230_3(  # noqa: PLR0913 - the options of a command
     given: Annotated[
         Path, typer.Argument(metavar="RECORD", help="Log of the test (CSV), or a response (.nc).")
     ],

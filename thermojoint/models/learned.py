@@ -33,7 +33,7 @@ from thermojoint.models.parameters import STRICT
 #: Possible temperatures of a machine tool, K.
 POSSIBLE = (200.0, 600.0)
 #: Limit on readings of other quantities, SI.
-_LARGEST = 1e30
+LARGEST = 1e30
 
 FILE = JsonKind(
     "thermojoint-learned-model", 1, "model", "written by 'thermojoint learn'", "learn again"
@@ -258,7 +258,7 @@ class LearnedModel(Described):
         return tuple(
             POSSIBLE
             if column and column.quantity == "temperature" and column.unit != "K"
-            else (-_LARGEST, _LARGEST)
+            else (-LARGEST, LARGEST)
             for column in known
         )
 
