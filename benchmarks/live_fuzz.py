@@ -103,7 +103,7 @@ def mqtt_door(draw: random.Random, model: Served, now: float, well: bool) -> lis
     }
     topic = f"hall/{MACHINE}"
     if well:
-        return [mqtt.told_by(topics, topic, json.dumps(content).encode())]
+        return [mqtt.item_of(topics, topic, json.dumps(content).encode())]
     payload = b""
     kind = draw.randrange(8)
     if kind == 0:
@@ -127,7 +127,7 @@ def mqtt_door(draw: random.Random, model: Served, now: float, well: bool) -> lis
         content = draw.choice([values(draw), {"time": now}, {draw.random(): 1}, [content]])
     if not payload:
         payload = json.dumps(content, default=str).encode("utf-8", "replace")
-    return [mqtt.told_by(topics, topic, payload)]
+    return [mqtt.item_of(topics, topic, payload)]
 
 
 def csv_door(draw: random.Random, model: Served, now: float, well: bool) -> list[Arrival | Note]:
@@ -151,7 +151,7 @@ def csv_door(draw: random.Random, model: Served, now: float, well: bool) -> list
         else:
             cells[0] = '"' + "9" * 400
         line = line if kind == 0 else ",".join(cells).encode("utf-8", "replace")
-    return csv_pipe.told_in(pipe, header, line, Hands())[0]
+    return csv_pipe.items_in(pipe, header, line, Hands())[0]
 
 
 def opcua_door(draw: random.Random, model: Served, now: float, well: bool) -> list[Arrival | Note]:
@@ -160,7 +160,7 @@ def opcua_door(draw: random.Random, model: Served, now: float, well: bool) -> li
     stamp = datetime.fromtimestamp(now, UTC)
     if well:
         found = [
-            opcua.told_by(MACHINE, k, count, ua.DataValue(ua.Variant(one), SourceTimestamp=stamp))
+            opcua.item_of(MACHINE, k, count, ua.DataValue(ua.Variant(one), SourceTimestamp=stamp))
             for k, one in enumerate(good_readings(model, int(now - START)))
         ]
         return opcua.in_order(found)
@@ -173,7 +173,7 @@ def opcua_door(draw: random.Random, model: Served, now: float, well: bool) -> li
     value = ua.DataValue(
         ua.Variant(content) if content is not None else None, SourceTimestamp=at, ServerTimestamp=at
     )
-    found = [opcua.told_by(MACHINE, draw.randrange(count), count, value)]
+    found = [opcua.item_of(MACHINE, draw.randrange(count), count, value)]
     written = probe_reading(MACHINE, count, count - 1, ua.DataValue(ua.Variant("x")), now)
     return [*opcua.in_order(found), *([written] if written else [])]
 
@@ -211,7 +211,11 @@ def estimates(
         waiting: Waiting = place.machine.waiting
         if len(waiting.cells) > 2 or len(place.rows) > 60 or len(floor.log.limit.seen) > 20:
             raise AssertionError(f"grows: {len(waiting.cells)} {len(place.rows)}")
-        yield (place.machine.said.number, place.machine.said.time, *place.machine.said.displacement)
+        yield (
+            place.machine.latest.number,
+            place.machine.latest.time,
+            *place.machine.latest.displacement,
+        )
 
 
 def check(name: str, model: Served, count: int, seed: int) -> dict[str, Any]:

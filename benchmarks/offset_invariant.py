@@ -227,13 +227,13 @@ class Offsets(RuleBasedStateMachine):
     def absorb(self, readings: Sequence[tuple[float, float, float]], until: str = "") -> None:
         """Take readings (time by the source, value, kind); a kill may come before the end."""
         arrivals = [Arrival(MACHINE, at, told, self.times.now) for at, *told in readings]
-        before = self.floor.places[MACHINE].machine.said.number
+        before = self.floor.places[MACHINE].machine.latest.number
         outcome = floors.absorb(self.floor, arrivals, *self.times)
         if until == "before the commit":
             return
         changed = list(outcome.publications.values())
         self.keep(Batch(outcome.taken, (), (), outcome.holes, self.received(changed)))
-        said = self.floor.places[MACHINE].machine.said
+        said = self.floor.places[MACHINE].machine.latest
         if said.number != before:
             self.estimated = self.times.now, self.true
             self.late = max(0.0, self.times.now - said.time - 5.0 - INTERVAL)

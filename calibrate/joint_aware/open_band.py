@@ -142,14 +142,14 @@ def open_band(
     )
     # With few draws the variance is uncertain: use Student's quantile in place of the normal one.
     weights *= float(student.ppf(0.975, len(errors_of_draws))) / WIDTH
-    said = np.mean((weights @ features.T) ** 2, axis=1)
+    claimed = np.mean((weights @ features.T) ** 2, axis=1)
     squares = np.vstack([history.squares for history in histories])
     return replace(
         model.band,
         history=_history(observer, slow, day),
         open=weights,
         square=np.array(
-            [_left(squares, *axis, drawing.floor) for axis in zip(said, every, strict=True)]
+            [_left(squares, *axis, drawing.floor) for axis in zip(claimed, every, strict=True)]
         ),
     )
 
@@ -205,8 +205,8 @@ def _draw(
     rng: np.random.Generator, problem: Problem, fit: Fit, along: Array, drawing: Drawing
 ) -> _Drawn:
     singular, directions = fit.directions
-    told = along / np.sqrt(1.0 + (drawing.assumed * singular) ** 2)
-    coordinates = fit.coordinates + fit.spread * (told @ directions)
+    known = along / np.sqrt(1.0 + (drawing.assumed * singular) ** 2)
+    coordinates = fit.coordinates + fit.spread * (known @ directions)
     # Discrepancy and offsets compensate the effect of the parameters in the runs.
     moved = [
         fit_linear(problem, *errors(problem, fit.parameters, at))
@@ -289,17 +289,17 @@ def _explained(features: Array, error: Array, ends: Array, drawing: Drawing) -> 
     return np.asarray(weights * size / scale)
 
 
-def _left(squares: Array, said: Array, errors: Array, floor: float) -> Array:
-    """Coefficients (q,) of squares (n, q) for the errors (draws, n) beyond `said`, (n,).
+def _left(squares: Array, claimed: Array, errors: Array, floor: float) -> Array:
+    """Coefficients (q,) of squares (n, q) for the errors (draws, n) beyond `claimed`, (n,).
 
-    Each is relative to `said`.
+    Each is relative to `claimed`.
     """
     mean = np.mean(errors**2, axis=0)
     size = float(mean.max())
     if size <= 0.0:
         return np.zeros(squares.shape[1])
     scale = np.maximum(squares.max(axis=0), np.finfo(float).tiny)
-    weight = 1.0 / np.maximum(said, floor * size)
-    short = np.maximum(mean - said, 0.0)
+    weight = 1.0 / np.maximum(claimed, floor * size)
+    short = np.maximum(mean - claimed, 0.0)
     coefficients = nnls(squares / scale * weight[:, None], short * weight)[0] / scale
     return np.asarray(coefficients)

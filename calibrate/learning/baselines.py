@@ -40,10 +40,10 @@ def autoregressive_tau(
     slowest : float
         Its bound, s.
     """
-    inputs, told = rows[:, now], rows[:, features:]
-    inputs, told = inputs - inputs.mean(axis=0), told - told.mean(axis=0)
+    inputs, outputs = rows[:, now], rows[:, features:]
+    inputs, outputs = inputs - inputs.mean(axis=0), outputs - outputs.mean(axis=0)
     poles = []
-    for own in told.T:
+    for own in outputs.T:
         table = np.column_stack((own[:-1], inputs[1:]))
         poles.append(linear_weights(table, own[1:])[0])
     pole = float(np.clip(np.median(poles), 0.0, 1.0 - 1e-9))

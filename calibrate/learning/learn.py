@@ -64,7 +64,7 @@ def learn(
 
 
 class HeldOut(NamedTuple):
-    """What a model estimates for blocks of time that it was not learned from.
+    """Estimates for blocks of time that a model was not learned from.
 
     Attributes
     ----------
@@ -127,16 +127,16 @@ def learn_and_judge(
             f"({', '.join(useless)}); record longer, or put thermometers nearer to what warms the "
             "machine"
         )
-    told = [*cleaned.warnings, *(f"no better than the mean: {text}" for text in useless)]
+    warnings = [*cleaned.warnings, *(f"no better than the mean: {text}" for text in useless)]
     fitted = rows.fit(rows.inputs, rows.outputs)
-    told += _wide(cleaned, rows, fitted, errors[kind], rules.judging)
-    cleaned = replace(cleaned, warnings=tuple(told))
+    warnings += _wide(cleaned, rows, fitted, errors[kind], rules.judging)
+    cleaned = replace(cleaned, warnings=tuple(warnings))
     model = _model(kind, cleaned, rows, fitted, errors | {MEAN: mean}, rules.judging)
     return model, _held_out(rows, errors[kind])
 
 
 def _held_out(rows: _Rows, judged: _Judged) -> HeldOut:
-    """What the model of a kind estimates without each block, m."""
+    """Estimates of the model of a kind for each block, learned without it, m."""
     truth, band = rows.outputs, _QUANTILE * judged.widening * judged.deviations
     estimate = truth - judged.errors
     return HeldOut(rows.times, *(values / MEGA for values in (truth, estimate, band)))
@@ -158,8 +158,8 @@ def _cleaned(
         raise InputError(
             f"log: name what to learn, e.g. --displacement {next(iter(whole.of('length')), 'x_um')}"
         )
-    told = tuple(dict.fromkeys(table.columns[whole.index(name)].name for name in displacements))
-    for name in told:
+    names = tuple(dict.fromkeys(table.columns[whole.index(name)].name for name in displacements))
+    for name in names:
         if table.columns[whole.index(name)].quantity != "length":
             raise InputError(f"{name}: no displacement; name a column in um, mm or m")
     away = {whole.index(name) for name in ignored}
@@ -172,7 +172,7 @@ def _cleaned(
             spikes=table.spikes[kept],
             missing=table.missing[kept],
         ),
-        told,
+        names,
         rules.cleaning,
     )
 
@@ -205,8 +205,8 @@ def _rows(cleaned: Cleaned, kind: Kind, most: int, rules: Rules) -> _Rows:
     length = float(np.ptp(cleaned.table.times))
     kinds = structures(bool(cleaned.drives), length, rules.features)
 
-    def fitted(some: Array, told: Array) -> Fitted:
-        blocks = blocks_of(np.hstack((some, told)), len(features), interval, rules.fitting)
+    def fitted(some: Array, outputs: Array) -> Fitted:
+        blocks = blocks_of(np.hstack((some, outputs)), len(features), interval, rules.fitting)
         if kind == "linear":
             return baselines.linear(blocks, every)
         if kind != "learned":

@@ -103,13 +103,13 @@ def design(cleaned: Cleaned, features: tuple[Feature, ...], rules: Features) -> 
     for first, end in zip(table.starts, ends, strict=True):
         run = table.times[first:end], table.values[first:end]
         values = size * features_of(features, names, run)
-        told = MEGA * table.values[first:end][:, at]
-        full = np.isfinite(told).all(axis=1) & _known(cleaned, slice(first, end), rules)
+        measured = MEGA * table.values[first:end][:, at]
+        full = np.isfinite(measured).all(axis=1) & _known(cleaned, slice(first, end), rules)
         if not full.any():
             continue
         times.append(table.times[first:end][full])
         inputs.append(values[full])
-        outputs.append(told[full])
+        outputs.append(measured[full])
     if not inputs:
         raise InputError("log: no row has every displacement; record them together")
     return Design(np.concatenate(times), _within_runs(inputs), _within_runs(outputs))

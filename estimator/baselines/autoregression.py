@@ -104,7 +104,7 @@ class AutoregressionEstimator:
 
     @cached_property
     def settling(self) -> Settling:
-        """How long it is unsettled after a start on a warm machine: by its slowest root."""
+        """Duration of being unsettled after a start on a warm machine: by its slowest root."""
         roots = [np.abs(np.roots([1.0, *(-own)])).max(initial=0.0) for own in self._past]
         slowest = -self.model.interval_s / math.log(max(*roots, 1e-9))
         return Settling(self.model.span, JOINT_SENSORS, slowest, self.model.interval_s)

@@ -70,7 +70,7 @@ class RegressionEstimator:
 
     @cached_property
     def settling(self) -> Settling:
-        """How long it is unsettled after a start on a warm machine; without low-passes not."""
+        """Duration of being unsettled after a start on a warm machine; none without low-passes."""
         slowest = max(self.regression.time_constants, default=0.0)
         return Settling(self.model.span, JOINT_SENSORS, slowest, self.dt_s)
 

@@ -166,9 +166,9 @@ def usual_sample(
     np.dot(own.discrepancy, relaxed, work.discrepancy)
     displacement += work.discrepancy
     kept = math.exp(-own.forgetting * length)
-    told = state.model_error
+    error = state.model_error
     for axis in range(displacement.size):
-        told.mean[axis] *= kept
-        told.variance[axis] = 1.0 - kept * kept * (1.0 - told.variance[axis])
+        error.mean[axis] *= kept
+        error.variance[axis] = 1.0 - kept * kept * (1.0 - error.variance[axis])
     state.time[()] = time
     return True

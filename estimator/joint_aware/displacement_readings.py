@@ -118,13 +118,13 @@ def correct_by(
     own = (band.steady + sigma**2 * known.variance + probe.noise**2)[at]
     seen = band.tangent[at] @ factor
     covariance = seen @ seen.T + np.diag(own)
-    told = np.linalg.solve(covariance, innovation[at])
-    if innovation[at] @ told > probe.gate**2 * at.size:
+    whitened = np.linalg.solve(covariance, innovation[at])
+    if innovation[at] @ whitened > probe.gate**2 * at.size:
         return Correction(np.zeros(len(factor)), factor, known, True)
     gain = (sigma * known.variance)[at]
     mean, variance = known.mean.copy(), known.variance.copy()
-    mean[at] += gain * told
+    mean[at] += gain * whitened
     variance[at] -= gain**2 * np.diag(np.linalg.inv(covariance))
     root = np.linalg.cholesky(np.eye(factor.shape[1]) + seen.T @ (seen / own[:, None]))
     after = factor @ np.linalg.inv(root).T
-    return Correction(factor @ (seen.T @ told), after, ModelError(mean, variance), False)
+    return Correction(factor @ (seen.T @ whitened), after, ModelError(mean, variance), False)

@@ -227,7 +227,7 @@ class JointAware(Described):
         if taken is None:
             taken = self._taken(unpacked(state, self.parts), moment, readings, probed)
             flat = taken.after.flat()
-        return flat, self._told(taken, time, readings)
+        return flat, self._estimate(taken, time, readings)
 
     def _usual(
         self, state: ObserverState, moment: Moment, readings: Array, probed: Array
@@ -275,7 +275,7 @@ class JointAware(Described):
         )
         return Taken(after, settled.displacement, expected.memory, factor, used.believed, refused)
 
-    def _told(self, taken: Taken, time: float, readings: Array) -> Estimate:
+    def _estimate(self, taken: Taken, time: float, readings: Array) -> Estimate:
         """The estimate after a sample."""
         after, factor = taken.after, taken.covariance_factor
         count, dynamic = self.model.modes.rates.size, self.observer.system.decay.size
@@ -389,8 +389,8 @@ class JointAware(Described):
         """Half-width of the 95 % interval, m, shape (axes,)."""
         variance = self.model.band.steady + known.variance * sigma**2
         if factor.any():
-            told = np.square(self.model.band.tangent @ factor).sum(axis=1)
-            variance = variance + self.thresholds.doubt**2 * told
+            uncertain = np.square(self.model.band.tangent @ factor).sum(axis=1)
+            variance = variance + self.thresholds.doubt**2 * uncertain
         return np.asarray(WIDTH * np.sqrt(variance))
 
     def _undecided(self, after: ObserverState) -> Array:

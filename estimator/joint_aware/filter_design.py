@@ -240,11 +240,11 @@ def correct(
     seen_factor = rows[present] @ factor
     shifted = factor - gain @ seen_factor
     doubted = covariance + doubt**2 * np.diag(filter_.lasting)
-    told = np.linalg.solve(doubted[np.ix_(present, present)], seen_factor)
-    root = np.linalg.cholesky(np.eye(factor.shape[1]) + seen_factor.T @ told)
+    solved = np.linalg.solve(doubted[np.ix_(present, present)], seen_factor)
+    root = np.linalg.cholesky(np.eye(factor.shape[1]) + seen_factor.T @ solved)
     inverse = np.linalg.inv(root)
     left = shifted @ inverse.T
-    more = left @ (inverse @ told.T)
+    more = left @ (inverse @ solved.T)
     return gain + more, np.hstack([left, lost])
 
 

@@ -125,9 +125,9 @@ class Observer:
 
     def innovation_covariance(self, factor: Array) -> Array:
         """Covariance of the innovations, K2, shape (p + 1, p + 1)."""
-        told = self.system.rows @ factor
+        seen = self.system.rows @ factor
         own = np.diag(self.model.filter.noise)
-        return np.asarray(self.model.filter.innovation + own + told @ told.T)
+        return np.asarray(self.model.filter.innovation + own + seen @ seen.T)
 
     def _forgetting(self, factor: Array, length: float) -> Array:
         """Covariance factor after a step of some length without any reading."""
@@ -146,11 +146,11 @@ class Observer:
         if not factor.any():
             return factor
         after = self.system.advance(factor)
-        told = np.square(self.system.rows @ after).sum(axis=1) / self.model.filter.noise
+        seen = np.square(self.system.rows @ after).sum(axis=1) / self.model.filter.noise
         moved = np.square(self.model.band.tangent @ after).sum(axis=1)
         least = self.thresholds.forgotten
         known = np.all(moved <= least * self.model.band.steady)
-        return np.zeros_like(after) if told.max() <= least and known else after
+        return np.zeros_like(after) if seen.max() <= least and known else after
 
     def _settled(self, joint: JointState, linear: Array, memory: float) -> tuple[JointState, Array]:
         """The joint and the displacement at the present temperatures.

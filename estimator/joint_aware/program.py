@@ -275,8 +275,8 @@ def _without(estimator: JointAware) -> tuple[Array, Array]:
             factor = observer.onward(after)
         if present.size:
             gains[left_out][:, present] = gain
-        told = np.square(model.band.tangent @ after).sum(axis=1)
-        without.append(estimator.thresholds.doubt**2 * told)
+        uncertain = np.square(model.band.tangent @ after).sum(axis=1)
+        without.append(estimator.thresholds.doubt**2 * uncertain)
     return gains, np.array(without)
 
 
@@ -309,7 +309,7 @@ def _every_sample(estimator: JointAware, linear: int, contacts: int) -> Operatio
 
 
 def _judging(estimator: JointAware, linear: int, contacts: int) -> Operations:
-    """What a faulty or missing reading costs beyond an ordinary sample, at most."""
+    """Largest cost of a faulty or missing reading beyond an ordinary sample."""
     model = estimator.model
     count, sources, modes = len(estimator.observer.system.rows), model.power.size, linear
     sweeps = SWEEPS if sources > 1 else 1

@@ -104,8 +104,8 @@ def trusted(
         expected = expected._replace(linear=open_.linear)
     if judgement is Judgement.OFFSET:
         channel = int(open_.channel)
-        said = observer.system.rows[channel] @ open_.linear
-        watch = _distrusting(watch, channel, moment.time, abs(float(readings[channel] - said)))
+        predicted = observer.system.rows[channel] @ open_.linear
+        watch = _distrusting(watch, channel, moment.time, abs(float(readings[channel] - predicted)))
     if judgement is not Judgement.OPEN:
         open_ = fault_isolation.none(expected.linear.size)
     rows = observer.system.rows
@@ -163,9 +163,9 @@ def _followed(
     if readings[channel] == before.watch.last[channel] and before.watch.repeats[channel] > 0.0:
         # It may be stuck, which takes longer to detect.
         return known, Judgement.OPEN
-    said = observer.system.rows[channel] @ alone.linear
-    departure, rules = float(readings[channel] - said), observer.thresholds
-    limit = rules.faults.gate * float(model_error(said, rules.faults))
+    predicted = observer.system.rows[channel] @ alone.linear
+    departure, rules = float(readings[channel] - predicted), observer.thresholds
+    limit = rules.faults.gate * float(model_error(predicted, rules.faults))
     # The source that the reading responds to most.
     answers = observer.onset[:, channel]
     answer = answers[:, int(np.argmax(np.abs(answers[-1])))]

@@ -35,7 +35,7 @@ _UNITS = {"temperature": "K", "speed": "rad/s", "power": "W", "current": "A", "t
 
 @dataclass(frozen=True)
 class Following:
-    """How displacement readings are followed, and what is flagged.
+    """Rules for following displacement readings, and for flags.
 
     The band's cover and the use of readings were measured on held-out days of a logged machine
     (``python -m benchmarks.measured_machine``, docs/measured-machines.md).

@@ -43,7 +43,7 @@ class DaskCrew:
 
     def __init__(self, client: Client, tell: Callable[[str], None]) -> None:
         self._client = client
-        self._tell = tell
+        self._report = tell
         self._versions: dict[str, str] = {}
         self._looked = False
         self._working: dict[str, tuple[Task, Future]] = {}
@@ -126,7 +126,7 @@ class DaskCrew:
         )
         if not self._looked:
             raise InputError(text)
-        self._tell(f"{text}; it gets no cases")
+        self._report(f"{text}; it gets no cases")
 
 
 @contextmanager

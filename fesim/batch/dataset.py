@@ -106,9 +106,9 @@ def _variables(
     if not any(secant_sections(case.case) for case in study.cases):
         asked.discard("secant_residual")
     return {
-        name: said
-        for name, said in VARIABLES.items()
-        if name in asked and {*said[0], *_WITH.get(name, ())} - {"time"} <= labels.keys()
+        name: layout
+        for name, layout in VARIABLES.items()
+        if name in asked and {*layout[0], *_WITH.get(name, ())} - {"time"} <= labels.keys()
     }
 
 

@@ -281,11 +281,11 @@ def shown(values: Values) -> str:
 
 def brief(values: Values) -> str:
     """Return varied values in short form: the last word of each path, four digits."""
-    told = []
+    parts = []
     for path, value in values.items():
         number = f"{value:.4g}" if isinstance(value, float) else plain(value)
-        told.append(f"{path.rpartition('.')[2]} {number}")
-    return ", ".join(told)
+        parts.append(f"{path.rpartition('.')[2]} {number}")
+    return ", ".join(parts)
 
 
 def plain(value: Any) -> str | float | int | bool:  # noqa: ANN401 - any TOML value

@@ -123,11 +123,11 @@ def mean_over_steps(history: History, step: float, ends: Array) -> Array:
     ndarray, shape (n,)
         In the unit of the history.
     """
-    found = history(ends)
+    values = history(ends)
     bent = np.isin(np.rint(ends / step), bent_steps(history, step))
     last = ends[bent]
-    found[bent] = (history.integral(last) - history.integral(last - step)) / step
-    return found
+    values[bent] = (history.integral(last) - history.integral(last - step)) / step
+    return values
 
 
 def entering_in_steps(history: History, step: float, ends: Array) -> Array:
@@ -137,13 +137,13 @@ def entering_in_steps(history: History, step: float, ends: Array) -> Array:
     time zero: the value is the mean over the step, less the excess of the linear steps before it,
     which take the value at their end. Arguments and result as for `mean_over_steps`.
     """
-    found = mean_over_steps(history, step, ends)
+    values = mean_over_steps(history, step, ends)
     number, settled = np.rint(ends / step), bent_steps(history, step)
     bent = np.isin(number, settled)
     before = np.concatenate([[0], settled])[np.searchsorted(settled, number[bent])]
     excess = history(ends[bent] - step) - history(before * step)
-    found[bent] -= 0.5 * excess
-    return found
+    values[bent] -= 0.5 * excess
+    return values
 
 
 def reversals(

@@ -188,11 +188,11 @@ def settled_between(machine: CondensedMachine, state: State, factors: Array) -> 
     grown = contact.elastic.thermal_gap @ machine.strained(state.temperature)
     still = np.zeros_like(state.change)
     for row in factors:
-        found, _ = settle_along(contact, state, grown + contact.loads.gap @ row)
+        settled, _ = settle_along(contact, state, grown + contact.loads.gap @ row)
         if contact.watch is not None:
-            pressure = contact.preload + found.traction.value[0]
-            contact.watch.check(pressure, found.traction.tangent)
-        state = replace(state, gap=found.gap, slip=found.traction.slip, change=still)
+            pressure = contact.preload + settled.traction.value[0]
+            contact.watch.check(pressure, settled.traction.tangent)
+        state = replace(state, gap=settled.gap, slip=settled.traction.slip, change=still)
     return state
 
 

@@ -198,10 +198,10 @@ class MarchInputs:
         dict of int to ndarray, shape (k, l)
             Index in `ends` to the inputs after the thermal ones, in order of time.
         """
-        found = reversals(self.forces, self.step, ends)
+        turns = reversals(self.forces, self.step, ends)
         return {
             at: np.stack([history(times) for history in self.forces], axis=1)
-            for at, times in found.items()
+            for at, times in turns.items()
         }
 
 

@@ -115,17 +115,17 @@ def further_run_line(further_runs: Sequence[Mapping[str, Any]]) -> str:
     def deviation(further: Mapping[str, Any]) -> float:
         return float(np.linalg.norm(list(further["day_std_um"].values())))
 
-    def told(further: Mapping[str, Any]) -> str:
+    def sizes(further: Mapping[str, Any]) -> str:
         return " / ".join(f"{value:.2f}" for value in further["day_std_um"].values())
 
     present, *others = further_runs
     best = min(others, key=deviation)
     axes = ", ".join(present["day_std_um"])
-    now = f"Uncertainty of a day with known heat: {told(present)} µm along {axes}"
+    now = f"Uncertainty of a day with known heat: {sizes(present)} µm along {axes}"
     if deviation(best) > ENOUGH * deviation(present):
         return f"{now}; no further run would tell much more."
     return (
-        f"{now}; with one more run, a {best['run']}, {told(best)} µm: record it, calibrate again."
+        f"{now}; with one more run, a {best['run']}, {sizes(best)} µm: record it, calibrate again."
     )
 
 

@@ -20,7 +20,7 @@ class Arrival:
         Its name.
     time : float
         By the source's clock, s since 1970.
-    told : sequence of float or None
+    readings : sequence of float or None
         One for each of its readings; None: did not come, NaN: reported as missing.
     came : float
         When it arrived, s since 1970.
@@ -32,7 +32,7 @@ class Arrival:
 
     machine: str
     time: float
-    told: Sequence[float | None]
+    readings: Sequence[float | None]
     came: float
     position: Any = None
     kept: Callable[[], None] | None = None

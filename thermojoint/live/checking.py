@@ -31,7 +31,7 @@ _LOOKED_AT = ("models", "certificate.pem", "key.pem", "access.sqlite", "access.s
 
 
 class Findings(NamedTuple):
-    """What a check has found, one line each.
+    """Results of a check, one line each.
 
     Attributes
     ----------
@@ -86,14 +86,14 @@ def taken_addresses(service: Service) -> list[str]:
     given = [(name, one.address, one.port) for name, one in sections if one is not None]
     if is_held(service.folder):
         return []
-    found = []
+    busy = []
     for name, address, port in given:
         family = socket.AF_INET6 if ":" in address else socket.AF_INET
         try:
             socket.create_server((address, port), family=family).close()
         except OSError as error:
-            found.append(f"{name}: {address}:{port}: {error.strerror}; take another port")
-    return found
+            busy.append(f"{name}: {address}:{port}: {error.strerror}; take another port")
+    return busy
 
 
 def _copy(source: Path, target: Path) -> None:

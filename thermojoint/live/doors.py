@@ -113,14 +113,16 @@ def _residuals_of(place: Place) -> dict[str, float | None] | None:
 
 def _handshake_of(place: Place) -> dict[str, Any]:
     """Return what the control of a machine has said."""
-    said, clock = place.machine.handshake, time.monotonic()
+    handshake, clock = place.machine.handshake, time.monotonic()
     controls = place.served.layout.controls
     return {
-        "state": said.state,
-        "enabled": said.enabled,
-        "heartbeat": said.heartbeat,
-        "heartbeat_age_s": round(clock - said.beaten, 1) if math.isfinite(said.beaten) else None,
-        "acknowledged_um": micrometres(controls, said.acknowledged),
+        "state": handshake.state,
+        "enabled": handshake.enabled,
+        "heartbeat": handshake.heartbeat,
+        "heartbeat_age_s": round(clock - handshake.beaten, 1)
+        if math.isfinite(handshake.beaten)
+        else None,
+        "acknowledged_um": micrometres(controls, handshake.acknowledged),
     }
 
 
@@ -163,5 +165,5 @@ def _handshakes(service: Service, by: str) -> dict[str, HandshakeSection]:
     }
 
 
-def _answer(floor: Floor, machine: str, said: Answer) -> None:
-    answer(floor, machine, said, time.monotonic())
+def _answer(floor: Floor, machine: str, given: Answer) -> None:
+    answer(floor, machine, given, time.monotonic())

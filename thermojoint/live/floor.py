@@ -56,7 +56,7 @@ class Place:
         When its last usable sample was taken, by the service's own clock, s.
     fresh : bool
         No sample has come since the service began.
-    told : tuple of Quality and str
+    reported : tuple of Quality and str
         Quality and status as last published.
     mode : str
         Mode of the offsets then.
@@ -76,7 +76,7 @@ class Place:
     position: Any
     heard: float
     fresh: bool = True
-    told: tuple[Quality, str] = (Quality.BAD, "no-sample")
+    reported: tuple[Quality, str] = (Quality.BAD, "no-sample")
     mode: str = ""
     handshake: str = ""
     rows: list[tuple[Any, str]] = field(default_factory=list)
@@ -156,7 +156,7 @@ def absorb(floor: Floor, arrivals: Iterable[Arrival], now: float, clock: float) 
             continue
         rule = place.served.rule
         step = arrived(
-            rule, place.machine.waiting, arrival.time, arrival.told, (now, now + floor.ahead)
+            rule, place.machine.waiting, arrival.time, arrival.readings, (now, now + floor.ahead)
         )
         floor.metrics.arrivals.labels(step.verdict).inc()
         place.position = arrival.position
@@ -192,7 +192,7 @@ def _sample(
 ) -> None:
     """Take one sample of one machine."""
     instant, now = sample[0], times.now
-    before = place.machine.said
+    before = place.machine.latest
     name = place.machine.name
     if before.number and instant - before.time > _GAP * place.served.rule.interval:
         why = "the service was down" if place.fresh else "no readings"
@@ -204,35 +204,35 @@ def _sample(
         age = max(age, times.clock - place.heard)
     place.machine, refusal = taken(place.served, place.machine, sample, times, age)
     place.fresh = False
-    said = place.machine.said
+    latest = place.machine.latest
     if refusal:
         floor.log.say(now, "sample-refused", refusal, name)
     else:
         place.heard = times.clock - age
-        if said.status != before.status and before.number:
-            floor.log.say(now, "status", f"{said.status}, was {before.status}", name)
-    row = as_row(said)
-    place.rows.append((row, said.status))
-    outcome.taken.append(Taken(place.era, said.number, row.tobytes(), said.status, "{}"))
+        if latest.status != before.status and before.number:
+            floor.log.say(now, "status", f"{latest.status}, was {before.status}", name)
+    row = as_row(latest)
+    place.rows.append((row, latest.status))
+    outcome.taken.append(Taken(place.era, latest.number, row.tobytes(), latest.status, "{}"))
     published = shown(place.machine)
     if times.clock - place.heard >= floor.watchdog.uncertain_s:
         # The sample is read late: its estimate is old.
         place.machine, published = silent(
             place.served, place.machine, times.clock - place.heard, times, floor.watchdog
         )
-    place.told, place.mode = (published.quality, published.status), published.offset_mode
+    place.reported, place.mode = (published.quality, published.status), published.offset_mode
     outcome.publications[name] = published
     floor.metrics.samples.labels(place.served.file).inc()
 
 
 def _refused(floor: Floor, arrival: Arrival, verdict: str, now: float) -> None:
-    told = {
+    reasons = {
         "late": f"a reading of {arrival.time:.3f} s came after its sample was closed",
         "ahead": f"a reading's time {arrival.time:.3f} s is {arrival.time - now:.0f} s ahead of "
         "the clock",
         "no-time": f"{arrival.time!r} is not a time",
     }
-    floor.log.say(now, verdict, told[verdict], arrival.machine)
+    floor.log.say(now, verdict, reasons[verdict], arrival.machine)
 
 
 def age_of(rule: Rule, behind: float, instant: float, now: float) -> float:
@@ -259,22 +259,22 @@ def watch(floor: Floor, now: float, clock: float) -> list[Publication]:
         if age < min(limits.uncertain_s, oldest) and not changed_hands and not broken:
             continue
         before = place.machine.output
-        machine, said = silent(place.served, place.machine, age, Times(now, clock), limits)
+        machine, latest = silent(place.served, place.machine, age, Times(now, clock), limits)
         place.machine, after = machine, machine.output
         moved = (
             changed_hands
-            or said.offset_mode != place.mode
+            or latest.offset_mode != place.mode
             or (
                 before is not None
                 and after is not None
                 and not np.array_equal(before.steps, after.steps)
             )
         )
-        if (said.quality, said.status) != place.told:
+        if (latest.quality, latest.status) != place.reported:
             floor.log.say(
                 now,
                 "silent",
-                f"{said.quality.word}: no usable sample for {age:.0f} s",
+                f"{latest.quality.word}: no usable sample for {age:.0f} s",
                 machine.name,
             )
         elif not moved:
@@ -282,8 +282,8 @@ def watch(floor: Floor, now: float, clock: float) -> list[Publication]:
         if after is not None and after is before:
             # Offsets that are published again count as received now: their rate starts from here.
             place.machine = replace(machine, output=after._replace(time=clock))
-        place.told, place.mode = (said.quality, said.status), said.offset_mode
-        changed.append(said)
+        place.reported, place.mode = (latest.quality, latest.status), latest.offset_mode
+        changed.append(latest)
     return changed
 
 
@@ -301,10 +301,10 @@ def _shake(floor: Floor, place: Place, now: float, clock: float) -> bool:
     return True
 
 
-def answer(floor: Floor, machine: str, said: Answer, clock: float) -> None:
+def answer(floor: Floor, machine: str, given: Answer, clock: float) -> None:
     """Take what the control of a machine writes, at a time by the service's own clock (s)."""
     place = floor.places[machine]
-    handshake = answered(place.machine.handshake, said, clock)
+    handshake = answered(place.machine.handshake, given, clock)
     place.machine = replace(place.machine, handshake=handshake)
 
 
@@ -315,7 +315,7 @@ def checkpoint_of(place: Place) -> Checkpoint:
     place.rows = []
     return Checkpoint(
         place.era,
-        place.machine.said.number,
+        place.machine.latest.number,
         state_bytes(place.served, place.machine),
         rest_of(place.machine, place.position),
         rows,
@@ -325,9 +325,9 @@ def checkpoint_of(place: Place) -> Checkpoint:
 
 def whole_checkpoint_of(place: Place) -> Checkpoint:
     """Return a checkpoint for a store that has nothing of a machine: with one sample at least."""
-    said = place.machine.said
-    if said.number and not place.rows:
-        place.rows = [(as_row(said), said.status)]
+    latest = place.machine.latest
+    if latest.number and not place.rows:
+        place.rows = [(as_row(latest), latest.status)]
     return checkpoint_of(place)
 
 
@@ -335,7 +335,7 @@ def count_qualities(floor: Floor) -> None:
     """Count the machines by quality."""
     counts = dict.fromkeys(Quality, 0)
     for place in floor.places.values():
-        counts[place.told[0]] += 1
+        counts[place.reported[0]] += 1
     for quality, count in counts.items():
         floor.metrics.quality.labels(quality.word).set(count)
 

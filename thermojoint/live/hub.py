@@ -25,19 +25,19 @@ class Follower:
     """
 
     changed: set[str] = field(default_factory=set)
-    _told: asyncio.Event = field(default_factory=asyncio.Event)
+    _published: asyncio.Event = field(default_factory=asyncio.Event)
 
     async def wait(self) -> set[str]:
         """Return the machines that have changed since the last call, as soon as there is one."""
-        await self._told.wait()
-        self._told.clear()
+        await self._published.wait()
+        self._published.clear()
         changed, self.changed = self.changed, set()
         return changed
 
     def tell(self, machines: Sequence[str]) -> None:
         """Note that machines have changed."""
         self.changed.update(machines)
-        self._told.set()
+        self._published.set()
 
 
 @dataclass(eq=False)

@@ -74,7 +74,7 @@ class Machine:
         With its control; nothing comes of it where the settings have none.
     waiting : Waiting
         Readings that are in no sample yet.
-    said : Publication
+    latest : Publication
         The newest publication.
     usable : Publication
         The newest publication with an estimate.
@@ -86,7 +86,7 @@ class Machine:
     output: OutputState | None
     handshake: Handshake
     waiting: Waiting
-    said: Publication
+    latest: Publication
     usable: Publication
 
 
@@ -144,8 +144,8 @@ def taken(
     machine = shaken(served, machine, times.clock)
     given = served.intake.usable(readings)
     values, cold = served.intake.convert(given, machine.cold)
-    number = machine.said.number + 1
-    told = np.array(given)
+    number = machine.latest.number + 1
+    usable_readings = np.array(given)
     try:
         state, estimate = served.estimator.sample(machine.state, instant, values)
     except ThermojointError as error:
@@ -162,12 +162,12 @@ def taken(
             band=np.full(len(served.layout.axes), np.nan),
             offsets=_offsets(served, machine.output),
             details=np.full(len(served.layout.details), np.nan),
-            readings=told,
+            readings=usable_readings,
             status=REFUSED,
             offset_mode=_mode(served, machine.output),
             handshake=_handshake(served, machine),
         )
-        return replace(machine, cold=cold, said=nothing), str(error)
+        return replace(machine, cold=cold, latest=nothing), str(error)
     words, reached = estimate.words, estimate.displacement
     trust = served.output.trust if served.output else None
     used = _finite(reached) and trust is not None and usable(trust, age, estimate.band, words)
@@ -175,7 +175,7 @@ def taken(
     if used and served.output is not None:
         target = followed(served.output.output, served.layout.axes, reached)
     machine = _cycled(served, machine, times.clock, target)
-    said = Publication(
+    latest = Publication(
         machine.name,
         number,
         instant,
@@ -186,13 +186,15 @@ def taken(
         estimate.band,
         _offsets(served, machine.output),
         estimate.details,
-        told,
+        usable_readings,
         words,
         _mode(served, machine.output),
         _handshake(served, machine),
     )
     output, handshake = machine.output, machine.handshake
-    return Machine(machine.name, state, cold, output, handshake, machine.waiting, said, said), ""
+    return Machine(
+        machine.name, state, cold, output, handshake, machine.waiting, latest, latest
+    ), ""
 
 
 def with_waiting(machine: Machine, waiting: Waiting) -> Machine:
@@ -204,18 +206,18 @@ def with_waiting(machine: Machine, waiting: Waiting) -> Machine:
         machine.output,
         machine.handshake,
         waiting,
-        machine.said,
+        machine.latest,
         machine.usable,
     )
 
 
 def shown(machine: Machine) -> Publication:
     """Return the present publication of a machine: after a refused sample, the last estimate."""
-    said, last = machine.said, machine.usable
-    if said.number == last.number or last.number == 0:
-        return said
+    latest, last = machine.latest, machine.usable
+    if latest.number == last.number or last.number == 0:
+        return latest
     return replace(
-        said, displacement=last.displacement, band=last.band, details=last.details, time=last.time
+        latest, displacement=last.displacement, band=last.band, details=last.details, time=last.time
     )
 
 
@@ -237,7 +239,7 @@ def silent(
         machine = _cycled(served, machine, times.clock, None)
     before = shown(machine)
     quality = quality_at(age, limits.uncertain_s, limits.bad_s) if before.number else Quality.BAD
-    said = replace(
+    latest = replace(
         before,
         published=times.now,
         quality=max(before.quality, quality),
@@ -246,7 +248,7 @@ def silent(
         handshake=_handshake(served, machine),
         status=silenced(before.status, quality) if before.number else before.status,
     )
-    return machine, said
+    return machine, latest
 
 
 def shaken(served: Served, machine: Machine, clock: float) -> Machine:
@@ -266,10 +268,10 @@ def shaken(served: Served, machine: Machine, clock: float) -> Machine:
     return replace(machine, output=output, handshake=handshake)
 
 
-def held(said: Publication) -> Publication:
+def held(latest: Publication) -> Publication:
     """Return a publication for a time in which nothing can be stored: the offsets are held."""
-    mode = "freeze" if said.offset_mode == "follow" else said.offset_mode
-    return replace(said, quality=max(said.quality, Quality.UNCERTAIN), offset_mode=mode)
+    mode = "freeze" if latest.offset_mode == "follow" else latest.offset_mode
+    return replace(latest, quality=max(latest.quality, Quality.UNCERTAIN), offset_mode=mode)
 
 
 def _cycled(served: Served, machine: Machine, clock: float, target: Array | None) -> Machine:
@@ -368,7 +370,7 @@ def restored(
             machine,
             cold=float(numbers[0]),
             state=state,
-            said=_laid_out(last, served.layout),
+            latest=_laid_out(last, served.layout),
             usable=_laid_out(last, served.layout),
         )
     for later in kept.later:
@@ -384,13 +386,13 @@ def restored(
     machine = replace(
         machine, output=output, handshake=handshake, waiting=_waiting(rest.get("waiting"))
     )
-    said = replace(
-        machine.said,
+    latest = replace(
+        machine.latest,
         offsets=_offsets(served, output),
         offset_mode=_mode(served, output),
         handshake=_handshake(served, machine),
     )
-    return replace(machine, said=said), rest.get("at")
+    return replace(machine, latest=latest), rest.get("at")
 
 
 def _laid_out(last: Publication, layout: Layout) -> Publication:
@@ -426,7 +428,7 @@ def _output(
     """
     if served.output is None:
         return None
-    settings, trust, last = served.output.output, served.output.trust, machine.said
+    settings, trust, last = served.output.output, served.output.trust, machine.latest
     if received is None:
         return at_zero(settings)
     silence = max(0.0, times.now - received.at)

@@ -91,7 +91,12 @@ def reading_status_of(publication: Publication) -> int:
     return int(_CODES.UncertainLastUsableValue)
 
 
-def data_value(kind: ua.VariantType, value: Any, code: int, said: Publication) -> ua.DataValue:  # noqa: ANN401
+def data_value(
+    kind: ua.VariantType,
+    value: Any,  # noqa: ANN401
+    code: int,
+    publication: Publication,
+) -> ua.DataValue:
     """Return a value with its status and the time of its sample; null if it is bad."""
     if isinstance(value, float) and not math.isfinite(value):
         code = code if code & 0x80000000 else int(_CODES.BadNoData)
@@ -99,8 +104,8 @@ def data_value(kind: ua.VariantType, value: Any, code: int, said: Publication) -
     return ua.DataValue(
         Value=ua.Variant(None, ua.VariantType.Null) if bad else ua.Variant(value, kind),
         StatusCode=ua.StatusCode(code),
-        SourceTimestamp=_utc(said.time),
-        ServerTimestamp=_utc(said.published),
+        SourceTimestamp=_utc(publication.time),
+        ServerTimestamp=_utc(publication.published),
     )
 
 
@@ -136,21 +141,20 @@ def variables_of(layout: Layout, readings: bool, wanted: int) -> Iterator[Variab
             yield Variable("Reading", name, _SHOWN.get(unit, unit), double, _reading(k))
     for k, name in enumerate(layout.readings[wanted:]):
         yield Variable("Probe", name, "µm", double, _reading(wanted + k), writable=True)
-    yield Variable("", "Status", "", text, lambda said: (said.status, int(_CODES.Good)))
-    yield Variable("", "Handshake", "", text, lambda said: (said.handshake, int(_CODES.Good)))
-    yield Variable("", "Quality", "", text, lambda said: (said.quality.word, int(_CODES.Good)))
-    yield Variable(
-        "", "SampleNumber", "", ua.VariantType.UInt64, lambda said: (said.number, int(_CODES.Good))
-    )
+    yield Variable("", "Status", "", text, lambda p: (p.status, int(_CODES.Good)))
+    yield Variable("", "Handshake", "", text, lambda p: (p.handshake, int(_CODES.Good)))
+    yield Variable("", "Quality", "", text, lambda p: (p.quality.word, int(_CODES.Good)))
+    number = ua.VariantType.UInt64
+    yield Variable("", "SampleNumber", "", number, lambda p: (p.number, int(_CODES.Good)))
 
 
 def _scaled(part: str, k: int, scale: float) -> Value:
-    return lambda said: (scale * float(getattr(said, part)[k]), status_of(said))
+    return lambda p: (scale * float(getattr(p, part)[k]), status_of(p))
 
 
 def _offset(k: int) -> Value:
-    return lambda said: (MEGA * float(said.offsets[k]), offset_status_of(said))
+    return lambda p: (MEGA * float(p.offsets[k]), offset_status_of(p))
 
 
 def _reading(k: int) -> Value:
-    return lambda said: (float(said.readings[k]), reading_status_of(said))
+    return lambda p: (float(p.readings[k]), reading_status_of(p))

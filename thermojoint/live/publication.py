@@ -170,10 +170,10 @@ def _shown(channel: Channel, value: float) -> float:
 
 def micrometres(names: Iterable[str], values: Array) -> dict[str, float | None]:
     """Return lengths (m) in µm by name, to a tenth of a nanometre; None for unknown ones."""
-    told = (MEGA * values).tolist()
+    numbers = (MEGA * values).tolist()
     return {
         name: round(value, 4) if math.isfinite(value) else None
-        for name, value in zip(names, told, strict=True)
+        for name, value in zip(names, numbers, strict=True)
     }
 
 

@@ -39,9 +39,9 @@ async def recover_if_gone(running: Running) -> None:
     sqlite3.OperationalError
         There is no space for it; another call tries again.
     """
-    found = identity_of(running.archive.path)
-    running.identity = running.identity or found
-    if found != running.identity:
+    present = identity_of(running.archive.path)
+    running.identity = running.identity or present
+    if present != running.identity:
         why = "was deleted or replaced; its content is in a new one"
         await _recover(running, running.store, why, running.store)
 

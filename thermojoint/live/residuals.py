@@ -21,10 +21,10 @@ def residuals_of(served: Served, machine: Machine) -> dict[str, float | None] | 
         Its kind of estimator may have no residuals; then the result is None.
     machine : Machine
     """
-    residuals, said = served.residuals, machine.usable
-    if residuals is None or said.number == 0:
+    residuals, usable = served.residuals, machine.usable
+    if residuals is None or usable.number == 0:
         return None
-    values, _ = served.intake.convert(tuple(said.readings.tolist()), machine.cold)
+    values, _ = served.intake.convert(tuple(usable.readings.tolist()), machine.cold)
     differences = residuals(served.estimator, machine.state, np.array(values)).tolist()
     return {
         name: round(value, 4) if np.isfinite(value) else None

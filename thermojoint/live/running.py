@@ -212,8 +212,8 @@ def _places(
         # Samples of another layout stay in their era.
         rows = [(np.frombuffer(taken.row), taken.status) for taken in every[eras[name]].later]
         by_name[name] = Place(model, eras[name], machine, position, heard, rows=rows)
-        if machine.said.number:
-            log.say(now, "restored", f"{machine.said.number} samples, {len(rows)} again", name)
+        if machine.latest.number:
+            log.say(now, "restored", f"{machine.latest.number} samples, {len(rows)} again", name)
     if moved:
         commit(store, Batch(checkpoints=moved))
     return by_name
@@ -223,7 +223,7 @@ def _moved(
     model: Served, machine: Machine, position: object, kept: Kept, now: int
 ) -> tuple[Checkpoint, Checkpoint]:
     """Return the last checkpoint of an era, and the first of the era that continues it."""
-    number, state = machine.said.number, state_bytes(model, machine)
+    number, state = machine.latest.number, state_bytes(model, machine)
     rest = rest_of(machine, position)
     rows = np.array([np.frombuffer(taken.row) for taken in kept.later])
     words = tuple(taken.status for taken in kept.later)

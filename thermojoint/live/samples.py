@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 #: Readings of a machine at one time: None for those that did not come, NaN for those that are
 #: reported as missing.
-Told = Sequence[float | None]
+Readings = Sequence[float | None]
 #: Times before 1970 or after 2200 are refused.
 LATEST = 7.3e9
 #: The phase of the instants is rounded to this part of an interval.
@@ -115,7 +115,7 @@ def arrived(
     rule: Rule,
     waiting: Waiting,
     time: float,
-    told: Told,
+    readings: Readings,
     clock: tuple[float, float] = (math.inf, math.inf),
 ) -> Arrived:
     """Take the readings of one time.
@@ -130,7 +130,7 @@ def arrived(
         Before.
     time : float
         s since 1970, by the source's clock.
-    told : sequence of float or None
+    readings : sequence of float or None
         One for each reading.
     clock : (float, float)
         The present time, and the latest time that is accepted, s.
@@ -141,16 +141,16 @@ def arrived(
     if time > limit:
         return Arrived(waiting, [], "ahead")
     if time > max(now, waiting.newest) + 2.0 * rule.interval + rule.lateness:
-        return _doubted(rule, waiting, time, told, limit)
+        return _doubted(rule, waiting, time, readings, limit)
     if waiting.doubted is not None:
         doubted, _ = waiting.doubted
-        return arrived(rule, waiting._replace(doubted=None), time, told, clock)._replace(
+        return arrived(rule, waiting._replace(doubted=None), time, readings, clock)._replace(
             doubted=doubted
         )
     phase = phase_of(rule, time) if math.isnan(waiting.phase) else waiting.phase
     instant = instant_of(rule, phase, time)
     probed = waiting.probed
-    if all(value is None for value in told[: rule.wanted]):
+    if all(value is None for value in readings[: rule.wanted]):
         if time <= probed:
             return Arrived(waiting, [], "late")
         probed = time
@@ -159,7 +159,7 @@ def arrived(
             instant = max(instant, instant_of(rule, phase, waiting.last + rule.interval))
     if instant <= waiting.last:
         return Arrived(waiting, [], "late")
-    cells = _merged(waiting.cells, instant, tuple(told))
+    cells = _merged(waiting.cells, instant, tuple(readings))
     last, held, newest = waiting.last, waiting.held, max(waiting.newest, time)
     samples = []
     while cells and _closes(rule, last, newest, *cells[0]):
@@ -171,30 +171,32 @@ def arrived(
     return Arrived(Waiting(last, newest, cells, held, phase, probed), samples, "taken")
 
 
-def _doubted(rule: Rule, waiting: Waiting, time: float, told: Told, limit: float) -> Arrived:
+def _doubted(
+    rule: Rule, waiting: Waiting, time: float, readings: Readings, limit: float
+) -> Arrived:
     """Set a reading from the future aside, or accept it together with the one before it."""
     before, rest = waiting.doubted, waiting._replace(doubted=None)
     if before is None or time < before[0] - 0.5 * rule.interval:
-        return Arrived(waiting._replace(doubted=(time, tuple(told))), [], "taken")
+        return Arrived(waiting._replace(doubted=(time, tuple(readings))), [], "taken")
     first = arrived(rule, rest, *before, (math.inf, limit))
-    second = arrived(rule, first.waiting, time, told, (math.inf, limit))
+    second = arrived(rule, first.waiting, time, readings, (math.inf, limit))
     return second._replace(samples=first.samples + second.samples)
 
 
 def _merged(
     cells: tuple[tuple[float, tuple[float | None, ...]], ...],
     instant: float,
-    told: tuple[float | None, ...],
+    readings: tuple[float | None, ...],
 ) -> tuple[tuple[float, tuple[float | None, ...]], ...]:
     """Return the cells with more readings in one of them; of a reading twice the last counts."""
     if not cells:
-        return ((instant, told),)
+        return ((instant, readings),)
     merged = dict(cells)
     before = merged.get(instant)
     merged[instant] = (
-        told
+        readings
         if before is None
-        else tuple(b if a is None else a for a, b in zip(told, before, strict=True))
+        else tuple(b if a is None else a for a, b in zip(readings, before, strict=True))
     )
     return tuple(sorted(merged.items()))
 

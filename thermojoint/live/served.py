@@ -67,14 +67,14 @@ class Served:
 
 def served_models(service: Service) -> tuple[dict[str, Served], dict[str, ThermojointError]]:
     """Return the models of a service that can be opened, and why the others cannot."""
-    found: dict[str, Served] = {}
+    opened: dict[str, Served] = {}
     refused: dict[str, ThermojointError] = {}
     for name, section in service.given.models.items():
         try:
-            found[name] = served(section, service.folder / "models")
+            opened[name] = served(section, service.folder / "models")
         except ThermojointError as error:
             refused[name] = error
-    return found, refused
+    return opened, refused
 
 
 def served(section: ModelSection, kept: Path) -> Served:

@@ -126,9 +126,9 @@ def sheet(scene: Scene, images: Sequence[Pixels] | None, height: int) -> Sheet:
         left = float(lefts[-1]) + _LABELS
         place = (left / total, _BELOW / high, _CURVE / total, _PANEL / high)
         curves = _draw_curve(figure.add_axes(place), scene.curve)
-    found = Sheet(figure, tuple(artists), caption, curves)
-    found.show(scene, shown)
-    return found
+    sheet = Sheet(figure, tuple(artists), caption, curves)
+    sheet.show(scene, shown)
+    return sheet
 
 
 def _draw_curve(axes: Axes, curve: Curve) -> tuple[Line2D, ...]:

@@ -91,11 +91,11 @@ def _without_film(case: Case, setup: Setup) -> dict[str, csr_array]:
         *(*supports.fixed, *supports.symmetry, *supports.springs),
         *(side for sides in setup.structure.joints.values() for side in sides),
     ]
-    found: list[str] = []
+    chosen: list[str] = []
     for name in sorted(surfaces, key=lambda name: -surfaces[name].size):
-        if not _overlaps(setup, name, [*taken, *found]):
-            found.append(name)
-    return {name: _matrix(setup, name) for name in found}
+        if not _overlaps(setup, name, [*taken, *chosen]):
+            chosen.append(name)
+    return {name: _matrix(setup, name) for name in chosen}
 
 
 def _matrix(setup: Setup, name: str) -> csr_array:

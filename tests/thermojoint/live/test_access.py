@@ -420,7 +420,7 @@ def test_writing_by_opcua_needs_the_role_on_this_machine_and_is_audited(plant):
         ("setter", "lathe-1"): denied,
         ("leaver", "mill-1"): denied,
     }
-    assert [(one.machine, one.told) for one in plant["given"]] == [("mill-1", [None, 7.0])]
+    assert [(one.machine, one.readings) for one in plant["given"]] == [("mill-1", [None, 7.0])]
     writes = [one for one in plant["audit"] if one["what"].startswith("write")]
     assert [(one["who"], one["machine"], one["outcome"]) for one in writes] == [
         ("viewer", "mill-1", "refused"),

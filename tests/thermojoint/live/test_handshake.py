@@ -154,7 +154,7 @@ def test_offsets_freeze_and_fade_without_the_control_and_go_on_from_what_it_clea
             floors.answer(floor, "mill", said, now)
         floors.absorb(floor, [Arrival("mill", now, (20.0, 0.0), now)], now, now)
         changed = floors.watch(floor, now + 0.5, now + 0.5)
-        said = changed[-1] if changed else place.machine.said
+        said = changed[-1] if changed else place.machine.latest
         has = said.offsets[0] if said.handshake == STANDS else has
         found.append((said.offset_mode, said.handshake, 1e6 * said.offsets[0]))
     modes, states, offsets = zip(*found, strict=True)

@@ -98,7 +98,7 @@ def test_what_is_said_is_put_into_words_once_for_all_who_listen():
     words, one = Words(as_json), publication(1, 1.0)
     assert words(one) is words(one)
     assert json.loads(words(again(one, status="ok")))["status"] == "ok"
-    assert len(words.said) == 1
+    assert len(words.kept) == 1
 
 
 def test_all_machines_stand_in_the_overview_also_those_without_a_sample(ask):

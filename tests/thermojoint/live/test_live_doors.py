@@ -59,9 +59,9 @@ def test_damaged_readings_change_no_estimate_and_leave_nothing(door, model):
 
 @given(st.binary(max_size=200) | JSON.map(lambda one: json.dumps(one).encode()))
 def test_any_payload_is_readings_or_a_note(payload):
-    found = mqtt.told_by(TOPICS, "hall/mill", payload)
+    found = mqtt.item_of(TOPICS, "hall/mill", payload)
     if isinstance(found, Arrival):
-        assert all(one is None or isinstance(one, float) for one in found.told)
+        assert all(one is None or isinstance(one, float) for one in found.readings)
         assert isinstance(found.time, float)
     else:
         assert len(found.text) < 300
@@ -69,7 +69,7 @@ def test_any_payload_is_readings_or_a_note(payload):
 
 @given(st.text(max_size=60))
 def test_any_topic_is_of_a_machine_or_a_note(topic):
-    found = mqtt.told_by(TOPICS, topic, b'{"time": 1, "T1_degC": 2}')
+    found = mqtt.item_of(TOPICS, topic, b'{"time": 1, "T1_degC": 2}')
     assert isinstance(found, Arrival) == (topic == "hall/mill")
 
 
@@ -94,7 +94,7 @@ def read(pipe, position=None):
 def test_any_line_is_a_row_or_a_note(line):
     pipe = pipe_of(Path("-"), *NAMES)
     header = csv_pipe.header_of(["T2_degC,time_s,T1_degC,other", "20,1,20,a"], pipe)
-    found, _ = csv_pipe.told_in(pipe, header, line.replace(b"\n", b""), Hands())
+    found, _ = csv_pipe.items_in(pipe, header, line.replace(b"\n", b""), Hands())
     assert all(isinstance(one, Arrival | Note) for one in found)
 
 
@@ -110,13 +110,15 @@ def test_a_stream_in_any_dialect_gives_the_samples_of_the_file(
     log, (arrivals, notes) = read_log([path]), read(pipe)
     assert [one.kind for one in notes] == ["source-read"]
     np.testing.assert_array_equal([one.time for one in arrivals], log.times)
-    for column, told in zip(log.columns, np.array([one.told for one in arrivals]).T, strict=True):
+    for column, told in zip(
+        log.columns, np.array([one.readings for one in arrivals]).T, strict=True
+    ):
         np.testing.assert_array_equal(column.to_si(told), log.at(column.name))
     # Read on from any kept sample it is the rest.
     cut %= len(samples)
     rest, _ = read(pipe, json.loads(json.dumps(arrivals[cut].position)))
-    assert [(one.time, one.told) for one in rest] == [
-        (one.time, one.told) for one in arrivals[cut + 1 :]
+    assert [(one.time, one.readings) for one in rest] == [
+        (one.time, one.readings) for one in arrivals[cut + 1 :]
     ]
 
 
@@ -131,7 +133,7 @@ def test_a_stream_has_the_units_clocks_and_missing_readings_of_every_table(tmp_p
     arrivals, notes = read(pipe_of(path, *NAMES))
     assert [one.time for one in arrivals] == [86390.0, 86398.0, 86410.0]
     expected = [[20.0, 20.5], [np.nan, np.nan], [25.0, np.nan]]
-    np.testing.assert_allclose([one.told for one in arrivals], expected, rtol=1e-14)
+    np.testing.assert_allclose([one.readings for one in arrivals], expected, rtol=1e-14)
     assert [one.kind for one in notes] == ["source-read", "malformed", "malformed", "clock"]
     assert "T1 [°F] (temperature, degF), T2 [°C]" in notes[0].text
     assert "'kein' is not a time like that of the first row" in notes[1].text
@@ -147,21 +149,21 @@ def test_columns_and_the_clock_may_have_names_of_their_own(tmp_path):
     path.write_text("Schritt;Fühler 1;Fühler 2\nnichts\n1,5;20,5;21\n", "utf-8")
     names = {"T1_degC": "Fühler 1", "T2_degC": "Fühler 2", "time_s": "Schritt"}
     [arrival], notes = read(pipe_of(path, *NAMES, **names))
-    assert (arrival.time, arrival.told) == (1.5, [20.5, 21.0])
+    assert (arrival.time, arrival.readings) == (1.5, [20.5, 21.0])
     assert [one.kind for one in notes] == ["source-read", "malformed"]
     with pytest.raises(InputError, match="no T3_degC; add it, or name it under columns"):
         read(pipe_of(path, *NAMES, "T3_degC", **names))
 
 
 def test_a_message_says_one_time_and_one_or_all_readings():
-    found = mqtt.told_by(
+    found = mqtt.item_of(
         TOPICS, "hall/mill", b'{"time": "2026-03-02T06:00:00Z", "T2_degC": null, "more": [1]}'
     )
     assert found.time == datetime(2026, 3, 2, 6, tzinfo=UTC).timestamp()
-    assert found.told[0] is None
-    assert math.isnan(found.told[1])
-    one = mqtt.told_by(ONE_EACH, "hall/mill/T2_degC", b'{"time": 5, "value": 21.5}')
-    assert (one.time, list(one.told)) == (5.0, [None, 21.5])
+    assert found.readings[0] is None
+    assert math.isnan(found.readings[1])
+    one = mqtt.item_of(ONE_EACH, "hall/mill/T2_degC", b'{"time": 5, "value": 21.5}')
+    assert (one.time, list(one.readings)) == (5.0, [None, 21.5])
     assert ONE_EACH.filter == "hall/+/+"
 
 
@@ -179,7 +181,7 @@ def test_a_message_says_one_time_and_one_or_all_readings():
     ],
 )
 def test_what_is_no_readings_is_refused_as_a_whole(payload):
-    assert isinstance(mqtt.told_by(TOPICS, "hall/mill", payload), Note)
+    assert isinstance(mqtt.item_of(TOPICS, "hall/mill", payload), Note)
 
 
 def test_a_bad_value_of_opcua_is_a_missing_reading():
@@ -190,10 +192,10 @@ def test_a_bad_value_of_opcua_is_a_missing_reading():
         StatusCode=ua.StatusCode(ua.StatusCodes.BadSensorFailure),
         SourceTimestamp=stamp,
     )
-    assert list(opcua.told_by("mill", 1, 2, good).told) == [None, 21.5]
-    assert math.isnan(opcua.told_by("mill", 1, 2, bad).told[1])
-    assert isinstance(opcua.told_by("mill", 1, 2, ua.DataValue(ua.Variant("x"))), Note)
-    assert isinstance(opcua.told_by("mill", 1, 2, ua.DataValue(ua.Variant(1.0))), Note)
+    assert list(opcua.item_of("mill", 1, 2, good).readings) == [None, 21.5]
+    assert math.isnan(opcua.item_of("mill", 1, 2, bad).readings[1])
+    assert isinstance(opcua.item_of("mill", 1, 2, ua.DataValue(ua.Variant("x"))), Note)
+    assert isinstance(opcua.item_of("mill", 1, 2, ua.DataValue(ua.Variant(1.0))), Note)
 
 
 def test_values_of_one_time_are_one_arrival_in_the_order_of_time():
@@ -204,7 +206,7 @@ def test_values_of_one_time_are_one_arrival_in_the_order_of_time():
 
     found = opcua.in_order([at(2, 0, 1.0), at(1, 0, 2.0), Note("x", "y"), at(1, 1, 3.0)])
     assert isinstance(found[0], Note)
-    assert [(one.time, list(one.told)) for one in found[1:]] == [
+    assert [(one.time, list(one.readings)) for one in found[1:]] == [
         (1.0, [2.0, 3.0]),
         (2.0, [1.0, None]),
     ]

@@ -83,7 +83,7 @@ def after(model, count):
 
 
 def test_a_machine_of_which_nothing_is_known_says_so(model):
-    said = at_rest("mill", model, START).said
+    said = at_rest("mill", model, START).latest
     told = as_json(said)
     assert (told["quality"], told["time"], told["displacement_um"]) == (
         "bad",
@@ -96,15 +96,15 @@ def test_a_machine_of_which_nothing_is_known_says_so(model):
 
 def test_silence_makes_the_last_value_uncertain_then_bad_and_the_offsets_freeze_and_decay(model):
     machine = after(model, 60)
-    before = machine.said.offsets[0]
+    before = machine.latest.offsets[0]
     assert abs(before) > 1e-6
     found = {}
     for age in range(1, 200):
         machine, found[age] = silent(model, machine, float(age), at(60 + age), WatchdogSection())
-    assert found[9].quality is machine.said.quality
+    assert found[9].quality is machine.latest.quality
     assert (found[10].quality, found[60].quality) == (Quality.UNCERTAIN, Quality.BAD)
     assert found[10].status.endswith("silent")
-    np.testing.assert_array_equal(found[199].displacement, machine.said.displacement)
+    np.testing.assert_array_equal(found[199].displacement, machine.latest.displacement)
     offsets = np.array([found[age].offsets[0] for age in range(1, 200)])
     np.testing.assert_array_equal(offsets[:15], before)
     assert np.all(np.diff(np.abs(offsets)) <= 0.0)
@@ -116,12 +116,12 @@ def test_a_sample_that_no_estimator_can_use_counts_and_changes_no_estimate(model
     broken = (math.nan, *readings(30)[1:])
     other, refusal = taken(model, machine, *sampled(30, broken))
     assert "finite" in refusal
-    assert other.said.number == 31
+    assert other.latest.number == 31
     np.testing.assert_array_equal(other.state, machine.state)
-    assert other.said.quality is Quality.UNCERTAIN
+    assert other.latest.quality is Quality.UNCERTAIN
     again, refusal = taken(model, other, *sampled(31))
     assert not refusal
-    assert again.said.quality is machine.said.quality
+    assert again.latest.quality is machine.latest.quality
 
 
 @pytest.mark.parametrize("value", [9.9e37, -1e6, 9999.0, -3276.8, math.inf, math.nan])
@@ -164,7 +164,7 @@ def test_a_machine_goes_on_bit_for_bit_wherever_its_last_checkpoint_was(
     assert machine.waiting == place.machine.waiting
     before = place.machine.output._replace(credit=0.0)
     np.testing.assert_equal(machine.output._asdict(), before._asdict())
-    np.testing.assert_array_equal(as_row(machine.said), as_row(place.machine.said))
+    np.testing.assert_array_equal(as_row(machine.latest), as_row(place.machine.latest))
     history = Archive(path).history("mill", 0.0, 1e11, 1000)
     np.testing.assert_array_equal(history.numbers, np.arange(1, 41))
 
@@ -213,7 +213,7 @@ def test_another_model_begins_anew(model, tmp_path):
 
 
 def test_a_row_of_the_history_is_the_publication(model):
-    said = after(model, 20).said
+    said = after(model, 20).latest
     back = from_row("mill", said.number, model.layout, as_row(said), said.status)
     # What the offsets do is said of the present alone.
     assert as_json(back) == as_json(said) | {"offset_mode": None}
@@ -296,12 +296,12 @@ def test_a_restart_with_another_resolution_keeps_the_offset(model, tmp_path, res
     store = open_store(path)
     floor = floor_of(model, store)
     feed(floor, store, 0, 40)
-    before = floor.places["mill"].machine.said.offsets[0]
+    before = floor.places["mill"].machine.latest.offsets[0]
     assert abs(before) > 1e-6
     other = with_offsets(model, f"resolution_um = {resolution}\n{OFFSETS}", tmp_path)
     kept = kept_of(store, [floor.places["mill"].era])[floor.places["mill"].era]
     machine, _ = restored("mill", other, kept, None, received_last(store)["mill"], at(40))
-    assert machine.said.offsets[0] == pytest.approx(before, abs=0.5e-6 * resolution * 1.001)
+    assert machine.latest.offsets[0] == pytest.approx(before, abs=0.5e-6 * resolution * 1.001)
 
 
 def test_other_axes_of_the_control_leave_the_estimator_its_state(model, tmp_path):
@@ -321,8 +321,8 @@ def test_other_axes_of_the_control_leave_the_estimator_its_state(model, tmp_path
     received = received_last(store)["mill"]
     machine, _ = restored("mill", other, kept, last, received, at(50))
     np.testing.assert_array_equal(machine.state, place.machine.state)
-    assert machine.said.number == 50
-    assert machine.said.offsets.tolist() == [place.machine.said.offsets[0], 0.0]
+    assert machine.latest.number == 50
+    assert machine.latest.offsets.tolist() == [place.machine.latest.offsets[0], 0.0]
     another = era_of(store, "mill", "another model", other.layout, START + 50)
     assert era_before(store, another) is None
 
@@ -333,10 +333,13 @@ def test_a_start_sends_what_the_control_received_last_and_goes_on_from_there(mod
     floor = floor_of(model, store)
     feed(floor, store, 0, 40)
     place = floor.places["mill"]
-    before = place.machine.said.offsets
+    before = place.machine.latest.offsets
     kept, received = kept_of(store, [place.era])[place.era], received_last(store)["mill"]
     machine, _ = restored("mill", model, kept, None, received, at(39 + 120))
-    assert (machine.said.offsets.tolist(), machine.said.offset_mode) == (before.tolist(), "decay")
+    assert (machine.latest.offsets.tolist(), machine.latest.offset_mode) == (
+        before.tolist(),
+        "decay",
+    )
     running = place.machine
     for age in range(1, 122):
         running, expected = silent(model, running, age, at(39 + age), WatchdogSection())
@@ -345,8 +348,8 @@ def test_a_start_sends_what_the_control_received_last_and_goes_on_from_there(mod
     other = replace(model, digest="another model")
     nothing = kept_of(store, [era_of(store, "mill", other.digest, other.layout, START)])
     machine, _ = restored("mill", other, *nothing.values(), None, received, at(41))
-    assert (machine.said.number, machine.said.offset_mode) == (0, "freeze")
-    assert machine.said.offsets.tolist() == before.tolist()
+    assert (machine.latest.number, machine.latest.offset_mode) == (0, "freeze")
+    assert machine.latest.offsets.tolist() == before.tolist()
 
 
 def test_the_store_of_an_earlier_version_keeps_its_offsets(model, tmp_path):
@@ -359,7 +362,7 @@ def test_the_store_of_an_earlier_version_keeps_its_offsets(model, tmp_path):
     rest = {"output": json.loads(received_last(store)["mill"].content)}
     later = (*kept.later[:-1], replace(kept.later[-1], rest=json.dumps(rest)))
     machine, _ = restored("mill", model, replace(kept, later=later), None, None, at(40))
-    assert machine.said.offsets.tolist() == place.machine.said.offsets.tolist()
+    assert machine.latest.offsets.tolist() == place.machine.latest.offsets.tolist()
 
 
 def test_readings_that_come_late_move_no_offset_and_are_not_good(model, tmp_path):
@@ -367,7 +370,7 @@ def test_readings_that_come_late_move_no_offset_and_are_not_good(model, tmp_path
     store = open_store(tmp_path / "history.sqlite")
     floor = floor_of(model, store)
     feed(floor, store, 0, 40)
-    before = floor.places["mill"].machine.said.offsets
+    before = floor.places["mill"].machine.latest.offsets
     now = START + 54_000.0
     arrivals = [Arrival("mill", START + k, readings(k), now) for k in range(40, 400)]
     said = floors.absorb(floor, arrivals, now, START + 45.0).publications["mill"]

@@ -267,7 +267,7 @@ def test_a_service_is_backed_up_while_it_runs_and_goes_on_where_it_is_restored(m
     async def again():
         async with running(restored / "service.toml") as (starts, _):
             place = starts[0].floor.places["mill"]
-            return place.machine.said.number, place.served.digest
+            return place.machine.latest.number, place.served.digest
 
     assert asyncio.run(again()) == (20, digest)
     assert not events(restored, "state-refused")

@@ -241,13 +241,13 @@ def _header_at(full: Sequence[Sequence[str]], data: Sequence[bool]) -> int | Non
     words = [k for k, known in enumerate(data) if not known]
     above = [k for k in words if any(data[k + 1 : k + 3]) and len(full[k]) > 1]
     possible = above if any(data) else words
-    telling = (
+    named = (
         k
         for k in possible
         if any(clock_word(cell) or column_named(cell.strip()) for cell in full[k])
         or (k + 1 < len(full) and not data[k + 1] and _are_units(full[k + 1]))
     )
-    return next(telling, next(iter(possible), None))
+    return next(named, next(iter(possible), None))
 
 
 def _in_comment(

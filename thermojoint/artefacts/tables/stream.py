@@ -20,7 +20,7 @@ from thermojoint.artefacts.tables.dialect import cells_of, values_of
 from thermojoint.artefacts.tables.layout import Layout
 
 
-class Told(NamedTuple):
+class StreamedRow(NamedTuple):
     """Content of a row.
 
     Attributes
@@ -41,7 +41,9 @@ class Told(NamedTuple):
     note: str
 
 
-def told_by(line: str, layout: Layout, places: Sequence[Place | None], hands: Hands) -> Told | None:
+def row_of(
+    line: str, layout: Layout, places: Sequence[Place | None], hands: Hands
+) -> StreamedRow | None:
     """Return the content of a line; None for an empty line, a comment or a repeated header.
 
     Parameters
@@ -75,7 +77,7 @@ def told_by(line: str, layout: Layout, places: Sequence[Place | None], hands: Ha
     readings = [
         math.nan if place is None else _reading(layout, place, cells, decimal) for place in places
     ]
-    return Told(after.last, readings, after, note)
+    return StreamedRow(after.last, readings, after, note)
 
 
 _NO_TIME = "the time is missing"

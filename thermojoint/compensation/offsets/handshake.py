@@ -43,7 +43,7 @@ class HandshakeSettings:
 
 
 class Answer(NamedTuple):
-    """What a control writes, whole or in parts.
+    """Message of a control, whole or in parts.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Handshake(NamedTuple):
     beaten : float
         When it changed last, s; -inf for never. A first one may be years old.
     acknowledged : ndarray, shape (axes,)
-        m; NaN where the control has not said it since it was away.
+        m; NaN where the control has not acknowledged since it was away.
     sent : tuple of (float, ndarray)
         Time (s) and offsets (m) of what was sent in the last `differs_time`, oldest first.
     low, high : ndarray, shape (axes,)
@@ -114,13 +114,13 @@ def begun(offsets: Array, clock: float) -> Handshake:
 
 def answered(handshake: Handshake, answer: Answer, clock: float) -> Handshake:
     """Return the handshake after an answer of the control at a time (s)."""
-    said = np.asarray(answer.acknowledged or handshake.acknowledged, dtype=float)
+    acknowledged = np.asarray(answer.acknowledged or handshake.acknowledged, dtype=float)
     beats = handshake.heartbeat not in (None, answer.heartbeat) and answer.heartbeat is not None
     return handshake._replace(
         enabled=handshake.enabled if answer.enabled is None else answer.enabled,
         heartbeat=handshake.heartbeat if answer.heartbeat is None else answer.heartbeat,
         beaten=clock if beats else handshake.beaten,
-        acknowledged=np.where(np.isfinite(said), said, handshake.acknowledged),
+        acknowledged=np.where(np.isfinite(acknowledged), acknowledged, handshake.acknowledged),
     )
 
 
@@ -187,7 +187,7 @@ def sent(
 def _recent(
     settings: HandshakeSettings, handshake: Handshake, clock: float
 ) -> tuple[tuple[float, Array], ...]:
-    """What was in force in the last `differs_time`."""
+    """Return the offsets in force in the last `differs_time`."""
     first = clock - settings.differs_time
     before = [k for k, (time, _) in enumerate(handshake.sent) if time <= first]
     return handshake.sent[before[-1] if before else 0 :]
@@ -209,5 +209,7 @@ def _agrees(settings: HandshakeSettings, handshake: Handshake, clock: float) -> 
         low, high = np.minimum(handshake.low, 0.0), np.maximum(handshake.high, 0.0)
     else:
         low, high = _range(_recent(settings, handshake, clock))
-    said = handshake.acknowledged
-    return bool(((said >= low - settings.differs) & (said <= high + settings.differs)).all())
+    acknowledged = handshake.acknowledged
+    return bool(
+        ((acknowledged >= low - settings.differs) & (acknowledged <= high + settings.differs)).all()
+    )

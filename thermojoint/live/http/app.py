@@ -318,9 +318,9 @@ class Site:
                 429, f"{self.streams} streams are open already; close one", **{"retry-after": "10"}
             )
         wanted = [given["machine"]] if "machine" in given else self._visible(request)
-        told = self._whole if "machine" in given else self._short
+        body = self._whole if "machine" in given else self._short
         reader = Reader(frozenset(wanted), given.get("every_s", 1.0), request.scope["check"])
-        news = stream(self.sources.hub, reader, told)
+        news = stream(self.sources.hub, reader, body)
         self.streams += 1
         return Counted(news, self._left)
 
@@ -338,7 +338,9 @@ class Site:
     async def health(self, request: Request) -> Response:
         """Return the number of machines by quality, without their names."""
         newest = self.sources.hub.newest.values()
-        counts = {one.word: sum(said.quality is one for said in newest) for one in Quality}
+        counts = {
+            one.word: sum(publication.quality is one for publication in newest) for one in Quality
+        }
         status = "degraded" if counts[Quality.BAD.word] else "ok"
         return answered({"status": status, "machines": counts})
 

@@ -49,20 +49,20 @@ class Words:
     ----------
     body : callable
         Publication to the content of its message.
-    said : dict
+    kept : dict
         Machine to its newest publication and its message.
     """
 
     body: Callable[[Publication], dict[str, Any]]
-    said: dict[str, tuple[Publication, bytes]] = field(default_factory=dict)
+    kept: dict[str, tuple[Publication, bytes]] = field(default_factory=dict)
 
     def __call__(self, publication: Publication) -> bytes:
         """Return a publication as JSON."""
-        before = self.said.get(publication.machine)
+        before = self.kept.get(publication.machine)
         if before is not None and before[0] is publication:
             return before[1]
         words = encoded(self.body(publication))
-        self.said[publication.machine] = (publication, words)
+        self.kept[publication.machine] = (publication, words)
         return words
 
 

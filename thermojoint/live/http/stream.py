@@ -46,7 +46,7 @@ class Reader:
 
 
 async def stream(
-    hub: Hub, reader: Reader, told: Callable[[Publication], bytes]
+    hub: Hub, reader: Reader, body: Callable[[Publication], bytes]
 ) -> AsyncIterator[bytes]:
     """Yield events: the newest of each machine at once, then what changes, until `LONGEST_S`.
 
@@ -55,7 +55,7 @@ async def stream(
     hub : Hub
         Where the newest is.
     reader : Reader
-    told : callable
+    body : callable
         Publication to JSON.
     """
     begun = time.monotonic()
@@ -68,7 +68,7 @@ async def stream(
                 changed = set()
             news = []
             for name in sorted(changed & reader.machines):
-                news.append(told(hub.newest[name]))
+                news.append(body(hub.newest[name]))
                 if len(news) % AT_ONCE == 0:
                     await asyncio.sleep(0)
             if news or not changed:

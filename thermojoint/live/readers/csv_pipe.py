@@ -25,7 +25,7 @@ from thermojoint.artefacts.quantities import Place, place_of
 from thermojoint.artefacts.tables.clock import Hands
 from thermojoint.artefacts.tables.layout import HEAD, Layout, layout_of
 from thermojoint.artefacts.tables.source import OR_CP1252, encoding_of
-from thermojoint.artefacts.tables.stream import told_by
+from thermojoint.artefacts.tables.stream import row_of
 from thermojoint.live.arrivals import NEVER, Arrival, Note
 
 #: Longest line, bytes.
@@ -167,7 +167,7 @@ def _text(line: bytes) -> str:
     return line.decode(_ENCODING, OR_CP1252)
 
 
-def _said(pipe: Pipe, header: Header) -> Note:
+def _read_note(pipe: Pipe, header: Header) -> Note:
     """Return a note of how a stream is read, as every command says it."""
     layout = header.layout
     record = Record(str(pipe.path), layout.form, layout.columns, layout.ignored, notes=layout.notes)
@@ -191,19 +191,19 @@ async def read_pipe(pipe: Pipe, position: Any) -> AsyncIterator[list[Arrival | N
 
 
 async def _file(pipe: Pipe, position: Any) -> AsyncIterator[list[Arrival | Note]]:  # noqa: ANN401
-    told_missing = False
+    missing_noted = False
     while True:
         try:
             file = pipe.path.open("rb")
         except OSError as error:
             if not pipe.follow:
                 raise InputError(f"{pipe.path}: cannot be read; give a CSV") from error
-            if not told_missing:
-                told_missing = True
+            if not missing_noted:
+                missing_noted = True
                 yield [Note("source-missing", f"{pipe.path}: {error.strerror}", pipe.machine)]
             await asyncio.sleep(_LOOK_S)
             continue
-        told_missing = False
+        missing_noted = False
         with file:
             try:
                 async for block in _whole_lines(pipe, file, position):
@@ -236,7 +236,7 @@ async def _whole_lines(
             header = begun_with
     if header is None:
         return
-    yield [_said(pipe, header)]
+    yield [_read_note(pipe, header)]
     first = _first_lines(file, header.layout.dialect.first)
     at, hands = len(first), Hands()
     if _goes_on(position, first, os.fstat(file.fileno()).st_size):
@@ -249,8 +249,8 @@ async def _whole_lines(
         if not block:
             if not pipe.follow:
                 if rest and not dropping:
-                    told, hands = told_in(pipe, header, rest, hands)
-                    yield _placed(told, mark | {"offset": at + len(rest)}, header, hands)
+                    items, hands = items_in(pipe, header, rest, hands)
+                    yield _placed(items, mark | {"offset": at + len(rest)}, header, hands)
                 return
             if _replaced(pipe.path, file, at + len(rest)):
                 yield [Note("source-replaced", f"{pipe.path}: another file", pipe.machine)]
@@ -265,8 +265,8 @@ async def _whole_lines(
             if dropping:
                 dropping = False
             else:
-                told, hands = told_in(pipe, header, line, hands)
-                arrivals += _placed(told, mark | {"offset": at}, header, hands)
+                items, hands = items_in(pipe, header, line, hands)
+                arrivals += _placed(items, mark | {"offset": at}, header, hands)
         if len(rest) > LONGEST_LINE:
             at += len(rest)
             rest = b""
@@ -284,7 +284,7 @@ def _first_lines(file: BinaryIO, count: int) -> bytes:
 
 
 def _placed(
-    told: list[Arrival | Note],
+    items: list[Arrival | Note],
     position: dict[str, Any],
     header: Header,
     hands: Hands,
@@ -293,7 +293,7 @@ def _placed(
     if header.layout.clock.form not in ("number", "excel"):
         position = position | {"clock": [hand if math.isfinite(hand) else None for hand in hands]}
     return [
-        replace(item, position=position) if isinstance(item, Arrival) else item for item in told
+        replace(item, position=position) if isinstance(item, Arrival) else item for item in items
     ]
 
 
@@ -332,10 +332,10 @@ async def _begun(pipe: Pipe, file: BinaryIO) -> AsyncIterator[Header | Note]:
         if len(line) >= LONGEST_LINE and not line.endswith(b"\n"):
             raise InputError(f"{pipe.path}: the first line is not a header; give a CSV")
         if line.endswith(b"\n") or (line and not pipe.follow):
-            beginning, told = _with_line(beginning, line, pipe)
-            if told is not None:
-                yield told
-            if isinstance(told, Header):
+            beginning, header_or_note = _with_line(beginning, line, pipe)
+            if header_or_note is not None:
+                yield header_or_note
+            if isinstance(header_or_note, Header):
                 return
             continue
         file.seek(at)
@@ -392,18 +392,18 @@ async def _stream(pipe: Pipe) -> AsyncIterator[list[Arrival | Note]]:
                 if line is None:
                     yield [_too_long(pipe)]
                 elif header is not None:
-                    told, hands = told_in(pipe, header, line, hands)
-                    yield told
+                    items, hands = items_in(pipe, header, line, hands)
+                    yield items
                 else:
                     beginning, header_or_note = _with_line(beginning, line, pipe)
                     if isinstance(header_or_note, Note):
                         yield [header_or_note]
                     elif header_or_note is not None:
                         header = header_or_note
-                        yield [_said(pipe, header)]
+                        yield [_read_note(pipe, header)]
                         for row in beginning.lines[header.layout.dialect.first :]:
-                            told, hands = told_in(pipe, header, row.encode(), hands)
-                            yield told
+                            items, hands = items_in(pipe, header, row.encode(), hands)
+                            yield items
         finally:
             transport.close()
         if str(pipe.path) == "-" or not pipe.follow:
@@ -430,23 +430,23 @@ async def _line_of(lines: asyncio.StreamReader) -> bytes | None:
             return None
 
 
-def told_in(
+def items_in(
     pipe: Pipe, header: Header, line: bytes, hands: Hands
 ) -> tuple[list[Arrival | Note], Hands]:
     """Return the content of a line, and the state of its clock."""
     try:
-        row = told_by(_text(line).rstrip("\r\n"), header.layout, header.places, hands)
+        row = row_of(_text(line).rstrip("\r\n"), header.layout, header.places, hands)
     except (InputError, ValueError, OverflowError) as error:
         text = f"{pipe.path}: a line is not a row: {error}"
         return [Note("malformed", text, pipe.machine)], hands
     if row is None:
         return [], hands
-    told: Sequence[float | None] = [
+    readings: Sequence[float | None] = [
         None if k >= pipe.wanted and math.isnan(reading) else reading
         for k, reading in enumerate(row.readings)
     ]
     time = row.time + (0.0 if header.layout.clock.dated else pipe.starts)
-    arrival = Arrival(pipe.machine, time, told, clock.time())
+    arrival = Arrival(pipe.machine, time, readings, clock.time())
     if not row.note:
         return [arrival], row.hands
     return [Note("clock", f"{pipe.path}: {row.note}", pipe.machine), arrival], row.hands

@@ -103,11 +103,11 @@ class MqttReader:
                 ) as session:
                     client.append(session)
                     await session.subscribe(self.topics.filter, qos=1)
-                    self._tell(Note("connected", f"MQTT broker {where}"))
+                    self._put(Note("connected", f"MQTT broker {where}"))
                     delay = FIRST_S
                     await lost(session)
             except aiomqtt.MqttError as error:
-                self._tell(Note("disconnected", f"MQTT broker {where}: {error}"))
+                self._put(Note("disconnected", f"MQTT broker {where}: {error}"))
             await asyncio.sleep(delay)
             delay = next_delay(delay)
 
@@ -117,13 +117,13 @@ class MqttReader:
         if len(self._found) >= self.most:
             # Not acknowledged: the broker sends it again after the next connection.
             return
-        told = told_by(self.topics, message.topic, message.payload, kept)
-        if isinstance(told, Note) and kept:
+        item = item_of(self.topics, message.topic, message.payload, kept)
+        if isinstance(item, Note) and kept:
             kept()
-        self._tell(told)
+        self._put(item)
 
-    def _tell(self, told: Arrival | Note) -> None:
-        self._found.append(told)
+    def _put(self, item: Arrival | Note) -> None:
+        self._found.append(item)
         self._came.set()
 
 
@@ -132,7 +132,7 @@ def _acknowledged(client: Sequence[aiomqtt.Client], message: Any) -> None:  # no
         acknowledge(session, message)
 
 
-def told_by(
+def item_of(
     topics: Topics, topic: str, payload: bytes, kept: Callable[[], None] | None = None
 ) -> Arrival | Note:
     """Return the readings of one message, or a note of what is wrong with it."""
@@ -149,10 +149,10 @@ def told_by(
     try:
         content = json.loads(payload)
         time = _time(content["time"])
-        told = _told(content, names, words.get("reading"))
+        readings = _readings(content, names, words.get("reading"))
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         return Note("malformed", f"a message has no readings: {_short(error)}", machine)
-    return Arrival(machine, time, told, came, kept=kept)
+    return Arrival(machine, time, readings, came, kept=kept)
 
 
 def _short(error: Exception) -> str:
@@ -168,15 +168,15 @@ def _time(value: Any) -> float:  # noqa: ANN401
     return float(value)
 
 
-def _told(
+def _readings(
     content: Mapping[str, Any], names: Sequence[str], reading: str | None
 ) -> list[float | None]:
     if reading is not None:
         if reading not in names:
             raise ValueError(f"no reading is called {reading[:50]!r}")
-        told: list[float | None] = [None] * len(names)
-        told[names.index(reading)] = _value(content["value"])
-        return told
+        readings: list[float | None] = [None] * len(names)
+        readings[names.index(reading)] = _value(content["value"])
+        return readings
     if not any(name in content for name in names):
         raise ValueError(f"none of {', '.join(names)[:80]}")
     return [_value(content[name]) if name in content else None for name in names]

@@ -105,10 +105,10 @@ class OpcuaReader:
         async with beside(self._stay_connected(), self._came) as heard:
             while True:
                 await heard()
-                told = in_order(self._found)
+                arrivals = in_order(self._found)
                 self._found.clear()
-                for k in range(0, len(told), _AT_ONCE):
-                    yield told[k : k + _AT_ONCE]
+                for k in range(0, len(arrivals), _AT_ONCE):
+                    yield arrivals[k : k + _AT_ONCE]
 
     async def _stay_connected(self) -> None:
         delay = FIRST_S
@@ -119,7 +119,7 @@ class OpcuaReader:
                     delay = FIRST_S
                     await self._listen(client)
             except _LOST as error:
-                self._tell(Note("disconnected", f"OPC UA {self.reached.url}: {_shown(error)}"))
+                self._put(Note("disconnected", f"OPC UA {self.reached.url}: {_shown(error)}"))
             await asyncio.sleep(delay)
             delay = next_delay(delay)
 
@@ -137,8 +137,8 @@ class OpcuaReader:
             for node, result in zip(some, results, strict=True):
                 if isinstance(result, ua.StatusCode):
                     machine, _ = places[node.nodeid]
-                    self._tell(Note("unreadable", f"{node.nodeid}: {result.name}", machine))
-        self._tell(Note("connected", f"OPC UA {self.reached.url}"))
+                    self._put(Note("unreadable", f"{node.nodeid}: {result.name}", machine))
+        self._put(Note("connected", f"OPC UA {self.reached.url}"))
         for at, (machine, value) in sorted(
             [
                 (_time(value), (node.nodeid, value))
@@ -177,32 +177,34 @@ class OpcuaReader:
         value: ua.DataValue,
     ) -> None:
         machine, k = places[nodeid]
-        told = told_by(machine, k, self.counts[machine], value)
-        if isinstance(told, Arrival):
-            self._newest[machine] = max(told.time, self._newest.get(machine, 0.0))
+        item = item_of(machine, k, self.counts[machine], value)
+        if isinstance(item, Arrival):
+            self._newest[machine] = max(item.time, self._newest.get(machine, 0.0))
         if len(self._found) < self.most:
-            self._tell(told)
+            self._put(item)
 
-    def _tell(self, told: Arrival | Note) -> None:
-        self._found.append(told)
+    def _put(self, item: Arrival | Note) -> None:
+        self._found.append(item)
         self._came.set()
 
 
-def in_order(told: Iterable[Arrival | Note]) -> list[Arrival | Note]:
+def in_order(items: Iterable[Arrival | Note]) -> list[Arrival | Note]:
     """Return values in the order of their times, those of one machine and time as one arrival.
 
     A server sends all values of one variable, then all of the next.
     """
     ordered: list[Arrival | Note] = []
     merged: dict[tuple[str, float], Arrival] = {}
-    for item in told:
+    for item in items:
         if isinstance(item, Note):
             ordered.append(item)
             continue
         key = item.machine, item.time
         before = merged.get(key)
         merged[key] = (
-            item if before is None else replace(before, told=_both(before.told, item.told))
+            item
+            if before is None
+            else replace(before, readings=_both(before.readings, item.readings))
         )
     return [*ordered, *sorted(merged.values(), key=lambda arrival: arrival.time)]
 
@@ -244,7 +246,7 @@ def _time(value: ua.DataValue) -> float:
     return stamp.replace(tzinfo=stamp.tzinfo or UTC).timestamp()
 
 
-def told_by(machine: str, k: int, count: int, value: ua.DataValue) -> Arrival | Note:
+def item_of(machine: str, k: int, count: int, value: ua.DataValue) -> Arrival | Note:
     """Return one value as an arrival, or a note of what is wrong with it.
 
     Parameters
@@ -257,20 +259,20 @@ def told_by(machine: str, k: int, count: int, value: ua.DataValue) -> Arrival | 
     content = value.Value.Value if value.Value is not None else None
     code = value.StatusCode
     good = code is None or code.is_good() or not code.is_bad()
-    told: list[float | None] = [None] * count
+    readings: list[float | None] = [None] * count
     if not good or content is None:
-        told[k] = math.nan
+        readings[k] = math.nan
     elif isinstance(content, bool) or not isinstance(content, int | float):
         return Note("malformed", f"reading {k}: a {type(content).__name__} is no number", machine)
     else:
-        told[k] = float(content) if math.isfinite(content) else math.nan
+        readings[k] = float(content) if math.isfinite(content) else math.nan
     try:
         at = _time(value)
     except (ValueError, OverflowError):
         at = math.nan
     if not math.isfinite(at):
         return Note("malformed", f"reading {k}: a value without a time", machine)
-    return Arrival(machine, at, told, clock.time(), position=at)
+    return Arrival(machine, at, readings, clock.time(), position=at)
 
 
 def _shown(error: BaseException) -> str:

@@ -1,4 +1,4 @@
-"""What a control publishes by MQTT: enable, heartbeat, acknowledged offsets (the handshake).
+"""Messages of a control by MQTT: enable, heartbeat, acknowledged offsets (the handshake).
 
 ``{"enable": true, "heartbeat": 17, "offsets_um": {"X": -12.3}}`` on a topic for each machine. A
 retained message is no answer: nobody knows how old it is.
@@ -54,8 +54,8 @@ async def attend(
             continue
         axes = floor.places[machine].served.layout.controls
         try:
-            said = answer_of(message.payload[:_LARGEST], axes)
-            written(f"write {message.topic} ({'enable' if said.enabled else 'disable'})", machine)
+            given = answer_of(message.payload[:_LARGEST], axes)
+            written(f"write {message.topic} ({'enable' if given.enabled else 'disable'})", machine)
         except OSError as error:
             text = f"the control's word is refused: the audit log cannot be written ({error})"
             floor.log.say(time.time(), "audit", text, machine)
@@ -63,21 +63,21 @@ async def attend(
             text = f"what the control says is no answer: {error.errors()[0]['msg']}"
             floor.log.say(time.time(), "malformed", text, machine)
         else:
-            answer(floor, machine, said, time.monotonic())
+            answer(floor, machine, given, time.monotonic())
 
 
 async def beat(client: aiomqtt.Client, topic: str, hub: Hub) -> None:
     """Publish the service's heartbeat whenever it has changed, until the connection is lost."""
-    told = -1
+    sent = -1
     while True:
-        if hub.heartbeat != told:
-            told = hub.heartbeat
-            await client.publish(topic, json.dumps({"heartbeat": told}), qos=0)
+        if hub.heartbeat != sent:
+            sent = hub.heartbeat
+            await client.publish(topic, json.dumps({"heartbeat": sent}), qos=0)
         await asyncio.sleep(_BEAT_S)
 
 
 class ControlMessage(BaseModel):
-    """What a control publishes; further keys are its own."""
+    """Message that a control publishes; further keys are its own."""
 
     enable: bool
     heartbeat: int
@@ -92,7 +92,7 @@ def answer_of(payload: bytes, axes: tuple[str, ...]) -> Answer:
     ValidationError
         It is no answer.
     """
-    said = ControlMessage.model_validate_json(payload, strict=True)
-    offsets = (said.offsets_um.get(axis) for axis in axes)
+    message = ControlMessage.model_validate_json(payload, strict=True)
+    offsets = (message.offsets_um.get(axis) for axis in axes)
     metres = tuple(math.nan if one is None else MICRO * one for one in offsets)
-    return Answer(said.enable, said.heartbeat, metres)
+    return Answer(message.enable, message.heartbeat, metres)

@@ -118,11 +118,11 @@ async def add_machines(
 
 
 def _told_by(hub: Hub, machine: str, variable: Variable) -> Callable[[Any, Any], ua.DataValue]:
-    def told(nodeid: Any, attribute: Any) -> ua.DataValue:  # noqa: ANN401
-        said = hub.newest[machine]
-        return data_value(variable.kind, *variable.value(said), said)
+    def read(nodeid: Any, attribute: Any) -> ua.DataValue:  # noqa: ANN401
+        latest = hub.newest[machine]
+        return data_value(variable.kind, *variable.value(latest), latest)
 
-    return told
+    return read
 
 
 def _taken_by(
@@ -153,11 +153,11 @@ def probe_reading(
     value = written.Value.Value if written.Value else None
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         return None
-    told: list[float | None] = [None] * count
-    told[k] = float(value)
+    readings: list[float | None] = [None] * count
+    readings[k] = float(value)
     stamp = written.SourceTimestamp
     at = now if stamp is None else stamp.replace(tzinfo=stamp.tzinfo or UTC).timestamp()
-    return Arrival(machine, at, told, now)
+    return Arrival(machine, at, readings, now)
 
 
 def _object(
@@ -235,10 +235,10 @@ async def tell_subscribers(hub: Hub, nodes: Nodes) -> None:
     with hub.follow() as follower:
         while True:
             for machine in await follower.wait():
-                said = hub.newest[machine]
+                latest = hub.newest[machine]
                 for variable, attribute in nodes.of[machine]:
                     if attribute.datachange_callbacks:
-                        value = data_value(variable.kind, *variable.value(said), said)
+                        value = data_value(variable.kind, *variable.value(latest), latest)
                         for handle, call in list(attribute.datachange_callbacks.items()):
                             await call(handle, value)
             await asyncio.sleep(0)

@@ -1,4 +1,4 @@
-"""What a control writes by OPC UA: enable, heartbeat, acknowledged offsets (the handshake).
+"""Values that a control writes by OPC UA: enable, heartbeat, acknowledged offsets (the handshake).
 
 ``NAME.Control.Enable``, ``NAME.Control.Heartbeat`` and ``NAME.Control.Acknowledged.AXIS`` below the
 machine's ThermalDisplacement; and the service's own ``Heartbeat`` beside the machines.
@@ -58,19 +58,19 @@ async def add_controls(
             node = await folder.add_variable(at, f"{index}:{name}", *start)
             await node.set_writable()
             server.iserver.aspace.add_datachange_callback(
-                at, ua.AttributeIds.Value, _told(machine, name, axes, take)
+                at, ua.AttributeIds.Value, _written_by(machine, name, axes, take)
             )
     return heartbeat
 
 
-def _told(
+def _written_by(
     machine: str, name: str, axes: tuple[str, ...], take: Take
 ) -> Callable[[Any, ua.DataValue], Awaitable[None]]:
-    async def told(handle: Any, written: ua.DataValue) -> None:  # noqa: ANN401
+    async def on_write(handle: Any, written: ua.DataValue) -> None:  # noqa: ANN401
         # A value that is marked as bad arrives as None.
         take(machine, answer_of(name, axes, written.Value.Value if written.Value else None))
 
-    return told
+    return on_write
 
 
 def answer_of(name: str, axes: tuple[str, ...], value: Any) -> Answer:  # noqa: ANN401
@@ -80,8 +80,8 @@ def answer_of(name: str, axes: tuple[str, ...], value: Any) -> Answer:  # noqa: 
     if name == "Heartbeat":
         return Answer(heartbeat=value)
     axis = name.partition(".")[2]
-    said = math.nan if value is None else MICRO * value
-    return Answer(acknowledged=tuple(said if axis == one else math.nan for one in axes))
+    offset = math.nan if value is None else MICRO * value
+    return Answer(acknowledged=tuple(offset if axis == one else math.nan for one in axes))
 
 
 async def tell_heartbeat(server: Server, node: ua.NodeId, hub: Hub) -> None:
