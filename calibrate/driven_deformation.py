@@ -28,6 +28,8 @@ from thermojoint.models.parameters import DeformationModel
 #: As `source_deformation.RIDGE`. Larger, since strengths vary beyond the calibration and must not
 #: disturb terms that nearly cancel.
 RIDGE = 1e-2
+#: Starts of the search: the strengths determine the rates better than steps do.
+STARTS = 4
 #: Correlation times of `uncertain_signals`, s: from a sensor's noise to a drift over the run.
 UNCERTAIN_TIMES = (20.0, 80.0, 320.0, 1280.0)
 
@@ -105,8 +107,6 @@ def fit_driven_deformation(
     deviations: np.ndarray,
     strengths: np.ndarray,
     *,
-    starts: int = 4,
-    seed: int = 0,
     ridge: float = RIDGE,
 ) -> tuple[tuple[DeformationModel, ...], Fit]:
     """Return Eq. 18 of every source along one axis, driven by strengths that vary.
@@ -119,8 +119,6 @@ def fit_driven_deformation(
         δ_NL at each calibration input, m; zero for an input that must have no effect.
     strengths : ndarray, shape (sources, inputs, n)
         Strengths during the interval that ends at each sample.
-    starts, seed : int
-        Of the search (`least_squares.fit`).
     ridge : float
         As in `least_squares.Separable`.
 
@@ -138,5 +136,5 @@ def fit_driven_deformation(
     after = steps.even_interval(t, "fictitious sources") * np.arange(1, t.size + 1)
     drivers = [driver(strength) for strength in strengths]
     problem = eq18_problem(after, deviations, sources, lambda i, shapes: drivers[i](shapes))
-    best = fit(replace(problem, ridge=ridge), starts=starts, seed=seed)
+    best = fit(replace(problem, ridge=ridge), starts=STARTS)
     return eq18_models(best, sources), best

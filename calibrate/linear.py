@@ -9,7 +9,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -42,7 +42,6 @@ RELAXATION_RATES = 24
 WHERE = "reference response"
 
 #: (times s, displacement m per unit heat input) -> model and fit
-DeformationFit = Callable[[np.ndarray, np.ndarray], tuple[DeformationModel, Fit]]
 
 
 @dataclass(frozen=True)
@@ -144,32 +143,6 @@ def fit_ring(
     return RingModel(value["K"], value["a"], value["alpha"], value["r"], r0), best
 
 
-def _best_deformation(
-    t: np.ndarray,
-    data: np.ndarray,
-    basis: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
-    linear_names: tuple[str, ...],
-) -> tuple[list[float], list[float], Fit]:
-    """Return linear coefficients, rates c, d, e, and the fit of Eq. 8 in a given basis."""
-    lower, upper = deformation_bounds(t, 3)
-
-    def problem(at: np.ndarray, values: np.ndarray) -> Separable:
-        return Separable(
-            basis=lambda theta: basis(at, theta),
-            data=values[:, None],
-            names=("c", "d", "e"),
-            linear_names=linear_names,
-            lower=lower,
-            upper=upper,
-            unit="m",
-        )
-
-    thin = steps.thinned(t.size)
-    best = fit(problem(t, data), coarse=problem(t[thin], data[thin]))
-    value = best.values
-    return [value[name] for name in linear_names], [value[name] for name in "cde"], best
-
-
 def fit_deformation(t: np.ndarray, data: np.ndarray) -> tuple[DeformationModel, Fit]:
     """Return Eq. 8, as printed, fitted to a step response of displacement.
 
@@ -180,17 +153,23 @@ def fit_deformation(t: np.ndarray, data: np.ndarray) -> tuple[DeformationModel, 
     data : ndarray, shape (n,)
         Displacement, m per unit heat input.
     """
-    coefficients, rates, best = _best_deformation(t, data, deformation.basis, ("C", "D", "E"))
+    lower, upper = deformation_bounds(t, 3)
+
+    def problem(at: np.ndarray, values: np.ndarray) -> Separable:
+        return Separable(
+            basis=lambda theta: deformation.basis(at, theta),
+            data=values[:, None],
+            names=("c", "d", "e"),
+            linear_names=("C", "D", "E"),
+            lower=lower,
+            upper=upper,
+            unit="m",
+        )
+
+    thin = steps.thinned(t.size)
+    best = fit(problem(t, data), coarse=problem(t[thin], data[thin]))
+    coefficients, rates = ([best.values[name] for name in names] for names in ("CDE", "cde"))
     return deformation.model_from(coefficients, rates), best
-
-
-def fit_flat_deformation(t: np.ndarray, data: np.ndarray) -> tuple[DeformationModel, Fit]:
-    """Return Eq. 8 with dδ/dt = 0 at t = 0 fitted to a step response (as `fit_deformation`).
-
-    E follows from the other parameters, so the fit lists C and D only.
-    """
-    free, rates, best = _best_deformation(t, data, deformation.flat_basis, ("C", "D"))
-    return deformation.model_from(deformation.full_coefficients(free, rates), rates), best
 
 
 def fit_relaxation(
@@ -216,9 +195,7 @@ def fit_relaxation(
     return Relaxation(tuple(map(float, amplitudes)), tuple(map(float, rates)))
 
 
-def calibrate_displacements(
-    response: xr.Dataset, fit_displacement: DeformationFit = fit_deformation
-) -> dict[str, tuple[DeformationModel, Fit]]:
+def calibrate_displacements(response: xr.Dataset) -> dict[str, tuple[DeformationModel, Fit]]:
     """Return Eq. 8 of every axis of the reference response.
 
     Parameters
@@ -226,8 +203,6 @@ def calibrate_displacements(
     response : xarray.Dataset
         Step response (`thermojoint.artefacts.response`). Its level need not be 1; everything is
         divided by it.
-    fit_displacement : callable
-        `fit_deformation` (Eq. 8 as printed) or `fit_flat_deformation` (zero slope at t = 0).
 
     Raises
     ------
@@ -237,7 +212,7 @@ def calibrate_displacements(
     level = steps.step_level(response, WHERE)
     t = steps.times(response)
     return {
-        axis: fit_displacement(t, steps.displacement(response, axis, WHERE) / level)
+        axis: fit_deformation(t, steps.displacement(response, axis, WHERE) / level)
         for axis in axes_of(response)
     }
 

@@ -91,7 +91,6 @@ def fit_source_deformation(
     strengths: np.ndarray,
     *,
     starts: int = 16,
-    seed: int = 0,
 ) -> tuple[tuple[DeformationModel, ...], Fit]:
     """Return Eq. 18 of every source along one axis, fitted to all inputs at once.
 
@@ -108,7 +107,7 @@ def fit_source_deformation(
         δ_NL at each input, m.
     strengths : ndarray, shape (sources, inputs)
         q_i.
-    starts, seed : int
+    starts : int
         Of each source's own fit (`least_squares.fit`).
 
     Raises
@@ -128,7 +127,7 @@ def fit_source_deformation(
     guess: list[float] = []
     for curve in own:
         single = _step_problem(t[thin], curve[None, :], np.ones((1, 1)))
-        best = fit(single, starts=starts, seed=seed)
+        best = fit(single, starts=starts)
         guess += _in_order([best.values[name] for name in single.names])
     problem = _step_problem(t, deviations, strengths)
     best = fit(problem, coarse=coarse, starts=0, guesses=[guess])

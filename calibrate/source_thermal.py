@@ -197,9 +197,6 @@ def fit_jointly(
     deviations: np.ndarray,
     inputs: Sequence[float],
     geometry: SourceGeometry,
-    *,
-    starts: int = 24,
-    seed: int = 0,
 ) -> SourceFit:
     """Return one a_i and alpha_i per source, fitted to all inputs at once (Eq. 16).
 
@@ -212,8 +209,6 @@ def fit_jointly(
     inputs : sequence of float
         The heat inputs; at least as many as sources.
     geometry : SourceGeometry
-    starts, seed : int
-        Of the search (`least_squares.fit`).
 
     Raises
     ------
@@ -225,8 +220,6 @@ def fit_jointly(
     best = fit(
         _problem(t, deviations, inputs, geometry),
         coarse=_problem(t[thin], deviations[:, :, thin], inputs, geometry),
-        starts=starts,
-        seed=seed,
     )
     return _source_fit(best, geometry.distances.shape[0], len(inputs))
 

@@ -4,7 +4,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
-from closed_forms import initial_slope, regularisation_function, steady_value
+from closed_forms import regularisation_function, steady_value
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -12,7 +12,6 @@ from calibrate.linear import (
     calibrate_displacements,
     calibrate_heat,
     fit_deformation,
-    fit_flat_deformation,
     fit_relaxation,
     fit_ring,
     relaxation_response,
@@ -118,18 +117,6 @@ def test_a_rod_that_is_no_model_of_ours_is_fitted_with_amplitudes_of_its_own_siz
     columns, _ = deformation.basis(RUN, [model.c, model.d, model.e])
     terms = columns * [model.C, model.D, model.E]
     assert np.abs(terms).max() < 10 * np.abs(data).max()
-
-
-def test_the_flat_start_of_equation_8_costs_accuracy_only_where_the_data_do_not_start_flat():
-    c, d, e, C, D = 0.012, 0.0011, 0.004, 20e-6, -70e-6
-    flat = DeformationModel(C, D, -(C * c + D * d), c, d, e)
-    model, found = fit_flat_deformation(RUN, deformation.step_response(RUN, flat))
-    assert found.max_abs_error < 1e-10
-    assert abs(initial_slope(model)) < 1e-18
-    steep = deformation.step_response(RUN, replace(flat, E=0.0))
-    _, free = fit_deformation(RUN, steep)
-    _, forced = fit_flat_deformation(RUN, steep)
-    assert forced.max_abs_error > 100 * free.max_abs_error
 
 
 @pytest.mark.parametrize("x", [0.1, 0.25, 0.4])

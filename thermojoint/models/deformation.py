@@ -3,9 +3,6 @@
 Step response C (1 - exp(-c t)) + D (1 - exp(-d t)) + E t exp(-e t) [+ F t exp(-f t)]: zero at
 t = 0 for any parameters. Given the rates it is linear in C, D, E, F, which multiply the columns of
 `basis`. Rates are fitted in logarithms, so derivatives are with respect to ln(rate).
-
-Eq. 8 as printed has an arbitrary slope at t = 0. In `flat_basis` the slope is zero: E is eliminated
-by C c + D d + E [+ F] = 0, which leaves one column fewer.
 """
 
 from __future__ import annotations
@@ -76,46 +73,6 @@ def own_basis(t: np.ndarray, rates: Sequence[float] | np.ndarray) -> tuple[np.nd
     columns[:, second] = phase[:, second] / rate[second] * decay[:, second]
     own[:, second] = -phase[:, second] * columns[:, second]
     return columns, own
-
-
-def _flattening(rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the matrix from free coefficients (C, D [, F]) to (C, D, E [, F]), and its slopes."""
-    p = rates.size
-    matrix = np.zeros((p, p - 1))
-    matrix[0, 0] = matrix[1, 1] = 1.0
-    matrix[_EXPONENTIALS, :_EXPONENTIALS] = -rates[:_EXPONENTIALS]
-    if p == 4:
-        matrix[_EXPONENTIALS, 2] = -1.0
-        matrix[3, 2] = 1.0
-    by_rate = np.zeros((p, p - 1, p))
-    for k in range(_EXPONENTIALS):
-        by_rate[_EXPONENTIALS, k, k] = -rates[k]
-    return matrix, by_rate
-
-
-def flat_basis(t: np.ndarray, rates: Sequence[float] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the columns that C, D [, F] multiply when the slope at t = 0 must vanish.
-
-    As `basis`, with E = -(C c + D d [+ F]) eliminated: one column fewer.
-
-    Returns
-    -------
-    columns : ndarray, shape (n, p - 1)
-    slopes : ndarray, shape (n, p - 1, p)
-    """
-    rate = check_rates(rates)
-    columns, slopes = basis(t, rate)
-    matrix, by_rate = _flattening(rate)
-    bent = np.einsum("njk,jf->nfk", slopes, matrix) + np.einsum("nj,jfk->nfk", columns, by_rate)
-    return columns @ matrix, bent
-
-
-def full_coefficients(
-    free: Sequence[float] | np.ndarray, rates: Sequence[float] | np.ndarray
-) -> np.ndarray:
-    """Return (C, D, E [, F]) from the coefficients of `flat_basis`; m and m/s."""
-    matrix, _ = _flattening(check_rates(rates))
-    return matrix @ np.asarray(free, dtype=float)
 
 
 def model_from(

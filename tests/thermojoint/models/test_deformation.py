@@ -66,9 +66,9 @@ def test_the_transfer_function_is_the_steady_answer_to_a_sine(model, frequency):
     assert complex(deformation.transfer_function(s, model)) == pytest.approx(transform, rel=1e-9)
 
 
-@pytest.mark.parametrize("basis", [deformation.basis, deformation.flat_basis])
 @pytest.mark.parametrize("rate", [(0.0089, 0.00129, 0.0097), (0.00971, 0.00441, 0.00849, 0.0199)])
-def test_derivatives_by_the_logarithm_of_the_rates(basis, rate):
+def test_derivatives_by_the_logarithm_of_the_rates(rate):
+    basis = deformation.basis
     _, slopes = basis(RUN, rate)
     for k in range(len(rate)):
         up, down = np.array(rate), np.array(rate)
@@ -76,17 +76,6 @@ def test_derivatives_by_the_logarithm_of_the_rates(basis, rate):
         down[k] *= np.exp(-1e-5)
         expected = (basis(RUN, up)[0] - basis(RUN, down)[0]) / 2e-5
         np.testing.assert_allclose(slopes[:, :, k], expected, atol=1e-8 * np.abs(expected).max())
-
-
-@given(st.lists(amplitudes, min_size=3, max_size=3), st.tuples(rates, rates, rates, rates))
-def test_the_flat_basis_has_no_initial_slope_whatever_its_amplitudes(free, rate):
-    for count in (3, 4):
-        full = deformation.full_coefficients(free[: count - 1], rate[:count])
-        model = deformation.model_from(full, rate[:count])
-        assert initial_slope(model) == pytest.approx(0.0, abs=1e-12)
-        columns, _ = deformation.flat_basis(RUN, rate[:count])
-        expected = deformation.step_response(RUN, model)
-        np.testing.assert_allclose(columns @ free[: count - 1], expected, atol=1e-9)
 
 
 def test_equation_8_as_printed_does_not_start_flat():
