@@ -20,6 +20,7 @@ from thermojoint.cli import (
     placing,
     scene,
     serving,
+    targets,
     thermal_test,
 )
 from thermojoint.cli import meshing as structures
@@ -43,6 +44,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
         serving.restore,
         accounts.users,
         accounts.tokens,
+        targets.linuxcnc,
         scene.scene,
     ),
     "Look and check": (

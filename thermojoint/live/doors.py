@@ -52,7 +52,8 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
     from thermojoint.live.http.server import open_http, serve_http
     from thermojoint.live.http.sources import About, Sources
 
-    folder = running.service.folder
+    service = running.service
+    folder = service.folder
     machines = {
         name: About(
             layout=place.served.layout,
@@ -81,6 +82,10 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
         },
         lambda name: former_of(read_record(folder), folder, name),
         partial(_roll_back, running),
+        {
+            name: (one.user, partial(_read_answer, running.floor, name))
+            for name, one in _handshakes(service, "http").items()
+        },
     )
     opened = open_http(section, sources, running.accounts, folder)
     running.floor.log.say(time.time(), "listening", opened.url)
@@ -163,6 +168,13 @@ def _handshakes(service: Service, by: str) -> dict[str, HandshakeSection]:
         for name, one in service.machines.items()
         if one.handshake is not None and one.handshake.by == by
     }
+
+
+def _read_answer(floor: Floor, machine: str, body: bytes) -> None:
+    """Take an answer as a control sends it; raises ValueError for what is none."""
+    from thermojoint.live.writers.mqtt_control import answer_of
+
+    _answer(floor, machine, answer_of(body, floor.places[machine].served.layout.controls))
 
 
 def _answer(floor: Floor, machine: str, given: Answer) -> None:

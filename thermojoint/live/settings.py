@@ -60,10 +60,10 @@ class ModelSection(Section):
 class HandshakeSection(Section):
     """``[machines.NAME.handshake]``: no offset follows without the word of the control.
 
-    It answers by OPC UA, as a user who writes, or by MQTT.
+    It answers by OPC UA or HTTP, as a user who writes, or by MQTT.
     """
 
-    by: Literal["opcua", "mqtt"]
+    by: Literal["opcua", "mqtt", "http"]
     user: str | None = None
     heartbeat_s: Positive = 5.0
     differs_um: Positive | None = None
@@ -303,12 +303,12 @@ def _check_handshake(at: str, machine: MachineSection, given: ServiceFile) -> No
         raise InputError(
             f"{at}: models.{machine.model} sends no offsets; give it offsets, or leave this out"
         )
-    if (given.opcua if handshake.by == "opcua" else given.mqtt) is None:
+    if getattr(given, handshake.by) is None:
         raise InputError(f"{at}.by: there is no [{handshake.by}]; add it")
     if handshake.by == "opcua" and not (given.users or (given.opcua and given.opcua.users)):
         raise InputError(f"{at}.by: nobody may write; name a file of users")
     if handshake.by == "mqtt" and handshake.user is not None:
-        raise InputError(f"{at}.user: is for OPC UA; with MQTT the broker says who may publish")
+        raise InputError(f"{at}.user: is for OPC UA and HTTP; an MQTT broker says who may publish")
 
 
 def _single(sections: Mapping[str, MachineSection]) -> list[tuple[str, MachineSection]]:

@@ -104,6 +104,7 @@ class Site:
             Route(f"{machine}/fields", self.fields),
             Route(f"{machine}/residuals", self.residuals),
             Route(f"{machine}/handshake", self.handshake),
+            Route(f"{machine}/control", self.control, methods=["POST"]),
             Route("/api/events", self.events),
             Route("/api/stream", self.stream),
             Route("/metrics", self.metrics),
@@ -137,6 +138,29 @@ class Site:
             raise HTTPException(503, f"this cannot be audited now ({error})") from error
         self.sources.roll_back(name)
         return RedirectResponse(f"/machines/{name}", 303)
+
+    async def control(self, request: Request) -> Response:
+        """Take what the control of a machine says: the handshake."""
+        name, _ = self._machine(request)
+        if name not in self.sources.controls:
+            raise HTTPException(404, f'{name}: no control answers here; set handshake.by = "http"')
+        owner, take = self.sources.controls[name]
+        audit, who = self.door.accounts.audit, request.user
+        why = who.refusal("operator", name)
+        if owner not in (None, who.name):
+            why = f"only {owner} writes for the control"
+        if why:
+            audit.refused(who.name, origin(request.scope), "control", why, name)
+            raise HTTPException(403, why)
+        body = await body_of(request, LARGEST_LOGIN)
+        try:
+            audit.written(who.name, origin(request.scope), "control", name)
+            take(body or b"")
+        except ValueError as error:
+            raise HTTPException(400, f"what the control says is no answer: {error}") from error
+        except OSError as error:
+            raise HTTPException(503, f"this cannot be audited now ({error})") from error
+        return answered({"handshake": self.sources.hub.newest[name].handshake})
 
     async def login(self, request: Request) -> Response:
         """Show the log-in page, or check a password or token."""

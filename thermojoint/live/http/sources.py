@@ -66,6 +66,9 @@ class Sources:
         Machine to the last model before its present one; None without any.
     roll_back : callable
         Makes a machine go back to that model.
+    controls : mapping
+        The machines whose controls answer here (the handshake): the only user who may, None for
+        any that may write, and what takes the answer.
     """
 
     hub: Hub
@@ -77,3 +80,4 @@ class Sources:
     handshakes: Mapping[str, Callable[[], dict[str, Any]]] = field(default_factory=dict)
     former: Callable[[str], Deployment | None] = lambda machine: None
     roll_back: Callable[[str], object] = lambda machine: None
+    controls: Mapping[str, tuple[str | None, Callable[[bytes], None]]] = field(default_factory=dict)

@@ -1,0 +1,45 @@
+"""Commands for controls that the service's offsets are written into."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def linuxcnc(
+    service: Annotated[Path, typer.Argument(help="File of the service (TOML).")],
+    ini: Annotated[Path, typer.Argument(help="The control's ini file.")],
+    machine: Annotated[str, typer.Option(help="Name of the machine in the service.")],
+    token: Annotated[
+        Path, typer.Option(help="File with a token of the role operator, for the control's user.")
+    ],
+    url: Annotated[
+        str | None, typer.Option(help="Of the service, where the control is another computer.")
+    ] = None,
+    write: Annotated[
+        bool, typer.Option("--write", help="Write the files; without it they are only shown.")
+    ] = False,
+) -> None:
+    """Make LinuxCNC drive its axes by the offsets of a machine.
+
+    Installs a HAL component beside the ini file of the control, and a line in that file, which
+    takes effect at the control's next start.
+
+    Example: [bold]thermojoint linuxcnc service.toml mill.ini --machine mill --token cnc-token
+    --write[/bold]
+    """
+    from thermojoint import console
+    from thermojoint.artefacts.files import write_text
+    from thermojoint.live.settings import read_service
+    from thermojoint.live.targets.linuxcnc import COMPONENT, files_for
+
+    for path, text in files_for(read_service(service), machine, ini, token, url).items():
+        if write:
+            write_text(path, text)
+            path.chmod(path.stat().st_mode | (0o111 if path.name == COMPONENT else 0))
+            console.wrote(path)
+        else:
+            shown = f"{text.count(chr(10))} lines" if path.name == COMPONENT else f"\n{text}"
+            print(f"would write {path}: {shown}")

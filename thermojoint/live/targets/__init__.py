@@ -1,0 +1,1 @@
+"""Controls that the offsets are written into, in their own language."""

@@ -1,0 +1,139 @@
+"""LinuxCNC: the files that make a control drive its axes by the offsets of a machine.
+
+The component (`thermojoint.live.targets.linuxcnc_component`), a HAL file that loads it, and the
+control's ini file with the line that loads the HAL file.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from importlib.resources import files
+from pathlib import Path
+
+from thermojoint.artefacts.errors import InputError, unknown_name
+from thermojoint.compensation.offsets.settings import Settings, read_settings
+from thermojoint.live.settings import HttpServer, Service
+
+#: Names of the installed files.
+COMPONENT, HAL_FILE = "thermojoint_hal.py", "thermojoint.hal"
+_UNITS_PER_MM = {"mm": 1.0, "metric": 1.0, "inch": 1 / 25.4, "in": 1 / 25.4, "imperial": 1 / 25.4}
+_LOADS = f"HALFILE = {HAL_FILE}"
+_HAL = """\
+# Offsets of the machine {machine} from the thermojoint service.
+loadusr -Wn thermojoint {words}
+# The axes move while this signal is TRUE: leave it so, or link it to a switch.
+sets thermojoint-on TRUE
+"""
+
+
+def files_for(
+    service: Service, machine: str, ini: Path, token: Path, url: str | None
+) -> dict[Path, str]:
+    """Return the content of every file to write, by its name.
+
+    Parameters
+    ----------
+    service : Service
+    machine : str
+        Its name.
+    ini : Path
+        The control's ini file.
+    token : Path
+        A token of the service with the role operator, readable by the control's user.
+    url : str or None
+        Of the service as the control reaches it; None: as its own file says.
+
+    Raises
+    ------
+    InputError
+        The machine has no offsets or no handshake by HTTP, its axes are not the control's, or the
+        control gives offsets no share of its speed.
+    """
+    http, output = _settings_of(service, machine)
+    try:
+        text = ini.read_text("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{ini}: not readable ({error}); name the control's ini file") from error
+    given = entries_of(text)
+    for axis in output.output.names:
+        _check_axis(axis, given, ini)
+    unit = given.get("TRAJ.LINEAR_UNITS", "").lower()
+    if unit not in _UNITS_PER_MM:
+        raise InputError(f"{ini}: [TRAJ]LINEAR_UNITS is {unit or 'missing'}; write mm or inch")
+    options = {
+        "url": url
+        or f"{'https' if http.security == 'tls' else 'http'}://{_host(http)}:{http.port}",
+        "machine": machine,
+        "token-file": token.absolute(),
+        "axes": "".join(output.output.names).lower(),
+        "rate-um-s": f"{1e6 * output.output.rate:.6g}",
+        "largest-um": f"{1e6 * output.output.largest:.6g}",
+        "hold-s": f"{output.output.freeze_time:g}",
+        "units-per-mm": f"{_UNITS_PER_MM[unit]:.9g}",
+    }
+    if http.security == "tls":
+        options["ca-file"] = http.certificate_file or service.folder / "http_certificate.pem"
+    component = ini.absolute().parent / COMPONENT
+    words = [str(component), *(f"--{name}={value}" for name, value in options.items())]
+    if spaced := [word for word in words if len(word.split()) != 1]:
+        raise InputError(f"{spaced[0]}: HAL files know no spaces; take another place or name")
+    source = files("thermojoint.live.targets").joinpath("linuxcnc_component.py")
+    return {
+        component: source.read_text("utf-8"),
+        component.with_name(HAL_FILE): _HAL.format(machine=machine, words=" ".join(words)),
+        ini: with_hal_file(text, ini),
+    }
+
+
+def _settings_of(service: Service, machine: str) -> tuple[HttpServer, Settings]:
+    section = service.machines.get(machine)
+    if section is None:
+        raise unknown_name("machine", machine, service.machines, "service")
+    offsets, http = service.given.models[section.model].offsets, service.given.http
+    if offsets is None:
+        raise InputError(f"models.{section.model}: sends no offsets; give it offsets")
+    if http is None or section.handshake is None or section.handshake.by != "http":
+        raise InputError(
+            f'machines.{machine}: LinuxCNC answers by HTTP; add [http] and handshake.by = "http"'
+        )
+    return http, read_settings(offsets)
+
+
+def _host(http: HttpServer) -> str:
+    return "127.0.0.1" if http.address in ("0.0.0.0", "::") else http.address
+
+
+def entries_of(text: str) -> Mapping[str, str]:
+    """Return the entries of an ini file, the last of each name, as SECTION.NAME to value."""
+    found, section = {}, ""
+    for line in text.splitlines():
+        if match := re.fullmatch(r"\s*\[(\w+)\]\s*", line):
+            section = match[1].upper()
+        elif match := re.fullmatch(r"\s*(\w+)\s*=\s*(.*?)\s*", line):
+            found[f"{section}.{match[1].upper()}"] = match[2]
+    return found
+
+
+def _check_axis(axis: str, given: Mapping[str, str], ini: Path) -> None:
+    """Refuse an axis that the control does not have, or does not let offsets move."""
+    section = f"AXIS_{axis.upper()}"
+    if not any(name.startswith(f"{section}.") for name in given):
+        raise InputError(f"{ini}: there is no [{section}]; name the axes in the offsets as here")
+    ratio = given.get(f"{section}.OFFSET_AV_RATIO", "0")
+    if not re.fullmatch(r"0?\.\d+", ratio) or not 0.0 < float(ratio) <= 0.9:
+        raise InputError(
+            f"{ini}: [{section}]OFFSET_AV_RATIO is {ratio}, and the control ignores offsets; write "
+            "a share of speed and acceleration up to 0.9, such as 0.1"
+        )
+
+
+def with_hal_file(text: str, ini: Path) -> str:
+    """Return an ini file that loads the HAL file after those that it loads already."""
+    lines = text.splitlines()
+    if _LOADS in lines:
+        return text
+    others = [k for k, line in enumerate(lines) if re.match(r"\s*HALFILE\s*=", line)]
+    if not others:
+        raise InputError(f"{ini}: [HAL] has no HALFILE; name the control's ini file")
+    return "\n".join([*lines[: others[-1] + 1], _LOADS, *lines[others[-1] + 1 :]]) + "\n"

@@ -1,0 +1,325 @@
+#!/usr/bin/python3
+"""LinuxCNC: a HAL component that moves axes by the offsets of a thermojoint service.
+
+A file of its own: it runs on the control's system Python and needs only its standard library and
+the module `hal`. A thread reads the service's stream (HTTP, server-sent events), another one tells
+it the offsets that act in the control; the main loop moves ``axis.L.eoffset-counts`` at a limited
+rate. The control accumulates changes of the counts, and
+drops them while the machine is off or not homed, so every step starts from what the control says
+it has been asked for (``axis.L.eoffset-request``). This also lets a restarted component continue.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import os
+import signal
+import ssl
+import sys
+import threading
+import time
+import urllib.request
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+#: Period of the loop, s, and how long the control may take to accept a step.
+PERIOD_S, ACCEPTED_S = 0.05, 1.0
+#: First and longest delay before the stream is opened again, s.
+FIRST_S, LONGEST_S = 0.5, 10.0
+#: Between two answers to the service, s.
+ANSWER_S = 1.0
+#: After a control was switched off or not homed, it tells the service so for this long, s.
+AWAY_S = 3.0
+READY = ("motion.motion-enabled", "motion.is-all-homed")
+#: Periods whose travel a late loop makes up for.
+MOST_PERIODS = 4
+#: Steps of an offset, per µm.
+PER_UM = 10
+#: The component's name in HAL and how its signals begin, and how many names it tries.
+NAME, MOST_NAMES = "thermojoint", 100
+#: What it reads of an axis: its own counts, what the control has made of them, what acts.
+WATCHED = ("-counts", "-request", "")
+#: States: following the service; holding, then returning to zero without it.
+FOLLOW, HOLD, RETURN = "follow", "hold", "return"
+
+
+class Limits(NamedTuple):
+    """Limits of the component.
+
+    Attributes
+    ----------
+    rate : float
+        µm/s.
+    largest : float
+        An offset beyond this is refused, µm.
+    silence, hold : float
+        The service counts as lost after this silence, s; the offsets are then held for so long.
+    """
+
+    rate: float
+    largest: float
+    silence: float
+    hold: float
+
+
+class Word(NamedTuple):
+    """What the service said last: a time (s) and the offset of every axis (µm); None: nothing."""
+
+    at: float
+    offsets: Mapping[str, float] | None
+
+
+class Axis(NamedTuple):
+    """State of an axis: counts written last, the request (counts) that they lead to, and when."""
+
+    counts: int
+    expected: int
+    since: float
+
+
+def word_of(said: Mapping[str, Any], clock: float, limits: Limits, before: Word) -> Word:
+    """Return the newest word of the service after an event.
+
+    While the handshake is broken it has no offsets; it is as old as the last one that had.
+
+    Parameters
+    ----------
+    said : mapping
+        Data of the event; without a publication nothing has changed.
+    clock : float
+        s.
+    limits : Limits
+    before : Word
+
+    Raises
+    ------
+    ValueError
+        An offset is missing, no number, or beyond the limit.
+    """
+    offsets = before.offsets
+    for one in said["publications"]:
+        stands = one["handshake"] in (None, "stands")
+        offsets = {a.lower(): value for a, value in one["offsets_um"].items()} if stands else None
+        for value in (offsets or {}).values():
+            number = isinstance(value, (int, float)) and not isinstance(value, bool)
+            if not number or not abs(value) <= limits.largest:
+                raise ValueError(f"offsets {one['offsets_um']} µm: not within the limit")
+    return Word(before.at if offsets is None else clock, offsets)
+
+
+def state_of(on: bool, clock: float, word: Word, limits: Limits) -> str:
+    """Return what the offsets do at a time (s)."""
+    silence = clock - word.at
+    if on and word.offsets is not None and silence <= limits.silence:
+        return FOLLOW
+    return HOLD if on and silence <= limits.silence + limits.hold else RETURN
+
+
+def moved(axis: Axis, request: int, goal: int, allowed: int, clock: float) -> Axis:
+    """Return an axis one cycle later.
+
+    Parameters
+    ----------
+    axis : Axis
+    request, goal, allowed : int
+        What the control has been asked for, where it should go, and how far at most, in counts.
+    clock : float
+        s.
+    """
+    if request != axis.expected and clock - axis.since < ACCEPTED_S:
+        return axis
+    step = max(-allowed, min(allowed, goal - request))
+    return Axis(axis.counts + step, request + step, clock)
+
+
+class Connection:
+    """Connection to the service.
+
+    Attributes
+    ----------
+    axes : tuple of str
+        Letters of the axes.
+    word : Word
+        The newest; changed by `listen`.
+    enabled, acting : bool, dict of str to float
+        Whether the control takes part, and the offsets that act in it, µm; told by `answer`.
+    """
+
+    def __init__(self, given: argparse.Namespace, limits: Limits, axes: tuple[str, ...]) -> None:
+        self.axes, self.word, self._limits = axes, Word(time.monotonic(), None), limits
+        self.enabled, self.acting = False, dict.fromkeys(axes, 0.0)
+        self._given = given
+
+    def listen(self) -> None:
+        """Read the stream for ever; open it again whenever it ends."""
+        delay = FIRST_S
+        while True:
+            try:
+                with self._open(f"stream?machine={self._given.machine}&every_s=0.1") as stream:
+                    for line in stream:
+                        if line.startswith(b"data:"):
+                            said = json.loads(line[5:])
+                            self.word = word_of(said, time.monotonic(), self._limits, self.word)
+                            delay = FIRST_S
+            except Exception as error:  # whatever it is: the offsets are held, then return
+                print(f"thermojoint: {error}", file=sys.stderr, flush=True)
+            self.word = Word(self.word.at, None)
+            time.sleep(delay)
+            delay = min(2.0 * delay, LONGEST_S)
+
+    def answer(self) -> None:
+        """Tell the service the control's side of the handshake, for ever."""
+        beats = 0
+        while True:
+            time.sleep(ANSWER_S)
+            beats = (beats + 1) % (1 << 31)
+            offsets = {axis.upper(): round(value, 4) for axis, value in self.acting.items()}
+            said = {"enable": self.enabled, "heartbeat": beats, "offsets_um": offsets}
+            with suppress(Exception), self._open("control", json.dumps(said).encode()):
+                pass
+
+    def _open(self, what: str, body: bytes | None = None) -> Any:  # noqa: ANN401
+        given = self._given
+        token = Path(given.token_file).read_text("utf-8").strip()
+        place = what if body is None else f"machines/{given.machine}/{what}"
+        headers = {"Authorization": f"Bearer {token}"}
+        request = urllib.request.Request(f"{given.url}/api/{place}", body, headers)
+        # Read anew: the service renews its certificate.
+        context = ssl.create_default_context(cafile=given.ca_file) if given.ca_file else None
+        return urllib.request.urlopen(request, timeout=given.silence_s, context=context)
+
+
+def arguments() -> argparse.Namespace:
+    """Return the options of the command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--url", required=True, help="http://host:port of the service")
+    parser.add_argument("--machine", required=True, help="its name in the service")
+    parser.add_argument("--token-file", required=True, help="file with a token of the service")
+    parser.add_argument("--ca-file", help="certificate of the service or its authority (PEM)")
+    parser.add_argument("--axes", required=True, help="letters of the axes, such as xz")
+    parser.add_argument("--rate-um-s", type=float, default=1.0)
+    parser.add_argument("--largest-um", type=float, default=500.0)
+    parser.add_argument("--silence-s", type=float, default=10.0)
+    parser.add_argument("--hold-s", type=float, default=60.0)
+    parser.add_argument("--units-per-mm", type=float, default=1.0, help="of the control's axes")
+    return parser.parse_args()
+
+
+def lives(pid: int) -> bool:
+    """Say whether a process is there, and not a zombie that its parent has not noticed."""
+    try:
+        return ") Z" not in Path(f"/proc/{pid}/stat").read_text("utf-8")
+    except OSError:
+        return False
+
+
+def linked(hal: Any, axes: tuple[str, ...]) -> Any:  # noqa: ANN401
+    """Return the HAL component, linked to the control.
+
+    HAL keeps the pins of a killed component, and its name. Its successor takes the next name, and
+    the signals, which keep their values meanwhile.
+    """
+    kinds = {"on": hal.HAL_BIT, "following": hal.HAL_BIT, "heartbeat": hal.HAL_U32}
+    driven = {"counts": hal.HAL_S32, "enable": hal.HAL_BIT, "clear": hal.HAL_BIT,
+              "scale": hal.HAL_FLOAT}  # fmt: skip
+    kinds.update({f"{axis}.{name}": kind for axis in axes for name, kind in driven.items()})
+    former, component = "", None
+    for number in range(1, MOST_NAMES):
+        name = NAME if number == 1 else f"{NAME}-{number}"
+        try:
+            component = hal.component(name)
+            break
+        except hal.error:
+            former = name
+    if component is None:
+        raise SystemExit("too many components of this name; start the control again")
+    if former and lives(hal.get_value(f"{former}.pid")):
+        raise SystemExit(f"{former} runs already")
+    component.newpin("pid", hal.HAL_U32, hal.HAL_OUT)
+    for pin, kind in kinds.items():
+        component.newpin(pin, kind, hal.HAL_IN if pin == "on" else hal.HAL_OUT)
+    component["pid"] = os.getpid()
+    signals = {signal["NAME"] for signal in hal.get_info_signals()}
+    for pin, kind in kinds.items():
+        net = f"{NAME}-{pin.replace('.', '-')}"
+        if net not in signals:
+            hal.new_sig(net, kind)
+            if "." in pin:
+                hal.connect("axis.{}.eoffset-{}".format(*pin.split(".")), net)
+        elif former and pin != "on":
+            # A signal has one writer; one that nothing is linked to forgets its value.
+            hal.disconnect(f"{former}.{pin}")
+        hal.connect(f"{name}.{pin}", net)
+    component.ready()
+    return component
+
+
+def run(hal: Any, component: Any, service: Connection, limits: Limits, scale: float) -> None:  # noqa: ANN401
+    """Move the axes for ever.
+
+    Parameters
+    ----------
+    hal : module
+    component : hal.component
+    service : Connection
+    limits : Limits
+    scale : float
+        Length of one count in the units of the control.
+    """
+    axes: dict[str, Axis] = {}
+    clock, away, credit, beats = time.monotonic(), -AWAY_S, 0.0, 0
+    while True:
+        before, clock = clock, time.monotonic()
+        # A loop that was stopped makes up for a few periods only.
+        credit += PER_UM * limits.rate * (clock - before)
+        credit = min(credit, max(1.0, MOST_PERIODS * PERIOD_S * PER_UM * limits.rate))
+        word = service.word
+        state = state_of(bool(component["on"]), clock, word, limits)
+        farthest = 0
+        for letter in service.axes:
+            read = (hal.get_value(f"axis.{letter}.eoffset{name}") for name in WATCHED)
+            counts, request, acts = read
+            requested = round(request / scale)
+            service.acting[letter] = acts / (scale * PER_UM)
+            axis = axes.get(letter) or Axis(counts, requested, clock)
+            zero = state == RETURN and requested == 0
+            enabled = bool(component[f"{letter}.enable"])
+            component[f"{letter}.scale"] = scale
+            component[f"{letter}.enable"], component[f"{letter}.clear"] = not zero, zero
+            # Counts that change before the control is enabled are lost.
+            if enabled and not zero:
+                goal = {FOLLOW: round(PER_UM * (word.offsets or {}).get(letter, 0.0)), RETURN: 0}
+                axis = moved(axis, requested, goal.get(state, requested), int(credit), clock)
+            farthest = max(farthest, abs(axis.counts - counts))
+            axes[letter] = axis
+            component[f"{letter}.counts"] = axis.counts
+        credit -= farthest
+        beats = (beats + 1) % (1 << 31)
+        # A control that is switched off forgets its offset; the service must notice.
+        if not all(hal.get_value(name) for name in READY):
+            away = clock
+        service.enabled = bool(component["on"]) and clock - away > AWAY_S
+        component["following"], component["heartbeat"] = state == FOLLOW, beats
+        time.sleep(PERIOD_S)
+
+
+def main() -> None:
+    """Move the axes until the control ends."""
+    given = arguments()
+    axes = tuple(given.axes.lower())
+    limits = Limits(given.rate_um_s, given.largest_um, given.silence_s, given.hold_s)
+    hal = importlib.import_module("hal")
+    component = linked(hal, axes)
+    service = Connection(given, limits, axes)
+    for work in (service.listen, service.answer):
+        threading.Thread(target=work, daemon=True).start()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    run(hal, component, service, limits, given.units_per_mm / (1000.0 * PER_UM))
+
+
+if __name__ == "__main__":
+    main()
