@@ -116,7 +116,7 @@ def test_names_of_files_are_relative_to_the_file_of_the_service(tmp_path):
         (shaking("mqtt", mqtt={}), "sends no offsets"),
         (shaking("mqtt", models=OFFSETS), "there is no [mqtt]"),
         (shaking("opcua", models=OFFSETS, opcua={"security": "none"}), "name a file of users"),
-        (shaking("mqtt", models=OFFSETS, mqtt={}, user="plc"), "the broker says who"),
+        (shaking("mqtt", models=OFFSETS, mqtt={}, user="plc"), "broker says who"),
         (changed(mqtt={"topic": "estimates"}), "mqtt.topic: is for 3 machines; write {machine}"),
         (
             shaking("mqtt", models=OFFSETS, mqtt={"control_topic": "plc"}, count=2)
