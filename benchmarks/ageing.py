@@ -72,9 +72,9 @@ def falling(machine: ReducedMachine, inputs: Array, left: float) -> tuple[Array,
     for k, given in enumerate(inputs):
         if k == round(FALL / STEP):
             physics = make_physics(modes, with_factors(machine, {"preload": left}).joints, held)
-            joint, _ = settle_joint(physics, joint, amplitudes)
-        amplitudes = conduct(physics, amplitudes, given, joint.pressure, STEP)
-        joint, displacement = settle_joint(physics, joint, amplitudes)
+            joint, _ = settle_joint(physics, joint, amplitudes, modes.factors)
+        amplitudes = conduct(physics, amplitudes, given, joint, STEP)
+        joint, displacement = settle_joint(physics, joint, amplitudes, modes.factors)
         temperatures.append(modes.sensors @ amplitudes)
         displacements.append(displacement)
     return np.array(temperatures), np.array(displacements)

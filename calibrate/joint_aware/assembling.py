@@ -97,7 +97,7 @@ def make_observer(
     steady = replace(design, scale=scale)
     moved = np.hstack(
         [
-            sticking_tangent(modes.elastic, fitted.laws),
+            sticking_tangent(modes, fitted.laws),
             fit.discrepancy.displacement,
             np.zeros((len(machine.axes), machine.power.size + 1)),
         ]
@@ -122,6 +122,7 @@ def make_observer(
         power=machine.power,
         step=machine.step,
         offset=fit.offset,
+        loads=machine.load_names,
         sensors=machine.sensor_names,
         axes=machine.axes,
         sources=machine.source_names,

@@ -31,7 +31,7 @@ from calibrate.joint_aware.random_heat import random_levels
 from thermojoint.artefacts.arrays import Array
 from thermojoint.reduced.machine import ReducedMachine
 from thermojoint.reduced.parameters import factors_of
-from thermojoint.reduced.physics import simulate_known
+from thermojoint.reduced.physics import at_start, simulate_known
 
 #: Candidate runs: heating time and cooling time, s.
 CANDIDATES = {
@@ -154,7 +154,9 @@ def further_runs(
     machine: ReducedMachine, runs: Sequence[Run], fit: Fit, inquiry: Inquiry = INQUIRY
 ) -> list[FurtherRun]:
     """Return the uncertainty of the parameters and of a day, without and with each further run."""
-    heat = max(float(np.abs(run.inputs[:, :-1] / machine.power).max()) for run in runs)
+    heat = max(
+        float(np.abs(run.inputs[:, : machine.power.size] / machine.power).max()) for run in runs
+    )
     step = inquiry.day / inquiry.steps
     levels = random_levels(inquiry.seed, inquiry.day, step, heat, machine.power.size)
     day = _planned(machine, fit, levels, inquiry.day)
@@ -190,7 +192,12 @@ def _planned(machine: ReducedMachine, fit: Fit, heat: Array, length: float) -> R
     times = np.linspace(step, length, SIGMAS.samples)
     nothing = np.zeros((times.size, 0))
     run = Run(inputs, times, nothing, nothing, step)
-    sensed, moved = (sampled(values, run) for values in simulate_known(physics, inputs, step))
+    sensed, moved = (
+        sampled(values, run, first)
+        for values, first in zip(
+            simulate_known(physics, inputs, step), at_start(physics), strict=True
+        )
+    )
     return replace(run, temperature=sensed, displacement=moved)
 
 

@@ -21,7 +21,8 @@ from calibrate.joint_aware.calibration import (
 )
 from calibrate.joint_aware.sticking import sticking_tangent
 from estimator.joint_aware.filter_design import Noise
-from thermojoint.reduced.machine import ReducedMachine
+from thermojoint.artefacts.errors import InputError
+from thermojoint.reduced.machine import ReducedMachine, on_basis
 
 
 def with_linear_joint(machine: ReducedMachine) -> ReducedMachine:
@@ -29,19 +30,30 @@ def with_linear_joint(machine: ReducedMachine) -> ReducedMachine:
 
     The joint's conductance becomes part of the conduction, and its stiffness part of the
     displacement per temperature.
+
+    Raises
+    ------
+    InputError
+        More than heat acts on it, or it starts warm.
     """
+    if machine.acting is not None or machine.start.any():
+        raise InputError(
+            "kalman-linear: knows no loads, bolts or initial temperatures; take joint-aware"
+        )
     elastic, held = machine.elastic, machine.at_preload
+    modes = on_basis(machine, np.zeros(len(machine.start)), np.eye(len(machine.start)))
     nothing = np.zeros(0)
     return replace(
         machine,
         conduction=machine.conduction + machine.jump.T @ (held[:, None] * machine.jump),
         jump=machine.jump[:0],
+        mean=machine.mean[:0],
         elastic=replace(
             elastic,
             compliance=np.zeros((0, 0)),
             thermal_gap=elastic.thermal_gap[:0],
             probe_compliance=elastic.probe_compliance[:, :0],
-            probe_thermal=sticking_tangent(elastic, machine.laws),
+            probe_thermal=sticking_tangent(modes, machine.laws),
             reference=nothing,
             area=nothing,
         ),

@@ -27,7 +27,7 @@ from thermojoint.reduced.discrepancy import (
 )
 from thermojoint.reduced.machine import ReducedMachine, diagonal_basis, on_basis
 from thermojoint.reduced.parameters import Parameter, factors_of, with_factors
-from thermojoint.reduced.physics import Physics, make_physics, simulate_known
+from thermojoint.reduced.physics import Physics, at_start, make_physics, simulate_known
 
 
 @dataclass(frozen=True)
@@ -74,8 +74,9 @@ class Run:
 
     Attributes
     ----------
-    inputs : ndarray, shape (n, s + 1)
-        Heat of each source according to the case, W, and the ambient, K, at the end of each step.
+    inputs : ndarray, shape (n, s + 1 + v)
+        Heat of each source according to the case, W, the ambient, K, and factors of the loads that
+        change, at the end of each step.
     times : ndarray, shape (k,)
         Samples that are used, s.
     temperature : ndarray, shape (k, p)
@@ -201,10 +202,10 @@ def make_problem(machine: ReducedMachine, runs: Sequence[Run], sigmas: Sigmas = 
     )
 
 
-def sampled(values: Array, run: Run) -> Array:
-    """Return values (n, c) after each step from rest at the sampling times, (k, c)."""
+def sampled(values: Array, run: Run, first: Array | None = None) -> Array:
+    """Return values (n, c) after each step, `first` (c,) or zero before, at the samples, (k, c)."""
     grid = run.length * np.arange(len(values) + 1)
-    whole = np.vstack([np.zeros(values.shape[1]), values])
+    whole = np.vstack([np.zeros(values.shape[1]) if first is None else first, values])
     return np.column_stack([np.interp(run.times, grid, column) for column in whole.T])
 
 
@@ -228,11 +229,12 @@ def errors(
         The machine cannot be marched through the runs.
     """
     physics = physics_with(problem.machine, factors_of(parameters, coordinates))
+    warm, bent = at_start(physics)
     temperature, displacement = [], []
     for run in problem.runs:
         sensed, moved = simulate_known(physics, run.inputs, run.length)
-        temperature.append(run.temperature - sampled(sensed, run))
-        displacement.append(run.displacement - sampled(moved, run))
+        temperature.append(run.temperature - sampled(sensed, run, warm))
+        displacement.append(run.displacement - sampled(moved, run, bent))
     return np.vstack(temperature), np.vstack(displacement)
 
 

@@ -39,7 +39,7 @@ from thermojoint.artefacts.errors import ConvergenceError
 from thermojoint.reduced.discrepancy import Discrepancy, make_ridge, relaxed
 from thermojoint.reduced.machine import ReducedMachine
 from thermojoint.reduced.parameters import factors_of
-from thermojoint.reduced.physics import conduct, settle_joint, simulate_known
+from thermojoint.reduced.physics import at_start, conduct, settle_joint, simulate_known
 
 
 @dataclass(frozen=True)
@@ -182,14 +182,14 @@ class _Drawn:
 def _history(observer: JointAware, machine: ReducedMachine, heat: Array) -> Array:
     """Mean square change of the displacement by slips of the past, m2, shape (axes,)."""
     physics = observer.observer.physics
-    amplitudes, joint = np.zeros(physics.modes.rates.size), physics.at_rest()
+    amplitudes, joint = physics.modes.start, physics.at_rest()
+    loads, slips = physics.modes.factors, physics.rest.slip
     differences = []
     for given in heat:
         inputs = np.append(given * machine.power, 0.0)
-        amplitudes = conduct(physics, amplitudes, inputs, joint.pressure, machine.step)
-        fresh = joint._replace(slip=np.zeros_like(joint.slip))
-        _, without = settle_joint(physics, fresh, amplitudes)
-        joint, moved = settle_joint(physics, joint, amplitudes)
+        amplitudes = conduct(physics, amplitudes, inputs, joint, machine.step)
+        _, without = settle_joint(physics, joint._replace(slip=slips), amplitudes, loads)
+        joint, moved = settle_joint(physics, joint, amplitudes, loads)
         differences.append(moved - without)
     return np.asarray(np.mean(np.square(differences), axis=0))
 
@@ -258,9 +258,11 @@ def _errors(
     temperature, displacement = simulate_known(physics, inputs, machine.step)
     temperature = drawn.offset + temperature + history.states @ drawn.discrepancy.temperature.T
     displacement = displacement + history.states @ drawn.discrepancy.displacement.T
-    readings = np.vstack([drawn.offset, temperature])
+    readings = np.vstack([drawn.offset + at_start(physics)[0], temperature])
     times = machine.step * np.arange(count + 1)
-    samples = ((time, *row, 0.0) for time, row in zip(times, readings, strict=True))
+    # An ambient of 0 K, loads as at the start.
+    others = 0.0, *physics.modes.factors[: len(machine.load_names)].tolist()
+    samples = ((time, *row, *others) for time, row in zip(times, readings, strict=True))
     estimates = [
         estimate.displacement for _, estimate in follow(observer, samples, observer.initial_state())
     ]

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from calibrate.joint_aware.misfit import SIGMAS, Run
-from estimator.joint_aware.readings import ambient_in
+from calibrate.joint_aware.misfit import SIGMAS, Run, physics_with
+from estimator.joint_aware.readings import ambient_in, loads_in
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import columns_of
 from thermojoint.reduced.machine import ReducedMachine
+from thermojoint.reduced.physics import at_start
 
 
 def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
@@ -28,7 +29,7 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     Raises
     ------
     InputError
-        Time starts before 0, the run is too short, or a probe or an axis is missing.
+        Time starts before 0, the run is too short, or a probe, an axis or a load is missing.
     """
     times = response["time"].to_numpy().astype(float)
     if times[0] < 0.0:
@@ -43,13 +44,19 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     at = np.minimum(np.searchsorted(times, grid * (1.0 - 1e-9)), times.size - 1)
     driven = _powers(response, machine)[at]
     ambient = np.interp(grid, times, ambient_in(response))
+    loads = loads_in(response, machine.load_names)
+    factors = [np.interp(grid, times, column) for column in loads.T]
+    displacement = columns_of(response, "displacement", machine.axes)
+    if not displacement[0].any():
+        # A log counts from its beginning, a machine under loads from where nothing acts.
+        displacement = displacement + at_start(physics_with(machine, {}))[1]
     # The first sample, at rest, determines the offsets.
     kept = slice(None, None, max(1, int(np.ceil(times.size / SIGMAS.samples))))
     return Run(
-        inputs=np.column_stack([driven, ambient]),
+        inputs=np.column_stack([driven, ambient, *factors]),
         times=times[kept],
         temperature=columns_of(response, "temperature", machine.sensor_names)[kept],
-        displacement=columns_of(response, "displacement", machine.axes)[kept],
+        displacement=displacement[kept],
         length=machine.step,
     )
 

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from fesim.joint.law import JointLaw
-from fesim.solid.condensation import ElasticCondensation
+from fesim.joint.law import NORMAL
+from fesim.march.contact import Laws
 from thermojoint.artefacts.arrays import Array
+from thermojoint.reduced.machine import Modes, contact_of, rest_of
+
+#: A contact element sticks if its pressure is more than this part of the reference pressure.
+TOUCHES = 1e-3
 
 
-def sticking_tangent(elastic: ElasticCondensation, laws: Sequence[tuple[JointLaw, int]]) -> Array:
-    """Return the displacement per amplitude with every joint sticking at its preload.
+def sticking_tangent(modes: Modes, laws: Laws) -> Array:
+    """Return the displacement per amplitude with every joint sticking as it does at rest.
 
     With z = s g, s the slopes of the joint's laws, the gap equations of docs/joint-aware.md are
     (1 - C A (s + k)) g = S_T a, and the displacement is (D_T + D_C A (s + k) g/a) a.
 
     Parameters
     ----------
-    elastic : ElasticCondensation
+    modes : Modes
         Gaps and displacement per amplitude.
     laws : sequence of (JointLaw, int)
         The law of each joint and its number of contact elements.
@@ -29,15 +31,15 @@ def sticking_tangent(elastic: ElasticCondensation, laws: Sequence[tuple[JointLaw
     ndarray, shape (axes, r)
         m per amplitude.
     """
-    if not laws:
+    elastic, contact = modes.elastic, contact_of(modes, laws)
+    if not contact.count:
         return elastic.probe_thermal
-    stiffness = []
-    for part in range(3):
-        for law, count in laws:
-            normal = float(law.normal.slope(np.zeros(1))[0])
-            sliding = 0.0 if law.friction.coefficient == 0.0 else -law.friction.stiffness
-            stiffness.append(np.full(count, normal if part == 0 else sliding))
-    slope = np.concatenate(stiffness) + elastic.reference
+    rest = rest_of(contact, modes)
+    touches = rest.pressure > TOUCHES * contact.reference_pressure
+    stiffness = [-law.friction.stiffness * (law.friction.coefficient > 0.0) for law, _ in laws]
+    sticking = np.where(touches, np.repeat(stiffness, [count for _, count in laws]), 0.0)
+    normal = contact.traction(rest.gap, rest.slip).tangent[NORMAL]
+    slope = np.concatenate([normal, sticking, sticking]) + elastic.reference
     force = elastic.compliance * elastic.area
     gaps = np.linalg.solve(np.eye(slope.size) - force * slope, elastic.thermal_gap)
     tangent: Array = elastic.probe_thermal + elastic.probe_compliance @ (

@@ -176,7 +176,7 @@ def _problem(machine: ReducedMachine, family: Family, noise: Noise) -> _Problem:
     # Scaled by the walks all unknowns are of one size.
     unit = np.concatenate([np.ones(count), walk])
     source = source / unit[:, None]
-    tangent = sticking_tangent(modes.elastic, machine.laws)
+    tangent = sticking_tangent(modes, machine.laws)
     return _Problem(
         transition=system.matrix * unit / unit[:, None],
         disturbance=source @ source.T,

@@ -20,7 +20,7 @@ from estimator.joint_aware.filter_design import Noise
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
 from thermojoint.reduced.discrepancy import relaxation_rates, relaxed
-from thermojoint.reduced.machine import ReducedMachine, diagonal_modes
+from thermojoint.reduced.machine import ReducedMachine, coupled_in, diagonal_modes
 from thermojoint.reduced.parameters import factors_of, with_factors
 from thermojoint.reduced.physics import make_physics, simulate_known
 
@@ -204,20 +204,10 @@ def fewer_modes(machine: ReducedMachine, drawing: Drawing = USUAL) -> ReducedMac
     root = np.linalg.cholesky(machine.capacity).T
     basis, sizes, _ = np.linalg.svd(root @ np.hstack(fields), full_matrices=False)
     basis = np.linalg.solve(root, basis[:, sizes > drawing.negligible * sizes[0]])
-    elastic = machine.elastic
     return replace(
-        machine,
+        coupled_in(machine, basis),
         capacity=basis.T @ machine.capacity @ basis,
         conduction=basis.T @ machine.conduction @ basis,
         convection=basis.T @ machine.convection @ basis,
-        sources=basis.T @ machine.sources,
-        ambient=basis.T @ machine.ambient,
-        jump=machine.jump @ basis,
         films=(),
-        sensors=machine.sensors @ basis,
-        elastic=replace(
-            elastic,
-            thermal_gap=elastic.thermal_gap @ basis,
-            probe_thermal=elastic.probe_thermal @ basis,
-        ),
     )

@@ -161,7 +161,7 @@ def usual_sample(
         for c in range(channels):
             linear[k] += own.gain[k, c] * innovation[c]
     now = JointState(state.gap, state.slip, state.pressure, state.change)
-    if settle_step(joint, work.joint, linear[:modes], now, displacement) != 0:
+    if settle_step(joint, work.joint, linear[:modes], state.loads, now, displacement) != 0:
         return False
     np.dot(own.discrepancy, relaxed, work.discrepancy)
     displacement += work.discrepancy

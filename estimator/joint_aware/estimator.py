@@ -107,10 +107,12 @@ class JointAware(Described):
     def channels(self) -> tuple[Channel, ...]:
         """Sensors and the ambient, above the ambient at which the machine was cold, K.
 
-        Displacement readings come last, m; a sample may end before them.
+        Then factors of the loads that change. Displacement readings come last, m; a sample may end
+        before them.
         """
         return (
             *(Channel(name, "K") for name in (*self.model.sensors, "ambient")),
+            *(Channel(name, "1") for name in self.model.loads),
             *(Channel(f"displacement_{axis}", "m") for axis in self.axes),
         )
 
@@ -135,6 +137,7 @@ class JointAware(Described):
         system = self.observer.system
         return layout(
             system.size,
+            self.model.modes.factors.size,
             self.observer.physics.contacts,
             self.model.warm.shape[1],
             len(system.rows),
@@ -162,12 +165,16 @@ class JointAware(Described):
         return self._state(self.model.warm, UNKNOWN)
 
     def _state(self, factor: Array, memory: float) -> Array:
-        unseen, size = np.array(np.nan), self.observer.system.size
+        unseen, modes, size = np.array(np.nan), self.model.modes, self.observer.system.size
+        start = np.zeros(size)
+        if memory == KNOWN:
+            start[: modes.start.size] = modes.start
         return ObserverState(
             time=unseen,
             begun=unseen,
             memory=np.array(memory),
-            linear=np.zeros(size),
+            linear=start,
+            loads=modes.factors,
             **self.observer.physics.at_rest()._asdict(),
             covariance_factor=factor,
             watch=sensor_faults.fresh(len(self.observer.system.rows), self.thresholds.faults),
@@ -219,15 +226,19 @@ class JointAware(Described):
         ConvergenceError
             The joint has no equilibrium that is found at these temperatures.
         """
-        readings, probed = self.separated(values)
+        readings, factors, probed = self.separated(values)
         flat = state.copy()
         after = unpacked(flat, self.parts)
         moment = self._moment(float(after.time), time)
+        # A factor that is not read is the one before.
+        now = after.loads[: factors.size]
+        now[:] = np.where(np.isnan(factors), now, factors)
         taken = self._usual(after, moment, readings, probed)
         if taken is None:
-            taken = self._taken(unpacked(state, self.parts), moment, readings, probed)
+            before = unpacked(state, self.parts)
+            taken = self._taken(before, after.loads, moment, readings, probed)
             flat = taken.after.flat()
-        return flat, self._estimate(taken, time, readings)
+        return flat, self._estimate(taken, time, readings, factors)
 
     def _usual(
         self, state: ObserverState, moment: Moment, readings: Array, probed: Array
@@ -246,14 +257,19 @@ class JointAware(Described):
         return Taken(state, displacement, memory, state.covariance_factor, everything, False)
 
     def _taken(
-        self, before: ObserverState, moment: Moment, readings: Array, probed: Array
+        self,
+        before: ObserverState,
+        loads: Array,
+        moment: Moment,
+        readings: Array,
+        probed: Array,
     ) -> Taken:
-        """Process any sample."""
+        """Process any sample, under loads (l,)."""
         expected = self.observer.expected(before, moment.length, moment.steps)
         used = trusted(self.observer, before, expected, moment, readings, self._readable)
         linear, factor = self._corrected(used, moment, readings)
         expected = used.expected
-        settled = self.observer.read(linear, expected.joint, expected.memory)
+        settled = self.observer.read(linear, expected.joint, expected.memory, loads)
         elapsed, memory = moment.length * moment.steps, self.thresholds.probe.memory
         known = displacement_readings.later(before.model_error, elapsed, memory)
         refused = False
@@ -261,12 +277,13 @@ class JointAware(Described):
             correction = self._corrected_by_probe(probed, settled, expected.memory, factor, known)
             linear, factor = linear + correction.state, correction.covariance_factor
             known, refused = correction.known, correction.refused
-            settled = self.observer.read(linear, expected.joint, expected.memory)
+            settled = self.observer.read(linear, expected.joint, expected.memory, loads)
         after = ObserverState(
             time=np.array(moment.time),
             begun=before.begun if moment.steps else np.array(moment.time),
             memory=np.array(self.observer.remembered(expected.memory, factor)),
             linear=linear,
+            loads=loads,
             **settled.joint._asdict(),
             covariance_factor=self.observer.onward(factor),
             watch=used.watch,
@@ -275,7 +292,7 @@ class JointAware(Described):
         )
         return Taken(after, settled.displacement, expected.memory, factor, used.believed, refused)
 
-    def _estimate(self, taken: Taken, time: float, readings: Array) -> Estimate:
+    def _estimate(self, taken: Taken, time: float, readings: Array, factors: Array) -> Estimate:
         """The estimate after a sample."""
         after, factor = taken.after, taken.covariance_factor
         count, dynamic = self.model.modes.rates.size, self.observer.system.decay.size
@@ -283,6 +300,8 @@ class JointAware(Described):
         inputs = after.linear[dynamic:]
         pressure = after.pressure if after.pressure.size else np.array([np.nan])
         missing, distrusted = self._left_out(readings, taken.believed)
+        unread = zip(self.model.loads, np.isnan(factors), strict=True)
+        missing += tuple(name for name, gone in unread if gone)
         status = self._beyond(time - float(after.begun), inputs, readings, taken.believed)
         for holds, flag in (
             (missing, Status.READING_MISSING),
@@ -310,10 +329,10 @@ class JointAware(Described):
         last = np.fmax.reduce(read, initial=float(after.begun))
         return bool(time - last > self.thresholds.lost)
 
-    def separated(self, values: Sequence[float]) -> tuple[Array, Array]:
-        """Return the temperature readings, K, and the displacement readings, m.
+    def separated(self, values: Sequence[float]) -> tuple[Array, Array, Array]:
+        """Return the temperatures, K, the factors of the loads and the displacements, m, as read.
 
-        Offsets are subtracted from the former; missing readings are NaN.
+        Offsets are subtracted from the temperatures; missing readings are NaN.
 
         Parameters
         ----------
@@ -326,17 +345,18 @@ class JointAware(Described):
             The number of values is wrong.
         """
         thermal = len(self.observer.system.rows)
-        if len(values) not in (thermal, len(self.channels)):
-            names = ", ".join(channel.name for channel in self.channels[:thermal])
+        wanted = thermal + len(self.model.loads)
+        if len(values) not in (wanted, len(self.channels)):
+            names = ", ".join(channel.name for channel in self.channels[:wanted])
             raise InputError(
-                f"sample has {len(values)} values, expected {thermal}: {names}; or "
+                f"sample has {len(values)} values, expected {wanted}: {names}; or "
                 f"{len(self.channels)}, with a displacement along {', '.join(self.axes)}"
             )
         given = np.full(len(self.channels), np.nan)
         given[: len(values)] = values
         given[~np.isfinite(given)] = np.nan
         given[: thermal - 1] -= self.model.offset
-        return given[:thermal], given[thermal:]
+        return given[:thermal], given[thermal:wanted], given[wanted:]
 
     def _moment(self, last: float, time: float) -> Moment:
         """Time of a sample relative to the last one (s)."""

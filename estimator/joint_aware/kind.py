@@ -60,16 +60,19 @@ def _resumed(
 def _intake(model: ObserverModel, above_ambient: bool) -> Intake:
     unit = "K" if above_ambient else "degC"
     thermal = [f"{name}_{unit}" for name in (*model.sensors, "ambient")]
-    count = len(thermal)
+    loads = [f"{name}_percent" for name in model.loads]
+    count, wanted = len(thermal), len(thermal) + len(loads)
 
     def convert(readings: Sequence[float], cold: float) -> tuple[list[float], float]:
         # The machine was cold at the first ambient temperature on record.
         if math.isnan(cold):
             cold = 0.0 if above_ambient else readings[count - 1]
         temperatures = [value - cold for value in readings[:count]]
-        return [*temperatures, *(MICRO * value for value in readings[count:])], cold
+        factors = [0.01 * value for value in readings[count:wanted]]
+        return [*temperatures, *factors, *(MICRO * value for value in readings[wanted:])], cold
 
-    return intake([*thermal, *(f"{axis}_um" for axis in model.axes)], count, convert)
+    names = [*thermal, *loads, *(f"{axis}_um" for axis in model.axes)]
+    return intake(names, wanted, convert)
 
 
 def _log(
@@ -78,11 +81,11 @@ def _log(
     where: str,
     on_first: OnFirst | None,
 ) -> Iterator[tuple[float, ...]]:
-    return log_samples(pieces, model.sensors, where)
+    return log_samples(pieces, model.sensors, where, model.loads)
 
 
 def _response(model: ObserverModel, response: xr.Dataset) -> Iterator[tuple[float, ...]]:
-    return samples_in(response, model.sensors)
+    return samples_in(response, model.sensors, model.loads)
 
 
 def _sensors(model: ObserverModel, response: xr.Dataset) -> Sequence[str]:

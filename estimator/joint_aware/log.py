@@ -7,6 +7,8 @@ ignored, missing readings are NaN:
   last column the ambient is constant;
 - time, ``NAME_degC``, ..., ``ambient_degC``, or °F: as thermometers read. The machine was cold at
   the first ambient temperature in the log.
+
+Loads that change have columns ``NAME_percent``, of the load in the case.
 """
 
 from __future__ import annotations
@@ -21,9 +23,9 @@ from thermojoint.artefacts.log import Log
 
 
 def log_samples(
-    pieces: Iterable[Log], sensors: Sequence[str], where: str
+    pieces: Iterable[Log], sensors: Sequence[str], where: str, loads: Sequence[str] = ()
 ) -> Iterator[tuple[float, ...]]:
-    """Yield (time s, temperature of every sensor K, ambient K); NaN for a missing reading.
+    """Yield (time s, temperature of every sensor K, ambient K, loads); NaN for a missing reading.
 
     Parameters
     ----------
@@ -33,11 +35,13 @@ def log_samples(
         Names of the sensors.
     where : str
         Name of the file, for error messages.
+    loads : sequence of str, optional
+        Names of the loads that change.
 
     Raises
     ------
     InputError
-        A sensor has no column, or the clock begins anew.
+        A sensor or a load has no column, or the clock begins anew.
     """
     cold = math.nan
     last = -math.inf
@@ -49,12 +53,13 @@ def log_samples(
         values = piece.values[:, [k for k in at if k >= 0]]
         if at[-1] < 0:
             values = np.column_stack((values, np.zeros(len(values))))
-        for time, row in zip(piece.times.tolist(), values, strict=True):
+        factors = np.array([piece.at(name) for name in loads]).reshape(len(loads), len(values)).T
+        for time, row, others in zip(piece.times.tolist(), values, factors, strict=True):
             if above:
                 cold = 0.0
             elif math.isnan(cold):
                 cold = float(row[-1])
-            yield (time, *(row - cold).tolist())
+            yield (time, *(row - cold).tolist(), *others.tolist())
 
 
 def _columns(log: Log, sensors: Sequence[str], where: str) -> tuple[list[int], bool]:

@@ -20,20 +20,21 @@ import pydantic
 from estimator.joint_aware.filter_design import SteadyFilter
 from estimator.joint_aware.observer_model import SCHEMA, Band, Calibrated, Kind, ObserverModel
 from fesim.case.joint_sections import JointSection
-from fesim.solid.condensation import ElasticCondensation
+from fesim.joint.conductance import ConductanceTable
+from fesim.solid.condensation import ElasticCondensation, LoadInfluence
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import write_bytes
 from thermojoint.reduced.discrepancy import Discrepancy
 from thermojoint.reduced.machine import Joint, Modes
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 #: Reads the kind; other values are refused.
 KIND: pydantic.TypeAdapter[Kind] = pydantic.TypeAdapter(Kind)
 
 #: Parts of the model that consist of arrays: attribute to class, and its arrays.
-_MODES = ("rates", "drive", "jump", "sensors", "film")
+_MODES = ("rates", "drive", "jump", "mean", "sensors", "start", "film", "factors", "tight")
 _ELASTIC = (
     "compliance",
     "thermal_gap",
@@ -42,6 +43,8 @@ _ELASTIC = (
     "reference",
     "area",
 )
+_LOADS = ("gap", "probes")
+_TABLE = ("pressures", "rises", "values")
 _REMAINDER = ("rates", "temperature", "displacement")
 _FILTER = ("cross", "innovation", "noise", "lasting", "scale", "walk")
 _BAND = ("tangent", "steady", "constant", "history", "open", "square")
@@ -133,6 +136,12 @@ def _arrays(model: ObserverModel) -> dict[str, Array]:
     parts: tuple[tuple[str, Any, tuple[str, ...]], ...] = (
         ("modes", model.modes, _MODES),
         ("elastic", model.modes.elastic, _ELASTIC),
+        ("loads", model.modes.loads, _LOADS),
+        *(
+            (f"tables/{k}", joint.table, _TABLE)
+            for k, joint in enumerate(model.joints)
+            if joint.table is not None
+        ),
         ("remainder", model.discrepancy, _REMAINDER),
         ("filter", model.filter, _FILTER),
         ("band", model.band, _BAND),
@@ -146,6 +155,8 @@ def _arrays(model: ObserverModel) -> dict[str, Array]:
     }
     for k, joint in enumerate(model.joints):
         arrays[f"joints/{k}"] = joint.conductivity
+        if joint.opening is not None:
+            arrays[f"openings/{k}"] = joint.opening
     return {name: np.asarray(array, dtype=np.float64) for name, array in arrays.items()}
 
 
@@ -160,6 +171,7 @@ def _header(model: ObserverModel) -> str:
             "sensors": model.sensors,
             "axes": model.axes,
             "sources": model.sources,
+            "loads": model.loads,
             "joints": [joint.section.model_dump(mode="json") for joint in model.joints],
             "calibrated": {
                 "duration_s": known.duration_s,
@@ -176,14 +188,25 @@ def _model(header: dict[str, Any], arrays: Mapping[str, Array]) -> ObserverModel
     def part(name: str, names: tuple[str, ...]) -> dict[str, Array]:
         return {attribute: arrays[f"{name}/{attribute}"] for attribute in names}
 
+    def table(k: int) -> ConductanceTable | None:
+        stored = f"tables/{k}/values" in arrays
+        return ConductanceTable(**part(f"tables/{k}", _TABLE)) if stored else None
+
     known = header["calibrated"]
     return ObserverModel(
         modes=Modes(
-            **part("modes", _MODES), elastic=ElasticCondensation(**part("elastic", _ELASTIC))
+            **part("modes", _MODES),
+            elastic=ElasticCondensation(**part("elastic", _ELASTIC)),
+            loads=LoadInfluence(**part("loads", _LOADS)),
         ),
         held=arrays["held"],
         joints=tuple(
-            Joint(JointSection.model_validate(section), arrays[f"joints/{k}"])
+            Joint(
+                JointSection.model_validate(section),
+                arrays[f"joints/{k}"],
+                arrays.get(f"openings/{k}"),
+                table(k),
+            )
             for k, section in enumerate(header["joints"])
         ),
         discrepancy=Discrepancy(**part("remainder", _REMAINDER)),
@@ -196,6 +219,7 @@ def _model(header: dict[str, Any], arrays: Mapping[str, Array]) -> ObserverModel
         sensors=tuple(header["sensors"]),
         axes=tuple(header["axes"]),
         sources=tuple(header["sources"]),
+        loads=tuple(header["loads"]),
         calibrated=Calibrated(
             known["duration_s"],
             known["heat"],

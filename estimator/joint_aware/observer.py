@@ -94,7 +94,7 @@ class Observer:
         for k in range(steps):
             linear = self._later(linear, joint, length)
             if k + 1 < steps:
-                joint, _ = self._settled(joint, linear, memory)
+                joint, _ = self._settled(joint, linear, memory, before.loads)
                 factor = self._forgetting(factor, length)
         return Expected(linear, joint, factor, memory)
 
@@ -107,7 +107,7 @@ class Observer:
         relaxed = linear[count:dynamic].reshape(sources, -1)
         heat = inputs[:sources] / self.model.power
         after = np.empty_like(linear)
-        after[:count] = conduct(self.physics, linear[:count], inputs, joint.pressure, length)
+        after[:count] = conduct(self.physics, linear[:count], inputs, joint, length)
         after[count:dynamic] = (decay * relaxed + (1.0 - decay) * heat[:, None]).ravel()
         after[dynamic:] = inputs
         return after
@@ -152,15 +152,17 @@ class Observer:
         known = np.all(moved <= least * self.model.band.steady)
         return np.zeros_like(after) if seen.max() <= least and known else after
 
-    def _settled(self, joint: JointState, linear: Array, memory: float) -> tuple[JointState, Array]:
+    def _settled(
+        self, joint: JointState, linear: Array, memory: float, loads: Array
+    ) -> tuple[JointState, Array]:
         """The joint and the displacement at the present temperatures.
 
         As long as the temperatures are uncertain, the joint is loaded from rest each time: a path
         through temperatures that never occurred would leave slips that never occurred.
         """
         if memory == UNKNOWN:
-            joint = joint._replace(slip=np.zeros_like(joint.slip))
-        return settle_joint(self.physics, joint, linear[: self.model.modes.rates.size])
+            joint = joint._replace(slip=self.physics.rest.slip)
+        return settle_joint(self.physics, joint, linear[: self.model.modes.rates.size], loads)
 
     def remembered(self, memory: float, factor: Array) -> float:
         """Knowledge of the slips after a sample."""
@@ -168,10 +170,10 @@ class Observer:
         known = uncertain.max() <= self.thresholds.followable**2
         return FOLLOWED if memory == UNKNOWN and known else memory
 
-    def read(self, linear: Array, joint: JointState, memory: float) -> Settled:
+    def read(self, linear: Array, joint: JointState, memory: float, loads: Array) -> Settled:
         """The joint in equilibrium at the corrected temperatures, and the displacement."""
         count = self.model.modes.rates.size
-        joint, moved = self._settled(joint, linear, memory)
+        joint, moved = self._settled(joint, linear, memory, loads)
         relaxed = linear[count : self.system.decay.size]
         return Settled(joint, relaxed, moved + self.model.discrepancy.displacement @ relaxed)
 

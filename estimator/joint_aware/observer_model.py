@@ -91,8 +91,8 @@ class ObserverModel(Described):
         Longest step, s; that of the filter.
     offset : ndarray, shape (p,)
         Offset of every sensor, K.
-    sensors, axes, sources : tuple of str
-        Names.
+    sensors, axes, sources, loads : tuple of str
+        Names; of the loads, those whose factors are read.
     calibrated : Calibrated
         Range of the calibration.
     factors : dict of str to (float, float)
@@ -115,6 +115,7 @@ class ObserverModel(Described):
     sensors: tuple[str, ...]
     axes: tuple[str, ...]
     sources: tuple[str, ...]
+    loads: tuple[str, ...]
     calibrated: Calibrated
     factors: dict[str, tuple[float, float]] = field(default_factory=dict)
 

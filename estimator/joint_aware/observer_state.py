@@ -33,6 +33,8 @@ class ObserverState(NamedTuple):
         Knowledge of the joint's slips: `KNOWN`, `UNKNOWN` or `FOLLOWED`.
     linear : ndarray, shape (n,)
         Amplitudes, relaxations, heat of the sources (W), ambient (K): `filter_design`.
+    loads : ndarray, shape (l,)
+        Factors of the loads: the last that were read, and those that are constant.
     gap, slip, pressure, change : ndarray
         Of the joint: `physics.JointState`.
     covariance_factor : ndarray, shape (n, k)
@@ -49,6 +51,7 @@ class ObserverState(NamedTuple):
     begun: Array
     memory: Array
     linear: Array
+    loads: Array
     gap: Array
     slip: Array
     pressure: Array
@@ -101,7 +104,9 @@ def placed(shapes: Mapping[str, tuple[int, ...]]) -> Layout:
     return Layout(tuple(zip(shapes, places, shapes.values(), strict=True)))
 
 
-def layout(states: int, contacts: int, columns: int, channels: int, axes: int) -> Layout:
+def layout(
+    states: int, loads: int, contacts: int, columns: int, channels: int, axes: int
+) -> Layout:
     """Return the layout of an observer's state."""
     return placed(
         {
@@ -109,6 +114,7 @@ def layout(states: int, contacts: int, columns: int, channels: int, axes: int) -
             "begun": (),
             "memory": (),
             "linear": (states,),
+            "loads": (loads,),
             "gap": (3, contacts),
             "slip": (2, contacts),
             "pressure": (contacts,),

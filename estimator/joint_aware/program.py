@@ -94,6 +94,12 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             "export: the machine has no joint, or one whose law is not a surface or Back-Burdekin "
             "with a power law of the conductance; run it with 'thermojoint estimate'"
         )
+    modes, rest = estimator.model.modes, estimator.observer.physics.rest
+    if modes.factors.size or modes.start.any() or rest.gap.any():
+        raise InputError(
+            "export: the machine has loads, bolts, initial temperatures or a joint without preload;"
+            " run it with 'thermojoint estimate'"
+        )
     tolerance = kernel.tolerance
     if precision is Precision.SINGLE:
         tolerance = max(tolerance, SINGLE_TOLERANCE)

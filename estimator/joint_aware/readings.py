@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import columns_of
 
 
@@ -18,14 +19,32 @@ def ambient_in(response: xr.Dataset) -> Array:
     return np.zeros(response.sizes["time"])
 
 
-def samples_in(response: xr.Dataset, sensors: Sequence[str]) -> Iterator[tuple[float, ...]]:
-    """Yield (time, temperature of every sensor, ambient) for every sample of a response.
+def loads_in(response: xr.Dataset, loads: Sequence[str]) -> Array:
+    """Return the factors of some loads, shape (n, v).
 
     Raises
     ------
     InputError
-        A probe is missing.
+        A load is missing.
     """
-    values = np.column_stack([columns_of(response, "temperature", sensors), ambient_in(response)])
+    if not loads:
+        return np.zeros((response.sizes["time"], 0))
+    if "load_factor" not in response:
+        raise InputError(f"response: no 'load_factor', needed for {', '.join(loads)}; record it")
+    return columns_of(response, "load_factor", loads)
+
+
+def samples_in(
+    response: xr.Dataset, sensors: Sequence[str], loads: Sequence[str] = ()
+) -> Iterator[tuple[float, ...]]:
+    """Yield (time, temperature of every sensor, ambient, loads) for every sample of a response.
+
+    Raises
+    ------
+    InputError
+        A probe or a load is missing.
+    """
+    sensed = columns_of(response, "temperature", sensors)
+    values = np.column_stack([sensed, ambient_in(response), loads_in(response, loads)])
     for time, row in zip(response["time"].to_numpy(), values, strict=True):
         yield (float(time), *map(float, row))

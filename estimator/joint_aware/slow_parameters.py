@@ -85,7 +85,7 @@ def check_ageing(model: ObserverModel, names: Sequence[str]) -> None:
         raise InputError("ageing: no parameter, or one twice; name each once")
     frictions = [joint.section.friction_coefficient for joint in model.joints]
     absent = {
-        "preload": not model.joints,
+        "preload": not any(joint.section.preload_MPa for joint in model.joints),
         "friction": not any(frictions),
         "film": not model.modes.film.any(),
     }

@@ -10,8 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fesim.march.contact import ContactProblem
 from fesim.march.machine import Assembly, CondensedMachine
-from fesim.march.settling import initial_state, settle_along
+from fesim.march.settling import first_equilibrium, settle_along
 from fesim.solid.bolts import BoltSprings, fastened
 from fesim.solid.outputs import MechanicalOutputs
 from thermojoint.artefacts.arrays import Array
@@ -57,29 +58,46 @@ def tightened(
     ConvergenceError
         Joints and supports find no equilibrium under these forces.
     """
-    loads, elastic = loose.contact.loads, loose.contact.elastic
+    contact, assembly, force = tightened_contact(loose.contact, springs, forces)
+    machine = replace(loose, contact=contact, assembly=assembly)
+    return machine, Bolts(names, loose, springs, force)
+
+
+def tightened_contact(
+    loose: ContactProblem, springs: BoltSprings, forces: Array
+) -> tuple[ContactProblem, Assembly, MechanicalOutputs]:
+    """Tighten the bolts of a contact problem; return it with bolts, its start, their forces.
+
+    Parameters
+    ----------
+    loose : ContactProblem
+        Its loads are those of `fesim.solid.bolts.fastened`.
+    springs, forces
+        As for `tightened`.
+
+    Raises
+    ------
+    ConvergenceError
+        As `tightened`.
+    """
+    loads, elastic = loose.loads, loose.elastic
     assert loads is not None
     given = loads.gap.shape[1] - len(forces)
-    contact = replace(loose.contact, loads=None)
-    free = replace(loose, contact=contact, start=None)
+    free = replace(loose, loads=None)
     try:
-        settled, _ = settle_along(contact, initial_state(free), loads.gap[:, given:] @ forces)
+        rest = first_equilibrium(free)
+        settled, _ = settle_along(free, rest, loads.gap[:, given:] @ forces)
     except ConvergenceError as error:
         raise ConvergenceError(f"tightening the bolts: {error}") from error
     remainder = settled.traction.value.ravel() + elastic.reference * settled.gap.ravel()
     start = elastic.probe_compliance @ (elastic.area * remainder)
     start = start + loads.probes[:, given:] @ forces
     bolted, influence, force = fastened(elastic, loads, springs, start)
-    factors = np.concatenate([np.zeros(given), forces, [1.0]])
-    machine = replace(
-        loose,
-        contact=replace(loose.contact, elastic=bolted, loads=influence),
-        assembly=Assembly(
-            gap=settled.gap,
-            slip=settled.traction.slip,
-            pressure=contact.preload + settled.traction.value[0],
-            remainder=remainder,
-            factors=factors,
-        ),
+    assembly = Assembly(
+        gap=settled.gap,
+        slip=settled.traction.slip,
+        pressure=loose.preload + settled.traction.value[0],
+        remainder=remainder,
+        factors=np.concatenate([np.zeros(given), forces, [1.0]]),
     )
-    return machine, Bolts(names, loose, springs, force)
+    return replace(loose, elastic=bolted, loads=influence), assembly, force

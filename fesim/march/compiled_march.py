@@ -20,6 +20,7 @@ from fesim.march.compiled_step import (
     JointKernel,
     JointState,
     JointWork,
+    add_loads,
     conduct,
     drive,
     gap_kernel,
@@ -153,8 +154,7 @@ def march_steps(
         np.dot(heat.influence, flow, drawn)
         amplitudes -= drawn
         np.dot(joint.gap, amplitudes, free_gap)
-        for i in range(joint.loaded.shape[1]):
-            free_gap += inputs[k, thermal + i] * joint.loaded_gap[:, i]
+        add_loads(joint.loaded_gap, inputs[k, thermal:], free_gap)
         solved, residual, iterations = _settle(joint, kept, now.joint)
         if not solved:
             return k, SNAPS
@@ -164,8 +164,7 @@ def march_steps(
         np.dot(joint.free, amplitudes, displacement)
         np.dot(joint.moved, record.remainder[k], kept.work.moved)
         displacement += kept.work.moved
-        for i in range(joint.loaded.shape[1]):
-            displacement += inputs[k, thermal + i] * joint.loaded[:, i]
+        add_loads(joint.loaded, inputs[k, thermal:], displacement)
         _note(record, k, now, kept, Solved(conducted, flow, residual, iterations))
         tangent = kept.work.trial.tangent
         if not surely_held(machine.watched, kept.check, now.joint.pressure, tangent):

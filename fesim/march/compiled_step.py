@@ -224,15 +224,29 @@ def gap_kernel(joint: JointKernel) -> GapKernel:
 
 
 @compiled
+def add_loads(influence: Array, loads: Array, total: Array) -> None:
+    """Add what loads (l,) do by their influence (n, l) to a total (n,), in place."""
+    for k in range(total.size):
+        for i in range(loads.size):
+            total[k] += influence[k, i] * loads[i]
+
+
+@compiled
 def settle_step(
-    joint: JointKernel, work: JointWork, amplitudes: Array, now: JointState, displacement: Array
+    joint: JointKernel,
+    work: JointWork,
+    amplitudes: Array,
+    loads: Array,
+    now: JointState,
+    displacement: Array,
 ) -> int:
-    """Settle the joint and read the displacement (axes,), in place.
+    """Settle the joint under loads (l,) and read the displacement (axes,), in place.
 
     Returns 0, or anything else if no equilibrium was near: then the joint is as it was.
     """
     np.add(now.gap, now.change, work.trial.gap)
     np.dot(joint.gap, amplitudes, work.free_gap)
+    add_loads(joint.loaded_gap, loads, work.free_gap)
     solved, _, _ = settle_by_newton(joint, work.free_gap, now, work.trial, work.newton)
     if not solved:
         return 1
@@ -240,6 +254,7 @@ def settle_step(
     np.dot(joint.free, amplitudes, displacement)
     np.dot(joint.moved, work.remainder, work.moved)
     displacement += work.moved
+    add_loads(joint.loaded, loads, displacement)
     return 0
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -36,6 +36,47 @@ class JointState(Protocol):
         ...
 
 
+class Rest(NamedTuple):
+    """Joints before the first step; attributes as in `State`."""
+
+    gap: Array
+    slip: Array
+    pressure: Array
+    change: Array
+
+
+def first_equilibrium(
+    contact: ContactProblem, tight: Rest | None = None, thermal_gap: Array | None = None
+) -> Rest:
+    """Return joints at their preload, or `tight` under bolts, then under what acts at time zero.
+
+    Parameters
+    ----------
+    contact : ContactProblem
+        Whose joints they are.
+    tight : Rest, optional
+        After the bolts have been tightened.
+    thermal_gap : ndarray, shape (3 m,), optional
+        What heat and loads open before the first step, m; default none.
+
+    Raises
+    ------
+    ConvergenceError
+        There is no equilibrium.
+    """
+    count = contact.count
+    still = np.zeros((3, count))
+    rest = tight or Rest(still, np.zeros((2, count)), contact.preload.copy(), still)
+    if thermal_gap is None:
+        # A joint without preload is at rest by itself only where it is open.
+        if tight is not None or contact.preload.all():
+            return rest
+        thermal_gap = np.zeros(3 * count)
+    settled, _ = settle_along(contact, rest, thermal_gap)
+    pressure = contact.preload + settled.traction.value[0]
+    return Rest(settled.gap, settled.traction.slip, pressure, still)
+
+
 def initial_state(machine: CondensedMachine, inputs: Array | None = None) -> State:
     """Start with every joint at its preload, then under the loads and temperatures of time zero.
 
@@ -56,31 +97,26 @@ def initial_state(machine: CondensedMachine, inputs: Array | None = None) -> Sta
     ConvergenceError
         There is no equilibrium.
     """
-    count, start = machine.contact.count, machine.start
+    count, start, tight = machine.contact.count, machine.start, machine.assembly
     inputs = undriven(machine) if inputs is None else inputs
     ambient = np.zeros(machine.thermal.inputs.shape[0])
-    state = State(
+    temperature = ambient if start is None else start.temperature(inputs)
+    opened = None
+    if tight is not None or machine.contact.loads is not None or start is not None:
+        grown = machine.contact.elastic.thermal_gap @ machine.strained(temperature)
+        opened = loaded_gap(machine, grown, inputs)
+    bolted = None
+    if tight is not None:
+        bolted = Rest(tight.gap, tight.slip, tight.pressure, np.zeros((3, count)))
+    return State(
         index=0,
-        temperature=ambient if start is None else start.temperature(inputs),
-        gap=np.zeros((3, count)),
-        slip=np.zeros((2, count)),
-        pressure=machine.contact.preload.copy(),
-        change=np.zeros((3, count)),
+        temperature=temperature,
+        **first_equilibrium(machine.contact, bolted, opened)._asdict(),
         model=machine.thermal.model,
         frozen=np.zeros((7, count)),
         turning=np.zeros((2, count)),
         taken_over=False,
     )
-    if machine.assembly is not None:
-        tight = machine.assembly
-        state = replace(state, gap=tight.gap, slip=tight.slip, pressure=tight.pressure)
-    elif machine.contact.preload.all() and machine.contact.loads is None and start is None:
-        return state
-    # A joint without preload is at rest by itself only where it is open.
-    grown = machine.contact.elastic.thermal_gap @ machine.strained(state.temperature)
-    settled, _ = settle_along(machine.contact, state, loaded_gap(machine, grown, inputs))
-    pressure = machine.contact.preload + settled.traction.value[0]
-    return replace(state, gap=settled.gap, slip=settled.traction.slip, pressure=pressure)
 
 
 def at_rest(machine: CondensedMachine, inputs: Array | None = None) -> Step:

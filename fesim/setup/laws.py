@@ -46,14 +46,14 @@ def joint_laws(
     """Return the law of each joint and how many contact elements it has."""
     return [
         (
-            joint_law(_as_walled(case, case.joints[joint.name]), structure, materials, joint),
+            joint_law(as_walled(case, case.joints[joint.name]), structure, materials, joint),
             len(joint.area),
         )
         for joint in joints
     ]
 
 
-def _as_walled(case: Case, section: JointSection) -> JointSection:
+def as_walled(case: Case, section: JointSection) -> JointSection:
     """Return a joint's section; against a wall that has no temperature it passes no heat."""
     adiabatic = set(case.walls) - set(case.held_temperatures)
     if adiabatic.isdisjoint({section.side_a, section.side_b}):
@@ -69,7 +69,13 @@ def joint_law(
 ) -> JointLaw:
     """Law of one joint; its harmonic conductivity comes from the bodies on the two sides."""
     conductivity = joint_conductivity(structure, materials, joint)
-    return law_of(section, conductivity, initial_opening(section, joint))
+    return law_of(section, conductivity, initial_opening(section, joint), table_of(section))
+
+
+def table_of(section: JointSection) -> ConductanceTable | None:
+    """Return the table of conductances that a joint names; None if it has another law."""
+    path = section.conductance.file
+    return None if path is None else read_conductance_table(path)
 
 
 def joint_conductivity(
@@ -111,6 +117,7 @@ def law_of(
     section: JointSection,
     conductivity: NDArray[np.float64],
     opening: NDArray[np.float64] | None = None,
+    table: ConductanceTable | None = None,
 ) -> JointLaw:
     """Law of a joint.
 
@@ -122,11 +129,8 @@ def law_of(
         Harmonic conductivity at its contact elements, W/(m K).
     opening : ndarray, shape (m,), optional
         `initial_opening`, of a joint without preload.
-
-    Raises
-    ------
-    InputError
-        Its table of conductances is missing or invalid.
+    table : ConductanceTable, optional
+        `table_of`, of a joint that has one.
     """
     closed = _closed_law(section)
     stiffness = -float(closed.slope(np.zeros(1))[0])
@@ -136,7 +140,7 @@ def law_of(
     return JointLaw(
         closed if opening is None else OpenLaw(closed, opening),
         friction,
-        _conductance(section, conductivity),
+        table or _conductance(section, conductivity),
         reference=None if opening is None else closed,
         gap=None if section.gap is None else _gap(section, section.gap, closed, opening),
     )
@@ -159,8 +163,6 @@ def _conductance(
     roughness, hardness = 1e-6 * section.roughness_um, 1e9 * section.hardness_GPa
     if chosen.law in ("fixed", "none"):
         return FixedConductance(chosen.value_W_m2K or 0.0)
-    if chosen.file is not None:
-        return read_conductance_table(chosen.file)
     if chosen.law == "cmy-exact":
         return exact_conductance(slope, roughness, conductivity, hardness)
     constant, exponent = CONDUCTANCE_CONSTANTS.get(

@@ -24,7 +24,6 @@ from meshes.exchange import read_structure, write_structure
 from meshes.pairing import outward_areas, pair_joint
 from meshes.wall import face_of, with_wall
 from thermojoint.artefacts.errors import InputError
-from thermojoint.reduced.machine import check_joints
 
 ROD = ROOT / "examples" / "bistable_rod"
 SURFACE = {"along": 1, "across": 1}
@@ -290,26 +289,6 @@ def test_the_history_of_the_wall_decides_where_the_rod_settles(states, wall, whi
     assert response["opening"][-1].item() == pytest.approx(opening, rel=1e-9)
     assert response["pressure"][-1].item() == pytest.approx(pressure, rel=1e-6)
     assert np.abs(response["heat_balance"]).max().item() < 1e-9
-
-
-def test_the_estimator_refuses_what_it_does_not_know():
-    with pytest.raises(InputError, match="joint-aware: knows no rigid walls"):
-        check_joints(case_from_data(_example(), "rod", ROD))
-
-
-@pytest.mark.parametrize(
-    ("joint", "message"),
-    [
-        (OPEN, "a joint without preload"),
-        (CLOSED | {"gap": {"gas_conductivity_W_mK": 0.03}}, "a conducting gap"),
-        (CLOSED | {"conductance": {"law": "fixed", "value_W_m2K": 1.0}}, 'law = "fixed"'),
-    ],
-)
-def test_the_estimator_names_a_joint_that_it_does_not_know(joint, message):
-    data = _bars()
-    data["joints"]["joint"] = joint
-    with pytest.raises(InputError, match=f"joint-aware: joints.joint has .*{message}"):
-        check_joints(case_from_data(data, "bars", ROD))
 
 
 # --- walls ---------------------------------------------------------------------------------------

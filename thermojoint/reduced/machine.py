@@ -14,17 +14,26 @@ import numpy as np
 
 from fesim.case.joint_sections import JointSection
 from fesim.case.schema import Case
+from fesim.joint.conductance import ConductanceTable
 from fesim.joint.law import JointLaw
-from fesim.setup.laws import joint_conductivity, law_of
-from fesim.setup.loads import heat_sources, source_power
+from fesim.march.assembly import tightened_contact
+from fesim.march.contact import ContactProblem, Laws
+from fesim.march.settling import Rest, first_equilibrium
+from fesim.setup.bolts import first_forces
+from fesim.setup.laws import as_walled, initial_opening, joint_conductivity, law_of, table_of
+from fesim.setup.loads import heat_sources, march_inputs, source_power
 from fesim.setup.machine import Setup
 from fesim.setup.structure import body_materials
-from fesim.solid.condensation import ElasticCondensation
+from fesim.solid.bolts import BoltSprings
+from fesim.solid.condensation import ElasticCondensation, LoadInfluence
 from fesim.solid.elasticity import DIRECTIONS
 from fesim.solid.heat import ThermalLoads, heat_operators
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.reduced.films import Film, films_of
+
+#: A mode is for itself if its rate and what drives it are less than this part of the largest.
+ALONE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,15 +46,48 @@ class Joint:
         As the case has it.
     conductivity : ndarray, shape (m,)
         k_h of Eq. 11 at its contact elements, W/(m K).
+    opening : ndarray, shape (m,), optional
+        At the start, m, of a joint without preload.
+    table : ConductanceTable, optional
+        Of a joint whose conductance is measured.
     """
 
     section: JointSection
     conductivity: Array
+    opening: Array | None = None
+    table: ConductanceTable | None = None
+
+    @property
+    def conducts(self) -> bool:
+        """Whether any heat passes."""
+        return self.section.conductance.law != "none" or self.section.gap is not None
 
     @property
     def law(self) -> JointLaw:
-        """Its text."""
-        return law_of(self.section, self.conductivity)
+        """Its law."""
+        return law_of(self.section, self.conductivity, self.opening, self.table)
+
+
+@dataclass(frozen=True, eq=False)
+class Acting:
+    """What acts on a machine besides heat: l mechanical loads and b bolts.
+
+    Attributes
+    ----------
+    influence : LoadInfluence
+        Of the loads at factor one, then of each bolt per N; its last b probes are the bolts' ends.
+    factors : ndarray, shape (l + b,)
+        Of the loads at time zero, and the forces of the bolts after tightening, N.
+    springs : BoltSprings
+        Of the bolts, on the modes.
+    names : tuple of str
+        Loads whose factors are inputs: the first ones. The others are constant.
+    """
+
+    influence: LoadInfluence
+    factors: Array
+    springs: BoltSprings
+    names: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,12 +102,14 @@ class ReducedMachine:
         V^T P, per W of each source.
     ambient : ndarray, shape (r,)
         V^T h, W/K.
-    jump : ndarray, shape (m, r)
-        Temperature jump at every contact element, K.
+    jump, mean : ndarray, shape (m, r)
+        Temperature jump at every contact element, and the mean of its sides, K.
     sensors : ndarray, shape (p, r)
         Temperature at every sensor, K.
+    start : ndarray, shape (r,)
+        Amplitudes at time zero.
     elastic : ElasticCondensation
-        Gaps and displacement on the modes.
+        Gaps and displacement on the modes; before the bolts are tightened, with their ends behind.
     joints : tuple of Joint
         In the order of the contact elements.
     sensor_names, axes, source_names : tuple of str
@@ -76,6 +120,8 @@ class ReducedMachine:
         Longest time step, s.
     films : tuple of Film
         Convection of single surfaces: what of `convection` and `ambient` is theirs, or could be.
+    acting : Acting, optional
+        Loads and bolts.
     """
 
     capacity: Array
@@ -84,7 +130,9 @@ class ReducedMachine:
     sources: Array
     ambient: Array
     jump: Array
+    mean: Array
     sensors: Array
+    start: Array
     elastic: ElasticCondensation
     joints: tuple[Joint, ...]
     sensor_names: tuple[str, ...]
@@ -93,6 +141,12 @@ class ReducedMachine:
     power: Array
     step: float
     films: tuple[Film, ...] = ()
+    acting: Acting | None = None
+
+    @property
+    def load_names(self) -> tuple[str, ...]:
+        """Loads whose factors are inputs."""
+        return () if self.acting is None else self.acting.names
 
     @property
     def laws(self) -> list[tuple[JointLaw, int]]:
@@ -101,34 +155,57 @@ class ReducedMachine:
 
     @cached_property
     def at_preload(self) -> Array:
-        """Conductance times area of every contact element at its preload, W/K."""
-        parts = [law.conductance(np.full(count, law.preload)) for law, count in self.laws]
-        return np.concatenate([np.empty(0), *parts]) * self.elastic.area[: len(self.jump)]
+        """Conductance times area of every contact element before the first step, W/K."""
+        modes = on_basis(self, np.zeros(len(self.start)), np.eye(len(self.start)))
+        rest = rest_of(contact_of(modes, self.laws), modes)
+        return conducted(self.laws, modes.elastic.area, rest, modes.mean @ modes.start)
 
 
-def check_joints(case: Case) -> None:
-    """Raise InputError if a joint of the case is none that the estimator marches."""
-    if case.loads:
-        raise InputError("joint-aware: knows no mechanical loads; leave [loads] out")
-    if case.bolts:
-        raise InputError("joint-aware: knows no bolts; leave [bolts] out, and give a preload_MPa")
-    if case.initial_temperature:
-        raise InputError("joint-aware: starts at the ambient; leave [initial_temperature] out")
-    if case.walls:
-        raise InputError("joint-aware: knows no rigid walls; model [walls] as bodies, or leave out")
-    for name, joint in case.joints.items():
-        what = {
-            "a joint without preload": joint.preload_MPa == 0.0,
-            "a conducting gap": joint.gap is not None,
-            f'conductance.law = "{joint.conductance.law}"': joint.conductance.law
-            in ("fixed", "table", "none"),
-        }
-        for section, present in what.items():
-            if present:
-                raise InputError(
-                    f"joint-aware: joints.{name} has {section}, which the estimator does not know; "
-                    "estimate this machine by another method"
-                )
+def conducted(laws: Laws, area: Array, joint: Rest, rise: Array) -> Array:
+    """Return conductance times area of every contact element, W/K, shape (m,).
+
+    Parameters
+    ----------
+    laws : sequence of (JointLaw, int)
+        The law of each joint and its number of contact elements.
+    area : ndarray, shape (m or more,)
+        m2.
+    joint : Rest
+        With the pressures and the gaps; a `JointState` is one.
+    rise : ndarray, shape (m,)
+        Mean temperature of both sides, K.
+    """
+    parts, start = [np.empty(0)], 0
+    for law, count in laws:
+        at = slice(start, start + count)
+        parts.append(law.conducts(joint.pressure[at], joint.gap[0, at], rise[at]) * area[at])
+        start += count
+    return np.concatenate(parts)
+
+
+def _acting(case: Case, setup: Setup) -> Acting | None:
+    """Loads and bolts of a case, before the bolts are tightened."""
+    loose = setup.machine if setup.bolts is None else setup.bolts.loose
+    influence, count = loose.contact.loads, len(case.loads)
+    if influence is None:
+        return None
+    for name, bolt in case.bolts.items():
+        if bolt.file is not None:
+            raise InputError(
+                f"joint-aware: bolts.{name}: its force changes with time; leave its file out"
+            )
+    varying = [load.file is not None for load in case.loads.values()]
+    bolts = range(count, influence.gap.shape[1])
+    order = [*np.argsort(~np.array(varying, dtype=bool), kind="stable"), *bolts]
+    forces = march_inputs(case).forces[:count]
+    first = np.array([history(np.zeros(1))[0] for history in forces])
+    springs = BoltSprings(np.zeros(0), np.zeros((0, loose.thermal.jump.shape[1])))
+    return Acting(
+        LoadInfluence(influence.gap[:, order], influence.probes[:, order]),
+        np.concatenate([first, first_forces(case)])[order],
+        springs if setup.bolts is None else setup.bolts.springs,
+        tuple(name for name, load in case.loads.items() if load.file is not None),
+    )
 
 
 def reduce_machine(case: Case, setup: Setup, sensors: Sequence[str]) -> ReducedMachine:
@@ -152,7 +229,6 @@ def reduce_machine(case: Case, setup: Setup, sensors: Sequence[str]) -> ReducedM
         raise InputError(
             "joint-aware: held temperatures are not in its state; model them as sources"
         )
-    check_joints(case)
     if not case.sources:
         raise InputError("joint-aware: the case has no source whose heat could be estimated")
     if setup.modes is None:
@@ -167,7 +243,11 @@ def reduce_machine(case: Case, setup: Setup, sensors: Sequence[str]) -> ReducedM
     )
     basis = setup.modes.basis
     rows = [list(setup.probes).index(name) for name in sensors]
-    count = len(case.sources)
+    joints = tuple(_joint(case, setup, at) for at in range(len(setup.joints)))
+    passes = [float(joint.conducts) for joint in joints]
+    each = np.repeat(passes, [joint.conductivity.size for joint in joints])
+    count, ready = len(case.sources), setup.machine
+    loose = ready if setup.bolts is None else setup.bolts.loose
     driven = basis.T @ heat.inputs
     return ReducedMachine(
         capacity=np.eye(basis.shape[1]),
@@ -175,32 +255,43 @@ def reduce_machine(case: Case, setup: Setup, sensors: Sequence[str]) -> ReducedM
         convection=basis.T @ (heat.convection @ basis),
         sources=driven[:, :count],
         ambient=driven[:, count],
-        jump=np.asarray(setup.machine.thermal.jump),
+        jump=each[:, None] * np.asarray(ready.thermal.jump),
+        mean=np.asarray(ready.thermal.mean),
         sensors=np.asarray(setup.probe_rows)[rows],
-        elastic=setup.machine.contact.elastic,
-        joints=tuple(
-            Joint(case.joints[joint.name], joint_conductivity(setup.structure, materials, joint))
-            for joint in setup.joints
-        ),
+        start=np.zeros(basis.shape[1]) if ready.start is None else ready.start.free,
+        elastic=loose.contact.elastic,
+        joints=joints,
         sensor_names=tuple(sensors),
         axes=DIRECTIONS,
         source_names=tuple(case.sources),
         power=np.array([source_power(source) for source in case.sources.values()]),
         step=case.march.step_s,
         films=films_of(case, setup),
+        acting=_acting(case, setup),
     )
+
+
+def _joint(case: Case, setup: Setup, at: int) -> Joint:
+    paired = setup.joints[at]
+    section = as_walled(case, case.joints[paired.name])
+    conductivity = joint_conductivity(setup.structure, setup.materials, paired)
+    return Joint(section, conductivity, initial_opening(section, paired), table_of(section))
 
 
 def along(machine: ReducedMachine, axes: Sequence[str]) -> ReducedMachine:
     """Return the machine with the displacement along some of its axes only."""
-    rows = [machine.axes.index(axis) for axis in axes]
-    elastic = machine.elastic
+    elastic, acting = machine.elastic, machine.acting
+    ends = range(len(machine.axes), len(elastic.probe_thermal))
+    rows = [*(machine.axes.index(axis) for axis in axes), *ends]
     kept = replace(
         elastic,
         probe_compliance=elastic.probe_compliance[rows],
         probe_thermal=elastic.probe_thermal[rows],
     )
-    return replace(machine, elastic=kept, axes=tuple(axes))
+    if acting is not None:
+        probes = acting.influence.probes[rows]
+        acting = replace(acting, influence=replace(acting.influence, probes=probes))
+    return replace(machine, elastic=kept, acting=acting, axes=tuple(axes))
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,22 +304,58 @@ class Modes:
         1/s.
     drive : ndarray, shape (r, s + 1)
         Per W of each source, then per K of the ambient.
-    jump : ndarray, shape (m, r)
-        As in `ReducedMachine`.
-    sensors : ndarray, shape (p, r)
+    jump, mean, sensors, start : ndarray
         As in `ReducedMachine`.
     elastic : ElasticCondensation
-        On these modes.
+        On these modes; bolts are part of it.
     film : ndarray, shape (r, r)
         The part of the rates, a full matrix, that is convection, 1/s.
+    loads : LoadInfluence
+        Of l factors on gaps and displacement: loads, forces of the bolts, and what bolts count
+        from (`fesim.solid.bolts.fastened`).
+    factors : ndarray, shape (l,)
+        At time zero.
+    tight : ndarray, shape (6, m)
+        Gap (m), slip (m) and pressure (Pa) of the joints after the bolts have been tightened; zero
+        without bolts.
     """
 
     rates: Array
     drive: Array
     jump: Array
+    mean: Array
     sensors: Array
+    start: Array
     elastic: ElasticCondensation
     film: Array
+    loads: LoadInfluence
+    factors: Array
+    tight: Array
+
+    def factors_with(self, given: Array) -> Array:
+        """Return the factors (l,) with others for the first ones."""
+        return np.concatenate([given, self.factors[given.size :]])
+
+
+def contact_of(modes: Modes, laws: Laws) -> ContactProblem:
+    """Return the joints of a machine."""
+    return ContactProblem(modes.elastic, laws, loads=modes.loads if modes.factors.size else None)
+
+
+def rest_of(contact: ContactProblem, modes: Modes) -> Rest:
+    """Return the joints before the first step: tightened, at the first temperatures, under loads.
+
+    Raises
+    ------
+    ConvergenceError
+        There is no equilibrium.
+    """
+    gap, slip, pressure = modes.tight[:3], modes.tight[3:5], modes.tight[5]
+    tight = Rest(gap, slip, pressure, np.zeros_like(gap)) if modes.tight.any() else None
+    opened = None
+    if tight is not None or modes.factors.size or modes.start.any():
+        opened = modes.elastic.thermal_gap @ modes.start + modes.loads.gap @ modes.factors
+    return first_equilibrium(contact, tight, opened)
 
 
 def diagonal_modes(machine: ReducedMachine, held: Array | None = None) -> Modes:
@@ -246,7 +373,7 @@ def diagonal_modes(machine: ReducedMachine, held: Array | None = None) -> Modes:
 
 
 def diagonal_basis(machine: ReducedMachine, held: Array | None = None) -> tuple[Array, Array]:
-    """Return the rates (r,), 1/s, and the basis (r, r) that `diagonal_modes` turns to."""
+    """Return the rates (k,), 1/s, and the basis (r, k) that `diagonal_modes` turns to."""
     conduction = machine.conduction + machine.convection
     if held is not None:
         conduction = conduction + machine.jump.T @ (held[:, None] * machine.jump)
@@ -254,21 +381,64 @@ def diagonal_basis(machine: ReducedMachine, held: Array | None = None) -> tuple[
     root = np.linalg.inv(np.linalg.cholesky(machine.capacity))
     system = root @ conduction @ root.T
     rates, turn = np.linalg.eigh(0.5 * (system + system.T))
-    return np.maximum(rates, 0.0), root.T @ turn
+    basis = root.T @ turn
+    # A rigid wall against which no heat passes is a mode for itself, which nothing drives or reads.
+    driven = np.abs(basis.T @ np.column_stack([machine.sources, machine.ambient, machine.jump.T]))
+    alone = (rates <= ALONE * rates.max()) & (driven.max(axis=1) <= ALONE * driven.max())
+    return np.maximum(rates[~alone], 0.0), basis[:, ~alone]
 
 
 def on_basis(machine: ReducedMachine, rates: Array, basis: Array) -> Modes:
-    """Return a machine's modes on a basis (r, r) that makes its heat equation diagonal."""
-    elastic = machine.elastic
+    """Return a machine's modes on a basis (r, k) that makes its heat equation diagonal."""
+    turned = coupled_in(machine, basis)
+    elastic, acting, axes = turned.elastic, turned.acting, len(machine.axes)
+    loads = LoadInfluence(np.zeros((len(elastic.reference), 0)), np.zeros((axes, 0)))
+    factors, tight = np.zeros(0), np.zeros((6, len(machine.jump)))
+    if acting is not None:
+        loads, factors = acting.influence, acting.factors
+    if acting is not None and acting.springs.flexibility.size:
+        forces = factors[-acting.springs.flexibility.size :]
+        contact = ContactProblem(elastic, machine.laws, loads=loads)
+        bolted, assembly, _ = tightened_contact(contact, acting.springs, forces)
+        assert bolted.loads is not None  # tightened_contact makes them
+        elastic, loads, factors = bolted.elastic, bolted.loads, np.append(factors, 1.0)
+        tight = np.vstack([assembly.gap, assembly.slip, assembly.pressure])
     return Modes(
         rates=rates,
-        drive=basis.T @ np.column_stack([machine.sources, machine.ambient]),
+        drive=np.column_stack([turned.sources, turned.ambient]),
+        jump=turned.jump,
+        mean=turned.mean,
+        sensors=turned.sensors,
+        start=turned.start,
+        elastic=elastic,
+        film=basis.T @ machine.convection @ basis,
+        loads=loads,
+        factors=factors,
+        tight=tight,
+    )
+
+
+def coupled_in(machine: ReducedMachine, basis: Array) -> ReducedMachine:
+    """Return a machine on other modes, columns of `basis` (r, k), but for its r x r matrices."""
+    elastic, acting, start = machine.elastic, machine.acting, np.zeros(basis.shape[1])
+    if machine.start.any():
+        capacity = basis.T @ machine.capacity
+        start = np.linalg.solve(capacity @ basis, capacity @ machine.start)
+    if acting is not None:
+        springs = replace(acting.springs, growth=acting.springs.growth @ basis)
+        acting = replace(acting, springs=springs)
+    return replace(
+        machine,
+        sources=basis.T @ machine.sources,
+        ambient=basis.T @ machine.ambient,
         jump=machine.jump @ basis,
+        mean=machine.mean @ basis,
         sensors=machine.sensors @ basis,
+        start=start,
         elastic=replace(
             elastic,
             thermal_gap=elastic.thermal_gap @ basis,
             probe_thermal=elastic.probe_thermal @ basis,
         ),
-        film=basis.T @ machine.convection @ basis,
+        acting=acting,
     )

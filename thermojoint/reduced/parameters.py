@@ -9,9 +9,10 @@ prior: a film cannot be negative, and most likely there is none. All of them reu
   docs/joint-aware.md shows what that costs.
 - heat: the columns of the sources.
 - expansion: thermal gap and probe rows.
-- modulus: compliance falls, the reference springs rise (they follow the modulus); the thermal gap
-  stays.
-- the joint's: the law alone.
+- modulus: compliance falls, the reference springs rise (they follow the modulus), and so do bolts;
+  the thermal gap stays.
+- preload: of the joints, and the forces of the bolts.
+- the rest of the joint's: the law alone.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ import math
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
+from fesim.solid.bolts import BoltSprings
+from fesim.solid.condensation import LoadInfluence
 from thermojoint.artefacts.arrays import Array
 from thermojoint.reduced.films import Film
 from thermojoint.reduced.machine import Joint, ReducedMachine
@@ -109,12 +112,19 @@ def active(machine: ReducedMachine) -> tuple[Parameter, ...]:
         absent.add("normal compliance")
     if not sections:
         absent |= {"friction", "preload", "roughness", "tangential ratio"}
+    if not any(section.preload_MPa for section in sections) and not bolted(machine):
+        absent.add("preload")
     if not any(section.friction_coefficient > 0.0 for section in sections):
         absent |= {"friction", "tangential ratio"}
     if not machine.convection.any():
         absent.add("film")
     own = (parameter for parameter in PARAMETERS if parameter.name not in absent)
     return (*own, *(film_parameter(film) for film in machine.films))
+
+
+def bolted(machine: ReducedMachine) -> bool:
+    """Whether a machine has bolts."""
+    return machine.acting is not None and machine.acting.springs.flexibility.size > 0
 
 
 def film_parameter(film: Film) -> Parameter:
@@ -134,7 +144,20 @@ def shown(name: str, factor: float, deviation: float) -> tuple[str, str]:
 def with_factors(machine: ReducedMachine, factors: dict[str, float]) -> ReducedMachine:
     """Return the machine with `factors` (name to `Parameter.factor`) on its parameters."""
     by = {parameter.name: 1.0 for parameter in PARAMETERS} | factors
-    elastic = machine.elastic
+    elastic, acting = machine.elastic, machine.acting
+    if acting is not None:
+        influence, springs, factors = acting.influence, acting.springs, acting.factors.copy()
+        factors[factors.size - springs.flexibility.size :] *= by["preload"]
+        acting = replace(
+            acting,
+            influence=LoadInfluence(
+                influence.gap / by["modulus"], influence.probes / by["modulus"]
+            ),
+            factors=factors,
+            springs=BoltSprings(
+                springs.flexibility / by["modulus"], by["expansion"] * springs.growth
+            ),
+        )
     convection, ambient = by["film"] * machine.convection, by["film"] * machine.ambient
     for film in machine.films:
         more = by.get(film_parameter(film).name, film.nominal) - film.nominal
@@ -156,6 +179,7 @@ def with_factors(machine: ReducedMachine, factors: dict[str, float]) -> ReducedM
             reference=by["modulus"] * elastic.reference,
         ),
         joints=tuple(joint_with_factors(joint, by) for joint in machine.joints),
+        acting=acting,
     )
 
 
@@ -172,8 +196,9 @@ def joint_with_factors(joint: Joint, factors: dict[str, float]) -> Joint:
     by = {parameter.name: 1.0 for parameter in PARAMETERS} | factors
     section = joint.section
     power_law = section.back_burdekin
-    return Joint(
-        section.model_copy(
+    return replace(
+        joint,
+        section=section.model_copy(
             update={
                 "friction_coefficient": by["friction"] * section.friction_coefficient,
                 "preload_MPa": by["preload"] * section.preload_MPa,
@@ -187,5 +212,5 @@ def joint_with_factors(joint: Joint, factors: dict[str, float]) -> Joint:
                 ),
             }
         ),
-        by["conduction"] * joint.conductivity,
+        conductivity=by["conduction"] * joint.conductivity,
     )

@@ -31,7 +31,7 @@ from fesim.march.contact import ContactProblem
 from fesim.march.kernel import joint_kernel, new_kept, new_record
 from fesim.march.settling import settle_along
 from thermojoint.artefacts.arrays import Array
-from thermojoint.reduced.machine import Joint, Modes
+from thermojoint.reduced.machine import Joint, Modes, conducted, contact_of, rest_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,30 +70,25 @@ class Physics:
         """Data of its compiled steps; None for laws that are not compiled."""
         return joint_kernel(self.contact, self.modes.jump, self.held) if self.contacts else None
 
-    def at_rest(self) -> JointState:
-        """Every joint at its preload."""
-        count = self.contacts
-        return JointState(
-            np.zeros((3, count)),
-            np.zeros((2, count)),
-            self.preload.copy(),
-            np.zeros((3, count)),
-        )
+    @cached_property
+    def rest(self) -> JointState:
+        """The joints before the first step; not to be written to."""
+        return JointState(*rest_of(self.contact, self.modes))
 
-    def beyond_preload(self, pressure: Array) -> Array:
+    def at_rest(self) -> JointState:
+        """The joints before the first step, to go on from."""
+        return JointState(*map(np.array, self.rest))
+
+    def beyond_held(self, joint: JointState, amplitudes: Array) -> Array:
         """Conductance times area that the modes do not have yet, W/K, shape (m,)."""
-        area, start, parts = self.modes.elastic.area, 0, []
-        for law, count in self.laws:
-            at = slice(start, start + count)
-            parts.append(law.conductance(pressure[at]) * area[at])
-            start += count
-        return np.concatenate([*parts]) - self.held if parts else np.empty(0)
+        modes = self.modes
+        return conducted(self.laws, modes.elastic.area, joint, modes.mean @ amplitudes) - self.held
 
 
 def make_physics(modes: Modes, joints: Sequence[Joint], held: Array) -> Physics:
     """Return the physics of a machine whose modes were made with `held`."""
     laws = [(joint.law, joint.conductivity.size) for joint in joints]
-    return Physics(modes, laws, held, ContactProblem(modes.elastic, laws))
+    return Physics(modes, laws, held, contact_of(modes, laws))
 
 
 @lru_cache(maxsize=64)
@@ -108,7 +103,7 @@ def heat_step(modes: Modes, length: float) -> HeatStep:
 
 
 def conduct(
-    physics: Physics, amplitudes: Array, inputs: Array, pressure: Array, length: float
+    physics: Physics, amplitudes: Array, inputs: Array, joint: JointState, length: float
 ) -> Array:
     """Return the amplitudes (r,) after `length` (s) at the joint's conductance of before.
 
@@ -120,8 +115,8 @@ def conduct(
         Before.
     inputs : ndarray, shape (s + 1,)
         Heat of each source, W, and the ambient, K.
-    pressure : ndarray, shape (m,)
-        Of the last step, Pa.
+    joint : JointState
+        After the last step.
     length : float
         s.
     """
@@ -129,22 +124,33 @@ def conduct(
     kernel = physics.kernel
     if kernel is not None:
         after = np.array(amplitudes)
-        conduct_step(step, kernel, heat_work(kernel), after, inputs, pressure)
+        conduct_step(step, kernel, heat_work(kernel), after, inputs, joint.pressure)
         return after
     alone = step.decay * amplitudes + step.drive @ inputs
     if not physics.contacts:
         return alone
-    joint = physics.beyond_preload(pressure)
-    system = joint[:, None] * step.joint_influence
-    system.flat[:: len(joint) + 1] += 1.0
-    flow = np.linalg.solve(system, joint * (physics.modes.jump @ alone))
+    beyond = physics.beyond_held(joint, amplitudes)
+    system = beyond[:, None] * step.joint_influence
+    system.flat[:: len(beyond) + 1] += 1.0
+    flow = np.linalg.solve(system, beyond * (physics.modes.jump @ alone))
     return np.asarray(alone - step.influence @ flow)
 
 
 def settle_joint(
-    physics: Physics, joint: JointState, amplitudes: Array
+    physics: Physics, joint: JointState, amplitudes: Array, loads: Array
 ) -> tuple[JointState, Array]:
     """Return the joint in equilibrium with the temperatures, and the displacement (axes,), m.
+
+    Parameters
+    ----------
+    physics : Physics
+        The machine.
+    joint : JointState
+        Before.
+    amplitudes : ndarray, shape (r,)
+        After the step.
+    loads : ndarray, shape (l,)
+        Factors of the loads, like `Modes.factors`.
 
     Raises
     ------
@@ -155,30 +161,46 @@ def settle_joint(
     if kernel is not None:
         after = JointState(*map(np.array, joint))
         displacement = np.empty(len(physics.modes.elastic.probe_thermal))
-        if settle_step(kernel, joint_work(kernel), amplitudes, after, displacement) == 0:
+        work = joint_work(kernel)
+        if settle_step(kernel, work, amplitudes, loads, after, displacement) == 0:
             return after, displacement
-    return settle_plainly(physics, joint, amplitudes)
+    return settle_plainly(physics, joint, amplitudes, loads)
 
 
 def settle_plainly(
-    physics: Physics, joint: JointState, amplitudes: Array
+    physics: Physics, joint: JointState, amplitudes: Array, loads: Array
 ) -> tuple[JointState, Array]:
     """As `settle_joint`, without machine code of its own, and where the joint snaps."""
-    elastic = physics.modes.elastic
-    free = elastic.probe_thermal @ amplitudes
+    modes = physics.modes
     if not physics.contacts:
-        return joint, free
-    thermal_gap = elastic.thermal_gap @ amplitudes
-    settled, _ = settle_along(physics.contact, joint, thermal_gap)
-    value = settled.traction.value
-    remainder = value.ravel() + elastic.reference * settled.gap.ravel()
+        return joint, moved_by(physics, joint, amplitudes, loads)
+    opened = modes.elastic.thermal_gap @ amplitudes + modes.loads.gap @ loads
+    settled, _ = settle_along(physics.contact, joint, opened)
     after = JointState(
         settled.gap,
         settled.traction.slip,
-        physics.preload + value[0],
+        physics.preload + settled.traction.value[0],
         settled.gap - joint.gap,
     )
-    return after, free + elastic.probe_compliance @ (elastic.area * remainder)
+    return after, moved_by(physics, after, amplitudes, loads)
+
+
+def moved_by(physics: Physics, joint: JointState, amplitudes: Array, loads: Array) -> Array:
+    """Return the displacement (axes,), m, with a joint in equilibrium; as `settle_joint`."""
+    elastic, influence = physics.modes.elastic, physics.modes.loads
+    moved = elastic.probe_thermal @ amplitudes + influence.probes @ loads
+    if not physics.contacts:
+        return moved
+    value = physics.contact.traction(joint.gap, joint.slip).value
+    remainder = value.ravel() + elastic.reference * joint.gap.ravel()
+    return np.asarray(moved + elastic.probe_compliance @ (elastic.area * remainder))
+
+
+def at_start(physics: Physics) -> tuple[Array, Array]:
+    """Return sensors (p,), K, and displacement (axes,), m, before the first step."""
+    modes = physics.modes
+    moved = moved_by(physics, physics.rest, modes.start, modes.factors)
+    return modes.sensors @ modes.start, moved
 
 
 def simulate_known(physics: Physics, inputs: Array, length: float) -> tuple[Array, Array]:
@@ -188,8 +210,9 @@ def simulate_known(physics: Physics, inputs: Array, length: float) -> tuple[Arra
     ----------
     physics : Physics
         The machine.
-    inputs : ndarray, shape (n, s + 1)
-        Heat of each source, W, and the ambient, K, at the end of each step.
+    inputs : ndarray, shape (n, s + 1 + v)
+        Heat of each source, W, and the ambient, K, at the end of each step; factors of the first
+        loads, where they are not those of time zero.
     length : float
         Of a step, s.
 
@@ -198,17 +221,20 @@ def simulate_known(physics: Physics, inputs: Array, length: float) -> tuple[Arra
     tuple of ndarray, shapes (n, p) and (n, axes)
         Sensors, K, and displacement, m.
     """
-    inputs = np.ascontiguousarray(inputs, dtype=np.float64)
-    amplitudes, joint = np.zeros(physics.modes.rates.size), physics.at_rest()
+    modes = physics.modes
+    known, varying = modes.drive.shape[1], inputs.shape[1] - modes.drive.shape[1]
+    constant = np.tile(modes.factors[varying:], (len(inputs), 1))
+    inputs = np.ascontiguousarray(np.hstack([inputs, constant]), dtype=np.float64)
+    amplitudes, joint = modes.start.copy(), physics.at_rest()
     history = np.empty((len(inputs), amplitudes.size))
-    displacement = np.empty((len(inputs), len(physics.modes.elastic.probe_thermal)))
-    step, kernel, k = heat_step(physics.modes, length), physics.kernel, 0
+    displacement = np.empty((len(inputs), len(modes.elastic.probe_thermal)))
+    step, kernel, k = heat_step(modes, length), physics.kernel, 0
     if not physics.contacts:
-        for at, driven in enumerate(inputs @ step.drive.T):
+        for at, driven in enumerate(inputs[:, :known] @ step.drive.T):
             amplitudes = step.decay * amplitudes + driven
             history[at] = amplitudes
-        modes = physics.modes
-        return history @ modes.sensors.T, history @ modes.elastic.probe_thermal.T
+        moved = history @ modes.elastic.probe_thermal.T + inputs[:, known:] @ modes.loads.probes.T
+        return history @ modes.sensors.T, moved
     if kernel is not None:
         machine = MarchKernel(step, kernel, UNWATCHED)
         kept = new_kept(machine, one_block(kernel.springs, kernel.compliance, kernel.columns))
@@ -223,8 +249,8 @@ def simulate_known(physics: Physics, inputs: Array, length: float) -> tuple[Arra
             if k == len(inputs):
                 break
         # Without machine code, or where the joint snaps.
-        amplitudes = conduct(physics, amplitudes, inputs[k], joint.pressure, length)
-        joint, displacement[k] = settle_plainly(physics, joint, amplitudes)
+        amplitudes = conduct(physics, amplitudes, inputs[k, :known], joint, length)
+        joint, displacement[k] = settle_plainly(physics, joint, amplitudes, inputs[k, known:])
         history[k] = amplitudes
         k += 1
-    return history @ physics.modes.sensors.T, displacement
+    return history @ modes.sensors.T, displacement

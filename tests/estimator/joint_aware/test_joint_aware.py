@@ -88,8 +88,8 @@ def test_machine_code_marches_as_the_plain_step(machine, law):
     assert plain.kernel is None
     sensed, moved = [], []
     for row in inputs:
-        amplitudes = conduct(plain, amplitudes, row, joint.pressure, 10.0)
-        joint, displacement = settle_joint(plain, joint, amplitudes)
+        amplitudes = conduct(plain, amplitudes, row, joint, 10.0)
+        joint, displacement = settle_joint(plain, joint, amplitudes, np.zeros(0))
         sensed.append(physics.modes.sensors @ amplitudes)
         moved.append(displacement)
     assert np.abs(joint.slip).max() > 0.1 * MICRO

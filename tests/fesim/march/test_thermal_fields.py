@@ -19,7 +19,6 @@ from fesim.snapshots import snapshot_writer
 from meshes.exchange import write_structure
 from thermojoint.artefacts.errors import InputError
 from thermojoint.paper.inputs import check_drivable
-from thermojoint.reduced.machine import check_joints
 from thermojoint.verification.thermal_bar import bar_case, run
 
 REFERENCE = ROOT / "thermojoint" / "cases" / "reference.toml"
@@ -302,10 +301,8 @@ def test_a_start_that_is_none_is_one_line(tmp_path, section, message):
     assert "\n" not in str(refused.value)
 
 
-def test_calibration_and_the_joint_aware_estimator_start_at_the_ambient(warm):
+def test_calibration_drives_start_at_the_ambient(warm):
     case, _, _ = warm["reduced"]
-    with pytest.raises(InputError, match="starts at the ambient"):
-        check_joints(case)
     driven = case.model_copy(
         update={
             "held_temperatures": {},

@@ -18,7 +18,6 @@ from fesim.solid.forces import BodyForce, SurfaceForce, SurfacePressure, nodal_f
 from fesim.solid.materials import Material
 from fesim.solid.spaces import make_spaces
 from thermojoint.artefacts.errors import InputError
-from thermojoint.reduced.machine import check_joints
 from thermojoint.verification.loaded import STANDING, WEIGHT, column_case, joint
 
 IRON = Material(47.0, 7200.0, 500.0, 104e9, 0.27, 13.7e-6)
@@ -150,11 +149,6 @@ def test_a_slip_about_loads_is_one_line(tmp_path, load, message):
     with pytest.raises(InputError, match=message) as refused:
         read()
     assert "\n" not in str(refused.value)
-
-
-def test_the_estimator_refuses_loads(tmp_path):
-    with pytest.raises(InputError, match="joint-aware: knows no mechanical loads"):
-        check_joints(case_from_data(heated(tmp_path), "bars", tmp_path))
 
 
 # --- steps that are cut --------------------------------------------------------------------------

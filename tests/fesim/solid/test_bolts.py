@@ -16,7 +16,6 @@ from fesim.solid.elasticity import elastic_operators
 from fesim.solid.spaces import cells_around
 from fesim.solid.stress import stress_at, stress_rows, stress_tensors
 from thermojoint.artefacts.errors import ConvergenceError, InputError
-from thermojoint.reduced.machine import check_joints
 from thermojoint.verification.bolted import COLUMN, FORCE, STIFFNESS, bolted
 from thermojoint.verification.loaded import AREA, WEIGHT, column_case, joint
 
@@ -293,9 +292,3 @@ def test_a_section_that_cannot_be_is_one_line(tmp_path, said, message):
     with pytest.raises(InputError, match=message) as raised:
         case_from_data(data, "c", tmp_path)
     assert "\n" not in str(raised.value)
-
-
-def test_the_joint_aware_estimator_refuses_bolts(marched):
-    case, _, _, _ = marched
-    with pytest.raises(InputError, match="knows no bolts"):
-        check_joints(case.model_copy(update={"loads": {}}))

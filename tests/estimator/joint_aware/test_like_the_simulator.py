@@ -1,0 +1,151 @@
+"""What the joint-aware estimator takes of a case: its observer without updates is the simulator."""
+
+import numpy as np
+import pytest
+from observed import observer
+
+from calibrate.joint_aware.misfit import physics_with
+from calibrate.joint_aware.readings import run_in
+from estimator.interface import Status
+from estimator.joint_aware.estimator import JointAware
+from estimator.joint_aware.kind import KIND
+from estimator.joint_aware.model_file import read_observer, write_observer
+from estimator.joint_aware.readings import samples_in
+from fesim.case.schema import case_from_data
+from fesim.setup.machine import set_up
+from fesim.simulate import simulate
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.log import Log
+from thermojoint.artefacts.quantities import column_named
+from thermojoint.reduced.machine import diagonal_modes, reduce_machine
+from thermojoint.reduced.physics import at_start, make_physics, simulate_known
+from thermojoint.verification.loaded import STANDING, WEIGHT, column_case, joint
+
+PRESSED = joint(preload_MPa=2.0)
+LOOSE = joint(preload_MPa=0.0, initial_opening_um=0.2, reference_pressure_MPa=8.0)
+TOUCHING = LOOSE | {"initial_opening_um": 0.0}
+GAS = {"gas_conductivity_W_mK": 0.026, "temperature_jump_um": 0.4}
+RADIATION = {"emissivity_a": 0.8, "emissivity_b": 0.6, "mean_temperature_degC": 40.0}
+CUT = {"surface": "top", "force_N": [300.0, 100.0, -3000.0], "file": "cut.csv"}
+BOLT = {
+    "head": {"position_mm": [15, 25, 400], "diameter_mm": 10.0, "body": "upper"},
+    "thread": {"position_mm": [15, 25, 100], "diameter_mm": 10.0, "body": "lower"},
+    "force_kN": 12.0,
+    "material": "iron",
+    "diameter_mm": 12.0,
+}
+TABLE = "rise_K,pressure_MPa,conductance_W_m2K\n0,0.1,3e3\n0,4,2e4\n50,0.1,2e3\n50,4,1.5e4\n"
+#: What is taken, as sections of a case.
+TAKEN = {
+    "fixed": {"joints": {"joint": PRESSED | {"conductance": {"law": "fixed", "value_W_m2K": 4e3}}}},
+    "none": {"joints": {"joint": PRESSED | {"conductance": {"law": "none"}}}},
+    "table": {"joints": {"joint": PRESSED | {"conductance": {"law": "table", "file": "h.csv"}}}},
+    "gas": {"joints": {"joint": PRESSED | {"gap": GAS | RADIATION}}},
+    "open": {
+        "joints": {"joint": LOOSE | {"gap": GAS}},
+        "supports": {
+            "fixed": ["foot"],
+            "springs": {"top": {"stiffness_N_um": [20.0, 20.0, 20.0]}},
+        },
+        "loads": {"cut": CUT},
+    },
+    "wall": STANDING | {"supports": {"symmetry": {"back": "x", "side": "y"}}},
+    "warm": {"joints": {"joint": PRESSED}, "initial_temperature": {"expression_K": "90 * z_m"}},
+    "loads": {"joints": {"joint": PRESSED}, "loads": {**WEIGHT, "cut": CUT}},
+    "bolts": {"joints": {"joint": TOUCHING}, "bolts": {"b": BOLT}, "loads": {"cut": CUT, **WEIGHT}},
+}
+
+
+def case_of(folder, sections):
+    """A column heated in its lower part, its foot held unless it stands on a wall."""
+    (folder / "cut.csv").write_text("time_s,factor\n0,0.5\n60,1\n65,-0.2\n200,0.4\n")
+    (folder / "h.csv").write_text(TABLE)
+    split = "walls" not in sections
+    data = column_case(folder, split, {"supports": {"fixed": ["foot"]}, **sections})
+    data["sources"] = {"heater": {"body": "lower", "reference_power_W": 60.0}}
+    data["heat_input"] = {"kind": "step", "level": 2.0}
+    data["convection_W_m2K"] = {"top": 40.0}
+    data["probes"]["Q"] = {"position_mm": [40.0, 40.0, 60.0], "body": "lower"}
+    data["march"] |= {"step_s": 5.0, "duration_min": 10.0}
+    return case_from_data(data, "column", folder)
+
+
+@pytest.fixture(scope="module", params=TAKEN)
+def followed(request, tmp_path_factory):
+    case = case_of(tmp_path_factory.mktemp(request.param), TAKEN[request.param])
+    setup = set_up(case)
+    machine = reduce_machine(case, setup, ("P", "Q"))
+    return machine, simulate(case, setup=setup).response
+
+
+def test_the_reduced_machine_marches_as_the_simulator(followed):
+    machine, response = followed
+    held = machine.at_preload
+    physics = make_physics(diagonal_modes(machine, held), machine.joints, held)
+    run = run_in(response, machine, "run")
+    sensed, moved = simulate_known(physics, run.inputs, machine.step)
+    warm, bent = at_start(physics)
+    for found, name, first in ((sensed, "temperature", warm), (moved, "displacement", bent)):
+        whole = np.vstack([first, found])
+        np.testing.assert_allclose(whole, response[name], rtol=0.0, atol=1e-9)
+
+
+def test_the_observer_without_updates_is_the_simulator(followed, tmp_path):
+    """Its heat is told once; then it has no thermometer, and its state goes through a file."""
+    machine, response = followed
+    model = observer(machine, {"run": response}).model
+    write_observer(model, tmp_path / "model.h5")
+    estimator = JointAware(read_observer(tmp_path / "model.h5"))
+    state = estimator.initial_state()
+    linear = estimator.parts.views(state)["linear"]
+    linear[estimator.observer.system.decay.size] = response["source_power"][1, 0].item()
+    rows = np.array(list(samples_in(response, ("P", "Q"), model.loads)))
+    rows[:, 1:4] = np.nan
+    moved = []
+    for time, *values in rows:
+        state, estimate = estimator.sample(state, time, values)
+        moved.append(estimate.displacement)
+    given = response["displacement"].sel(axis=list(estimator.axes))
+    np.testing.assert_allclose(moved[1:], given[1:], rtol=0.0, atol=1e-9)
+
+
+def test_tighter_bolts_and_other_friction_are_parameters(tmp_path):
+    case = case_of(tmp_path, TAKEN["bolts"])
+    machine = reduce_machine(case, set_up(case), ("P", "Q"))
+    other = case.replace(
+        bolts={"b": {"force_kN": 13.2}}, joints={"joint": {"friction_coefficient": 0.3}}
+    )
+    response = simulate(other).response
+    physics = physics_with(machine, {"preload": 1.1, "friction": 1.5})
+    _, moved = simulate_known(physics, run_in(response, machine, "run").inputs, machine.step)
+    np.testing.assert_allclose(moved, response["displacement"][1:], rtol=0.0, atol=1e-9)
+
+
+def test_a_load_is_read_in_percent_and_lasts_where_it_is_missing(tmp_path):
+    case = case_of(tmp_path, TAKEN["loads"])
+    setup = set_up(case)
+    response = simulate(case, setup=setup).response
+    estimator = observer(reduce_machine(case, setup, ("P", "Q")), {"run": response})
+    names = ("P_K", "Q_K", "ambient_K", "cut_percent")
+    assert KIND.intake(estimator.model, True).names[: len(names)] == names
+    read = np.array([[0.0, 0.0, 0.0, 0.5], [0.0, 0.0, 0.0, np.nan], [0.0, 0.0, 0.0, -0.2]])
+    log = Log(np.array([0.0, 5.0, 10.0]), tuple(map(column_named, names)), read)
+    state, found = estimator.initial_state(), []
+    for time, *values in KIND.log(estimator.model, [log], "log.csv", None):
+        state, estimate = estimator.sample(state, time, values)
+        found.append(estimate)
+    assert found[1].missing == ("cut",)
+    assert Status.READING_MISSING in found[1].status
+    np.testing.assert_allclose(found[1].displacement, found[0].displacement, atol=1e-9)
+    assert np.abs(found[2].displacement - found[1].displacement).max() > 1e-7
+    with pytest.raises(InputError, match="no 'load_factor', needed for cut"):
+        run_in(response.drop_vars("load_factor"), reduce_machine(case, setup, ("P",)), "run")
+    with pytest.raises(InputError, match="export: the machine has loads"):
+        KIND.program(estimator, None, 5.0)
+
+
+def test_what_is_not_taken_is_one_line(tmp_path):
+    changing = {"bolts": {"b": BOLT | {"file": "cut.csv"}}}
+    case = case_of(tmp_path, TAKEN["bolts"] | changing)
+    with pytest.raises(InputError, match="its force changes with time"):
+        reduce_machine(case, set_up(case), ("P", "Q"))
