@@ -45,6 +45,9 @@ ITERATIONS, HALVINGS = 12, 6
 WITHOUT_ONE, WITHOUT_ALL = 600.0, 1800.0
 #: Passes over the sources that find the heat behind a jump.
 SWEEPS = 20
+#: What is unknown of the past counts for so long at most, s. Its gains change twice in every octave
+#: of time, until this number of samples once.
+LONGEST_START, FEW = 7.0 * 86400.0, 64
 #: Tolerance of the gap equations in single precision, m: below it is rounding.
 SINGLE_TOLERANCE = 2e-11
 #: Samples of the self-test if none are recorded, and its load: relative to the largest calibrated,
@@ -109,8 +112,9 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
     axes, draws, _ = model.band.open.shape
     fixed = _every_sample(estimator, linear, contacts) + Operations(20, 20, 8, 8).times(axes)
     count = len(estimator.observer.system.rows)
+    start = _start(estimator)
     slowest = 1.0 / float(model.modes.rates.min())
-    judged = _judging(estimator, linear, contacts)
+    judged = _judging(estimator, linear, contacts) + Operations(0, 6 * len(start.known))
     return Contents(
         estimator,
         _interface(estimator),
@@ -133,6 +137,8 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             "modes": model.modes.rates.size,
             "rates": model.discrepancy.rates.size,
             "draws": draws,
+            "starts": len(start.known),
+            "followed": start.followed,
             "iterations": ITERATIONS,
             "halvings": HALVINGS,
             "tables": tables,
@@ -148,7 +154,7 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             "underflow": 700.0 if precision is Precision.DOUBLE else 80.0,
         },
         constants=sum(table.values.size for table in tables),
-        state=5 * linear + 44 * contacts + 9 * contacts**2 + 13 * count + 10,
+        state=5 * linear + 44 * contacts + 9 * contacts**2 + 13 * count + 11,
         usual=fixed + _newton(contacts, contacts, 0).times(2) + _look(contacts),
         worst=fixed
         + judged
@@ -199,7 +205,7 @@ def _tables(estimator: JointAware, kernel: JointKernel, tolerance: float) -> lis
     model, observer = estimator.model, estimator.observer
     heat = heat_step(model.modes, model.step)
     system = observer.system
-    gain = observer.usual_gain
+    start = _start(estimator)
     relaxing = model.step * model.discrepancy.rates / (1.0 + model.step * model.discrepancy.rates)
     # decay - 1 without cancellation.
     loss = -model.step * model.modes.rates * heat.decay
@@ -220,12 +226,14 @@ def _tables(estimator: JointAware, kernel: JointKernel, tolerance: float) -> lis
         Table("power", "Of each source at heat input 1, W.", model.power),
         Table("relaxing", "What a relaxation gains in a step.", relaxing),
         Table("rows_read", "What the sensors read of the linear state, K.", system.rows),
-        Table("gain", "Of the readings, steady.", gain),
+        Table("start", "s after an unknown past; variance then, m2.", start.known),
+        Table("history", "Of the slips before that, m2.", band.history),
+        Table("gain", "Of the readings then; at the end the steady one.", start.gain),
         Table("gain_without", "Of the others where one is left out.", gains),
         Table("without", "Variance of that, and without any, m2.", without),
         Table("tangent_of", "Displacement per state, m.", band.tangent),
         Table("noise", "Of the thermometers, K.", readable.noise),
-        Table("spread", "Variance of an innovation, K2.", _spread(estimator)),
+        Table("spread", "Variance of an innovation, K2, likewise.", start.spread),
         Table("onset", "Readings a step after 1 W, K.", observer.onset[0]),
         Table("answers", "... of the source that is seen best, later, K.", _answers(observer)),
         Table("most", "Heat that may be switched on, W.", most),
@@ -250,10 +258,68 @@ def _tables(estimator: JointAware, kernel: JointKernel, tolerance: float) -> lis
     ]
 
 
-def _spread(estimator: JointAware) -> Array:
-    """Variance of the innovation of each reading, K2."""
-    own = estimator.model.filter
-    return np.asarray(np.diag(own.innovation) + own.noise)
+class _Start(NamedTuple):
+    """What the readings make known after a start in the middle of any past.
+
+    Attributes
+    ----------
+    known : ndarray, shape (k, 1 + axes)
+        Time, s, and from then on the variance of the displacement, m2.
+    gain : ndarray, shape (k, n, p + 1)
+        From then on; the last one is the steady gain.
+    spread : ndarray, shape (k, p + 1)
+        Variance of the innovations, K2; of the steady covariance at the end.
+    followed : float
+        From this time on, s, the joint's slips are those of its path.
+    """
+
+    known: Array
+    gain: Array
+    spread: Array
+    followed: float
+
+
+@lru_cache(maxsize=8)
+def _start(estimator: JointAware) -> _Start:
+    """Gains that Python would have, each kept for a while, and the covariance that these leave.
+
+    With the steady gain K_s and what it differs by, D, the covariance beyond the steady one goes
+    from P to (1 - K H) P (1 - K H)^T + D S D^T. It ends when slips and calibration leave more.
+    """
+    observer, model, limits = estimator.observer, estimator.model, estimator.thresholds
+    own, rows, band, usual = model.filter, observer.system.rows, model.band, observer.usual_gain
+    steady = own.innovation + np.diag(own.noise)
+    doubted, identity = steady + np.diag(own.lasting), np.eye(observer.system.size)
+    covariance, k = model.warm @ model.warm.T, 0
+    known, gains, spread = list[Array](), list[Array](), list[Array]()
+    while True:
+        seen = covariance @ rows.T
+        own_gain = (seen - usual @ (rows @ seen)) @ np.linalg.inv(doubted + rows @ seen)
+        left = identity - (usual + own_gain) @ rows
+        noise = own_gain @ doubted @ own_gain.T
+        after = left @ covariance @ left.T + noise
+        variance = limits.doubt**2 * ((band.tangent @ after) * band.tangent).sum(axis=1)
+        known.append(np.append(k * model.step, variance))
+        gains.append(usual + own_gain)
+        spread.append(np.diag(steady + rows @ seen))
+        if (variance <= band.constant + band.history).all() or k * model.step > LONGEST_START:
+            break
+        # The same gain for some samples: twice as many by each squaring.
+        count = 1
+        while 2 * count <= k // (1 if k < FEW else 2):
+            count *= 2
+        onward = observer.system.advance(left)
+        noise = observer.system.advance(observer.system.advance(noise).T)
+        for _ in range(count.bit_length() - 1):
+            noise, onward = noise + onward @ noise @ onward.T, onward @ onward
+        covariance, k = onward @ covariance @ onward.T + noise, k + count
+    gains[-1], spread[-1] = usual, np.diag(steady)
+    every = np.array(known)
+    every[:, 1:] = np.maximum.accumulate(every[::-1, 1:])[::-1]
+    far = (every[:, 1:] > (limits.doubt * limits.followable) ** 2).any(axis=1)
+    return _Start(
+        every, np.array(gains), np.array(spread), every[min(np.count_nonzero(far), len(far) - 1), 0]
+    )
 
 
 def _answers(observer: Observer) -> Array:

@@ -377,7 +377,7 @@ def restored(
         row = from_row(name, later.number, kept.layout, np.frombuffer(later.row), later.status)
         sample = row.time, tuple(row.readings.tolist())
         machine, _ = taken(served, machine, sample, Times(row.published, math.nan), 0.0)
-    rest = json.loads(kept.later[-1].rest if kept.later else kept.rest)
+    rest = json.loads(kept.newest)
     if received is None and "output" in rest:
         # Earlier stores have it beside the samples.
         received = Received(name, machine.usable.published, json.dumps(rest["output"]))

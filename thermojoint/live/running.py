@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import sqlite3
 import time
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, asynccontextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
@@ -188,16 +189,20 @@ def _places(
     }
     store.execute("COMMIT")
     before = {name: era_before(store, era) for name, era in eras.items()}
-    every = kept_of(store, [*eras.values(), *(era for era in before.values() if era)])
+    every = kept_of(store, [*eras.values(), *(era for era, _ in before.values() if era)])
     by_name: dict[str, Place] = {}
     moved: list[Checkpoint] = []
     for name, model in of.items():
-        earlier, kept = before[name], every[eras[name]]
+        (earlier, continues), kept = before[name], every[eras[name]]
         last = archive.checkpointed(name, kept.era)
-        if last is None and earlier is not None:
+        fresh = kept.state is None and not kept.later
+        if last is None and earlier is not None and continues:
             last = archive.checkpointed(name, earlier)
-            if kept.state is None and not kept.later:
+            if fresh:
                 kept = every[earlier]
+        elif fresh and earlier is not None:
+            # Another model: it starts anew, and the source is read on from where it was.
+            kept = replace(kept, rest=_read_on(every[earlier], model))
         try:
             machine, position = restored(name, model, kept, last, received.get(name), times)
         except InputError as error:
@@ -217,6 +222,13 @@ def _places(
     if moved:
         commit(store, Batch(checkpoints=moved))
     return by_name
+
+
+def _read_on(kept: Kept, model: Served) -> str:
+    """Return where a source stood; readings that wait for a sample, if the model reads the same."""
+    if kept.layout.readings == model.layout.readings:
+        return kept.newest
+    return json.dumps({"at": json.loads(kept.newest).get("at")})
 
 
 def _moved(

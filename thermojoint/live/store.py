@@ -188,6 +188,11 @@ class Kept:
     rest: str
     later: tuple[Taken, ...]
 
+    @property
+    def newest(self) -> str:
+        """What the next sample depends on beside the state: `Taken.rest` of the last one."""
+        return self.later[-1].rest if self.later else self.rest
+
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
@@ -332,8 +337,8 @@ def era_of(store: sqlite3.Connection, machine: str, model: str, layout: Layout, 
     return int(made.lastrowid or 0)
 
 
-def era_before(store: sqlite3.Connection, era: int) -> int | None:
-    """Return the era before, if the estimator's state continues from it; None otherwise.
+def era_before(store: sqlite3.Connection, era: int) -> tuple[int | None, bool]:
+    """Return the last era before with samples, and whether the estimator's state continues from it.
 
     It does if only the axes of the control have changed, on which the state does not depend.
     """
@@ -341,13 +346,14 @@ def era_before(store: sqlite3.Connection, era: int) -> int | None:
         "SELECT machine, model, layout FROM eras WHERE id = ?", (era,)
     ).fetchone()
     last = store.execute(
-        "SELECT id, model, layout FROM eras WHERE machine = ? AND id < ? ORDER BY id DESC LIMIT 1",
+        "SELECT id, model, layout FROM eras WHERE machine = ? AND id < ? AND (id IN "
+        "(SELECT era FROM states) OR id IN (SELECT era FROM journal)) ORDER BY id DESC LIMIT 1",
         (machine, era),
     ).fetchone()
-    if last is None or last[1] != model:
-        return None
+    if last is None:
+        return None, False
     before, now = layout_from(last[2]), layout_from(content)
-    return int(last[0]) if replace(before, controls=now.controls) == now else None
+    return int(last[0]), last[1] == model and replace(before, controls=now.controls) == now
 
 
 def kept_of(store: sqlite3.Connection, eras: Iterable[int]) -> dict[int, Kept]:

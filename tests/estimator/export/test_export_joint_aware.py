@@ -213,9 +213,25 @@ def test_a_jump_that_may_be_heat_is_judged_by_the_samples_that_follow(
 
 
 @needs_gcc
-def test_a_warm_start_and_long_silence_are_said(stepped, program):
+def test_on_a_warm_machine_the_band_is_that_of_an_unknown_past_as_in_python(
+    estimator, stepped, program
+):
+    rows = faulty(stepped, 0, lambda values: values)[150:]
+    _, there = estimates(estimator, rows)
+    here = list(program([row[1:] for row in rows]))
+    moved = np.array([list(one.displacement) for one in here])
+    band = np.array([list(one.band) for one in here])
+    actual = moved - np.array([one.displacement for one in there])
+    actual += errors(estimator, stepped.isel(time=slice(150, None)), there)
+    assert (np.abs(actual) <= band).all()
+    assert band[0] == pytest.approx(there[0].band, rel=1e-3)
+    assert (band <= 1.5 * np.array([one.band for one in there])).all()
+    assert all(one.status & Status.UNSETTLED for one in here)
+
+
+@needs_gcc
+def test_long_silence_is_said(stepped, program):
     rows = [row[1:] for row in faulty(stepped, 0, lambda values: values)]
-    assert all(one.status & Status.UNSETTLED for one in program(rows[150:]))
     quiet = list(program([*rows[:60], *[[NAN] * len(rows[0])] * 1000]))
     lost = [bool(one.status & Status.READINGS_LOST) for one in quiet]
     assert not any(lost[:950])

@@ -118,27 +118,31 @@ def told(program, folder, calls, more=()):
 
 
 def test_faulty_sensors_are_left_out_as_in_python(estimator, stepped, tmp_path):
-    """Two runs: one thermometer lies and another jumps; one is away for a while."""
-    healthy = np.array(faulty(stepped, 0, np.copy)[:45])
+    """Three runs: one thermometer lies and another jumps; one is away; it begins when warm."""
+    every = np.array(faulty(stepped, 0, np.copy))
+    healthy, warm = every[:45], every[150:195]
     lying, away = healthy.copy(), healthy.copy()
     lying[20:, 3] += 5.0
     lying[30, 1] += 1.6
     away[20:35, 1] = math.nan
     program = export_program(estimator, Precision.DOUBLE, "machine", [*healthy.tolist()])
     program = replace(
-        program, kept=replace(program.kept, samples=np.tile(program.kept.samples, (2, 1)))
+        program, kept=replace(program.kept, samples=np.tile(program.kept.samples, (3, 1)))
     )
     names = [f"reading_{one.name}" for one in program.interface.inputs]
-    rows = np.nan_to_num(np.vstack((lying, away))[:, 1:], nan=-1e9).tolist()
+    rows = np.nan_to_num(np.vstack((lying, away, warm))[:, 1:], nan=-1e9).tolist()
     calls = [dict(zip(names, row, strict=True)) for row in rows]
-    calls[len(healthy)]["reset"] = 1
+    calls[len(healthy)]["reset"] = calls[-len(warm)]["reset"] = 1
     found = told(program, tmp_path, calls)
-    there = [*estimates(estimator, lying.tolist())[1], *estimates(estimator, away.tolist())[1]]
+    there = [one for run in (lying, away, warm) for one in estimates(estimator, run.tolist())[1]]
     gone = Status.READING_MISSING | Status.SENSOR_DISTRUSTED
     flagged = [bool(one["status"] & gone) for one in found]
     assert flagged == [bool(one.status & gone) for one in there]
     assert flagged.count(True) == 25 + 15
     assert any(one["status"] & joint_aware.READING_JUMPED for one in found)
+    begun = found[-len(warm) :]
+    assert all(one["status"] & Status.UNSETTLED for one in begun)
+    assert begun[0]["band_x"] == pytest.approx(there[-len(warm)].band[0], rel=1e-3)
     for one, other in zip(found, there, strict=True):
         assert abs(one["displacement_x"] - other.displacement[0]) <= max(1e-7, one["band_x"])
 

@@ -9,6 +9,7 @@ import socket
 import sqlite3
 import subprocess
 import time
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import aiomqtt
@@ -105,6 +106,26 @@ def test_lines_are_estimated_as_the_estimator_says_and_once_over_three_lives(
     history = said_in(tmp_path)
     assert_says(history, expected)
     assert not history.holes
+
+
+def test_another_model_starts_anew_where_the_one_before_it_stopped(
+    model, hand_made_model, tmp_path
+):
+    """And no sample is read twice."""
+    rows = csv_of(day()).splitlines(keepends=True)
+    other = replace(hand_made_model, distances=((0.11, 0.30), (0.32, 0.11)))
+    write_assembly(assemble(other, INTERVAL, 7200.0), tmp_path / "other.json")
+    source = {"kind": "csv", "path": "log.csv", "follow": False}
+
+    async def live(file):
+        async with serving(file_of(file, source), tmp_path) as running:
+            await until(running.stop.is_set)
+
+    for end, file in ((41, model), (81, tmp_path / "other.json"), (121, model)):
+        (tmp_path / "log.csv").write_text("".join(rows[:end]))
+        asyncio.run(live(file))
+    found = said_in(tmp_path)
+    np.testing.assert_array_equal(found.columns.times, day()[:, 0])
 
 
 def test_a_fifo_is_read_as_lines_are_written(model, expected, tmp_path):
