@@ -307,6 +307,8 @@ def _response(case: Case, setup: Setup, inputs: MarchInputs, course: _Course) ->
         "taken_over": track.taken_over.astype(np.int64),
         "heat_balance": track.heat_balance,
     }
+    if case.held_temperatures:
+        values["held_temperature"] = track.inputs[:, layout.held_columns]
     if case.loads:
         values["load_factor"] = track.inputs[:, layout.count : layout.count + len(case.loads)]
     if machine.variable is not None:
@@ -320,6 +322,8 @@ def _response(case: Case, setup: Setup, inputs: MarchInputs, course: _Course) ->
         "tangent": ["along", "across"],
         "contact": np.arange(1, machine.contact.count + 1),
     }
+    if case.held_temperatures:
+        coords["held"] = list(case.held_temperatures)
     if case.loads:
         coords["load"] = list(case.loads)
     if setup.outputs is not None or setup.bolts is not None:

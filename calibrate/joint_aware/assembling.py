@@ -11,6 +11,7 @@ from calibrate.joint_aware.sticking import sticking_tangent
 from estimator.joint_aware.filter_design import (
     LinearSystem,
     Noise,
+    SteadyFilter,
     compressed,
     design_filter,
     linear_system,
@@ -84,29 +85,38 @@ def make_observer(
     whole = np.hypot(own, LASTS * errs)
     noise = replace(noise, sensor=whole, lasting=noise.lasting * whole / own)
     fitted = with_factors(machine, factors_of(fit.parameters, fit.coordinates))
-    held = fitted.at_preload
-    modes = diagonal_modes(fitted, held)
+    joined = fitted.at_preload
+    modes = diagonal_modes(fitted, joined)
     system = linear_system(modes, fit.discrepancy, machine.power, machine.step)
-    design, after = design_filter(system, modes, machine.power, machine.step, noise)
+    held = machine.held
+    walk = np.concatenate(
+        [noise.heat_walk * machine.power, noise.held_walk * held.varies, [noise.ambient_walk]]
+    )
+    design, after = design_filter(system, modes, walk, machine.step, noise)
     # Amplitudes are in one unit: the norm of a field is that of its heat content.
     hour = np.linalg.norm(modes.drive[:, 0] * machine.power[0] * answer(modes.rates, 3600.0, 0.0))
     relaxations = system.decay.size - modes.rates.size
     scale = np.concatenate(
-        [np.full(modes.rates.size, hour), np.ones(relaxations), machine.power, [1.0]]
+        [
+            np.full(modes.rates.size, hour),
+            np.ones(relaxations),
+            machine.power,
+            np.ones(len(held.names) + 1),
+        ]
     )
     steady = replace(design, scale=scale)
     moved = np.hstack(
         [
             sticking_tangent(modes, fitted.laws),
             fit.discrepancy.displacement,
-            np.zeros((len(machine.axes), machine.power.size + 1)),
+            np.zeros((len(machine.axes), walk.size)),
         ]
     )
     nothing = np.zeros((len(machine.axes), fit.discrepancy.rates.size))
     spread = np.sqrt(np.diag(fit.covariance))
     return ObserverModel(
         modes=modes,
-        held=held,
+        held=joined,
         joints=fitted.joints,
         discrepancy=fit.discrepancy,
         filter=steady,
@@ -118,7 +128,9 @@ def make_observer(
             open=np.zeros((len(machine.axes), 1, 2 * fit.discrepancy.displacement.shape[1])),
             square=nothing,
         ),
-        warm=warm_columns(modes, system, fit, machine.power * calibrated.heat, steady.scale),
+        warm=warm_columns(modes, system, fit, machine.power * calibrated.heat, steady),
+        surfaces=held.names,
+        first=held.first,
         power=machine.power,
         step=machine.step,
         offset=fit.offset,
@@ -136,16 +148,18 @@ def make_observer(
     )
 
 
-def warm_columns(modes: Modes, system: LinearSystem, fit: Fit, power: Array, scale: Array) -> Array:
+def warm_columns(
+    modes: Modes, system: LinearSystem, fit: Fit, power: Array, steady: SteadyFilter
+) -> Array:
     """Return the covariance factor L of an unknown start, shape (n, columns of `PAST`).
 
     Any past is a sum of heating periods: the columns span those of `PAST`, for every source at
-    `power` (W) and for a change of the ambient.
+    `power` (W) and for a change of the ambient and of the held temperatures that change.
     """
     pasts, rates = PAST.lengths, fit.discrepancy.rates
     count, sources = modes.rates.size, power.size
     columns = []
-    for given in range(sources + 1):
+    for given in np.flatnonzero(steady.walk):
         strength = power[given] if given < sources else PAST.ambient
         for lasted in pasts:
             for ago in (0.0, *pasts):
@@ -159,7 +173,7 @@ def warm_columns(modes: Modes, system: LinearSystem, fit: Fit, power: Array, sca
                     column[system.decay.size + given] = strength
                 columns.append(column)
     every = np.column_stack(columns) / np.sqrt(pasts.size)
-    return compressed(every, scale, PAST.columns)
+    return compressed(every, steady.scale, PAST.columns)
 
 
 def answer(rates: Array, lasted: float, ago: float) -> Array:

@@ -16,6 +16,7 @@ from calibrate.joint_aware.physics_fit import SEARCH, Fit, Search, fit_physics
 from calibrate.joint_aware.readings import run_in
 from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.observer_model import Calibrated, ObserverModel
+from estimator.joint_aware.readings import temperatures_in
 from fesim.case.schema import Case
 from fesim.setup.machine import set_up
 from thermojoint.artefacts.arrays import Array
@@ -74,7 +75,9 @@ class JointAwareCalibration(Described):
 
 
 def sensors_of(case: Case, responses: Mapping[str, xr.Dataset]) -> tuple[str, ...]:
-    """Return the probes that are in the case and in every response, in the case's order.
+    """Return the probes of the case that every response has, then held surfaces likewise.
+
+    Held surfaces are read if their temperature changes.
 
     Raises
     ------
@@ -83,12 +86,13 @@ def sensors_of(case: Case, responses: Mapping[str, xr.Dataset]) -> tuple[str, ..
     """
     shared = set.intersection(*(set(probes_of(response)) for response in responses.values()))
     sensors = tuple(name for name in case.probes if name in shared)
+    held = tuple(name for name, one in case.held_temperatures.items() if one.file is not None)
     if not sensors:
         raise InputError(
             "joint-aware: the case names no probe that every response has; add [probes.NAME] where "
             "the sensors are"
         )
-    return sensors
+    return sensors + held
 
 
 @threadpool_limits.wrap(limits=1)
@@ -168,10 +172,7 @@ def _moving(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> lis
 def calibrated_range(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> Calibrated:
     """Return the range of calibration responses."""
     every = np.vstack(
-        [
-            columns_of(response, "temperature", machine.sensor_names)
-            for response in responses.values()
-        ]
+        [temperatures_in(response, machine.sensor_names) for response in responses.values()]
     )
     return Calibrated(
         duration_s=max(float(response["time"].to_numpy()[-1]) for response in responses.values()),

@@ -187,7 +187,7 @@ def further_runs(
 def _planned(machine: ReducedMachine, fit: Fit, heat: Array, length: float) -> Run:
     """A run that has not been made, simulated by the fitted machine."""
     step = length / len(heat)
-    inputs = np.column_stack([heat * machine.power, np.zeros(len(heat))])
+    inputs = machine.inputs(heat * machine.power)
     physics = physics_with(machine, factors_of(fit.parameters, fit.coordinates))
     times = np.linspace(step, length, SIGMAS.samples)
     nothing = np.zeros((times.size, 0))

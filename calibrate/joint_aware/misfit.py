@@ -74,9 +74,9 @@ class Run:
 
     Attributes
     ----------
-    inputs : ndarray, shape (n, s + 1 + v)
-        Heat of each source according to the case, W, the ambient, K, and factors of the loads that
-        change, at the end of each step.
+    inputs : ndarray, shape (n, s + h + 1 + v)
+        Heat of each source according to the case, W, held surfaces and ambient, K, and factors of
+        the loads that change, at the end of each step.
     times : ndarray, shape (k,)
         Samples that are used, s.
     temperature : ndarray, shape (k, p)
@@ -244,12 +244,15 @@ def physics_with(machine: ReducedMachine, factors: dict[str, float]) -> Physics:
     The modes assume the joint of the case, whatever its parameters: a march does not depend on this
     assumption, and so they are recomputed for a changed convection or conduction only.
     """
-    capacity = factors.get("capacity", 1.0)
+    capacity, held = factors.get("capacity", 1.0), machine.at_preload
     turning = {name: value for name, value in factors.items() if name.startswith(TURNING)}
     rates, basis = _basis(machine, tuple(turning.items()))
     other = with_factors(machine, factors)
-    modes = on_basis(other, rates / capacity, basis / math.sqrt(capacity))
-    return make_physics(modes, other.joints, machine.at_preload)
+    # Held surfaces have no capacity.
+    scale = np.ones(rates.size)
+    scale[: rates.size - len(machine.held.names)] = capacity
+    modes = on_basis(other, rates / scale, basis / np.sqrt(scale), held)
+    return make_physics(modes, other.joints, held)
 
 
 @lru_cache(maxsize=4)

@@ -185,8 +185,7 @@ def _history(observer: JointAware, machine: ReducedMachine, heat: Array) -> Arra
     amplitudes, joint = physics.modes.start, physics.at_rest()
     loads, slips = physics.modes.factors, physics.rest.slip
     differences = []
-    for given in heat:
-        inputs = np.append(given * machine.power, 0.0)
+    for inputs in machine.inputs(heat * machine.power):
         amplitudes = conduct(physics, amplitudes, inputs, joint, machine.step)
         _, without = settle_joint(physics, joint._replace(slip=slips), amplitudes, loads)
         joint, moved = settle_joint(physics, joint, amplitudes, loads)
@@ -254,7 +253,7 @@ def _errors(
     """Errors (n, axes), m, of the observer on a drawn machine."""
     physics = physics_with(machine, drawn.factors)
     count = len(history.heat)
-    inputs = np.column_stack([history.heat * machine.power, np.zeros(count)])
+    inputs = machine.inputs(history.heat * machine.power)
     temperature, displacement = simulate_known(physics, inputs, machine.step)
     temperature = drawn.offset + temperature + history.states @ drawn.discrepancy.temperature.T
     displacement = displacement + history.states @ drawn.discrepancy.displacement.T

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 
 from calibrate.joint_aware.misfit import SIGMAS, Run, physics_with
-from estimator.joint_aware.readings import ambient_in, loads_in
+from estimator.joint_aware.readings import ambient_in, loads_in, temperatures_in
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import columns_of
@@ -44,6 +44,7 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     at = np.minimum(np.searchsorted(times, grid * (1.0 - 1e-9)), times.size - 1)
     driven = _powers(response, machine)[at]
     ambient = np.interp(grid, times, ambient_in(response))
+    held = held_in(response, machine)[at]
     loads = loads_in(response, machine.load_names)
     factors = [np.interp(grid, times, column) for column in loads.T]
     displacement = columns_of(response, "displacement", machine.axes)
@@ -53,12 +54,27 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     # The first sample, at rest, determines the offsets.
     kept = slice(None, None, max(1, int(np.ceil(times.size / SIGMAS.samples))))
     return Run(
-        inputs=np.column_stack([driven, ambient, *factors]),
+        inputs=np.column_stack([driven, held, ambient, *factors]),
         times=times[kept],
-        temperature=columns_of(response, "temperature", machine.sensor_names)[kept],
+        temperature=temperatures_in(response, machine.sensor_names)[kept],
         displacement=displacement[kept],
         length=machine.step,
     )
+
+
+def held_in(response: xr.Dataset, machine: ReducedMachine) -> Array:
+    """Return the temperatures of held surfaces, (n, h), K; the case's where they are constant.
+
+    Raises
+    ------
+    InputError
+        One that changes is not recorded.
+    """
+    held = machine.held
+    values = np.tile(held.first, (response.sizes["time"], 1))
+    for k in np.flatnonzero(held.varies):
+        values[:, k] = temperatures_in(response, [held.names[k]])[:, 0]
+    return values
 
 
 def _powers(response: xr.Dataset, machine: ReducedMachine) -> Array:

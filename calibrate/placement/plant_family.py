@@ -18,7 +18,7 @@ from calibrate.joint_aware.physics_fit import fit_physics
 from calibrate.joint_aware.random_heat import random_levels
 from estimator.joint_aware.filter_design import Noise
 from thermojoint.artefacts.arrays import Array
-from thermojoint.artefacts.errors import ConvergenceError
+from thermojoint.artefacts.errors import ConvergenceError, InputError
 from thermojoint.reduced.discrepancy import relaxation_rates, relaxed
 from thermojoint.reduced.machine import ReducedMachine, coupled_in, diagonal_modes
 from thermojoint.reduced.parameters import factors_of, with_factors
@@ -190,6 +190,8 @@ def fewer_modes(machine: ReducedMachine, drawing: Drawing = USUAL) -> ReducedMac
     drawing : Drawing
         Its step is the shortest resolved time, s.
     """
+    if machine.held.names:
+        raise InputError("placement: held temperatures are not considered; place without them")
     flow = Noise().joint_flow
     inputs = np.column_stack(
         [machine.sources * machine.power, PAST.ambient * machine.ambient, flow * machine.jump.T]

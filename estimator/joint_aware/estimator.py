@@ -121,6 +121,7 @@ class JointAware(Described):
         """Heat of every source, the ambient, and the lowest and highest pressure in the joints."""
         return (
             *(Channel(f"heat_{name}", "W") for name in self.model.sources),
+            *(Channel(f"held_{name}", "K") for name in self.model.surfaces),
             Channel("ambient", "K"),
             Channel("lowest_pressure", "Pa"),
             Channel("highest_pressure", "Pa"),
@@ -167,6 +168,7 @@ class JointAware(Described):
     def _state(self, factor: Array, memory: float) -> Array:
         unseen, modes, size = np.array(np.nan), self.model.modes, self.observer.system.size
         start = np.zeros(size)
+        start[size - self.model.first.size - 1 : -1] = self.model.first
         if memory == KNOWN:
             start[: modes.start.size] = modes.start
         return ObserverState(

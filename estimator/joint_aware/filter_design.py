@@ -36,6 +36,8 @@ class Noise:
         Of the heat of each source relative to its reference, per step.
     ambient_walk : float
         K per step.
+    held_walk : float
+        Of the temperature of each held surface that changes, K per step.
     joint_flow : float
         Heat flow across each contact element, W, that the frozen conductance misses.
     lasting : float
@@ -48,6 +50,7 @@ class Noise:
     ambient_sensor: float = 0.05
     heat_walk: float = 0.05
     ambient_walk: float = 0.01
+    held_walk: float = 0.1
     joint_flow: float = 0.5
     lasting: float | Array = 3.0
 
@@ -60,8 +63,8 @@ class LinearSystem:
     ----------
     decay : ndarray, shape (d,)
         Of the amplitudes and the relaxations over one step.
-    drive : ndarray, shape (d, s + 1)
-        Per W of each source and K of the ambient.
+    drive : ndarray, shape (d, s + h + 1)
+        Per W of each source and K of the held surfaces and the ambient.
     rows : ndarray, shape (p + 1, d + s + 1)
         Sensors, then the ambient's own.
     """
@@ -106,8 +109,9 @@ class SteadyFilter:
         Variance of lasting errors, K2 (`Noise`).
     scale : ndarray, shape (n,)
         Scale of every state, used to compare columns of a covariance.
-    walk : ndarray, shape (s + 1,)
-        Standard deviation of the inputs' random walk per step: W and K.
+    walk : ndarray, shape (s + h + 1,)
+        Standard deviation of the inputs' random walk per step: W and K; zero for those that are
+        known and constant.
     """
 
     cross: Array
@@ -140,9 +144,22 @@ def linear_system(
 
 
 def design_filter(
-    system: LinearSystem, modes: Modes, power: Array, step: float, noise: Noise
+    system: LinearSystem, modes: Modes, walk: Array, step: float, noise: Noise
 ) -> tuple[SteadyFilter, Array]:
     """Solve the Riccati equation of the linear part.
+
+    Parameters
+    ----------
+    system : LinearSystem
+        Of the machine over `step` (s).
+    modes : Modes
+        Of the machine.
+    walk : ndarray, shape (s + h + 1,)
+        As in `SteadyFilter`.
+    step : float
+        s.
+    noise : Noise
+        Of the readings and the joints.
 
     Returns
     -------
@@ -155,7 +172,6 @@ def design_filter(
         No solution exists: the readings do not determine the inputs.
     """
     size, dynamic = system.size, system.decay.size
-    walk = np.append(noise.heat_walk * power, noise.ambient_walk)
     source = np.zeros((size, walk.size + len(modes.jump)))
     source[dynamic:, : walk.size] = np.diag(walk)
     source[:dynamic, : walk.size] = system.drive * walk
@@ -167,11 +183,19 @@ def design_filter(
         np.broadcast_to(np.square(noise.sensor), len(system.rows) - 1), noise.ambient_sensor**2
     )
     # Scaled by one step's walk of the inputs, amplitudes, W and K are of the same order.
-    unit = np.concatenate([np.ones(dynamic), walk])
+    unit = np.concatenate([np.ones(dynamic), np.where(walk > 0.0, walk, 1.0)])
     matrix, rows = system.matrix * unit / unit[:, None], system.rows * unit
     source = source / unit[:, None]
+    # What is known and constant has no covariance.
+    open_ = np.flatnonzero(np.append(np.ones(dynamic, dtype=bool), walk > 0.0))
+    before = np.zeros((size, size))
     try:
-        before = solve_discrete_are(matrix.T, rows.T, source @ source.T, np.diag(readings))
+        before[np.ix_(open_, open_)] = solve_discrete_are(
+            matrix[np.ix_(open_, open_)].T,
+            rows[:, open_].T,
+            source[open_] @ source[open_].T,
+            np.diag(readings),
+        )
     except (np.linalg.LinAlgError, ValueError) as error:
         raise ConvergenceError(
             "filter: the Riccati equation has no solution; place a sensor near every source"

@@ -152,6 +152,7 @@ def _arrays(model: ObserverModel) -> dict[str, Array]:
         "warm": model.warm,
         "power": model.power,
         "offset": model.offset,
+        "first": model.first,
     }
     for k, joint in enumerate(model.joints):
         arrays[f"joints/{k}"] = joint.conductivity
@@ -172,6 +173,7 @@ def _header(model: ObserverModel) -> str:
             "axes": model.axes,
             "sources": model.sources,
             "loads": model.loads,
+            "surfaces": model.surfaces,
             "joints": [joint.section.model_dump(mode="json") for joint in model.joints],
             "calibrated": {
                 "duration_s": known.duration_s,
@@ -215,11 +217,13 @@ def _model(header: dict[str, Any], arrays: Mapping[str, Array]) -> ObserverModel
         warm=arrays["warm"],
         power=arrays["power"],
         offset=arrays["offset"],
+        first=arrays["first"],
         step=float(header["step_s"]),
         sensors=tuple(header["sensors"]),
         axes=tuple(header["axes"]),
         sources=tuple(header["sources"]),
         loads=tuple(header["loads"]),
+        surfaces=tuple(header["surfaces"]),
         calibrated=Calibrated(
             known["duration_s"],
             known["heat"],

@@ -91,8 +91,10 @@ class ObserverModel(Described):
         Longest step, s; that of the filter.
     offset : ndarray, shape (p,)
         Offset of every sensor, K.
-    sensors, axes, sources, loads : tuple of str
-        Names; of the loads, those whose factors are read.
+    first : ndarray, shape (h,)
+        Temperatures of the held surfaces at the start of a cold machine, K.
+    sensors, axes, sources, loads, surfaces : tuple of str
+        Names; of the loads, those whose factors are read; of the held surfaces.
     calibrated : Calibrated
         Range of the calibration.
     factors : dict of str to (float, float)
@@ -112,10 +114,12 @@ class ObserverModel(Described):
     power: Array
     step: float
     offset: Array
+    first: Array
     sensors: tuple[str, ...]
     axes: tuple[str, ...]
     sources: tuple[str, ...]
     loads: tuple[str, ...]
+    surfaces: tuple[str, ...]
     calibrated: Calibrated
     factors: dict[str, tuple[float, float]] = field(default_factory=dict)
 

@@ -98,10 +98,11 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             "with a power law of the conductance; run it with 'thermojoint estimate'"
         )
     modes, rest = estimator.model.modes, estimator.observer.physics.rest
-    if modes.factors.size or modes.start.any() or rest.gap.any():
+    acts = modes.factors.size or estimator.model.surfaces
+    if acts or modes.start.any() or rest.gap.any():
         raise InputError(
-            "export: the machine has loads, bolts, initial temperatures or a joint without preload;"
-            " run it with 'thermojoint estimate'"
+            "export: the machine has loads, bolts, initial or held temperatures or a joint without "
+            "preload; run it with 'thermojoint estimate'"
         )
     tolerance = kernel.tolerance
     if precision is Precision.SINGLE:

@@ -19,6 +19,29 @@ def ambient_in(response: xr.Dataset) -> Array:
     return np.zeros(response.sizes["time"])
 
 
+def temperatures_in(response: xr.Dataset, sensors: Sequence[str]) -> Array:
+    """Return the temperatures of probes and held surfaces, K, shape (n, p).
+
+    Raises
+    ------
+    InputError
+        One is missing.
+    """
+    held: list[str] = []
+    if "held_temperature" in response:
+        held = [str(name) for name in response["held"].to_numpy()]
+    probes = {str(name) for name in response["probe"].to_numpy()}
+    columns = [
+        columns_of(
+            response,
+            "held_temperature" if name in held and name not in probes else "temperature",
+            [name],
+        )
+        for name in sensors
+    ]
+    return np.hstack([np.zeros((response.sizes["time"], 0)), *columns])
+
+
 def loads_in(response: xr.Dataset, loads: Sequence[str]) -> Array:
     """Return the factors of some loads, shape (n, v).
 
@@ -44,7 +67,7 @@ def samples_in(
     InputError
         A probe or a load is missing.
     """
-    sensed = columns_of(response, "temperature", sensors)
+    sensed = temperatures_in(response, sensors)
     values = np.column_stack([sensed, ambient_in(response), loads_in(response, loads)])
     for time, row in zip(response["time"].to_numpy(), values, strict=True):
         yield (float(time), *map(float, row))

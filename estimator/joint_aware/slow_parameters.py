@@ -83,6 +83,8 @@ def check_ageing(model: ObserverModel, names: Sequence[str]) -> None:
             raise unknown_name("ageing parameter", name, SLOW, "ageing")
     if not names or len(set(names)) < len(names):
         raise InputError("ageing: no parameter, or one twice; name each once")
+    if model.surfaces and "film" in names:
+        raise InputError("ageing: no film beside held temperatures; leave it out")
     frictions = [joint.section.friction_coefficient for joint in model.joints]
     absent = {
         "preload": not any(joint.section.preload_MPa for joint in model.joints),

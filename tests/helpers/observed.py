@@ -49,9 +49,9 @@ def step(level):
     return {"kind": "step", "level": level}
 
 
-def observer(machine, responses):
+def observer(machine, responses, axes=("x", "y")):
     """No parameter changed; its own responses leave nothing for the remainder."""
-    machine = along(machine, ["x", "y"])
+    machine = along(machine, axes)
     fit = fit_physics(machine, [run_in(one, machine, "step") for one in responses.values()], [])
     return JointAware(make_observer(machine, fit, calibrated_range(machine, responses)))
 

@@ -33,6 +33,7 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "source_power": (("time", "source"), "W", "heat of each source of the whole structure"),
     "load_factor": (("time", "load"), "1", "factor of each mechanical load"),
     "ambient": (("time",), "K", "ambient temperature above its initial value"),
+    "held_temperature": (("time", "held"), "K", "held surfaces above the initial ambient"),
     "temperature": (("time", "probe"), "K", "temperature above the initial ambient"),
     "displacement": (("time", "axis"), "m", "relative displacement (attribute displacement_of)"),
     "probe_position": (("probe", "space"), "m", "position of the temperature probes"),

@@ -98,7 +98,7 @@ def surface_of(case: Case, setup: Setup, model: ObserverModel, up: Array) -> Sur
     machine = along(reduce_machine(case, setup, model.sensors), model.axes)
     fitted = with_factors(machine, {name: factor for name, (factor, _) in model.factors.items()})
     rates, turn = diagonal_basis(fitted, model.held)
-    modes = on_basis(fitted, rates, turn)
+    modes = on_basis(fitted, rates, turn, model.held)
     if not _alike(modes, model.modes):
         raise InputError("scene: the model was calibrated with another case or mesh; give its own")
     turn = turn @ _alignment(modes, model.modes)

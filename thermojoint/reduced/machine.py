@@ -7,7 +7,7 @@ parameters cost a small eigenvalue problem and no finite element (`parameters`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,6 +18,7 @@ from fesim.joint.conductance import ConductanceTable
 from fesim.joint.law import JointLaw
 from fesim.march.assembly import tightened_contact
 from fesim.march.contact import ContactProblem, Laws
+from fesim.march.machine import CondensedMachine
 from fesim.march.settling import Rest, first_equilibrium
 from fesim.setup.bolts import first_forces
 from fesim.setup.laws import as_walled, initial_opening, joint_conductivity, law_of, table_of
@@ -28,10 +29,12 @@ from fesim.solid.bolts import BoltSprings
 from fesim.solid.condensation import ElasticCondensation, LoadInfluence
 from fesim.solid.elasticity import DIRECTIONS
 from fesim.solid.heat import ThermalLoads, heat_operators
-from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.artefacts.errors import InputError
 from thermojoint.reduced.films import Film, films_of
 
+#: Rate at which the amplitude of a held surface follows its temperature, 1/s: at once, in any step.
+FOLLOWS = 1e12
 #: A mode is for itself if its rate and what drives it are less than this part of the largest.
 ALONE = 1e-9
 
@@ -91,8 +94,29 @@ class Acting:
 
 
 @dataclass(frozen=True, eq=False)
+class Held:
+    """Surfaces whose temperature is held; their amplitudes stand behind those of the modes.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the h surfaces.
+    first : ndarray, shape (h,)
+        Temperatures at time zero, K.
+    varies : ndarray of bool, shape (h,)
+        Whether they change with time.
+    """
+
+    names: tuple[str, ...] = ()
+    first: Array = field(default_factory=lambda: np.zeros(0))
+    varies: Flags = field(default_factory=lambda: np.zeros(0, dtype=bool))
+
+
+@dataclass(frozen=True, eq=False)
 class ReducedMachine:
     """M da/dt + (K + H) a = P u + h T_amb - B^T j on r modes, and what the joint needs.
+
+    The last of the modes are held surfaces at 1 K: their amplitudes are given.
 
     Attributes
     ----------
@@ -122,6 +146,8 @@ class ReducedMachine:
         Convection of single surfaces: what of `convection` and `ambient` is theirs, or could be.
     acting : Acting, optional
         Loads and bolts.
+    held : Held
+        Held surfaces.
     """
 
     capacity: Array
@@ -142,6 +168,17 @@ class ReducedMachine:
     step: float
     films: tuple[Film, ...] = ()
     acting: Acting | None = None
+    held: Held = field(default_factory=Held)
+
+    @property
+    def free(self) -> int:
+        """Number of modes whose amplitudes are not given."""
+        return len(self.start) - len(self.held.names)
+
+    def inputs(self, power: Array) -> Array:
+        """Return inputs (n, s + h + 1) at the ambient, with the power of the sources (n, s), W."""
+        held = np.tile(self.held.first, (len(power), 1))
+        return np.hstack([power, held, np.zeros((len(power), 1))])
 
     @property
     def load_names(self) -> tuple[str, ...]:
@@ -214,21 +251,17 @@ def reduce_machine(case: Case, setup: Setup, sensors: Sequence[str]) -> ReducedM
     Parameters
     ----------
     case : Case
-        With the reduced thermal model and without held temperatures.
+        With the reduced thermal model.
     setup : Setup
         Of this case.
     sensors : sequence of str
-        Temperature probes that will be read, in the order of the channels.
+        Temperature probes and held surfaces that will be read, in the order of the channels.
 
     Raises
     ------
     InputError
         The case has no source, or what a joint-aware estimator cannot have.
     """
-    if case.held_temperatures:
-        raise InputError(
-            "joint-aware: held temperatures are not in its state; model them as sources"
-        )
     if not case.sources:
         raise InputError("joint-aware: the case has no source whose heat could be estimated")
     if setup.modes is None:
@@ -242,7 +275,10 @@ def reduce_machine(case: Case, setup: Setup, sensors: Sequence[str]) -> ReducedM
         setup.joints,
     )
     basis = setup.modes.basis
-    rows = [list(setup.probes).index(name) for name in sensors]
+    held = _held(case)
+    surfaces = np.eye(basis.shape[1])[basis.shape[1] - len(held.names) :]
+    rows = dict(zip(held.names, surfaces, strict=True))
+    rows |= dict(zip(setup.probes, np.asarray(setup.probe_rows), strict=True))
     joints = tuple(_joint(case, setup, at) for at in range(len(setup.joints)))
     passes = [float(joint.conducts) for joint in joints]
     each = np.repeat(passes, [joint.conductivity.size for joint in joints])
@@ -257,8 +293,8 @@ def reduce_machine(case: Case, setup: Setup, sensors: Sequence[str]) -> ReducedM
         ambient=driven[:, count],
         jump=each[:, None] * np.asarray(ready.thermal.jump),
         mean=np.asarray(ready.thermal.mean),
-        sensors=np.asarray(setup.probe_rows)[rows],
-        start=np.zeros(basis.shape[1]) if ready.start is None else ready.start.free,
+        sensors=np.array([rows[name] for name in sensors]).reshape(-1, basis.shape[1]),
+        start=_start(case, ready),
         elastic=loose.contact.elastic,
         joints=joints,
         sensor_names=tuple(sensors),
@@ -268,6 +304,23 @@ def reduce_machine(case: Case, setup: Setup, sensors: Sequence[str]) -> ReducedM
         step=case.march.step_s,
         films=films_of(case, setup),
         acting=_acting(case, setup),
+        held=held,
+    )
+
+
+def _start(case: Case, machine: CondensedMachine) -> Array:
+    """Amplitudes at time zero, (r,); held surfaces are at the ambient until the first step."""
+    if machine.start is None:
+        return np.zeros(machine.thermal.inputs.shape[0])
+    return machine.start.temperature(march_inputs(case).at(np.zeros(1))[0])
+
+
+def _held(case: Case) -> Held:
+    sections = case.held_temperatures.values()
+    return Held(
+        tuple(case.held_temperatures),
+        np.array([history(np.zeros(1))[0] for history in march_inputs(case).held]),
+        np.array([section.file is not None for section in sections], dtype=bool),
     )
 
 
@@ -302,8 +355,8 @@ class Modes:
     ----------
     rates : ndarray, shape (r,)
         1/s.
-    drive : ndarray, shape (r, s + 1)
-        Per W of each source, then per K of the ambient.
+    drive : ndarray, shape (r, s + h + 1)
+        Per W of each source, then per K of the held surfaces and of the ambient.
     jump, mean, sensors, start : ndarray
         As in `ReducedMachine`.
     elastic : ElasticCondensation
@@ -369,27 +422,47 @@ def diagonal_modes(machine: ReducedMachine, held: Array | None = None) -> Modes:
         Conductance times area, W/K, with which the joint belongs to the linear part: then the
         joint heat flows are those beyond it. Default: none.
     """
-    return on_basis(machine, *diagonal_basis(machine, held))
+    return on_basis(machine, *diagonal_basis(machine, held), held)
 
 
 def diagonal_basis(machine: ReducedMachine, held: Array | None = None) -> tuple[Array, Array]:
     """Return the rates (k,), 1/s, and the basis (r, k) that `diagonal_modes` turns to."""
-    conduction = machine.conduction + machine.convection
-    if held is not None:
-        conduction = conduction + machine.jump.T @ (held[:, None] * machine.jump)
+    whole, free = _conducting(machine, held), machine.free
     # M = L L^T: a symmetric problem of the usual kind.
-    root = np.linalg.inv(np.linalg.cholesky(machine.capacity))
-    system = root @ conduction @ root.T
+    root = np.linalg.inv(np.linalg.cholesky(machine.capacity[:free, :free]))
+    system = root @ whole[:free, :free] @ root.T
     rates, turn = np.linalg.eigh(0.5 * (system + system.T))
     basis = root.T @ turn
     # A rigid wall against which no heat passes is a mode for itself, which nothing drives or reads.
-    driven = np.abs(basis.T @ np.column_stack([machine.sources, machine.ambient, machine.jump.T]))
+    drives = [machine.sources, machine.ambient, machine.jump.T, whole[:, free:]]
+    driven = np.abs(basis.T @ np.column_stack(drives)[:free])
     alone = (rates <= ALONE * rates.max()) & (driven.max(axis=1) <= ALONE * driven.max())
-    return np.maximum(rates[~alone], 0.0), basis[:, ~alone]
+    kept, surfaces = np.maximum(rates[~alone], 0.0), len(machine.start) - free
+    turned = np.zeros((free + surfaces, kept.size + surfaces))
+    turned[:free, : kept.size], turned[free:, kept.size :] = basis[:, ~alone], np.eye(surfaces)
+    return np.append(kept, np.full(surfaces, FOLLOWS)), turned
 
 
-def on_basis(machine: ReducedMachine, rates: Array, basis: Array) -> Modes:
-    """Return a machine's modes on a basis (r, k) that makes its heat equation diagonal."""
+def _conducting(machine: ReducedMachine, held: Array | None) -> Array:
+    """K + H with the part of the joint that belongs to the modes, W/K, shape (r, r)."""
+    conduction = machine.conduction + machine.convection
+    if held is None:
+        return conduction
+    return np.asarray(conduction + machine.jump.T @ (held[:, None] * machine.jump))
+
+
+def on_basis(
+    machine: ReducedMachine, rates: Array, basis: Array, held: Array | None = None
+) -> Modes:
+    """Return a machine's modes on a basis (r, k) that makes its heat equation diagonal.
+
+    Parameters
+    ----------
+    machine : ReducedMachine
+        Any.
+    rates, basis, held
+        As from and for `diagonal_basis`.
+    """
     turned = coupled_in(machine, basis)
     elastic, acting, axes = turned.elastic, turned.acting, len(machine.axes)
     loads = LoadInfluence(np.zeros((len(elastic.reference), 0)), np.zeros((axes, 0)))
@@ -405,7 +478,7 @@ def on_basis(machine: ReducedMachine, rates: Array, basis: Array) -> Modes:
         tight = np.vstack([assembly.gap, assembly.slip, assembly.pressure])
     return Modes(
         rates=rates,
-        drive=np.column_stack([turned.sources, turned.ambient]),
+        drive=_drive(machine, turned, rates, basis, held),
         jump=turned.jump,
         mean=turned.mean,
         sensors=turned.sensors,
@@ -416,6 +489,21 @@ def on_basis(machine: ReducedMachine, rates: Array, basis: Array) -> Modes:
         factors=factors,
         tight=tight,
     )
+
+
+def _drive(
+    machine: ReducedMachine, turned: ReducedMachine, rates: Array, basis: Array, held: Array | None
+) -> Array:
+    """What sources, held surfaces and ambient drive, (k, s + h + 1); held surfaces follow."""
+    surfaces = len(machine.held.names)
+    if not surfaces:
+        return np.column_stack([turned.sources, turned.ambient])
+    free = rates.size - surfaces
+    drawn = -basis.T @ (_conducting(machine, held)[:, machine.free :])
+    drive = np.column_stack([turned.sources, drawn, turned.ambient])
+    drive[free:] = 0.0
+    drive[free:, machine.power.size : -1] = np.diag(rates[free:])
+    return drive
 
 
 def coupled_in(machine: ReducedMachine, basis: Array) -> ReducedMachine:

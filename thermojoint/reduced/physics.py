@@ -113,8 +113,8 @@ def conduct(
         The machine.
     amplitudes : ndarray, shape (r,)
         Before.
-    inputs : ndarray, shape (s + 1,)
-        Heat of each source, W, and the ambient, K.
+    inputs : ndarray, shape (s + h + 1,)
+        Heat of each source, W, the held surfaces and the ambient, K.
     joint : JointState
         After the last step.
     length : float
@@ -210,9 +210,9 @@ def simulate_known(physics: Physics, inputs: Array, length: float) -> tuple[Arra
     ----------
     physics : Physics
         The machine.
-    inputs : ndarray, shape (n, s + 1 + v)
-        Heat of each source, W, and the ambient, K, at the end of each step; factors of the first
-        loads, where they are not those of time zero.
+    inputs : ndarray, shape (n, s + h + 1 + v)
+        Heat of each source, W, the held surfaces and the ambient, K, at the end of each step;
+        factors of the first loads, where they are not those of time zero.
     length : float
         Of a step, s.
 

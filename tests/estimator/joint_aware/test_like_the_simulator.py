@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
-from observed import observer
+from observed import errors, estimates, observer
 
+from calibrate.joint_aware.calibration import sensors_of
 from calibrate.joint_aware.misfit import physics_with
-from calibrate.joint_aware.readings import run_in
+from calibrate.joint_aware.readings import held_in, run_in
 from estimator.interface import Status
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.kind import KIND
@@ -51,6 +52,16 @@ TAKEN = {
     },
     "wall": STANDING | {"supports": {"symmetry": {"back": "x", "side": "y"}}},
     "warm": {"joints": {"joint": PRESSED}, "initial_temperature": {"expression_K": "90 * z_m"}},
+    "held": {
+        "joints": {"joint": PRESSED},
+        "held_temperatures": {"foot": {"file": "coolant.csv"}, "back": {"rise_K": 5.0}},
+        "initial_temperature": {"rise_K": 2.0},
+    },
+    "warm wall": STANDING
+    | {
+        "supports": {"symmetry": {"back": "x", "side": "y"}},
+        "held_temperatures": {"floor": {"file": "coolant.csv"}},
+    },
     "loads": {"joints": {"joint": PRESSED}, "loads": {**WEIGHT, "cut": CUT}},
     "bolts": {"joints": {"joint": TOUCHING}, "bolts": {"b": BOLT}, "loads": {"cut": CUT, **WEIGHT}},
 }
@@ -59,6 +70,7 @@ TAKEN = {
 def case_of(folder, sections):
     """A column heated in its lower part, its foot held unless it stands on a wall."""
     (folder / "cut.csv").write_text("time_s,factor\n0,0.5\n60,1\n65,-0.2\n200,0.4\n")
+    (folder / "coolant.csv").write_text("time_s,rise_K\n0,0\n100,8\n300,-3\n")
     (folder / "h.csv").write_text(TABLE)
     split = "walls" not in sections
     data = column_case(folder, split, {"supports": {"fixed": ["foot"]}, **sections})
@@ -91,18 +103,20 @@ def test_the_reduced_machine_marches_as_the_simulator(followed):
 
 
 def test_the_observer_without_updates_is_the_simulator(followed, tmp_path):
-    """Its heat is told once; then it has no thermometer, and its state goes through a file."""
+    """It has no thermometer and is told its inputs; its state goes through a file."""
     machine, response = followed
     model = observer(machine, {"run": response}).model
     write_observer(model, tmp_path / "model.h5")
     estimator = JointAware(read_observer(tmp_path / "model.h5"))
-    state = estimator.initial_state()
-    linear = estimator.parts.views(state)["linear"]
-    linear[estimator.observer.system.decay.size] = response["source_power"][1, 0].item()
+    state, moved = estimator.initial_state(), []
     rows = np.array(list(samples_in(response, ("P", "Q"), model.loads)))
     rows[:, 1:4] = np.nan
-    moved = []
-    for time, *values in rows:
+    # Heat, held surfaces, ambient.
+    known = np.zeros((len(rows), len(model.surfaces) + 2))
+    known[:, 0] = response["source_power"][:, 0]
+    known[:, 1:-1] = held_in(response, machine)
+    for (time, *values), inputs in zip(rows, known, strict=True):
+        estimator.parts.views(state)["linear"][-inputs.size :] = inputs
         state, estimate = estimator.sample(state, time, values)
         moved.append(estimate.displacement)
     given = response["displacement"].sel(axis=list(estimator.axes))
@@ -119,6 +133,26 @@ def test_tighter_bolts_and_other_friction_are_parameters(tmp_path):
     physics = physics_with(machine, {"preload": 1.1, "friction": 1.5})
     _, moved = simulate_known(physics, run_in(response, machine, "run").inputs, machine.step)
     np.testing.assert_allclose(moved, response["displacement"][1:], rtol=0.0, atol=1e-9)
+
+
+def test_a_held_temperature_that_changes_is_read_or_estimated(tmp_path):
+    coolant = {"held_temperatures": {"foot": {"file": "coolant.csv"}}}
+    case = case_of(tmp_path, {"joints": {"joint": PRESSED}} | coolant)
+    setup = set_up(case)
+    response = simulate(case, setup=setup).response
+    sensors = sensors_of(case, {"run": response})
+    assert sensors == ("P", "Q", "foot")
+    estimator = observer(reduce_machine(case, setup, sensors), {"run": response}, ["z"])
+    rows = [list(row) for row in samples_in(response, sensors)]
+    _, read = estimates(estimator, rows)
+    assert np.abs(errors(estimator, response, read)).max() < 0.5e-6
+    for row in rows[1:]:
+        row[3] = np.nan
+    _, guessed = estimates(estimator, rows)
+    assert np.abs(errors(estimator, response, guessed)).max() < 2.5e-6
+    at = [channel.name for channel in estimator.details].index("held_foot")
+    assert guessed[-1].details[at] == pytest.approx(-3.0, abs=1.0)
+    assert guessed[-1].missing == ("foot",)
 
 
 def test_a_load_is_read_in_percent_and_lasts_where_it_is_missing(tmp_path):
