@@ -147,6 +147,7 @@ CASE = {
     ),
     "joints.*.gap.temperature_jump_um": Quantity("µm", 0.01, 100.0, 0.4, _MICROMETRES),
     "joints.*.gap.mean_temperature_degC": Quantity("°C", -100.0, 1000.0, 30.0, (_KELVIN,)),
+    "joints.*.gap.ambient_degC": Quantity("°C", -100.0, 1000.0, 20.0, (_KELVIN,)),
     "joints.*.roughness_um": Quantity("µm", 0.005, 200.0, 1.0, _MICROMETRES),
     "joints.*.asperity_slope": Quantity(
         "rad", 0.005, 2.0, 0.15, (Slip("degrees", math.pi / 180.0), _PERCENT, Slip("mrad", 1e-3))

@@ -55,22 +55,29 @@ class ConductanceSection(Section):
 
 
 class GapSection(Section):
-    """``[joints.NAME.gap]``: heat transfer in parallel with the contact, open or closed."""
+    """``[joints.NAME.gap]``: heat transfer in parallel with the contact, open or closed.
+
+    Radiation is linearised at ``mean_temperature_degC``, or not at all: then ``ambient_degC`` is
+    the ambient at time 0, above which temperatures count.
+    """
 
     gas_conductivity_W_mK: NotNegative = 0.0
     temperature_jump_um: NotNegative = 0.0
     emissivity_a: Fraction | None = None
     emissivity_b: Fraction | None = None
     mean_temperature_degC: Annotated[float, Field(gt=-273.15, allow_inf_nan=False)] | None = None
+    ambient_degC: Annotated[float, Field(gt=-273.15, allow_inf_nan=False)] | None = None
 
     @model_validator(mode="after")
     def _something_conducts(self) -> GapSection:
-        radiation = self.emissivity_a, self.emissivity_b, self.mean_temperature_degC
+        radiation = self.emissivity_a, self.emissivity_b
+        temperatures = self.mean_temperature_degC, self.ambient_degC
         given = [value is not None for value in radiation]
-        if any(given) and not all(given):
+        known = sum(value is not None for value in temperatures)
+        if (any(given) or known) and not (all(given) and known == 1):
             raise ValueError(
-                "radiation needs 'emissivity_a', 'emissivity_b' and 'mean_temperature_degC', all "
-                "of them"
+                "radiation needs 'emissivity_a', 'emissivity_b' and one of 'ambient_degC' and "
+                "'mean_temperature_degC'"
             )
         if self.gas_conductivity_W_mK == 0.0 and not any(given):
             raise ValueError("give 'gas_conductivity_W_mK', or both emissivities")

@@ -150,13 +150,17 @@ class GapConductance:
     jump : float
         M: temperature jump distances of both sides, m.
     radiation : float
-        h_r, W/(m2 K).
+        h_r where it is linearised, W/(m2 K).
     touching : float
         Distance of the mean planes at first contact, m.
     opening : float or ndarray, shape (m,)
         Opening since first contact at gap zero, m: negative in a preloaded joint.
     follows : bool
         Whether the mean planes of a pressed joint continue to approach each other.
+    exchange : float
+        Of radiation that is not linearised, W/(m2 K4).
+    ambient : float
+        Initial ambient, K.
     """
 
     conductivity: float
@@ -165,24 +169,29 @@ class GapConductance:
     touching: float
     opening: float | Array
     follows: bool
+    exchange: float = 0.0
+    ambient: float = 0.0
 
-    def __call__(self, gap: Array) -> Array:
-        """Conductance (m,), W/(m2 K), at gaps (m,) from the state at the start, m."""
+    def __call__(self, gap: Array, rise: Array, jump: Array) -> Array:
+        """Conductance (m,), W/(m2 K).
+
+        Parameters
+        ----------
+        gap : ndarray, shape (m,)
+            From the state at the start, m.
+        rise, jump : ndarray, shape (m,)
+            Mean temperature of the sides above the initial ambient, and their difference, K.
+        """
         opening = self.opening + gap
         if not self.follows:
             opening = np.maximum(opening, 0.0)
         distance = np.maximum(self.touching + opening, NEAREST * self.touching)
-        return self.conductivity / (distance + self.jump) + self.radiation
+        mean = self.ambient + rise
+        # (Ta^4 - Tb^4) / (Ta - Tb)
+        secant = 4.0 * self.exchange * mean * (mean**2 + 0.25 * jump**2)
+        return self.conductivity / (distance + self.jump) + self.radiation + secant
 
 
-def linear_radiation(first: float, second: float, mean: float) -> float:
-    """h_r = 4 sigma T^3 / (1/e1 + 1/e2 - 1), W/(m2 K): parallel planes near a mean temperature.
-
-    Parameters
-    ----------
-    first, second : float
-        Emissivities.
-    mean : float
-        T, K.
-    """
-    return 4.0 * STEFAN_BOLTZMANN * mean**3 / (1.0 / first + 1.0 / second - 1.0)
+def exchange_factor(first: float, second: float) -> float:
+    """Return sigma / (1/e1 + 1/e2 - 1), W/(m2 K4), of parallel planes by their emissivities."""
+    return STEFAN_BOLTZMANN / (1.0 / first + 1.0 / second - 1.0)

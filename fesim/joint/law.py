@@ -145,8 +145,8 @@ class JointLaw:
         Law whose state at opening zero defines springs, tangential stiffness and relative errors;
         default `normal`. A joint without preload has no stiffness there.
     gap : callable, optional
-        Opening from the start (m) to the conductance of the gap in parallel with the contact, W/(m2
-        K).
+        Opening from the start (m), rise and jump (K) as for `conducts` to the conductance of the
+        gap in parallel with the contact, W/(m2 K).
 
     Raises
     ------
@@ -158,7 +158,7 @@ class JointLaw:
     friction: Friction
     conductance: Callable[[Array], Array]
     reference: NormalLaw | None = None
-    gap: Callable[[Array], Array] | None = None
+    gap: Callable[[Array, Array, Array], Array] | None = None
 
     def __post_init__(self) -> None:
         """Check the assumptions on the normal law."""
@@ -202,20 +202,21 @@ class JointLaw:
         table = self.conductance
         return isinstance(table, ConductanceTable) and table.knows_temperature
 
-    def conducts(self, pressure: Array, opening: Array, rise: Array) -> Array:
+    def conducts(self, pressure: Array, opening: Array, rise: Array, jump: Array) -> Array:
         """Conductance of contact and gap together, W/(m2 K), shape (m,).
 
         Parameters
         ----------
-        pressure, opening, rise : ndarray, shape (m,)
-            Pa; m from the start; mean temperature of both sides above the initial ambient, K.
+        pressure, opening, rise, jump : ndarray, shape (m,)
+            Pa; m from the start; mean temperature of both sides above the initial ambient, K; their
+            difference, K.
         """
         table = self.conductance
         if isinstance(table, ConductanceTable):
             contact = table.at(pressure, rise)
         else:
             contact = table(pressure)
-        return contact if self.gap is None else contact + self.gap(opening)
+        return contact if self.gap is None else contact + self.gap(opening, rise, jump)
 
 
 def stiffness_at_rest(laws: Sequence[tuple[JointLaw, int]]) -> Array:

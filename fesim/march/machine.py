@@ -78,8 +78,9 @@ class CondensedMachine:
         if self.contact.conducts_by_pressure:
             return self.contact.conductance(state.pressure)
         rise = self.thermal.mean @ state.temperature
+        jump = self.thermal.jump @ state.temperature
         parts = [
-            law.conducts(state.pressure[at], state.gap[0, at], rise[at])
+            law.conducts(state.pressure[at], state.gap[0, at], rise[at], jump[at])
             for law, at in self.contact.slices()
         ]
         return np.concatenate(parts)

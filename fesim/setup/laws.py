@@ -14,7 +14,7 @@ from fesim.joint.conductance import (
     ConductanceTable,
     FixedConductance,
     GapConductance,
-    linear_radiation,
+    exchange_factor,
 )
 from fesim.joint.law import (
     BackBurdekinLaw,
@@ -207,16 +207,18 @@ def _gap(
     closed: SurfaceNormalLaw | BackBurdekinLaw,
     opening: NDArray[np.float64] | None,
 ) -> GapConductance:
-    radiation, mean = 0.0, given.mean_temperature_degC
-    if given.emissivity_a is not None and given.emissivity_b is not None and mean is not None:
-        radiation = linear_radiation(given.emissivity_a, given.emissivity_b, mean + 273.15)
+    exchange, mean = 0.0, given.mean_temperature_degC
+    if given.emissivity_a is not None and given.emissivity_b is not None:
+        exchange = exchange_factor(given.emissivity_a, given.emissivity_b)
     return GapConductance(
         conductivity=given.gas_conductivity_W_mK,
         jump=1e-6 * given.temperature_jump_um,
-        radiation=radiation,
+        radiation=0.0 if mean is None else 4.0 * exchange * (mean + 273.15) ** 3,
         touching=touching_distance(1e-6 * section.roughness_um),
         opening=-touching_opening(closed) if opening is None else opening,
         follows=isinstance(closed, SurfaceNormalLaw),
+        exchange=exchange if mean is None else 0.0,
+        ambient=273.15 + (given.ambient_degC or 0.0),
     )
 
 

@@ -101,6 +101,12 @@ def check_open(case: Case, structure: Structure, joints: Sequence[PairedJoint]) 
 def check_one_ambient(case: Case) -> None:
     """Refuse radiation to an ambient that is not that of time zero, or not the same everywhere."""
     given = {f"radiation.{name}": one.ambient_degC for name, one in case.radiation.items()}
+    gaps = {name: joint.gap for name, joint in case.joints.items() if joint.gap is not None}
+    given |= {
+        f"joints.{name}.gap": gap.ambient_degC
+        for name, gap in gaps.items()
+        if gap.ambient_degC is not None
+    }
     if not given:
         return
     where, ambient = next(iter(given.items()))

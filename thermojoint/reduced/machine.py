@@ -195,27 +195,29 @@ class ReducedMachine:
         """Conductance times area of every contact element before the first step, W/K."""
         modes = on_basis(self, np.zeros(len(self.start)), np.eye(len(self.start)))
         rest = rest_of(contact_of(modes, self.laws), modes)
-        return conducted(self.laws, modes.elastic.area, rest, modes.mean @ modes.start)
+        return conducted(self.laws, modes, rest, modes.start)
 
 
-def conducted(laws: Laws, area: Array, joint: Rest, rise: Array) -> Array:
+def conducted(laws: Laws, modes: Modes, joint: Rest, amplitudes: Array) -> Array:
     """Return conductance times area of every contact element, W/K, shape (m,).
 
     Parameters
     ----------
     laws : sequence of (JointLaw, int)
         The law of each joint and its number of contact elements.
-    area : ndarray, shape (m or more,)
-        m2.
+    modes : Modes
+        Of the machine.
     joint : Rest
         With the pressures and the gaps; a `JointState` is one.
-    rise : ndarray, shape (m,)
-        Mean temperature of both sides, K.
+    amplitudes : ndarray, shape (r,)
+        Of the modes.
     """
+    rise, jump, area = modes.mean @ amplitudes, modes.jump @ amplitudes, modes.elastic.area
     parts, start = [np.empty(0)], 0
     for law, count in laws:
         at = slice(start, start + count)
-        parts.append(law.conducts(joint.pressure[at], joint.gap[0, at], rise[at]) * area[at])
+        each = law.conducts(joint.pressure[at], joint.gap[0, at], rise[at], jump[at])
+        parts.append(each * area[at])
         start += count
     return np.concatenate(parts)
 

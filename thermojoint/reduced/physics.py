@@ -81,8 +81,7 @@ class Physics:
 
     def beyond_held(self, joint: JointState, amplitudes: Array) -> Array:
         """Conductance times area that the modes do not have yet, W/K, shape (m,)."""
-        modes = self.modes
-        return conducted(self.laws, modes.elastic.area, joint, modes.mean @ amplitudes) - self.held
+        return conducted(self.laws, self.modes, joint, amplitudes) - self.held
 
 
 def make_physics(modes: Modes, joints: Sequence[Joint], held: Array) -> Physics:

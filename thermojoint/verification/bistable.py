@@ -153,7 +153,7 @@ def found_near(still: Setup, case: Case, conductance: float) -> State:
 
     def lack(logarithm: float) -> float:
         settled = state(float(np.exp(logarithm)))
-        own = law.conducts(settled.pressure, settled.gap[0], np.zeros(1))
+        own = law.conducts(settled.pressure, settled.gap[0], *np.zeros((2, 1)))
         return float(np.log(own[0])) - logarithm
 
     middle = np.log(conductance)

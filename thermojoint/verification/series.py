@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.optimize import brentq
 from scipy.sparse import csr_array
 from scipy.special import erfcinv
 
@@ -21,7 +22,7 @@ from fesim.joint.law import (
 )
 from fesim.march.contact import ContactProblem
 from fesim.march.machine import CondensedMachine
-from fesim.march.stepping import march, staggered
+from fesim.march.stepping import Advance, iterated, march, staggered
 from fesim.setup.elastic import reference_springs
 from fesim.setup.laws import law_of
 from fesim.solid.condensation import condense_elasticity, condense_heat
@@ -109,6 +110,25 @@ OTHER_LAWS: dict[str, tuple[dict[str, Any], float]] = {
 }
 
 
+#: Radiation that is not linearised, above an ambient of 300 °C, at which it counts.
+AMBIENT = 300.0
+BLACK = {"emissivity_a": 1.0, "emissivity_b": 1.0, "ambient_degC": AMBIENT}
+
+
+def radiated() -> float:
+    """Return h of black surfaces between the bars from the heat that passes them, W/(m2 K)."""
+
+    def drop(flux: float) -> float:
+        return HOT - COLD - flux * (LEFT / IRON.conductivity + RIGHT / STEEL.conductivity)
+
+    def excess(flux: float) -> float:
+        second = AMBIENT + 273.15 + COLD + flux * RIGHT / STEEL.conductivity
+        return 5.670374419e-8 * ((second + drop(flux)) ** 4 - second**4) - flux
+
+    flux = float(brentq(excess, 0.0, 1e5, xtol=1e-12))
+    return flux / drop(flux)
+
+
 def other_checks() -> Iterator[Check]:
     """Heat flow through the two bars with conductances other than Eq. 11."""
     cold = steady_machine(bars("hexahedra", (3, 3, 2), (4, 3, 2)))
@@ -126,6 +146,10 @@ def other_checks() -> Iterator[Check]:
         opening = None if given is None else np.full(cold.contact.count, 1e-6 * float(given))
         law = law_of(section, np.full(cold.contact.count, IRON.conductivity), opening)
         yield _flow_check(f"two bars, {name}", cold.with_laws([(law, 6)]), conductance)
+    section = JointSection(**surface | _OPEN | {"gap": BLACK})
+    law = law_of(section, np.full(6, IRON.conductivity), np.full(6, 30e-6))
+    name = "two bars, radiation of the fourth power"
+    yield _flow_check(name, cold.with_laws([(law, 6)]), radiated(), iterated)
 
 
 def checks() -> Iterator[Check]:
@@ -140,10 +164,12 @@ def checks() -> Iterator[Check]:
     yield from other_checks()
 
 
-def _flow_check(name: str, machine: CondensedMachine, conductance: float) -> Check:
+def _flow_check(
+    name: str, machine: CondensedMachine, conductance: float, advance: Advance = staggered
+) -> Check:
     # Inputs: the ambient, then the two held ends.
     inputs = np.array([0.0, HOT, COLD])
-    step = next(march(machine, lambda _: inputs, staggered))
+    step = next(march(machine, lambda _: inputs, advance))
     resistance = LEFT / IRON.conductivity + 1.0 / conductance + RIGHT / STEEL.conductivity
     flow = SECTION[0] * SECTION[1] * (HOT - COLD) / resistance
     return Quantity("heat flow", "W", 1e-6).check(name, flow, step.heat_flow.sum())

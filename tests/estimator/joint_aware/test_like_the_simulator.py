@@ -26,7 +26,7 @@ PRESSED = joint(preload_MPa=2.0)
 LOOSE = joint(preload_MPa=0.0, initial_opening_um=0.2, reference_pressure_MPa=8.0)
 TOUCHING = LOOSE | {"initial_opening_um": 0.0}
 GAS = {"gas_conductivity_W_mK": 0.026, "temperature_jump_um": 0.4}
-RADIATION = {"emissivity_a": 0.8, "emissivity_b": 0.6, "mean_temperature_degC": 40.0}
+RADIATION = {"emissivity_a": 0.8, "emissivity_b": 0.6, "ambient_degC": 20.0}
 CUT = {"surface": "top", "force_N": [300.0, 100.0, -3000.0], "file": "cut.csv"}
 BOLT = {
     "head": {"position_mm": [15, 25, 400], "diameter_mm": 10.0, "body": "upper"},
