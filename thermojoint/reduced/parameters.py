@@ -146,14 +146,14 @@ def with_factors(machine: ReducedMachine, factors: dict[str, float]) -> ReducedM
     by = {parameter.name: 1.0 for parameter in PARAMETERS} | factors
     elastic, acting = machine.elastic, machine.acting
     if acting is not None:
-        influence, springs, factors = acting.influence, acting.springs, acting.factors.copy()
-        factors[factors.size - springs.flexibility.size :] *= by["preload"]
+        influence, springs, strengths = acting.influence, acting.springs, acting.factors.copy()
+        strengths[strengths.size - springs.flexibility.size :] *= by["preload"]
         acting = replace(
             acting,
             influence=LoadInfluence(
                 influence.gap / by["modulus"], influence.probes / by["modulus"]
             ),
-            factors=factors,
+            factors=strengths,
             springs=BoltSprings(
                 springs.flexibility / by["modulus"], by["expansion"] * springs.growth
             ),
