@@ -16,14 +16,14 @@ install: $(INSTALLED)
 reproduce: $(INSTALLED)
 	$(BIN)/thermojoint reproduce --out $(OUT)
 
-# Two processes, in the order of tests/conftest.py. Without a worker that was lost the rest may wait for
-# ever: end then.
-PAIR := -n 2 --dist loadscope --no-loadscope-reorder --max-worker-restart 0
+# For two cores, in the order of tests/conftest.py: the third process computes while another waits.
+# Without a worker that was lost the rest may wait for ever: end then.
+SHARED := -n 3 --dist loadscope --no-loadscope-reorder --max-worker-restart 0
 
 # Bytecode is written whatever the environment says: each of the many processes that tests start would
 # compile all sources.
 test: $(INSTALLED)
-	env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest $(PAIR)
+	env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest $(SHARED)
 
 # What is computed, as other processors compute it: without vector instructions and with the other
 # direct solver; with those of AVX2, MKL's most compatible under PARDISO; and with two threads where
@@ -40,10 +40,10 @@ AVX2 := OPENBLAS_CORETYPE=Haswell NPY_DISABLE_CPU_FEATURES='X86_V4 AVX512_ICL AV
 portable: portable-plain portable-avx2 portable-threads
 
 portable-plain: $(INSTALLED)
-	$(PLAIN) $(BIN)/python -m pytest $(PAIR) $(NUMERICAL)
+	$(PLAIN) $(BIN)/python -m pytest $(SHARED) $(NUMERICAL)
 
 portable-avx2: $(INSTALLED)
-	$(AVX2) $(BIN)/python -m pytest $(PAIR) $(NUMERICAL)
+	$(AVX2) $(BIN)/python -m pytest $(SHARED) $(NUMERICAL)
 
 portable-threads: $(INSTALLED)
 	$(PLAIN) OMP_NUM_THREADS=2 $(BIN)/python -m pytest $(THREADED)

@@ -250,7 +250,7 @@ def test_a_table_of_temperatures_is_read_and_used(tmp_path):
     (tmp_path / "table.csv").write_text(text)
     data = _bars()
     data["joints"]["joint"] = CLOSED | {"conductance": {"law": "table", "file": "table.csv"}}
-    data["march"] |= {"step_s": 60.0, "duration_min": 300.0}
+    data["march"] |= {"step_s": 300.0, "duration_min": 300.0}
     ends = []
     for coupling in ("staggered", "iterated"):
         for thermal in ("full", "reduced"):

@@ -230,7 +230,7 @@ def test_a_finished_batch_asks_nobody_to_work(finished):
 
 
 def test_after_kill_9_the_rest_runs_and_nothing_runs_again(tmp_path):
-    path, out = write_study(tmp_path, levels(8), minutes=8.0), tmp_path / "out"
+    path, out = write_study(tmp_path, levels(8), minutes=5.0), tmp_path / "out"
     with started(path, out, 2, workers=1) as process:
         process.kill()
         process.wait()
@@ -256,7 +256,7 @@ def journal(out, event):
 
 
 def test_ctrl_c_finishes_what_is_at_work_and_the_same_command_goes_on(tmp_path):
-    path, out = write_study(tmp_path, levels(8), minutes=8.0), tmp_path / "out"
+    path, out = write_study(tmp_path, levels(8), minutes=5.0), tmp_path / "out"
     with started(path, out, 2, workers=2) as process:
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers too
         said = process.communicate(timeout=60)[1]

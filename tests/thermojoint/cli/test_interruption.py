@@ -75,7 +75,7 @@ def test_ctrl_c_during_an_import_is_one_line(module, tmp_path):
     assert ended_in_one_line(simulate(tmp_path, module), tmp_path)
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.05, 0.3, 1.0, 2.0])
+@pytest.mark.parametrize("delay", [0.05, 0.3, 1.0])
 def test_ctrl_c_after_any_delay_is_one_line(delay, tmp_path):
     with simulate(tmp_path) as process:
         assert process.stdout.readline() == "begun\n"

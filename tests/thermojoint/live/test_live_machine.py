@@ -424,4 +424,4 @@ def test_holes_and_eras_that_are_over_are_forgotten_like_the_rest(model, tmp_pat
 
 
 def test_no_sequence_makes_an_offset_jump_or_lie():
-    offset_invariant.violations(80)
+    offset_invariant.violations(40)

@@ -232,18 +232,18 @@ def test_a_film_has_its_frames_and_they_differ(scenes, quick, tmp_path, suffix):
     pytest.importorskip("imageio_ffmpeg")
     out = tmp_path / f"film{suffix}"
     told = []
-    film.write_film(scenes, out, lambda *done: told.append(done))
-    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    film.write_film(scenes[::2], out, lambda *done: told.append(done))
+    assert told == [(1, 2), (2, 2)]
     assert [path.name for path in tmp_path.iterdir()] == [out.name]
     with imageio.get_reader(out) as reader:
         frames = [np.asarray(frame)[:, :, :3] for frame in reader]
         meta = reader.get_meta_data()
-    assert len(frames) == 4
+    assert len(frames) == 2
     (size,) = {frame.shape for frame in frames}
     assert size[0] % 2 == size[1] % 2 == 0
     assert all((one != other).any() for one, other in pairwise(frames))
     if suffix == ".mp4":
-        assert meta["duration"] == pytest.approx(4 / film.FRAMES_PER_SECOND, rel=0.05)
+        assert meta["duration"] == pytest.approx(2 / film.FRAMES_PER_SECOND, rel=0.05)
     else:
         assert meta["duration"] == pytest.approx(1000 / film.FRAMES_PER_SECOND, rel=0.05)
 
