@@ -45,6 +45,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
         accounts.users,
         accounts.tokens,
         targets.linuxcnc,
+        targets.target,
         scene.scene,
     ),
     "Look and check": (

@@ -43,3 +43,35 @@ def linuxcnc(
         else:
             shown = f"{text.count(chr(10))} lines" if path.name == COMPONENT else f"\n{text}"
             print(f"would write {path}: {shown}")
+
+
+def target(
+    target: Annotated[Path, typer.Argument(help="File of the target (TOML).")],
+    out: Annotated[Path | None, typer.Option(help="File to write; default: printed.")] = None,
+    offsets: Annotated[
+        Path | None, typer.Option(help="Table of 'compensate': list the writes that it leads to.")
+    ] = None,
+) -> None:
+    """Show what a control (Siemens, Beckhoff) needs and what would be written into it.
+
+    Without --offsets it is the list of parameters with which the compensation begins, for the
+    control's commissioning; with it every write, in order, with node, value and unit.
+
+    Example: [bold]thermojoint target sinumerik.toml --offsets offsets.csv --out writes.csv[/bold]
+    """
+    from thermojoint import console
+    from thermojoint.artefacts.files import write_text
+    from thermojoint.live.targets.dry_run import COLUMNS, writes
+    from thermojoint.live.targets.settings import lines_of, read_target
+
+    given = read_target(target)
+    if offsets is None:
+        lines = list(lines_of(given, dict.fromkeys(given.axes, 0.0)))
+    else:
+        rows = writes(given, offsets.read_text("utf-8").splitlines(), str(offsets))
+        lines = [",".join(row) for row in (COLUMNS, *rows)]
+    if out is None:
+        print("\n".join(lines))
+    else:
+        write_text(out, "\n".join(lines) + "\n")
+        console.wrote(out)

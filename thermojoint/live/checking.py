@@ -68,6 +68,7 @@ def _findings(service: Service, folder: Path) -> Findings:
         partial(check_store, folder / "history.sqlite"),
         partial(readers_of, service, single(models, service)),
         *(partial(_check_scene, service, models, name) for name in models),
+        *(partial(_check_target, service, models, name) for name in working),
         partial(_check_users, service),
         partial(_check_interfaces, service),
     ]
@@ -110,6 +111,14 @@ def _check_scene(service: Service, models: dict[str, Served], name: str) -> None
     file, estimator = service.given.models[name].scene, models[name].estimator
     if file is not None:
         scene_of(file, estimator, estimator.initial_state)
+
+
+def _check_target(service: Service, models: dict[str, Served], name: str) -> None:
+    section = service.machines[name]
+    if section.target is not None:
+        from thermojoint.live.targets.writing import target_of
+
+        target_of(service, name, models[section.model])
 
 
 def _check_users(service: Service) -> None:

@@ -43,9 +43,25 @@ async def open_doors(running: Running) -> list[Coroutine[Any, Any, None]]:
         )
     if service.given.opcua is not None:
         doors += await _opcua_server(running, service.given.opcua)
+    if any(machine.target for machine in service.machines.values()):
+        doors += _writers(running)
     if service.given.http is not None:
         doors.append(_http_server(running, service.given.http))
     return doors
+
+
+def _writers(running: Running) -> list[Coroutine[Any, Any, None]]:
+    """Return what writes into the controls of the machines that have a target."""
+    from thermojoint.live.targets.writing import Writer, target_of
+
+    found, audit = [], running.accounts.audit
+    for name, place in running.floor.places.items():
+        target = target_of(running.service, name, place.served)
+        if target is not None:
+            names = place.served.layout.controls
+            writer = Writer(name, names, *target, running.hub, running.floor, audit)
+            found.append(writer.run())
+    return found
 
 
 def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, None]:

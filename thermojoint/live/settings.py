@@ -60,10 +60,11 @@ class ModelSection(Section):
 class HandshakeSection(Section):
     """``[machines.NAME.handshake]``: no offset follows without the word of the control.
 
-    It answers by OPC UA or HTTP, as a user who writes, or by MQTT.
+    It answers by OPC UA or HTTP, as a user who writes, or by MQTT; or the service reads the answer
+    from the target that it writes.
     """
 
-    by: Literal["opcua", "mqtt", "http"]
+    by: Literal["opcua", "mqtt", "http", "target"]
     user: str | None = None
     heartbeat_s: Positive = 5.0
     differs_um: Positive | None = None
@@ -76,6 +77,7 @@ class MachineSection(Section):
     model: str
     source: str
     handshake: HandshakeSection | None = None
+    target: File | None = None
     count: Annotated[int, Field(ge=1, le=MOST_MACHINES)] | None = None
 
 
@@ -111,17 +113,22 @@ class MqttSource(MqttAddress):
     most_waiting: Annotated[int, Field(ge=1, le=1_000_000)] = 10_000
 
 
-class OpcuaSource(Section):
-    """Variables of an OPC UA server."""
+class OpcuaAddress(Section):
+    """Connection to an OPC UA server."""
 
-    kind: Literal["opcua"]
     url: str
-    node: str
-    columns: dict[str, str] = {}
     security: Literal["sign-and-encrypt", "none"] = "sign-and-encrypt"
     server_certificate: File | None = None
     user: str | None = None
     password: Secret | None = None
+
+
+class OpcuaSource(OpcuaAddress):
+    """Variables of an OPC UA server."""
+
+    kind: Literal["opcua"]
+    node: str
+    columns: dict[str, str] = {}
     publishing_ms: Positive = 200.0
     most_waiting: Annotated[int, Field(ge=1, le=1_000_000)] = 100_000
 
@@ -297,12 +304,18 @@ def service_from_data(data: dict[str, Any], where: str, base: Path) -> Service:
 def _check_handshake(at: str, machine: MachineSection, given: ServiceFile) -> None:
     """A handshake needs offsets, and the door by which the control answers."""
     handshake = machine.handshake
+    if (machine.target is not None) != (handshake is not None and handshake.by == "target"):
+        raise InputError(f'{at}: by = "target" and the file of a target belong together; give both')
+    if machine.target is not None and (machine.count or 1) > 1:
+        raise InputError(f"{at}: a target is one control; give each machine its own section")
     if handshake is None:
         return
     if given.models[machine.model].offsets is None:
         raise InputError(
             f"{at}: models.{machine.model} sends no offsets; give it offsets, or leave this out"
         )
+    if handshake.by == "target":
+        return
     if getattr(given, handshake.by) is None:
         raise InputError(f"{at}.by: there is no [{handshake.by}]; add it")
     if handshake.by == "opcua" and not (given.users or (given.opcua and given.opcua.users)):
@@ -375,11 +388,21 @@ def _check_protected(where: str, given: ServiceFile) -> None:
     if given.http and given.http.security == "none":
         open_doors.append(("http", given.http.address))
     for place, host in open_doors:
-        if not is_loopback(host):
-            raise InputError(
-                f'{where}: {place}: security = "none" at {host}, which others reach; use 127.0.0.1 '
-                "or leave security as it is"
-            )
+        _check_loopback(f"{where}: {place}", host)
+
+
+def check_protected_url(where: str, given: OpcuaAddress) -> None:
+    """Refuse a server without protection that others can reach."""
+    if given.security == "none":
+        _check_loopback(where, _host_in(given.url))
+
+
+def _check_loopback(where: str, host: str) -> None:
+    if not is_loopback(host):
+        raise InputError(
+            f'{where}: security = "none" at {host}, which others reach; use 127.0.0.1 or leave '
+            "security as it is"
+        )
 
 
 def is_loopback(host: str) -> bool:

@@ -1,12 +1,10 @@
 """LinuxCNC drives its axes by the offsets of the service: a real control, kills on each side."""
 
+import contextlib
 import os
 import re
 import shlex
 import signal
-import subprocess
-import sys
-import threading
 import time
 
 import numpy as np
@@ -14,41 +12,24 @@ import pytest
 from linuxcnc_control import control, needs_linuxcnc
 from live_parts import free_port
 from repository import ROOT
+from warming_machine import RATE, prepare, started, warming_up
 
 from thermojoint.live.archive import Archive
-from thermojoint.models.assembly import assemble
-from thermojoint.models.assembly_file import write_assembly
+from thermojoint.live.targets.linuxcnc_component import (
+    FOLLOW,
+    HOLD,
+    RETURN,
+    Axis,
+    Limits,
+    Word,
+    moved,
+    state_of,
+    word_of,
+)
 
-RATE = 8.0
 #: What a late loop of the component makes up for, and one step.
 BURST_S, STEP_UM = 0.2, 0.11
-OFFSETS = f"""
-rate_um_s = {RATE}
-oldest_s = 1e6
-recover_s = 0.0
-freeze_s = 1.0
-unusable = []
-[axes.Z]
-follows = "x"
-"""
-SERVICE = """
-folder = "state"
-behind_s = 1e12
-[models.m]
-file = "model.json"
-offsets = "offsets.toml"
-[machines.mill]
-model = "m"
-source = "mill"
-[sources.mill]
-kind = "csv"
-path = "mill.csv"
-[http]
-port = {port}
-security = "none"
-"""
-
-
+LIMITS = Limits(rate=1.0, largest=500.0, silence=10.0, hold=60.0)
 PAGE = (ROOT / "docs" / "guide-linuxcnc.md").read_text("utf-8")
 BLOCKS = dict(re.findall(r"^```(\w+)[^\n]*\n(.*?)^```", PAGE, re.M | re.S))
 COMMANDS = re.findall(r"^thermojoint (.*)$", PAGE, re.M)
@@ -58,28 +39,9 @@ COMMANDS = re.findall(r"^thermojoint (.*)$", PAGE, re.M)
 def cnc(hand_made_model):
     """A control, and in its folder the files of the service."""
     with control() as made:
-        place = made.folder
-        write_assembly(assemble(hand_made_model, 1.0, 7200.0), place / "model.json")
-        (place / "offsets.toml").write_text(OFFSETS)
-        text = SERVICE.format(port=free_port()) + BLOCKS["toml"]
-        (place / "service.toml").write_text(text)
-        (place / "mill.csv").write_text("time_s,a_degC,b_degC,T1_degC,T2_degC,ambient_degC\n")
+        http = f'[http]\nport = {free_port()}\nsecurity = "none"\n'
+        prepare(made.folder, hand_made_model, BLOCKS["toml"] + http)
         yield made
-
-
-def warm_up(place, ended):
-    for k in range(10_000):
-        with (place / "mill.csv").open("a") as file:
-            file.write(f"{1.7e9 + k},{20 + 0.02 * k},20,20.5,21,20\n")
-        if ended.wait(0.1):
-            return
-
-
-def started(place):
-    return subprocess.Popen(
-        [sys.executable, "-m", "thermojoint.cli", "serve", str(place / "service.toml")],
-        cwd=ROOT, stdout=(place / "service.log").open("a"), stderr=subprocess.STDOUT,
-    )  # fmt: skip
 
 
 def follow_the_page(place, command):
@@ -98,14 +60,14 @@ def follow_the_page(place, command):
 def test_a_control_follows_returns_when_the_service_is_killed_and_follows_again(
     cnc, command, monkeypatch
 ):
-    place, ended = cnc.folder, threading.Event()
+    place = cnc.folder
     monkeypatch.chdir(place)
     follow_the_page(place, command)
     archive = Archive(place / "state" / "history.sqlite")
-    machine = threading.Thread(target=warm_up, args=(place, ended))
-    machine.start()
     service = started(place)
-    try:
+    with contextlib.ExitStack() as ends:
+        ends.callback(lambda: (service.kill(), service.wait()))
+        ends.enter_context(warming_up(place))
         cnc.start()
 
         def asked():
@@ -134,11 +96,6 @@ def test_a_control_follows_returns_when_the_service_is_killed_and_follows_again(
         cnc.until(lambda: not (cnc.folder / "off").exists())
         cnc.until(lambda: abs(cnc.offset()) < 1.0)
         cnc.until(follows)
-    finally:
-        service.kill()
-        service.wait()
-        ended.set()
-        machine.join()
     before, after, x, z, offset = record.T
     # The program moves X all the time, and Z only by what is asked.
     assert min(np.ptp(part) for part in np.array_split(x, 5)) > 5000.0
@@ -147,3 +104,32 @@ def test_a_control_follows_returns_when_the_service_is_killed_and_follows_again(
         later = np.searchsorted(before, before + lag_s, side="right").clip(max=len(z) - 1)
         most = RATE * (after[later] - before + BURST_S) + STEP_UM
         assert (np.abs(z[later] - z) <= most).all()
+
+
+@pytest.mark.parametrize("value", [None, "3", True, 501.0, float("nan")])
+def test_a_word_that_is_none_is_refused(value):
+    said = {"publications": [{"handshake": "stands", "offsets_um": {"Z": value}}]}
+    with pytest.raises(ValueError, match="limit"):
+        word_of(said, 2.0, LIMITS, Word(1.0, None))
+
+
+def test_without_the_handshake_the_last_good_word_ages():
+    stands = {"publications": [{"handshake": "stands", "offsets_um": {"Z": 3.0}}]}
+    broken = {"publications": [{"handshake": "disabled", "offsets_um": {"Z": 2.0}}]}
+    word = word_of(stands, 2.0, LIMITS, Word(1.0, None))
+    assert word == Word(2.0, {"z": 3.0})
+    assert word_of({"publications": []}, 5.0, LIMITS, word) == Word(5.0, {"z": 3.0})
+    lost = word_of(broken, 5.0, LIMITS, word)
+    states = [state_of(True, clock, lost, LIMITS) for clock in (5.0, 71.9, 72.1)]
+    assert states == [HOLD, HOLD, RETURN]
+    assert state_of(True, 2.1, word, LIMITS) == FOLLOW
+    assert state_of(False, 2.1, word, LIMITS) == RETURN
+
+
+def test_a_step_waits_until_the_control_has_taken_the_last_one():
+    """And one that it has lost, for it was off, is made good a second later."""
+    first = moved(Axis(100, 0, 0.0), 0, 30, 4, 0.05)
+    assert first == Axis(104, 4, 0.05)
+    assert moved(first, 0, 30, 4, 0.1) == first
+    assert moved(first, 4, 30, 4, 0.1) == Axis(108, 8, 0.1)
+    assert moved(first, 0, 30, 4, 1.2) == Axis(108, 4, 1.2)

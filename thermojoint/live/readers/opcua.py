@@ -13,25 +13,21 @@ from collections import deque
 from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
 from asyncua import Client, ua
 from asyncua.common.node import Node
-from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.arrivals import Arrival, Note
-from thermojoint.live.certificates import APPLICATION, own_identity
 from thermojoint.live.mqtt_session import FIRST_S, next_delay
+from thermojoint.live.opcua_session import LOST, TIMEOUT_S, Reached, client_of, reached_of
 from thermojoint.live.readers.session import beside
-from thermojoint.live.secret import read_secret
 from thermojoint.live.served import Served
 from thermojoint.live.settings import OpcuaSource, Service
-from thermojoint.live.trust_list import certificate_in
 
-#: Timeout of a response, and interval of the requests that check the connection, s.
-_TIMEOUT_S, _ALIVE_S = 10.0, 5.0
+#: Interval of the requests that check the connection, s.
+_ALIVE_S = 5.0
 #: Arrivals that are passed on at once.
 _AT_ONCE = 64
 #: Largest number of values of one variable read from a history.
@@ -40,33 +36,6 @@ _MOST_HISTORY = 100_000
 _AT_A_TIME = 500
 #: Largest number of values of one variable that the server queues between two publications.
 _QUEUE = 1000
-#: Errors that end a connection.
-_LOST = (OSError, TimeoutError, asyncio.TimeoutError, ua.UaError, ConnectionError)
-
-
-@dataclass(frozen=True)
-class Reached:
-    """Connection data of a server; secrets are never displayed.
-
-    Attributes
-    ----------
-    url : str
-    certificate, key, server : Path or None
-        Own certificate and key, and the server's certificate; None without security.
-    user, password : str or None
-    publishing_ms : float
-    """
-
-    url: str
-    certificate: Path | None
-    key: Path | None
-    server: Path | None
-    user: str | None
-    password: str | None
-    publishing_ms: float
-
-    def __repr__(self) -> str:
-        return f"Reached({self.url})"
 
 
 @dataclass(eq=False)
@@ -82,12 +51,15 @@ class OpcuaReader:
         Readings of each machine.
     most : int
         Values that may be queued.
+    publishing_ms : float
+        Between two publications of the server.
     """
 
     reached: Reached
     nodes: Mapping[str, tuple[str, int]]
     counts: Mapping[str, int]
     most: int
+    publishing_ms: float
     _found: deque[Arrival | Note] = field(default_factory=deque)
     _came: asyncio.Event = field(default_factory=asyncio.Event)
     _newest: dict[str, float] = field(default_factory=dict)
@@ -114,11 +86,11 @@ class OpcuaReader:
         delay = FIRST_S
         while True:
             try:
-                client = await _client(self.reached)
+                client = await client_of(self.reached)
                 async with client:
                     delay = FIRST_S
                     await self._listen(client)
-            except _LOST as error:
+            except LOST as error:
                 self._put(Note("disconnected", f"OPC UA {self.reached.url}: {_shown(error)}"))
             await asyncio.sleep(delay)
             delay = next_delay(delay)
@@ -129,7 +101,7 @@ class OpcuaReader:
         places = dict(zip((node.nodeid for node in nodes), self.nodes.values(), strict=True))
         missed: list[tuple[ua.NodeId, ua.DataValue]] = []
         handler = _Handler(missed)
-        subscription = await client.create_subscription(self.reached.publishing_ms, handler)
+        subscription = await client.create_subscription(self.publishing_ms, handler)
         for k in range(0, len(nodes), _AT_A_TIME):
             some = nodes[k : k + _AT_A_TIME]
             items = [_item(node, k + n + 1) for n, node in enumerate(some)]
@@ -155,7 +127,7 @@ class OpcuaReader:
         handler.take = lambda nodeid, value: self._take(places, nodeid, value)
         while True:
             await asyncio.sleep(_ALIVE_S)
-            await asyncio.wait_for(client.nodes.server_state.read_value(), _TIMEOUT_S)
+            await asyncio.wait_for(client.nodes.server_state.read_value(), TIMEOUT_S)
 
     async def _history(self, node: Node, machine: str) -> list[ua.DataValue]:
         """Return a variable's history since the last reading; empty if the server keeps none."""
@@ -279,24 +251,6 @@ def _shown(error: BaseException) -> str:
     return f"{type(error).__name__} {error}".strip()[:200]
 
 
-async def _client(reached: Reached) -> Client:
-    client = Client(reached.url, timeout=_TIMEOUT_S)
-    client.application_uri = APPLICATION
-    client.name = client.description = "thermojoint"
-    if reached.certificate is not None and reached.key is not None and reached.server is not None:
-        await client.set_security(
-            SecurityPolicyBasic256Sha256,
-            certificate=reached.certificate,
-            private_key=reached.key,
-            server_certificate=str(reached.server),
-            mode=ua.MessageSecurityMode.SignAndEncrypt,
-        )
-    if reached.user is not None:
-        client.set_user(reached.user)
-        client.set_password(reached.password or "")
-    return client
-
-
 def opcua_reader(
     service: Service,
     source: OpcuaSource,
@@ -320,22 +274,6 @@ def opcua_reader(
             ua.NodeId.from_string(name)
         except ua.UaError as error:
             raise InputError(f"source.node: {name!r} is not a node id; give ns=2;s=NAME") from error
-    certificate = key = server = None
-    if source.security == "sign-and-encrypt":
-        if source.server_certificate is None:
-            raise InputError(
-                "source.server_certificate: missing; give the certificate of the server to trust "
-                "(PEM or DER)"
-            )
-        server = source.server_certificate
-        certificate_in(server)
-        own = own_identity(service.folder, ())
-        certificate, key = own.certificate, own.key
-    password = None
-    if source.password is not None:
-        password = read_secret(source.password, "source.password")
-    reached = Reached(
-        source.url, certificate, key, server, source.user, password, source.publishing_ms
-    )
+    reached = reached_of(source, service.folder, "source")
     counts = {machine: len(called) for machine, called in names.items()}
-    return OpcuaReader(reached, nodes, counts, source.most_waiting)
+    return OpcuaReader(reached, nodes, counts, source.most_waiting, source.publishing_ms)

@@ -145,12 +145,15 @@ class Connection:
         Letters of the axes.
     word : Word
         The newest; changed by `listen`.
+    differs : bool
+        The service does not agree with what acts.
     enabled, acting : bool, dict of str to float
         Whether the control takes part, and the offsets that act in it, µm; told by `answer`.
     """
 
     def __init__(self, given: argparse.Namespace, limits: Limits, axes: tuple[str, ...]) -> None:
         self.axes, self.word, self._limits = axes, Word(time.monotonic(), None), limits
+        self.differs = False
         self.enabled, self.acting = False, dict.fromkeys(axes, 0.0)
         self._given = given
 
@@ -163,6 +166,9 @@ class Connection:
                     for line in stream:
                         if line.startswith(b"data:"):
                             said = json.loads(line[5:])
+                            self.differs = any(
+                                one["handshake"] == "differs" for one in said["publications"]
+                            )
                             self.word = word_of(said, time.monotonic(), self._limits, self.word)
                             delay = FIRST_S
             except Exception as error:  # whatever it is: the offsets are held, then return
@@ -299,8 +305,9 @@ def run(hal: Any, component: Any, service: Connection, limits: Limits, scale: fl
             component[f"{letter}.counts"] = axis.counts
         credit -= farthest
         beats = (beats + 1) % (1 << 31)
-        # A control that is switched off forgets its offset; the service must notice.
-        if not all(hal.get_value(name) for name in READY):
+        # A control that is switched off forgets its offset; the service must notice. Where the
+        # service cannot agree with what acts, it continues from there as well.
+        if service.differs or not all(hal.get_value(name) for name in READY):
             away = clock
         service.enabled = bool(component["on"]) and clock - away > AWAY_S
         component["following"], component["heartbeat"] = state == FOLLOW, beats

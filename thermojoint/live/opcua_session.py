@@ -1,0 +1,87 @@
+"""Connection to an OPC UA server of others, with certificates, user and password."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass
+from pathlib import Path
+
+from asyncua import Client, ua
+from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
+
+from thermojoint.artefacts.errors import InputError
+from thermojoint.live.certificates import APPLICATION, own_identity
+from thermojoint.live.secret import read_secret
+from thermojoint.live.settings import OpcuaAddress
+from thermojoint.live.trust_list import certificate_in
+
+#: Timeout of a response, s.
+TIMEOUT_S = 10.0
+#: Errors that end a connection.
+LOST = (OSError, TimeoutError, asyncio.TimeoutError, ua.UaError, ConnectionError)
+
+
+@dataclass(frozen=True)
+class Reached:
+    """Connection data of a server; secrets are never displayed.
+
+    Attributes
+    ----------
+    url : str
+    certificate, key, server : Path or None
+        Own certificate and key, and the server's certificate; None without security.
+    user, password : str or None
+    """
+
+    url: str
+    certificate: Path | None
+    key: Path | None
+    server: Path | None
+    user: str | None
+    password: str | None
+
+    def __repr__(self) -> str:
+        return f"Reached({self.url})"
+
+
+def reached_of(given: OpcuaAddress, folder: Path, where: str) -> Reached:
+    """Return how a server is reached; `folder` is the service's, with its own certificate.
+
+    Raises
+    ------
+    InputError
+        The server's certificate or a secret cannot be used.
+    """
+    certificate = key = server = password = None
+    if given.security == "sign-and-encrypt":
+        if given.server_certificate is None:
+            raise InputError(
+                f"{where}.server_certificate: missing; give the certificate of the server to trust "
+                "(PEM or DER)"
+            )
+        server = given.server_certificate
+        certificate_in(server)
+        own = own_identity(folder, ())
+        certificate, key = own.certificate, own.key
+    if given.password is not None:
+        password = read_secret(given.password, f"{where}.password")
+    return Reached(given.url, certificate, key, server, given.user, password)
+
+
+async def client_of(reached: Reached) -> Client:
+    """Return a client that is not connected yet."""
+    client = Client(reached.url, timeout=TIMEOUT_S)
+    client.application_uri = APPLICATION
+    client.name = client.description = "thermojoint"
+    if reached.certificate is not None and reached.key is not None and reached.server is not None:
+        await client.set_security(
+            SecurityPolicyBasic256Sha256,
+            certificate=reached.certificate,
+            private_key=reached.key,
+            server_certificate=str(reached.server),
+            mode=ua.MessageSecurityMode.SignAndEncrypt,
+        )
+    if reached.user is not None:
+        client.set_user(reached.user)
+        client.set_password(reached.password or "")
+    return client

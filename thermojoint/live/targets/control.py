@@ -1,0 +1,112 @@
+"""What a control takes as temperature compensation of an axis: quantities, units, limits, nodes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from thermojoint.artefacts.errors import InputError
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One quantity of an axis.
+
+    Attributes
+    ----------
+    name : str
+        As in the manual of the control.
+    unit : str
+    metres : float
+        Of one unit; 1 for what is no length.
+    step, largest : float
+        The step of a value that is written, and the largest of either sign, in the unit.
+    whole : bool
+        The control has a 32-bit integer, not a double.
+    node : str
+        Node id by OPC UA; ``{axis}`` is the number of the axis.
+    line : str
+        Line of a file for the control; ``{axis}`` and ``{value}``.
+    """
+
+    name: str
+    unit: str
+    metres: float
+    step: float
+    largest: float
+    whole: bool
+    node: str
+    line: str
+
+
+@dataclass(frozen=True)
+class Control:
+    """Temperature compensation of a control: value = offset + slope (position - reference).
+
+    Attributes
+    ----------
+    title : str
+    offset : Quantity
+        What is written.
+    zeros : tuple of Quantity
+        Slope and reference position: they must be 0, since an offset is the same at every position.
+    switch : Quantity
+        What activates the compensation by the offset alone; it must be 1.
+    comment : str
+        What begins a comment in a file for the control.
+    ending : tuple of str
+        Last lines of such a file.
+    """
+
+    title: str
+    offset: Quantity
+    zeros: tuple[Quantity, ...]
+    switch: Quantity
+    comment: str
+    ending: tuple[str, ...] = ()
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """All of them; those that are only checked come last."""
+        return (self.offset, *self.zeros, self.switch)
+
+
+def in_units(quantity: Quantity, metres: float) -> float:
+    """Return a length (m) in the control's unit, rounded to its step.
+
+    Raises
+    ------
+    InputError
+        It is not finite, or beyond the range of the control.
+    """
+    value = metres / quantity.metres
+    if not abs(value) <= quantity.largest:
+        raise InputError(
+            f"{quantity.name}: {value:.6g} {quantity.unit} is beyond ±{quantity.largest:g}; "
+            "reduce largest_um"
+        )
+    return _on_grid(quantity, value)
+
+
+def next_value(quantity: Quantity, now: float, metres: float, most: float) -> float:
+    """Return what to write next where a control has a value now.
+
+    Parameters
+    ----------
+    quantity : Quantity
+    now : float
+        In the control's unit.
+    metres : float
+        Where it should go, m; raises as `in_units`.
+    most : float
+        Largest change by one write, m.
+    """
+    goal, step = in_units(quantity, metres), most / quantity.metres
+    if abs(goal - now) <= step:
+        return goal
+    return _on_grid(quantity, now + math.copysign(step, goal - now))
+
+
+def _on_grid(quantity: Quantity, value: float) -> float:
+    # The quotient of two short decimals has the fewest digits.
+    return round(value / quantity.step) / round(1.0 / quantity.step)
