@@ -1,6 +1,7 @@
 """Controls by OPC UA: what is written into them, and what never is."""
 
 import asyncio
+import contextlib
 import os
 import re
 import shlex
@@ -142,56 +143,68 @@ PAGES = {
 }
 
 
-@pytest.mark.parametrize("kind", CONTROLS)
-def test_a_control_follows_with_kills_on_either_side(kind, hand_made_model, tmp_path):
-    """It is enabled; the service is killed, then the control; then somebody changes the value."""
-    prepare(tmp_path, hand_made_model, HANDSHAKE)
-    played = Played(tmp_path, PAGES[kind])
-    text = (tmp_path / "target.toml").read_text()
-    (tmp_path / "target.toml").write_text(text.replace("enable = false", "enable = true"))
-    archive = Archive(tmp_path / "state" / "history.sqlite")
+def test_controls_follow_with_kills_on_either_side(hand_made_model, tmp_path):
+    """The service is killed, then the control; then somebody clears the value."""
+    places = {kind: tmp_path / kind for kind in CONTROLS}
+    with contextlib.ExitStack() as ends:
+        for place in places.values():
+            place.mkdir()
+            prepare(place, hand_made_model, HANDSHAKE)
+            ends.enter_context(warming_up(place))
 
-    def follows():
-        return abs(played.newest) > 10.0 and (
-            abs(played.newest - 1e6 * archive.latest("mill").offsets[0]) < 3.0
+        async def live():
+            return await asyncio.gather(*(follow(*one) for one in places.items()))
+
+        for record, cleared in asyncio.run(live()):
+            for part in (record[:cleared], record[cleared + 1 :]):
+                at, um = np.array(part).T
+                assert np.abs(np.diff(um)).max() <= STEP_UM + 0.11
+                assert abs(um[-1] - um[0]) <= RATE * (at[-1] - at[0]) + STEP_UM + 0.11
+            assert record[cleared][1] == 0.0
+            assert abs(record[cleared + 1][1]) <= STEP_UM + 0.11
+
+
+async def follow(kind, place):
+    """What a control received, and which of it was the zero of somebody else."""
+    played = Played(place, PAGES[kind])
+    text = (place / "target.toml").read_text()
+    (place / "target.toml").write_text(text.replace("enable = false", "enable = true"))
+    archive = Archive(place / "state" / "history.sqlite")
+
+    def follows(count=0):
+        return (
+            len(played.record) > count + 3
+            and abs(played.newest) > 10.0
+            and abs(played.newest - 1e6 * archive.latest("mill").offsets[0]) < 3.0
         )
 
-    async def live(service):
-        await played.open()
+    await played.open()
+    service = started(place)
+    try:
         await until(follows)
-        os.kill(service[0].pid, signal.SIGKILL)
+        os.kill(service.pid, signal.SIGKILL)
+        service.wait()
+        await asyncio.sleep(0.5)
         held = played.newest
         await asyncio.sleep(1.0)
         assert played.newest == held
-        service[0] = started(tmp_path)
-        count = len(played.record)
-        await until(lambda: len(played.record) > count + 3 and follows())
+        service, count = started(place), len(played.record)
+        await until(lambda: follows(count))
         # The control is gone, and comes back with what it had.
         await played.server.stop()
         await asyncio.sleep(4.0)
-        value = await played.offset.read_value()
-        await played.open(**{played.given.control.offset.name.split()[0]: value})
-        count = len(played.record)
-        await until(lambda: len(played.record) > count + 3 and follows())
-        ends = len(played.record)
-        # Somebody clears it: the service continues from there.
-        await played.offset.write_value(played.variant(played.given.control.offset, 0))
-        await until(follows)
+        offset = played.given.control.offset
+        value, count = await played.offset.read_value(), len(played.record)
+        await played.open(**{offset.name.split()[0]: value})
+        await until(lambda: follows(count))
+        cleared = len(played.record)
+        await played.offset.write_value(played.variant(offset, 0))
+        await until(lambda: follows(cleared))
         await played.server.stop()
-        return ends
-
-    service = [started(tmp_path)]
-    try:
-        with warming_up(tmp_path):
-            ends = asyncio.run(live(service))
     finally:
-        service[0].kill()
-        service[0].wait()
-    for record in (played.record[:ends], played.record[ends + 1 :]):
-        at, um = np.array(record).T
-        assert np.abs(np.diff(um)).max() <= STEP_UM + 0.11
-        assert abs(um[-1] - um[0]) <= RATE * (at[-1] - at[0]) + STEP_UM + 0.11
-    assert abs(played.record[ends + 1][1]) <= STEP_UM + 0.11
+        service.kill()
+        service.wait()
+    return played.record, cleared
 
 
 @pytest.mark.parametrize(
