@@ -45,13 +45,12 @@ def cnc(hand_made_model):
 
 
 def follow_the_page(place, command):
-    for line in COMMANDS:
-        words, _, kept = line.partition(" > ")
+    for words in COMMANDS:
         code, told, said = command(*shlex.split(words))
         assert code == 0, said
-        if kept:
-            (place / kept).write_text(told)
-        if "--token" in words and "--write" not in words:
+        if words.startswith("tokens"):
+            (place / "token.txt").write_text(told)
+        elif "--write" not in words:
             assert "would write" in told
             assert not (place / "thermojoint.hal").exists()
 
