@@ -30,13 +30,6 @@ Coords = dict[str, np.ndarray | list[str]]
 def outputs_of(setup: Setup, step: Step) -> Array:
     """Return forces of the bolts (b,), then the mechanical outputs (o,) that the case requests.
 
-    Parameters
-    ----------
-    setup : Setup
-        Set-up of the case.
-    step : Step
-        With its temperature.
-
     Raises
     ------
     ConvergenceError

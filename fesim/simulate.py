@@ -271,7 +271,7 @@ def _check_pressures(ready: Setup, track: Track) -> None:
         step, element = np.argwhere(beyond)[0]
         name = [joint.name for joint in ready.joints for _ in joint.area][element]
         raise ConvergenceError(
-            f"joint {name!r}: the pressure passes {1e-6 * limit[element]:.4g} MPa, half of its "
+            f"joint {name!r}: the pressure passes {MICRO * limit[element]:.4g} MPa, half of its "
             f"hardness, within {ready.machine.thermal.step * track.index[step]:g} s: the surfaces "
             "yield as a whole, which no joint law describes; check preload_MPa, hardness_GPa and "
             "the loads"

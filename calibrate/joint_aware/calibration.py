@@ -23,6 +23,7 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import columns_of, probes_of
+from thermojoint.artefacts.units import MEGA
 from thermojoint.reduced.machine import ReducedMachine, along, reduce_machine
 
 #: A singular value above this is determined by the data: the prior contributes less than a tenth.
@@ -220,7 +221,7 @@ def report(fit: Fit) -> dict[str, object]:
             for value, direction in zip(singular, directions, strict=True)
         ],
         "residual_temperature_K": fit.residual_temperature.tolist(),
-        "residual_displacement_um": (1e6 * fit.residual_displacement).tolist(),
+        "residual_displacement_um": (MEGA * fit.residual_displacement).tolist(),
         "evaluations": fit.evaluations,
     }
 

@@ -16,6 +16,7 @@ from calibrate.joint_aware.identifiability import (
     profiles,
 )
 from calibrate.joint_aware.physics_fit import Fit
+from thermojoint.artefacts.units import MEGA
 from thermojoint.reduced.parameters import NEW_CONDENSATION
 
 #: Searches agree if their costs are within this of the best, in halves of a squared standard
@@ -40,7 +41,7 @@ def short_report(calibrated: JointAwareCalibration) -> dict[str, Any]:
                 "run": further_run.name,
                 "std": dict(zip(names, further_run.deviation.tolist(), strict=True)),
                 "day_std_um": dict(
-                    zip(machine.axes, (1e6 * further_run.day).tolist(), strict=True)
+                    zip(machine.axes, (MEGA * further_run.day).tolist(), strict=True)
                 ),
             }
             for further_run in further_runs(machine, calibrated.runs, fit)

@@ -11,6 +11,7 @@ from calibrate.learning.thinning import Table
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log_record import PAUSE
+from thermojoint.artefacts.units import MEGA
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,15 +45,6 @@ class Cleaned:
 
 def clean(table: Table, displacements: tuple[str, ...], rules: Cleaning) -> Cleaned:
     """Return the usable data of a log.
-
-    Parameters
-    ----------
-    table : Table
-        Of the log.
-    displacements : tuple of str
-        Names of the columns to learn.
-    rules : Cleaning
-        Thresholds of exclusion and refusal.
 
     Raises
     ------
@@ -242,7 +234,7 @@ def _check_displacement(table: Table, k: int, changing: Array, rules: Cleaning) 
     seen = values[there]
     size = float(np.ptp(seen))
     if size < rules.still_length:
-        raise InputError(f"{column.name}: constant within {1e6 * size:.2g} um; nothing to learn")
+        raise InputError(f"{column.name}: constant within {MEGA * size:.2g} um; nothing to learn")
     side, steps = rules.side, np.where(changing[there], 0.0, np.diff(seen, prepend=seen[0]))
     usual = float(np.median(np.abs(steps)))
     for row in np.argsort(-np.abs(steps))[: rules.candidates]:
@@ -250,10 +242,10 @@ def _check_displacement(table: Table, k: int, changing: Array, rules: Cleaning) 
         lasting = abs(float(np.median(after) - np.median(before))) if len(before) else 0.0
         far = max(rules.jump * size, rules.usual * usual)
         if abs(steps[row]) > far and lasting > rules.lasting * abs(steps[row]):
-            hours = (table.times[there][row] - table.times[0]) / 3600.0
+            hours, jump = (table.times[there][row] - table.times[0]) / 3600.0, MEGA * steps[row]
             raise InputError(
-                f"{column.name}: jumps by {1e6 * steps[row]:.1f} um {hours:.1f} h after the start, "
-                "as if the probe had lost its zero; split the log there, into files whose times "
+                f"{column.name}: jumps by {jump:.1f} um {hours:.1f} h after the "
+                "start, as if the probe had lost its zero; split the log there, into files whose times "
                 "restart"
             )
 

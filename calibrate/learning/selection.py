@@ -55,19 +55,6 @@ def choose(
 
     Each step adds the one that leaves the smallest doubt over all displacements: the error on
     held-out blocks, and the uncertainty of the weights (`Fitted.doubt`).
-
-    Parameters
-    ----------
-    blocks : Blocks
-        Rows of the log.
-    features : tuple of Feature
-        Of the rows.
-    sensors : sequence of str
-        Candidates.
-    kinds : sequence of Structure
-        Structures over which a fit is averaged.
-    most : int
-        Largest number of sensors.
     """
     chosen: tuple[str, ...] = ()
     for _ in range(min(most, len(sensors))):

@@ -79,13 +79,6 @@ class Table(NamedTuple):
 def contents(estimator: JointAware, precision: Precision) -> Contents:
     """Return the program contents of a joint-aware estimator.
 
-    Parameters
-    ----------
-    estimator : JointAware
-        Its model gives every coefficient.
-    precision : Precision
-        Of all numbers of the program.
-
     Raises
     ------
     InputError

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from thermojoint.artefacts.units import MEGA, MICRO
+
 if TYPE_CHECKING:
     import xarray as xr
 
@@ -87,7 +89,7 @@ def preloads(response: xr.Dataset) -> NDArray[np.float64]:
     """
     joints = json.loads(response.attrs["case"])["joints"]
     each = {
-        name: 1e6 * (joint["preload_MPa"] or joint["reference_pressure_MPa"])
+        name: MEGA * (joint["preload_MPa"] or joint["reference_pressure_MPa"])
         for name, joint in joints.items()
     }
     return np.array([each[str(name)] for name in response["contact_joint"].to_numpy()])
@@ -106,7 +108,7 @@ def figures_of(response: xr.Dataset) -> Figures:
     """
     figures: Figures = {}
     place = response.get_index("axis")
-    displacement = 1e6 * response["displacement"].to_numpy()
+    displacement = MEGA * response["displacement"].to_numpy()
     for axis in "xyz":
         track = displacement[:, place.get_loc(axis)]
         figures[f"displacement_{axis}_peak_um"] = float(track[np.abs(track).argmax()])
@@ -117,8 +119,8 @@ def figures_of(response: xr.Dataset) -> Figures:
         parted = is_open(pressure, preloads(response))
         sliding = is_sliding(response["slip"].to_numpy()) & ~parted[1:]
         opened, slid = (which @ area / area.sum() for which in (parted, sliding))
-        figures["pressure_min_MPa"] = 1e-6 * float(pressure.min())
-        figures["pressure_max_MPa"] = 1e-6 * float(pressure.max())
+        figures["pressure_min_MPa"] = MICRO * float(pressure.min())
+        figures["pressure_max_MPa"] = MICRO * float(pressure.max())
         figures["open_share_peak"] = float(opened.max())
         figures["open_share_final"] = float(opened[-1])
         figures["sliding_share_peak"] = float(slid.max())

@@ -121,13 +121,7 @@ class Watch:
             raise _loose(self.constraints, motions)
 
     def explain(self, traction: Traction) -> None:
-        """Raise ConvergenceError if a body is about to come loose in a state.
-
-        Parameters
-        ----------
-        traction : Traction
-            The law in the last state reached.
-        """
+        """Raise ConvergenceError if a body is about to come loose in a state."""
         pressure = traction.value[0] + self.preload
         size = np.hypot(*traction.value[1:])
         slides = size > (1.0 - SPARE) * self.friction * pressure

@@ -57,13 +57,6 @@ def step_heat(
 ) -> HeatTaken:
     """Take one step of the heat equation; arguments as for `fesim.march.heat_step.heat_step`.
 
-    Parameters
-    ----------
-    thermal, temperature, inputs, joint
-        As there.
-    variable : VariableHeat or None
-        What depends on temperature.
-
     Raises
     ------
     ConvergenceError

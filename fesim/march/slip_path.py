@@ -43,17 +43,6 @@ def slip_path(
 ) -> SlipPath | None:
     """Extrapolate the slip at the end of a step; None if nothing slides or a joint snaps in it.
 
-    Parameters
-    ----------
-    machine : CondensedMachine
-        What marches.
-    state : State
-        At the start of the step.
-    course : callable
-        Temperatures and inputs within the step.
-    whole : State
-        At its end, settled at once.
-
     Raises
     ------
     ConvergenceError

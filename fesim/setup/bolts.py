@@ -13,6 +13,7 @@ from fesim.solid.spaces import cells_at, make_spaces
 from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError, shown_point, unknown_name
+from thermojoint.artefacts.units import MEGA
 
 #: Rings of equal area that represent a disc, and points on each: means of fields of second order
 #: over it are exact.
@@ -81,7 +82,7 @@ def _bolt(case: Case, structure: Structure, name: str, section: BoltSection) -> 
         area = 0.25 * np.pi * (1e-3 * section.diameter_mm) ** 2
         stiffness = 1e9 * material.youngs_modulus_GPa * area / length
     else:
-        stiffness = 1e6 * (section.stiffness_N_um or 0.0)
+        stiffness = MEGA * (section.stiffness_N_um or 0.0)
     return Bolt(head, thread, float(stiffness), material.expansion_1_K * length)
 
 

@@ -32,6 +32,7 @@ from meshes.pairing import PairedJoint
 from meshes.structure import Structure
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.tables.columns import read_columns
+from thermojoint.artefacts.units import MEGA, MICRO
 
 #: C and n of Eq. 11 by law.
 CONDUCTANCE_CONSTANTS = {"cmy-1969": (1.45, 0.985), "yovanovich-1982": (1.25, 0.95)}
@@ -101,13 +102,13 @@ def initial_opening(section: JointSection, joint: PairedJoint) -> NDArray[np.flo
     if given is None:
         return None
     if given != "mesh":
-        return np.full(len(joint.area), 1e-6 * given)
+        return np.full(len(joint.area), MICRO * given)
     apart = (joint.points_b - joint.points_a).T
     separation = element_means(joint, (apart * joint.normal[joint.element]).sum(axis=1))
     # Coordinates of a mesh file are accurate to about this fraction of its size.
     if separation.min() < -1e-6 * np.sqrt(joint.area.sum()):
         raise InputError(
-            f"joints.{joint.name}: its sides overlap by {-1e6 * separation.min():.4g} um in the "
+            f"joints.{joint.name}: its sides overlap by {-MEGA * separation.min():.4g} um in the "
             "mesh; correct the mesh, or give initial_opening_um"
         )
     return np.maximum(separation, 0.0)
@@ -148,11 +149,11 @@ def law_of(
 
 def _closed_law(section: JointSection) -> SurfaceNormalLaw | BackBurdekinLaw:
     """Return the normal law at its preload, or at its reference pressure if it has none."""
-    pressure = 1e6 * (section.preload_MPa or section.reference_pressure_MPa or 0.0)
+    pressure = MEGA * (section.preload_MPa or section.reference_pressure_MPa or 0.0)
     given = section.back_burdekin
     if section.normal_law == "surface" or given is None:
-        return SurfaceNormalLaw(1e9 * section.hardness_GPa, 1e-6 * section.roughness_um, pressure)
-    coefficient = 1e-6 * given.coefficient_um / 1e6**given.exponent
+        return SurfaceNormalLaw(1e9 * section.hardness_GPa, MICRO * section.roughness_um, pressure)
+    coefficient = MICRO * given.coefficient_um / MEGA**given.exponent
     return BackBurdekinLaw(coefficient, given.exponent, pressure)
 
 
@@ -160,7 +161,7 @@ def _conductance(
     section: JointSection, conductivity: NDArray[np.float64]
 ) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
     chosen, slope = section.conductance, section.asperity_slope
-    roughness, hardness = 1e-6 * section.roughness_um, 1e9 * section.hardness_GPa
+    roughness, hardness = MICRO * section.roughness_um, 1e9 * section.hardness_GPa
     if chosen.law in ("fixed", "none"):
         return FixedConductance(chosen.value_W_m2K or 0.0)
     if chosen.law == "cmy-exact":
@@ -184,7 +185,7 @@ def read_conductance_table(path: Path) -> ConductanceTable:
     columns = read_columns(
         path, ("pressure_MPa", "conductance_W_m2K"), "conductance table", ("rise_K",)
     )
-    pressure, value = 1e6 * columns["pressure_MPa"], columns["conductance_W_m2K"]
+    pressure, value = MEGA * columns["pressure_MPa"], columns["conductance_W_m2K"]
     rise = columns.get("rise_K", np.zeros(len(pressure)))
     # Blocks of one temperature after another, as they stand in the file.
     starts = np.flatnonzero(np.append(len(rise) > 0, np.diff(rise) != 0.0))
@@ -212,9 +213,9 @@ def _gap(
         exchange = exchange_factor(given.emissivity_a, given.emissivity_b)
     return GapConductance(
         conductivity=given.gas_conductivity_W_mK,
-        jump=1e-6 * given.temperature_jump_um,
+        jump=MICRO * given.temperature_jump_um,
         radiation=0.0 if mean is None else 4.0 * exchange * (mean + 273.15) ** 3,
-        touching=touching_distance(1e-6 * section.roughness_um),
+        touching=touching_distance(MICRO * section.roughness_um),
         opening=-touching_opening(closed) if opening is None else opening,
         follows=isinstance(closed, SurfaceNormalLaw),
         exchange=exchange if mean is None else 0.0,

@@ -36,6 +36,7 @@ from fesim.solid.heat import HeatSource
 from fesim.solid.input_layout import InputLayout
 from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array, OfPosition
+from thermojoint.artefacts.units import MEGA
 
 
 def heat_sources(case: Case, structure: Structure) -> list[HeatSource]:
@@ -89,13 +90,13 @@ def mechanical_loads(case: Case, structure: Structure) -> list[Load]:
             x, y, z = (component / structure.symmetry_factor for component in load.force_N)
             loads.append(SurfaceForce(surface, (x, y, z)))
         elif load.pressure_MPa is not None:
-            loads.append(SurfacePressure(surface, 1e6 * load.pressure_MPa))
+            loads.append(SurfacePressure(surface, MEGA * load.pressure_MPa))
     return loads
 
 
 def spring_stiffnesses(case: Case, structure: Structure) -> dict[str, tuple[float, float, float]]:
     """Return the springs under each surface of the meshed part, N/m."""
-    part = 1e6 / structure.symmetry_factor
+    part = MEGA / structure.symmetry_factor
     return {
         name: (part * x, part * y, part * z)
         for name, section in case.supports.springs.items()

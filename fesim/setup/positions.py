@@ -16,15 +16,6 @@ from thermojoint.artefacts.errors import InputError, shown_point
 def profile_of(section: ProfileSection, where: str, least: float = -math.inf) -> OfPosition:
     """Return a profile as a function of position.
 
-    Parameters
-    ----------
-    section : ProfileSection
-        Formula or file.
-    where : str
-        Key of the section, for error messages.
-    least : float
-        Smallest value that is allowed.
-
     Raises
     ------
     InputError

@@ -29,15 +29,6 @@ SAME_AMBIENT = 0.5
 def check_sound(case: Case, structure: Structure, joints: Sequence[PairedJoint]) -> None:
     """Refuse a case that every later check would accept but whose results would be wrong.
 
-    Parameters
-    ----------
-    case : Case
-        Before its set-up.
-    structure : Structure
-        Its structure, with all names.
-    joints : sequence of PairedJoint
-        Its joints, paired.
-
     Raises
     ------
     InputError

@@ -95,15 +95,7 @@ class BoltSprings:
 
 
 def stretch_rows(basis: CellBasis, bolts: Sequence[Bolt]) -> csr_array:
-    """Return Q (b, n), the elongation of each bolt per displacement; unknown 3 i + c: direction c.
-
-    Parameters
-    ----------
-    basis : skfem.CellBasis
-        One component of displacement.
-    bolts : sequence of Bolt
-        b of them.
-    """
+    """Return Q (b, n): elongation of each bolt per displacement; unknown 3 i + c: direction c."""
     rows = [
         kron(bolt.head.mean(basis) - bolt.thread.mean(basis), bolt.axis[None, :]) for bolt in bolts
     ]

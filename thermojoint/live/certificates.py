@@ -172,15 +172,7 @@ def _checked(identity: Identity, where: str, remedy: str, others: int) -> Identi
 
 
 def ending(given: ServiceFile, folder: Path, now: datetime) -> Iterator[str]:
-    """Yield one line for each certificate of a service that cannot be read or ends soon.
-
-    Parameters
-    ----------
-    given : ServiceFile
-    folder : Path
-        Of the service.
-    now : datetime
-    """
+    """Yield one line for each certificate of a service that cannot be read or ends soon."""
     sections = (
         ("opcua", given.opcua, "certificate.pem"),
         ("http", given.http, "http_certificate.pem"),

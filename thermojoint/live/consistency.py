@@ -15,14 +15,7 @@ from thermojoint.live.settings import ServiceFile
 
 
 def contradictions(given: ServiceFile, models: Mapping[str, Served]) -> Iterator[str]:
-    """Yield a warning for each setting that keeps values from ever being good.
-
-    Parameters
-    ----------
-    given : ServiceFile
-    models : mapping of str to Served
-        Models that were opened.
-    """
+    """Yield a warning for each setting that keeps values from ever being good."""
     for name, model in models.items():
         if given.watchdog.uncertain_s < model.rule.interval:
             yield (

@@ -310,14 +310,7 @@ def state_bytes(served: Served, machine: Machine) -> bytes:
 
 
 def rest_of(machine: Machine, position: Any) -> str:  # noqa: ANN401
-    """Return everything else that the next sample depends on, as it is stored: JSON.
-
-    Parameters
-    ----------
-    machine : Machine
-    position : JSON value
-        Read position of its source.
-    """
+    """Return everything else that the next sample depends on, as it is stored: JSON."""
     return json.dumps({"at": position, "waiting": machine.waiting})
 
 

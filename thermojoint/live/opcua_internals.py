@@ -34,14 +34,7 @@ def value_of(server: Server, nodeid: ua.NodeId) -> Any:  # noqa: ANN401
 
 
 def limit(server: Server, sessions: int, subscriptions: int, items: int) -> None:
-    """Limit the resources of a server, before it starts.
-
-    Parameters
-    ----------
-    server : Server
-    sessions, subscriptions, items : int
-        Largest numbers at once.
-    """
+    """Limit the resources of a server, before it starts."""
     inner = server.iserver
     # `limit_callers` counts; what it disconnects is gone a moment later.
     inner.max_connections = sessions + 4 * _MOST_WAITING

@@ -16,13 +16,6 @@ LONGEST = 4096
 def read_secret(secret: Secret, where: str) -> str:
     """Return a secret: one line.
 
-    Parameters
-    ----------
-    secret : Secret
-        Location.
-    where : str
-        What it is for, in error messages.
-
     Raises
     ------
     InputError
@@ -61,14 +54,6 @@ def create_private(path: Path) -> None:
 
 def refuse_open_to_others(path: Path, where: str, others: int = 0o077) -> None:
     """Refuse a file that others than its owner can read or write.
-
-    Parameters
-    ----------
-    path : Path
-    where : str
-        What it is for, in error messages.
-    others : int
-        Bits of the mode that must not be set.
 
     Raises
     ------

@@ -415,17 +415,7 @@ async def _none(request: Request, error: Exception) -> Response:
 
 
 def make_app(sources: Sources, door: Door, most_streams: int) -> Starlette:
-    """Return the application.
-
-    Parameters
-    ----------
-    sources : Sources
-        Data shown.
-    door : Door
-        Access control.
-    most_streams : int
-        Largest number at the same time.
-    """
+    """Return the application."""
     site = Site(sources, door, most_streams)
     made = Starlette(
         routes=site.routes(),

@@ -21,13 +21,6 @@ def read_parameters(
 ) -> dict[str, Any]:
     """Return the values of the parameters that were given.
 
-    Parameters
-    ----------
-    given : iterable of (str, str)
-        Names and values as they came.
-    readers : mapping
-        Name to the reader of its value.
-
     Raises
     ------
     InputError

@@ -48,16 +48,7 @@ class Reader:
 async def stream(
     hub: Hub, reader: Reader, body: Callable[[Publication], bytes]
 ) -> AsyncIterator[bytes]:
-    """Yield events: the newest of each machine at once, then what changes, until `LONGEST_S`.
-
-    Parameters
-    ----------
-    hub : Hub
-        Where the newest is.
-    reader : Reader
-    body : callable
-        Publication to JSON.
-    """
+    """Yield events: the newest of each machine at once, then what changes, until `LONGEST_S`."""
     begun = time.monotonic()
     yield b"retry: 2000\n\n"
     with hub.follow() as follower:

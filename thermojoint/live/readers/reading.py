@@ -47,12 +47,6 @@ class CsvReader:
 def readers_of(service: Service, models: Mapping[str, Served]) -> list[Reader]:
     """Return the readers of a service.
 
-    Parameters
-    ----------
-    service : Service
-    models : mapping of str to Served
-        Of every machine.
-
     Raises
     ------
     InputError
