@@ -126,7 +126,9 @@ class FrozenTangents(NamedTuple):
     blocks : Blocks
         Blocks of contact elements.
     every : FrozenTangent
-        Storage of all blocks: flat arrays, one block after another; `about` is (b, 3).
+        Storage of all blocks: flat arrays, one block after another; `about` is (b, 3). A block's
+        tangent is (6, n) as in `fesim.joint.law.Traction`; in one (6, m) array the elements of a
+        block would not be contiguous, and would be copied in every iteration.
     begins : ndarray of int, shape (4, b + 1)
         Start of each block: in contact elements, in slots, in contact elements squared and in slots
         times contact elements.
