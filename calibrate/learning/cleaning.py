@@ -245,8 +245,8 @@ def _check_displacement(table: Table, k: int, changing: Array, rules: Cleaning) 
             hours, jump = (table.times[there][row] - table.times[0]) / 3600.0, MEGA * steps[row]
             raise InputError(
                 f"{column.name}: jumps by {jump:.1f} um {hours:.1f} h after the "
-                "start, as if the probe had lost its zero; split the log there, into files whose times "
-                "restart"
+                "start, as if the probe had lost its zero; split the log there, into files whose "
+                "times restart"
             )
 
 

@@ -1,9 +1,9 @@
 """Steps of the staggered coupling that alternate.
 
-Each takes what the joints conduct from the last one: a fixed-point map. Where its gain is above one
-a pressure too high makes the next one too low, for ever, and every step is in balance. It is seen
-by increments that change their sign step after step; the gain itself is then measured
-(`fesim.march.stepping`), as heat that comes and goes looks alike.
+A staggered step takes the conductance of the one before: a fixed-point map. If its gain is above
+one, pressures alternate between too high and too low although every step is in balance. The sign of
+such increments changes in every step. Since an intermittent heat input does the same, the gain is
+then computed (`fesim.march.stepping`).
 """
 
 from __future__ import annotations
@@ -14,26 +14,26 @@ from thermojoint.artefacts.arrays import Array
 
 #: Smallest increment that counts, of what it is relative to: above what the gap equations leave.
 LEAST = 1e-5
-#: So many changes of sign in a row are suspected.
+#: Consecutive changes of sign after which the gain is computed.
 SUSPECTED = 2
 #: From this gain on steps alternate without end: it is one where they do so evenly.
 GAIN = 0.9
 
 
 def turnings(last: Array, moved: Array) -> Array:
-    """Return what is kept of increments: themselves, and their changes of sign in a row.
+    """Return the increments of steps, and their numbers of consecutive changes of sign.
 
     Parameters
     ----------
     last : ndarray, shape (2, m)
-        What was kept of the step before.
+        The same of the step before.
     moved : ndarray, shape (n, m)
         Relative increments of n steps.
 
     Returns
     -------
     ndarray, shape (n, 2, m)
-        Counts go up to `SUSPECTED`, and begin again behind it.
+        Counts go up to `SUSPECTED`, and then start again.
     """
     moves = np.concatenate([last[:1], moved])
     counted = np.abs(moves) > LEAST
@@ -43,10 +43,10 @@ def turnings(last: Array, moved: Array) -> Array:
 
 
 def suspected(turning: Array) -> Array:
-    """Return which elements alternate, by the last axis of what is kept, (..., 2, m)."""
+    """Return which elements may alternate, by the result (..., 2, m) of `turnings`."""
     return np.asarray(turning[..., 1, :] >= SUSPECTED)
 
 
 def gain_of(once: Array, twice: Array) -> float:
-    """Return the gain of an alternating map from two increments (k,), one after the other."""
+    """Return the gain of an alternating map from two consecutive increments (k,)."""
     return float(-(once @ twice) / max(float(once @ once), 1e-300))

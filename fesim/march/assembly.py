@@ -1,7 +1,7 @@
 """Tightening of a machine's bolts before any other load.
 
-All bolts are tightened at once. While they are tightened, their forces are given, whatever the
-structure does: a load under which the joints settle. From then on the bolts are springs.
+All bolts are tightened at once. During tightening their forces are given: a load under which the
+joints settle. Afterwards the bolts are springs.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Bolts:
 def tightened(
     names: tuple[str, ...], loose: CondensedMachine, springs: BoltSprings, forces: Array
 ) -> tuple[CondensedMachine, Bolts]:
-    """Tighten bolts; return the machine that marches, and its bolts.
+    """Tighten bolts; return the machine with them, and the bolts.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def tightened(
     Raises
     ------
     ConvergenceError
-        Joints and supports find no equilibrium under these forces.
+        Joints and supports have no equilibrium under these forces.
     """
     contact, assembly, force = tightened_contact(loose.contact, springs, forces)
     machine = replace(loose, contact=contact, assembly=assembly)

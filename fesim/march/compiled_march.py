@@ -52,7 +52,7 @@ class Moving(NamedTuple):
 
 
 class Kept(NamedTuple):
-    """Inverses that are kept from step to step, and storage; written in place.
+    """Inverses that are reused from step to step, and storage; written in place.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class Kept(NamedTuple):
 
 
 class Solved(NamedTuple):
-    """Results of a step beside its state: heat, W/K and W, (m,); figures of the gap equations."""
+    """Further results of a step: heat, W/K and W, (m,); residual and iterations."""
 
     conducted: Array
     flow: Array
@@ -82,7 +82,7 @@ class Solved(NamedTuple):
 
 
 class Record(NamedTuple):
-    """Records of n steps; shapes begin with n, then as in `Step` and `State`.
+    """Records of n steps; the first dimension is n, the others as in `Step` and `State`.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ class Record(NamedTuple):
 
 @compiled
 def _settle(joint: JointKernel, kept: Kept, now: JointState) -> tuple[bool, float, int]:
-    """The kept inverse first, then Newton's method: whether it is solved, residual, iterations."""
+    """By the stored inverse, else by Newton's method: whether solved, residual, iterations."""
     free_gap, trial = kept.work.free_gap, kept.work.trial
     np.add(now.gap, now.change, trial.gap)
     try:
@@ -133,10 +133,10 @@ def march_steps(
     Returns
     -------
     taken : int
-        Steps that are recorded.
+        Number of recorded steps.
     why : int
-        `THROUGH`; `SNAPS`: the next step's gap equations have no near solution, and `now` is what
-        it goes on from; `LOOSE`: the last step taken is to be looked at by `Watch.check`.
+        `THROUGH`; `SNAPS`: the next step's gap equations have no solution near, and `now` is its
+        initial state; `LOOSE`: `Watch.check` must judge the last step.
     """
     heat, joint = machine.heat, machine.joint
     count, thermal = now.joint.pressure.size, heat.drive.shape[1]
@@ -174,7 +174,7 @@ def march_steps(
 
 @compiled
 def _note(record: Record, k: int, now: Moving, kept: Kept, solved: Solved) -> None:
-    """Copy what a step has come to into row k of the record."""
+    """Copy the results of a step into row k of the record."""
     record.amplitudes[k] = now.amplitudes
     record.gap[k] = now.joint.gap
     record.slip[k] = now.joint.slip

@@ -1,8 +1,8 @@
 """JIT-compiled time step of heat and joint on uncoupled modes.
 
-The arithmetic of `fesim.march.stepping.staggered` for what it knows by name: implicit Euler on
-modes, Eq. 11 or a fixed value for what joints conduct, the laws of `fesim.joint.compiled_gap`.
-Each step is for itself here; `fesim.march.compiled_march` takes one after another.
+The arithmetic of `fesim.march.stepping.staggered` for built-in laws: implicit Euler on modes,
+conductances by Eq. 11 or fixed ones, the laws of `fesim.joint.compiled_gap`. These are single
+steps; `fesim.march.compiled_march` takes one after another.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from thermojoint.artefacts.arrays import Array
 
 
 class HeatStep(NamedTuple):
-    """Implicit Euler of one length on r modes that do not know of each other.
+    """Implicit Euler step of one length on r uncoupled modes.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class JointKernel(NamedTuple):
     jump : ndarray, shape (m, r)
         Temperature jump at every contact element, K.
     held : ndarray, shape (m,)
-        Conductance times area that the modes hold, W/K.
+        Conductance times area that the modes include, W/K.
     conductance : ndarray, shape (m, 3)
         Factor times area (W/K), hardness (Pa) and exponent of Eq. 11.
     laws : ndarray, shape (m, 7)
@@ -242,7 +242,7 @@ def settle_step(
 ) -> int:
     """Settle the joint under loads (l,) and read the displacement (axes,), in place.
 
-    Returns 0, or anything else if no equilibrium was near: then the joint is as it was.
+    Returns 0, or 1 if there is no equilibrium near; then the joint is unchanged.
     """
     np.add(now.gap, now.change, work.trial.gap)
     np.dot(joint.gap, amplitudes, work.free_gap)
@@ -262,9 +262,9 @@ def settle_step(
 def settle_by_newton(
     joint: JointKernel, free_gap: Array, now: JointState, trial: Trial, work: NewtonWork
 ) -> tuple[bool, float, int]:
-    """Newton's method from a trial, then from where the gaps are.
+    """Newton's method from a trial, then from the present gaps.
 
-    Returns whether it is solved, the residual and the iterations.
+    Returns whether it converged, the residual and the iterations.
     """
     for attempt in range(2):
         if attempt == 1:
@@ -273,7 +273,7 @@ def settle_by_newton(
             outcome, residual, iterations = solve_in_place(
                 gap_kernel(joint), free_gap, now.slip, trial, work
             )
-        except Exception:  # a singular tangent: machine code knows no other name for it
+        except Exception:  # a singular tangent; compiled code can catch no narrower class
             outcome, residual, iterations = 1, np.nan, 0
         if outcome == 0:
             return True, residual, iterations
@@ -282,7 +282,7 @@ def settle_by_newton(
 
 @compiled
 def take(joint: JointKernel, trial: Trial, now: JointState, remainder: Array) -> None:
-    """Put a joint that has settled in the place of what it was, and z + k g into `remainder`."""
+    """Copy a converged trial into the state of the joint, and z + k g into `remainder`."""
     opening, value, gap, change = trial.gap, trial.value, now.gap, now.change
     count = now.pressure.size
     for i in range(3):

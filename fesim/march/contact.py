@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
 #: Thermal gap (3 m,), slip (2, m) at the start of the step and a first guess of the gaps (3, m).
 Settle = Callable[[Array, Array, Array], Equilibrium]
-#: Largest residual of the gap equations, of the gap by which a joint as stiff as at its preload is
-#: closed: pressures are known by it however stiff the joint, and in whatever unit. It is 1e-13 m in
-#: the reference machine, whose published figures were computed with that.
+#: Largest residual of the gap equations, relative to the gap that closes a joint as stiff as at its
+#: preload: this bounds the error of the pressure for any stiffness. It is 1e-13 m in the reference
+#: machine, whose published figures were computed with that.
 SHARE = 2.508557e-7
-#: The law of each joint and how many contact elements it has.
+#: The law of each joint and its number of contact elements.
 Laws = Sequence[tuple[JointLaw, int]]
 
 
@@ -43,7 +43,7 @@ class ContactProblem:
     constraints : Constraints, optional
         Constraints of the bodies; with them, a step in which a body comes loose is an error.
     loads : LoadInfluence, optional
-        Mechanical loads; their factors stand behind the other inputs of a step.
+        Mechanical loads; their factors follow the other inputs of a step.
     """
 
     elastic: ElasticCondensation
@@ -114,18 +114,18 @@ class ContactProblem:
 
     @cached_property
     def conducts_by_pressure(self) -> bool:
-        """Whether pressures alone decide what the joints conduct."""
+        """Whether the conductance depends on the pressures alone."""
         return all(law.conducts_by_pressure for law, _ in self.laws)
 
     @cached_property
     def reference_pressure(self) -> Array:
-        """Preload of every contact element, or what stands for it where there is none, Pa."""
+        """Preload of every contact element, or its reference pressure where there is none, Pa."""
         parts = [np.full(count, law.reference_pressure) for law, count in self.laws]
         return np.concatenate([np.empty(0), *parts])
 
     @cached_property
     def pressure_limit(self) -> Array:
-        """Pressure of every contact element beyond which its law means nothing, Pa."""
+        """Pressure of every contact element beyond which its law is invalid, Pa."""
         parts = [np.full(count, law.pressure_limit) for law, count in self.laws]
         return np.concatenate([np.empty(0), *parts])
 
@@ -137,8 +137,8 @@ class ContactProblem:
 
 
 def gap_solver(problem: GapProblem, laws: Laws, tolerance: float = TOLERANCE) -> Settle:
-    """Return what solves a gap problem: machine code, or `solve_gap` for laws of the user's own."""
-    # Here, not above: a compiler is loaded with it, which no structure without joints needs.
+    """Return the solver of a gap problem: compiled, or `solve_gap` if a law is not built in."""
+    # Imported here because it loads a compiler, which structures without joints do not need.
     from fesim.joint.compiled_gap import compile_gap
 
     compiled = compile_gap(problem, laws)

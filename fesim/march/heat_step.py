@@ -11,7 +11,7 @@ from thermojoint.artefacts.arrays import Array
 #: Numbers in a cache line.
 LINE = 8
 
-#: Heat flows below this part of the heat held, in each step, are none.
+#: Heat flows per step below this fraction of the stored heat count as zero.
 AT_REST = 1e-6
 
 
@@ -54,14 +54,14 @@ def heat_step(
 
 
 def each(matrix: Array | csr_array, rows: Array) -> Array:
-    """Return `matrix` times each row of (n, r), a row for each: the same bits however many.
+    """Return `matrix` times each row of (n, r), bit for bit the same for any number of rows.
 
     Parameters
     ----------
     matrix : ndarray or scipy.sparse.csr_array, shape (k, r) or (r,)
-        What multiplies.
+        Left factor.
     rows : ndarray, shape (n, r)
-        What is multiplied.
+        Right factors.
 
     Returns
     -------
@@ -76,7 +76,7 @@ def each(matrix: Array | csr_array, rows: Array) -> Array:
 
 
 def _aligned(rows: Array) -> Array:
-    """Rows with zeros behind, each beginning at a cache line: else a sum's bits depend on where."""
+    """Rows padded to whole cache lines: otherwise the bits of a sum depend on its address."""
     count, size = rows.shape
     width = -(-size // LINE) * LINE
     storage = np.zeros(count * width + LINE)
@@ -94,7 +94,7 @@ def heat_balance(
     heat_flow: Array,
     lost: tuple[float, Array] | None = None,
 ) -> float:
-    """Return `heat_balances` of one step, from arrays without their number."""
+    """Return `heat_balances` of one step, from arrays without the first dimension."""
     others = None if lost is None else (np.array([lost[0]]), lost[1][None])
     whole = heat_balances(thermal, before[None], after[None], inputs[None], heat_flow[None], others)
     return float(whole[0])
@@ -110,10 +110,9 @@ def heat_balances(
 ) -> Array:
     """(in - stored - convected) over each of n steps, relative to the largest of the three.
 
-    What enters at one held surface and leaves at another counts as entering, and what one part of
-    the structure stores at the cost of another counts as stored: neither counts as nothing. Where
-    everything has come to rest all three are rounding: then it is relative to `AT_REST` of the heat
-    that the structure holds, in each step.
+    For the scale, heat that passes from one held surface to another counts as entering, and heat
+    that passes between parts of the structure as stored; otherwise they would cancel. In a steady
+    state all three are rounding errors: then the scale is `AT_REST` of the stored heat per step.
 
     Parameters
     ----------
@@ -126,7 +125,7 @@ def heat_balances(
     heat_flow : ndarray, shape (n, m)
         W.
     lost : tuple of ndarray, shapes (n,) and (n, h), optional
-        What leaves the nodes besides, W: of all together, and of each held unknown.
+        Further heat that leaves the nodes, W: in total, and of each held unknown.
 
     Returns
     -------

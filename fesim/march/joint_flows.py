@@ -1,8 +1,8 @@
 """Joint heat flows of a step, (I + diag(c) S) j = diag(c) jump, with a frozen inverse.
 
 S are the temperature jumps per W of each contact element, c the conductances times areas. The
-inverse was made at other conductances; GMRES (Saad & Schultz 1986) takes it as its preconditioner,
-so that a few products with S and with it replace a factorisation in every step.
+inverse is that of other conductances and preconditions GMRES (Saad & Schultz 1986), so that a few
+products with S and with it replace a factorisation in every step.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from fesim.joint.compiled_gap import largest
 from fesim.march.compiled_step import flow_system
 from thermojoint.artefacts.arrays import Array
 
-#: The flows are iterated until their equations lack no more than this part of what drives them.
+#: Largest residual of the flows, relative to the right-hand side.
 TOLERANCE = 1e-13
-#: The inverse is made anew after this many iterations, and one more for so many elements, but after
-#: so many at most: it costs as much as some iterations for each.
+#: Iterations after which the inverse is computed again: a number, one more for so many elements,
+#: and a maximum. An inverse costs as much as some iterations per element.
 PATIENCE, FOR_EACH, MOST = 8, 16, 40
-#: GMRES knows what is lacking from its own recurrence; so often it is looked at.
+#: Largest number of restarts: the recurrence of GMRES only estimates the residual.
 LOOKS = 4
 
 
@@ -44,11 +44,11 @@ class Krylov(NamedTuple):
     along : ndarray, shape (k, m)
         Directions: the inverse times the residuals.
     triangle : ndarray, shape (k + 1, k)
-        What the directions do to the residuals, turned to a triangle.
+        Triangular factor of the Hessenberg matrix.
     turn : ndarray, shape (2, k)
         Cosine and sine of each Givens rotation.
     left : ndarray, shape (k + 1,)
-        What is left of the residual, W.
+        Rotated residual, W.
     """
 
     basis: Array
@@ -59,12 +59,12 @@ class Krylov(NamedTuple):
 
 
 class Flows(NamedTuple):
-    """An inverse that is kept from step to step, and storage; written in place.
+    """An inverse that is reused from step to step, and storage; written in place.
 
     Attributes
     ----------
     conducted : ndarray, shape (m,)
-        Conductance times area at which it was made, W/K; zero at first.
+        Its conductances times areas, W/K; zero before the first.
     inverse : ndarray, shape (m, m)
         (I + diag(conducted) S)^-1.
     driving : ndarray, shape (m,)
@@ -80,7 +80,7 @@ class Flows(NamedTuple):
 
 
 def new_flows(count: int) -> Flows:
-    """Return an inverse for `count` contact elements that is not made yet."""
+    """Return storage for the inverse of `count` contact elements, which is not computed yet."""
     most = min(PATIENCE + count // FOR_EACH, MOST)
     krylov = Krylov(
         basis=np.empty((most + 1, count)),
@@ -94,7 +94,7 @@ def new_flows(count: int) -> Flows:
 
 @compiled
 def invert(joint_influence: Array, beyond: Array, flows: Flows) -> None:
-    """Make the inverse anew, for conductances times areas (m,), W/K."""
+    """Compute the inverse for conductances times areas (m,), W/K."""
     flow_system(joint_influence, beyond, flows.inverse)
     flows.inverse[:] = np.linalg.inv(flows.inverse)
     flows.conducted[:] = beyond
@@ -118,7 +118,7 @@ def solve_flows(
 
 @compiled
 def _improve(equations: Equations, flows: Flows, flow: Array) -> bool:
-    """Whether GMRES, preconditioned by the kept inverse, finds the flows within the patience."""
+    """Whether preconditioned GMRES finds the flows within the allowed iterations."""
     driving, lack = equations.driving, flows.krylov.basis[0]
     enough = TOLERANCE * largest(driving)
     np.dot(flows.inverse, driving, flow)
@@ -145,9 +145,9 @@ def _apply(equations: Equations, flow: Array, into: Array) -> None:
 
 @compiled
 def _least(equations: Equations, flows: Flows, enough: float, flow: Array) -> int:
-    """Bring what is lacking, `basis[0]`, to its least by directions `along`; how many were taken.
+    """Minimise the residual, `basis[0]`; return the number of directions used (GMRES).
 
-    The residuals' orthonormal basis is turned to a triangle by Givens rotations as it grows.
+    Givens rotations keep the Hessenberg matrix triangular as the orthonormal basis grows.
     """
     basis, along, triangle, turn, left = flows.krylov
     most, count = along.shape

@@ -1,7 +1,7 @@
 """Data of a condensed machine for the JIT-compiled march, if it supports the machine.
 
-It can where the thermal model is a reduced one, the joint laws are those of
-`fesim.joint.compiled_gap`, and every joint conducts by Eq. 11 or by a fixed value.
+Supported are reduced thermal models, the joint laws of `fesim.joint.compiled_gap`, and conductances
+by Eq. 11 or fixed ones.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class StepKernel:
     machine : MarchKernel
         Its heat step and its joints.
     blocks : Blocks
-        Of contact elements that hardly feel each other.
+        Weakly coupled blocks of contact elements.
     """
 
     machine: MarchKernel
@@ -61,9 +61,9 @@ class StepKernel:
         Parameters
         ----------
         kept : Kept
-            Of the march, written in place; made again if it does not match the state.
+            Of the march, written in place; computed again if it does not match the state.
         state : State
-            Where to go on.
+            State to continue from.
         inputs : ndarray, shape (n, k + l)
             Of each step.
 
@@ -72,7 +72,7 @@ class StepKernel:
         record : Record
             Of the steps taken.
         taken : int
-            How many they are: fewer than n where the next one has no equilibrium near.
+            Their number: fewer than n if the next one has no equilibrium near.
         loose : bool
             A body may have come loose in the last one.
         """
@@ -89,7 +89,7 @@ class StepKernel:
         return Record._make(column[:taken] for column in record), taken, why == LOOSE
 
     def _make(self, kept: Kept, frozen: Array) -> None:
-        """Make the stored data from the frozen tangent (7, m) of a `State`, which determines it."""
+        """Compute the stored data, which the frozen tangent (7, m) of a `State` determines."""
         kept.tangents.every.about[:, MADE] = 0
         for k in range(self.blocks.starts.size - 1):
             block = part_of(self.blocks, k)
@@ -113,7 +113,7 @@ def _frozen(kept: Kept) -> Array:
 
 
 def new_kept(machine: MarchKernel, blocks: Blocks) -> Kept:
-    """Return the inverses and the storage of a march that has not begun."""
+    """Return the inverses and the storage of a new march."""
     return Kept(
         frozen_tangents(blocks),
         new_flows(blocks.elements.size),
@@ -142,7 +142,7 @@ def new_record(steps: int, now: Moving, axes: int) -> Record:
 
 
 def step_kernel(machine: CondensedMachine) -> StepKernel | None:
-    """Return what marches a machine, or None if it is to be marched plainly."""
+    """Return the compiled march of a machine, or None if it is not supported."""
     thermal = machine.thermal
     if not machine.contact.count or thermal.factor.solver != "diagonal":
         return None
@@ -161,7 +161,7 @@ def step_kernel(machine: CondensedMachine) -> StepKernel | None:
 
 
 def joint_kernel(contact: ContactProblem, jump: Array, held: Array) -> JointKernel | None:
-    """Return what the kernels need of a machine, or None if a law of it is none they know.
+    """Return the joint data of a machine for the kernels, or None if a law is not built in.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def joint_kernel(contact: ContactProblem, jump: Array, held: Array) -> JointKern
     jump : ndarray, shape (m, r)
         Temperature jump at every contact element, K.
     held : ndarray, shape (m,)
-        Conductance times area that the modes hold, W/K.
+        Conductance times area that the modes include, W/K.
     """
     elastic = contact.elastic
     solver = compile_gap(contact.gap_problem, contact.laws)
@@ -209,7 +209,7 @@ def _blocks(contact: ContactProblem, joint: JointKernel) -> Blocks:
 
 
 def _own(values: Array) -> Array:
-    """Machine code is made for one layout: contiguous."""
+    """A contiguous copy: kernels are compiled for that layout."""
     return np.ascontiguousarray(values, dtype=np.float64)
 
 

@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Assembly:
-    """A machine whose bolts have just been tightened: nothing else acts on it.
+    """State of a machine after its bolts are tightened and before any other load.
 
     Attributes
     ----------
     gap : ndarray, shape (3, m)
-        From the state before, m.
+        Relative to the state before, m.
     slip : ndarray, shape (2, m)
         Irreversible slip, m.
     pressure : ndarray, shape (m,)
@@ -32,7 +32,7 @@ class Assembly:
     remainder : ndarray, shape (3 m,)
         z + k g, Pa.
     factors : ndarray, shape (l,)
-        What stands behind the other inputs of a step in this state.
+        Factors of the loads in this state.
     """
 
     gap: Array
@@ -44,7 +44,7 @@ class Assembly:
 
 @dataclass(frozen=True, eq=False)
 class CondensedMachine:
-    """A structure ready to march.
+    """A condensed structure with its joints, ready for time integration.
 
     Attributes
     ----------
@@ -53,13 +53,13 @@ class CondensedMachine:
     contact : ContactProblem
         Gaps, probes and joint laws.
     assembly : Assembly, optional
-        Where a machine with bolts starts (`fesim.march.assembly`).
+        Initial state of a machine with bolts (`fesim.march.assembly`).
     start : StartField, optional
         Temperatures at time zero; default the ambient's.
     variable : VariableHeat, optional
-        What of conduction, film and radiation depends on temperature; of the full model only.
+        Temperature-dependent part of conduction, convection and radiation; full model only.
     growth : ThermalGrowth, optional
-        How bodies expand whose coefficient depends on temperature; of the full model only.
+        Temperature-dependent expansion of the bodies; full model only.
     """
 
     thermal: ThermalCondensation
@@ -70,7 +70,7 @@ class CondensedMachine:
     growth: ThermalGrowth | None = None
 
     def with_laws(self, laws: Laws) -> CondensedMachine:
-        """Return the machine with other joint laws: none of them enters a condensation."""
+        """Return the machine with other joint laws, on which no condensation depends."""
         return replace(self, contact=replace(self.contact, laws=laws))
 
     def conductance_in(self, state: State) -> Array:
@@ -86,13 +86,13 @@ class CondensedMachine:
         return np.concatenate(parts)
 
     def strained(self, temperature: Array) -> Array:
-        """Return what temperature unknowns count as in S_T: others where `growth` says so."""
+        """Return the equivalent temperatures (n,) for S_T, which include `growth`."""
         return temperature if self.growth is None else self.growth.strained(temperature)
 
 
 @dataclass(frozen=True)
 class State:
-    """Everything the next step depends on.
+    """State of a march: everything that the next step depends on.
 
     Attributes
     ----------
@@ -107,16 +107,16 @@ class State:
     pressure : ndarray, shape (m,)
         Contact pressure, Pa.
     change : ndarray, shape (3, m)
-        By how much the last step changed the gaps, m: the next step's first guess goes on so.
+        Change of the gaps in the last step, m; the first guess of the next step extrapolates it.
     model : str
-        Whose temperature it is: the `model` of the `ThermalCondensation`.
+        Thermal model of the temperature: the `model` of the `ThermalCondensation`.
     frozen : ndarray, shape (7, m)
-        Where the inverses were made that machine code keeps from step to step: six entries of the
-        joint law's tangent (Pa/m), conductance times area (W/K); zero where there are none.
+        State at which the stored inverses were computed: six entries of the joint law's tangent
+        (Pa/m), conductance times area (W/K); zero where there are none.
     turning : ndarray, shape (2, m)
-        What of the last steps shows that they alternate (`fesim.march.alternation`).
+        Record of alternating increments of the last steps (`fesim.march.alternation`).
     taken_over : bool
-        The staggered coupling has alternated: this step and all that follow are iterated.
+        Whether this step and all later ones are iterated because the staggered ones alternated.
     """
 
     index: int
@@ -133,14 +133,14 @@ class State:
 
 @dataclass(frozen=True)
 class Step:
-    """One step of the march and the evidence that it is right.
+    """Results of one step of a march, and its residuals.
 
     Attributes
     ----------
     state : State
         At the end of the step.
     inputs : ndarray, shape (k + l,)
-        What drove the step: sources, W; ambient and held surfaces, K; factors of the loads.
+        Sources, W; ambient and held surfaces, K; factors of the loads.
     conductance, heat_flow : ndarray, shape (m,)
         W/(m2 K), and W from side a to side b.
     displacement : ndarray, shape (k,)

@@ -1,7 +1,7 @@
 """Condensed machine on the modes of the reduced thermal model.
 
-T = V a + E u: V the modes on the unknowns that are free, E the held surfaces, whose temperatures
-are inputs. Every operator of the march is multiplied by [V, E] once; the march does not change.
+T = V a + E u with the modes V on the free unknowns and the held surfaces E, whose temperatures are
+inputs. Every operator of the march is multiplied by [V, E] once; the march is the same.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from fesim.solid.linear_solver import Factor
 from fesim.solid.reduction import HeatSystem, reduce_heat
 from thermojoint.artefacts.arrays import Array
 
-#: What the inputs of a march are like: heat in all, W; ambient and held surfaces, K.
+#: Typical inputs of a march: total heat, W; ambient and held surfaces, K.
 USUAL_POWER, USUAL_RISE = 1000.0, 10.0
-#: Errors allowed at inputs like these: temperature, K; gap, m; displacement, m.
+#: Tolerances at these inputs: temperature, K; gap, m; displacement, m.
 TEMPERATURE_ERROR, GAP_ERROR, DISPLACEMENT_ERROR = 2e-4, 1e-10, 4e-10
 #: Times that the reduced model resolves, s: at least a step of this length, and the steady state.
 SHORTEST, LONGEST = 1.0, 1e6
-#: With so many contact elements dense products are small beside the sparse factors.
+#: Up to this many contact elements, dense products cost less than the sparse factors.
 FEW = 200
 
 
@@ -47,7 +47,7 @@ class ThermalModes:
     rates : ndarray, shape (r,)
         Decay rates of the modes, 1/s.
     error : float
-        Largest error found in an output, relative to what is allowed.
+        Largest error of an output, relative to its tolerance.
     """
 
     basis: Array
@@ -56,7 +56,7 @@ class ThermalModes:
 
     @property
     def digest(self) -> str:
-        """Digest of the basis: amplitudes mean something only with the same one."""
+        """Digest of the basis, without which amplitudes have no meaning."""
         return hashlib.sha256(np.ascontiguousarray(self.basis).tobytes()).hexdigest()
 
 
@@ -75,19 +75,18 @@ def thermal_modes(
     heat : HeatOperators
     joints : JointOperators
     outputs : ndarray, shape (q, n)
-        What is read of the temperatures besides the joints' jumps, by `outputs_of`.
+        Outputs of the temperatures other than the joints' jumps, by `outputs_of`.
     step : float
         Time step, s.
     solver : str, optional
         See `fesim.solid.linear_solver.factorise`.
     start : ndarray, shape (n,), optional
-        Nodal temperatures that the march starts from, K; a smaller field than `USUAL_RISE` counts
-        as one of that size.
+        Initial nodal temperatures, K; a field smaller than `USUAL_RISE` is scaled up to it.
 
     Raises
     ------
     ConvergenceError
-        The error cannot be brought below what is allowed.
+        The error cannot be reduced to the tolerance.
     """
     size = heat.inputs.shape[0]
     free = np.setdiff1d(np.arange(size), heat.held)
@@ -116,7 +115,7 @@ def thermal_modes(
 def outputs_of(elastic: ElasticCondensation, probes: csr_array) -> Array:
     """Return probes (p, n), gaps and displacements as rows of the temperatures, shape (q, n).
 
-    Each row is divided by the error that it may have.
+    Each row is divided by its tolerance.
     """
     return np.vstack(
         [
@@ -135,7 +134,7 @@ def shortest(step: float) -> float:
 def project_heat(
     heat: HeatOperators, joints: JointOperators, step: float, modes: ThermalModes
 ) -> ThermalCondensation:
-    """Return one implicit Euler step of length `step` (s) on the modes: all of it is diagonal."""
+    """Return one implicit Euler step of length `step` (s) on the modes, which is diagonal."""
     _, inputs = eliminate_held(heat, step)
     sums = heat_sums(heat, joints, step)
     count = modes.rates.size
@@ -181,7 +180,7 @@ def project_elasticity(elastic: ElasticCondensation, modes: ThermalModes) -> Ela
 def project_start(heat: HeatOperators, modes: ThermalModes, start: Array) -> Array:
     """Return the amplitudes (r + s,) of nodal temperatures (n,), K; those of held surfaces zero.
 
-    V^T M T0: the modes are orthonormal in the heat capacity, and hold T0 by construction.
+    V^T M T0: the modes are orthonormal in the heat capacity, and contain T0 by construction.
     """
     count = modes.rates.size
     amplitudes = np.zeros(modes.basis.shape[1])

@@ -1,7 +1,7 @@
 """Heat step with temperature-dependent conduction, convection or radiation, by iteration.
 
-Each of them is the step of the constant operators with what they lacked at the last temperatures,
-so that nothing is factorised. Anderson's method (1965) makes the next temperatures of the last few.
+Each iteration is a step of the constant operators with a correction at the last temperatures, so
+that nothing is factorised. Anderson's method (1965) combines the last few iterates.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from thermojoint.artefacts.errors import ConvergenceError
 
 #: Largest change of a temperature between the last two secant steps, K.
 TOLERANCE = 1e-8
-#: ... or this part of the largest temperature: rounding of a solve.
+#: ... or this fraction of the largest temperature, the rounding error of a solve.
 ROUNDING = 1e-12
 MOST = 200
-#: Secant steps that the next one is made of.
+#: Number of iterates that are combined.
 DEPTH = 5
 
 
 @dataclass(frozen=True)
 class HeatTaken:
-    """A step of the heat equation that was taken.
+    """Result of a step of the heat equation.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ def step_heat(
     Raises
     ------
     ConvergenceError
-        The secant steps do not settle.
+        The secant steps do not converge.
     """
     if variable is None:
         after, flow = heat_step(thermal, temperature, inputs, joint)
@@ -92,7 +92,7 @@ def step_heat(
 
 
 def _next(guesses: list[Array], changes: list[Array]) -> Array:
-    """Return where the changes of the last guesses, each linear in it, would vanish at best."""
+    """Return the next iterate, at which linear extrapolation of the last changes is smallest."""
     step = guesses[-1] + changes[-1]
     if len(guesses) == 1:
         return step

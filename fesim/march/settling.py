@@ -32,7 +32,7 @@ class JointState(Protocol):
 
     @property
     def change(self) -> Array:
-        """By how much the last step changed the gaps."""
+        """Change of the gaps in the last step."""
         ...
 
 
@@ -53,11 +53,11 @@ def first_equilibrium(
     Parameters
     ----------
     contact : ContactProblem
-        Whose joints they are.
+        The joints.
     tight : Rest, optional
         After the bolts have been tightened.
     thermal_gap : ndarray, shape (3 m,), optional
-        What heat and loads open before the first step, m; default none.
+        Gap by heat and loads before the first step, m; default none.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def first_equilibrium(
     still = np.zeros((3, count))
     rest = tight or Rest(still, np.zeros((2, count)), contact.preload.copy(), still)
     if thermal_gap is None:
-        # A joint without preload is at rest by itself only where it is open.
+        # A joint without preload is at rest only where it is open.
         if tight is not None or contact.preload.all():
             return rest
         thermal_gap = np.zeros(3 * count)
@@ -78,16 +78,14 @@ def first_equilibrium(
 
 
 def initial_state(machine: CondensedMachine, inputs: Array | None = None) -> State:
-    """Start with every joint at its preload, then under the loads and temperatures of time zero.
+    """Return the state at time zero: from the preload, under the first loads and temperatures.
 
-    Without a `start` of the machine all is at ambient temperature.
-
-    Bolts have been tightened before the loads came.
+    Without a `start` the machine is at ambient temperature. Bolts are tightened before the loads.
 
     Parameters
     ----------
     machine : CondensedMachine
-        What marches.
+        The machine.
     inputs : ndarray, shape (k + l,), optional
         At time zero; the factors of mechanical loads count and, with a `start`, held temperatures.
         Default: none.
@@ -120,12 +118,12 @@ def initial_state(machine: CondensedMachine, inputs: Array | None = None) -> Sta
 
 
 def at_rest(machine: CondensedMachine, inputs: Array | None = None) -> Step:
-    """Row zero of a response: the machine at its preload, then its first temperatures and loads.
+    """Return row zero of a response: the machine under its first temperatures and loads.
 
     Parameters
     ----------
     machine : CondensedMachine
-        What will march.
+        The machine.
     inputs : ndarray, shape (k + l,), optional
         At time zero; as for `initial_state`. Default: those of an `undriven` machine.
     """
@@ -159,14 +157,14 @@ def at_rest(machine: CondensedMachine, inputs: Array | None = None) -> Step:
 
 
 def undriven(machine: CondensedMachine) -> Array:
-    """Return the inputs (k + l,) of a machine that has no heat and no loads but its bolts."""
+    """Return the inputs (k + l,) of a machine without heat, and without loads except its bolts."""
     loads = 0 if machine.contact.loads is None else machine.contact.loads.gap.shape[1]
     factors = np.zeros(loads) if machine.assembly is None else machine.assembly.factors
     return np.concatenate([np.zeros(machine.thermal.inputs.shape[1]), factors])
 
 
 def loaded_gap(machine: CondensedMachine, thermal_gap: Array, inputs: Array) -> Array:
-    """Return what heat and loads together open, (3 m,), m."""
+    """Return the gap by heat and loads, (3 m,), m."""
     if machine.contact.loads is None:
         return thermal_gap
     return thermal_gap + machine.contact.loads.gap @ load_factors(machine, inputs)
@@ -180,9 +178,9 @@ def displaced(
     Parameters
     ----------
     machine : CondensedMachine
-        What marches.
+        The machine.
     strained : ndarray, shape (n,)
-        Temperature unknowns as they strain the bodies (`CondensedMachine.strained`).
+        Temperatures that strain the bodies (`CondensedMachine.strained`).
     settled : Equilibrium
         The joints.
     inputs : ndarray, shape (k + l,)
@@ -199,19 +197,19 @@ def displaced(
 
 
 def settled_between(machine: CondensedMachine, state: State, factors: Array) -> State:
-    """Return a state whose joints have borne loads that come and go before the next step's end.
+    """Return a state after load reversals within the next step.
 
-    Friction remembers them. Temperatures are still those of the state, and its pressures, which
-    decide what the joints conduct in the step.
+    They change gaps and slips. Temperatures and pressures, which determine the conductance in the
+    step, remain those of the state.
 
     Parameters
     ----------
     machine : CondensedMachine
-        What marches.
+        The machine.
     state : State
         At the start of a step.
     factors : ndarray, shape (k, l)
-        Of the loads, one row after the other.
+        Of the loads, one row for each reversal.
 
     Raises
     ------
@@ -235,18 +233,18 @@ def settled_between(machine: CondensedMachine, state: State, factors: Array) -> 
 def settle_along(
     contact: ContactProblem, state: JointState, thermal_gap: Array
 ) -> tuple[Equilibrium, int]:
-    """Find the equilibrium that the state comes to, and how many viscous steps it took.
+    """Return the equilibrium at the end of a step, and the number of viscous steps.
 
-    The first guess goes on as the last step did, which suits a smooth march, then it stays where
-    the gaps are. Where neither leads to an equilibrium, none is near: the joint snaps. Where that
-    leads nowhere, either, and no body is coming loose, the step is cut.
+    The first guess extrapolates the last step; the second one is the present gaps. If neither leads
+    to an equilibrium, the joint snaps. If that fails as well and no body is coming loose, the step
+    is subdivided.
 
     Parameters
     ----------
     contact : ContactProblem
-        Whose joints they are.
+        The joints.
     state : JointState
-        Of the joint at the start of the step: a march's `State` is one.
+        Of the joint at the start of the step, e.g. a `State`.
     thermal_gap : ndarray, shape (3 m,)
         g_T at its end, m.
 

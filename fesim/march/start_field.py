@@ -37,16 +37,16 @@ class StartField:
 def start_field(
     heat: HeatOperators, field: Array | None, modes: ThermalModes | None
 ) -> StartField | None:
-    """Return what a march starts from.
+    """Return the initial temperatures of a march.
 
     Parameters
     ----------
     heat : HeatOperators
-        What marches.
+        Operators of the full model.
     field : ndarray, shape (n,), or None
         Nodal temperatures above the initial ambient, K; None starts at the ambient.
     modes : ThermalModes or None
-        Of the reduced model, which holds the field; None for the full one.
+        Of the reduced model; None for the full one.
     """
     if field is None:
         return None

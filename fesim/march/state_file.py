@@ -1,7 +1,7 @@
-"""State of a march as a file, read back bit for bit and refused by another machine.
+"""File of a march's state, exact to the bit and valid for the same machine only.
 
-The file carries a fingerprint of everything that shapes the state. What is only recorded (probes,
-candidates, the displacement, snapshots, the title), the heat input and the duration may differ.
+It has a fingerprint of everything that the state depends on. Outputs (probes, candidates, the
+displacement, snapshots, the title), the heat input and the duration may differ.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ def fingerprint(case: Case) -> str:
     del data["march"]["duration_min"]
     for source in data["sources"].values():
         del source["heat_input"]
-    # Contact elements are counted joint after joint: the joints' order matters, that of others not.
+    # Contact elements are numbered joint by joint, so the order of the joints matters.
     data["joints"] = list(data["joints"].items())
     data["version"] = version("thermojoint")
-    # A path is the only value of a case that JSON does not know.
+    # Paths are the only values of a case that JSON does not support.
     text = json.dumps(data, sort_keys=True, default=file_digest)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def check_resumable(case: Case) -> None:
-    """Refuse a case whose march neither saves its state nor goes on from one.
+    """Refuse a case whose march cannot be resumed.
 
     Raises
     ------
@@ -57,7 +57,7 @@ def check_resumable(case: Case) -> None:
 
 
 def save_state(state: State, case: Case, path: Path) -> None:
-    """Write the state of a march of `case` to `path` (npz), whole or not at all."""
+    """Write the state of a march of `case` to `path` (npz), completely or not at all."""
     arrays: dict[str, Any] = {name: getattr(state, name) for name in _ARRAYS}
     header = {
         "schema": SCHEMA,

@@ -1,7 +1,8 @@
 """Time stepping of heat and contact on the condensed structure (docs/march.md).
 
-Nothing is factorised, assembled or allocated by mesh size inside it except the temperature field.
-`march` is a generator of steps; a step's state is all it takes to go on with identical results.
+No step factorises or assembles anything, or allocates arrays of mesh size other than the
+temperature field. `march` is a generator of steps; a step's state is enough to continue with
+identical results.
 """
 
 from __future__ import annotations
@@ -28,46 +29,45 @@ from thermojoint.artefacts.errors import ConvergenceError, ThermojointError
 
 #: In-step iteration: largest change of a pressure between sweeps, relative to the preload.
 PRESSURE_TOLERANCE = 1e-9
-#: Least and largest weight of a sweep, and for how many sweeps they are looked for.
+#: Smallest and largest weight of a sweep, and the number of sweeps that are weighted.
 WEIGHTS = 0.05, 10.0
 SEEKING = 400
-#: Then each sweep goes a fixed part of its way.
+#: Weight of later sweeps.
 RELAXING = 300 * (0.3,) + 400 * (0.1,) + 800 * (0.03,)
-#: From this sweep on, an agreement within what the gap equations leave open is one.
+#: From this sweep on, agreement within the tolerance of the gap equations is sufficient.
 PATIENCE = 20
-#: Steps of a block: their amplitudes stay in the processor's cache.
+#: Steps in a block, whose amplitudes fit into the processor's cache.
 BLOCK = 128
 
 #: Time at the end of a step (s) to the inputs (k + l,): sources, W; ambient and held surfaces, K;
 #: factors of the mechanical loads.
 Inputs = Callable[[float], Array]
-#: From a state through inputs (n, k + l): one or more of these steps, as many as go at once.
+#: From a state and inputs (n, k + l) to one or more of these steps.
 Take = Callable[[State, Array], Track]
-#: Begins a march of a machine; what its steps keep for the next ones belongs to that march alone.
+#: Starts a march of a machine; data stored between its steps belong to that march alone.
 Advance = Callable[[CondensedMachine], Take]
 
 
 def march(
     machine: CondensedMachine, inputs: Inputs, advance: Advance, start: State | None = None
 ) -> Iterator[Step]:
-    """Yield one step after another, without end.
+    """Yield an endless series of steps.
 
     Parameters
     ----------
     machine : CondensedMachine
-        What marches.
+        The machine.
     inputs : callable
         Time (s) to the inputs (k + l,); implicit Euler takes them at the end of each step.
     advance : callable
         `staggered` or `iterated`.
     start : State, optional
-        Where to go on; default `initial_state`.
+        State to continue from; default `initial_state`.
 
     Raises
     ------
     ConvergenceError
-        A step has no equilibrium, not even another one, or a body has come loose; nothing is
-        yielded for it.
+        A step has no equilibrium, or a body has come loose; that step is not yielded.
     InputError
         A pressure is beyond the conductance law.
     """
@@ -87,25 +87,25 @@ def march_along(
     start: State,
     between: Mapping[int, Array] | None = None,
 ) -> Iterator[Track]:
-    """Yield the steps of a march along known inputs, some at a time.
+    """Yield the steps of a march under known inputs, several at a time.
 
     Parameters
     ----------
     machine : CondensedMachine
-        What marches.
+        The machine.
     inputs : ndarray, shape (n, k + l)
         Of each step, as `fesim.march.stepping.march` takes them one by one.
     advance : callable
         `staggered` or `iterated`.
     start : State
-        Where to go on.
+        State to continue from.
     between : mapping of int to ndarray, shape (j, l), optional
-        Row of `inputs` to the factors of the loads where they turn back within that step.
+        Row of `inputs` to the factors of the loads at reversals within that step.
 
     Raises
     ------
     ConvergenceError, InputError
-        As `march` does, after what came before is yielded.
+        As `march`, after the steps before are yielded.
     """
     return tracks_along(machine, advance(machine), inputs, start, between)
 
@@ -117,7 +117,7 @@ def tracks_along(
     start: State,
     between: Mapping[int, Array] | None = None,
 ) -> Iterator[Track]:
-    """Yield the next steps of a march that has begun; otherwise as `march_along`."""
+    """Yield the next steps of a started march; otherwise as `march_along`."""
     state, done, turns = start, 0, between or {}
     ends = [*sorted(turns), len(inputs)]
     while done < len(inputs):
@@ -131,17 +131,17 @@ def tracks_along(
 
 
 def _after(machine: CondensedMachine, take: Take, factors: Array) -> Take:
-    """Take the same steps after loads that come and go within the first."""
+    """Take the steps after load reversals within the first one."""
     return lambda state, inputs: take(settled_between(machine, state, factors), inputs)
 
 
 def advanced(machine: CondensedMachine, take: Take, state: State, inputs: Array) -> Track:
-    """Take one step or more; an error says which.
+    """Take one step or more; an error names the step.
 
     Raises
     ------
     ConvergenceError, InputError
-        As `march` does.
+        As `march`.
     """
     try:
         return take(state, inputs)
@@ -153,7 +153,7 @@ def advanced(machine: CondensedMachine, take: Take, state: State, inputs: Array)
 def staggered(machine: CondensedMachine) -> Take:
     """Steps in which the last step's pressure sets the conductance, as in the paper.
 
-    Once they alternate, the march goes on by `iterated` ones.
+    Once they alternate, the march continues with `iterated` ones.
     """
     fast, plain = kernel_march(machine), _plain(machine)
 
@@ -165,7 +165,7 @@ def staggered(machine: CondensedMachine) -> Take:
 
 
 def plainly_staggered(machine: CondensedMachine) -> Take:
-    """Take the same steps without machine code for the whole of one."""
+    """The same steps without the compiled march: the reference implementation."""
     return _watching(machine, _plain(machine))
 
 
@@ -176,7 +176,7 @@ def _plain(machine: CondensedMachine) -> Take:
 
 
 def _watching(machine: CondensedMachine, take: Take) -> Take:
-    """Take steps as long as they do not alternate, then iterated ones."""
+    """Take steps until they alternate, then iterated ones."""
     if not machine.contact.count:
         return take
 
@@ -190,7 +190,7 @@ def _watching(machine: CondensedMachine, take: Take) -> Take:
 
 
 def _watched(machine: CondensedMachine, before: State, track: Track) -> Track:
-    """Note how the steps of a track turn; it ends with the first that is suspected to alternate."""
+    """Record sign changes in a track; it ends with the first step that may alternate."""
     carried = _carried(machine, before)
     values = track.pressure
     if not machine.contact.conducts_by_pressure:
@@ -203,13 +203,13 @@ def _watched(machine: CondensedMachine, before: State, track: Track) -> Track:
 
 
 def _alternates(machine: CondensedMachine, state: State, inputs: Array) -> bool:
-    """Whether the next step belongs to steps that alternate: the gain of the map over it."""
+    """Whether steps alternate at the next one, by the gain of the staggered map over it."""
     which = suspected(state.turning)
     if not which.any():
         return False
     carried = _carried(machine, state)
     values = [carried.of(state)]
-    # Where a step has no equilibrium, the iteration says what is wrong, or finds another way.
+    # Where a step has no equilibrium, the iteration finds another one or raises the error.
     with suppress(ConvergenceError):
         for _ in range(2):
             step = _step_with(machine, state, inputs, carried.conductance(values[-1]))
@@ -220,15 +220,15 @@ def _alternates(machine: CondensedMachine, state: State, inputs: Array) -> bool:
 
 
 def iterated(machine: CondensedMachine) -> Take:
-    """Steps in which conductance and pressure agree at the end, unless the joint snaps in one."""
+    """Steps with the conductance of the pressure at their end, unless the joint snaps."""
     return lambda state, inputs: track_of(iterated_step(machine, state, inputs[0]))
 
 
 def iterated_step(machine: CondensedMachine, state: State, inputs: Array) -> Step:
     """Take one step of `iterated`.
 
-    Sweeps of fixed-point iteration, each from the state at the start of the step, so that friction
-    sees one increment only. They begin with the pressure of the state.
+    Fixed-point iteration. Every sweep starts from the state at the start of the step, so that
+    friction sees one increment only; the first takes the pressure of the state.
 
     Raises
     ------
@@ -247,11 +247,11 @@ def iterated_step(machine: CondensedMachine, state: State, inputs: Array) -> Ste
         misfit = (after - value) / carried.scale
         change = float(np.abs(misfit).max(initial=0.0))
         enough = PRESSURE_TOLERANCE if sweep < PATIENCE else _left_open(machine)
-        # Where the joint snaps the pressure leaps: none agrees with the conductance it leaps from.
+        # Where the joint snaps, the pressure jumps: it cannot agree with the conductance before.
         if change <= enough or step.cuts > 0:
             return replace(step, iterations=iterations, cuts=cuts)
-        # The next sweep's first guess: the same gaps again give the same pressures again, while
-        # another guess moves them within the tolerance of the gap equations for ever.
+        # First guess of the next sweep: equal gaps give equal pressures, while another guess would
+        # keep changing them within the tolerance of the gap equations.
         state = replace(state, change=step.state.change)
         slow = change > 0.5 * float(np.abs(last).max(initial=0.0))
         if sweep >= SEEKING:
@@ -274,11 +274,11 @@ class _Carried:
     Attributes
     ----------
     of : callable
-        Reads it in a state.
+        Returns it for a state.
     conductance : callable
-        Makes conductances of it, W/(m2 K).
+        Returns conductances, W/(m2 K).
     scale : ndarray, shape (m,)
-        What its changes are relative to.
+        Scale of its changes.
     """
 
     of: Callable[[State], Array]
@@ -287,7 +287,7 @@ class _Carried:
 
 
 def _carried(machine: CondensedMachine, state: State) -> _Carried:
-    """Pressures; or conductances, where openings or temperatures are in them as well."""
+    """Pressures; or conductances, if they depend on openings or temperatures as well."""
     if machine.contact.conducts_by_pressure:
         pressures = machine.contact.reference_pressure
         return _Carried(lambda settled: settled.pressure, machine.contact.conductance, pressures)
@@ -297,7 +297,7 @@ def _carried(machine: CondensedMachine, state: State) -> _Carried:
 
 
 def _left_open(machine: CondensedMachine) -> float:
-    """Tolerance of a pressure by the gap equations, of the preload: ten times that at rest."""
+    """Tolerance of a pressure, relative to the preload: ten times that of the gaps at rest."""
     stiffness = machine.contact.gap_problem.springs[: machine.contact.count]
     left = 10.0 * machine.contact.tolerance * stiffness / machine.contact.reference_pressure
     return float(left.max(initial=PRESSURE_TOLERANCE))
@@ -306,7 +306,7 @@ def _left_open(machine: CondensedMachine) -> float:
 def _aitken(weight: float, last: Array, misfit: Array) -> float:
     """Weight of the next sweep by Aitken's method (Irons & Tuck 1969), where sweeps settle slowly.
 
-    Where they go on growing they leave an unstable state, and the whole way leads to a stable one.
+    Growing sweeps leave an unstable state; full steps lead to a stable one.
     """
     turn = misfit - last
     if last @ turn >= 0.0:

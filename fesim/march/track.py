@@ -1,6 +1,6 @@
 """Arrays of the results of many steps, JIT-compiled where possible.
 
-What a `Step` says of one step a `Track` says of several.
+A `Track` has the content of several `Step`s.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Steps one after another; every array begins with their number n, then as in `Step`.
+    """Consecutive steps; the first dimension of every array is their number n, then as in `Step`.
 
     Attributes
     ----------
@@ -117,21 +117,21 @@ def first_of(track: Track, count: int) -> Track:
 
 
 def joined(tracks: Sequence[Track]) -> Track:
-    """Return tracks that follow each other as one."""
+    """Return consecutive tracks as one."""
     names = [field.name for field in fields(Track) if field.name != "model"]
     arrays = {name: np.concatenate([getattr(track, name) for track in tracks]) for name in names}
     return Track(**arrays, model=tracks[0].model)
 
 
 def kernel_march(machine: CondensedMachine) -> Callable[[State, Array], Track | None] | None:
-    """Begin a march in machine code; None where that does not know a law or the thermal model.
+    """Start a compiled march; None if a law or the thermal model is not supported.
 
-    What comes back takes a state and inputs (n, k + l) and gives the steps up to where a joint
-    snaps or a body comes loose, None if that is the first of them.
+    The returned function takes a state and inputs (n, k + l), and returns the steps before a joint
+    snaps or a body comes loose; None if that happens in the first one.
     """
     if not machine.contact.count:
         return None
-    # Here, not above: a compiler is loaded with it, which no structure without joints needs.
+    # Imported here because it loads a compiler, which structures without joints do not need.
     from fesim.march.kernel import new_kept, step_kernel
 
     kernel = step_kernel(machine)
@@ -145,7 +145,7 @@ def _kernel_track(
 ) -> Track | None:
     record, taken, loose = kernel.run(kept, state, inputs)
     if loose and _came_loose(machine, state.slip if taken == 1 else record.slip[-2], record):
-        # Its error is that of the plain step; those before it are good.
+        # The plain step raises its error; the steps before it are valid.
         record, taken = type(record)._make(column[:-1] for column in record), taken - 1
     if not taken:
         return None
@@ -177,7 +177,7 @@ def _kernel_track(
 
 
 def _came_loose(machine: CondensedMachine, slip: Array, record: Record) -> bool:
-    """Whether the last step recorded leaves a body loose; `slip` (2, m) is that at its start."""
+    """Whether a body is loose after the last recorded step; `slip` (2, m) is that at its start."""
     if machine.contact.watch is None:
         return False
     tangent = machine.contact.traction(record.gap[-1], slip).tangent
