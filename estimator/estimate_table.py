@@ -84,7 +84,7 @@ def read_estimate(lines: Iterable[str], where: str) -> tuple[tuple[str, ...], li
     Raises
     ------
     InputError
-        A column is missing, a value is no number, time does not increase, or there is no row.
+        A column is missing, a value is not a number, time does not increase, or there is no row.
     """
     table = list(lines)
     dialect = _dialect(table, where)

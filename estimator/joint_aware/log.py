@@ -41,7 +41,7 @@ def log_samples(
     Raises
     ------
     InputError
-        A sensor or a load has no column, or the clock begins anew.
+        A sensor or a load has no column, or time restarts.
     """
     cold = math.nan
     last = -math.inf

@@ -32,18 +32,7 @@ def cut(
 ) -> tuple[Equilibrium, int]:
     """Return the equilibrium at the end of a step, and its numbers of pieces and viscous steps.
 
-    Parameters
-    ----------
-    problem : GapProblem
-        Compliance and law.
-    thermal_gap : ndarray, shape (3 m,)
-        g_T at the end of the step, m.
-    slip : ndarray, shape (2, m)
-        Irreversible slip at its start, m.
-    gap : ndarray, shape (3, m)
-        Equilibrium at its start, m.
-    tolerance : float
-        Largest residual accepted, m.
+    Parameters as for `fesim.joint.gap.solve_gap`; `gap` is the equilibrium at the start.
 
     Raises
     ------

@@ -49,18 +49,7 @@ def relax(
 ) -> tuple[Equilibrium, int]:
     """Return the equilibrium reached by an overdamped joint, and its number of viscous steps.
 
-    Parameters
-    ----------
-    problem : GapProblem
-        Compliance and law.
-    thermal_gap : ndarray, shape (3 m,)
-        g_T = S_T T, m.
-    slip : ndarray, shape (2, m)
-        Irreversible slip at the start of the step, m.
-    gap : ndarray, shape (3, m)
-        Initial gaps of the joint, m.
-    tolerance : float
-        Largest residual accepted, m.
+    Parameters as for `fesim.joint.gap.solve_gap`; `gap` is where the joint starts.
 
     Raises
     ------

@@ -9,7 +9,7 @@ import numpy as np
 from fesim.march.contact import Laws
 from fesim.march.machine import CondensedMachine
 from fesim.march.settling import at_rest
-from fesim.march.stepping import Advance, march_along, staggered
+from fesim.march.stepping import march_along, staggered
 from fesim.one_thread import one_thread
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
@@ -19,24 +19,20 @@ def march_many(
     machine: CondensedMachine,
     laws: Sequence[Laws],
     inputs: Array,
-    advance: Advance = staggered,
 ) -> Array:
     """March one condensation with many joint laws through many inputs, each from rest.
 
-    What machine code cannot do is marched plainly; the displacements are those of
-    `fesim.march.stepping.march` either way, to 1e-12 m.
+    The displacements are those of `fesim.march.stepping.march` to 1e-12 m.
 
     Parameters
     ----------
     machine : CondensedMachine
-        Whose condensation it is; its own laws do not count.
+        The condensation; its own laws are not used.
     laws : sequence of sequence of (JointLaw, int)
         Of each march, as in `CondensedMachine`.
     inputs : ndarray, shape (marches, n + 1, k + l)
         Of each march at time zero, where only the factors of loads count, and at the end of each
         of its n steps: sources, W; ambient and held surfaces, K; factors of the loads.
-    advance : callable
-        `staggered` or `iterated`.
 
     Returns
     -------
@@ -48,7 +44,7 @@ def march_many(
     InputError
         There are not as many laws as inputs.
     ConvergenceError
-        A march has a step that does not converge; which march, is said.
+        A step of a march does not converge.
     """
     if len(laws) != len(inputs):
         raise InputError(
@@ -60,6 +56,6 @@ def march_many(
             own_machine = machine.with_laws(own)
             rest = at_rest(own_machine, driven[0])
             displacement[0] = rest.displacement
-            for track in march_along(own_machine, driven[1:], advance, rest.state):
+            for track in march_along(own_machine, driven[1:], staggered, rest.state):
                 displacement[track.index] = track.displacement
     return displacements

@@ -58,7 +58,7 @@ def serve(
     import signal
 
     from thermojoint.live.descriptors import raise_limit
-    from thermojoint.live.log_lines import log_to
+    from thermojoint.live.log_lines import log_to_stderr
     from thermojoint.live.reloading import serve_file
 
     async def until_stopped() -> None:
@@ -68,7 +68,7 @@ def serve(
         loop.add_signal_handler(signal.SIGHUP, reload.set)
         await serve_file(service, stop, reload)
 
-    log_to()
+    log_to_stderr()
     raise_limit()
     asyncio.run(until_stopped())
 

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import logging
 import re
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TextIO
 
 from thermojoint.live.publication import iso_time
 from thermojoint.live.rate_limit import LineLimit
@@ -79,12 +77,12 @@ def _quoted(value: str) -> str:
     return f'"{escaped}"'
 
 
-def log_to(stream: TextIO = sys.stderr) -> None:
-    """Write the lines to a stream, each with its time (UTC) and level.
+def log_to_stderr() -> None:
+    """Write the lines to standard error, each with its time (UTC) and level.
 
     Errors of libraries are one line each, without a traceback, and limited like events.
     """
-    handler = logging.StreamHandler(stream)
+    handler = logging.StreamHandler()
     handler.setFormatter(_Line())
     handler.addFilter(limited(LineLimit()))
     LOGGER.setLevel(logging.INFO)

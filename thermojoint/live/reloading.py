@@ -1,4 +1,4 @@
-"""The service of a file, which it reads again on request: checked first, then begun anew."""
+"""Reloading of a service's settings on request: checked first, then restarted."""
 
 from __future__ import annotations
 

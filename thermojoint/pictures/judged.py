@@ -24,7 +24,7 @@ class Judged(NamedTuple):
     title : str
         Run and displacement.
     times : ndarray, shape (k,)
-        s; a run that begins anew follows the one before it.
+        s; a further run follows the one before it.
     truth, estimate, band : ndarray, shape (k,)
         m; NaN where unknown.
     """

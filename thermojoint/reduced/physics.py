@@ -169,7 +169,7 @@ def settle_joint(
 def settle_plainly(
     physics: Physics, joint: JointState, amplitudes: Array, loads: Array
 ) -> tuple[JointState, Array]:
-    """As `settle_joint`, without machine code of its own, and where the joint snaps."""
+    """As `settle_joint`, for laws that are not compiled, and where the joint snaps."""
     modes = physics.modes
     if not physics.contacts:
         return joint, moved_by(physics, joint, amplitudes, loads)

@@ -32,7 +32,7 @@ File = Annotated[Path, Field(strict=False), AfterValidator(_beside)]
 
 
 class Section(BaseModel):
-    """Base class of sections: unknown keys are errors, text is no number, values are frozen."""
+    """Base class of sections: unknown keys and text for numbers are errors, values are frozen."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 

@@ -38,6 +38,15 @@ class Cycle(NamedTuple):
 def preview(settings: Settings, axes: Sequence[str], rows: Sequence[Row]) -> Iterator[Cycle]:
     """Yield the offsets that the control receives, in every cycle of the estimates.
 
+    Parameters
+    ----------
+    settings : Settings
+        The compensation output.
+    axes : sequence of str
+        Axes of the estimates.
+    rows : sequence of Row
+        Estimates, one or more.
+
     Raises
     ------
     InputError

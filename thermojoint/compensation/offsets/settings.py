@@ -68,6 +68,11 @@ class Settings:
 def read_settings(path: Path | str) -> Settings:
     """Read the settings of a compensation output.
 
+    Parameters
+    ----------
+    path : Path or str
+        TOML.
+
     Raises
     ------
     InputError

@@ -235,7 +235,9 @@ def item_of(machine: str, k: int, count: int, value: ua.DataValue) -> Arrival | 
     if not good or content is None:
         readings[k] = math.nan
     elif isinstance(content, bool) or not isinstance(content, int | float):
-        return Note("malformed", f"reading {k}: a {type(content).__name__} is no number", machine)
+        return Note(
+            "malformed", f"reading {k}: a {type(content).__name__} is not a number", machine
+        )
     else:
         readings[k] = float(content) if math.isfinite(content) else math.nan
     try:

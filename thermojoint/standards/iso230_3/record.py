@@ -145,8 +145,8 @@ def _celsius(log: Log, name: str) -> Array:
     return values if log.columns[log.index(name)].unit == "K" else values - _ICE
 
 
-def with_second(record: Record, second: Record, suffix: str = "2") -> Record:
-    """Return the record with the displacements of the same run at a second point.
+def with_second(record: Record, second: Record) -> Record:
+    """Return the record with the displacements of the same run at a second point, ``NAME2``.
 
     Raises
     ------
@@ -158,7 +158,7 @@ def with_second(record: Record, second: Record, suffix: str = "2") -> Record:
     )
     if not same:
         raise InputError("second point: read at other times than the first; give the same run")
-    added = {f"{name}{suffix}": values for name, values in second.displacements.items()}
+    added = {f"{name}2": values for name, values in second.displacements.items()}
     for name in added:
         if name in record.displacements:
             raise InputError(f"second point: a channel {name!r} is there already; rename it")
