@@ -100,7 +100,7 @@ class Fchs(Described):
         values : sequence of float
             ΔT and the temperatures at the joint above the current ambient, K.
         """
-        last, begun, until = float(state[0]), float(state[_BEGUN]), float(state[_UNTIL])
+        last, begun, until = (float(state[k]) for k in (stream.TIME, _BEGUN, _UNTIL))
         inner = np.delete(state, [_BEGUN, _UNTIL])
         inner, signals = stream.step(self.assembly, inner, time, *values)
         begun = time - self.assembly.dt_s if np.isnan(begun) else begun

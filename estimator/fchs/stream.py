@@ -32,6 +32,9 @@ from thermojoint.artefacts.tables.cells import LARGEST_TEMPERATURE
 from thermojoint.models.assembly import Assembly
 from thermojoint.models.filters.bank import over_interval
 
+#: Index of the time of the last sample in a state; the readings and the banks follow it.
+TIME = 0
+
 
 class Signals(NamedTuple):
     """Outputs of the blocks at one sample, or at many (arrays with a leading time axis).
@@ -66,7 +69,7 @@ def initial_state(assembly: Assembly) -> np.ndarray:
     NaN.
     """
     state = np.zeros(assembly.n_state)
-    state[0] = np.nan
+    state[TIME] = np.nan
     return state
 
 
@@ -100,7 +103,7 @@ def step(
     """
     if not math.isfinite(time):
         raise InputError(f"sample at t = {time:g} s: its time is not finite; leave the sample out")
-    last = state[0]
+    last = state[TIME]
     dt = assembly.dt_s if math.isnan(last) else time - float(last)
     if not 0.0 < dt < math.inf:
         raise InputError(
@@ -110,7 +113,7 @@ def step(
     measured = (delta_T, *temperatures)
     if len(measured) != 1 + assembly.n_sources or not all(map(_possible, measured)):
         raise _unusable(assembly, time, measured)
-    result = propagator(assembly, dt) @ np.concatenate((state[1:], measured))
+    result = propagator(assembly, dt) @ np.concatenate((state[TIME + 1 :], measured))
     sources, axes = assembly.n_sources, len(assembly.axes)
     ends = np.cumsum([state.size - 1, 1, sources, axes])
     inner, heat, strengths, linear, nonlinear = np.split(result, ends)
