@@ -41,17 +41,6 @@ ARROWS = {
 }
 
 
-#: The commands: each parameter is an option that a user may give, and typer reads them one by one.
-MANY_OPTIONS = {
-    "thermojoint.cli.exporting.export",
-    "thermojoint.cli.learning.learn",
-    "thermojoint.cli.modelling.calibrate",
-    "thermojoint.cli.modelling.estimate",
-    "thermojoint.cli.modelling.validate",
-    "thermojoint.cli.thermal_test.iso230_3",
-}
-
-
 def package_of(name):
     """Package of the table that a module stands in; what is not in the table stands above it."""
     return next((p for p in ARROWS if f"{name}.".startswith(f"{p}.")), None)
@@ -125,17 +114,6 @@ def test_no_two_folders_know_each_other(below):
                 arrows.setdefault(ends, f"{name} -> {other}")
     for (one, other), arrow in arrows.items():
         assert (other, one) not in arrows, f"{arrow}, and {arrows[other, one]}"
-
-
-def test_no_function_has_more_than_six_parameters_but_the_commands(files):
-    many = set()
-    for name, path in files.items():
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-                given = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
-                if len([one for one in given if one.arg not in ("self", "cls")]) > 6:
-                    many.add(f"{name}.{node.name}")
-    assert many == MANY_OPTIONS
 
 
 def test_the_page_of_the_architecture_names_every_package():
