@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fesim.accuracy.estimate import Accuracy, Marched, accuracy_of
 from fesim.case.history import entering_in_steps
 from fesim.case.schema import (
     TOLERANCE_K,
@@ -91,6 +92,7 @@ def simulate(
     start: State | None = None,
     on_step: OnStep | None = None,
     progress: Progress | None = None,
+    accuracy: bool = True,
 ) -> Simulation:
     """Run a case.
 
@@ -106,6 +108,9 @@ def simulate(
         Called with every step, e.g. to write snapshots.
     progress : callable, optional
         Called with (steps done, steps in all).
+    accuracy : bool
+        Whether the response says how good its displacement is, for a part of the time of the march;
+        batches and calibrations go without (`fesim.accuracy.estimate`).
 
     Raises
     ------
@@ -157,9 +162,16 @@ def simulate(
                     on_step(track.step(at))
                 if progress is not None:
                     progress(done, count)
-    response = _response(case, ready, inputs, _joined(parts))
+    course = _joined(parts)
+    response = _response(case, ready, inputs, course)
+    known = None
     if spent is not None:
         response.attrs |= _spent(spent)
+        known = spent.displacement
+    if accuracy:
+        taken = course.track.displacement[-count:]
+        marched = Marched(case, ready, COUPLINGS[case.march.coupling], start, taken)
+        response.attrs |= _good_to(accuracy_of(marched, known))
     return Simulation(response, state)
 
 
@@ -189,6 +201,16 @@ def _spent(effort: Effort) -> dict[str, float | int]:
         "longest_step_s": effort.longest,
         "estimated_error_um": MEGA * effort.displacement,
         "estimated_error_K": effort.temperature,
+    }
+
+
+def _good_to(accuracy: Accuracy) -> dict[str, float | str]:
+    """Attributes of a response that say how good its displacement is; the unknown has none."""
+    parts = {name: getattr(accuracy, name) for name in ("total", "joint", "mesh", "time")}
+    by_joint = {name: MEGA * value for name, value in accuracy.by_joint.items()}
+    return {
+        **{f"error_{name}_um": MEGA * part for name, part in parts.items() if part is not None},
+        "error_by_joint_um": json.dumps(by_joint),
     }
 
 

@@ -76,6 +76,9 @@ class PairedJoint:
         and a contact element.
     piece_element : ndarray of int, shape (pieces,)
         Contact element of each piece.
+    place : ndarray of int, shape (m, 3)
+        Part of side a, row and column of each contact element; neighbours on a curved part follow
+        each other in its only row.
     """
 
     name: str
@@ -94,6 +97,7 @@ class PairedJoint:
     centre: NDArray[np.float64]
     pieces: tuple[NDArray[np.float64], ...]
     piece_element: NDArray[np.int64]
+    place: NDArray[np.int64]
 
     @property
     def separation(self) -> NDArray[np.float64]:
@@ -135,11 +139,12 @@ class _Side:
 
 @dataclass(frozen=True)
 class _Cell:
-    """A contact element before pairing: its plane, its facets, and its window on a grid."""
+    """A contact element before pairing: plane, facets, window on a grid and place in it."""
 
     plane: _Plane
     facets: NDArray[np.int64]
     window: Polygon | None
+    place: tuple[int, int, int]
 
 
 def pair_joint(
@@ -167,10 +172,11 @@ def pair_joint(
     side_a, side_b = sides = tuple(
         _side(mesh, structure.surfaces[side]) for side in structure.joints[name]
     )
-    planes, points_a, points_b, weights, weights_b, owners = [], [], [], [], [], []
+    planes, places, points_a, points_b, weights, weights_b, owners = [], [], [], [], [], [], []
     pieces, piece_cells = [], []
     for number, cell in enumerate(_contact_cells(mesh, name, sides, along, across)):
         planes.append(cell.plane)
+        places.append(cell.place)
         for i, j, overlap in _overlaps(cell, side_a, side_b):
             flat, weight = quadrature(overlap)
             points_a.append(side_a.lift(cell.plane, flat, i))
@@ -214,6 +220,7 @@ def pair_joint(
         centre=np.stack([np.bincount(element, weight * x) / area for x in on_a], axis=1),
         pieces=tuple(pieces),
         piece_element=piece_element,
+        place=np.array(places)[held],
     )
 
 
@@ -348,24 +355,26 @@ def _contact_cells(
 ) -> Iterator[_Cell]:
     """Yield the contact elements of side a in their order."""
     side, other = sides
-    for part in _parts(mesh, side):
+    for number, part in enumerate(_parts(mesh, side)):
         plane = None if _turn(side, part) > FACING else _mean_plane(side, part)
         if plane is None or _is_curved(plane.flat(side.corners[part])):
-            for facets in _bisected(side, part, (along or ACROSS) * (across or ACROSS)):
+            groups = _bisected(side, part, (along or ACROSS) * (across or ACROSS))
+            for column, facets in enumerate(groups):
                 if _turn(side, facets) > FACING:
                     raise InputError(
                         f"joint {name!r}: a contact element of its curved side turns through more "
                         f"than {2 * np.rad2deg(FACING):.0f} degrees; raise along x across"
                     )
-                yield _Cell(_mean_plane(side, facets), facets, None)
+                yield _Cell(_mean_plane(side, facets), facets, None, (number, 0, column))
             continue
         low, high = _reached(plane, side.corners[part], other)
         rows = across or ACROSS
         columns = along or _square(rows, *(high - low))
-        for bottom, top in pairwise(np.linspace(low[1], high[1], rows + 1)):
-            for left, right in pairwise(np.linspace(low[0], high[0], columns + 1)):
+        for row, (bottom, top) in enumerate(pairwise(np.linspace(low[1], high[1], rows + 1))):
+            grid = np.linspace(low[0], high[0], columns + 1)
+            for column, (left, right) in enumerate(pairwise(grid)):
                 window = np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
-                yield _Cell(plane, part, window)
+                yield _Cell(plane, part, window, (number, row, column))
 
 
 def _square(rows: int, length: float, width: float) -> int:

@@ -30,12 +30,14 @@ from fesim.march.reduced import (
     shortest,
     thermal_modes,
 )
+from fesim.march.settling import initial_state
 from fesim.march.start_field import start_field
 from fesim.setup.bolts import first_forces
 from fesim.setup.constraints import start_closed, with_friction
 from fesim.setup.discretised import Discretised, discretised, load_forces, relative_rows
 from fesim.setup.elastic import elastic_structure
 from fesim.setup.laws import joint_laws
+from fesim.setup.mesh_errors import MeshErrors, StressErrors, heat_errors, stress_errors
 from fesim.setup.outputs import asks_for_outputs, mechanical_outputs
 from fesim.setup.parts import Parts, make_parts
 from fesim.setup.soundness import explained_by_size
@@ -49,6 +51,7 @@ from fesim.solid.condensation import (
     DisplacementField,
     ElasticCondensation,
     LoadInfluence,
+    ThermalCondensation,
     condense_heat,
     condense_loads,
     elastic_condensation,
@@ -61,6 +64,9 @@ from fesim.solid.substructures import TieCondensation
 from meshes.pairing import PairedJoint
 from meshes.structure import Probe, Structure
 from thermojoint.artefacts.display import Described
+
+#: Factors of structures with fewer displacement unknowns are held in memory together.
+SMALL = 150_000
 
 
 @dataclass(frozen=True, repr=False)
@@ -95,6 +101,10 @@ class Setup(Described):
         The bolts, if there are any.
     materials : dict of str to Material
         Of every body.
+    make_thermal : callable
+        Length of a step (s) to the heat step of that length, on the same unknowns.
+    make_mesh_errors : callable
+        Returns rows of the errors of the mesh; None where the structure is too large for them.
     """
 
     structure: Structure
@@ -110,6 +120,8 @@ class Setup(Described):
     outputs: MechanicalOutputs | None
     bolts: Bolts | None
     materials: dict[str, Material]
+    make_thermal: Callable[[float], ThermalCondensation]
+    make_mesh_errors: Callable[[], MeshErrors | None]
 
     def _facts(self) -> dict[str, str]:
         return {
@@ -216,12 +228,14 @@ def set_up(case: Case) -> Setup:
 def _condensed(case: Case, parts: Parts, keys: _Keys) -> Setup:
     """Condense checked parts."""
     whole = discretised(case, parts)
-    condensed, field = _condensed_elasticity(whole, keys)
     forces = load_forces(whole)
+    condensed, field, stress = _condensed_elasticity(whole, keys, forces)
     loads = _loads(whole, keys, field, forces)
     outputs = _outputs(whole, keys, field, forces)
     modes = _modes(whole, keys, condensed)
-    machine = _machine(whole, condensed, loads, modes)
+    thermal = partial(_thermal, whole, modes)
+    machine = _machine(whole, condensed, loads, modes, thermal(case.march.step_s))
+    errors = partial(_mesh_errors, whole, condensed, machine, stress)
     bolts = None
     if parts.bolts:
         ends = whole.ends.toarray() if modes is None else whole.ends @ modes.basis
@@ -243,6 +257,8 @@ def _condensed(case: Case, parts: Parts, keys: _Keys) -> Setup:
         outputs=outputs,
         bolts=bolts,
         materials=whole.materials,
+        make_thermal=thermal,
+        make_mesh_errors=cache(errors),
     )
 
 
@@ -256,23 +272,44 @@ def _keys(case: Case, before: str) -> _Keys:
 
 
 def _condensed_elasticity(
-    whole: Discretised, keys: _Keys
-) -> tuple[ElasticCondensation, Callable[[], DisplacementField]]:
-    """Condense the structure; its displacement field is factorised on demand."""
+    whole: Discretised, keys: _Keys, forces: NDArray[np.float64]
+) -> tuple[ElasticCondensation, Callable[[], DisplacementField], StressErrors | None]:
+    """Condense the structure; its displacement field is factorised on demand.
+
+    Errors of the mesh are found while its factors exist.
+    """
     case = whole.case
-    solid = elastic_structure(
-        case, whole.parts.structure, whole.spaces, whole.materials, whole.operators, whole.springs
+    make = partial(
+        elastic_structure,
+        case,
+        whole.parts.structure,
+        whole.spaces,
+        whole.materials,
+        whole.operators,
+        whole.springs,
     )
+    solid, rows = make(), relative_rows(whole)
+    # The factors are stored if loads, outputs or snapshots need them again; all at once only where
+    # they are small.
+    again = case.loads or case.bolts or case.output.snapshots_s or asks_for_outputs(case)
+    together = again or whole.spaces.displacement_size <= SMALL
 
     def condense() -> TieCondensation:
-        # The factors are stored only if loads, outputs or snapshots need them again.
-        again = case.loads or case.bolts or case.output.snapshots_s or asks_for_outputs(case)
-        pieces = solid.factorised.substructures if again else solid.one_by_one()
-        return solid.condense(pieces, relative_rows(whole))
+        pieces = solid.factorised.substructures if together else solid.one_by_one()
+        return solid.condense(pieces, rows)
 
     tied = remembered(TieCondensation, keys.elasticity, condense)
-    condensed = elastic_condensation(tied, whole.operators, whole.springs)
-    return condensed, cache(partial(solid.field, tied))
+    field, errors = cache(partial(solid.field, tied)), None
+    if together:
+        errors = remembered(
+            StressErrors,
+            keys.elasticity,
+            lambda: stress_errors(whole, field(), forces),
+            also=f"off under {load_patterns(case)}",
+        )
+    if not again:
+        field = cache(lambda: make().field(tied))
+    return elastic_condensation(tied, whole.operators, whole.springs), field, errors
 
 
 def _loads(
@@ -330,20 +367,23 @@ def _modes(whole: Discretised, keys: _Keys, condensed: ElasticCondensation) -> T
     )
 
 
+def _thermal(whole: Discretised, modes: ThermalModes | None, step: float) -> ThermalCondensation:
+    """One heat step of some length, s."""
+    if modes is None:
+        return condense_heat(whole.heat, whole.operators, step, whole.case.march.solver)
+    return project_heat(whole.heat, whole.operators, step, modes)
+
+
 def _machine(
     whole: Discretised,
     condensed: ElasticCondensation,
     loads: LoadInfluence | None,
     modes: ThermalModes | None,
+    thermal: ThermalCondensation,
 ) -> CondensedMachine:
     """The condensed machine before its bolts are tightened."""
     case, parts, heat = whole.case, whole.parts, whole.heat
-    step = case.march.step_s
-    if modes is None:
-        thermal, elastic = condense_heat(heat, whole.operators, step, case.march.solver), condensed
-    else:
-        thermal = project_heat(heat, whole.operators, step, modes)
-        elastic = project_elasticity(condensed, modes)
+    elastic = condensed if modes is None else project_elasticity(condensed, modes)
     return CondensedMachine(
         thermal,
         ContactProblem(elastic, parts.laws, constraints=parts.constraints, loads=loads),
@@ -353,6 +393,19 @@ def _machine(
         ),
         growth=growth(case, parts.structure, whole.spaces.heat),
     )
+
+
+def _mesh_errors(
+    whole: Discretised,
+    condensed: ElasticCondensation,
+    machine: CondensedMachine,
+    stress: StressErrors | None,
+) -> MeshErrors | None:
+    """Rows of the errors of the mesh, with the joints as they are at their preload."""
+    if stress is None:
+        return None
+    conductance = machine.conductance_in(initial_state(replace(machine, assembly=None)))
+    return MeshErrors(*heat_errors(whole, condensed, machine.contact, conductance), stress)
 
 
 def with_laws(setup: Setup, case: Case) -> Setup:

@@ -120,7 +120,7 @@ def corner_stresses(
     ndarray, shape (corners, cells, 6)
         `COMPONENTS`, Pa.
     """
-    best = _best_points(structure.mesh.t.shape[0])
+    best = best_points(structure.mesh.t.shape[0])
     inside = np.stack(
         [
             _stress_in(structure, spaces, materials, displacement, temperature, point)
@@ -133,8 +133,8 @@ def corner_stresses(
     return np.asarray(np.einsum("pc,pnk->cnk", np.linalg.inv(shapes), inside))
 
 
-def _best_points(corners: int) -> Array:
-    """Gauss points of an element of first order, shape (3, corners)."""
+def best_points(corners: int) -> Array:
+    """Return the Gauss points of an element of first order, shape (3, corners)."""
     if corners == 8:
         low, high = 0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0)
         return np.array(list(product((low, high), repeat=3))).T

@@ -50,7 +50,7 @@ def simulate(
     from thermojoint.artefacts.settings.section import files_of
     from thermojoint.cli import results
     from thermojoint.paper import printing
-    from thermojoint.paper.summary import convergence, covered_areas
+    from thermojoint.paper.summary import accuracy_line, convergence, covered_areas
 
     given = read_case(case)
     # Without the state of --continue, which may be replaced by its successor.
@@ -95,6 +95,7 @@ def simulate(
     if "secant_residual" in finished.response:
         left = float(finished.response["secant_residual"].max())
         console.say(f"last secant step: temperatures changed by {left:.1e} K at most")
+    console.say(accuracy_line(finished.response.attrs))
     console.wrote(out, save, folder)
 
 

@@ -141,8 +141,16 @@ def result_lines(response: xr.Dataset, figures: Mapping[str, float]) -> list[str
             f"Bolts: {end.min():.4g} to {end.max():.4g} kN at the end, {low:.4g} to {high:.4g} kN "
             f"in the run; least at the end in {response['bolt'].to_numpy()[end.argmin()]}."
         )
-    if "open_share_final" not in figures:
-        return lines
+    if "open_share_final" in figures:
+        lines += _joint_lines(response, figures)
+    if "march_steps" in response.attrs:
+        lines.append(adaptive_line(response.attrs))
+    return lines
+
+
+def _joint_lines(response: xr.Dataset, figures: Mapping[str, float]) -> list[str]:
+    """Return a description of the joints at the end."""
+    lines = []
     last = 1e-6 * response["pressure"].to_numpy()[-1]
     lines.append(
         f"Contact pressure: {last.min():.4g} to {last.max():.4g} MPa at the end, "
@@ -160,9 +168,19 @@ def result_lines(response: xr.Dataset, figures: Mapping[str, float]) -> list[str
             f"Coupling: staggered steps alternated; {count} steps, from "
             f"{_lasting(response, first)} on, were iterated instead."
         )
-    if "march_steps" in response.attrs:
-        lines.append(adaptive_line(response.attrs))
     return lines
+
+
+def accuracy_line(attrs: Mapping[str, Any]) -> str:
+    """Return how good a displacement is, from a response that says so."""
+    by_joint = json.loads(attrs["error_by_joint_um"])
+    parts = []
+    for name in ("joint", "mesh", "time"):
+        value = attrs.get(f"error_{name}_um")
+        worst = f" (most by {max(by_joint, key=by_joint.get)!r})" if len(by_joint) > 1 else ""
+        known = "unknown" if value is None else f"{value:.2g}"
+        parts.append(f"{name} {known}{worst if name == 'joint' else ''}")
+    return f"δ is good to about {attrs['error_total_um']:.2g} µm: {', '.join(parts)}."
 
 
 def adaptive_line(attrs: Mapping[str, Any]) -> str:

@@ -1,0 +1,1 @@
+"""How good a simulated displacement is: errors of the joints, the mesh and the steps."""

@@ -1,0 +1,209 @@
+"""How good the displacement of a march is, from its contact elements, its mesh and its steps.
+
+Marches with longer steps tell what the steps leave (implicit Euler is of first order), and with
+merged contact elements what those leave (of second order); rows of the mesh's errors, made with the
+condensation, apply to the states on the way. All of it costs a part of the march itself.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fesim.accuracy.coarse_joints import (
+    means_of,
+    merged_elements,
+    merged_joint,
+    merged_machine,
+    merged_state,
+)
+from fesim.case.schema import Case
+from fesim.march.machine import CondensedMachine, State
+from fesim.march.settling import initial_state
+from fesim.march.stepping import Advance, march_along
+from fesim.march.track import Track, joined
+from fesim.one_thread import one_thread
+from fesim.setup.loads import march_inputs
+from fesim.setup.machine import Setup
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import ThermojointError
+
+#: Steps of the marches for comparison, at most; and a march of fewer than so many is halved.
+MOST, FEW = 200, 16
+#: Their steps are up to so many times as long, where there are enough.
+LONGER = 8
+#: Machines of more contact elements are not merged: dense products would take longer than a march.
+LARGEST = 600
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """Largest estimated errors of a displacement in a march, m; None where there is no estimate.
+
+    Attributes
+    ----------
+    joint : float or None
+        By the contact elements of all joints.
+    mesh : float or None
+        By the meshes of temperatures and displacements.
+    time : float or None
+        By the steps.
+    by_joint : dict of str to float
+        Parts of `joint`; joints whose elements cannot be merged are missing.
+    """
+
+    joint: float | None
+    mesh: float | None
+    time: float | None
+    by_joint: dict[str, float]
+
+    @property
+    def total(self) -> float:
+        """Root of the sum of the squares of what is known."""
+        known = [part for part in (self.joint, self.mesh, self.time) if part is not None]
+        return float(np.linalg.norm(known))
+
+
+@dataclass(frozen=True)
+class Marched:
+    """What is judged.
+
+    Attributes
+    ----------
+    case : Case
+        Of the march.
+    setup : Setup
+        Its machine.
+    advance : callable
+        Its coupling.
+    start : State or None
+        Where it went on; None at time zero.
+    displacement : ndarray, shape (n, axes)
+        At the end of each step, m.
+    """
+
+    case: Case
+    setup: Setup
+    advance: Advance
+    start: State | None
+    displacement: Array
+
+
+def accuracy_of(marched: Marched, known: float | None = None) -> Accuracy:
+    """Estimate the errors of a march.
+
+    Parameters
+    ----------
+    marched : Marched
+        The march.
+    known : float, optional
+        The error of the steps, m, if the march has estimated it itself.
+    """
+    count, setup = len(marched.displacement), marched.setup
+    longer = max(-(-count // MOST), min(LONGER, count // FEW), 1)
+    fine, time = None, known
+    with suppress(ThermojointError):
+        machine = _with_steps(marched, longer)
+        fine = _track(marched, machine, marched.start)
+        time = _of_steps(marched, fine, longer) if known is None else known
+    if fine is None:
+        return Accuracy(None, None, time, {})
+    by_joint = {}
+    for joint in setup.joints:
+        odd = any(size % 2 for size in joint.place[:, 1:].max(axis=0) + 1)
+        for last in (True, False) if odd else (True,):
+            with suppress(ThermojointError, np.linalg.LinAlgError):
+                left = _of_joint(marched, machine, fine, (joint.name, last))
+                if left is not None:
+                    by_joint[joint.name] = max(left, by_joint.get(joint.name, 0.0))
+    mesh = None
+    with suppress(ThermojointError):
+        mesh = _of_mesh(setup, fine, machine.thermal.step)
+    unknown = setup.joints and not by_joint
+    joints = None if unknown else float(sum(by_joint.values()))
+    return Accuracy(joints, mesh, time, by_joint)
+
+
+def _of_steps(marched: Marched, fine: Track, longer: int) -> float:
+    """Error of the steps: what longer ones, or halves, are apart from them, by the first order."""
+    if longer > 1:
+        at = longer * np.arange(1, len(fine) + 1) - 1
+        return _largest(fine.displacement - marched.displacement[at]) / (longer - 1)
+    halves = _track(marched, _with_steps(marched, 0.5), marched.start)
+    return 2.0 * _largest(halves.displacement[1::2] - marched.displacement)
+
+
+def _of_joint(
+    marched: Marched, machine: CondensedMachine, fine: Track, merging: tuple[str, bool]
+) -> float | None:
+    """Error by the contact elements of a joint; None if they cannot be merged.
+
+    `merging` names the joint and, of an odd number of elements, whether the last stays alone.
+    """
+    setup, numbers, ratio = marched.setup, [], 1.0
+    for joint in setup.joints:
+        number = np.arange(len(joint.area))
+        if joint.name == merging[0]:
+            number, ratio = merged_elements(joint, merging[1])
+        numbers.append(number)
+    if ratio == 1.0 or machine.contact.count > LARGEST:
+        return None
+    joints = [merged_joint(*pair) for pair in zip(setup.joints, numbers, strict=True)]
+    means = means_of(setup.joints, numbers)
+    merged = merged_machine(marched.case, setup, machine.thermal, joints, means)
+    start = None if marched.start is None else merged_state(marched.start, means)
+    coarse = _track(marched, merged, start)
+    return _largest(coarse.displacement - fine.displacement) / (ratio - 1.0)
+
+
+def _of_mesh(setup: Setup, fine: Track, step: float) -> float | None:
+    """Error by the meshes at steps (s) of a march; None for a structure too large for its rows.
+
+    Temperatures change in time as if they had risen evenly, as the dual ones do.
+    """
+    rows = setup.make_mesh_errors()
+    if rows is None:
+        return None
+    machine, found = setup.machine, []
+    first = machine.assembly
+    for at in range(len(fine)):
+        taken = fine.step(at)
+        nodal = setup.nodal_temperature(taken.state)
+        acting, remainder = setup.acting(taken), taken.remainder
+        if first is not None:
+            acting, remainder = acting - first.factors[:-1], remainder - first.remainder
+        stressed = rows.stress.temperature @ machine.strained(nodal)
+        stressed = stressed + rows.stress.remainder @ remainder + rows.stress.forces @ acting
+        heated = rows.heat @ nodal + rows.stored @ nodal / (step * (at + 1.0))
+        found.append(np.hypot(heated, stressed))
+    return _largest(np.array(found))
+
+
+def _with_steps(marched: Marched, longer: float) -> CondensedMachine:
+    """The machine with steps so many times as long."""
+    machine = marched.setup.machine
+    if longer == 1.0:
+        return machine
+    return replace(machine, thermal=marched.setup.make_thermal(longer * machine.thermal.step))
+
+
+def _track(marched: Marched, machine: CondensedMachine, start: State | None) -> Track:
+    """The march by another machine; its steps end at those of the march or halfway."""
+    step, own = machine.thermal.step, marched.setup.machine.thermal.step
+    march = marched.case.march.model_copy(update={"step_s": step})
+    inputs = march_inputs(marched.case.model_copy(update={"march": march}))
+    (at_zero,) = inputs.at(np.zeros(1))
+    begun = 0.0 if start is None else own * start.index
+    count = int(round(own * len(marched.displacement) / step, 6))
+    ends = begun + step * np.arange(1.0, count + 1.0)
+    first = initial_state(machine, at_zero) if start is None else start
+    between = inputs.reversed_forces(ends)
+    with one_thread():
+        return joined([*march_along(machine, inputs.at(ends), marched.advance, first, between)])
+
+
+def _largest(errors: Array) -> float:
+    """The largest component at any time."""
+    return float(np.abs(errors).max(initial=0.0))

@@ -1,0 +1,202 @@
+"""Errors of the mesh in linear outputs, by recovered gradients (Zienkiewicz & Zhu 1987).
+
+A recovered gradient, its mean at each node over the cells of the same material, is compared with
+that of the solution. The error of an output is the inner product of these differences of the
+solution and of its dual, the solution under the output's own row as the load (Becker & Rannacher
+2001). It is linear in the solution, so it comes as a row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array, diags_array
+from skfem import CellBasis
+from skfem.quadrature import get_quadrature
+
+from fesim.solid.element_matrices import CellGradients, cell_gradients, reference_shapes
+from fesim.solid.heat import by_cell
+from fesim.solid.materials import Material
+from fesim.solid.spaces import Spaces
+from fesim.solid.stress import best_points
+from meshes.structure import Structure
+from thermojoint.artefacts.arrays import Array
+
+#: Order of the quadrature of the differences.
+ORDER = 4
+
+
+def heat_error_rows(
+    structure: Structure, spaces: Spaces, materials: dict[str, Material], duals: Array
+) -> Array:
+    """Return rows, as columns (n_heat, k), that give the errors of outputs of temperatures.
+
+    Parameters
+    ----------
+    structure, spaces, materials
+        What is meshed, its spaces, and the material of every body.
+    duals : ndarray, shape (n_heat, k)
+        Temperatures under each output's row as heat, per W.
+    """
+    basis, corners = spaces.heat, structure.mesh.refdom.p
+    conductivity = by_cell(structure, {name: m.conductivity for name, m in materials.items()})
+    recovery = _recovery(structure, spaces, materials)
+    own = duals[basis.element_dofs]
+    rows, taken = np.zeros_like(duals), np.zeros((*basis.element_dofs.shape, duals.shape[1], 3))
+    for part, at in _batches(basis, (corners, np.ones(corners.shape[1]))):
+        taken[:, part] = np.einsum("cfjn,fck->nckj", at.gradient, own[:, part], optimize=True)
+    smooth, back = recovery.smoothed(taken), np.zeros_like(taken)
+    for part, at in _batches(basis, recovery.quadrature):
+        off = np.einsum("nq,nckj->ckjq", recovery.shapes, smooth[:, part])
+        off -= np.einsum("cfjq,fck->ckjq", at.gradient, own[:, part], optimize=True)
+        off *= (conductivity[part, None] * at.volume)[:, None, None]
+        back[:, part] = np.einsum("nq,ckjq->nckj", recovery.shapes, off)
+        shares = np.einsum("cfjq,ckjq->fck", at.gradient, off, optimize=True)
+        np.subtract.at(rows, basis.element_dofs[:, part], shares)
+    back = recovery.smoothed(back)
+    for part, at in _batches(basis, (corners, np.ones(corners.shape[1]))):
+        shares = np.einsum("cfjn,nckj->fck", at.gradient, back[:, part], optimize=True)
+        np.add.at(rows, basis.element_dofs[:, part], shares)
+    return rows
+
+
+def stress_error_rows(
+    structure: Structure, spaces: Spaces, materials: dict[str, Material], duals: Array
+) -> tuple[Array, Array]:
+    """Return rows, as columns (n, k) and (n_heat, k), that give the errors of outputs, m.
+
+    Stresses are recovered from the Gauss points of an element of first order, where those of
+    second-order displacements are of one order more (Barlow 1976).
+
+    Parameters
+    ----------
+    structure, spaces, materials
+        As for `heat_error_rows`.
+    duals : ndarray, shape (n, k)
+        Displacements under each output's row as forces, per N.
+    """
+    basis, heat, count = spaces.displacement, spaces.heat, duals.shape[1]
+    elastic = _Elastic.of(structure, materials)
+    recovery = _recovery(structure, spaces, materials)
+    best = best_points(structure.mesh.t.shape[0])
+    outwards = np.linalg.inv(reference_shapes(heat.elem, best, best.shape[1])[0])
+    gauss = best, np.ones(best.shape[1])
+    own = duals.reshape(-1, 3, count)[basis.element_dofs]
+    moved = np.zeros((int(basis.N), 3, count))
+    heated = np.zeros((int(heat.N), count))
+    taken = np.zeros((*heat.element_dofs.shape, count, 3, 3))
+
+    def put(part: slice, at: CellGradients, weights: Array, shapes: Array) -> None:
+        """Add what gives a sum of stresses with weights (c, k, 3, 3, q) to the rows."""
+        given, pressed = elastic.transposed(part, weights)
+        shares = np.einsum("cfjq,ckijq->fcik", at.gradient, given, optimize=True)
+        np.add.at(moved, basis.element_dofs[:, part], shares)
+        warm = np.einsum("nq,ckq->nck", shapes, pressed)
+        np.add.at(heated, heat.element_dofs[:, part], warm)
+
+    for part, at in _batches(basis, gauss):
+        stress = elastic.stress(part, at, own[:, part])
+        taken[:, part] = np.einsum("qn,ckijq->nckij", outwards, stress)
+    smooth, back = recovery.smoothed(taken), np.zeros_like(taken)
+    for part, at in _batches(basis, recovery.quadrature):
+        off = np.einsum("nq,nckij->ckijq", recovery.shapes, smooth[:, part])
+        off -= elastic.stress(part, at, own[:, part])
+        strain = elastic.strain(part, off) * at.volume[:, None, None, None]
+        back[:, part] = np.einsum("nq,ckijq->nckij", recovery.shapes, strain)
+        put(part, at, -strain, recovery.shapes)
+    back, shapes = recovery.smoothed(back), reference_shapes(heat.elem, best, best.shape[1])[0]
+    for part, at in _batches(basis, gauss):
+        put(part, at, np.einsum("qn,nckij->ckijq", outwards, back[:, part]), shapes)
+    return moved.reshape(duals.shape), heated
+
+
+@dataclass(frozen=True)
+class _Recovery:
+    """Means at nodes of values at the corners of cells, and where they are compared.
+
+    Attributes
+    ----------
+    mean : scipy.sparse.csr_array
+        Corners, one cell after the other in each, to their node's mean: symmetric.
+    quadrature : tuple of ndarray, shapes (3, q) and (q,)
+        Points and weights of the reference cell.
+    shapes : ndarray, shape (corners, q)
+        Functions of the corners there.
+    """
+
+    mean: csr_array
+    quadrature: tuple[Array, Array]
+    shapes: Array
+
+    def smoothed(self, values: Array) -> Array:
+        """Means of values (corners, cells, ...) at the node of each corner."""
+        flat = values.reshape(self.mean.shape[0], -1)
+        return np.asarray(self.mean @ flat).reshape(values.shape)
+
+
+def _recovery(structure: Structure, spaces: Spaces, materials: dict[str, Material]) -> _Recovery:
+    mesh = structure.mesh
+    kinds = list(dict.fromkeys(materials.values()))
+    kind = by_cell(structure, {name: kinds.index(m) for name, m in materials.items()})
+    _, node = np.unique(mesh.t + mesh.nvertices * kind, return_inverse=True)
+    node = node.ravel()
+    at = csr_array((np.ones(len(node)), (node, np.arange(len(node)))))
+    mean = csr_array(at.T @ diags_array(1.0 / np.bincount(node)) @ at)
+    points, weights = get_quadrature(mesh.refdom, ORDER)
+    shapes, _ = reference_shapes(spaces.heat.elem, points, len(mesh.t))
+    return _Recovery(mean, (points, weights), shapes)
+
+
+@dataclass(frozen=True)
+class _Elastic:
+    """Lame's constants (c,), Pa, and (3 lambda + 2 mu) alpha, Pa/K, of the cells."""
+
+    lame: Array
+    shear: Array
+    bulk: Array
+
+    @classmethod
+    def of(cls, structure: Structure, materials: dict[str, Material]) -> _Elastic:
+        lame = by_cell(structure, {name: m.lame[0] for name, m in materials.items()})
+        shear = by_cell(structure, {name: m.lame[1] for name, m in materials.items()})
+        alpha = by_cell(structure, {name: m.expansion for name, m in materials.items()})
+        return cls(lame, shear, (3.0 * lame + 2.0 * shear) * alpha)
+
+    def stress(self, part: slice, at: CellGradients, own: Array) -> Array:
+        """Stress (c, k, 3, 3, q) of displacements (functions, c, 3, k) without thermal strain."""
+        slope = np.einsum("cfjq,fcik->ckijq", at.gradient, own, optimize=True)
+        return self._stressed(part, slope)
+
+    def transposed(self, part: slice, weights: Array) -> tuple[Array, Array]:
+        """Weights of the displacements' gradient and, (c, k, q), of the temperature."""
+        pressed = np.einsum("ckiiq->ckq", weights)
+        return self._stressed(part, weights), -self.bulk[part, None, None] * pressed
+
+    def strain(self, part: slice, stress: Array) -> Array:
+        """Elastic strain (c, k, 3, 3, q) of stresses."""
+        lame, shear = (x[part, None, None] for x in (self.lame, self.shear))
+        pressed = np.einsum("ckiiq->ckq", stress) * lame / (3.0 * lame + 2.0 * shear)
+        strain = stress.copy()
+        for i in range(3):
+            strain[:, :, i, i] -= pressed
+        return np.asarray(strain / (2.0 * shear[..., None, None]))
+
+    def _stressed(self, part: slice, slope: Array) -> Array:
+        shear = self.shear[part, None, None, None, None]
+        stress = shear * (slope + slope.swapaxes(2, 3))
+        pressed = self.lame[part, None, None] * np.einsum("ckiiq->ckq", slope)
+        for i in range(3):
+            stress[:, :, i, i] += pressed
+        return np.asarray(stress)
+
+
+def _batches(
+    basis: CellBasis, quadrature: tuple[Array, Array]
+) -> Iterator[tuple[slice, CellGradients]]:
+    """Gradients of all cells at some points, their functions in the basis's own order."""
+    cells: NDArray[np.int64] = np.arange(basis.nelems)
+    order = np.tile(np.arange(basis.Nbfun)[:, None], (1, len(cells)))
+    return cell_gradients(basis.mesh, basis.elem, quadrature, cells, order)

@@ -1,0 +1,131 @@
+"""The estimated error of a displacement is as large as the true one, part by part."""
+
+import json
+
+import numpy as np
+import pytest
+from boxes import boxes
+
+from fesim.case.schema import case_from_data
+from fesim.simulate import simulate
+from meshes.exchange import write_structure
+from thermojoint.paper.summary import accuracy_line
+from thermojoint.verification.thermal_bar import CONDUCTIVITY, EXPANSION, LENGTH, WIDTH, bar_case
+
+#: Held all around, without lateral contraction: one-dimensional.
+SIDES = {"x0": "x", "y0": "y", "y1": "y", "z0": "z", "z1": "z"}
+METAL = {
+    "conductivity_W_mK": 47.0,
+    "density_kg_m3": 7200.0,
+    "heat_capacity_J_kgK": 500.0,
+    "youngs_modulus_GPa": 104.0,
+    "poisson_ratio": 0.3,
+    "expansion_1_K": 11e-6,
+}
+
+
+def parts_of(response):
+    return {
+        name: response.attrs.get(f"error_{name}_um") for name in ("joint", "mesh", "time", "total")
+    }
+
+
+@pytest.mark.parametrize("count", [3, 8])
+def test_the_mesh_of_a_rod_with_heat_inside_is_off_as_estimated(tmp_path, count):
+    changes = {
+        "sources": {"hot": {"body": "block", "reference_power_W": 20.0}},
+        "held_temperatures": {"x0": {"rise_K": 0.0}, "x1": {"rise_K": 0.0}},
+        "heat_input": {"kind": "step", "level": 1.0},
+        "supports": {"symmetry": SIDES},
+    }
+    case = case_from_data(bar_case(tmp_path, changes, (count, 1, 1)), "case", tmp_path)
+    response = simulate(case).response
+    grown = EXPANSION * 20.0 / WIDTH**2 * LENGTH**2 / (12.0 * CONDUCTIVITY)
+    error = 1e6 * abs(float(response["displacement"][-1, 0]) - grown)
+    assert parts_of(response)["mesh"] == pytest.approx(error, rel=0.1)
+    assert parts_of(response)["joint"] == 0.0
+
+
+@pytest.mark.parametrize(("steps", "thermal"), [(10, "full"), (80, "full"), (80, "reduced")])
+def test_the_steps_of_a_transient_are_off_as_estimated(tmp_path, steps, thermal):
+    def grown(count, **march):
+        changes = {
+            "sources": {"hot": {"surface": "x1", "reference_power_W": 40.0}},
+            "held_temperatures": {"x0": {"rise_K": 0.0}},
+            "heat_input": {"kind": "step", "level": 1.0},
+            "supports": {"symmetry": SIDES},
+            "march": {"step_s": 400.0 / count, "duration_min": 400.0 / 60.0} | march,
+        }
+        data = bar_case(tmp_path, changes, (6, 1, 1))
+        return simulate(case_from_data(data, "case", tmp_path)).response
+
+    response = grown(steps, thermal=thermal)
+    limit = grown(steps, method="adaptive", tolerance_um=1e-3, tolerance_K=1e-3)
+    error = 1e6 * float(np.abs(response["displacement"] - limit["displacement"]).max())
+    assert 0.5 < error / parts_of(response)["time"] < 2.0
+    # An adaptive march has estimated its own.
+    assert parts_of(limit)["time"] == limit.attrs["estimated_error_um"]
+
+
+@pytest.fixture(scope="module")
+def rocking(tmp_path_factory):
+    """A stiff block that rocks on a plate under a force on its top: along and across to it."""
+    folder = tmp_path_factory.mktemp("rocking")
+    structure = boxes(
+        {"joint": ("plate.z1", "block.z0"), "other": ("foot.z1", "plate.z0")},
+        foot=((0.0, 0.0, -0.04), (0.1, 0.1, -0.02), (2, 2, 1)),
+        plate=((0.0, 0.0, -0.02), (0.1, 0.1, 0.0), (2, 2, 1)),
+        block=((0.0, 0.0, 0.0), (0.1, 0.1, 0.04), (2, 2, 1)),
+    )
+    write_structure(structure, folder / "block.vtu")
+
+    def run(count, **other):
+        joint = {
+            "preload_MPa": 1.0,
+            "along": count,
+            "across": count,
+            "normal_law": "back-burdekin",
+            "back_burdekin": {"coefficient_um": 8.0, "exponent": 0.5},
+            "roughness_um": 1.25,
+            "asperity_slope": 0.14,
+            "hardness_GPa": 2.0,
+            "friction_coefficient": 0.6,
+        }
+        stiff = {"normal_law": "surface", "along": 3, "across": 3}
+        data = {
+            "title": "block",
+            "structure": {"kind": "mesh", "file": "block.vtu"},
+            "materials": {"metal": METAL},
+            "bodies": dict.fromkeys(("foot", "plate", "block"), "metal"),
+            "joints": {"joint": joint, "other": joint | stiff | other},
+            "supports": {"fixed": ["foot.z0"]},
+            "loads": {"f": {"surface": "block.z1", "force_N": [300.0, 0.0, 0.0]}},
+            "march": {"step_s": 1.0, "duration_min": 0.05},
+            "probes": {"tip": {"position_mm": [100.0, 100.0, 40.0], "body": "block"}},
+            "displacement": {"point": "tip"},
+        }
+        return simulate(case_from_data(data, "block", folder)).response
+
+    return run
+
+
+@pytest.mark.parametrize("count", [3, 4])
+def test_the_contact_elements_of_a_rocking_block_are_off_as_estimated(rocking, count):
+    response = rocking(count)
+    error = 1e6 * np.abs(response["displacement"] - rocking(10)["displacement"]).max()
+    assert 0.3 < float(error) / parts_of(response)["joint"] < 3.0
+
+
+def test_the_summary_names_the_joint_that_matters_most(rocking):
+    response = rocking(4)
+    by_joint = json.loads(response.attrs["error_by_joint_um"])
+    assert by_joint["joint"] > 2.0 * by_joint["other"] > 0.0
+    line = accuracy_line(response.attrs)
+    assert line.startswith(f"δ is good to about {response.attrs['error_total_um']:.2g} µm: joint ")
+    assert "(most by 'joint')" in line
+
+
+def test_what_single_contact_elements_leave_is_unknown(rocking):
+    response = rocking(2, along=2, across=2)
+    assert parts_of(response)["joint"] is None
+    assert "joint unknown" in accuracy_line(response.attrs)
