@@ -207,6 +207,7 @@ def _work_off(
     )
     working: dict[str, Task] = {}
     losses: Counter[str] = Counter()
+    warned: set[str] = set()
     kept = len(keeper.records)
     counts = Counter(str(record["status"]) for record in keeper.records.values())
 
@@ -242,6 +243,9 @@ def _work_off(
         on_disk.note(keeper.folder, outcome.status, case, worker, outcome.reason)
         if outcome.status != "done":
             tell(cases[case], outcome.reason)
+        for line in set(outcome.warnings) - warned:
+            tell(cases[case], f"warning: {line}")
+            warned.add(line)
 
     show(hand_out())
     while working or (len(queue) and not stopped()):

@@ -9,6 +9,7 @@ from functools import lru_cache
 from threading import Lock
 from time import perf_counter
 from typing import TYPE_CHECKING, Literal
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 
@@ -78,6 +79,8 @@ class Outcome:
         Response of the case, as far as it is stored.
     encoded : bytes
         The response as a NetCDF file; empty if only its displacement is stored.
+    warnings : tuple of str
+        What was said of its structure when that was condensed.
     """
 
     id: str
@@ -88,6 +91,7 @@ class Outcome:
     figures: Figures = field(default_factory=dict)
     response: xr.Dataset | None = None
     encoded: bytes = b""
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -106,7 +110,9 @@ def run(task: Task) -> Outcome:
             begun = perf_counter()
             case = Case.model_validate_json(task.case)
             with _files_as_read(task, case):
-                shared, condensing = _condensation(_Shared(task.key, case))
+                with catch_warnings(record=True) as said:
+                    simplefilter("always", UserWarning)
+                    shared, condensing = _condensation(_Shared(task.key, case))
                 response = simulate(case, setup=with_laws(shared, case), accuracy=False).response
         figures, encoded = figures_of(response), b""
         if task.keep == "displacement":
@@ -129,6 +135,7 @@ def run(task: Task) -> Outcome:
         figures=figures,
         response=response,
         encoded=encoded,
+        warnings=tuple(str(one.message) for one in said if one.category is UserWarning),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -40,7 +41,7 @@ from fesim.setup.laws import joint_laws
 from fesim.setup.mesh_errors import MeshErrors, StressErrors, heat_errors, stress_errors
 from fesim.setup.outputs import asks_for_outputs, mechanical_outputs
 from fesim.setup.parts import Parts, make_parts
-from fesim.setup.soundness import explained_by_size
+from fesim.setup.soundness import explained_by_size, suspicions
 from fesim.setup.structure import body_materials
 from fesim.setup.temperature_dependence import (
     growth,
@@ -207,7 +208,7 @@ class _Keys:
 
 
 def set_up(case: Case) -> Setup:
-    """Build, check and condense the parts of a case.
+    """Build, check and condense the parts of a case; warn about bodies that touch without a joint.
 
     Parameters
     ----------
@@ -221,6 +222,8 @@ def set_up(case: Case) -> Setup:
     """
     before = thermal_key(case)
     parts = make_parts(case)
+    for line in suspicions(parts.structure, parts.joints):
+        warnings.warn(line, stacklevel=2)
     with explained_by_size(parts.structure):
         return _condensed(case, parts, _keys(case, before))
 

@@ -11,10 +11,12 @@ from boxes import boxes
 from skfem import MeshHex
 
 from fesim.batch.summary import figures_of
+from fesim.batch.worker import Task
+from fesim.batch.worker import run as run_task
+from fesim.case.identity import case_id, condensation_key
 from fesim.case.schema import case_from_data
 from fesim.march.state_file import load_state, save_state
 from fesim.setup.machine import set_up
-from fesim.setup.soundness import suspicions
 from fesim.simulate import simulate
 from meshes.exchange import write_structure
 from meshes.inspection import inspect, pieces
@@ -317,13 +319,17 @@ def scaled(long, stiff, hot):
     return data
 
 
-def test_bodies_that_touch_without_a_joint_are_said(tmp_path, data):
+def test_bodies_that_touch_without_a_joint_are_said_by_every_set_up(tmp_path, data):
     del data["joints"]
     structure = boxes({}, low=LOW, high=HIGH)
     write_structure(structure, tmp_path / "boxes.vtu")
-    setup = set_up(case_from_data(data, "case", tmp_path))
-    (said,) = suspicions(setup.structure, setup.joints)
-    assert "'low' and 'high' face each other on about 4 cm2 without a joint" in said
+    case = case_from_data(data, "case", tmp_path)
+    touching = "'low' and 'high' face each other on about 4 cm2 without a joint"
+    with pytest.warns(UserWarning, match=touching):
+        set_up(case)
+    task = Task(case_id(case), condensation_key(case), case.model_dump_json())
+    (said,) = run_task(task).warnings
+    assert touching in said
 
 
 def test_a_cavity_that_joints_fill_is_refused(tmp_path, data):

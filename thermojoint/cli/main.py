@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import warnings
 
 from thermojoint.artefacts.unfinished import clear_all
 
@@ -32,7 +33,9 @@ def main() -> None:
     try:
         from thermojoint.cli.app import app
 
-        app(prog_name="thermojoint")
+        with warnings.catch_warnings():
+            warnings.showwarning = _warn
+            app(prog_name="thermojoint")
     except Exception as error:
         if lines := _correctable(error):
             print("".join(map(_line, lines)), end="", file=sys.stderr, flush=True)
@@ -41,6 +44,11 @@ def main() -> None:
     finally:
         # Only the interpreter's own shutdown remains.
         _ignore()
+
+
+def _warn(message: Warning | str, *_: object) -> None:
+    """Print a warning as the commands do."""
+    print(f"warning: {message}", file=sys.stderr, flush=True)
 
 
 def _correctable(error: Exception) -> list[str]:

@@ -41,7 +41,6 @@ def simulate(
     from fesim.case.schema import read_case
     from fesim.march.state_file import check_resumable, load_state, save_state
     from fesim.setup.machine import set_up
-    from fesim.setup.soundness import suspicions
     from fesim.simulate import simulate as run_case
     from fesim.snapshots import snapshot_writer
     from thermojoint import console, plausibility
@@ -74,7 +73,6 @@ def simulate(
         setup = set_up(given)
         report("setting up", 1, 1)
         console.warn(plausibility.of_structure(setup.structure, str(case)))
-        console.warn([f"{case}: {line}" for line in suspicions(setup.structure, setup.joints)])
         finished = run_case(
             given,
             setup=setup,
