@@ -95,9 +95,9 @@ def judged(name: str, what: str, response: xr.Dataset, truth: np.ndarray) -> Jud
     )
 
 
-def run(data: Data, folder: Path) -> xr.Dataset:
+def run(data: Data, folder: Path, accuracy: bool = True) -> xr.Dataset:
     """Simulate the case of some data."""
-    return simulate(case_from_data(data, "case", folder)).response
+    return simulate(case_from_data(data, "case", folder), accuracy=accuracy).response
 
 
 def rods(folder: Path) -> Iterator[Judged]:
@@ -237,11 +237,11 @@ def on_wall(folder: Path, grid: tuple[int, int], changes: Data, name: str) -> xr
         "probes": {"tip": {"position_mm": [100.0, 100.0, 40.0], "body": "block"}},
         "displacement": {"point": "tip"},
     }
-    return run(block_case(structure, folder, name, given | changes), folder)
+    return run(block_case(structure, folder, name, given | changes), folder, grid[0] < FINE)
 
 
 #: Contact elements along each side of a block.
-COUNTS = (3, 4, 6, 9)
+COUNTS, FINE = (3, 4, 6, 9), 18
 #: Loads of the block: what tilts it little and much, pushes it, heats it at a spot.
 BLOCKS: dict[str, Data] = {
     "rocking": {"loads": {"f": {"surface": "top", "force_N": [300.0, 0.0, 0.0]}}},
@@ -265,9 +265,9 @@ BLOCKS: dict[str, Data] = {
 
 
 def joints(folder: Path) -> Iterator[Judged]:
-    """A block on a joint: 3 to 9 contact elements along a side, against 18."""
+    """A block on a joint: 3 to 9 contact elements along a side, against `FINE`."""
     for name, changes in BLOCKS.items():
-        fine = on_wall(folder, (18, 18), dict(changes), "fine")["displacement"].to_numpy()[-1]
+        fine = on_wall(folder, (FINE, FINE), dict(changes), "fine")["displacement"].to_numpy()[-1]
         for count in COUNTS:
             found = on_wall(folder, (count, count), dict(changes), "block")
             what = f"block, {name}, {count}x{count} contact elements"

@@ -9,6 +9,7 @@ then computed (`fesim.march.stepping`).
 from __future__ import annotations
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from thermojoint.artefacts.arrays import Array
 
@@ -18,6 +19,8 @@ LEAST = 1e-5
 SUSPECTED = 2
 #: From this gain on steps alternate without end: it is one where they do so evenly.
 GAIN = 0.9
+#: And in so many steps in a row, where the gain is seen in the increments themselves.
+STUBBORN = 6
 
 
 def turnings(last: Array, moved: Array) -> Array:
@@ -45,6 +48,19 @@ def turnings(last: Array, moved: Array) -> Array:
 def suspected(turning: Array) -> Array:
     """Return which elements may alternate, by the result (..., 2, m) of `turnings`."""
     return np.asarray(turning[..., 1, :] >= SUSPECTED)
+
+
+def alternating(values: Array) -> bool:
+    """Return whether relative values (n, m) of known steps come to alternate without end.
+
+    Their increments turn in `STUBBORN` steps in a row, and hardly decay.
+    """
+    moved = np.diff(values, axis=0)
+    size = np.abs(moved)
+    turned = (moved[1:] * moved[:-1] < 0.0) & (size[1:] > GAIN * size[:-1]) & (size[1:] > LEAST)
+    if len(turned) < STUBBORN:
+        return False
+    return bool(sliding_window_view(turned, STUBBORN, axis=0).all(axis=-1).any())
 
 
 def gain_of(once: Array, twice: Array) -> float:

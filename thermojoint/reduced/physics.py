@@ -17,6 +17,7 @@ import numpy as np
 from fesim.joint.blocks import one_block
 from fesim.joint.law import JointLaw
 from fesim.joint.loosening import UNWATCHED
+from fesim.march.alternation import alternating
 from fesim.march.compiled_march import MarchKernel, Moving, march_steps
 from fesim.march.compiled_step import (
     HeatStep,
@@ -32,6 +33,9 @@ from fesim.march.kernel import joint_kernel, new_kept, new_record
 from fesim.march.settling import settle_along
 from thermojoint.artefacts.arrays import Array
 from thermojoint.reduced.machine import Joint, Modes, conducted, contact_of, rest_of
+
+#: Steps that alternate are halved down to this length, s.
+SHORTEST = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +207,7 @@ def at_start(physics: Physics) -> tuple[Array, Array]:
 
 
 def simulate_known(physics: Physics, inputs: Array, length: float) -> tuple[Array, Array]:
-    """March from rest under known inputs.
+    """March from rest under known inputs; where steps alternate, by halves of them.
 
     Parameters
     ----------
@@ -227,6 +231,7 @@ def simulate_known(physics: Physics, inputs: Array, length: float) -> tuple[Arra
     amplitudes, joint = modes.start.copy(), physics.at_rest()
     history = np.empty((len(inputs), amplitudes.size))
     displacement = np.empty((len(inputs), len(modes.elastic.probe_thermal)))
+    pressure = np.empty((len(inputs), physics.contacts))
     step, kernel, k = heat_step(modes, length), physics.kernel, 0
     if not physics.contacts:
         for at, driven in enumerate(inputs[:, :known] @ step.drive.T):
@@ -244,12 +249,17 @@ def simulate_known(physics: Physics, inputs: Array, length: float) -> tuple[Arra
             taken, _ = march_steps(machine, kept, inputs[k:], now, record)
             history[k : k + taken] = record.amplitudes[:taken]
             displacement[k : k + taken] = record.displacement[:taken]
+            pressure[k : k + taken] = record.pressure[:taken]
             k += taken
             if k == len(inputs):
                 break
         # Without machine code, or where the joint snaps.
         amplitudes = conduct(physics, amplitudes, inputs[k, :known], joint, length)
         joint, displacement[k] = settle_plainly(physics, joint, amplitudes, inputs[k, known:])
-        history[k] = amplitudes
+        history[k], pressure[k] = amplitudes, joint.pressure
         k += 1
+    if length > SHORTEST and alternating(pressure / physics.contact.reference_pressure):
+        halves = np.repeat(inputs[:, : known + varying], 2, axis=0)
+        sensed, moved = simulate_known(physics, halves, 0.5 * length)
+        return sensed[1::2], moved[1::2]
     return history @ modes.sensors.T, displacement

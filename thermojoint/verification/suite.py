@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from thermojoint.verification import (
+    adaptive_march,
     bearing,
     bistable,
     bolted,
@@ -73,6 +74,7 @@ GROUPS: tuple[Group, ...] = (
     Group("Partial slip of a strip", partial_slip.checks),
     Group("The condensed march against a plain one", marching.condensed_checks),
     Group("Errors in the time step", marching.splitting_checks),
+    Group("Adaptive steps, pulses, units", adaptive_march.checks),
 )
 
 

@@ -1,6 +1,5 @@
 """The adaptive march: second order, its limit, its errors, and what it does not depend on."""
 
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -9,22 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reduced_bars import bars_of, modes_of, on_modes
-from scipy.sparse import csr_array
 
 from fesim.batch.summary import figures_of
 from fesim.case.history import Histories, History, common_knots
 from fesim.case.schema import case_from_data
 from fesim.march.adaptive import march_adaptively
-from fesim.march.contact import ContactProblem
 from fesim.march.exponential import phi_functions as real_phi_functions
-from fesim.march.machine import CondensedMachine
-from fesim.march.reduced import (
-    outputs_of,
-    project_elasticity,
-    project_heat,
-    project_start,
-    thermal_modes,
-)
 from fesim.march.settling import initial_state
 from fesim.march.state_file import check_resumable
 from fesim.march.step_control import (
@@ -44,7 +33,6 @@ from fesim.simulate import simulate
 from thermojoint.artefacts.errors import ConvergenceError, InputError
 from thermojoint.models.filters.phi import phi_functions
 from thermojoint.paper.summary import convergence, result_lines
-from thermojoint.verification import rod
 
 #: Heat that turns, so that the joint slides, sticks, and slides back: times, s, and W.
 TURNS, WATTS = (0.0, 40.0, 60.0, 120.0), (0.0, 1800.0, -1800.0, 1200.0)
@@ -137,43 +125,6 @@ def test_between_its_steps_the_march_is_as_good_as_at_their_ends(bars):
 def test_a_tolerance_that_no_step_meets_is_an_error(bars):
     with pytest.raises(ConvergenceError, match=r"step to t = .*tolerance_um"):
         marched(bars, driven(), np.array([END]), Tolerance(1e-22, 1.0))
-
-
-def rod_on_modes(built, mode, step):
-    """Barber's rod on modes that hold a perturbation of its shape; and these modes."""
-    outputs = outputs_of(built.elastic, csr_array((0, built.x.size)))
-    modes = thermal_modes(built.heat, built.operators, outputs, 1.0, None, mode)
-    thermal = project_heat(built.heat, built.operators, step, modes)
-    elastic = project_elasticity(built.elastic, modes)
-    return CondensedMachine(thermal, ContactProblem(elastic, [(built.law, 1)])), modes
-
-
-@pytest.mark.parametrize("opening", [-1e-6, -4e-6, -8e-6])
-def test_growth_rates_of_barbers_rod(opening):
-    """In steps of 0.02 of the time constant, within 1e-3; two signs, for the rod is not linear."""
-    law = rod.joint_law()
-    built, case = rod.Case(law, rod.BISTABLE).built(), rod.case_at(law, opening)
-    root = rod.leading_root(case, opening)
-    rate = rod.rate_of(root)
-    on_rod = np.arange(built.x.size) < built.second
-    mode = np.where(on_rod, (np.sinh(root * built.x / rod.LENGTH) / np.sinh(root)).real, 0.0)
-    still, _ = rod_on_modes(built, mode, rod.FOREVER)
-    steady = rod.steady_near(still, case, opening)
-    machine, modes = rod_on_modes(built, mode, 1.0)
-    times = np.array([1.0, 3.0]) / abs(rate)
-    knots = np.arange(0.0, times[-1], 0.02 / abs(rate))
-    drive = Histories(knots, np.tile(case.inputs, (knots.size, 1)))
-    end = np.argmax(np.where(on_rod, built.x, -np.inf))
-    found = []
-    for size in (4e-3, -4e-3):
-        perturbed = size * np.exp(-3.0 * max(np.sign(rate), 0.0)) * mode
-        field = steady.temperature + project_start(built.heat, modes, perturbed)
-        start = replace(steady, temperature=field, model=machine.thermal.model)
-        tracks = march_adaptively(machine, modes.rates, drive, times, LOOSE, start)
-        temperature = joined([track for track, _ in tracks]).temperature
-        first, last = (temperature - steady.temperature) @ modes.basis[end]
-        found.append(np.log(last / first) / (times[1] - times[0]))
-    assert np.mean(found) == pytest.approx(rate, rel=1e-3)
 
 
 @settings(max_examples=40)
