@@ -65,9 +65,9 @@ def test_a_file_that_is_not_the_one_of_the_study_gives_no_result(sampled):
 def test_a_file_that_is_edited_during_the_run_gives_no_result(sampled, monkeypatch, half):
     study, heat = sampled
 
-    def edited(case, *, setup):
+    def edited(case, **others):
         heat.write_text(half)
-        return simulate(case, setup=setup)
+        return simulate(case, **others)
 
     monkeypatch.setattr(worker, "simulate", edited)
     outcome = run(task_of(study.cases[0]))
