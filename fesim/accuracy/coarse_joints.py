@@ -59,7 +59,7 @@ def merged_elements(joint: PairedJoint, last: bool) -> tuple[NDArray[np.int64], 
 def merged_joint(joint: PairedJoint, number: NDArray[np.int64]) -> PairedJoint:
     """Return a joint on merged elements; they have the frames of the first of theirs."""
     _, first = np.unique(number, return_index=True)
-    area = np.bincount(number, joint.area)
+    area = np.bincount(number, joint.area).astype(np.float64)
     return replace(
         joint,
         normal=joint.normal[first],

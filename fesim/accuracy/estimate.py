@@ -110,7 +110,7 @@ def accuracy_of(marched: Marched, known: float | None = None) -> Accuracy:
         time = _of_steps(marched, fine, longer) if known is None else known
     if fine is None:
         return Accuracy(None, None, time, {})
-    by_joint = {}
+    by_joint: dict[str, float] = {}
     for joint in setup.joints:
         odd = any(size % 2 for size in joint.place[:, 1:].max(axis=0) + 1)
         for last in (True, False) if odd else (True,):

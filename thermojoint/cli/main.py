@@ -34,7 +34,7 @@ def main() -> None:
         from thermojoint.cli.app import app
 
         with warnings.catch_warnings():
-            warnings.showwarning = _warn
+            warnings.showwarning = lambda message, *_: _warn(message)
             app(prog_name="thermojoint")
     except Exception as error:
         if lines := _correctable(error):
@@ -46,7 +46,7 @@ def main() -> None:
         _ignore()
 
 
-def _warn(message: Warning | str, *_: object) -> None:
+def _warn(message: Warning | str) -> None:
     """Print a warning as the commands do."""
     print(f"warning: {message}", file=sys.stderr, flush=True)
 

@@ -156,7 +156,7 @@ def unit_checks(folder: Path) -> Iterator[Check]:
     def ended(long: float, stiff: float, hot: float) -> tuple[float, float]:
         structure = column(True)
         mesh = replace(structure.mesh, doflocs=long * structure.mesh.doflocs)
-        top = tuple(long * x for x in structure.probes["top"].position)
+        x, y, z = (long * place for place in structure.probes["top"].position)
         changes: dict[str, Any] = {
             "joints": {"joint": joint(preload_MPa=1e-6 * PRELOAD * stiff)},
             "sources": {"hot": {"surface": "top", "reference_power_W": 200.0 * hot}},
@@ -171,7 +171,7 @@ def unit_checks(folder: Path) -> Iterator[Check]:
         iron["conductivity_W_mK"] *= hot / long
         iron["density_kg_m3"] *= hot / long**3
         data["probes"]["P"]["position_mm"] = [10.0 * long, 10.0 * long, 100.0 * long]
-        probes = {"top": replace(structure.probes["top"], position=top)}
+        probes = {"top": replace(structure.probes["top"], position=(x, y, z))}
         write_structure(replace(structure, mesh=mesh, probes=probes), folder / "column1.vtu")
         response = simulate(case_from_data(data, "column", folder), accuracy=False).response
         pressed = float(response["pressure"][-1].mean()) / stiff
