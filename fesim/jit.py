@@ -34,15 +34,17 @@ UNUSED = 30 * 86_400.0
 _NAME = "machine-code"
 #: Numba's settings, which have no types.
 _CONFIG: Any = numba.config
+#: Nothing takes compiled functions as values.
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True}
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Return a function that is compiled at its first call; it divides as NumPy does."""
     with _kept_in(_folder(function.__module__.partition(".")[0])):
         try:
-            made = numba.njit(error_model="numpy", cache=True)(function)
+            made = numba.njit(cache=True, **_OPTIONS)(function)
         except RuntimeError:  # no place that can be written
-            made = numba.njit(error_model="numpy")(function)
+            made = numba.njit(**_OPTIONS)(function)
     return cast(Callable[P, R], made)
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from estimator.joint_aware.observer_state import UNKNOWN, ObserverState
 from estimator.sensor_faults import Channels, Sample, Thresholds, certainly_alike, look
 from fesim.jit import compiled
+from fesim.joint.in_place import add
 from fesim.march.compiled_step import (
     HeatStep,
     HeatWork,
@@ -150,7 +151,8 @@ def usual_sample(
             relaxed[k] = kept * relaxed[k] + (1.0 - kept) * inputs[s] / own.power[s]
     predicted, innovation, odd, near = work.predicted, work.innovation, work.odd, work.near
     np.dot(own.rows, linear, predicted)
-    np.subtract(readings, predicted, innovation)
+    for c in range(channels):
+        innovation[c] = readings[c] - predicted[c]
     if not certainly_alike(innovation, own.rules):
         return False
     sample = Sample(time, readings, predicted)
@@ -164,7 +166,7 @@ def usual_sample(
     if settle_step(joint, work.joint, linear[:modes], state.loads, now, displacement) != 0:
         return False
     np.dot(own.discrepancy, relaxed, work.discrepancy)
-    displacement += work.discrepancy
+    add(work.discrepancy, displacement)
     kept = math.exp(-own.forgetting * length)
     error = state.model_error
     for axis in range(displacement.size):

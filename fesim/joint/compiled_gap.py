@@ -32,6 +32,7 @@ from fesim.joint.gap import (
     stalled,
     unconverged,
 )
+from fesim.joint.in_place import put
 from fesim.joint.law import (
     ACROSS,
     ALONG,
@@ -379,7 +380,7 @@ def solve_in_place(
         if size <= kernel.tolerance and np.spacing(largest(gap)) <= kernel.tolerance:
             return _SOLVED, size, iteration
         _newton_step(kernel, trial.tangent, work)
-        before[:] = gap
+        put(gap, before)
         norm, length = math.sqrt(residual @ residual), 1.0
         while True:
             for i in range(3):

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from fesim.jit import compiled
 from fesim.joint.blocks import Block, Blocks
 from fesim.joint.compiled_gap import lacking, lacking_rows, lacking_system
+from fesim.joint.in_place import fill, put
 from fesim.joint.law import ALONG
 from thermojoint.artefacts.arrays import Array
 
@@ -206,6 +207,13 @@ def put_tangents(tangents: FrozenTangents, into: Array) -> None:
                 at += 1
 
 
+@compiled
+def forget(tangents: FrozenTangents) -> None:
+    """Let every block compute its inverse anew."""
+    for block in range(tangents.every.about.shape[0]):
+        tangents.every.about[block, MADE] = 0
+
+
 class Lacking(NamedTuple):
     """Difference of the law's tractions from those used for the gaps, in one iteration.
 
@@ -235,14 +243,17 @@ class Correction(NamedTuple):
 def freeze_tangent(frozen: FrozenTangent, block: Block) -> None:
     """Invert a frozen tangent."""
     size = lacking_rows(block.springs, frozen.tangent, frozen.rows)
-    frozen.place[:] = -1
+    fill(frozen.place, -1)
     for k in range(size):
         frozen.place[frozen.rows[k]] = k
     matrix = frozen.inverse[: size * size].reshape(size, size)
     lacking_system(block.springs, block.compliance, frozen.tangent, frozen.rows, matrix)
-    matrix[:] = np.linalg.inv(matrix)
-    frozen.slot[:] = -1
-    frozen.element[:] = -1
+    inverse = np.linalg.inv(matrix)
+    for i in range(size):
+        for j in range(size):
+            matrix[i, j] = inverse[i, j]
+    fill(frozen.slot, -1)
+    fill(frozen.element, -1)
     frozen.about[MADE], frozen.about[ROWS] = 1, size
     frozen.about[FROZEN] += 1
 
@@ -286,7 +297,7 @@ def _solve_frozen(frozen: FrozenTangent, right_side: Array, solution: Array) -> 
     for k in range(size):
         own[k] = right_side[frozen.rows[k]]
     np.dot(frozen.inverse[: size * size].reshape(size, size), own, solved)
-    solution[:] = 0.0
+    fill(solution, 0.0)
     for k in range(size):
         solution[frozen.rows[k]] = solved[k]
 
@@ -322,7 +333,8 @@ def _keep_columns(
     springs, columns = block.springs, block.columns
     count = frozen.slot.size
     needed = frozen.scratch.needed[:count]
-    needed[:] = False
+    for e in range(count):
+        needed[e] = False
     for k in range(number):
         needed[changed[k]] = True
     free = 0
@@ -340,7 +352,7 @@ def _keep_columns(
             kept, moved = frozen.columns[free, i], frozen.moved[free, i]
             at = frozen.place[row]
             if at >= 0:
-                kept[:] = 0.0
+                fill(kept, 0.0)
                 size = frozen.about[ROWS]
                 for j in range(size):
                     kept[frozen.rows[j]] = frozen.inverse[j * size + at]
@@ -357,7 +369,7 @@ def _keep_columns(
                     )
                 _solve_frozen(frozen, kept, kept)
                 kept[row] = 1.0
-            moved[:] = 0.0
+            fill(moved, 0.0)
             add_product(columns, kept, moved)
 
 
@@ -377,11 +389,11 @@ def correct(frozen: FrozenTangent, block: Block, now: Lacking, correction: Corre
         return False
     _keep_columns(frozen, block, changed, number)
     _solve_frozen(frozen, lack, step)
-    shift[:] = 0.0
+    fill(shift, 0.0)
     add_product(block.columns, step, shift)
     width = 3 * number
     factors = frozen.scratch.factors[:width]
-    factors[:] = 0.0
+    fill(factors, 0.0)
     for k in range(number):
         for i in range(1, 3):
             row = i * count + changed[k]
@@ -407,7 +419,7 @@ def correct(frozen: FrozenTangent, block: Block, now: Lacking, correction: Corre
                         first * moved[e] + second * moved[count + e] + third * moved[2 * count + e]
                     )
             system[3 * k + i, 3 * k + i] += 1.0
-    factors[:] = np.linalg.solve(system, factors)
+    put(np.linalg.solve(system, factors), factors)
     _combine(frozen, changed, factors, correction)
     return True
 

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fesim.jit import compiled
+from fesim.joint.in_place import put
 from fesim.joint.law import ACROSS, ALONG, CROSS, JointLaw, Traction, tangent_matrix
 from fesim.solid.rigid_motions import Constraints, described
 from thermojoint.artefacts.arrays import Array
@@ -204,8 +205,8 @@ def _as_at_rest(watched: Watched, work: WatchWork, pressure: Array, tangent: Arr
     """Whether every group of contact elements certainly constrains all that it does at rest."""
     table, needed = watched.table, watched.needed
     corner_count, whole, corners = work.corner_count, work.whole, work.corners
-    corner_count[:] = 0
-    whole[:] = True
+    for k in range(needed.size):
+        corner_count[k], whole[k] = 0, True
     for e in range(table.shape[0]):
         k = int(table[e, _GROUP])
         if corner_count[k] >= needed[k]:
@@ -244,7 +245,7 @@ def _stiff(watched: Watched, work: WatchWork, pressure: Array, tangent: Array) -
     """
     table, rows, matrix = watched.table, watched.rows, work.matrix
     size = matrix.shape[0]
-    matrix[:] = watched.supports
+    put(watched.supports, matrix)
     for e in range(table.shape[0]):
         if pressure[e] <= table[e, _LEAST]:
             continue

@@ -29,8 +29,10 @@ from fesim.joint.frozen_tangent import (
     add_product,
     block_tangent,
     correct,
+    forget,
     freeze_tangent,
 )
+from fesim.joint.in_place import add, fill, put
 from thermojoint.artefacts.arrays import Array
 
 #: Most iterations of a step, and most updates of the tangent in it.
@@ -62,7 +64,7 @@ def _correct_or_move(
         if move:
             if not may_move:
                 return _FAILED
-            frozen.tangent[:] = now.tangent
+            put(now.tangent, frozen.tangent)
             freeze_tangent(frozen, block)
         if correct(frozen, block, now, correction):
             return _MOVED if move else _CORRECTED
@@ -88,8 +90,8 @@ def _sweep(
     step, shift = correction.step, correction.shift
     count, outcome = tangent.shape[1], _CORRECTED
     storage, part = tangents.iteration, tangents.iteration.part
-    step[:] = 0.0
-    shift[:] = 0.0
+    fill(step, 0.0)
+    fill(shift, 0.0)
     for k in range(tangents.blocks.starts.size - 1):
         block = part_of(tangents.blocks, k)
         elements, springs, size = block.elements, block.springs, block.elements.size
@@ -117,11 +119,11 @@ def _sweep(
         if outcome_of == _FAILED:
             return _FAILED
         outcome = max(outcome, outcome_of)
-        part[:] = 0.0
+        fill(part, 0.0)
         for i in range(3):
             for j in range(size):
                 part[i * count + elements[j]] = own.step[i * size + j]
-        step += part
+        add(part, step)
         add_product(columns, part, shift)
     return outcome
 
@@ -161,9 +163,9 @@ def settle_near(
     force, lack, step, shift = storage.force, storage.lack, storage.step, storage.shift
     correction = Correction(step, shift)
     evaluate_in_place(kernel.laws, slip, trial)
-    step[:] = 0.0
+    fill(step, 0.0)
     _lack(springs, trial, step, force)
-    flat[:] = free_gap
+    put(free_gap, flat)
     add_product(columns, force, flat)
     moves, before, corrected, least = 0, math.inf, math.inf, 0.1 * LEFT * tolerance
     now = Lacking(trial.tangent, lack, least)
@@ -177,12 +179,12 @@ def settle_near(
             return False, size, iteration
         left = corrected * size <= LEFT * tolerance * before if iteration > 0 else False
         if left or size <= least:
-            shift[:] = 0.0
+            fill(shift, 0.0)
             add_product(columns, lack, shift)
             residual = largest(shift)
             if residual <= tolerance and np.spacing(largest(gap)) <= tolerance:
                 if iteration > PATIENCE:
-                    tangents.every.about[:, MADE] = 0
+                    forget(tangents)
                 return True, residual, iteration
         may_move = moves < MOST_MOVES
         if last == 0:
@@ -193,7 +195,7 @@ def settle_near(
         if outcome == _FAILED:
             return False, size, iteration
         moves += outcome == _MOVED
-        force += step
-        flat += shift
+        add(step, force)
+        add(shift, flat)
         before, corrected = size, largest(shift)
     return False, before, MAX_ITERATIONS

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fesim.jit import compiled
-from fesim.joint.frozen_tangent import MADE, FrozenTangents, put_tangents
+from fesim.joint.frozen_tangent import FrozenTangents, forget, put_tangents
+from fesim.joint.in_place import add, put
 from fesim.joint.loosening import Watched, WatchWork, surely_held
 from fesim.joint.modified_newton import settle_near
 from fesim.march.compiled_step import (
@@ -110,7 +111,8 @@ class Record(NamedTuple):
 def _settle(joint: JointKernel, kept: Kept, now: JointState) -> tuple[bool, float, int]:
     """By the stored inverse, else by Newton's method: whether solved, residual, iterations."""
     free_gap, trial = kept.work.free_gap, kept.work.trial
-    np.add(now.gap, now.change, trial.gap)
+    put(now.gap, trial.gap)
+    add(now.change, trial.gap)
     try:
         solved, residual, iterations = settle_near(
             gap_kernel(joint), joint.columns, kept.tangents, free_gap, now.slip, trial
@@ -119,8 +121,9 @@ def _settle(joint: JointKernel, kept: Kept, now: JointState) -> tuple[bool, floa
         solved, residual, iterations = False, np.nan, 0
     if solved:
         return True, residual, iterations
-    kept.tangents.every.about[:, MADE] = 0
-    np.add(now.gap, now.change, trial.gap)
+    forget(kept.tangents)
+    put(now.gap, trial.gap)
+    add(now.change, trial.gap)
     return settle_by_newton(joint, free_gap, now, trial, kept.work.newton)
 
 
@@ -144,7 +147,7 @@ def march_steps(
     beyond, jump, free_gap = np.empty(count), np.empty(count), kept.work.free_gap
     amplitudes, drawn = np.empty_like(now.amplitudes), np.empty_like(now.amplitudes)
     for k in range(len(inputs)):
-        amplitudes[:] = now.amplitudes
+        put(now.amplitudes, amplitudes)
         drive(heat, amplitudes, inputs[k])
         conduct(joint, now.joint.pressure, conducted)
         np.dot(joint.jump, amplitudes, jump)
@@ -152,18 +155,19 @@ def march_steps(
             beyond[e] = conducted[e] - joint.held[e]
         solve_flows(heat.joint_influence, beyond, jump, kept.flows, flow)
         np.dot(heat.influence, flow, drawn)
-        amplitudes -= drawn
+        for r in range(amplitudes.size):
+            amplitudes[r] -= drawn[r]
         np.dot(joint.gap, amplitudes, free_gap)
         add_loads(joint.loaded_gap, inputs[k, thermal:], free_gap)
         solved, residual, iterations = _settle(joint, kept, now.joint)
         if not solved:
             return k, SNAPS
-        now.amplitudes[:] = amplitudes
+        put(amplitudes, now.amplitudes)
         take(joint, kept.work.trial, now.joint, record.remainder[k])
         displacement = record.displacement[k]
         np.dot(joint.free, amplitudes, displacement)
         np.dot(joint.moved, record.remainder[k], kept.work.moved)
-        displacement += kept.work.moved
+        add(kept.work.moved, displacement)
         add_loads(joint.loaded, inputs[k, thermal:], displacement)
         _note(record, k, now, kept, Solved(conducted, flow, residual, iterations))
         tangent = kept.work.trial.tangent
@@ -175,14 +179,14 @@ def march_steps(
 @compiled
 def _note(record: Record, k: int, now: Moving, kept: Kept, solved: Solved) -> None:
     """Copy the results of a step into row k of the record."""
-    record.amplitudes[k] = now.amplitudes
-    record.gap[k] = now.joint.gap
-    record.slip[k] = now.joint.slip
-    record.pressure[k] = now.joint.pressure
-    record.change[k] = now.joint.change
-    record.conducted[k] = solved.conducted
-    record.heat_flow[k] = solved.flow
+    put(now.amplitudes, record.amplitudes[k])
+    put(now.joint.gap, record.gap[k])
+    put(now.joint.slip, record.slip[k])
+    put(now.joint.pressure, record.pressure[k])
+    put(now.joint.change, record.change[k])
+    put(solved.conducted, record.conducted[k])
+    put(solved.flow, record.heat_flow[k])
     record.residual[k] = solved.residual
     record.iterations[k] = solved.iterations
-    record.frozen[k, FROZEN_CONDUCTED] = kept.flows.conducted
+    put(kept.flows.conducted, record.frozen[k, FROZEN_CONDUCTED])
     put_tangents(kept.tangents, record.frozen[k, FROZEN_TANGENT])

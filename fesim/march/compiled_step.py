@@ -20,6 +20,7 @@ from fesim.joint.compiled_gap import (
     solve_in_place,
     trial_at,
 )
+from fesim.joint.in_place import add, put
 from thermojoint.artefacts.arrays import Array
 
 
@@ -209,12 +210,14 @@ def conduct_step(
     beyond, driving = work.beyond, work.driving
     drive(heat, amplitudes, inputs)
     conduct(joint, pressure, beyond)
-    beyond -= joint.held
     np.dot(joint.jump, amplitudes, driving)
-    driving *= beyond
+    for e in range(beyond.size):
+        beyond[e] -= joint.held[e]
+        driving[e] *= beyond[e]
     flow_system(heat.joint_influence, beyond, work.system)
     np.dot(heat.influence, np.linalg.solve(work.system, driving), work.drawn)
-    amplitudes -= work.drawn
+    for k in range(amplitudes.size):
+        amplitudes[k] -= work.drawn[k]
 
 
 @compiled
@@ -244,7 +247,8 @@ def settle_step(
 
     Returns 0, or 1 if there is no equilibrium near; then the joint is unchanged.
     """
-    np.add(now.gap, now.change, work.trial.gap)
+    put(now.gap, work.trial.gap)
+    add(now.change, work.trial.gap)
     np.dot(joint.gap, amplitudes, work.free_gap)
     add_loads(joint.loaded_gap, loads, work.free_gap)
     solved, _, _ = settle_by_newton(joint, work.free_gap, now, work.trial, work.newton)
@@ -253,7 +257,7 @@ def settle_step(
     take(joint, work.trial, now, work.remainder)
     np.dot(joint.free, amplitudes, displacement)
     np.dot(joint.moved, work.remainder, work.moved)
-    displacement += work.moved
+    add(work.moved, displacement)
     add_loads(joint.loaded, loads, displacement)
     return 0
 
@@ -268,7 +272,7 @@ def settle_by_newton(
     """
     for attempt in range(2):
         if attempt == 1:
-            trial.gap[:] = now.gap
+            put(now.gap, trial.gap)
         try:
             outcome, residual, iterations = solve_in_place(
                 gap_kernel(joint), free_gap, now.slip, trial, work
@@ -290,6 +294,6 @@ def take(joint: JointKernel, trial: Trial, now: JointState, remainder: Array) ->
             change[i, e] = opening[i, e] - gap[i, e]
             gap[i, e] = opening[i, e]
             remainder[i * count + e] = value[i, e] + joint.reference[i * count + e] * opening[i, e]
-    now.slip[:] = trial.moved
+    put(trial.moved, now.slip)
     for e in range(count):
         now.pressure[e] = joint.preload[e] + value[0, e]

@@ -96,8 +96,11 @@ def new_flows(count: int) -> Flows:
 def invert(joint_influence: Array, beyond: Array, flows: Flows) -> None:
     """Compute the inverse for conductances times areas (m,), W/K."""
     flow_system(joint_influence, beyond, flows.inverse)
-    flows.inverse[:] = np.linalg.inv(flows.inverse)
-    flows.conducted[:] = beyond
+    inverse = np.linalg.inv(flows.inverse)
+    for e in range(beyond.size):
+        flows.conducted[e] = beyond[e]
+        for f in range(beyond.size):
+            flows.inverse[e, f] = inverse[e, f]
 
 
 @compiled
@@ -105,7 +108,8 @@ def solve_flows(
     joint_influence: Array, beyond: Array, jump: Array, flows: Flows, flow: Array
 ) -> None:
     """Solve for the joint heat flows (m,), W, into `flow`; `beyond` is c, W/K, `jump` in K."""
-    np.multiply(beyond, jump, flows.driving)
+    for e in range(beyond.size):
+        flows.driving[e] = beyond[e] * jump[e]
     equations = Equations(joint_influence, beyond, flows.driving)
     if not flows.conducted.any():
         invert(joint_influence, beyond, flows)

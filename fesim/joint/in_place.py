@@ -1,0 +1,34 @@
+"""JIT-compiled assignments in loops.
+
+``into[:] = values`` takes a second to compile wherever it stands in compiled code: it broadcasts,
+looks for overlaps and writes the message of an error. So do operations on whole arrays.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fesim.jit import compiled
+from thermojoint.artefacts.arrays import Array
+
+
+@compiled
+def put(values: Array, into: Array) -> None:
+    """Copy an array into another of its shape, both contiguous."""
+    for k in range(into.size):
+        into.flat[k] = values.flat[k]
+
+
+@compiled
+def add(values: Array, into: Array) -> None:
+    """Add an array to another of its shape, both contiguous."""
+    for k in range(into.size):
+        into.flat[k] += values.flat[k]
+
+
+@compiled
+def fill(into: NDArray[np.generic], value: float) -> None:
+    """Set all of a contiguous array."""
+    for k in range(into.size):
+        into.flat[k] = value
