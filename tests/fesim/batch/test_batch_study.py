@@ -230,8 +230,6 @@ CONDENSED = {
 }
 #: What a joint has in the place of its preload.
 OF_OPEN_JOINTS = {"joints.knee.initial_opening_um", "joints.knee.reference_pressure_MPa"}
-#: As NOT_CONDENSED, for a case that has them.
-OF_OTHER_LOADS = {"held_temperatures.exterior.rise_K": 2.0, "ambient": None}
 
 
 @pytest.fixture(scope="module")
