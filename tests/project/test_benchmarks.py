@@ -297,7 +297,7 @@ def test_growth_is_told_against_the_smallest_size():
 
 
 def test_a_set_up_of_which_the_heat_changes_has_all_rows():
-    rows = list(set_up.changed_rows(1, coarse_case()))
+    rows = list(set_up.changed_rows(1, with_elements(coarse_case(), 160.0, None)))
     assert [row.name for row in rows] == [
         f"setup-changed-{name}" for name in ("source", "film", "probe")
     ]

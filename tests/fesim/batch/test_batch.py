@@ -303,19 +303,17 @@ def test_a_damaged_response_is_told_of_and_the_case_runs_again(tmp_path, recorde
     assert opened(out)["displacement"].notnull().all()
 
 
-@pytest.mark.parametrize(
-    "content",
-    [b"", b"{", b"\xff\xfe", b"[]", b"3", b"{}", b'{"status": "done"}', b'{"status": []}'],
-)
-def test_a_damaged_record_is_made_again_from_the_response(tmp_path, content):
+def test_a_damaged_record_is_made_again_from_the_response(tmp_path):
     study, out = study_in(tmp_path, levels(1), 1.0), tmp_path / "out"
     run_batch(study, out, here())
     record = out / "records" / f"{study.cases[0].id}.json"
     whole = json.loads(record.read_text())
-    record.write_bytes(content)
-    end = run_batch(study, out, nobody)
-    assert list(end.summary["status"]) == ["done"]
-    assert json.loads(record.read_text()) == whole | {"seconds": 0.0, "setup_seconds": 0.0}
+    damaged = [b"", b"{", b"\xff\xfe", b"[]", b"3", b"{}", b'{"status": "done"}', b'{"status": []}']
+    for content in damaged:
+        record.write_bytes(content)
+        end = run_batch(study, out, nobody)
+        assert list(end.summary["status"]) == ["done"]
+        assert json.loads(record.read_text()) == whole | {"seconds": 0.0, "setup_seconds": 0.0}
 
 
 def test_a_file_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch):
