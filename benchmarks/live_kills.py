@@ -3,15 +3,18 @@
 python -m benchmarks.live_kills --count 50
 
 A day of readings comes line by line; the service is killed (SIGKILL) again and again, while it
-starts, too, and begins each life with other settings and another file of its model. Then every
-sample of its history is set against that of a service that read the whole day undisturbed: time,
-number, readings, estimate, band, status. Offsets move by the clock, and not as often as samples are
-read; that none jumps is looked at in `benchmarks.offset_invariant`.
+starts, too, and begins each life with other settings and with one of several models. Then every
+sample of its history is set against services that are never killed: one for each run of samples
+with the same model, which reads just these. Times, numbers, readings, estimates, bands and statuses
+must be equal, and every sample of the day must be there once. Offsets move by the clock, and not as
+often as samples are read; that none jumps is looked at in `benchmarks.offset_invariant`.
 """
 
 from __future__ import annotations
 
 import argparse
+import asyncio
+import itertools
 import json
 import os
 import random
@@ -23,14 +26,19 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import closing, suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.archive import Archive, History
+from thermojoint.live.publication import Columns
+from thermojoint.live.served import served
+from thermojoint.live.service import run
+from thermojoint.live.settings import read_service
 
 ROOT = Path(__file__).parents[1]
 MACHINE = "mill"
@@ -60,6 +68,7 @@ path = "{csv}"
 starts = "2026-03-02T00:00:00Z"
 follow = {follow}
 [store]
+keep_days = 10000.0
 checkpoint_s = {checkpoint}
 [watchdog]
 uncertain_s = 600.0
@@ -84,7 +93,7 @@ def prepare(place: Path, model: Path, axis: str, interval: float, checkpoint: fl
 
 
 def change(place: Path, draw: random.Random) -> None:
-    """Give the service that is killed other settings, and the same model by another name."""
+    """Give the service that is killed other settings, and one of the models, by another name."""
     for path, drawn in (
         ("offsets.toml", {"resolution_um": (0.1, 1.0, 5.0), "rate_um_s": (0.05, 1.0)}),
         ("killed.toml", {"checkpoint_s": (0.2, 2.0, 60.0), "uncertain_s": (60.0, 600.0)}),
@@ -94,9 +103,9 @@ def change(place: Path, draw: random.Random) -> None:
             text = re.sub(rf"(?m)^{key} = .*", f"{key} = {draw.choice(values)}", text)
         (place / path).write_text(text)
     text = (place / "killed.toml").read_text()
-    model = Path(re.findall(r'(?m)^file = "(.*)"', text)[0])
-    other = place / f"model-{draw.randrange(1000)}.json"
-    shutil.copyfile(model, other)
+    model = re.findall(r'(?m)^file = "(.*)"', text)[0]
+    other = place / f"copy-{draw.randrange(1000)}.json"
+    shutil.copyfile(draw.choice(sorted(place.glob("model*.json")) or [Path(model)]), other)
     (place / "killed.toml").write_text(text.replace(f'"{model}"', f'"{other}"'))
 
 
@@ -223,6 +232,54 @@ def differences(whole: History, killed: History) -> list[str]:
     return found
 
 
+def undisturbed(place: Path, lines: Sequence[str], killed: History) -> Iterator[History]:
+    """Yield the history of a service for each run of samples with one model, which reads them.
+
+    Parameters
+    ----------
+    place : Path
+        Where `prepare` wrote its files; the models are ``model*.json`` there.
+    lines : sequence of str
+        Of the whole day, header and rows.
+    killed : History
+        Of the service that was killed; its model by sample is in its store.
+    """
+    text = (place / "whole.toml").read_text()
+    given = read_service(place / "whole.toml").given.models["model"]
+    models = {
+        served(given.model_copy(update={"file": path}), place / "kept").digest: path
+        for path in place.glob("model*.json")
+    }
+    with closing(sqlite3.connect(place / "killed" / "history.sqlite")) as store:
+        rows = store.execute(
+            "SELECT model, count FROM chunks JOIN eras ON eras.id = era ORDER BY first"
+        ).fetchall()
+    at = 1
+    for k, (digest, chunks) in enumerate(itertools.groupby(rows, key=lambda row: row[0])):
+        count = sum(count for _, count in chunks)
+        (place / "day.csv").write_text("".join([lines[0], *lines[at : at + count]]))
+        at += count
+        (place / "whole.toml").write_text(
+            text.replace('folder = "whole"', f'folder = "whole-{k}"').replace(
+                str(given.file), str(models[digest])
+            )
+        )
+        asyncio.run(run(read_service(place / "whole.toml"), asyncio.Event()))
+        yield Archive(place / f"whole-{k}" / "history.sqlite").history(MACHINE, 0.0, 1e11, 10**9)
+
+
+def together(parts: Sequence[History]) -> History:
+    """Return histories as one."""
+    columns = zip(*(vars(one.columns).values() for one in parts), strict=True)
+    return replace(
+        parts[0],
+        columns=Columns(*map(np.concatenate, columns)),
+        numbers=np.concatenate([one.numbers for one in parts]),
+        status=tuple(word for one in parts for word in one.status),
+        holes=tuple(hole for one in parts for hole in one.holes),
+    )
+
+
 def measured_day(interval: float) -> list[str]:
     """Return a day of the measured machine, between its minutes by interpolation, as CSV lines."""
     source = ROOT / "examples" / "measured_machine" / "learned.csv"
@@ -250,21 +307,27 @@ def main() -> None:
         log = ROOT / "examples" / "measured_machine" / "learned.csv"
         wanted = ["--displacement", "disp1_um", "--displacement", "disp3_um"]
         model = place / "model.json"
-        subprocess.run(
-            [*learn, str(log), *wanted, "--out", str(model)], check=True, capture_output=True
-        )
+        # The other model is of a machine that moves twice as far.
+        header, *rows = log.read_text("utf-8").splitlines()
+        twice = [name.startswith("disp") + 1.0 for name in header.split(",")]
+        table = np.genfromtxt(rows, delimiter=",") * twice
+        np.savetxt(place / "twice.csv", table, "%.9g", ",", header=header, comments="")
+        for source, out in ((log, model), (place / "twice.csv", place / "model-twice.json")):
+            command = [*learn, str(source), *wanted, "--out", str(out)]
+            subprocess.run(command, check=True, capture_output=True)
         lines = measured_day(given.interval_s)
         (place / "day.csv").write_text("".join(lines))
         prepare(place, model, "disp1", given.interval_s, 2.0)
         begun = time.monotonic()
         alive = kill_through(place, lines, given.count, random.Random(given.seed), -0.5, 1.5)
         killed = finish(place, "killed", len(lines) - 1)
-        whole = finish(place, "whole", len(lines) - 1)
-        found = differences(whole, killed)
+        parts = list(undisturbed(place, lines, killed))
+        found = differences(together(parts), killed)
         told = {
             "kills": given.count,
             "killed_after_ready": alive,
-            "samples": len(lines) - 1,
+            "changes_of_the_model": len(parts) - 1,
+            "samples": len(killed.numbers),
             "hours": (len(lines) - 1) * given.interval_s / 3600.0,
             "differences": found,
             "wall_s": round(time.monotonic() - begun, 1),

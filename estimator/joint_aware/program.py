@@ -310,10 +310,9 @@ def _start(estimator: JointAware) -> _Start:
     gains[-1], spread[-1] = usual, np.diag(steady)
     every = np.array(known)
     every[:, 1:] = np.maximum.accumulate(every[::-1, 1:])[::-1]
-    far = (every[:, 1:] > (limits.doubt * limits.followable) ** 2).any(axis=1)
-    return _Start(
-        every, np.array(gains), np.array(spread), every[min(np.count_nonzero(far), len(far) - 1), 0]
-    )
+    near = every[(every[:, 1:] <= (limits.doubt * limits.followable) ** 2).all(axis=1), 0]
+    followed = float(near[0] if near.size else every[-1, 0])
+    return _Start(every, np.array(gains), np.array(spread), followed)
 
 
 def _answers(observer: Observer) -> Array:

@@ -427,7 +427,9 @@ def commit(store: sqlite3.Connection, batch: Batch) -> int:
         )
         store.execute("COMMIT")
     except BaseException:
-        store.execute("ROLLBACK")
+        # A full disk has rolled back already.
+        if store.in_transaction:
+            store.execute("ROLLBACK")
         raise
     (last,) = store.execute("SELECT max(id) FROM journal").fetchone()
     return int(last or 0)

@@ -3,6 +3,7 @@
 import json
 import logging
 import math
+import sqlite3
 from dataclasses import replace
 
 import numpy as np
@@ -20,11 +21,13 @@ from thermojoint.live.machine import Times, at_rest, restored, silent, taken
 from thermojoint.live.metrics import fresh_metrics
 from thermojoint.live.publication import as_json, as_row, from_row
 from thermojoint.live.rate_limit import AT_ONCE, LineLimit
+from thermojoint.live.recovery import is_damage
 from thermojoint.live.samples import Rule
 from thermojoint.live.served import Served, served
 from thermojoint.live.settings import ModelSection, WatchdogSection
 from thermojoint.live.store import (
     Batch,
+    Event,
     commit,
     cut_log,
     era_before,
@@ -302,6 +305,19 @@ def test_a_restart_with_another_resolution_keeps_the_offset(model, tmp_path, res
     kept = kept_of(store, [floor.places["mill"].era])[floor.places["mill"].era]
     machine, _ = restored("mill", other, kept, None, received_last(store)["mill"], at(40))
     assert machine.latest.offsets[0] == pytest.approx(before, abs=0.5e-6 * resolution * 1.001)
+
+
+def test_a_full_disk_is_no_damage(tmp_path):
+    """SQLite ends the transaction by itself; the next commit finds room again."""
+    store = open_store(tmp_path / "history.sqlite")
+    (pages,) = store.execute("PRAGMA page_count").fetchone()
+    store.execute(f"PRAGMA max_page_count = {pages}")
+    batch = Batch(events=[Event(START, None, "status", 100_000 * "x")])
+    with pytest.raises(sqlite3.OperationalError, match="full") as found:
+        commit(store, batch)
+    assert not is_damage(found.value)
+    store.execute("PRAGMA max_page_count = 10000")
+    commit(store, batch)
 
 
 def test_other_axes_of_the_control_leave_the_estimator_its_state(model, tmp_path):

@@ -62,7 +62,7 @@ class OpcuaReader:
     publishing_ms: float
     _found: deque[Arrival | Note] = field(default_factory=deque)
     _came: asyncio.Event = field(default_factory=asyncio.Event)
-    _newest: dict[str, float] = field(default_factory=dict)
+    _newest: dict[tuple[str, int], float] = field(default_factory=dict)
 
     @property
     def machines(self) -> Sequence[str]:
@@ -71,8 +71,12 @@ class OpcuaReader:
 
     async def read(self, positions: Mapping[str, Any]) -> AsyncIterator[list[Arrival | Note]]:
         """Yield values for ever; reconnects whenever the connection is lost."""
+        # Of each variable: a connection may be lost between those of one instant.
         self._newest = {
-            machine: float(at) for machine, at in positions.items() if isinstance(at, int | float)
+            (machine, k): float(at)
+            for machine, at in positions.items()
+            if isinstance(at, int | float)
+            for k in range(self.counts[machine])
         }
         async with beside(self._stay_connected(), self._came) as heard:
             while True:
@@ -115,7 +119,7 @@ class OpcuaReader:
             [
                 (_time(value), (node.nodeid, value))
                 for node in nodes
-                for value in await self._history(node, places[node.nodeid][0])
+                for value in await self._history(node, places[node.nodeid])
             ],
             key=lambda item: item[0],
         ):
@@ -129,9 +133,9 @@ class OpcuaReader:
             await asyncio.sleep(_ALIVE_S)
             await asyncio.wait_for(client.nodes.server_state.read_value(), TIMEOUT_S)
 
-    async def _history(self, node: Node, machine: str) -> list[ua.DataValue]:
-        """Return a variable's history since the last reading; empty if the server keeps none."""
-        since = self._newest.get(machine)
+    async def _history(self, node: Node, place: tuple[str, int]) -> list[ua.DataValue]:
+        """Return a variable's history since its last reading; empty if the server keeps none."""
+        since = self._newest.get(place)
         if since is None:
             return []
         try:
@@ -151,7 +155,7 @@ class OpcuaReader:
         machine, k = places[nodeid]
         item = item_of(machine, k, self.counts[machine], value)
         if isinstance(item, Arrival):
-            self._newest[machine] = max(item.time, self._newest.get(machine, 0.0))
+            self._newest[machine, k] = max(item.time, self._newest.get((machine, k), 0.0))
         if len(self._found) < self.most:
             self._put(item)
 
