@@ -212,7 +212,9 @@ class Disk:
             subprocess.run(["umount", "-l", str(self.folder)], check=False)
 
 
-async def plc(port: int, names: list[str]) -> tuple[Server, Callable[[Array], Any]]:
+async def plc(
+    port: int, names: list[str], first: list[float]
+) -> tuple[Server, Callable[[Array], Any]]:
     """Return a server with a variable and a history of each reading, and what writes a row."""
     server = Server()
     await server.init()
@@ -225,6 +227,10 @@ async def plc(port: int, names: list[str]) -> tuple[Server, Callable[[Array], An
     for name in names:
         at = ua.NodeId(f"by-opcua.{name}", 2)
         nodes.append(await server.nodes.objects.add_variable(at, name, 0.0))
+        # Its first value is no reading.
+        stamp = datetime.fromtimestamp(START, UTC)
+        value = ua.DataValue(ua.Variant(first[len(nodes)]), SourceTimestamp=stamp)
+        await server.write_attribute_value(nodes[-1].nodeid, value)
         await server.iserver.enable_history_data_change(nodes[-1], timedelta(days=3650), 100_000)
 
     async def write(row: Array) -> None:
@@ -304,8 +310,7 @@ async def play(place: Path, given: argparse.Namespace) -> dict[str, Any]:
         stack.callback(disk.close)
         stack.callback(broker.fail, True)
         door = await asyncio.start_server(relay.take, "127.0.0.1", ports[2])
-        server, write = await plc(ports[1], names[1:])
-        await write(rows[0])
+        server, write = await plc(ports[1], names[1:], rows[0].tolist())
         await asyncio.sleep(1.0)
         client, heard = control(ports[0])
         stack.callback(client.loop_stop)
@@ -330,8 +335,8 @@ async def play(place: Path, given: argparse.Namespace) -> dict[str, Any]:
         telling = asyncio.create_task(tell(ports[0], queue))
         begun, out = time.monotonic(), stack.enter_context((place / "fed.csv").open("a"))
         for k, row in enumerate(rows):
-            while time.monotonic() - begun < (k + 1) * INTERVAL / given.speed:
-                await asyncio.sleep(0.005)
+            due = begun + (k + 1) * INTERVAL / given.speed
+            await asyncio.sleep(max(0.001, due - time.monotonic()))
             out.write(lines[1 + k])
             out.flush()
             content = dict(zip(names[1:], row[1:].tolist(), strict=True))

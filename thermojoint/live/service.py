@@ -9,6 +9,7 @@ import sqlite3
 import time
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager, suppress
+from dataclasses import replace
 from datetime import UTC, datetime
 
 from thermojoint.live import floor as floors
@@ -328,6 +329,8 @@ async def _keep(running: Running, batch: Batch) -> None:
             if is_damage(error):
                 with suppress(sqlite3.DatabaseError):
                     await recover(running, store, error)
+                    # The new store has begun with the states of now.
+                    batch = replace(batch, checkpoints=())
                     continue
             log.say(time.time(), "store-waits", f"{running.archive.path}: {error}")
             running.hub.publish([held(publication) for publication in newest.values()])
