@@ -253,7 +253,7 @@ def simulate_known(physics: Physics, inputs: Array, length: float) -> tuple[Arra
             k += taken
             if k == len(inputs):
                 break
-        # Without machine code, or where the joint snaps.
+        # Laws that are not compiled, or a joint that snaps.
         amplitudes = conduct(physics, amplitudes, inputs[k, :known], joint, length)
         joint, displacement[k] = settle_plainly(physics, joint, amplitudes, inputs[k, known:])
         history[k], pressure[k] = amplitudes, joint.pressure

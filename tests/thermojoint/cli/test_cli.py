@@ -475,9 +475,11 @@ def test_standard_input_in_another_encoding_is_read(command, files_at_hand, monk
     samples = (files_at_hand / "samples.csv").read_bytes().replace(b"T2_K\n", b"T2_K,\xb0C\n", 1)
     samples = re.sub(rb"(\d)\n", lambda end: end[1] + b",\xb0\n", samples)
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(samples), encoding="utf-8"))
-    code, out, _ = command("estimate", files_at_hand / "model.json", "-", "--out", "-")
+    code, out, err = command("estimate", files_at_hand / "model.json", "-", "--out", "-")
     assert code == 0
     assert len(out.splitlines()) == 21
+    assert "clock time_s, from its own start\n  columns: delta_T_K (temperature), T1_K" in err
+    assert "standard input: 20 rows, 0 s to 38 s, every 2 s" in err
 
 
 def test_tables_of_a_model_as_tables_and_as_json(command, files_at_hand):
