@@ -6,7 +6,8 @@ march follows from the seed and its number alone, so ``--first N --count 1`` mar
 With ``--loaded`` machine and flange stand on springs, carry gravity and a force that comes and
 goes, and half of their joints start open by 1 um to 0.5 mm, with friction of 0 to 2; half of the
 structures have bolts, tightened to a force of their own in each march, some of which settle.
-Exit code 1 if one fails.
+With ``--wide`` steps are of 0.1 to 600 s, and half of the machines have 120 elements in a strip.
+Exit code 1 if one fails or alternates.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from rich.table import Table
 
 from fesim.batch.summary import OPEN_BELOW, is_open, preloads
 from fesim.case.schema import Case, case_from_data
+from fesim.march.alternation import alternating
 from fesim.setup.machine import Setup, set_up, with_laws
 from fesim.simulate import simulate
 from thermojoint.artefacts.errors import ThermojointError
@@ -44,6 +46,8 @@ LAWS = 40
 FLANGES = 5
 STEPS = 200
 STEP_SECONDS = (1.0, 2.0, 5.0, 10.0)
+#: With --wide: steps, s, and contact elements along and across each strip of every other machine.
+WIDE_STEPS, MANY = (0.1, 600.0), (20, 6)
 #: Initial openings, um, and friction of the marches under load; the stiffness, N/um, of springs
 #: under a body that an open joint does not hold; forces, N.
 OPENINGS, FRICTIONS = (1.0, 500.0), (0.0, 0.2, 0.6, 1.0, 2.0)
@@ -97,6 +101,15 @@ class Figures:
 def spread(rng: np.random.Generator, low: float, high: float) -> float:
     """Return a number between two, even in its logarithm."""
     return float(low * (high / low) ** rng.uniform())
+
+
+def widened(rng: np.random.Generator, data: Data, flange: bool) -> None:
+    """Draw a step of 0.1 to 600 s, and more than 96 contact elements for half of the machines."""
+    step = spread(rng, *WIDE_STEPS)
+    data["march"] |= {"step_s": step, "duration_min": STEPS * step / 60.0}
+    if not flange and rng.uniform() < 0.5:
+        for joint in data["joints"].values():
+            joint |= {"along": MANY[0], "across": MANY[1]}
 
 
 def drawn_structure(rng: np.random.Generator, flange: bool) -> Data:
@@ -225,7 +238,9 @@ def write_histories(folder: Path) -> None:
         (folder / name).write_text(f"time_s,factor\n{rows}\n", "utf-8")
 
 
-def marches(first: int, count: int, loads: Path | None = None) -> Iterator[Drawn]:
+def marches(
+    first: int, count: int, loads: Path | None = None, wide: bool = False
+) -> Iterator[Drawn]:
     """Yield the marches from number `first` on; under load with a folder of its histories."""
     group, data, flange = -1, {}, False
     for number in range(first, first + count):
@@ -233,6 +248,8 @@ def marches(first: int, count: int, loads: Path | None = None) -> Iterator[Drawn
             group = number // LAWS
             flange = group % FLANGES == FLANGES - 1
             data = drawn_structure(np.random.default_rng([SEED, 0, group]), flange)
+            if wide:
+                widened(np.random.default_rng([SEED, 4, group]), data, flange)
             if loads is not None:
                 load_structure(np.random.default_rng([SEED, 2, group]), data, flange)
         friction = draw_march(np.random.default_rng([SEED, 1, number]), data, flange)
@@ -258,23 +275,32 @@ def figures(response: xr.Dataset) -> Figures:
     )
 
 
-def sweep(first: int, count: int, loads: Path | None = None) -> list[tuple[Drawn, Figures | str]]:
+def sweep(
+    first: int, count: int, loads: Path | None = None, wide: bool = False
+) -> list[tuple[Drawn, Figures | str]]:
     """March; return the figures of each, or why it failed."""
     found: list[tuple[Drawn, Figures | str]] = []
     setup: Setup | None = None
     console = Console(stderr=True, markup=False)
-    for one in track(marches(first, count, loads), "simulations", total=count, console=console):
+    for one in track(
+        marches(first, count, loads, wide), "simulations", total=count, console=console
+    ):
         if one.number % LAWS == 0:
             setup = None
         try:
             # Bolts are tightened in it: it may fail as a march may.
             setup = setup or set_up(one.case)
-            response = simulate(one.case, setup=with_laws(setup, one.case)).response
+            response = simulate(one.case, setup=with_laws(setup, one.case), accuracy=False).response
         except ThermojointError as error:
             console.print(f"{one.number} failed, friction {one.friction:.2g}: {error}")
             found.append((one, str(error)))
         else:
-            found.append((one, figures(response)))
+            pressure = response["pressure"].to_numpy() / preloads(response)
+            if alternating(pressure):
+                console.print(f"{one.number} alternates, friction {one.friction:.2g}")
+                found.append((one, "alternates"))
+            else:
+                found.append((one, figures(response)))
     return found
 
 
@@ -388,12 +414,13 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=COUNT)
     parser.add_argument("--markdown", type=Path)
     parser.add_argument("--loaded", action="store_true")
+    parser.add_argument("--wide", action="store_true", help="steps of 0.1 to 600 s, more elements")
     asked = parser.parse_args()
-    if asked.loaded and asked.markdown:
-        parser.error("the page is that of the marches without --loaded")
+    if (asked.loaded or asked.wide) and asked.markdown:
+        parser.error("the page is that of the marches without --loaded and --wide")
     with TemporaryDirectory() as folder:
         write_histories(Path(folder))
-        found = sweep(asked.first, asked.count, Path(folder) if asked.loaded else None)
+        found = sweep(asked.first, asked.count, Path(folder) if asked.loaded else None, asked.wide)
     lines = rows(found)
     table = Table(*HEADER)
     for line in lines:

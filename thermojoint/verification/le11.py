@@ -117,7 +117,7 @@ def checks() -> Iterator[Check]:
     with temporary_folder() as folder:
         for name, counts in (("coarse", COARSE), ("fine", FINE)):
             write_structure(quarter(*counts), folder / f"{name}.vtu")
-            response = simulate(case_of(folder, f"{name}.vtu")).response
+            response = simulate(case_of(folder, f"{name}.vtu"), accuracy=False).response
             computed = response["stress"].isel(time=0).sel(stress_probe="A", component="zz").item()
             quantity = Quantity("axial stress at A", "MPa", 5e-3, "NAFEMS")
             yield quantity.check(f"NAFEMS LE11, {name} mesh", 1e-6 * STRESS, 1e-6 * computed)

@@ -141,7 +141,7 @@ def _force_checks(folder: Path) -> Iterator[Check]:
     force = {"surface": "top", "force_N": [0.0, 0.0, FORCE], "file": "cutting.csv"}
     changes = {"joints": {"joint": joint(preload_MPa=1e-6 * PRELOAD)}, "loads": {"cut": force}}
     data = column_case(folder, True, changes)
-    response = simulate(case_from_data(data, "column", folder)).response
+    response = simulate(case_from_data(data, "column", folder), accuracy=False).response
     for time, factor in zip(TIMES[1:], (0.5, 1.0), strict=True):
         pressure = PRELOAD - factor * FORCE / AREA
         approach = separation(pressure) - separation(PRELOAD)
