@@ -118,10 +118,10 @@ class Control:
             words, cwd=self.folder, env=environment, stdout=log, stderr=log, **self.user
         )
 
-    def pid(self, component):
-        """Process of a component, by its pin."""
+    def pin(self, name):
+        """Value of a pin that is a whole number."""
         got = subprocess.run(
-            ["/usr/bin/halcmd", "getp", f"{component}.pid"], capture_output=True, text=True,
+            ["/usr/bin/halcmd", "getp", name], capture_output=True, text=True,
             env=ENVIRONMENT, **self.user,
         )  # fmt: skip
         return int(got.stdout)

@@ -82,13 +82,15 @@ def test_a_control_follows_returns_when_the_service_is_killed_and_follows_again(
         service = started(place)
         cnc.until(follows)
         line = (cnc.folder / "thermojoint.hal").read_text().splitlines()[1]
-        os.kill(cnc.pid("thermojoint"), signal.SIGKILL)
+        os.kill(cnc.pin("thermojoint.pid"), signal.SIGKILL)
         time.sleep(0.3)
         held = cnc.offset()
         time.sleep(0.5)
         assert cnc.offset() == pytest.approx(held, abs=0.01)
         cnc.run(line.split()[3:])
         cnc.until(follows)
+        # The next component has taken over the counts of the one that was killed.
+        assert abs(0.1 * cnc.pin("axis.z.eoffset-counts") - cnc.offset()) < 3.0
         record = cnc.record()
         # A control that is switched off forgets the offset, and is asked for it anew.
         (cnc.folder / "off").touch()

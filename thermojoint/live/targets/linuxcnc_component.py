@@ -257,7 +257,8 @@ def linked(hal: Any, axes: tuple[str, ...]) -> Any:  # noqa: ANN401
             if "." in pin:
                 hal.connect("axis.{}.eoffset-{}".format(*pin.split(".")), net)
         elif former and pin != "on":
-            # A signal has one writer; one that nothing is linked to forgets its value.
+            # A signal has one writer, and takes the value of the pin that becomes it.
+            component[pin] = hal.get_value(f"{former}.{pin}")
             hal.disconnect(f"{former}.{pin}")
         hal.connect(f"{name}.{pin}", net)
     component.ready()
