@@ -66,13 +66,16 @@ recorder = hal.component("recorder")
 recorder.ready()
 command, status = linuxcnc.command(), linuxcnc.stat()
 def start():
-    command.state(linuxcnc.STATE_ESTOP_RESET)
-    command.wait_complete()
-    command.state(linuxcnc.STATE_ON)
-    command.wait_complete()
-    command.mode(linuxcnc.MODE_MANUAL)
-    command.wait_complete()
-    command.home(-1)
+    while not hal.get_value("motion.motion-enabled"):
+        command.state(linuxcnc.STATE_ESTOP_RESET)
+        command.wait_complete()
+        command.state(linuxcnc.STATE_ON)
+        command.wait_complete()
+        time.sleep(0.2)
+    if not hal.get_value("motion.is-all-homed"):
+        command.mode(linuxcnc.MODE_MANUAL)
+        command.wait_complete()
+        command.home(-1)
     while not hal.get_value("motion.is-all-homed"):
         time.sleep(0.1)
     command.mode(linuxcnc.MODE_AUTO)
