@@ -65,7 +65,7 @@ behind_s = 1e9
 [models.model]
 file = "model.json"
 interval_s = 60.0
-hold_s = 7200.0
+hold_s = 86400.0
 offsets = "offsets.toml"
 [store]
 keep_days = 10000.0
