@@ -75,13 +75,16 @@ class Simulation(Described):
         return {
             "title": str(self.response.attrs["title"]),
             "times": f"{times.size}, to {float(times[-1]) / 60.0:g} min",
-            "final displacement": ", ".join(f"{axis} {value:.3g} µm" for axis, value in final),
+            "final displacement": ", ".join(f"{axis} {value:.3g} µm" for axis, value in final)
+            or "none",
         }
 
     def _repr_html_(self) -> str:
-        moved = MEGA * self.response["displacement"].to_numpy()
-        axes = [str(axis) for axis in self.response["axis"].to_numpy()]
-        picture = curves(self.response["time"].to_numpy(), moved, axes)
+        shown = MEGA * self.response["displacement"]
+        if not shown.size:
+            shown = self.response["temperature"]
+        names = [str(name) for name in shown[shown.dims[1]].to_numpy()]
+        picture = curves(self.response["time"].to_numpy(), shown.to_numpy(), names)
         return as_html(type(self).__name__, self._facts(), picture)
 
 
@@ -168,7 +171,7 @@ def simulate(
     if spent is not None:
         response.attrs |= _spent(spent)
         known = spent.displacement
-    if accuracy:
+    if accuracy and case.displacement is not None:
         taken = course.track.displacement[-count:]
         marched = Marched(case, ready, COUPLINGS[case.march.coupling], start, taken)
         response.attrs |= _good_to(accuracy_of(marched, known))
@@ -339,7 +342,7 @@ def _response(case: Case, setup: Setup, inputs: MarchInputs, course: _Course) ->
         "time": times,
         "source": list(case.sources),
         "probe": list(setup.probes),
-        "axis": list(DIRECTIONS),
+        "axis": np.array(DIRECTIONS if case.displacement else (), dtype=str),
         "space": list(DIRECTIONS),
         "tangent": ["along", "across"],
         "contact": np.arange(1, machine.contact.count + 1),

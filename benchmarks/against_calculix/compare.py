@@ -21,6 +21,7 @@ from fesim.march.machine import CondensedMachine, Step
 from fesim.march.stepping import march
 from fesim.setup.loads import heat_sources, held_profiles, thermal_inputs
 from fesim.setup.machine import Setup, set_up
+from fesim.setup.structure import measured_points
 from fesim.simulate import COUPLINGS
 from fesim.solid.condensation import condense_heat
 from fesim.solid.heat import ThermalLoads, capacity_form, cell_field, heat_operators
@@ -188,7 +189,7 @@ def recorded_displacement(
 ) -> Array:
     """Return the displacement (3,) that the case records, m, of nodal ones (nodes, 3)."""
     probes = problem.structure.probes
-    names = [name for name in (case.displacement.point, case.displacement.relative_to) if name]
+    names = measured_points(case)
     rows = probe_rows(basis, problem.structure, {name: probes[name] for name in names})
     moved = rows @ displacement
     return moved[0] - moved[1] if len(names) == 2 else moved[0]

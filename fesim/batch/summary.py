@@ -109,7 +109,7 @@ def figures_of(response: xr.Dataset) -> Figures:
     figures: Figures = {}
     place = response.get_index("axis")
     displacement = MEGA * response["displacement"].to_numpy()
-    for axis in "xyz":
+    for axis in place:
         track = displacement[:, place.get_loc(axis)]
         figures[f"displacement_{axis}_peak_um"] = float(track[np.abs(track).argmax()])
         figures[f"displacement_{axis}_final_um"] = float(track[-1])

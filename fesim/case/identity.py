@@ -149,7 +149,7 @@ def elasticity_key(case: Case, digest: Digest = file_digest) -> str:
     data["materials"] = {
         name: _without(section, _THERMAL) for name, section in data["materials"].items()
     }
-    measured = {case.displacement.point, case.displacement.relative_to}
+    measured = set(dict(case.displacement or {}).values())
     data["probes"] = [(name, probe) for name, probe in data["probes"] if name in measured]
     return hashed(data, digest)
 

@@ -161,7 +161,10 @@ class ProbeSection(Section):
 
 
 class DisplacementSection(Section):
-    """``[displacement]``: the displacement that is recorded, of one point or between two."""
+    """``[displacement]``: the displacement that is recorded, of one point or between two.
+
+    Without it heat is marched alone.
+    """
 
     point: str
     relative_to: str | None = None
@@ -209,7 +212,7 @@ class Case(Described, Section):
     loads: dict[str, LoadSection] = {}
     bolts: dict[str, BoltSection] = {}
     march: MarchSection
-    displacement: DisplacementSection
+    displacement: DisplacementSection | None = None
     probes: dict[str, ProbeSection] = {}
     candidates: list[CandidatesSection] = []
     output: OutputSection = OutputSection()
@@ -284,6 +287,14 @@ class Case(Described, Section):
         return self
 
     @model_validator(mode="after")
+    def _deforms_if_asked(self) -> Case:
+        if self.displacement is None and (sections := deforming_sections(self)):
+            raise ValueError(
+                f"{sections[0]} needs the deformation of the structure: add [displacement]"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _marched_by_its_model(self) -> Case:
         if (reason := not_reducible(self)) is not None:
             raise ValueError(reason)
@@ -312,6 +323,23 @@ def secant_sections(case: Case) -> list[str]:
             for name, material in case.materials.items()
             if material.conductivity_factor is not None
         ),
+    ]
+
+
+def deforming_sections(case: Case) -> list[str]:
+    """Return the sections, besides ``[displacement]``, that need the structure's deformation."""
+    asked = case.output.snapshots_s or case.output.forces or case.output.stress_probes
+    return [
+        *(f"loads.{name}" for name in case.loads),
+        *(f"bolts.{name}" for name in case.bolts),
+        *(
+            f"joints.{name}"
+            for name, joint in case.joints.items()
+            if joint.conductance.law not in ("fixed", "none")
+            or (joint.gap is not None and joint.gap.gas_conductivity_W_mK > 0.0)
+        ),
+        *(["output"] if asked else []),
+        *(['march.method = "adaptive"'] if case.march.method == "adaptive" else []),
     ]
 
 

@@ -37,8 +37,20 @@ def checked_constraints(
         spring_stiffnesses(case, structure),
         bolts,
     )
-    check_held(constraints, with_friction(case, joints), start_closed(case, joints))
+    check_constrained(case, constraints, joints)
     return constraints
+
+
+def check_constrained(case: Case, constraints: Constraints, joints: Sequence[PairedJoint]) -> None:
+    """Refuse a body that nothing constrains, unless heat is marched alone.
+
+    Raises
+    ------
+    InputError
+        Names the body and its motions.
+    """
+    if case.displacement is not None:
+        check_held(constraints, _with_friction(case, joints), start_closed(case, joints))
 
 
 def fixed_surfaces(case: Case) -> list[str]:
@@ -55,7 +67,7 @@ def start_closed(case: Case, joints: Sequence[PairedJoint]) -> NDArray[np.bool_]
     return np.concatenate(parts)
 
 
-def with_friction(case: Case, joints: Sequence[PairedJoint]) -> NDArray[np.bool_]:
+def _with_friction(case: Case, joints: Sequence[PairedJoint]) -> NDArray[np.bool_]:
     """Which contact elements have friction, shape (m,)."""
     rough = [case.joints[joint.name].friction_coefficient > 0.0 for joint in joints]
     return np.repeat(np.array(rough, dtype=bool), [len(joint.area) for joint in joints])

@@ -96,6 +96,8 @@ def discretised(case: Case, parts: Parts) -> Discretised:
 def relative_rows(whole: Discretised) -> csr_array:
     """Rows of the displacement probe along x, y and z, then of the bolts' stretch."""
     structure, names = whole.parts.structure, measured_points(whole.case)
+    if not names:
+        return whole.stretch
     points = {name: structure.probes[name] for name in names}
     rows = probe_rows(whole.spaces.displacement, structure, points)
     relative = rows[[0]] - rows[[1]] if len(names) == 2 else rows

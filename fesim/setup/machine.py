@@ -34,7 +34,7 @@ from fesim.march.reduced import (
 from fesim.march.settling import initial_state
 from fesim.march.start_field import start_field
 from fesim.setup.bolts import first_forces
-from fesim.setup.constraints import start_closed, with_friction
+from fesim.setup.constraints import check_constrained
 from fesim.setup.discretised import Discretised, discretised, load_forces, relative_rows
 from fesim.setup.elastic import elastic_structure
 from fesim.setup.laws import joint_laws
@@ -59,12 +59,13 @@ from fesim.solid.condensation import (
 )
 from fesim.solid.materials import Material
 from fesim.solid.outputs import MechanicalOutputs
-from fesim.solid.rigid_motions import Constraints, check_held
+from fesim.solid.rigid_motions import Constraints
 from fesim.solid.spaces import Spaces
 from fesim.solid.substructures import TieCondensation
 from meshes.pairing import PairedJoint
 from meshes.structure import Probe, Structure
 from thermojoint.artefacts.display import Described
+from thermojoint.artefacts.errors import InputError
 
 #: Factors of structures with fewer displacement unknowns are held in memory together.
 SMALL = 150_000
@@ -282,6 +283,8 @@ def _condensed_elasticity(
     Errors of the mesh are found while its factors exist.
     """
     case = whole.case
+    if case.displacement is None:
+        return _undeformed(whole), _no_field, None
     make = partial(
         elastic_structure,
         case,
@@ -313,6 +316,23 @@ def _condensed_elasticity(
     if not again:
         field = cache(lambda: make().field(tied))
     return elastic_condensation(tied, whole.operators, whole.springs), field, errors
+
+
+def _undeformed(whole: Discretised) -> ElasticCondensation:
+    """Joints that stay as they are, and no displacement: nothing is assembled or factorised."""
+    area, heat = np.tile(whole.operators.area, 3), int(whole.spaces.heat.N)
+    return ElasticCondensation(
+        compliance=np.zeros((area.size, area.size)),
+        thermal_gap=np.zeros((area.size, heat)),
+        probe_compliance=np.zeros((0, area.size)),
+        probe_thermal=np.zeros((0, heat)),
+        reference=whole.springs,
+        area=area,
+    )
+
+
+def _no_field() -> DisplacementField:
+    raise InputError("the case asks for heat alone; add [displacement] to have it deform")
 
 
 def _loads(
@@ -387,9 +407,10 @@ def _machine(
     """The condensed machine before its bolts are tightened."""
     case, parts, heat = whole.case, whole.parts, whole.heat
     elastic = condensed if modes is None else project_elasticity(condensed, modes)
+    constraints = None if case.displacement is None else parts.constraints
     return CondensedMachine(
         thermal,
-        ContactProblem(elastic, parts.laws, constraints=parts.constraints, loads=loads),
+        ContactProblem(elastic, parts.laws, constraints=constraints, loads=loads),
         start=start_field(heat, whole.warm, modes),
         variable=variable_heat(
             case, parts.structure, whole.spaces.heat, whole.materials, parts.joints, heat
@@ -423,9 +444,7 @@ def with_laws(setup: Setup, case: Case) -> Setup:
     """
     materials = body_materials(case, setup.structure)
     laws = joint_laws(case, setup.structure, materials, setup.joints)
-    check_held(
-        setup.constraints, with_friction(case, setup.joints), start_closed(case, setup.joints)
-    )
+    check_constrained(case, setup.constraints, setup.joints)
     if setup.bolts is None:
         return replace(setup, machine=setup.machine.with_laws(laws))
     names, loose, springs = setup.bolts.names, setup.bolts.loose, setup.bolts.springs

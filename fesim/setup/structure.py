@@ -151,5 +151,7 @@ def _metres(point: tuple[float, float, float]) -> tuple[float, float, float]:
 
 def measured_points(case: Case) -> list[str]:
     """Return the point whose displacement is recorded, and its reference point if there is one."""
+    if case.displacement is None:
+        return []
     point, origin = case.displacement.point, case.displacement.relative_to
     return [point] if origin is None else [point, origin]

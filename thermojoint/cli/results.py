@@ -135,11 +135,18 @@ def show_results(console: Console, response: xr.Dataset) -> None:
     from thermojoint.paper.summary import result_lines
 
     figures = figures_of(response)
+    if response.sizes["axis"]:
+        _show_displacement(console, response, figures)
+    for line in result_lines(response, figures):
+        console.print(line)
+
+
+def _show_displacement(
+    console: Console, response: xr.Dataset, figures: Mapping[str, float]
+) -> None:
     table = Table("axis", *numeric("final", "peak"))
     for axis in response["axis"].to_numpy():
         at = (figures[f"displacement_{axis}_{kind}_um"] for kind in ("final", "peak"))
         # To the nanometre, as the rest is rounding; adding zero removes the sign of -0.
         table.add_row(str(axis), *(f"{round(value, 3) + 0.0:.3f}" for value in at))
     titled(console, f"Displacement of {response.attrs['displacement_of']} (µm)", table)
-    for line in result_lines(response, figures):
-        console.print(line)

@@ -65,6 +65,8 @@ def check_drivable(case: Case) -> None:
             raise InputError(
                 f"sources.{name}.heat_input: calibration drives all sources alike; leave it out"
             )
+    if case.displacement is None:
+        raise InputError("displacement: calibration needs one; add [displacement]")
     times = case.march.step_s * np.arange(step_count(case.march) + 1, dtype=float)
     if case.ambient is not None:
         ambient = read_history(case.ambient.file, "ambient_degC")(times)

@@ -141,7 +141,9 @@ def result_lines(response: xr.Dataset, figures: Mapping[str, float]) -> list[str
             f"Bolts: {end.min():.4g} to {end.max():.4g} kN at the end, {low:.4g} to {high:.4g} kN "
             f"in the run; least at the end in {response['bolt'].to_numpy()[end.argmin()]}."
         )
-    if "open_share_final" in figures:
+    if not response.sizes["axis"]:
+        lines.append("Heat alone: the case has no [displacement], so nothing deforms.")
+    elif "open_share_final" in figures:
         lines += _joint_lines(response, figures)
     if "march_steps" in response.attrs:
         lines.append(adaptive_line(response.attrs))

@@ -13,7 +13,7 @@ from fesim.case.schema import Case, first_step_at, read_case, step_count
 from fesim.march.machine import Step
 from fesim.setup.loads import source_power, thermal_inputs
 from fesim.setup.machine import Setup, set_up
-from fesim.setup.structure import build_structure
+from fesim.setup.structure import build_structure, measured_points
 from fesim.simulate import at_rest, case_in, simulate
 from meshes.structure import Structure
 from thermojoint.artefacts.errors import InputError
@@ -219,9 +219,8 @@ def whole_structure(
 
     `sensors` maps roles to positions, m; default the temperature probes of the case.
     """
-    ends = [case.displacement.point, case.displacement.relative_to]
     at = {name: structure.probes[name].position for name in case.probes}
-    points = {name: probe_position(structure, name) for name in ends if name is not None}
+    points = {name: probe_position(structure, name) for name in measured_points(case)}
     points |= at if sensors is None else dict(sensors)
     heats = [
         f"{name} {source.reference_power_W:g} W"

@@ -264,6 +264,8 @@ def reduce_machine(case: Case, setup: Setup, sensors: Sequence[str]) -> ReducedM
     InputError
         The case has no source, or what a joint-aware estimator cannot have.
     """
+    if case.displacement is None:
+        raise InputError("joint-aware: the case records no displacement; add [displacement]")
     if not case.sources:
         raise InputError("joint-aware: the case has no source whose heat could be estimated")
     if setup.modes is None:

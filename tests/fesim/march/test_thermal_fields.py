@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from repository import ROOT
 
+from fesim.batch.summary import figures_of
 from fesim.case.formula import FUNCTIONS, formula
 from fesim.case.identity import condensation_key
 from fesim.case.position_table import read_position_table
@@ -18,7 +19,9 @@ from fesim.simulate import simulate
 from fesim.snapshots import snapshot_writer
 from meshes.exchange import write_structure
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.response import read_response, write_response
 from thermojoint.paper.inputs import check_drivable
+from thermojoint.paper.summary import result_lines
 from thermojoint.verification.thermal_bar import bar_case, run
 
 REFERENCE = ROOT / "thermojoint" / "cases" / "reference.toml"
@@ -311,6 +314,42 @@ def test_calibration_drives_start_at_the_ambient(warm):
     )
     with pytest.raises(InputError, match="starts at the ambient"):
         check_drivable(driven)
+
+
+# --- heat alone ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("thermal", ["reduced", "full"])
+def test_heat_alone_is_marched_as_with_deformation_and_needs_no_supports(tmp_path, thermal):
+    bonded = SURFACE | {"conductance": {"law": "fixed", "value_W_m2K": 2000.0}}
+    data = bars(tmp_path, joints={"joint": bonded})
+    data["march"] = data["march"] | {"thermal": thermal}
+    whole = simulate(case_from_data(data, "bars", tmp_path)).response
+    del data["displacement"]
+    setup = set_up(case_from_data(data | {"supports": {}}, "bars", tmp_path))
+    alone = simulate(case_from_data(data | {"supports": {}}, "bars", tmp_path), setup=setup)
+    write_response(alone.response, tmp_path / "alone.nc")
+    read = read_response(tmp_path / "alone.nc")
+    # The modes are those of other outputs.
+    np.testing.assert_allclose(read["temperature"], whole["temperature"], atol=1e-3)
+    assert read["displacement"].shape == (len(read["time"]), 0)
+    assert "heat alone" in result_lines(read, figures_of(read))[-1].lower()
+    assert "svg" in alone._repr_html_()
+    with pytest.raises(InputError, match="the case asks for heat alone"):
+        setup.field  # noqa: B018 - it raises
+
+
+def test_what_needs_a_deformation_says_so_without_one(tmp_path):
+    data = bars(tmp_path)
+    del data["displacement"]
+    for changes, section in (
+        ({}, "joints.joint"),
+        ({"joints": {}, "output": {"forces": True}}, "output"),
+        ({"joints": {}, "loads": {"w": {"acceleration_m_s2": [0, 0, -9.8]}}}, "loads.w"),
+    ):
+        with pytest.raises(InputError, match=rf"{section} needs the deformation") as refused:
+            case_from_data(data | changes, "bars", tmp_path)
+        assert "\n" not in str(refused.value)
 
 
 # --- profiles ------------------------------------------------------------------------------------
