@@ -30,7 +30,7 @@ from fesim.march.compiled_step import (
 )
 from fesim.march.contact import ContactProblem
 from fesim.march.kernel import joint_kernel, new_kept, new_record
-from fesim.march.settling import settle_along
+from fesim.march.settling import Rest, settle_along
 from thermojoint.artefacts.arrays import Array
 from thermojoint.reduced.machine import Joint, Modes, conducted, contact_of, rest_of
 
@@ -85,7 +85,7 @@ class Physics:
 
     def beyond_held(self, joint: JointState, amplitudes: Array) -> Array:
         """Conductance times area that the modes do not have yet, W/K, shape (m,)."""
-        return conducted(self.laws, self.modes, joint, amplitudes) - self.held
+        return conducted(self.laws, self.modes, Rest(*joint), amplitudes) - self.held
 
 
 def make_physics(modes: Modes, joints: Sequence[Joint], held: Array) -> Physics:
