@@ -170,6 +170,7 @@ CASE = {
     "held_temperatures.*.rise_K": RISE,
     "initial_temperature.rise_K": RISE,
     "materials.*.conductivity_factor.factor.*": FACTOR,
+    "materials.*.heat_capacity_factor.factor.*": FACTOR,
     "materials.*.expansion_factor.factor.*": FACTOR,
     "convection_factor.*.factor.*": FACTOR,
     "radiation.*.ambient_degC": AMBIENT,

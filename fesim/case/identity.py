@@ -47,6 +47,7 @@ _THERMAL = {
     "density_kg_m3",
     "heat_capacity_J_kgK",
     "conductivity_factor",
+    "heat_capacity_factor",
     "expansion_factor",
 }
 _STRENGTH = {"reference_power_W", "count", "reading", "heat_input"}

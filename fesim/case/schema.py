@@ -319,9 +319,10 @@ def secant_sections(case: Case) -> list[str]:
         *(f"radiation.{name}" for name in case.radiation),
         *(f"cavities.{name}" for name in case.cavities),
         *(
-            f"materials.{name}.conductivity_factor"
+            f"materials.{name}.{key}"
             for name, material in case.materials.items()
-            if material.conductivity_factor is not None
+            for key in ("conductivity_factor", "heat_capacity_factor")
+            if getattr(material, key) is not None
         ),
     ]
 

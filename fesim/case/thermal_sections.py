@@ -54,6 +54,7 @@ class MaterialSection(Section):
     poisson_ratio: Annotated[float, Field(gt=-1.0, lt=0.5)]
     expansion_1_K: Finite
     conductivity_factor: FactorSection | None = None
+    heat_capacity_factor: FactorSection | None = None
     expansion_factor: FactorSection | None = None
 
 

@@ -1,4 +1,4 @@
-"""Heat step with temperature-dependent conduction, convection or radiation, by iteration.
+"""Heat step with temperature-dependent properties, convection or radiation, by iteration.
 
 Each iteration is a step of the constant operators with a correction at the last temperatures, so
 that nothing is factorised. Anderson's method (1965) combines the last few iterates.
@@ -66,17 +66,22 @@ def step_heat(
         after, flow = heat_step(thermal, temperature, inputs, joint)
         balance = heat_balance(thermal, temperature, after, inputs, flow)
         return HeatTaken(after, flow, balance, 0.0)
+
+    def lacking(after: Array) -> Array:
+        retained = variable.retained(temperature, after) / thermal.step
+        return variable.lost(after, inputs) + retained
+
     at, size = temperature, np.inf
     guesses: list[Array] = []
     changes: list[Array] = []
     for _ in range(MOST):
-        lost = variable.lost(at, inputs)
+        lost = lacking(at)
         lost[variable.held] = 0.0
         after, flow = heat_step(thermal, temperature, inputs, joint, lost)
         change = after - at
         size = float(np.abs(change).max())
         if size <= TOLERANCE + ROUNDING * float(np.abs(after).max()):
-            lost = variable.lost(after, inputs)
+            lost = lacking(after)
             held = lost[variable.held]
             left = float(lost.sum()), held
             balance = heat_balance(thermal, temperature, after, inputs, flow, left)
@@ -87,7 +92,8 @@ def step_heat(
         at = _next(guesses, changes)
     raise ConvergenceError(
         f"secant steps: temperatures still change by {size:.1e} K; take a shorter march.step_s, or "
-        "smaller changes of conductivity_factor, convection_factor and radiation"
+        "smaller changes of conductivity_factor, heat_capacity_factor, convection_factor and "
+        "radiation"
     )
 
 

@@ -10,7 +10,13 @@ from skfem import CellBasis
 
 from fesim.case.schema import Case
 from fesim.case.thermal_sections import FactorSection
-from fesim.solid.heat import HeatOperators, cell_field, conduction_form, convection_matrix
+from fesim.solid.heat import (
+    HeatOperators,
+    capacity_form,
+    cell_field,
+    conduction_form,
+    convection_matrix,
+)
 from fesim.solid.materials import Material
 from fesim.solid.temperature_factor import TemperatureFactor, ThermalGrowth, thermal_growth
 from fesim.solid.variable_heat import (
@@ -31,14 +37,15 @@ def factor_of(section: FactorSection) -> TemperatureFactor:
 
 
 def reference_materials(case: Case, materials: dict[str, Material]) -> dict[str, Material]:
-    """Return the bodies' materials with the middle of a conductivity that has a factor."""
-    factors = _conductivity_factors(case, materials)
-    return {
-        body: replace(material, conductivity=factors[body].middle * material.conductivity)
-        if body in factors
-        else material
-        for body, material in materials.items()
-    }
+    """Return the bodies' materials with the middle of what has a factor."""
+    found = dict(materials)
+    for body, factor in _factors(case, materials, "conductivity_factor").items():
+        own = found[body]
+        found[body] = replace(own, conductivity=factor.middle * own.conductivity)
+    for body, factor in _factors(case, materials, "heat_capacity_factor").items():
+        own = found[body]
+        found[body] = replace(own, heat_capacity=factor.middle * own.heat_capacity)
+    return found
 
 
 def reference_coefficients(case: Case) -> dict[str, float]:
@@ -64,7 +71,7 @@ def variable_heat(
 ) -> VariableHeat | None:
     """Return the terms that the constant operators `heat` lack; None if there are none."""
     terms = []
-    for body, factor in _conductivity_factors(case, materials).items():
+    for body, factor in _factors(case, materials, "conductivity_factor").items():
         own = {name: m.conductivity if name == body else 0.0 for name, m in materials.items()}
         matrix = conduction_form.assemble(basis, value=cell_field(structure, own, basis))
         terms.append((matrix, conduction_potential(factor)))
@@ -80,7 +87,17 @@ def variable_heat(
         area = sum(parts[1:], parts[0])
         walls = np.asarray(area.sum(axis=0)).ravel()
         terms.append((area, air_potential(cavity.film_W_m2K, walls)))
-    return VariableHeat(tuple(terms), heat.layout.ambient, heat.held) if terms else None
+    capacities = []
+    for body, factor in _factors(case, materials, "heat_capacity_factor").items():
+        stored = {
+            name: m.density * m.heat_capacity if name == body else 0.0
+            for name, m in materials.items()
+        }
+        whole = capacity_form.assemble(basis, value=cell_field(structure, stored, basis))
+        capacities.append((np.asarray(whole.sum(axis=1)).ravel(), factor))
+    if not terms and not capacities:
+        return None
+    return VariableHeat(tuple(terms), heat.layout.ambient, heat.held, tuple(capacities))
 
 
 def growth(case: Case, structure: Structure, basis: CellBasis) -> ThermalGrowth | None:
@@ -98,8 +115,6 @@ def convecting_surfaces(case: Case) -> list[str]:
     return list(reference_coefficients(case))
 
 
-def _conductivity_factors(
-    case: Case, materials: dict[str, Material]
-) -> dict[str, TemperatureFactor]:
-    sections = {body: case.materials[case.bodies[body]].conductivity_factor for body in materials}
+def _factors(case: Case, materials: dict[str, Material], key: str) -> dict[str, TemperatureFactor]:
+    sections = {body: getattr(case.materials[case.bodies[body]], key) for body in materials}
     return {body: factor_of(section) for body, section in sections.items() if section is not None}

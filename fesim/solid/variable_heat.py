@@ -1,4 +1,4 @@
-"""Temperature-dependent conduction, convection and radiation: correction of constant operators.
+"""Temperature-dependent heat equation: correction of constant operators.
 
 Time stepping uses constant operators K and H. The additional heat flow is
 
@@ -7,8 +7,9 @@ Time stepping uses constant operators K and H. The additional heat flow is
 both sums over nodal values: theta is Kirchhoff's transform of a body's conductivity, whose constant
 part in K is m_b k_b; q_s the heat flux of convection or radiation, whose constant part in H is h_s.
 Enclosed air has no heat capacity: its temperature is the mean of its walls, and its convection in H
-is one to the ambient. `fesim.march.secant_step` finds the T of each step that satisfies M dT/dt +
-(K + H) T + N(T) = P u.
+is one to the ambient. A heat capacity with a factor stores, beyond its constant part in M,
+sum_b C_b (theta_b(T) - m_b T), its enthalpy. `fesim.march.secant_step` finds the T of each step
+that satisfies M dT/dt + (K + H) T + N(T) = P u.
 """
 
 from __future__ import annotations
@@ -40,11 +41,22 @@ class VariableHeat:
         Index of the ambient among the inputs.
     held : ndarray of int, shape (h,)
         Unknowns with prescribed temperature.
+    capacities : tuple of (ndarray of shape (n,), TemperatureFactor)
+        C_b of the bodies whose heat capacity has a factor, J/K.
     """
 
     terms: tuple[tuple[csr_array, Potential], ...]
     ambient: int
     held: NDArray[np.int64]
+    capacities: tuple[tuple[Array, TemperatureFactor], ...] = ()
+
+    def retained(self, before: Array, after: Array) -> Array:
+        """Return the heat (n,), J, that nodes store besides that of the constant capacity."""
+        heat = np.zeros(len(after))
+        for capacity, factor in self.capacities:
+            stored = factor.integral(after) - factor.integral(before)
+            heat += capacity * (stored - factor.middle * (after - before))
+        return heat
 
     def lost(self, temperature: Array, inputs: Array) -> Array:
         """Return N(T) (n,), W: heat leaving the nodes in addition to the constant operators."""

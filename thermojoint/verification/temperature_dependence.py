@@ -11,6 +11,8 @@ Closed forms for the steady state of a bar along x:
 A short bar of uniform temperature cools by convection h (1 + b T) T: with r = h A/C,
 T/(1 + b T) = T0/(1 + b T0) exp(-r t).
 
+A bar that loses no heat warms by E = C (T + b T^2/2).
+
 Two bars between ends held at 0 and T1 face each other across enclosed air: the heat flux is
 T1/(L1/k + 1/h + 1/h + L2/k), and the air has the mean of both faces.
 """
@@ -62,6 +64,7 @@ def checks() -> Iterator[Check]:
         yield from _radiating(folder)
         yield from _growing(folder)
         yield from _cooling(folder)
+        yield from _storing(folder)
         yield from _enclosing(folder)
 
 
@@ -124,6 +127,23 @@ def _cooling(folder: Path) -> Iterator[Check]:
     expected = left / (1.0 - SLOPE * left)
     compared = replace(TEMPERATURE, tolerance=2e-3)
     yield compared.check("temperature dependence, film of a cooling plate: end", expected, computed)
+
+
+def _storing(folder: Path) -> Iterator[Check]:
+    heated = {
+        "sources": {"heat": {"body": "block", "reference_power_W": 30.0 * POWER}},
+        "heat_input": {"kind": "step", "level": 1.0},
+        "march": {"step_s": 5.0, "duration_min": 2.0, "thermal": "full"},
+    }
+    rise = 30.0 * POWER * 120.0 / (DENSITY * CAPACITY * LENGTH * WIDTH**2)
+    for name, factor, slope in (("rising", RISING, SLOPE), ("falling", FALLING, -SLOPE)):
+        response = run(bar_case(folder, heated, metal={"heat_capacity_factor": factor}), folder)
+        expected = (np.sqrt(1.0 + 2.0 * slope * rise) - 1.0) / slope
+        title = f"temperature dependence, {name} heat capacity: end"
+        yield TEMPERATURE.check(
+            title, expected, response["temperature"][-1].sel(probe="end").item()
+        )
+        yield _settled(f"{name} heat capacity", response)
 
 
 def facing_bars() -> Structure:

@@ -167,7 +167,14 @@ def test_a_slip_about_what_depends_on_temperature_is_one_line(tmp_path, changes,
 
 
 @pytest.mark.parametrize(
-    "key", ["conductivity_factor", "expansion_factor", "convection_factor", "radiation"]
+    "key",
+    [
+        "conductivity_factor",
+        "heat_capacity_factor",
+        "expansion_factor",
+        "convection_factor",
+        "radiation",
+    ],
 )
 def test_the_reduced_model_refuses_what_depends_on_temperature(tmp_path, key):
     data = driven(tmp_path, march=MARCH | {"thermal": "reduced"})
