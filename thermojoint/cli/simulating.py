@@ -93,7 +93,8 @@ def simulate(
     if "secant_residual" in finished.response:
         left = float(finished.response["secant_residual"].max())
         console.say(f"last secant step: temperatures changed by {left:.1e} K at most")
-    console.say(accuracy_line(finished.response.attrs))
+    if "error_total_um" in finished.response.attrs:
+        console.say(accuracy_line(finished.response.attrs))
     console.wrote(out, save, folder)
 
 
