@@ -4,7 +4,9 @@
 
 A model on a 50/25 mm mesh, plants on 40/20 mm with eleven parameters, sensor offsets and noise
 drawn, each calibrated from its own steps of 0.5, 1 and 2 and once more with a cool-down of 4 h.
-With `--family films` the plants have the case's parameters but uneven films instead.
+With `--family films` the plants have the case's parameters but uneven films instead; those of
+`--family structural` differ from any machine that the model can be, and are also observed with ten
+sensors (use `--estimator joint-aware --estimator baselines`).
 Each plant has a file of its own beside the result; stopped in any way, the same command goes on
 from there.
 """
@@ -29,10 +31,9 @@ from benchmarks.plants.judging import Machines, judge_plant
 from benchmarks.plants.preparing import difference_from_new_set_up, prepared
 from benchmarks.plants.summary import summary_of, table_of
 from thermojoint.artefacts.files import write_text
-from thermojoint.models.sensors import ROLES
 
 #: Plants that are compared with machines set up anew: no case says two films of one surface.
-CHECKED = {"parameters": 3, "films": 0}
+CHECKED = {"parameters": 3, "films": 0, "structural": 0}
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -47,9 +48,9 @@ def main(arguments: list[str] | None = None) -> None:
     reference = files("thermojoint").joinpath("cases/reference.toml")
     parser.add_argument("--case", type=Path, default=Path(str(reference)))
     options = parser.parse_args(arguments)
-    case, machines = prepared(options.case)
-    drawn = FAMILIES[options.family]
-    plants = [drawn(case, ROLES, options.seed, number) for number in range(options.count)]
+    case, machines = prepared(options.case, more=options.family == "structural")
+    drawn, sensors = FAMILIES[options.family], machines.model.sensor_names
+    plants = [drawn(case, sensors, options.seed, number) for number in range(options.count)]
     folder = options.out.with_suffix(f".{options.family}-{options.seed}")
     wanted = tuple(options.estimator or ESTIMATORS)
     found = list(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,6 +28,60 @@ OFFSET = 0.2
 UNEVEN, INSIDE = (2.0, 15.0), (0.0, 5.0)
 #: Outside, rear and inside of its first plants: the case's, and those of docs/joint-aware.md.
 FIRST = ((6.0, 6.0, 0.0), (5.0, 19.0, 3.0))
+#: Differences in structure: lengths, whole mm; laws; preload at the strips' upper end, relative;
+#: stiffness of a foot, N/um; factor of an open door; heat in a body, W; change of conductivity and
+#: expansion, 1/K; warmer air at the top, K; lag of a sensor, s; its displacement either way, mm.
+DIMENSIONS = {"wall": (48, 53), "source_top": (695, 725), "screw_x": (685, 715)}
+LAWS = (("surface", "back-burdekin"), ("cmy-1969", "yovanovich-1982"))
+UNEVEN_PRELOAD, FOOT, DOOR = 0.3, (500.0, 5000.0), (1.2, 2.0)
+FRICTION_HEAT, CONDUCTION, EXPANSION = (0.0, 50.0), (-1e-3, 0.0), (0.0, 1e-3)
+GRADIENT, LAG, DISPLACED = (0.0, 3.0), (5.0, 60.0), 10.0
+#: Parts of the surface with a film of their own, evenly in the logarithm within `UNEVEN`.
+PARTS = ("column", "top", "table", "rear")
+
+
+@dataclass(frozen=True, eq=False)
+class Unlike:
+    """What a plant has and its model cannot have by any parameter.
+
+    Attributes
+    ----------
+    dimensions : dict of str to float
+        Of the structure, mm.
+    laws : (str, str)
+        Of the joint and of its conductance.
+    uneven : float
+        Preload at the upper end of the strips relative to the mean, less 1; linear along them.
+    feet : (float, float)
+        Stiffness under the column and under the screw, N/um along every axis.
+    films : dict of str to float
+        Of every part of the surface, W/(m2 K).
+    door : float
+        Factor on all films while a door is open.
+    friction : dict of str to float
+        Largest heat in a body that the model does not know of, W.
+    conduction, expansion : float
+        Change of conductivity and expansion, 1/K.
+    gradient : float
+        Air at the top is warmer by this after hours, K.
+    lag : ndarray, shape (p,)
+        Time constant of every sensor, s.
+    place : ndarray, shape (p, 2)
+        Displacement of every sensor along the surface it is on, mm.
+    """
+
+    dimensions: dict[str, float]
+    laws: tuple[str, str]
+    uneven: float
+    feet: tuple[float, float]
+    films: dict[str, float]
+    door: float
+    friction: dict[str, float]
+    conduction: float
+    expansion: float
+    gradient: float
+    lag: Array
+    place: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,12 +98,15 @@ class Plant:
         Of every sensor, K.
     seed : int
         Of its noise and of its day.
+    unlike : Unlike, optional
+        Differences in structure.
     """
 
     number: int
     factors: dict[str, float]
     offset: Array
     seed: int
+    unlike: Unlike | None = None
 
 
 def draw_plant(case: Case, sensors: Sequence[str], seed: int, number: int) -> Plant:
@@ -82,6 +139,31 @@ def draw_uneven_films(case: Case, sensors: Sequence[str], seed: int, number: int
     return _with_sensors(rng, number, factors, len(sensors))
 
 
+def draw_unlike(case: Case, sensors: Sequence[str], seed: int, number: int) -> Plant:
+    """Return plant `number` of those that differ from the case in structure, and in parameters."""
+    plant = draw_plant(case, sensors, seed, number)
+    rng = np.random.default_rng((seed, number, 1))
+    films = dict(zip(PARTS, np.exp(rng.uniform(*np.log(UNEVEN), size=len(PARTS))), strict=True))
+    unlike = Unlike(
+        dimensions={
+            name: float(rng.integers(*ends, endpoint=True)) for name, ends in DIMENSIONS.items()
+        },
+        laws=(str(rng.choice(LAWS[0])), str(rng.choice(LAWS[1]))),
+        uneven=rng.uniform(-UNEVEN_PRELOAD, UNEVEN_PRELOAD),
+        feet=(np.exp(rng.uniform(*np.log(FOOT))), np.exp(rng.uniform(*np.log(FOOT)))),
+        films=films | {"interior": rng.uniform(*INSIDE)},
+        door=rng.uniform(*DOOR),
+        friction={body: rng.uniform(*FRICTION_HEAT) for body in ("table", "base")},
+        conduction=rng.uniform(*CONDUCTION),
+        expansion=rng.uniform(*EXPANSION),
+        gradient=rng.uniform(*GRADIENT),
+        lag=rng.uniform(*LAG, size=len(sensors)),
+        place=rng.uniform(-DISPLACED, DISPLACED, size=(len(sensors), 2)),
+    )
+    factors = {name: one for name, one in plant.factors.items() if name != "film"}
+    return replace(plant, factors=factors, unlike=unlike)
+
+
 def _with_sensors(
     rng: np.random.Generator, number: int, factors: dict[str, float], sensors: int
 ) -> Plant:
@@ -91,4 +173,8 @@ def _with_sensors(
 
 
 #: Random parameters of the plants of a study.
-FAMILIES = {"parameters": draw_plant, "films": draw_uneven_films}
+FAMILIES = {
+    "parameters": draw_plant,
+    "films": draw_uneven_films,
+    "structural": draw_unlike,
+}

@@ -53,13 +53,21 @@ def drives(step: float, seed: int) -> dict[str, Drive]:
     }
 
 
+def switched(
+    rng: np.random.Generator, times: Array, lasts: tuple[float, float], levels: tuple[float, float]
+) -> Array:
+    """Return random levels that last for random times, s, at `times` (n,)."""
+    values, begun = np.empty(times.size), 0.0
+    while begun < times[-1]:
+        ends = begun + rng.uniform(*lasts)
+        values[(times > begun) & (times <= ends)] = rng.uniform(*levels)
+        begun = ends
+    return values
+
+
 def _day(times: Array, seed: int) -> Drive:
     rng = np.random.default_rng(seed)
-    heat, begun = np.empty(times.size), 0.0
-    while begun < times[-1]:
-        lasts = rng.uniform(*LASTS)
-        heat[(times > begun) & (times <= begun + lasts)] = rng.uniform(*LEVELS)
-        begun += lasts
+    heat = switched(rng, times, LASTS, LEVELS)
     every = np.arange(0.0, times[-1] + 600.0, 600.0)
     walk = np.cumsum(rng.normal(size=every.size))
     walk = AMBIENT * (walk - walk[0]) / np.abs(walk - walk[0]).max()

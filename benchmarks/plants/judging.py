@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from benchmarks.plants.responding import (
     answers,
     measured,
 )
+from benchmarks.plants.structural import structural_answers
 from estimator.rows import interval_score
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ThermojointError
@@ -48,17 +50,31 @@ class Machines:
         On a separate mesh, with the case's parameters.
     places : xarray.Dataset
         A response of it, of any length.
+    data : dict
+        Of the plants' case, for a plant that is set up anew.
     """
 
     model: ReducedMachine
     plant: ReducedMachine
     places: xr.Dataset
+    data: dict[str, Any]
+
+
+def with_sensors(machine: ReducedMachine, count: int) -> ReducedMachine:
+    """Return a machine with the first of its sensors only."""
+    names = machine.sensor_names[:count]
+    return replace(machine, sensors=machine.sensors[:count], sensor_names=names)
 
 
 @threadpool_limits.wrap(limits=1)
 def judge_plant(machines: Machines, plant: Plant, wanted: tuple[str, ...]) -> dict[str, Any]:
     """Return all that a plant says: rows, calibrations and what it was drawn with."""
-    exact = answers(machines.plant, plant, drives(machines.plant.step, plant.seed))
+    runs = drives(machines.plant.step, plant.seed)
+    names = machines.plant.sensor_names
+    if plant.unlike is None:
+        exact = answers(machines.plant, plant, runs)
+    else:
+        exact = structural_answers(machines.data, names, plant, runs)
     noise = TEMPERATURE_NOISE, DISPLACEMENT_NOISE
     shown = {
         name: measured(
@@ -69,18 +85,19 @@ def judge_plant(machines: Machines, plant: Plant, wanted: tuple[str, ...]) -> di
     rows: list[dict[str, Any]] = []
     reports: list[dict[str, Any]] = []
     by_steps: dict[str, Calibrated] = {}
-    for label, runs in CALIBRATIONS.items():
-        responses = {name: shown[name] for name in runs}
+    for count, (label, named) in product({4, len(names)}, CALIBRATIONS.items()):
+        responses = {name: shown[name] for name in named}
         for kind in wanted:
             begun = time.process_time()
-            about = {"plant": plant.number, "calibration": label}
+            about = {"plant": plant.number, "calibration": label, "sensors": count}
             try:
-                calibrated = by_steps.get(kind) or ESTIMATORS[kind](machines.model, responses)
+                model = with_sensors(machines.model, count)
+                calibrated = by_steps.get(kind) or ESTIMATORS[kind](model, responses)
                 taken = time.process_time() - begun
                 if kind in BY_STEPS:
                     by_steps[kind] = calibrated
                 for case in CASES:
-                    if case in runs:
+                    if case in named:
                         continue
                     run, settled = judged_run(machines, plant, exact, case)
                     for name, errors in calibrated.judge(run, case == "warm-start").items():

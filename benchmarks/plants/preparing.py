@@ -30,32 +30,43 @@ PLACES = {
     "T1": (625.0, 450.0, 87.5),
     "T2": (625.0, 700.0, 87.5),
 }
+#: Six more, by body: on the column's rear, top and foot, on the table and below it, on the screw.
+MORE = {
+    "rear": ("column", (0.0, 600.0, 150.0)),
+    "top": ("column", (300.0, 1150.0, 150.0)),
+    "foot": ("column", (600.0, 100.0, 150.0)),
+    "table top": ("table", (1050.0, 750.0, 150.0)),
+    "table bottom": ("table", (1050.0, 350.0, 150.0)),
+    "screw": ("screw", (725.0, 175.0, 225.0)),
+}
 
 
-def machine_data(path: Path, sizes: tuple[float, float]) -> dict[str, Any]:
-    """Return a case on a mesh, with the sensors of the study."""
+def machine_data(path: Path, sizes: tuple[float, float], more: bool = False) -> dict[str, Any]:
+    """Return a case on a mesh, with the sensors of the study; `more` adds those of `MORE`."""
     data = tomllib.loads(path.read_text("utf-8"))
     data["structure"] |= {"element_size_mm": sizes[0], "joint_element_size_mm": sizes[1]}
     data["candidates"] = []
     data["probes"] = {name: {"position_mm": list(PLACES[name]), "body": "column"} for name in ROLES}
+    if more:
+        data["probes"] |= {
+            name: {"position_mm": list(place), "body": body} for name, (body, place) in MORE.items()
+        }
     data["heat_input"] = {"kind": "step", "level": 3.0}
     data["march"] |= {"thermal": "reduced", "duration_min": 1.0}
     return data
 
 
-def prepared(path: Path) -> tuple[Case, Machines]:
-    """Return the case and what every plant needs: two set-ups."""
-    cases = [
-        case_from_data(machine_data(path, sizes), str(path), path.parent)
-        for sizes in (MODEL, PLANT)
-    ]
+def prepared(path: Path, more: bool = False) -> tuple[Case, Machines]:
+    """Return the case and what every plant needs: two set-ups, with four sensors or with `more`."""
+    data = [machine_data(path, sizes, more) for sizes in (MODEL, PLANT)]
+    cases = [case_from_data(one, str(path), path.parent) for one in data]
     setups = [set_up(case) for case in cases]
     model, plant = (
-        along(reduce_machine(case, setup, ROLES), AXES)
+        along(reduce_machine(case, setup, tuple(case.probes)), AXES)
         for case, setup in zip(cases, setups, strict=True)
     )
     places = simulate(cases[1], setup=setups[1]).response
-    return cases[0], Machines(model, plant, places.sel(axis=list(AXES)))
+    return cases[0], Machines(model, plant, places.sel(axis=list(AXES)), data[1])
 
 
 def with_parameters(data: dict[str, Any], factors: dict[str, float]) -> dict[str, Any]:

@@ -9,11 +9,11 @@ import pandas as pd
 from rich.table import Table
 
 #: Compared groups.
-GROUPS = ["calibration", "case", "estimator"]
+GROUPS = ["sensors", "calibration", "case", "estimator"]
 
 
 def summary_of(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return one row for each calibration, case and estimator.
+    """Return one row for each number of sensors, calibration, case and estimator.
 
     The error of a plant is its largest along either axis; the band's cover is that of all samples,
     and its width the mean over a run along the wider axis, then the median over plants; likewise
@@ -36,17 +36,16 @@ def summary_of(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         )
         .reset_index()
     )
-    linear = each[each.estimator == "linear"].set_index(["calibration", "case", "plant"]).error
+    same = ["sensors", "calibration", "case", "plant"]
+    linear = each[each.estimator == "linear"].set_index(same).error
     found = []
-    for (calibration, case, estimator), part in each.groupby(GROUPS, sort=False):
-        beside = part.set_index(["calibration", "case", "plant"]).error
+    for names, part in each.groupby(GROUPS, sort=False):
+        beside = part.set_index(same).error
         both = pd.concat([beside, linear], axis=1, join="inner", keys=["own", "linear"])
         banded = part.cover.notna().any()
         found.append(
-            {
-                "calibration": calibration,
-                "case": case,
-                "estimator": estimator,
+            dict(zip(GROUPS, names, strict=True))
+            | {
                 "plants": len(part),
                 "median_um": float(part.error.median()),
                 "p90_um": float(part.error.quantile(0.9)),
@@ -65,7 +64,7 @@ def summary_of(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 def table_of(summary: Sequence[dict[str, Any]]) -> Table:
     """Return the summary as a table for a terminal."""
     table = Table(title="largest error along either axis over plants, µm")
-    for name in ("calibration", "case", "estimator", "plants", "median", "90 %", "largest"):
+    for name in (*GROUPS, "plants", "median", "90 %", "largest"):
         table.add_column(name)
     for name in ("worse than linear", "in band", "worst tenth", "band, µm", "interval score"):
         table.add_column(name)
@@ -75,7 +74,8 @@ def table_of(summary: Sequence[dict[str, Any]]) -> Table:
         covers = row["band_cover"], row["band_cover_p10"]
         widths = row["band_width_um"], row["interval_score_um"]
         table.add_row(
-            *(row["calibration"], row["case"], row["estimator"], str(row["plants"]), *sizes),
+            *(str(row[name]) for name in (*GROUPS, "plants")),
+            *sizes,
             "–" if worse is None else str(worse),
             *("–" if cover is None else f"{100.0 * cover:.1f} %" for cover in covers),
             *("–" if width is None else f"{width:.2f}" for width in widths),

@@ -10,6 +10,7 @@ import xarray as xr
 from threadpoolctl import threadpool_limits
 
 from calibrate.joint_aware.assembling import make_observer
+from calibrate.joint_aware.left_out import widened
 from calibrate.joint_aware.misfit import Run
 from calibrate.joint_aware.open_band import Drawing, open_band
 from calibrate.joint_aware.physics_fit import SEARCH, Fit, Search, fit_physics
@@ -150,6 +151,7 @@ def calibrate_machine(
     model = make_observer(machine, fit, calibrated_range(machine, responses), noise)
     band = open_band(machine, runs, fit, model, noise, effort.drawing)
     model = replace(model, band=band)
+    model = replace(model, band=widened(machine, runs, fit, model, noise, effort.drawing))
     return JointAwareCalibration(model, fit, machine, tuple(runs))
 
 

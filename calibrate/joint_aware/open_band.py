@@ -11,7 +11,7 @@ the draws, plus their residual, is the band.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,10 +30,12 @@ from calibrate.joint_aware.misfit import (
 )
 from calibrate.joint_aware.physics_fit import SEARCH, Fit
 from calibrate.joint_aware.random_heat import random_levels
+from estimator import sensor_faults
 from estimator.interface import follow
 from estimator.joint_aware.estimator import WIDTH, JointAware
 from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.observer_model import Band, ObserverModel
+from estimator.joint_aware.thresholds import Thresholds
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
 from thermojoint.reduced.discrepancy import Discrepancy, make_ridge, relaxed
@@ -81,6 +83,8 @@ class Drawing:
 
 #: The default.
 USUAL = Drawing()
+#: A drawn machine has no faulty sensors: an onset of heat that its steps cannot resolve is none.
+HEALTHY = Thresholds(faults=sensor_faults.Thresholds(gate=1e6, jump=1e6, stuck=1e9), room=1e6)
 
 
 def open_band(
@@ -109,7 +113,8 @@ def open_band(
         Number of machines, and their histories.
     """
     slow = replace(machine, step=max(drawing.step, machine.step))
-    observer = JointAware(make_observer(slow, fit, model.calibrated, noise))
+    slower = make_observer(slow, fit, model.calibrated, noise)
+    observer = JointAware(slower, thresholds=HEALTHY)
     rng = np.random.default_rng(drawing.seed)
     highest, sources = drawing.beyond * model.calibrated.heat, machine.power.size
     day = random_levels(rng, drawing.duration, slow.step, highest, sources)
@@ -118,15 +123,14 @@ def open_band(
         (round(min(run.length * len(run.inputs) for run in runs) / slow.step), sources), highest
     )
     histories = [
-        _history_of(heat, fit.discrepancy.rates, slow.step) for heat in (day, begun, 0.5 * begun)
+        history_of(heat, fit.discrepancy.rates, slow.step) for heat in (day, begun, 0.5 * begun)
     ]
     problem = make_problem(slow, [coarser(run, SEARCH.steps) for run in runs])
     errors_of_draws: list[Array] = []
-    for along in _directions(rng, max(drawing.draws, fit.spread.size), fit.spread.size):
+    for drawn in draw_machines(rng, problem, fit, drawing):
         try:
-            drawn = _draw(rng, problem, fit, along, drawing)
             errors_of_draws.append(
-                np.vstack([_errors(slow, drawn, observer, history) for history in histories])
+                np.vstack([errors_on(slow, drawn, observer, history) for history in histories])
             )
         except ConvergenceError:
             continue
@@ -149,14 +153,14 @@ def open_band(
         history=_history(observer, slow, day),
         open=weights,
         square=np.array(
-            [_left(squares, *axis, drawing.floor) for axis in zip(claimed, every, strict=True)]
+            [shortfall(squares, *axis, drawing.floor) for axis in zip(claimed, every, strict=True)]
         ),
     )
 
 
 @dataclass(frozen=True, eq=False)
-class _History:
-    """Heat (n, s), its relaxations (n, s q), features of errors, and mean squares (n, q)."""
+class History:
+    """Heat (n, s), its relaxations (n, s q), features of errors (n, f), and mean squares (n, q)."""
 
     heat: Array
     states: Array
@@ -164,14 +168,15 @@ class _History:
     squares: Array
 
 
-def _history_of(heat: Array, rates: Array, step: float) -> _History:
+def history_of(heat: Array, rates: Array, step: float) -> History:
+    """Return a history from heat (n, s), relative to the reference, on steps of `step` (s)."""
     states = relaxed(heat, rates, step)
     squares = np.square(states.reshape(len(heat), heat.shape[1], -1)).mean(axis=1)
-    return _History(heat, states, np.hstack([states, states**2]), squares)
+    return History(heat, states, np.hstack([states, states**2]), squares)
 
 
 @dataclass(frozen=True, eq=False)
-class _Drawn:
+class Drawn:
     """A machine with the same calibration runs as the fitted one."""
 
     factors: dict[str, float]
@@ -200,9 +205,32 @@ def _directions(rng: np.random.Generator, draws: int, size: int) -> Array:
     return np.asarray(np.sqrt(draws) * (left @ right))
 
 
+def draw_machines(
+    rng: np.random.Generator, problem: Problem, fit: Fit, drawing: Drawing = USUAL
+) -> Iterator[Drawn]:
+    """Yield machines of the posterior, as many as there are parameters or `drawing.draws`.
+
+    Parameters
+    ----------
+    rng : Generator
+        Draws them.
+    problem : Problem
+        The runs of the fit.
+    fit : Fit
+        Parameters, discrepancy, and their uncertainty.
+    drawing : Drawing
+        Number of machines; what is assumed of errors.
+    """
+    for along in _directions(rng, max(drawing.draws, fit.spread.size), fit.spread.size):
+        try:
+            yield _draw(rng, problem, fit, along, drawing)
+        except ConvergenceError:
+            continue
+
+
 def _draw(
     rng: np.random.Generator, problem: Problem, fit: Fit, along: Array, drawing: Drawing
-) -> _Drawn:
+) -> Drawn:
     singular, directions = fit.directions
     known = along / np.sqrt(1.0 + (drawing.assumed * singular) ** 2)
     coordinates = fit.coordinates + fit.spread * (known @ directions)
@@ -230,7 +258,7 @@ def _draw(
     for row in displacement:
         tau = _size(row, sigmas.discrepancy_displacement, drawing.least_share)
         row += _unknown(rng, problem.states, tau * problem.shape, moved_sigma)
-    return _Drawn(
+    return Drawn(
         factors_of(fit.parameters, coordinates),
         Discrepancy(problem.rates, temperature[:, :-1], displacement),
         temperature[:, -1],
@@ -247,10 +275,10 @@ def _unknown(rng: np.random.Generator, states: Array, shape: Array, sigma: float
     return np.asarray(root @ rng.normal(size=root.shape[1]))
 
 
-def _errors(
-    machine: ReducedMachine, drawn: _Drawn, observer: JointAware, history: _History
+def errors_on(
+    machine: ReducedMachine, drawn: Drawn, observer: JointAware, history: History
 ) -> Array:
-    """Errors (n, axes), m, of the observer on a drawn machine."""
+    """Return the errors (n, axes), m, of an observer on a drawn machine."""
     physics = physics_with(machine, drawn.factors)
     count = len(history.heat)
     inputs = machine.inputs(history.heat * machine.power)
@@ -290,10 +318,10 @@ def _explained(features: Array, error: Array, ends: Array, drawing: Drawing) -> 
     return np.asarray(weights * size / scale)
 
 
-def _left(squares: Array, claimed: Array, errors: Array, floor: float) -> Array:
-    """Coefficients (q,) of squares (n, q) for the errors (draws, n) beyond `claimed`, (n,).
+def shortfall(squares: Array, claimed: Array, errors: Array, floor: float) -> Array:
+    """Return coefficients (q,) of squares (n, q) for mean square errors beyond `claimed`, (n,).
 
-    Each is relative to `claimed`.
+    `errors` has the shape (draws, n); every sample counts relative to what is claimed for it.
     """
     mean = np.mean(errors**2, axis=0)
     size = float(mean.max())

@@ -81,6 +81,8 @@ class Search:
 
 #: The defaults.
 SEARCH = Search()
+#: Most evaluations of a search that begins where another fit ended.
+REFITTED = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,6 +226,41 @@ def fit_physics(
         result = _search(problem, parameters, now, defect, search, held)
         evaluations, now = evaluations + 2 + _counted(result), np.where(held, 0.0, result.x)
     return _fit(whole, parameters, now, result.jac[: defect.size], tuple(tried), evaluations)
+
+
+def refit(machine: ReducedMachine, runs: Sequence[Run], fit: Fit, search: Search = SEARCH) -> Fit:
+    """Fit once more to other runs, most of them those of `fit`, from its parameters.
+
+    Parameters
+    ----------
+    machine : ReducedMachine
+        As its case says.
+    runs : sequence of Run
+        From rest.
+    fit : Fit
+        Of about the same runs.
+    search : Search
+        Effort and tolerances; of the search itself a few evaluations.
+
+    Raises
+    ------
+    ConvergenceError
+        The machine cannot be marched through the runs.
+    """
+    parameters, now = fit.parameters, fit.coordinates / fit.spread
+    whole = make_problem(machine, runs)
+    if not parameters:
+        return _fit(whole, parameters, np.zeros(0), np.zeros((0, 0)), (), 1)
+    left = fit_linear(whole, *errors(whole, parameters, fit.coordinates)).temperature
+    whole = replace(whole, trust=trust_in(whole, left))
+    coarse = [coarser(run, search.steps) for run in runs]
+    problem = replace(make_problem(machine, coarse), trust=whole.trust)
+    defect = _defect(whole, problem, parameters, now)
+    held = np.array([isinstance(one, AddedFilm) for one in parameters]) & (now == 0.0)
+    few = replace(search, evaluations=REFITTED, close=search.roughly)
+    result = _search(problem, parameters, now, defect, few, held)
+    jacobian = result.jac[: defect.size]
+    return _fit(whole, parameters, result.x, jacobian, (), 3 + _counted(result))
 
 
 def _undecided(parameters: tuple[Parameter, ...], result: OptimizeResult, search: Search) -> Flags:

@@ -1,18 +1,20 @@
 """Drawn plants: what is drawn, what their sensors tell, and what is said of them."""
 
 import copy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
 
-from benchmarks.plants.drawing import FAMILIES, OFFSET, draw_plant
+from benchmarks.plants.drawing import FAMILIES, OFFSET, PARTS, Unlike, draw_plant
 from benchmarks.plants.driving import DAY, LEVELS, drives
 from benchmarks.plants.estimating import Errors
 from benchmarks.plants.judging import figures
 from benchmarks.plants.preparing import with_parameters
 from benchmarks.plants.responding import answers, measured
+from benchmarks.plants.structural import structural_answers
 from benchmarks.plants.summary import summary_of
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
@@ -90,10 +92,39 @@ def test_a_plant_on_the_modes_of_the_case_answers_as_one_set_up_anew(data, case)
     assert shaken.std() == pytest.approx(5e-8, rel=0.1)
 
 
+def test_a_plant_like_the_case_in_structure_answers_as_one_with_parameters_only(data, case):
+    machine = along(reduce_machine(case, set_up(case), ROLES), ["x", "y"])
+    plant = FAMILIES["structural"](case, ROLES, 1, 3)
+    assert plant.unlike is not None
+    alike = Unlike(
+        dimensions={"wall": 50.0},
+        laws=("surface", "cmy-1969"),
+        uneven=0.0,
+        feet=(1e7, 1e7),
+        films=dict.fromkeys(PARTS, 6.0) | {"interior": 0.0},
+        door=1.0,
+        friction=dict.fromkeys(plant.unlike.friction, 0.0),
+        conduction=0.0,
+        expansion=0.0,
+        gradient=0.0,
+        lag=np.full(4, 1e-3),
+        place=np.zeros((4, 2)),
+    )
+    drive = {"step": drives(machine.step, 0)["step-2.0"]}
+    (plain,) = answers(machine, plant, drive).values()
+    same = replace(plant, unlike=alike)
+    (found,) = structural_answers(data, ROLES, same, drive).values()
+    assert found.temperature == pytest.approx(plain.temperature, abs=0.02)
+    assert found.displacement == pytest.approx(plain.displacement, abs=1e-7)
+    (other,) = structural_answers(data, ROLES, plant, drive).values()
+    assert np.abs(other.displacement - plain.displacement).max() > 1e-6
+
+
 def test_the_summary_takes_the_larger_axis_and_counts_who_is_worse_than_linear(data):
     rows = [
         {
-            **{"plant": plant, "calibration": "steps", "case": "day", "estimator": estimator},
+            **{"plant": plant, "sensors": 4, "calibration": "steps", "case": "day"},
+            "estimator": estimator,
             **{"axis": axis, "max_abs_error_um": error, "rms_error_um": error},
             **{"band_cover": cover, "mean_band_width_um": cover, "interval_score_um": cover},
         }

@@ -15,6 +15,7 @@ from written_estimates import assert_compensate_reads_what_is_written
 from calibrate.joint_aware.assembling import make_observer
 from calibrate.joint_aware.calibration import JointAwareCalibration, report
 from calibrate.joint_aware.identifiability import further_runs, profiles
+from calibrate.joint_aware.left_out import widened
 from calibrate.joint_aware.misfit import Run, make_problem, residuals
 from calibrate.joint_aware.open_band import Drawing, open_band
 from calibrate.joint_aware.physics_fit import Search, fit_physics
@@ -472,6 +473,22 @@ def test_what_the_calibration_leaves_open_widens_the_band_with_the_heat(machine,
     assert np.all(band.square >= 0.0)
     assert band.open.shape == (2, 2, 2 * fit.discrepancy.displacement.shape[1])
     assert np.all(np.abs(band.open).max(axis=(1, 2)) > 0.0)
+
+
+def test_a_run_that_the_others_do_not_predict_widens_the_band(machine, plant, fit):
+    """A machine of the family keeps its band; one that no parameter explains does not."""
+    small = along(machine, ["x", "y"])
+    known = Calibrated(300.0, 3.0, dict.fromkeys(SENSORS, (0.0, 50.0)))
+    model = make_observer(small, fit, known)
+    drawing = Drawing(draws=2, duration=900.0)
+    weak, strong = plant
+    bent = replace(strong, displacement=strong.displacement * [1.0, 1.2])
+    own, other = (
+        widened(small, runs, fit, model, None, drawing).square for runs in (plant, [weak, bent])
+    )
+    assert np.all(other >= 0.0)
+    assert other[1].sum() > 100.0 * own[1].sum()
+    assert widened(small, [strong], fit, model, None, drawing) is model.band
 
 
 def test_a_state_file_goes_on_bit_for_bit_and_knows_its_model(estimator, response, tmp_path):
