@@ -171,9 +171,9 @@ def _marched(
         mean = float(temperature[k].mean())
         more = -unlike.conduction * mean * (conduction @ amplitudes)
         more -= beyond[k] * (modes.film @ amplitudes - air[k])
-        amplitudes = conduct(physics, amplitudes + length * more, given, joint.pressure, length)
+        amplitudes = conduct(physics, amplitudes + length * more, given, joint, length)
         grown = amplitudes * (1.0 + unlike.expansion * mean)
-        joint, displacement[k + 1] = settle_joint(physics, joint, grown)
+        joint, displacement[k + 1] = settle_joint(physics, joint, grown, modes.factors)
         temperature[k + 1] = modes.sensors @ amplitudes
     kept = np.exp(-length / unlike.lag)
     for k in range(count):

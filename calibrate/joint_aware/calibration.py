@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from calibrate.joint_aware.assembling import make_observer
 from calibrate.joint_aware.left_out import widened
-from calibrate.joint_aware.misfit import Run
+from calibrate.joint_aware.misfit import Run, fewer
 from calibrate.joint_aware.open_band import Drawing, open_band
 from calibrate.joint_aware.physics_fit import SEARCH, Fit, Search, fit_physics
 from calibrate.joint_aware.readings import run_in
@@ -146,12 +146,13 @@ def calibrate_machine(
 ) -> JointAwareCalibration:
     """Return the observer of an already reduced machine; see `calibrate_joint_aware`."""
     machine = along(machine, _moving(machine, responses))
-    runs = [run_in(response, machine, name) for name, response in responses.items()]
+    whole = [run_in(response, machine, name) for name, response in responses.items()]
+    runs = [fewer(run) for run in whole]
     fit = fit_physics(machine, runs, fitted, effort.search)
     model = make_observer(machine, fit, calibrated_range(machine, responses), noise)
     band = open_band(machine, runs, fit, model, noise, effort.drawing)
     model = replace(model, band=band)
-    model = replace(model, band=widened(machine, runs, fit, model, noise, effort.drawing))
+    model = replace(model, band=widened(machine, whole, fit, model, noise, effort.drawing))
     return JointAwareCalibration(model, fit, machine, tuple(runs))
 
 

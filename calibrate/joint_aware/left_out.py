@@ -8,14 +8,14 @@ it would have held on every run: split conformal prediction, with runs as blocks
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from calibrate.joint_aware.assembling import make_observer
-from calibrate.joint_aware.misfit import Run, coarser, make_problem
+from calibrate.joint_aware.misfit import Run, coarser, fewer, make_problem
 from calibrate.joint_aware.open_band import (
     HEALTHY,
     Drawing,
@@ -29,12 +29,11 @@ from estimator.interface import follow
 from estimator.joint_aware.estimator import WIDTH, JointAware
 from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.observer_model import Band, ObserverModel
-from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.artefacts.errors import ConvergenceError
 from thermojoint.reduced.machine import ReducedMachine
 
-#: Share of the samples of a run that the band has to hold. Errors last, so that it is nearly all;
-#: but readings of a long run are too far apart for the moments after a change of the heat.
+#: Share of the samples of a run that the band has to hold: errors last, so that it is nearly all.
 HELD = 0.98
 #: Sizes of a variance that are tried, relative to the mean square of what was missed.
 SIZES = (0.0, *np.geomspace(0.1, 100.0, 31))
@@ -55,7 +54,7 @@ def widened(
     machine : ReducedMachine
         As its case says.
     runs : sequence of Run
-        Calibration runs. A single one leaves the band as it is.
+        Calibration runs with all their samples. A single one leaves the band as it is.
     fit : Fit
         Of all runs.
     model : ObserverModel
@@ -65,13 +64,14 @@ def widened(
     drawing : Drawing
         Number of machines drawn.
     """
-    slow = replace(machine, step=max(drawing.step, machine.step))
     unseen = []
+    thinned = [fewer(run) for run in runs]
     for k, run in enumerate(runs if len(runs) > 1 else ()):
-        others = [*runs[:k], *runs[k + 1 :]]
+        others = [*thinned[:k], *thinned[k + 1 :]]
         try:
             fitted = refit(machine, others, fit)
-            unseen.append(_unseen(slow, run, _Others(others, fitted, noise), model, drawing))
+            left = _Others(others, fitted, noise)
+            unseen.append(_unseen(machine, run, left, model, drawing))
         except ConvergenceError:
             continue
     if not unseen:
@@ -119,26 +119,27 @@ def _missing(unseen: Sequence[_Unseen], axis: int, floor: float) -> Array:
 
 
 def _unseen(
-    slow: ReducedMachine, run: Run, others: _Others, model: ObserverModel, drawing: Drawing
+    machine: ReducedMachine, run: Run, others: _Others, model: ObserverModel, drawing: Drawing
 ) -> _Unseen:
     """Errors in a run that was left out, and what the posterior of the others expects."""
     fit = others.fit
-    filtered = make_observer(slow, fit, model.calibrated, others.noise)
-    observer = JointAware(filtered, thresholds=HEALTHY)
-    whole = coarser(run, max(2, round(run.length * len(run.inputs) / slow.step)))
-    grid = whole.length * np.arange(len(whole.inputs) + 1)
-
-    def at_steps(values: Array) -> Array:
-        return np.column_stack([np.interp(grid, run.times, column) for column in values.T])
-
-    ambient = np.append(0.0, whole.inputs[:, -1])
-    readings = np.column_stack([grid, at_steps(run.temperature), ambient])
-    estimates = follow(observer, map(tuple, readings), observer.initial_state())
+    filtered = make_observer(machine, fit, model.calibrated, others.noise)
+    observer, sources = JointAware(filtered), machine.power.size
+    estimates = follow(
+        observer, _samples(run, sources + len(machine.held.names)), observer.initial_state()
+    )
     found = np.array([estimate.displacement for _, estimate in estimates])
-    errors = (found - at_steps(run.displacement))[1:]
+    # What the posterior expects, on the longer steps of the band.
+    slow = replace(machine, step=max(drawing.step, machine.step))
+    steps = coarser(run, max(2, round(run.length * len(run.inputs) / slow.step)))
+    grid = steps.length * np.arange(1, len(steps.inputs) + 1)
+    # Means over these steps: the noise of the displacement's readings is no error.
+    errors, read = _means(found - run.displacement, run.times, grid)
     problem = make_problem(slow, [coarser(one, SEARCH.steps) for one in others.runs])
-    heat = whole.inputs[:, :-1] / slow.power
-    history = history_of(heat, fit.discrepancy.rates, slow.step)
+    history = history_of(steps.inputs[:, :sources] / slow.power, fit.discrepancy.rates, slow.step)
+    observer = JointAware(
+        make_observer(slow, fit, model.calibrated, others.noise), thresholds=HEALTHY
+    )
     rng = np.random.default_rng(drawing.seed)
     drawn = [
         errors_on(slow, one, observer, history) for one in draw_machines(rng, problem, fit, drawing)
@@ -146,4 +147,19 @@ def _unseen(
     expected = filtered.band.steady + filtered.band.constant + np.mean(np.square(drawn), axis=0)
     # What lasts for longer than the run is not told by it.
     told = fit.discrepancy.rates * grid[-1] >= 1.0
-    return _Unseen(history.squares * told, expected, errors)
+    return _Unseen((history.squares * told)[read], expected[read], errors)
+
+
+def _means(values: Array, times: Array, grid: Array) -> tuple[Array, Flags]:
+    """Means of values (n, c) read at `times` (n,) in every step of `grid`, and which have any."""
+    step = np.searchsorted(grid * (1.0 + 1e-9), times)[:, None] == np.arange(grid.size)
+    count = step.sum(axis=0)
+    read = count > 0
+    return (step.T @ values)[read] / count[read, None], read
+
+
+def _samples(run: Run, driven: int) -> Iterator[tuple[float, ...]]:
+    """Yield the readings of a run, with the inputs after the first `driven`: ambient and loads."""
+    grid = run.length * np.arange(1, len(run.inputs) + 1)
+    given = [np.interp(run.times, grid, column) for column in run.inputs[:, driven:].T]
+    yield from map(tuple, np.column_stack([run.times, run.temperature, *given]).tolist())

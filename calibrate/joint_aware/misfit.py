@@ -103,6 +103,17 @@ def coarser(run: Run, steps: int) -> Run:
     return replace(run, inputs=means, length=factor * run.length)
 
 
+def fewer(run: Run, samples: int = SIGMAS.samples) -> Run:
+    """Return a run with at most this many samples; the first one, at rest, tells the offsets."""
+    kept = slice(None, None, max(1, math.ceil(run.times.size / samples)))
+    return replace(
+        run,
+        times=run.times[kept],
+        temperature=run.temperature[kept],
+        displacement=run.displacement[kept],
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Problem:
     """Calibration runs of a machine, prepared for comparison with it.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from calibrate.joint_aware.misfit import SIGMAS, Run, physics_with
+from calibrate.joint_aware.misfit import Run, physics_with
 from estimator.joint_aware.readings import ambient_in, loads_in, temperatures_in
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
@@ -15,7 +15,7 @@ from thermojoint.reduced.physics import at_start
 
 
 def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
-    """Return a calibration run on the steps of the march.
+    """Return a calibration run on the steps of the march, with all its samples.
 
     Parameters
     ----------
@@ -51,13 +51,11 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     if not displacement[0].any():
         # A log counts from its beginning, a machine under loads from where nothing acts.
         displacement = displacement + at_start(physics_with(machine, {}))[1]
-    # The first sample, at rest, determines the offsets.
-    kept = slice(None, None, max(1, int(np.ceil(times.size / SIGMAS.samples))))
     return Run(
         inputs=np.column_stack([driven, held, ambient, *factors]),
-        times=times[kept],
-        temperature=temperatures_in(response, machine.sensor_names)[kept],
-        displacement=displacement[kept],
+        times=times,
+        temperature=temperatures_in(response, machine.sensor_names),
+        displacement=displacement,
         length=machine.step,
     )
 

@@ -16,7 +16,7 @@ from calibrate.joint_aware.assembling import make_observer
 from calibrate.joint_aware.calibration import JointAwareCalibration, report
 from calibrate.joint_aware.identifiability import further_runs, profiles
 from calibrate.joint_aware.left_out import widened
-from calibrate.joint_aware.misfit import Run, make_problem, residuals
+from calibrate.joint_aware.misfit import Run, make_problem, physics_with, residuals
 from calibrate.joint_aware.open_band import Drawing, open_band
 from calibrate.joint_aware.physics_fit import Search, fit_physics
 from calibrate.joint_aware.readings import run_in
@@ -481,10 +481,18 @@ def test_a_run_that_the_others_do_not_predict_widens_the_band(machine, plant, fi
     known = Calibrated(300.0, 3.0, dict.fromkeys(SENSORS, (0.0, 50.0)))
     model = make_observer(small, fit, known)
     drawing = Drawing(draws=2, duration=900.0)
-    weak, strong = plant
+    physics = physics_with(machine, TRUE)
+    whole = []
+    for one in plant:
+        marched = simulate_known(physics, one.inputs, one.length)
+        read = (np.vstack([np.zeros(values.shape[1]), values]) for values in marched)
+        temperature, displacement = read
+        times = one.length * np.arange(len(temperature))
+        whole.append(Run(one.inputs, times, temperature, displacement[:, :2], one.length))
+    weak, strong = whole
     bent = replace(strong, displacement=strong.displacement * [1.0, 1.2])
     own, other = (
-        widened(small, runs, fit, model, None, drawing).square for runs in (plant, [weak, bent])
+        widened(small, runs, fit, model, None, drawing).square for runs in (whole, [weak, bent])
     )
     assert np.all(other >= 0.0)
     assert other[1].sum() > 100.0 * own[1].sum()
