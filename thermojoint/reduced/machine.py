@@ -512,7 +512,8 @@ def _drive(
 
 def coupled_in(machine: ReducedMachine, basis: Array) -> ReducedMachine:
     """Return a machine on other modes, columns of `basis` (r, k), but for its r x r matrices."""
-    elastic, acting, start = machine.elastic, machine.acting, np.zeros(basis.shape[1])
+    elastic, acting = machine.elastic, machine.acting
+    start: Array = np.zeros(basis.shape[1])
     if machine.start.any():
         capacity = basis.T @ machine.capacity
         start = np.linalg.solve(capacity @ basis, capacity @ machine.start)

@@ -132,7 +132,7 @@ def radiated() -> float:
 def other_checks() -> Iterator[Check]:
     """Heat flow through the two bars with conductances other than Eq. 11."""
     cold = steady_machine(bars("hexahedra", (3, 3, 2), (4, 3, 2)))
-    surface = {
+    surface: dict[str, Any] = {
         "along": 3,
         "across": 2,
         "roughness_um": 1e6 * ROUGHNESS,
