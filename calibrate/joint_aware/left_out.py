@@ -132,7 +132,7 @@ def _unseen(
     # What the posterior expects, on the longer steps of the band.
     slow = replace(machine, step=max(drawing.step, machine.step))
     steps = coarser(run, max(2, round(run.length * len(run.inputs) / slow.step)))
-    grid = steps.length * np.arange(1, len(steps.inputs) + 1)
+    grid = steps.length * np.arange(1.0, len(steps.inputs) + 1.0)
     # Means over these steps: the noise of the displacement's readings is no error.
     errors, read = _means(found - run.displacement, run.times, grid)
     problem = make_problem(slow, [coarser(one, SEARCH.steps) for one in others.runs])

@@ -516,7 +516,7 @@ def coupled_in(machine: ReducedMachine, basis: Array) -> ReducedMachine:
     start: Array = np.zeros(basis.shape[1])
     if machine.start.any():
         capacity = basis.T @ machine.capacity
-        start = np.linalg.solve(capacity @ basis, capacity @ machine.start)
+        start[:] = np.linalg.solve(capacity @ basis, capacity @ machine.start)
     if acting is not None:
         springs = replace(acting.springs, growth=acting.springs.growth @ basis)
         acting = replace(acting, springs=springs)
