@@ -9,12 +9,15 @@ import time
 
 import numpy as np
 import pytest
-from linuxcnc_control import control, needs_linuxcnc
+from linuxcnc_control import INI, control, needs_linuxcnc
 from live_parts import free_port
 from repository import ROOT
 from warming_machine import RATE, prepare, started, warming_up
 
+from thermojoint.artefacts.errors import InputError
 from thermojoint.live.archive import Archive
+from thermojoint.live.settings import read_service
+from thermojoint.live.targets.linuxcnc import files_for
 from thermojoint.live.targets.linuxcnc_component import (
     FOLLOW,
     HOLD,
@@ -134,3 +137,25 @@ def test_a_step_waits_until_the_control_has_taken_the_last_one():
     assert moved(first, 0, 30, 4, 0.1) == first
     assert moved(first, 4, 30, 4, 0.1) == Axis(108, 8, 0.1)
     assert moved(first, 0, 30, 4, 1.2) == Axis(108, 4, 1.2)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("OFFSET_AV_RATIO = 0.1\n", "", "the control ignores offsets"),
+        ("[AXIS_Z]", "[AXIS_W]", "there is no [AXIS_Z]"),
+        ("LINEAR_UNITS = mm", "LINEAR_UNITS = cubit", "write mm or inch"),
+        ("HALFILE = LIB:basic_sim.tcl\n", "", "[HAL] has no HALFILE"),
+    ],
+)
+def test_a_control_that_would_not_move_is_refused(old, new, told, tmp_path, hand_made_model):
+    prepare(tmp_path, hand_made_model, BLOCKS["toml"] + '[http]\nsecurity = "none"\n')
+    service, ini = read_service(tmp_path / "service.toml"), tmp_path / "mill.ini"
+    ini.write_text(INI.replace("LINEAR_UNITS = mm", "LINEAR_UNITS = inch"))
+    found = files_for(service, "mill", ini, tmp_path / "token", None)
+    assert "--units-per-mm=0.0393700787" in found[tmp_path / "thermojoint.hal"]
+    assert found[ini].count("HALFILE") == 2
+    ini.write_text(INI.replace(old, new))
+    with pytest.raises(InputError) as error:
+        files_for(service, "mill", ini, tmp_path / "token", None)
+    assert told in str(error.value)
