@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import TYPE_CHECKING
@@ -20,9 +21,10 @@ from calibrate.linear import (
 )
 from calibrate.placement.fchs import (
     RULE,
+    JointSensors,
     Placement,
     choose_heat_pair,
-    rank_joint_pairs,
+    rank_joint_sensors,
     sources_for,
     with_roles,
 )
@@ -35,9 +37,10 @@ from calibrate.responses import (
     reference_power,
 )
 from calibrate.source_thermal import Averaging, fit_by_averaging, make_geometry
+from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import ConvergenceError, InputError, ThermojointError
-from thermojoint.artefacts.response import axes_of, probes_of
+from thermojoint.artefacts.response import probes_of
 from thermojoint.models import blocks
 from thermojoint.models.assembly import assemble
 from thermojoint.models.filters.inverse import unstable_zeros
@@ -50,15 +53,19 @@ from thermojoint.models.parameters import (
     RingModel,
     Span,
 )
-from thermojoint.models.sensors import JOINT_SENSORS, ROLES, readings
+from thermojoint.models.sensors import HEAT_SENSORS, named_sensors, readings
 
 if TYPE_CHECKING:
     import xarray as xr
 
 #: Largest factor on A that `stabilised` tries.
 MOST_RAISED = 64.0
-#: Joint pairs tried by the placement before it gives up.
-MOST_PAIRS = 40
+#: Sources that the placement gives a machine, as many as the paper's; fewer with fewer inputs.
+SOURCES = 2
+#: Sets of sensors at the joint tried before one with a sensor fewer.
+MOST_SETS = 12
+#: Samples of a response that are used: a longer one is thinned evenly.
+MOST_SAMPLES = 1500
 #: Seed of the temperature errors that must cause no displacement.
 SEED = 0
 
@@ -78,6 +85,8 @@ class Calibrated(Described):
         The loop of Figure 4 on the same data as Table 2, for comparison only.
     placement : Placement or None
         None if the responses named their sensors.
+    compromise : str
+        Why there are fewer sources than asked for; empty if there are as many.
     """
 
     model: Model
@@ -85,9 +94,16 @@ class Calibrated(Described):
     fictitious: FictitiousCalibration
     averaging: Averaging
     placement: Placement | None
+    compromise: str = ""
 
     def _facts(self) -> dict[str, str]:
         return {"model": repr(self.model)}
+
+    @property
+    def sensors_text(self) -> str:
+        """The chosen sensors and the compromise, as lines."""
+        placed = "" if self.placement is None else str(self.placement)
+        return "\n".join(part for part in (placed, self.compromise) if part)
 
 
 @threadpool_limits.wrap(limits=1)
@@ -98,14 +114,16 @@ def calibrate_responses(
 ) -> Calibrated:
     """Return the calibrated model of a structure from its responses to steps.
 
-    All axes with motion are calibrated (`calibrate.responses.moving_axes`).
+    All axes with motion are calibrated (`calibrate.responses.moving_axes`). Named sensors T1, T2
+    ... Tn have n sources; without names there are `SOURCES` (one, with one further input). If no
+    such model has a stable inverse, there is a source fewer, and `Calibrated.compromise` says why.
 
     Parameters
     ----------
     reference : xarray.Dataset
         Response to the reference step.
     others : mapping
-        Heat input to the response to it.
+        Heat input to the response to it; at least as many as sources.
     distances : sequence of sequences, optional
         r_ij, m, from fictitious source i to sensor T_j, if the responses name their sensors.
         Default: the sources lie at the contact elements nearest to the sensors.
@@ -115,76 +133,101 @@ def calibrate_responses(
     InputError
         The responses are inconsistent, sensors are missing and there are no candidates to choose
         from, or no choice of them gives a stable estimator.
-    ConvergenceError
-        The sensors named in the responses give no stable estimator.
     """
-    check_responses(reference, others)
-    named = set(probes_of(reference)) >= set(ROLES)
-    if distances is not None and not named:
+    known = probes_of(reference)
+    sensors = named_sensors(known)[len(HEAT_SENSORS) :]
+    check_responses(reference, others, len(sensors))
+    if distances is not None and not sensors:
         raise InputError(
             "distances: they belong to sensors that are named; name the probes a, b, T1 and T2"
         )
-    near_source, at_joint = ([], []) if named else candidates_in(reference)
-    check_probes(others, ROLES if named else (*near_source, *at_joint))
+    near_source, at_joint = ([], list(sensors)) if sensors else candidates_in(reference)
+    check_probes(others, (*HEAT_SENSORS, *sensors) if sensors else (*near_source, *at_joint))
     axes = moving_axes(reference, others)
-    base = reference.sel(axis=axes)
-    rest = {level: response.sel(axis=axes) for level, response in others.items()}
-    if not named:
-        return _place_and_calibrate(base, rest, near_source, at_joint)
-    if distances is None:
-        table = sources_for(base, JOINT_SENSORS)[1].tolist()
-    else:
-        table = checked_distances(distances)
-    return _calibrate(base, rest, table, calibrate_heat(base, calibrate_displacements(base)), None)
-
-
-def _place_and_calibrate(
-    base: xr.Dataset, rest: Mapping[float, xr.Dataset], near_source: list[str], at_joint: list[str]
-) -> Calibrated:
-    axes = axes_of(base)
-    displacements = calibrate_displacements(base)
-    shapes = {axis: shape for axis, (shape, _) in displacements.items()}
-    heat = choose_heat_pair(base, rest, shapes, near_source)
-    by_source = calibrate_heat(with_roles(base, {"a": heat.a, "b": heat.b}), displacements)
-    refused = ""
-    for pair in islice(rank_joint_pairs(base, rest, axes, at_joint), MOST_PAIRS):
-        placement = Placement(heat, pair, *sources_for(base, (pair.T1, pair.T2)))
-        own = with_roles(base, placement.roles)
-        named = {level: with_roles(response, placement.roles) for level, response in rest.items()}
-        try:
-            return _calibrate(own, named, placement.distances.tolist(), by_source, placement)
-        except ThermojointError as error:
-            # The responses are valid and a and b are chosen: any failure here is due to this pair.
-            refused = str(error)
-    if not refused:
-        raise InputError(
-            f"placement: no two candidates at the joint lie {RULE.apart:g} m apart; give more "
-            "[[candidates]] there"
-        )
-    raise InputError(
-        f"placement: none of the best {MOST_PAIRS} pairs at the joint gives a stable estimator "
-        f"({refused}); give other [[candidates]]"
+    every = math.ceil(reference.sizes["time"] / MOST_SAMPLES)
+    base, *runs = (
+        response.sel(axis=axes).isel(time=slice(None, None, every))
+        for response in (reference, *others.values())
     )
+    rest = dict(zip(others, runs, strict=True))
+    if sensors:
+        apart = (
+            sources_for(base, sensors)[1]
+            if distances is None
+            else np.array(checked_distances(distances, len(sensors)))
+        )
+    displacements = calibrate_displacements(base)
+    if not sensors:
+        shapes = {axis: shape for axis, (shape, _) in displacements.items()}
+        heat = choose_heat_pair(base, rest, shapes, near_source)
+        base_of_heat = with_roles(base, {"a": heat.a, "b": heat.b})
+    by_source = calibrate_heat(base if sensors else base_of_heat, displacements)
+    refused = ""
+    most = len(sensors) or min(SOURCES, len(rest))
+    for chosen in _joint_sensors(base, rest, at_joint, most):
+        try:
+            if sensors:
+                part = [sensors.index(name) for name in chosen.probes]
+                of = _Sensors(chosen.probes, apart[np.ix_(part, part)], None)
+                own, named = base, rest
+            else:
+                placement = Placement(heat, chosen, *sources_for(base, chosen.probes))
+                of = _Sensors(tuple(placement.roles)[2:], placement.distances, placement)
+                own = with_roles(base, placement.roles)
+                named = {q: with_roles(run, placement.roles) for q, run in rest.items()}
+            calibrated = _calibrate(own, named, by_source, of)
+        except ThermojointError as error:
+            # The responses are valid and a and b are chosen: any failure is due to these sensors.
+            refused = str(error)
+            continue
+        had = len(chosen.probes)
+        fewer = f"{had} of {most} fictitious sources: {refused}" if had < most else ""
+        return replace(calibrated, compromise=fewer)
+    raise InputError(
+        f"placement: no sensors at the joint give a stable estimator ({refused or 'none given'}); "
+        "give other [[candidates]] there"
+    )
+
+
+@dataclass(frozen=True)
+class _Sensors:
+    """Roles of the sensors at the joint, r_ij (m), and how they were placed."""
+
+    roles: tuple[str, ...]
+    distances: Array
+    placement: Placement | None
+
+
+def _joint_sensors(
+    base: xr.Dataset, rest: Mapping[float, xr.Dataset], names: list[str], most: int
+) -> Iterator[JointSensors]:
+    """Yield sets of sensors to be tried: of `most` of `names`, then of fewer."""
+    if len(names) == most:
+        yield JointSensors(tuple(names), math.nan, math.nan)
+        most -= 1
+    for count in range(most, 0, -1):
+        yield from islice(rank_joint_sensors(base, rest, names, count), MOST_SETS)
 
 
 def _calibrate(
     base: xr.Dataset,
     rest: Mapping[float, xr.Dataset],
-    distances: Sequence[Sequence[float]],
     by_source: LinearCalibration,
-    placement: Placement | None,
+    sensors: _Sensors,
 ) -> Calibrated:
-    """Calibrate with given sensors; `by_source` is Table 1 without T1 and T2."""
-    linear = with_direct_models(by_source, base)
-    fictitious = calibrate_fictitious(base, rest, distances)
-    position = base["probe_position"].sel(probe=list(ROLES)).to_numpy()
+    """Calibrate with given sensors; `by_source` is Table 1 without those at the joint."""
+    distances = sensors.distances.tolist()
+    linear = with_direct_models(by_source, base, sensors.roles)
+    fictitious = calibrate_fictitious(base, rest, distances, sensors.roles)
+    roles = [*HEAT_SENSORS, *sensors.roles]
+    position = base["probe_position"].sel(probe=roles).to_numpy()
     model = Model(
         linear=linear.model,
         sources=fictitious.sources,
-        distances=tuple(tuple(map(float, row)) for row in distances),
+        distances=tuple(map(tuple, distances)),
         sensors={
             role: (float(x), float(y), float(z))
-            for role, (x, y, z) in zip(ROLES, position, strict=True)
+            for role, (x, y, z) in zip(roles, position, strict=True)
         },
         reference_power_W=reference_power(base),
         span=span_of(linear.model, base, rest),
@@ -194,7 +237,7 @@ def _calibrate(
     model = replace(model, sources=_driven_models(model, base, rest, fictitious))
     data = fictitious.deviations
     averaging = fit_by_averaging(data.t, data.temperatures, data.inputs, make_geometry(distances))
-    return Calibrated(model, linear, fictitious, averaging, placement)
+    return Calibrated(model, linear, fictitious, averaging, sensors.placement)
 
 
 def span_of(linear: LinearModel, base: xr.Dataset, rest: Mapping[float, xr.Dataset]) -> Span:

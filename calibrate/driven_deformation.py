@@ -30,8 +30,8 @@ from thermojoint.models.parameters import DeformationModel
 RIDGE = 1e-2
 #: Starts of the search: the strengths determine the rates better than steps do.
 STARTS = 4
-#: Correlation times of `uncertain_signals`, s: from a sensor's noise to a drift over the run.
-UNCERTAIN_TIMES = (20.0, 80.0, 320.0, 1280.0)
+#: Correlation times of `uncertain_signals` per length of the run: from a sensor's noise to a drift.
+UNCERTAIN = (1 / 105, 4 / 105, 16 / 105, 64 / 105)
 
 
 def uncertain_signals(times: np.ndarray, rms: float, channels: int, seed: int) -> list[np.ndarray]:
@@ -56,14 +56,15 @@ def uncertain_signals(times: np.ndarray, rms: float, channels: int, seed: int) -
     Returns
     -------
     list of ndarray, shape (n, channels)
-        One per `UNCERTAIN_TIMES`, K.
+        One per time of `UNCERTAIN`, K.
     """
     from scipy.signal import lfilter
 
     interval = float(times[1] - times[0])
     random = np.random.default_rng(seed)
     signals = []
-    for memory in UNCERTAIN_TIMES:
+    for share in UNCERTAIN:
+        memory = share * float(times[-1] - times[0])
         keep = np.exp(-interval / memory)
         lead = int(5.0 * memory / interval)
         white = random.standard_normal((len(times) + lead, channels))

@@ -41,7 +41,7 @@ class Deviations:
     t : ndarray, shape (n,)
         Times after the step, s.
     temperatures : ndarray, shape (inputs, sensors, n)
-        ∂T_j, K; sensors T1, T2.
+        ∂T_j, K; sensors T1, T2 ...
     displacements : dict
         Axis name to δ_NL, m, shape (inputs, n).
     """
@@ -127,6 +127,7 @@ def check_steps(
 def deviations_from(
     reference: xr.Dataset,
     others: Mapping[float, xr.Dataset],
+    sensors: Sequence[str] = JOINT_SENSORS,
     where: str = "calibration responses",
 ) -> Deviations:
     """Return ∂T_j = T_j - Q̄ T_j(1) and δ_NL = δ - Q̄ δ(1) of further steps.
@@ -135,17 +136,19 @@ def deviations_from(
     ----------
     reference, others, where
         As in `check_steps`, which checks them; the reference is divided by its level.
+    sensors : sequence of str
+        T1, T2 ...
     """
     base = check_steps(reference, others, where)
     t = steps.times(reference)
     axes = axes_of(reference)
     inputs = tuple(sorted(float(level) for level in others))
-    temperatures = np.empty((len(inputs), len(JOINT_SENSORS), t.size))
+    temperatures = np.empty((len(inputs), len(sensors), t.size))
     displacements = {axis: np.empty((len(inputs), t.size)) for axis in axes}
     for index, level in enumerate(inputs):
         name, response = f"{where}, input {level:g}", others[level]
         factor = level / base
-        for j, sensor in enumerate(JOINT_SENSORS):
+        for j, sensor in enumerate(sensors):
             temperatures[index, j] = steps.temperature(
                 response, sensor, name
             ) - factor * steps.temperature(reference, sensor, where)
@@ -198,27 +201,23 @@ def calibrate_fictitious(
     reference: xr.Dataset,
     others: Mapping[float, xr.Dataset],
     distances: Sequence[Sequence[float]],
-    *,
-    radii: Sequence[float] | None = None,
+    sensors: Sequence[str] = JOINT_SENSORS,
     reference_input: float | None = None,
-    where: str = "calibration responses",
 ) -> FictitiousCalibration:
     """Return Tables 2 and 3 from step responses at the reference and at other heat inputs.
 
     Parameters
     ----------
     reference : xarray.Dataset
-        Step response at the reference input, with probes T1 and T2.
+        Step response at the reference input, with the probes `sensors`.
     others : mapping
         Heat input (e.g. 0.5 and 2.0) to the step response at it.
     distances : sequence of sequences
         r_ij, m, from source i to sensor T_j; source i belongs to sensor T_i.
-    radii : sequence of float, optional
-        r0_i, m; default `source_thermal.SOURCE_RADIUS`.
+    sensors : sequence of str
+        T1, T2 ..., one for each source.
     reference_input : float, optional
         Heat input at which every strength is 1; default the largest of `others`.
-    where : str
-        For error messages.
 
     Raises
     ------
@@ -227,17 +226,17 @@ def calibrate_fictitious(
     ConvergenceError
         A source has no stable inverse at its sensor.
     """
-    geometry = source_thermal.make_geometry(distances, radii)
-    if geometry.distances.shape[0] > len(JOINT_SENSORS):
+    geometry = source_thermal.make_geometry(distances)
+    if geometry.distances.shape != (len(sensors),) * 2:
         raise InputError(
-            f"fictitious sources: {geometry.distances.shape[0]} sources but {len(JOINT_SENSORS)} "
+            f"fictitious sources: distances of shape {geometry.distances.shape} for {len(sensors)} "
             "sensors; every source needs its own sensor"
         )
-    data = deviations_from(reference, others, where)
+    data = deviations_from(reference, others, sensors)
     unity = max(data.inputs) if reference_input is None else float(reference_input)
     if unity not in data.inputs:
         raise InputError(
-            f"{where}: no response at reference_input {unity:g}; choose one of "
+            f"calibration responses: no response at reference_input {unity:g}; choose one of "
             f"{', '.join(f'{level:g}' for level in data.inputs)}"
         )
     joint = source_thermal.fit_jointly(data.t, data.temperatures, data.inputs, geometry)

@@ -17,7 +17,7 @@ from calibrate.source_thermal import make_geometry
 from thermojoint.artefacts import steps
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.response import axes_of, probes_of
-from thermojoint.models.sensors import JOINT_SENSORS, ROLES
+from thermojoint.models.sensors import ROLES
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -29,12 +29,15 @@ WHERE = "calibration responses"
 
 
 def candidates_in(response: xr.Dataset) -> tuple[list[str], list[str]]:
-    """Return the probes in the case's two candidate boxes: around the source, and at the joint.
+    """Return the candidates for the sensors around the source, and for those at the joint.
+
+    Two boxes of candidates in the case are those. Otherwise every probe is a candidate for a and b,
+    and the half of them nearest to the contact elements for T1, T2 ...
 
     Raises
     ------
     InputError
-        The response contains no case, or its case does not have two boxes.
+        A response that was not simulated does not name its sensors.
     """
     try:
         boxes = json.loads(response.attrs["case"])["candidates"]
@@ -44,18 +47,15 @@ def candidates_in(response: xr.Dataset) -> tuple[list[str], list[str]]:
             f"{WHERE}, reference: contains no case and no probe {missing}; name the sensors a, b, "
             "T1 and T2"
         ) from None
-    check_boxes(len(boxes))
-    near_source, at_joint = (_inside(response, box["low_mm"], box["high_mm"]) for box in boxes)
-    return near_source, at_joint
-
-
-def check_boxes(count: int) -> None:
-    """Refuse cases without exactly the two candidate boxes of the placement rule."""
-    if count != 2:
-        raise InputError(
-            f"candidates: the placement rule needs two boxes, the first around the source, the "
-            f"second at the joint; the case has {count}"
-        )
+    if len(boxes) == 2:
+        near_source, at_joint = (_inside(response, box["low_mm"], box["high_mm"]) for box in boxes)
+        return near_source, at_joint
+    names = probes_of(response)
+    if "contact_position" not in response:
+        return names, []
+    apart = response["probe_position"].to_numpy()[:, None] - response["contact_position"].to_numpy()
+    nearest_first = np.argsort(np.linalg.norm(apart, axis=2).min(axis=1), kind="stable")
+    return names, [names[i] for i in sorted(nearest_first[: (len(names) + 1) // 2])]
 
 
 def _inside(response: xr.Dataset, low_mm: Sequence[float], high_mm: Sequence[float]) -> list[str]:
@@ -65,8 +65,19 @@ def _inside(response: xr.Dataset, low_mm: Sequence[float], high_mm: Sequence[flo
     return [probes_of(response)[index] for index in np.flatnonzero(holds)]
 
 
-def check_responses(reference: xr.Dataset, others: Mapping[float, xr.Dataset]) -> None:
+def check_responses(
+    reference: xr.Dataset, others: Mapping[float, xr.Dataset], sources: int
+) -> None:
     """Refuse responses that cannot be calibrated together, wherever the sensors are.
+
+    Parameters
+    ----------
+    reference : xarray.Dataset
+        Response to the reference step.
+    others : mapping
+        Heat input to the response to it.
+    sources : int
+        Number of fictitious sources; 0 if it is not given.
 
     Raises
     ------
@@ -76,9 +87,9 @@ def check_responses(reference: xr.Dataset, others: Mapping[float, xr.Dataset]) -
     """
     check_steps(reference, others, WHERE)
     steps.even_interval(steps.times(reference), f"{WHERE}, reference")
-    if len(others) < len(JOINT_SENSORS):
+    if len(others) < max(1, sources):
         raise InputError(
-            f"{WHERE}: {len(others)} beside the reference for {len(JOINT_SENSORS)} fictitious "
+            f"{WHERE}: {len(others)} beside the reference for {max(1, sources)} fictitious "
             "sources; give as many heat inputs as sources, or more"
         )
     if "probe_position" not in reference:
@@ -118,15 +129,14 @@ def reference_power(response: xr.Dataset) -> float:
     return power
 
 
-def checked_distances(distances: Sequence[Sequence[float]]) -> list[list[float]]:
-    """Return r_ij, m, one row for each fictitious source, one column for each sensor.
+def checked_distances(distances: Sequence[Sequence[float]], count: int) -> list[list[float]]:
+    """Return r_ij, m, one row for each of `count` fictitious sources, one column for each sensor.
 
     Raises
     ------
     InputError
         Their number is wrong, or one is not positive.
     """
-    count = len(JOINT_SENSORS)
     if [len(row) for row in distances] != [count] * count:
         raise InputError(
             f"distances: give r_ij from source i to sensor T_j, {count} rows of {count}, in m"

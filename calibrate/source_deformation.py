@@ -20,7 +20,7 @@ from thermojoint.models import deformation
 from thermojoint.models.parameters import DeformationModel
 
 #: Cost of a term of Eq. 18 as large as δ_NL, as an error relative to it (`least_squares`).
-RIDGE = 1e-4
+RIDGE = 3e-6
 
 #: (source, its unit step response (n, p)) to the response at every input (inputs, n, p).
 Respond = Callable[[int, np.ndarray], np.ndarray]

@@ -18,15 +18,13 @@ import numpy as np
 
 from calibrate.fit_result import Fit
 from calibrate.least_squares import Separable, fit, fit_linear
+from calibrate.linear import ring_bounds
 from thermojoint.artefacts import steps
 from thermojoint.artefacts.errors import InputError
 from thermojoint.models import ring_source
 
-#: Radius of the ring that represents a fictitious source, m.
-SOURCE_RADIUS = 0.02
-#: Bounds of a (1/m2) and alpha (m2/s).
-_LOWER = (1e-2, 1e-7)
-_UPPER = (1e3, 1e-2)
+#: Radius of the ring that represents a fictitious source, relative to the distance of its sensor.
+SOURCE_RADIUS = 0.4
 #: Starts of the search in the first round of Figure 4's loop.
 FIRST_STARTS = 8
 
@@ -50,7 +48,7 @@ class SourceGeometry:
 def make_geometry(
     distances: Sequence[Sequence[float]] | np.ndarray, radii: Sequence[float] | None = None
 ) -> SourceGeometry:
-    """Return a checked geometry; `radii` defaults to `SOURCE_RADIUS` for every source.
+    """Return a checked geometry; `radii` defaults to `SOURCE_RADIUS` of the own distances.
 
     Raises
     ------
@@ -60,7 +58,8 @@ def make_geometry(
     table = np.asarray(distances, dtype=float)
     if table.ndim != 2 or not table.size:
         raise InputError("fictitious sources: distances must be one row per source, m")
-    rings = np.full(table.shape[0], SOURCE_RADIUS) if radii is None else np.asarray(radii, float)
+    own = table[np.arange(len(table)), np.minimum(np.arange(len(table)), table.shape[1] - 1)]
+    rings = SOURCE_RADIUS * own if radii is None else np.asarray(radii, float)
     if rings.shape != (table.shape[0],):
         raise InputError(f"fictitious sources: {rings.size} radii for {table.shape[0]} sources")
     for name, values in (("distances", table), ("radii", rings)):
@@ -159,13 +158,14 @@ def _problem(
     """Return the fit of deviations, shape (inputs, sensors, n), sharing the rates."""
     sources = geometry.distances.shape[0]
     pairs = [(f"a{i + 1}", f"alpha{i + 1}") for i in range(sources)]
+    bounds = [ring_bounds(t, radius / SOURCE_RADIUS) for radius in geometry.radii]
     return Separable(
         basis=lambda rates: unit_responses(t, rates, geometry),
         data=deviations.reshape(len(inputs), -1).T,
         names=tuple(name for pair in pairs for name in pair),
         linear_names=tuple(f"P{i + 1}@{level:g}" for i in range(sources) for level in inputs),
-        lower=_LOWER * sources,
-        upper=_UPPER * sources,
+        lower=tuple(value for low, _ in bounds for value in low),
+        upper=tuple(value for _, high in bounds for value in high),
         unit="K",
     )
 

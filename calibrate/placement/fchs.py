@@ -1,19 +1,23 @@
-"""Placement rule for the sensors a, b, T1 and T2, from calibration data alone.
+"""Placement rule for the sensors a, b, T1, T2 ..., from calibration data alone.
 
 It uses the responses to the calibration steps, never a validation case. All choices are judged by
-the displacement error, so both halves of the rule are in micrometres.
+the displacement error, so both halves of the rule are in micrometres. Bounds are relative to the
+machine at hand: to its largest temperature difference, to the extent of the candidates, to the
+length of the run.
 
-Heat (a, b). Of all pairs, keep those whose difference is proportional to the heat input, large and
-monotone (`Rule` has the bounds). Of these take a shortlist of those that respond fastest (a fast
-pair needs little regularisation). Fit Eq. 2 to each, build its inverse, and choose the pair whose
-estimated linear displacement is best at all calibration inputs.
+Heat (a, b). Of all pairs, keep those whose difference is proportional to the heat input, monotone
+and large (`Rule` has the bounds). Where no pair is proportional within the bound, as in runs of
+hours in which the joint changes the whole temperature field, the bound is doubled until one is;
+the placement states what was reached. Of these take a shortlist of those that respond fastest (a
+fast pair needs little regularisation). Fit Eq. 2 to each, build its inverse, and choose the pair
+whose estimated linear displacement is best at all calibration inputs.
 
-Joint (T1, T2). Pass every candidate's temperature deviation through four low-pass filters and fit
-the nonlinear displacement at the calibration inputs with each pair, regularised for the uncertainty
-of a deviation. Rank the pairs by the residual; sensors that are too close would see one source
-twice. Pairs with a sensor whose deviation never exceeds its uncertainty come last. The first pair
-whose source model has a stable inverse is used. Fictitious source i lies at the contact element
-nearest to T_i, which determines r_ij.
+Joint (T1, T2 ...). Pass every candidate's temperature deviation through four low-pass filters and
+fit the nonlinear displacement at the calibration inputs with each set of candidates, regularised
+for the uncertainty of a deviation. Rank the sets by the residual; sensors that are too close would
+see one source twice. Sets with a sensor whose deviation never exceeds its uncertainty come last.
+The first set whose source model has a stable inverse is used. Fictitious source i lies at the
+contact element nearest to T_i, which determines r_ij.
 """
 
 from __future__ import annotations
@@ -25,12 +29,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibrate.driven_deformation import UNCERTAIN_TIMES
+from calibrate.driven_deformation import UNCERTAIN
 from calibrate.linear import fit_ring
 from thermojoint.artefacts import steps
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError, ThermojointError
-from thermojoint.artefacts.response import probes_of
+from thermojoint.artefacts.response import axes_of, probes_of
 from thermojoint.models.assembly import deformation_bank
 from thermojoint.models.filters.bank import Bank, respond_to_line, respond_to_steps, stacked
 from thermojoint.models.filters.inverse import inverse_bank
@@ -48,35 +52,35 @@ class Rule:
     Attributes
     ----------
     proportional : float
-        Largest deviation of a difference from proportionality, relative to its final value.
-    smallest_difference : float
-        K per unit of heat input.
-    falls : float
-        A monotone difference falls by less than this from sample to sample, relative to its final
-        value.
+        Largest deviation of a difference from proportionality, and largest fall from its maximum,
+        relative to its final value; doubled until a pair fulfils it.
+    difference : float
+        Smallest final difference, relative to the largest.
     shortlist : int
         Number of pairs that Eq. 2 is fitted to.
     early : float
-        The larger the fraction of a difference reached at this time, s, the faster the pair.
+        The larger the fraction of a difference reached at this share of the run, the faster the
+        pair.
     deviation_uncertainty : float
-        K: the range of the paper's sensor noise. The joint pair is chosen, and its sources are
-        calibrated (`calibrate.chain`), for temperature deviations with this rms uncertainty.
+        K: the range of the paper's sensor noise. The sensors at the joint are chosen, and their
+        sources are calibrated (`calibrate.chain`), for temperature deviations with this rms
+        uncertainty.
     apart : float
-        Sensors closer than this would see one source twice, m.
+        Sensors closer than this would see one source twice, relative to the extent of the
+        candidates.
     faint_axis : float
         An axis with a nonlinear displacement below this fraction of the largest does not rank the
-        pairs.
+        sensors.
     screening : float
         Tolerance of the rational approximations while pairs are compared.
     """
 
     proportional: float = 1e-3
-    smallest_difference: float = 4.0
-    falls: float = 1e-6
+    difference: float = 0.1
     shortlist: int = 60
-    early: float = 30.0
+    early: float = 1 / 70
     deviation_uncertainty: float = 0.12
-    apart: float = 0.1
+    apart: float = 0.25
     faint_axis: float = 1e-3
     screening: float = 1e-5
 
@@ -115,21 +119,20 @@ class HeatPair:
 
 
 @dataclass(frozen=True)
-class JointPair:
-    """A pair of sensors near the joint.
+class JointSensors:
+    """Sensors near the joint, one for each fictitious source.
 
     Attributes
     ----------
-    T1, T2 : str
-        Probe names; T1 is the lower one on the joint.
+    probes : tuple of str
+        T1, T2 ...: probe names, from the lower end of the joint on.
     signal : float
-        The smaller of the two largest deviations at the calibration inputs, K.
+        The smallest of their largest deviations at the calibration inputs, K.
     misfit : float
         Rms nonlinear displacement left by the screening map, relative.
     """
 
-    T1: str
-    T2: str
+    probes: tuple[str, ...]
     signal: float
     misfit: float
 
@@ -141,22 +144,23 @@ class Placement:
     Attributes
     ----------
     heat : HeatPair
-    joint : JointPair
-    sources : ndarray, shape (2, 3)
+    joint : JointSensors
+    sources : ndarray, shape (n, 3)
         Positions of the fictitious sources, m.
-    distances : ndarray, shape (2, 2)
+    distances : ndarray, shape (n, n)
         r_ij from source i to sensor T_j, m.
     """
 
     heat: HeatPair
-    joint: JointPair
+    joint: JointSensors
     sources: Array
     distances: Array
 
     @property
     def roles(self) -> dict[str, str]:
         """Role to probe name."""
-        return {"a": self.heat.a, "b": self.heat.b, "T1": self.joint.T1, "T2": self.joint.T2}
+        at_joint = {f"T{i}": name for i, name in enumerate(self.joint.probes, start=1)}
+        return {"a": self.heat.a, "b": self.heat.b} | at_joint
 
     def __str__(self) -> str:
         """Lines for the terminal and the report."""
@@ -166,13 +170,15 @@ class Placement:
             for i, point in enumerate(self.sources)
         )
         r = ", ".join(
-            f"r{i + 1}{k + 1} = {100 * self.distances[i, k]:.2f} cm" for i in (0, 1) for k in (0, 1)
+            f"r{i + 1}{k + 1} = {100 * value:.2f} cm"
+            for (i, k), value in np.ndenumerate(self.distances)
         )
+        sensors = ", ".join(f"T{i} = {name}" for i, name in enumerate(j.probes, start=1))
         return (
             f"a = {h.a}, b = {h.b}: difference {h.difference:.2f} K, proportional within "
             f"{100 * h.disproportion:.3f} %, Eq. 2 within {100 * h.ring_error:.2f} %, steepest at "
             f"{h.rise_time:.0f} s, linear displacement within {1e6 * h.displacement_error:.2f} µm\n"
-            f"T1 = {j.T1}, T2 = {j.T2}: deviations of {j.signal:.2f} K and more, screening map "
+            f"{sensors}: deviations of {j.signal:.2f} K and more, screening map "
             f"leaves {100 * j.misfit:.0f} % of the nonlinear displacement\n{where}; {r}"
         )
 
@@ -210,62 +216,71 @@ def choose_heat_pair(
     unit_responses = _temperatures(reference, candidates) / unit
     scaled = [_temperatures(response, candidates) / level for level, response in others.items()]
     linear = stacked([deformation_bank(model) for model in deformation.values()])
-    good_pairs: list[tuple[float, int, int, float, float]] = []
+    size, off, early = (np.empty((len(candidates),) * 2) for _ in range(3))
     for i in range(len(candidates)):
         difference = unit_responses[:, [i]] - unit_responses
-        size = difference[-1]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            off = np.max([np.abs(s[:, [i]] - s - difference).max(0) for s in scaled], axis=0) / size
-            early = _at(t, difference, t[0] + rule.early) / size
-        falls = (np.diff(difference, axis=0) < -rule.falls * np.abs(size)).any(axis=0)
-        good = (size > rule.smallest_difference) & (off < rule.proportional) & ~falls
-        good_pairs += [
-            (-float(early[j]), i, int(j), float(size[j]), float(off[j]))
-            for j in np.flatnonzero(good)
-        ]
-    good_pairs.sort()
-    pairs: list[HeatPair] = []
-    for _, i, j, size, off in good_pairs[: rule.shortlist]:
-        try:
-            ring, fit = fit_ring(
-                t, unit_responses[:, i] - unit_responses[:, j], starts=6, polished=1
+        size[i] = difference[-1]
+        falls = np.maximum.accumulate(difference) - difference
+        strays = [np.abs(s[:, [i]] - s - difference) for s in scaled]
+        off[i] = np.max([falls, *strays], axis=(0, 1))
+        early[i] = _at(t, difference, t[0] + rule.early * (t[-1] - t[0]))
+    large = np.argwhere(size > max(rule.difference * size.max(initial=0.0), 0.0))
+    bound = rule.proportional
+    while bound < 1.0:
+        good = [(i, j) for i, j in large if off[i, j] < bound * size[i, j]]
+        good.sort(key=lambda pair: -early[pair] / size[pair])
+        pairs: list[HeatPair] = []
+        for i, j in good[: rule.shortlist]:
+            try:
+                ring, fit = fit_ring(
+                    t, unit_responses[:, i] - unit_responses[:, j], starts=6, polished=1
+                )
+                f = choose_regularisation(ring, interval)
+                inverse = inverse_bank(
+                    [[ring]], [f], interval, float(t[-1]), rule.screening, "candidate pair"
+                )
+            except ThermojointError:
+                continue  # no stable inverse: the pair is out
+            error = max(
+                _linear_error(inverse, linear, t, s[:, i] - s[:, j]) * abs(level)
+                for level, s in zip((unit, *others), (unit_responses, *scaled), strict=True)
             )
-            regularisation = choose_regularisation(ring, interval)
-            inverse = inverse_bank(
-                [[ring]], [regularisation], interval, float(t[-1]), rule.screening, "candidate pair"
+            last = float(size[i, j])
+            pairs.append(
+                HeatPair(
+                    candidates[i],
+                    candidates[j],
+                    last,
+                    float(off[i, j]) / last,
+                    fit.max_abs_error / last,
+                    steepest_rise(ring)[0],
+                    error,
+                )
             )
-        except ThermojointError:
-            continue  # no stable inverse: the pair is out
-        error = max(
-            _linear_error(inverse, linear, t, s[:, i] - s[:, j]) * abs(level)
-            for level, s in zip((unit, *others), (unit_responses, *scaled), strict=True)
-        )
-        name = candidates[i], candidates[j]
-        rise = steepest_rise(ring)[0]
-        pairs.append(HeatPair(*name, size, off, fit.max_abs_error / size, rise, error))
-    if not pairs:
-        raise InputError(
-            "placement: no pair of candidates near the source is proportional to the heat input "
-            "and invertible; give more [[candidates]] around the source"
-        )
-    return min(pairs, key=lambda pair: pair.displacement_error)
+        if pairs:
+            return min(pairs, key=lambda pair: pair.displacement_error)
+        bound *= 2.0
+    raise InputError(
+        "placement: no pair of candidates near the source has a difference that rises with the "
+        "heat and can be inverted; give more [[candidates]] around the source"
+    )
 
 
-def rank_joint_pairs(
+def rank_joint_sensors(
     reference: xr.Dataset,
     others: Mapping[float, xr.Dataset],
-    axes: list[str],
     candidates: list[str],
+    count: int = 2,
     rule: Rule = RULE,
-) -> Iterator[JointPair]:
-    """Yield pairs T1, T2 in the order of the rule, best first.
+) -> Iterator[JointSensors]:
+    """Yield sets of `count` sensors T1, T2 ... in the order of the rule, best first.
 
     Parameters
     ----------
     reference, others, candidates, rule
-        As in `choose_heat_pair`.
-    axes : list of str
-        Relevant directions of the displacement.
+        As in `choose_heat_pair`; the displacement along every axis of the reference counts.
+    count : int
+        Number of sensors, and of fictitious sources.
 
     Raises
     ------
@@ -273,7 +288,7 @@ def rank_joint_pairs(
         The displacement is proportional to the heat input.
     """
     t = steps.times(reference)
-    interval = float(np.median(np.diff(t)))
+    axes = axes_of(reference)
     at = _positions(reference, candidates)
     unit = steps.step_level(reference, "reference response")
     base = _temperatures(reference, candidates) / unit
@@ -281,7 +296,7 @@ def rank_joint_pairs(
     deviations = [_temperatures(r, candidates) - q * base for q, r in others.items()]
     targets = [_displacements(r, axes) - q * moved for q, r in others.items()]
     signals = np.max([np.abs(d).max(axis=0) for d in deviations], axis=0)
-    features = np.concatenate([_filtered(d, interval) for d in deviations])
+    features = np.concatenate([_filtered(d, t) for d in deviations])
     target = np.concatenate(targets)
     power = (target**2).sum(axis=0)
     if not power.any():
@@ -291,25 +306,28 @@ def rank_joint_pairs(
     counts = power > rule.faint_axis**2 * power.max()
     gram = features.T @ features
     drive = features.T @ target
-    wide = len(UNCERTAIN_TIMES)
-    ridge = len(target) * rule.deviation_uncertainty**2 * np.eye(2 * wide)
-    order: list[tuple[bool, float, int, int]] = []
-    for i, j in combinations(range(len(candidates)), 2):
-        if np.linalg.norm(at[i] - at[j]) < rule.apart:
+    wide = len(UNCERTAIN)
+    ridge = len(target) * rule.deviation_uncertainty**2 * np.eye(count * wide)
+    extent = np.ptp(at, axis=0)
+    apart = (1.0 - 1e-9) * rule.apart * extent.max()
+    order: list[tuple[bool, float, tuple[int, ...]]] = []
+    for chosen in combinations(range(len(candidates)), count):
+        own_at = at[list(chosen)]
+        if any(np.linalg.norm(x - y) < apart for x, y in combinations(own_at, 2)):
             continue
-        faint = bool(min(signals[[i, j]]) < rule.deviation_uncertainty)
-        own = np.r_[wide * i : wide * (i + 1), wide * j : wide * (j + 1)]
+        faint = bool(signals[list(chosen)].min() < rule.deviation_uncertainty)
+        own = np.concatenate([np.arange(wide * i, wide * (i + 1)) for i in chosen])
         inner = gram[np.ix_(own, own)]
         weights = np.linalg.solve(inner + ridge, drive[own])
         left = power - 2.0 * (weights * drive[own]).sum(0) + (weights * (inner @ weights)).sum(0)
-        order.append((faint, float(np.sqrt((left[counts] / power[counts]).max())), i, j))
+        order.append((faint, float(np.sqrt((left[counts] / power[counts]).max())), chosen))
     order.sort()
     # Along the joint is the direction in which the candidates spread most.
-    along = at[:, int(np.argmax(np.ptp(at, axis=0)))]
-    for _, misfit, i, j in order:
-        low, high = (i, j) if along[i] <= along[j] else (j, i)
-        signal = float(min(signals[i], signals[j]))
-        yield JointPair(candidates[low], candidates[high], signal, misfit)
+    along = at[:, int(np.argmax(extent))]
+    for _, misfit, chosen in order:
+        lowest_first = sorted(chosen, key=lambda i: along[i])
+        names = tuple(candidates[i] for i in lowest_first)
+        yield JointSensors(names, float(signals[list(chosen)].min()), misfit)
 
 
 def sources_for(response: xr.Dataset, probes: Sequence[str]) -> tuple[Array, Array]:
@@ -369,13 +387,14 @@ def _linear_error(inverse: Bank, linear: Bank, t: Array, difference: Array) -> f
     return float(np.abs(error).max())
 
 
-def _filtered(deviations: Array, interval: float) -> Array:
+def _filtered(deviations: Array, t: Array) -> Array:
     """Deviations (n, sensors) after each low-pass filter, shape (n, sensors * filters)."""
     from scipy.signal import lfilter
 
+    interval, length = float(np.median(np.diff(t))), float(t[-1] - t[0])
     columns = []
-    for time in UNCERTAIN_TIMES:
-        pole = np.exp(-interval / time)
+    for share in UNCERTAIN:
+        pole = np.exp(-interval / (share * length))
         columns.append(lfilter([1.0 - pole], [1.0, -pole], deviations, axis=0))
     return np.stack(columns, axis=-1).reshape(len(deviations), -1)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -30,13 +30,26 @@ from thermojoint.artefacts.response import axes_of, columns_of
 from thermojoint.artefacts.units import MEGA
 from thermojoint.models.baselines import Baselines
 from thermojoint.models.parameters import Model
-from thermojoint.models.sensors import readings, rises, roles_in
+from thermojoint.models.sensors import HEAT_SENSORS, ROLES, readings, rises, roles_in
 
 if TYPE_CHECKING:
     import xarray as xr
 
+Value = TypeVar("Value")
+
 #: Order of the estimators in all tables.
-ESTIMATORS = ("none", "linear", "mlr", "ridge", "arx", "kalman-linear", "fchs", "joint-aware")
+ESTIMATORS = (
+    "none",
+    "linear",
+    "linear-steady",
+    "mlr",
+    "ridge",
+    "arx",
+    "kalman-linear",
+    "fchs",
+    "fchs-steady",
+    "joint-aware",
+)
 
 
 @dataclass(frozen=True)
@@ -47,6 +60,8 @@ class Beside:
     ----------
     baselines : Baselines, optional
         Regressions.
+    steady : Model, optional
+        The same kind of model, calibrated until the machine is steady, with the same sensors.
     observers : sequence of (OpenedEstimator, ndarray)
         Observers with their initial states. They read the probes with the names of their sensors.
     settled_s : float
@@ -54,8 +69,15 @@ class Beside:
     """
 
     baselines: Baselines | None = None
+    steady: Model | None = None
     observers: Sequence[tuple[OpenedEstimator, Array]] = ()
     settled_s: float = 0.0
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Axes of the estimators, all of which have the same."""
+        beside = (self.baselines, *(observer for observer, _ in self.observers))
+        return next((tuple(each.axes) for each in beside if each is not None), ())
 
 
 #: The model alone, from the first sample.
@@ -76,14 +98,14 @@ class Judged:
         estimator, max_abs_error_um: largest length of the error vector.
     errors : dict
         Estimator to estimated minus actual displacement, m, shape (k, axes).
-    estimate : Signals
-        The whole run of FCHS, axes in the order of the model.
+    estimate : Signals or None
+        The whole run of FCHS, axes in the order of the model; None without a model.
     """
 
     rows: list[Row]
     vectors: list[Row]
     errors: dict[str, Array]
-    estimate: Signals
+    estimate: Signals | None
 
 
 @dataclass(frozen=True)
@@ -136,7 +158,7 @@ def joined(parts: Sequence[Validated]) -> Validated:
 
 def validate(
     response: xr.Dataset,
-    model: Model,
+    model: Model | None,
     *,
     reference: xr.Dataset | None = None,
     roles: Mapping[str, str] | None = None,
@@ -148,31 +170,41 @@ def validate(
     Parameters
     ----------
     response, model, roles, noise
-        As in `thermojoint.models.sensors.readings`.
+        As in `thermojoint.models.sensors.readings`; without a model the others are judged alone.
     reference : xarray.Dataset, optional
         Response to the reference step. With it the actual δ_NL is the displacement minus the
         superposed reference; without it, minus the estimated δ_L.
     beside : Beside
         Estimators to be compared with the model.
     """
-    seen = readings(response, tuple(model.linear.direct), roles, noise)
-    assembly = assembled_for(model, seen.times)
-    axes = assembly.axes
-    estimate, _ = run(assembly, seen.times, seen.delta_T, seen.temperatures)
+    times = response["time"].to_numpy()
+    axes = beside.axes if model is None else tuple(model.linear.deformation)
     actual = columns_of(response, "displacement", axes)
-    linear = estimate.linear
+    estimated = {"none": np.zeros_like(actual)}
+    linear = np.full_like(actual, np.nan)
+    estimate = None
+    if model is not None:
+        estimate = _followed(response, model, roles, noise)
+        linear = estimate.linear
+        estimated |= {"linear": estimate.linear, "fchs": estimate.total}
+    if beside.steady is not None:
+        order = [list(beside.steady.linear.deformation).index(axis) for axis in axes]
+        steady = _followed(response, beside.steady, roles, noise)
+        estimated["linear-steady"] = steady.linear[:, order]
+        estimated["fchs-steady"] = steady.total[:, order]
     if reference is not None:
         order = [axes_of(response).index(axis) for axis in axes]
         linear = superposed(reference, response, "displacement")[:, order]
-    counted = seen.times >= seen.times[0] + beside.settled_s
+    counted = times >= times[0] + beside.settled_s
     peaks = {
         "peak_total_um": np.abs(actual[counted]).max(axis=0) * MEGA,
         "peak_nonlinear_um": np.abs((actual - linear)[counted]).max(axis=0) * MEGA,
     }
-    samples = np.column_stack((seen.times, rises(response, roles, noise))).tolist()
-    estimated = {"none": np.zeros_like(actual), "linear": estimate.linear, "fchs": estimate.total}
     if beside.baselines is not None:
-        estimated |= _regressed(beside.baselines, assembly.dt_s, samples, axes)
+        given = (_of(ROLES, roles), _of(ROLES, noise))
+        samples = np.column_stack((times, rises(response, *given))).tolist()
+        interval = float(np.diff(times).min())
+        estimated |= _regressed(beside.baselines, interval, samples, axes)
     bands = {}
     for observer, state in beside.observers:
         estimated[observer.kind], bands[observer.kind] = _observed(
@@ -196,6 +228,25 @@ def validate(
         for name, error in errors.items()
     ]
     return Judged(rows, vectors, errors, estimate)
+
+
+def _followed(
+    response: xr.Dataset,
+    model: Model,
+    roles: Mapping[str, str] | None,
+    noise: Mapping[str, Array] | None,
+) -> Signals:
+    """Return the whole run of a model, which may have fewer sensors than there are roles."""
+    sensors = tuple(model.linear.direct)
+    known = (*HEAT_SENSORS, *sensors)
+    seen = readings(response, sensors, _of(known, roles), _of(known, noise))
+    assembly = assembled_for(model, seen.times)
+    return run(assembly, seen.times, seen.delta_T, seen.temperatures)[0]
+
+
+def _of(roles: Collection[str], given: Mapping[str, Value] | None) -> dict[str, Value]:
+    """Return what is given for some roles."""
+    return {role: value for role, value in (given or {}).items() if role in roles}
 
 
 def _regressed(
@@ -238,7 +289,7 @@ def _observed(
 
 @threadpool_limits.wrap(limits=1)
 def validate_model(
-    model: Model,
+    model: Model | None,
     reference: xr.Dataset | None,
     responses: Mapping[str, xr.Dataset],
     noisy: Collection[str] = (),
@@ -248,8 +299,8 @@ def validate_model(
 
     Parameters
     ----------
-    model : Model
-        The model.
+    model : Model, optional
+        The model; without one the estimators beside it are judged alone.
     reference : xarray.Dataset, optional
         Response to the reference step, for the actual nonlinear part.
     responses : mapping
@@ -259,19 +310,22 @@ def validate_model(
     beside : Beside
         Estimators to be compared with the model.
     """
-    printed = as_printed(model)
     validated = Validated([], [], [], [], {}, {})
     for name, response in responses.items():
-        roles = roles_in(response, model)
+        roles = None if model is None else roles_in(response, model)
         again = {f"{name}-noise": joint_noise(response)} if name in noisy else {}
         for case, noise in ({name: None} | again).items():
+            if model is not None and noise is not None:
+                noise = {role: noise[role] for role in model.linear.direct if role in noise}
             seen = partial(validate, response, reference=reference, roles=roles, noise=noise)
             judged = seen(model, beside=beside)
             validated.rows.extend({"case": case, **row} for row in judged.rows)
             validated.vectors.extend({"case": case, **row} for row in judged.vectors)
-            validated.estimates[case] = judged.estimate
             validated.errors[case] = judged.errors
-            paper = seen(printed, beside=Beside(settled_s=beside.settled_s)).rows
+            if model is None or judged.estimate is None:
+                continue
+            validated.estimates[case] = judged.estimate
+            paper = seen(as_printed(model), beside=Beside(settled_s=beside.settled_s)).rows
             own = [row for row in paper if row["estimator"] == "fchs"]
             validated.as_printed.extend({"case": case, **row} for row in own)
             if reference is not None:

@@ -27,7 +27,7 @@ RUN = np.arange(1051) * 2.0
 SHORT = RUN[:300]
 #: From the source of Table 2's geometry, in m; here with a shorter way across.
 DISTANCES = [[0.0489, 0.1247], [0.1084, 0.0621]]
-RADIUS = 0.02
+RADII = [0.4 * DISTANCES[i][i] for i in (0, 1)]
 #: (K, a, alpha); the second is a sink at the reference input.
 SOURCES = [(1.3, 8.0, 3e-5), (-0.7, 20.0, 6e-5)]
 STRENGTHS = {0.5: (-0.12, 0.2), 2.0: (1.0, 1.0)}
@@ -64,7 +64,7 @@ def made(level, *, time=RUN, extra=None):
         K, a, alpha = SOURCES[i]
         for j, sensor in enumerate(("T1", "T2")):
             temperature[sensor] += strength * ring_source.step_response(
-                RUN, K, a, alpha, DISTANCES[i][j], RADIUS
+                RUN, K, a, alpha, DISTANCES[i][j], RADII[i]
             )
         for axis, models in SHAPES.items():
             shape[axis] += strength * deformation.step_response(RUN, models[i])
@@ -98,7 +98,7 @@ def test_deviations_are_what_goes_beyond_proportionality():
     for index, level in enumerate(data.inputs):
         expected = sum(
             STRENGTHS[level][i]
-            * ring_source.step_response(RUN, *SOURCES[i], DISTANCES[i][1], RADIUS)
+            * ring_source.step_response(RUN, *SOURCES[i], DISTANCES[i][1], RADII[i])
             for i in range(2)
         )
         np.testing.assert_allclose(data.temperatures[index, 1], expected, atol=1e-13)
@@ -115,7 +115,7 @@ def test_rates_gains_and_strengths_of_table_2_are_recovered(tables):
         assert pytest.approx(K, rel=1e-6) == source.K
         assert source.a == pytest.approx(a, rel=1e-6)
         assert source.alpha == pytest.approx(alpha, rel=1e-6)
-        assert source.r0 == RADIUS
+        assert source.r0 == pytest.approx(RADII[index])
         assert source.strengths[2.0] == 1.0
         assert source.strengths[0.5] == pytest.approx(STRENGTHS[0.5][index], rel=1e-6)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calibrate.driven_deformation import (
-    UNCERTAIN_TIMES,
+    UNCERTAIN,
     driver,
     fit_driven_deformation,
     uncertain_signals,
@@ -81,13 +81,14 @@ def test_runs_of_mere_error_shrink_the_response():
 
 
 def test_uncertain_signals_have_the_asked_size_and_their_own_memory():
-    times = 2.0 * np.arange(20000)
-    signals = uncertain_signals(times, 0.12, 3, seed=5)
-    assert len(signals) == len(UNCERTAIN_TIMES)
-    for signal, memory in zip(signals, UNCERTAIN_TIMES, strict=True):
-        assert signal.shape == (times.size, 3)
+    times = 20.0 * np.arange(106)
+    signals = uncertain_signals(times, 0.12, 500, seed=5)
+    assert len(signals) == len(UNCERTAIN)
+    for signal, share in zip(signals, UNCERTAIN, strict=True):
+        memory = share * times[-1]
+        assert signal.shape == (times.size, 500)
         assert np.sqrt((signal**2).mean()) == pytest.approx(0.12, rel=0.25)
-        lag = round(memory / 2.0)
+        lag = round(memory / 20.0)
         correlation = (signal[lag:] * signal[:-lag]).mean() / (signal**2).mean()
         assert correlation == pytest.approx(np.exp(-1.0), abs=0.2)
 

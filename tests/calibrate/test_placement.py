@@ -7,7 +7,7 @@ from calibrate.placement.fchs import (
     RULE,
     Rule,
     choose_heat_pair,
-    rank_joint_pairs,
+    rank_joint_sensors,
     sources_for,
     with_roles,
 )
@@ -97,6 +97,20 @@ def test_a_better_but_disproportionate_difference_is_never_chosen(bend):
     assert chosen.disproportion < RULE.proportional
 
 
+def test_where_no_pair_is_proportional_the_least_bent_is_taken_and_its_bend_is_stated():
+    unit = {"cold": 0.0 * TIMES, "hot": ring(), "bent": ring(K=3.0 * RING.K, r=0.15)}
+    chosen = choose(*near_source(unit, {"bent": 0.3, "hot": 0.01}))
+    assert (chosen.a, chosen.b) == ("hot", "cold")
+    assert chosen.disproportion == pytest.approx(0.01, rel=0.01)
+
+
+@pytest.mark.parametrize("scale", [0.01, 100.0])
+def test_the_size_of_the_temperatures_does_not_matter(scale):
+    unit = {"cold": 0.0 * TIMES, "hot": ring(), "far": ring(r=0.3)}
+    chosen = choose(*near_source({name: scale * rise for name, rise in unit.items()}))
+    assert (chosen.a, chosen.b) == ("hot", "cold")
+
+
 def test_of_two_proportional_pairs_the_one_whose_displacement_is_right_wins_not_the_faster():
     # Halts for minutes, as no single ring does.
     halting = 3.0 * ring(r=0.125, alpha=2e-3)
@@ -114,7 +128,7 @@ def test_of_two_proportional_pairs_the_one_whose_displacement_is_right_wins_not_
 
 @pytest.mark.parametrize("every", [1, 2, 3])
 def test_how_fast_a_pair_answers_is_judged_by_the_clock_not_by_samples(every):
-    """After half a minute one is ahead, after a minute, 15 samples, the other."""
+    """After a hundredth of the run one is ahead, after 15 samples the other."""
     ahead = 8.0 * (0.6 * (1.0 - np.exp(-TIMES / 8.0)) + 0.4 * (1.0 - np.exp(-TIMES / 900.0)))
     behind = 8.0 * (1.0 - np.exp(-TIMES / 40.0))
     base, others = near_source({"cold": 0.0 * TIMES, "ahead": ahead, "behind": behind})
@@ -127,11 +141,10 @@ def test_how_fast_a_pair_answers_is_judged_by_the_clock_not_by_samples(every):
 @pytest.mark.parametrize(
     ("rise", "bend"),
     [
-        (ring(r=0.15) * 0.9 * RULE.smallest_difference / ring(r=0.15)[-1], 0.0),
-        (ring(r=0.15), 0.1),
-        (2.0 * RULE.smallest_difference * np.exp(-(((TIMES - 500.0) / 600.0) ** 2)), 0.0),
+        (ring(r=0.15), 3.0),
+        (8.0 * np.exp(-(((TIMES - 300.0) / 200.0) ** 2)), 0.0),
     ],
-    ids=["too small", "disproportionate", "falls again"],
+    ids=["disproportionate", "falls again"],
 )
 def test_no_pair_that_fulfils_the_rule_is_an_error_that_says_what_to_do(rise, bend):
     with pytest.raises(InputError, match=r"give more \[\[candidates\]\] around the source"):
@@ -153,10 +166,11 @@ OTHER = np.sin(TIMES / 90.0)
 PLACES = {
     "high": (0.65, 0.7, 0.1),
     "low": (0.65, 0.4, 0.1),
-    "twin": (0.65, 0.4 + 0.9 * RULE.apart, 0.1),
+    "twin": (0.65, 0.4 + 0.9 * RULE.apart * 0.5, 0.1),
     "stray": (0.65, 0.55, 0.1),
     "faint": (0.65, 0.9, 0.1),
 }
+EXTENT = 0.5
 
 
 def at_joint():
@@ -180,34 +194,34 @@ def at_joint():
 
 @pytest.fixture(scope="module")
 def ranked():
-    return list(rank_joint_pairs(*at_joint(), AXES, list(PLACES)))
+    return list(rank_joint_sensors(*at_joint(), list(PLACES)))
 
 
 def test_the_pair_that_sees_what_moves_the_joint_comes_first_the_lower_one_as_T1(ranked):
-    assert (ranked[0].T1, ranked[0].T2) == ("low", "high")
+    assert ranked[0].probes == ("low", "high")
     assert ranked[0].misfit < 0.5 * ranked[1].misfit
     # Of the pair's two largest deviations, at heat input 2 (off = 2), the smaller.
     assert ranked[0].signal == pytest.approx(12.0 * min(FAST.max(), LATE.max()))
 
 
 def test_pairs_come_by_misfit_and_pairs_with_a_faint_sensor_last(ranked):
-    clear = [pair.misfit for pair in ranked if "faint" not in (pair.T1, pair.T2)]
-    faint = [pair.misfit for pair in ranked if "faint" in (pair.T1, pair.T2)]
+    clear = [pair.misfit for pair in ranked if "faint" not in pair.probes]
+    faint = [pair.misfit for pair in ranked if "faint" in pair.probes]
     assert [pair.misfit for pair in ranked] == sorted(clear) + sorted(faint)
     assert len(faint) == len(PLACES) - 1
     assert min(faint) < max(clear)  # so that it is not the misfit that puts them last
     for pair in ranked:
         weak = pair.signal < RULE.deviation_uncertainty
-        assert weak == ("faint" in (pair.T1, pair.T2))
+        assert weak == ("faint" in pair.probes)
 
 
 def test_every_two_sensors_that_are_apart_are_ranked_once_and_no_others(ranked):
-    found = [frozenset((pair.T1, pair.T2)) for pair in ranked]
+    found = [frozenset(pair.probes) for pair in ranked]
     expected = {
         frozenset((one, two))
         for one in PLACES
         for two in PLACES
-        if np.linalg.norm(np.subtract(PLACES[one], PLACES[two])) >= RULE.apart
+        if np.linalg.norm(np.subtract(PLACES[one], PLACES[two])) >= RULE.apart * EXTENT
     }
     assert len(found) == len(set(found))
     assert set(found) == expected
@@ -215,13 +229,23 @@ def test_every_two_sensors_that_are_apart_are_ranked_once_and_no_others(ranked):
 
 
 def test_the_order_of_the_candidates_does_not_matter(ranked):
-    again = list(rank_joint_pairs(*at_joint(), AXES, list(PLACES)[::-1]))
-    assert [(p.T1, p.T2) for p in again[:1]] == [(p.T1, p.T2) for p in ranked[:1]]
+    again = list(rank_joint_sensors(*at_joint(), list(PLACES)[::-1]))
+    assert again[0].probes == ranked[0].probes
     assert [p.misfit for p in again] == pytest.approx([p.misfit for p in ranked])
 
 
-def test_sensors_that_are_all_too_close_give_no_pair():
-    assert list(rank_joint_pairs(*at_joint(), AXES, ["low", "twin"])) == []
+def test_any_number_of_sensors_is_ranked_and_one_sees_least(ranked):
+    one, three = (next(rank_joint_sensors(*at_joint(), list(PLACES), count)) for count in (1, 3))
+    assert (len(one.probes), len(three.probes)) == (1, 3)
+    assert max(three.misfit, ranked[0].misfit) < one.misfit
+
+
+@pytest.mark.parametrize("scale", [0.1, 10.0])
+def test_the_size_of_the_joint_does_not_matter(ranked, scale):
+    base, others = at_joint()
+    for one in (base, *others.values()):
+        one["probe_position"][:] = scale * one["probe_position"]
+    assert list(rank_joint_sensors(base, others, list(PLACES))) == ranked
 
 
 def doubled(response):
@@ -240,7 +264,7 @@ def test_the_level_of_the_reference_step_does_not_matter(ranked):
     # At the larger step the error is larger, and no other step is as large as the reference.
     assert two.displacement_error == pytest.approx(2.0 * one.displacement_error)
     base, others = at_joint()
-    assert list(rank_joint_pairs(doubled(base), others, AXES, list(PLACES))) == ranked
+    assert list(rank_joint_sensors(doubled(base), others, list(PLACES))) == ranked
 
 
 def test_an_axis_that_hardly_deviates_does_not_rank_the_pairs(ranked):
@@ -252,15 +276,15 @@ def test_an_axis_that_hardly_deviates_does_not_rank_the_pairs(ranked):
         both = one.sel(axis=["x", "x"]).assign_coords(axis=["x", "z"]).copy(deep=True)
         both["displacement"][:, 1] = level * linear + 1e-12 * OTHER
         others[level] = both
-    again = list(rank_joint_pairs(base, others, ["x", "z"], list(PLACES)))
-    assert [(pair.T1, pair.T2) for pair in again] == [(pair.T1, pair.T2) for pair in ranked]
+    again = list(rank_joint_sensors(base, others, list(PLACES)))
+    assert [pair.probes for pair in again] == [pair.probes for pair in ranked]
     assert [pair.misfit for pair in again] == pytest.approx([pair.misfit for pair in ranked])
 
 
 def test_a_displacement_without_deviation_cannot_rank_pairs():
     base, others = near_source({name: ring() for name in PLACES})
     with pytest.raises(InputError, match="proportional to the heat input"):
-        list(rank_joint_pairs(base, others, AXES, list(PLACES)))
+        list(rank_joint_sensors(base, others, list(PLACES)))
 
 
 def test_without_contact_elements_there_is_no_place_for_a_source():

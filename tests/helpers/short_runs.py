@@ -7,4 +7,12 @@ from thermojoint.paper.long_runs import LongRuns
 
 #: One search, and bands from two drawn machines and half an hour.
 QUICK = Effort(search=Search(starts=0), drawing=Drawing(draws=2, duration=1800.0))
-SHORT = LongRuns(day=40.0, warm=20.0, settled=5.0, cool_down=20.0, heated=10.0, effort=QUICK)
+SHORT = LongRuns(
+    day=40.0,
+    warm=20.0,
+    settled=5.0,
+    cool_down=20.0,
+    heated=10.0,
+    steady=40.0,
+    effort=QUICK,
+)

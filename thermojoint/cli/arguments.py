@@ -120,16 +120,14 @@ def level_and_file(text: str) -> tuple[float, Path]:
 
 def distances(text: str) -> list[list[float]]:
     """Split ``r11,r12,r21,r22`` (mm) into r_ij, m: row i from source i, column j to sensor T_j."""
-    from calibrate.linear import JOINT_SENSORS
-
-    count = len(JOINT_SENSORS)
     with suppress(ValueError):
         values = [1e-3 * float(part) for part in text.split(",")]
+        count = math.isqrt(len(values))
         if len(values) == count**2 and all(0.0 < value < math.inf for value in values):
             return [values[count * i : count * (i + 1)] for i in range(count)]
     raise InputError(
-        f"--distances-mm {text}: give r11,r12,r21,r22, {count**2} positive numbers: from source i "
-        "to sensor Tj"
+        f"--distances-mm {text}: give n x n positive numbers for n sources, r11,r12,r21,r22 for "
+        "two: from source i to sensor Tj"
     )
 
 

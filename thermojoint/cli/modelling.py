@@ -118,6 +118,8 @@ def calibrate(  # noqa: PLR0913 - the options of a command
         console.warn(plausibility.of_response(response, str(path)))
     with console.working("calibrating"):
         calibrated = chain.calibrate_responses(base, others, apart)
+    if calibrated.compromise:
+        console.warn([calibrated.compromise])
     origin = str(base.attrs.get("case", reference.name))
     provenance = provenance_of(calibrated, origin)
     regressions = baselines_of(calibrated, [base, *others.values()]) if baselines else None
@@ -333,6 +335,7 @@ def assemble(
     Example: [bold]thermojoint assemble model.json --interval-s 1 --out estimator.json[/bold]
     """
     from thermojoint import console
+    from thermojoint.models.assembly import TOLERANCE
     from thermojoint.models.assembly import assemble as assemble_model
     from thermojoint.models.assembly_file import write_assembly
     from thermojoint.models.model_file import read_model
@@ -341,7 +344,10 @@ def assemble(
     dt = arguments.positive("--interval-s", interval)
     length = arguments.positive("--run-length-min", run_length)
     with console.working("assembling"):
-        write_assembly(assemble_model(read_model(model), dt, 60.0 * length), out)
+        assembled = assemble_model(read_model(model), dt, 60.0 * length)
+        write_assembly(assembled, out)
+    if assembled.error > TOLERANCE:
+        console.warn([f"{model}: inverse filters approximated within {assembled.error:.1e}"])
     console.wrote(out)
 
 

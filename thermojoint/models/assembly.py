@@ -61,7 +61,12 @@ class Assembly(Described):
             "sensors": ", ".join(self.sensors),
             "interval": f"{self.dt_s:g} s",
             "run length": f"{self.run_length_s / 60.0:g} min",
-        }
+        } | ({"approximated within": f"{self.error:.1e}"} if self.error > TOLERANCE else {})
+
+    @property
+    def error(self) -> float:
+        """Largest relative error of the inverse filters over the band of a run."""
+        return max(self.heat.error, self.sources.error)
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -123,7 +128,8 @@ def assemble(
     InputError
         The model's parts do not fit together, a rate is not positive, or an inverse is unstable.
     ConvergenceError
-        The approximations do not reach the tolerance.
+        An inverse filter has no usable approximation. One that misses the tolerance is used;
+        `Assembly.error` states how far it is off.
     """
     table = model.linear
     axes, sensors = tuple(table.deformation), tuple(table.direct)

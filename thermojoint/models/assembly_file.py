@@ -33,7 +33,7 @@ KIND = "fchs"
 
 _MODEL: TypeAdapter[Model] = TypeAdapter(Model)
 _BANKS = ("heat", "linear", "temperature", "sources", "nonlinear")
-_ARRAYS = tuple(field.name for field in fields(Bank) if field.name != "leak")
+_ARRAYS = tuple(field.name for field in fields(Bank) if field.name not in ("leak", "error"))
 _COMPLEX = ("poles", "gain", "double")
 
 
@@ -121,12 +121,13 @@ def _bank_content(bank: Bank) -> dict[str, Any]:
         array = np.asarray(getattr(bank, name))
         split = np.stack((array.real, array.imag), axis=-1) if name in _COMPLEX else array
         content[name] = {"shape": list(array.shape), "values": split.ravel().tolist()}
-    return content | {"leak": bank.leak}
+    # Files of earlier versions have no error, and keep their fingerprint.
+    return content | {"leak": bank.leak} | ({"error": bank.error} if bank.error else {})
 
 
 def _bank(content: dict[str, Any]) -> Bank:
     arrays = {name: _array(name, content[name]) for name in _ARRAYS}
-    return Bank(**arrays, leak=float(content["leak"]))
+    return Bank(**arrays, leak=float(content["leak"]), error=float(content.get("error", 0.0)))
 
 
 def _array(name: str, content: dict[str, Any]) -> Array:

@@ -17,7 +17,7 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.json_file import JsonKind, parse_json, read_json, validated
 from thermojoint.models.parameters import STRICT, Model, Relaxation
-from thermojoint.models.sensors import JOINT_SENSORS, ROLES
+from thermojoint.models.sensors import HEAT_SENSORS
 
 FILE = JsonKind(
     "thermojoint-model", 3, "model", "written by 'thermojoint calibrate'", "calibrate again"
@@ -163,12 +163,11 @@ def _parsed(content: dict[str, Any], where: str) -> tuple[Model, Provenance]:
 
 def _check_consistent(model: Model, where: str) -> None:
     """Raise InputError unless sensors, axes, distances and spectra fit together."""
-    for role in ROLES:
+    for role in (*HEAT_SENSORS, *model.linear.direct):
         if role not in model.sensors:
             raise InputError(f"{where}: sensors: {role!r} is missing; give its position in m")
-    for role in JOINT_SENSORS:
-        if role not in model.linear.direct:
-            raise InputError(f"{where}: linear.direct: the model of {role!r} is missing")
+    if not model.linear.direct:
+        raise InputError(f"{where}: linear.direct: no sensor at the joint; give at least T1")
     for name, part in model.linear.direct.items():
         if isinstance(part, Relaxation) and len(part.amplitudes) != len(part.rates):
             raise InputError(f"{where}: linear.direct.{name}: as many amplitudes as rates needed")

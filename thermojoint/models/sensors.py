@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import count, takewhile
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,12 +19,23 @@ if TYPE_CHECKING:
 
 #: Near the heat source: ΔT = T_a - T_b (Eqs. 1-6).
 HEAT_SENSORS = ("a", "b")
-#: At the joint: one for each fictitious source (Eq. 16).
+#: At the joint: one for each fictitious source (Eq. 16), of which the paper has two.
 JOINT_SENSORS = ("T1", "T2")
 ROLES = (*HEAT_SENSORS, *JOINT_SENSORS)
 
 #: Largest distance between a probe and the model's sensor that it represents, m.
 SAME_PLACE = 1e-6
+
+
+def joint_sensors(probes: Collection[str]) -> tuple[str, ...]:
+    """Return the sensors at the joint among the names of probes: T1, T2 ... without a gap."""
+    return tuple(takewhile(probes.__contains__, (f"T{i}" for i in count(1))))
+
+
+def named_sensors(probes: Collection[str]) -> tuple[str, ...]:
+    """Return a, b, T1, T2 ... if the probes are named so; otherwise nothing."""
+    joint = joint_sensors(probes)
+    return (*HEAT_SENSORS, *joint) if joint and set(HEAT_SENSORS) <= set(probes) else ()
 
 
 @dataclass(frozen=True)

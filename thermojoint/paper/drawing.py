@@ -94,7 +94,7 @@ def paper_figures(
             triangle["time"].to_numpy(),
             {
                 sensor: {
-                    "with noise": on_triangle[:, j] + noise[sensor],
+                    "with noise": on_triangle[:, j] + noise.get(sensor, 0.0),
                     "simulated": on_triangle[:, j],
                 }
                 for j, sensor in enumerate(sensors)
@@ -147,7 +147,10 @@ def draw(
     for name, figure in figures.items():
         write_figure(figure, folder / f"{name}.png")
     write_pictures({folder / f"{name}.png": scene for name, scene in scenes.items()})
-    return [Picture(folder / f"{name}.png", caption) for name, caption in CAPTIONS.items()]
+    drawn = figures.keys() | scenes.keys()
+    return [
+        Picture(folder / f"{name}.png", text) for name, text in CAPTIONS.items() if name in drawn
+    ]
 
 
 def _nonlinear(

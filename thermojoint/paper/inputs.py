@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibrate.responses import check_boxes
 from fesim.case.history import read_history
 from fesim.case.schema import Case, step_count
 from fesim.case.thermal_sections import StepInput, TriangleInput
@@ -16,7 +15,6 @@ from fesim.setup.loads import held_history
 from fesim.setup.machine import Setup, set_up
 from fesim.simulate import simulate
 from thermojoint.artefacts.errors import InputError
-from thermojoint.models.sensors import ROLES
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -88,12 +86,10 @@ def check_placeable(case: Case) -> None:
     Raises
     ------
     InputError
-        There is no joint, or neither sensors nor candidates for them.
+        There is no joint.
     """
     if not case.joints:
         raise InputError("joints: without a joint nothing is nonlinear; add [joints.NAME]")
-    if not set(case.probes) >= set(ROLES):
-        check_boxes(len(case.candidates))
 
 
 def simulate_inputs(

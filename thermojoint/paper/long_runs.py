@@ -57,6 +57,8 @@ class LongRuns:
         Length of the cool-down, and of the heating at its beginning.
     seed : int
         Seed of the day's heat and ambient.
+    steady : float
+        Length of the steps of the calibration until the machine is steady.
     effort : Effort
         Effort of the calibration of the observers.
     """
@@ -67,6 +69,7 @@ class LongRuns:
     cool_down: float = 240.0
     heated: float = 35.0
     seed: int = 10
+    steady: float = 480.0
     effort: Effort = USUAL
 
 

@@ -27,6 +27,7 @@ from fesim.case.thermal_sections import StepInput
 from fesim.one_thread import one_thread
 from fesim.setup.machine import set_up
 from meshes.structure import Probe
+from thermojoint.artefacts.errors import ThermojointError
 from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.processes import process_pool
 from thermojoint.reduced.machine import reduce_machine
@@ -80,30 +81,36 @@ def observers_beside(
     responses: Mapping[str, xr.Dataset],
     folder: Path,
     effort: Effort = USUAL,
-) -> Iterator[Callable[[], list[JointAware]]]:
+) -> Iterator[Callable[[], tuple[list[JointAware], dict[str, str]]]]:
     """Calibrate the observers of a machine in separate processes while the caller continues.
 
-    Yields a function that waits for the observers and returns them. There are none for a machine
-    with held temperatures or temperature-dependent properties. The models ``joint_aware.h5`` and
-    ``kalman_linear.h5`` and the reports on their parameters (``.json``) are written to `folder`.
-
-    Raises
-    ------
-    InputError
-        While waiting: the case has a feature that observers do not support.
-    ConvergenceError
-        While waiting: the simulation fails, or the sensors do not determine the heat.
+    Yields a function that waits for the observers and returns them, and the reasons for those that
+    cannot be had: the case has a feature that they do not support, or a calibration failed. The
+    models ``joint_aware.h5`` and ``kalman_linear.h5`` and the reports on their parameters
+    (``.json``) are written to `folder`.
     """
     if case.held_temperatures or secant_sections(case) or growth_sections(case):
-        yield list
+        reason = "held temperatures and properties that vary have no reduced-order model"
+        yield lambda: ([], dict.fromkeys(KINDS, reason))
         return
     known = observer_case(case, sensors)
     with process_pool(len(KINDS)) as crew:
-        paths = [
-            crew.submit(_calibrated, kind, known, tuple(sensors), responses, folder, effort)
+        paths = {
+            kind: crew.submit(_calibrated, kind, known, tuple(sensors), responses, folder, effort)
             for kind in KINDS
-        ]
-        yield lambda: [JointAware(read_observer(path.result())) for path in paths]
+        }
+
+        def wait() -> tuple[list[JointAware], dict[str, str]]:
+            had: list[JointAware] = []
+            left_out: dict[str, str] = {}
+            for kind, path in paths.items():
+                try:
+                    had.append(JointAware(read_observer(path.result())))
+                except ThermojointError as error:
+                    left_out[kind] = str(error)
+            return had, left_out
+
+        yield wait
 
 
 def _calibrated(

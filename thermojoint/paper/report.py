@@ -57,6 +57,8 @@ class ReportData:
         Response to its solver statistics.
     share : PressureShare, optional
         At the heat input of Figure 7.
+    left_out : mapping
+        Estimator that could not be had to the reason.
     placement : str
         The chosen sensors and the method.
     fits : mapping
@@ -75,6 +77,7 @@ class ReportData:
     blocks: Sequence[Row] = ()
     convergence: Mapping[str, Convergence] = field(default_factory=dict)
     share: PressureShare | None = None
+    left_out: Mapping[str, str] = field(default_factory=dict)
     placement: str = ""
     fits: Mapping[str, str] = field(default_factory=dict)
     pictures: Sequence[Picture] = ()

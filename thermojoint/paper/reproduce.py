@@ -4,30 +4,35 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
 from calibrate import chain
-from calibrate.baselines import baselines_of
+from calibrate.baselines import fit_baselines
 from calibrate.placement.fchs import with_roles
 from calibrate.provenance import provenance_of
+from calibrate.responses import candidates_in, moving_axes
 from estimator.fchs import judging as judge
 from estimator.fchs.judging import Validated
 from estimator.joint_aware.estimator import JointAware
 from fesim.case.schema import Case
-from fesim.setup.machine import set_up
+from fesim.setup.machine import Setup, set_up
+from fesim.setup.structure import build_structure
 from thermojoint import console
+from thermojoint.artefacts.errors import ThermojointError
 from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.folders import whole_folder
 from thermojoint.artefacts.processes import process_pool
-from thermojoint.artefacts.response import write_response
+from thermojoint.artefacts.response import probes_of, write_response
 from thermojoint.models.baselines import Baselines, write_baselines
 from thermojoint.models.model_file import Provenance, write_model
 from thermojoint.models.parameters import Model
-from thermojoint.models.sensors import ROLES
+from thermojoint.models.sensors import ROLES, named_sensors
 from thermojoint.paper import inputs, printing
+from thermojoint.paper.candidates import with_candidates
 from thermojoint.paper.drawing import draw, estimate_figures, paper_figures
 from thermojoint.paper.inputs import check_drivable, check_placeable
 from thermojoint.paper.long_runs import (
@@ -61,10 +66,12 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
     ----------
     case : Case
         The machine; its heat input is replaced by those of the study. Nothing else may act on it
-        (`thermojoint.paper.inputs.check_drivable`), and it has sensors or candidates for them.
+        (`thermojoint.paper.inputs.check_drivable`). Without named sensors and candidates it gets
+        candidates of its own. A method that cannot be had is left out, with the reason.
     out : Path
         Folder for ``responses/*.nc``, ``model.json``, ``baselines.json``, ``joint_aware.h5`` and
-        ``kalman_linear.h5`` with their reports (``*.json``), ``tables.json``, ``validation.json``,
+        ``kalman_linear.h5`` with their reports (``*.json``), ``tables.json``, the same of the model
+        calibrated until the machine is steady (``*_steady.json``), ``validation.json``,
         ``figures/*.png`` and ``report.html``.
     long : LongRuns, optional
         Durations of the day and the cool-down.
@@ -79,8 +86,11 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
     check_drivable(case)
     check_placeable(case)
     runs = long or LongRuns()
+    left_out: dict[str, str] = {}
     with whole_folder(out) as folder, console.progress_bars() as report:
         report("setting up", 0, 1)
+        if not (case.candidates or named_sensors(case.probes)):
+            case = with_candidates(case, build_structure(case))
         setup = set_up(case)
         report("setting up", 1, 1)
         heats = inputs.CALIBRATION | inputs.VALIDATION
@@ -88,19 +98,29 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
         _write_responses(responses, folder)
 
         report("calibrating", 0, 3)
-        calibrated, provenance = _calibrate(case, responses)
-        roles = {role: role for role in ROLES}
-        if calibrated.placement is not None:
-            roles = calibrated.placement.roles
-            responses = {name: with_roles(response, roles) for name, response in responses.items()}
-            _write_responses(responses, folder)
-        write_model(calibrated.model, folder / "model.json", provenance)
+        calibrated: chain.Calibrated | None = None
+        provenance: Provenance | None = None
+        try:
+            calibrated, provenance = _calibrate(case, responses)
+            write_model(calibrated.model, folder / "model.json", provenance)
+        except ThermojointError as error:
+            left_out |= dict.fromkeys(("linear", "fchs"), str(error))
+        roles = _roles(calibrated, responses[inputs.REFERENCE])
+        responses = {name: with_roles(response, roles) for name, response in responses.items()}
+        _write_responses(responses, folder)
         known = {name: responses[name] for name in inputs.CALIBRATION}
         report("calibrating", 1, 3)
-        baselines = baselines_of(calibrated, list(known.values()))
-        write_baselines(baselines, folder / "baselines.json")
-        tables = tables_json(calibrated.model, provenance)
-        _write_json(folder / "tables.json", tables)
+        axes = moving_axes(known[inputs.REFERENCE], _others(known))
+        baselines: Baselines | None = None
+        try:
+            baselines = fit_baselines([response.sel(axis=axes) for response in known.values()])
+            write_baselines(baselines, folder / "baselines.json")
+        except ThermojointError as error:
+            left_out |= dict.fromkeys(("mlr", "ridge", "arx"), str(error))
+        tables: dict[str, Any] | None = None
+        if calibrated is not None and provenance is not None:
+            tables = tables_json(calibrated.model, provenance)
+            _write_json(folder / "tables.json", tables)
         report("calibrating", 2, 3)
         sensors = {role: setup.probes[name] for role, name in roles.items()}
         with observers_beside(case, sensors, known, folder, runs.effort) as calibrated_beside:
@@ -110,35 +130,49 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
                 for name, response in lasting.items()
             }
             _write_responses(lasting, folder)
-            observers = calibrated_beside()
+            steady: Model | None = None
+            try:
+                steady = _steady(case, runs, setup, roles, report, folder)
+            except ThermojointError as error:
+                left_out |= dict.fromkeys(("linear-steady", "fchs-steady"), str(error))
+            observers, failed = calibrated_beside()
+            left_out |= failed
         report("calibrating", 3, 3)
 
         report("validating", 0, 1)
-        validated = _judged(calibrated.model, responses, lasting, runs, baselines, observers)
-        _write_json(folder / "validation.json", validated.figures())
+        model = None if calibrated is None else calibrated.model
+        beside = judge.Beside(baselines, steady)
+        validated = _judged(model, responses, lasting, runs, beside, observers)
+        figures_of_run = validated.figures() | {"left_out": left_out}
+        _write_json(folder / "validation.json", figures_of_run)
         report("validating", 1, 1)
 
         report("drawing", 0, 1)
-        figures = paper_figures(calibrated.model, responses, validated.estimates)
-        figures |= estimate_figures(validated)
+        figures = estimate_figures(validated)
+        if model is not None:
+            figures |= paper_figures(model, responses, validated.estimates)
         hot = case.model_copy(update={"heat_input": heats[inputs.PRESSURE]})
-        pictures = draw(folder / "figures", figures, hot, setup, calibrated.model.sensors, report)
+        places = {role: probe.position for role, probe in sensors.items()}
+        pictures = draw(folder / "figures", figures, hot, setup, places, report)
         report("drawing", 1, 1)
 
+        reports = {} if provenance is None else provenance.reports
         data = ReportData(
             title=case.title,
             facts=facts(case, responses[inputs.REFERENCE]),
-            tables=printed_tables(tables, provenance.at_bound),
+            tables=()
+            if tables is None or provenance is None
+            else printed_tables(tables, provenance.at_bound),
             validation=validated.rows,
+            left_out=left_out,
             schemes=compare_schemes(validated.rows, validated.as_printed, validated.vectors),
             blocks=validated.blocks,
             convergence={
                 name: convergence(response) for name, response in (responses | lasting).items()
             },
             share=pressure_share(responses[inputs.PRESSURE]),
-            placement="" if calibrated.placement is None else str(calibrated.placement),
-            fits=provenance.reports
-            | {observer.kind: fitted_text(observer) for observer in observers},
+            placement="" if calibrated is None else calibrated.sensors_text,
+            fits=reports | {observer.kind: fitted_text(observer) for observer in observers},
             pictures=pictures,
             case=case.model_dump_json(indent=2),
         )
@@ -146,20 +180,54 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
     show(console.out(), data)
 
 
+def _roles(calibrated: chain.Calibrated | None, reference: xr.Dataset) -> dict[str, str]:
+    """Return role to probe: of the model, or any four around the source and at the joint."""
+    names = probes_of(reference)
+    if calibrated is not None and calibrated.placement is not None:
+        return calibrated.placement.roles
+    if named := named_sensors(names):
+        return {role: role for role in named}
+    near_source, at_joint = candidates_in(reference)
+    last = dict(zip(names, reference["temperature"].to_numpy()[-1].tolist(), strict=True))
+    hot_first = sorted(near_source, key=lambda name: -last[name])
+    return dict(zip(ROLES, (hot_first[0], hot_first[-1], at_joint[0], at_joint[-1]), strict=True))
+
+
+def _steady(
+    case: Case,
+    runs: LongRuns,
+    setup: Setup,
+    roles: Mapping[str, str],
+    report: inputs.Report,
+    folder: Path,
+) -> Model:
+    """Return the model calibrated with the same sensors by steps until the machine is steady."""
+    march = case.march.model_copy(update={"duration_min": runs.steady})
+    lasting = case.model_copy(update={"march": march})
+    steps = {f"{name}-steady": heat for name, heat in inputs.CALIBRATION.items()}
+    made = inputs.simulate_inputs(lasting, steps, setup=setup, progress=report)
+    kept = {name.removesuffix("-steady"): at_sensors(r, roles) for name, r in made.items()}
+    _write_responses({f"{name}-steady": response for name, response in kept.items()}, folder)
+    calibrated, provenance = _calibrate(case, kept)
+    write_model(calibrated.model, folder / "model_steady.json", provenance)
+    _write_json(folder / "tables_steady.json", tables_json(calibrated.model, provenance))
+    return calibrated.model
+
+
 def _judged(
-    model: Model,
+    model: Model | None,
     responses: Mapping[str, xr.Dataset],
     lasting: Mapping[str, xr.Dataset],
     runs: LongRuns,
-    baselines: Baselines,
+    beside: judge.Beside,
     observers: Sequence[JointAware],
 ) -> Validated:
     """Validate every estimator in every case; those without a warm start begin at rest."""
     at_rest = [(observer, observer.initial_state()) for observer in observers]
     warm = [(observer, observer.warm_state()) for observer in observers]
     started = {inputs.WARM_START: warm_part(lasting[inputs.DAY], runs)}
-    cold = judge.Beside(baselines, at_rest)
-    begun = judge.Beside(baselines, warm, settled_s=60.0 * runs.settled)
+    cold = replace(beside, observers=at_rest)
+    begun = replace(beside, observers=warm, settled_s=60.0 * runs.settled)
     with process_pool(JUDGES) as crew:
         long = crew.submit(judge.validate_model, model, None, lasting, beside=cold)
         warmed = crew.submit(judge.validate_model, model, None, started, beside=begun)
@@ -186,6 +254,8 @@ def show(terminal: Console, data: ReportData) -> None:
         printing.show_share(terminal, data.share)
     if data.placement:
         terminal.print(data.placement)
+    for name, reason in data.left_out.items():
+        terminal.print(f"{name} is left out: {reason}")
     if data.validation:
         terminal.print()
         terminal.print(verdict(data.validation))
@@ -221,14 +291,18 @@ def facts(case: Case, response: xr.Dataset) -> list[tuple[str, str]]:
 def _calibrate(
     case: Case, responses: Mapping[str, xr.Dataset]
 ) -> tuple[chain.Calibrated, Provenance]:
-    others = {
+    calibrated = chain.calibrate_responses(responses[inputs.REFERENCE], _others(responses))
+    origin = case.model_dump_json()
+    return calibrated, provenance_of(calibrated, origin)
+
+
+def _others(responses: Mapping[str, xr.Dataset]) -> dict[float, xr.Dataset]:
+    """Return the calibration responses beside the reference by their heat inputs."""
+    return {
         float(responses[name]["heat_input"][-1]): responses[name]
         for name in inputs.CALIBRATION
         if name != inputs.REFERENCE
     }
-    calibrated = chain.calibrate_responses(responses[inputs.REFERENCE], others)
-    origin = case.model_dump_json()
-    return calibrated, provenance_of(calibrated, origin)
 
 
 def _kept(response: xr.Dataset, folder: Path, out: Path) -> xr.Dataset:

@@ -102,7 +102,7 @@ def tables_json(model: Model, provenance: Provenance) -> dict[str, Any]:
         "table1": {
             "thermal": thermal | {"max_abs_error_K": kelvin.get("thermal")},
             "deformation": {
-                axis: _micrometres(shape, "CDEcde")
+                axis: _micrometres(shape, "CDEFcdef" if shape.F else "CDEcde")
                 | {"max_abs_error_um": micro.get(f"deformation.{axis}")}
                 for axis, shape in linear.deformation.items()
             },

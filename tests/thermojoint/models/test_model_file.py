@@ -154,7 +154,7 @@ def test_the_file_says_its_units_and_version(path):
         (lambda c: c["linear"]["thermal"].update(K=float("nan")), "linear.thermal.K"),
         (lambda c: c["linear"]["direct"]["T1"].update(colour="red"), "linear.direct.T1"),
         (lambda c: c["linear"]["direct"]["T1"]["rates"].pop(), "as many amplitudes as rates"),
-        (lambda c: c["linear"]["direct"].pop("T2"), "the model of 'T2' is missing"),
+        (lambda c: c["linear"]["direct"].pop("T2"), "distances: one row per source"),
         (lambda c: c["sensors"].pop("T1"), "'T1' is missing"),
         (lambda c: c["sensors"].update(a=[1.0, 2.0]), "sensors.a"),
         (lambda c: c["units"].update(K="mK"), "units differ"),

@@ -19,7 +19,12 @@ from thermojoint.models.filters.bank import (
     simple_bank,
 )
 from thermojoint.models.filters.phi import phi_functions
-from thermojoint.models.filters.pole_residue import direct_bank, excited_band, fit_strictly_proper
+from thermojoint.models.filters.pole_residue import (
+    direct_bank,
+    excited_band,
+    fit_proper,
+    fit_strictly_proper,
+)
 from thermojoint.models.parameters import DeformationModel, RingModel
 
 TABLE_1 = RingModel(K=3.372, a=3.20, alpha=0.000212, r=0.19, r0=0.12)
@@ -125,9 +130,16 @@ def test_the_error_that_was_reached_is_kept_and_true_between_the_samples():
     assert np.abs(value - exact).max() < 1.5 * fit.error * np.abs(exact).max() + 1e-9
 
 
-def test_a_tolerance_out_of_reach_is_an_error_that_says_what_was_reached():
-    with pytest.raises(ConvergenceError, match=r"T2: 40 poles reach a relative error of"):
-        direct_bank(TABLE_1, 2.0, 2100.0, 1e-17, "T2")
+def test_a_tolerance_out_of_reach_gives_the_best_fit_and_its_error():
+    band = excited_band(2.0, 28800.0)
+    fit = fit_strictly_proper(lambda s: (1.0 / (0.01 + s))[:, None, None], band, 1e-20, "T2")
+    assert 1e-20 < fit.error < 1e-9
+
+
+def test_a_transfer_function_that_poles_do_not_describe_is_refused():
+    band = excited_band(2.0, 2100.0)
+    with pytest.raises(ConvergenceError, match=r"delay: 56 poles reach a relative error of"):
+        fit_proper(lambda s: np.exp(-1e3 * s)[:, None, None], band, 1e-6, "delay")
 
 
 def test_a_pole_that_is_not_stable_is_refused():

@@ -17,7 +17,7 @@ from short_runs import SHORT
 from calibrate import chain
 from calibrate.placement.fchs import (
     RULE,
-    rank_joint_pairs,
+    rank_joint_sensors,
     sources_for,
     with_roles,
 )
@@ -85,6 +85,7 @@ def test_a_run_leaves_every_file(results):
     simulated = (*inputs.CALIBRATION, *inputs.VALIDATION, inputs.DAY, inputs.COOL_DOWN)
     names = {f"responses/{name}.nc" for name in simulated}
     names |= {"model.json", "baselines.json", "tables.json", "validation.json", "report.html"}
+    names |= {"model_steady.json", "tables_steady.json", "responses/step-2.0-steady.nc"}
     names |= {
         f"{kind}.{end}" for kind in ("joint_aware", "kalman_linear") for end in ("h5", "json")
     }
@@ -173,7 +174,9 @@ def test_a_machine_with_held_temperatures_has_no_observers(case, tmp_path):
     held = {"bearings": HeldTemperatureSection(rise_K=0.0)}
     unlike = case.model_copy(update={"held_temperatures": held})
     with observers_beside(unlike, {}, {}, tmp_path) as observers:
-        assert observers() == []
+        had, left_out = observers()
+    assert had == []
+    assert set(left_out) == OBSERVERS
     assert not list(tmp_path.iterdir())
 
 
@@ -224,8 +227,10 @@ def test_regressions_are_judged_where_they_are_given(results, model, responses):
         for with_them in (None, beside)
     }
     names = {given: {row["estimator"] for row in one.rows} for given, one in found.items()}
-    assert names[True] == set(judge.ESTIMATORS) - OBSERVERS
+    assert names[True] == set(judge.ESTIMATORS) - OBSERVERS - {"linear-steady", "fchs-steady"}
     assert names[False] == {"none", "linear", "fchs"}
+    alone = judge.validate_model(None, responses["step-1.0"], given, beside=judge.Beside(beside))
+    assert {row["estimator"] for row in alone.rows} == {"none", "mlr", "ridge", "arx"}
     short = replace(beside, arx={"y": beside.arx["y"]})
     with pytest.raises(InputError, match="no axis named 'x'"):
         judge.validate_model(model, None, given, beside=judge.Beside(short))
@@ -245,7 +250,7 @@ def test_the_written_responses_calibrate_to_the_same_model_without_candidates(
 
 
 def test_responses_without_sensors_or_candidates_are_refused(responses):
-    bare = {n: r.isel(probe=slice(0, 3)).assign_attrs(case="") for n, r in responses.items()}
+    bare = {n: r.isel(probe=slice(0, 2)).assign_attrs(case="") for n, r in responses.items()}
     with pytest.raises(InputError, match="name the sensors a, b, T1 and T2"):
         chain.calibrate_responses(bare["step-1.0"], {0.5: bare["step-0.5"], 2.0: bare["step-2.0"]})
 
@@ -277,13 +282,16 @@ def test_joint_pairs_come_best_first_and_apart(responses):
     base = responses["step-1.0"]
     others = {0.5: responses["step-0.5"], 2.0: responses["step-2.0"]}
     names = [str(n) for n in base["probe"].to_numpy() if str(n).startswith("s65")]
-    pairs = list(rank_joint_pairs(base, others, list(AXES), names))
+    base, *rest = (one.sel(axis=list(AXES)) for one in (base, *others.values()))
+    others = dict(zip(others, rest, strict=True))
+    pairs = list(rank_joint_sensors(base, others, names))
+    places = base["probe_position"].sel(probe=names).to_numpy()
     order = [(pair.signal < RULE.deviation_uncertainty, pair.misfit) for pair in pairs]
     assert order == sorted(order)
     assert 0.0 < order[0][1] < 1.0
     for pair in pairs:
-        low, high = (base["probe_position"].sel(probe=n).to_numpy() for n in (pair.T1, pair.T2))
-        assert np.linalg.norm(low - high) >= RULE.apart
+        low, high = (base["probe_position"].sel(probe=n).to_numpy() for n in pair.probes)
+        assert np.linalg.norm(low - high) >= RULE.apart * np.ptp(places, axis=0).max() - 1e-9
         assert low[1] <= high[1]
 
 
@@ -313,19 +321,23 @@ def test_validation_noise_is_seeded(command, results, tmp_path):
 def test_results_stay_as_they_were_until_all_of_the_new_ones_are_there(
     command, results, tmp_path, monkeypatch
 ):
-    """The calibration fails when the new responses are written."""
+    """Something fails when the new responses are written."""
     out = tmp_path / "results"
     shutil.copytree(results, out)
     (out / "figures" / "notes.txt").write_text("mine")
     before = {one: one.read_bytes() for one in out.rglob("*") if one.is_file()}
     (tmp_path / "short.toml").write_text(lasting(0.5))
 
-    def failing(case, responses):
+    def failing(calibrated, reference):
         [beside] = tmp_path.glob(".results.*")
-        assert len(list(beside.rglob("*.nc"))) == len(responses)
+        assert len(list(beside.rglob("*.nc"))) == 6
         raise InputError("these responses determine nothing")
 
-    monkeypatch.setattr(reproduce, "_calibrate", failing)
+    def refused(case, responses):
+        raise InputError("no model")
+
+    monkeypatch.setattr(reproduce, "_calibrate", refused)
+    monkeypatch.setattr(reproduce, "_roles", failing)
     code, _, err = command("reproduce", "--case", tmp_path / "short.toml", "--out", out)
     # Where the set-up is slow, its progress stands before.
     assert (code, err.splitlines()[-1]) == (2, "thermojoint: these responses determine nothing")

@@ -42,6 +42,8 @@ class Bank:
         Coefficients of 1 and of s.
     leak : float
         λ of the high-pass s/(s + λ) at the inputs, 1/s; 0 for none.
+    error : float
+        Largest relative error of the rational approximation that it is; 0 for an exact bank.
     """
 
     poles: np.ndarray
@@ -51,6 +53,7 @@ class Bank:
     constant: np.ndarray
     slope: np.ndarray
     leak: float = 0.0
+    error: float = 0.0
 
     def __post_init__(self) -> None:
         unstable = ~(self.poles.real < 0.0)

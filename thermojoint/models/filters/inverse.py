@@ -120,6 +120,7 @@ def inverse_bank(
         double=np.zeros((count, modes * count), dtype=complex),
         constant=sigma * fit.constant + weights.sum(axis=0).real,
         slope=fit.constant,
+        error=fit.error,
     )
 
 
