@@ -167,16 +167,21 @@ def _of_mesh(setup: Setup, fine: Track, step: float) -> float | None:
     if rows is None:
         return None
     machine, found = setup.machine, []
+    basis = None if setup.modes is None else setup.modes.basis
+    heat, stored, stress = (
+        row if basis is None else row @ basis
+        for row in (rows.heat, rows.stored, rows.stress.temperature)
+    )
     first = machine.assembly
     for at in range(len(fine)):
         taken = fine.step(at)
-        nodal = setup.nodal_temperature(taken.state)
+        warm = taken.state.temperature
         acting, remainder = setup.acting(taken), taken.remainder
         if first is not None:
             acting, remainder = acting - first.factors[:-1], remainder - first.remainder
-        stressed = rows.stress.temperature @ machine.strained(nodal)
+        stressed = stress @ machine.strained(warm)
         stressed = stressed + rows.stress.remainder @ remainder + rows.stress.forces @ acting
-        heated = rows.heat @ nodal + rows.stored @ nodal / (step * (at + 1.0))
+        heated = heat @ warm + stored @ warm / (step * (at + 1.0))
         found.append(np.hypot(heated, stressed))
     return _largest(np.array(found))
 
