@@ -48,6 +48,7 @@ def cnc(hand_made_model):
 
 
 def follow_the_page(place, command):
+    ini = (place / "mill.ini").read_text("utf-8")
     for words in COMMANDS:
         code, told, said = command(*shlex.split(words))
         assert code == 0, said
@@ -56,6 +57,7 @@ def follow_the_page(place, command):
         elif "--write" not in words:
             assert "would write" in told
             assert not (place / "thermojoint.hal").exists()
+    assert (place / "mill.ini.former").read_text("utf-8") == ini
 
 
 @needs_linuxcnc

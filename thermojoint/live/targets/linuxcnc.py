@@ -79,10 +79,12 @@ def files_for(
     if spaced := [word for word in words if len(word.split()) != 1]:
         raise InputError(f"{spaced[0]}: HAL files know no spaces; take another place or name")
     source = files("thermojoint.live.targets").joinpath("linuxcnc_component.py")
+    loading = with_hal_file(text, ini)
     return {
         component: source.read_text("utf-8"),
         component.with_name(HAL_FILE): _HAL.format(machine=machine, words=" ".join(words)),
-        ini: with_hal_file(text, ini),
+        **({} if loading == text else {ini.with_name(f"{ini.name}.former"): text}),
+        ini: loading,
     }
 
 
