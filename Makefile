@@ -91,6 +91,8 @@ bench: $(INSTALLED)
 # Every estimator on 100 machines drawn at random. Stopped in any way, it goes on from there.
 plants: $(INSTALLED)
 	$(BIN)/python -m benchmarks.plants --out plants.json
+	$(BIN)/python -m benchmarks.plants --family structural --count 25 --estimator joint-aware \
+		--out structural.json
 
 # The film at the top of the README.
 images: $(INSTALLED)

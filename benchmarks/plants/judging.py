@@ -85,7 +85,7 @@ def judge_plant(machines: Machines, plant: Plant, wanted: tuple[str, ...]) -> di
     rows: list[dict[str, Any]] = []
     reports: list[dict[str, Any]] = []
     by_steps: dict[str, Calibrated] = {}
-    for count, (label, named) in product({4, len(names)}, CALIBRATIONS.items()):
+    for count, (label, named) in product(sorted({4, len(names)}), CALIBRATIONS.items()):
         responses = {name: shown[name] for name in named}
         for kind in wanted:
             begun = time.process_time()
