@@ -73,6 +73,8 @@ FIRST = (
     "thermojoint/artefacts/test_response.py",
     "project/test_private_parts.py",
     "",
+    "thermojoint/live/test_linuxcnc.py",
+    "thermojoint/live/test_targets.py",
     "thermojoint/verification/test_verification.py",
     "fesim/batch/test_batch.py",
     "thermojoint/pictures/test_pictures.py",

@@ -290,7 +290,7 @@ class Case(Described, Section):
     def _deforms_if_asked(self) -> Case:
         if self.displacement is None and (sections := deforming_sections(self)):
             raise ValueError(
-                f"{sections[0]} needs the deformation of the structure: add [displacement]"
+                f"{sections[0]} needs the deformation of the structure; add [displacement]"
             )
         return self
 

@@ -94,7 +94,9 @@ with open("record.csv", "w", buffering=1) as record:
         before = time.monotonic()
         x, z = (1e3 * hal.get_value(f"joint.{k}.pos-cmd") for k in (0, 2))
         offset = 1e3 * hal.get_value("axis.z.eoffset")
-        record.write(f"{before:.4f},{time.monotonic():.4f},{x:.4f},{z:.4f},{offset:.4f}\\n")
+        asked = 0.1 * hal.get_value("axis.z.eoffset-counts")
+        times = f"{before:.4f},{time.monotonic():.4f}"
+        record.write(f"{times},{x:.4f},{z:.4f},{offset:.4f},{asked:.4f}\\n")
         time.sleep(0.01)
 """
 
@@ -130,11 +132,11 @@ class Control:
         return int(got.stdout)
 
     def record(self):
-        """Times before and after in s, X, Z, the offset of Z in um: what is commanded so far."""
+        """Times before and after in s; X, Z, the offset of Z, and that asked for, in um."""
         path = self.folder / "record.csv"
         text = path.read_text() if path.exists() else ""
         rows = [line.split(",") for line in text.rpartition("\n")[0].splitlines()]
-        return np.array(rows, dtype=float).reshape(-1, 5)
+        return np.array(rows, dtype=float).reshape(-1, 6)
 
     def offset(self):
         """The newest one, um; NaN before the first."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.publication import Columns, Layout, Publication, columns_of, from_row
-from thermojoint.live.store import Event, Hole, layout_from, spread
+from thermojoint.live.store import IN_NO_CHUNK, Event, Hole, layout_from, spread
 
 #: Largest number of rows in one answer.
 MOST_ROWS = 20_000
@@ -224,9 +224,7 @@ def _journal(store: sqlite3.Connection, eras: list[int]) -> list[tuple[int, byte
     """Return the samples that are in no chunk yet."""
     marks = ",".join("?" * len(eras))
     return store.execute(
-        "SELECT journal.number, row, status FROM journal "
-        "LEFT JOIN states ON states.era = journal.era "
-        f"WHERE journal.era IN ({marks}) AND journal.number > coalesce(states.number, 0) "
+        f"SELECT number, row, status FROM journal WHERE era IN ({marks}) AND {IN_NO_CHUNK} "
         "ORDER BY id",
         eras,
     ).fetchall()

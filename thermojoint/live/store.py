@@ -18,6 +18,8 @@ import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, replace
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -37,6 +39,15 @@ _PASSES = 2
 _PATIENCE_S = 10.0
 #: Entries of the journal, and chunks of a past era, that are deleted at once.
 MOST_FORGOTTEN, _MOST_CHUNKS = 5_000, 50
+#: Adds what `_chunk` returns; condition of a sample of the journal that is in no chunk yet.
+_ADD_CHUNK = (
+    "INSERT INTO chunks (era, first, last, number, count, rows, status) "
+    "VALUES (?, ?, ?, ?, ?, ?, ?)"
+)
+IN_NO_CHUNK = (
+    "(journal.number > "
+    "coalesce((SELECT states.number FROM states WHERE states.era = journal.era), 0))"
+)
 _TABLES = """
 CREATE TABLE IF NOT EXISTS meta (name TEXT PRIMARY KEY, value TEXT NOT NULL);
 CREATE TABLE IF NOT EXISTS eras (
@@ -407,8 +418,7 @@ def commit(store: sqlite3.Connection, batch: Batch) -> int:
             ],
         )
         store.executemany(
-            "INSERT INTO chunks (era, first, last, number, count, rows, status) "
-            "VALUES (?, ?, ?, ?, ?, ?, ?)",
+            _ADD_CHUNK,
             [_chunk(checkpoint) for checkpoint in batch.checkpoints if len(checkpoint.rows)],
         )
         store.executemany(
@@ -469,7 +479,8 @@ def forget(
     store : Connection
     journal_until : int
         Last entry of the journal that is in a checkpoint of every machine; up to `MOST_FORGOTTEN`
-        entries are deleted.
+        entries are deleted. What is in no checkpoint, as its machine has another model since a
+        kill or is not served, is kept.
     eras : iterable of int
         Eras whose history is pruned now.
     oldest : float
@@ -478,9 +489,11 @@ def forget(
         s since 1970.
     """
     store.execute("BEGIN IMMEDIATE")
+    _move_ended(store, journal_until)
     store.execute(
-        "DELETE FROM journal WHERE id <= min(?, (SELECT min(id) FROM journal) + ?)",
-        (journal_until, MOST_FORGOTTEN - 1),
+        "DELETE FROM journal WHERE id IN "
+        f"(SELECT id FROM journal WHERE id <= ? AND NOT {IN_NO_CHUNK} ORDER BY id LIMIT ?)",
+        (journal_until, MOST_FORGOTTEN),
     )
     # The condition on `first` uses the index: otherwise every chunk of an era would be read.
     store.executemany(
@@ -493,6 +506,22 @@ def forget(
     store.execute("DELETE FROM holes WHERE until < ?", (now - oldest,))
     _forget_era(store, now - oldest)
     store.execute("COMMIT")
+
+
+def _move_ended(store: sqlite3.Connection, until: int) -> None:
+    """Move samples that no checkpoint will have into chunks: another era has a state already."""
+    ended = store.execute(
+        f"SELECT id, era, number, row, status FROM journal WHERE id <= ? AND {IN_NO_CHUNK} AND "
+        "EXISTS (SELECT 1 FROM eras AS own JOIN eras AS next ON next.machine = own.machine AND "
+        "next.id > own.id JOIN states ON states.era = next.id WHERE own.id = journal.era) "
+        "ORDER BY era, number LIMIT ?",
+        (until, MOST_FORGOTTEN),
+    ).fetchall()
+    for era, samples in groupby(ended, key=itemgetter(1)):
+        ids, _, numbers, rows, words = zip(*samples, strict=True)
+        table = np.array([np.frombuffer(row, dtype="<f8") for row in rows])
+        store.execute(_ADD_CHUNK, _chunk(Checkpoint(era, numbers[-1], b"", "", table, words)))
+        store.executemany("DELETE FROM journal WHERE id = ?", [(one,) for one in ids])
 
 
 def _forget_era(store: sqlite3.Connection, before: float) -> None:

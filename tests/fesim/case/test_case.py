@@ -247,7 +247,6 @@ NO_DEFAULT = [
     ("march",),
     ("march", "step_s"),
     ("march", "duration_min"),
-    ("displacement",),
 ]
 
 

@@ -32,6 +32,8 @@ from thermojoint.live.targets.linuxcnc_component import (
 
 #: What a late loop of the component makes up for, and one step.
 BURST_S, STEP_UM = 0.2, 0.11
+#: A control that is simulated on a busy computer may stand still for this time, and then catch up.
+STALL_S = 0.5
 LIMITS = Limits(rate=1.0, largest=500.0, silence=10.0, hold=60.0)
 PAGE = (ROOT / "docs" / "guide-linuxcnc.md").read_text("utf-8")
 BLOCKS = dict(re.findall(r"^```(\w+)[^\n]*\n(.*?)^```", PAGE, re.M | re.S))
@@ -102,14 +104,15 @@ def test_a_control_follows_returns_when_the_service_is_killed_and_follows_again(
         cnc.until(lambda: not (cnc.folder / "off").exists())
         cnc.until(lambda: abs(cnc.offset()) < 1.0)
         cnc.until(follows)
-    before, after, x, z, offset = record.T
+    before, after, x, z, offset, asked = record.T
     # The program moves X all the time, and Z only by what is asked.
     assert min(np.ptp(part) for part in np.array_split(x, 5)) > 5000.0
     assert (np.abs(z - offset) <= RATE * (after - before + BURST_S) + STEP_UM).all()
     for lag_s in (0.0, 0.5, 2.0):
         later = np.searchsorted(before, before + lag_s, side="right").clip(max=len(z) - 1)
         most = RATE * (after[later] - before + BURST_S) + STEP_UM
-        assert (np.abs(z[later] - z) <= most).all()
+        assert (np.abs(asked[later] - asked) <= most).all()
+        assert (np.abs(z[later] - z) <= most + RATE * STALL_S).all()
 
 
 @pytest.mark.parametrize("value", [None, "3", True, 501.0, float("nan")])

@@ -215,6 +215,29 @@ def test_another_model_begins_anew(model, tmp_path):
     assert kept_of(store, [other])[other].state is None
 
 
+def test_what_a_killed_service_had_of_a_former_model_stays_in_the_history(model, tmp_path):
+    path = tmp_path / "history.sqlite"
+    store = open_store(path)
+
+    def numbers():
+        (end,) = store.execute("SELECT max(id) FROM journal").fetchone()
+        forget(store, end, [], 1e6, START + 30.0)
+        return Archive(path).history("mill", 0.0, 1e11, 1000).numbers.tolist()
+
+    floor = floor_of(model, store)
+    feed(floor, store, 0, 10)
+    commit(store, Batch(checkpoints=[floors.checkpoint_of(floor.places["mill"])]))
+    feed(floor, store, 10, 20)
+    former = list(range(1, 21))
+    assert numbers() == former
+    floor = floor_of(replace(model, digest="another"), store)
+    feed(floor, store, 20, 30)
+    assert numbers() == [*former, *range(1, 11)]
+    commit(store, Batch(checkpoints=[floors.checkpoint_of(floor.places["mill"])]))
+    assert numbers() == [*former, *range(1, 11)]
+    assert not store.execute("SELECT count(*) FROM journal").fetchone()[0]
+
+
 def test_a_row_of_the_history_is_the_publication(model):
     said = after(model, 20).latest
     back = from_row("mill", said.number, model.layout, as_row(said), said.status)
