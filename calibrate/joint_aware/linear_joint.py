@@ -22,7 +22,7 @@ from calibrate.joint_aware.calibration import (
 from calibrate.joint_aware.sticking import sticking_tangent
 from estimator.joint_aware.filter_design import Noise
 from thermojoint.artefacts.errors import InputError
-from thermojoint.reduced.machine import ReducedMachine, on_basis
+from thermojoint.reduced.machine import ReducedMachine, own_modes
 
 
 def with_linear_joint(machine: ReducedMachine) -> ReducedMachine:
@@ -41,7 +41,6 @@ def with_linear_joint(machine: ReducedMachine) -> ReducedMachine:
             "kalman-linear: knows no loads, bolts or initial temperatures; take joint-aware"
         )
     elastic, held = machine.elastic, machine.at_preload
-    modes = on_basis(machine, np.zeros(len(machine.start)), np.eye(len(machine.start)))
     nothing = np.zeros(0)
     return replace(
         machine,
@@ -53,7 +52,7 @@ def with_linear_joint(machine: ReducedMachine) -> ReducedMachine:
             compliance=np.zeros((0, 0)),
             thermal_gap=elastic.thermal_gap[:0],
             probe_compliance=elastic.probe_compliance[:, :0],
-            probe_thermal=sticking_tangent(modes, machine.laws),
+            probe_thermal=sticking_tangent(own_modes(machine), machine.laws),
             reference=nothing,
             area=nothing,
         ),

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from thermojoint.artefacts.arrays import Array
 from thermojoint.compensation.offsets.handshake import Answer
 from thermojoint.live.arrivals import Arrival
+from thermojoint.live.control_message import answer_of
 from thermojoint.live.floor import Floor, Place, answer
 from thermojoint.live.former_models import former_of, read_record, roll_back
 from thermojoint.live.publication import micrometres
@@ -188,8 +189,6 @@ def _handshakes(service: Service, by: str) -> dict[str, HandshakeSection]:
 
 def _read_answer(floor: Floor, machine: str, body: bytes) -> None:
     """Take an answer as a control sends it; raises ValueError for what is none."""
-    from thermojoint.live.writers.mqtt_control import answer_of
-
     _answer(floor, machine, answer_of(body, floor.places[machine].served.layout.controls))
 
 

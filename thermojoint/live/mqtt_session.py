@@ -22,8 +22,6 @@ from thermojoint.live.settings import MqttAddress
 
 #: Timeout of a response of the broker, and the interval at which it must be heard, s.
 TIMEOUT_S, KEEPALIVE_S = 10.0, 15
-#: Delay before the second attempt to connect, doubled for each further one up to the longest, s.
-FIRST_S, LONGEST_S = 0.5, 30.0
 #: Messages that may wait where nobody takes them as they come.
 _MOST_WAITING = 1000
 
@@ -159,8 +157,3 @@ async def lost(client: aiomqtt.Client) -> None:
             await client.unsubscribe("thermojoint/is-anybody-there", timeout=TIMEOUT_S)
             continue
         raise aiomqtt.MqttError("disconnected")
-
-
-def next_delay(delay: float) -> float:
-    """Return how long to wait before the next attempt, s."""
-    return min(2.0 * delay, LONGEST_S)

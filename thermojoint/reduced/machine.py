@@ -193,7 +193,7 @@ class ReducedMachine:
     @cached_property
     def at_preload(self) -> Array:
         """Conductance times area of every contact element before the first step, W/K."""
-        modes = on_basis(self, np.zeros(len(self.start)), np.eye(len(self.start)))
+        modes = own_modes(self)
         rest = rest_of(contact_of(modes, self.laws), modes)
         return conducted(self.laws, modes, rest, modes.start)
 
@@ -453,6 +453,12 @@ def _conducting(machine: ReducedMachine, held: Array | None) -> Array:
     if held is None:
         return conduction
     return np.asarray(conduction + machine.jump.T @ (held[:, None] * machine.jump))
+
+
+def own_modes(machine: ReducedMachine) -> Modes:
+    """Return a machine's modes as they are, for what does not depend on their rates."""
+    size = len(machine.start)
+    return on_basis(machine, np.zeros(size), np.eye(size))
 
 
 def on_basis(

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.constants import Stefan_Boltzmann, zero_Celsius
 from scipy.optimize import brentq
 from scipy.sparse import csr_array
 from scipy.special import erfcinv
@@ -105,7 +106,10 @@ OTHER_LAWS: dict[str, tuple[dict[str, Any], float]] = {
                 "mean_temperature_degC": WARM,
             }
         },
-        4.0 * 5.670374419e-8 * (WARM + 273.15) ** 3 / (sum(1.0 / e for e in EMISSIVITIES) - 1.0),
+        4.0
+        * Stefan_Boltzmann
+        * (WARM + zero_Celsius) ** 3
+        / (sum(1.0 / e for e in EMISSIVITIES) - 1.0),
     ),
 }
 
@@ -122,8 +126,8 @@ def radiated() -> float:
         return HOT - COLD - flux * (LEFT / IRON.conductivity + RIGHT / STEEL.conductivity)
 
     def excess(flux: float) -> float:
-        second = AMBIENT + 273.15 + COLD + flux * RIGHT / STEEL.conductivity
-        return 5.670374419e-8 * ((second + drop(flux)) ** 4 - second**4) - flux
+        second = AMBIENT + zero_Celsius + COLD + flux * RIGHT / STEEL.conductivity
+        return Stefan_Boltzmann * ((second + drop(flux)) ** 4 - second**4) - flux
 
     flux = float(brentq(excess, 0.0, 1e5, xtol=1e-12))
     return flux / drop(flux)

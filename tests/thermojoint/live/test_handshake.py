@@ -30,13 +30,13 @@ from thermojoint.compensation.offsets.handshake import (
 )
 from thermojoint.live import floor as floors
 from thermojoint.live.arrivals import Arrival
+from thermojoint.live.control_message import answer_of
 from thermojoint.live.floor import Floor, Place
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine import at_rest
 from thermojoint.live.metrics import fresh_metrics
 from thermojoint.live.settings import WatchdogSection
 from thermojoint.live.users import add_user
-from thermojoint.live.writers.mqtt_control import answer_of
 from thermojoint.models.assembly import assemble
 from thermojoint.models.assembly_file import write_assembly
 

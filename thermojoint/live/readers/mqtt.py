@@ -23,15 +23,14 @@ import aiomqtt
 
 from thermojoint.live.arrivals import Arrival, Note
 from thermojoint.live.mqtt_session import (
-    FIRST_S,
     Address,
     acknowledge,
     address_of,
     connected,
     lost,
-    next_delay,
 )
 from thermojoint.live.readers.session import beside
+from thermojoint.live.reconnecting import FIRST_S, next_delay
 from thermojoint.live.settings import MqttSource
 from thermojoint.live.times import seconds_of
 

@@ -20,9 +20,9 @@ from asyncua.common.node import Node
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.arrivals import Arrival, Note
-from thermojoint.live.mqtt_session import FIRST_S, next_delay
 from thermojoint.live.opcua_session import LOST, TIMEOUT_S, Reached, client_of, reached_of
 from thermojoint.live.readers.session import beside
+from thermojoint.live.reconnecting import FIRST_S, next_delay
 from thermojoint.live.served import Served
 from thermojoint.live.settings import OpcuaSource, Service
 

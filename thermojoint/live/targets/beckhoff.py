@@ -34,4 +34,5 @@ BECKHOFF = Control(
     ),
     switch=_parameter(271, "temp_comp", "", 1.0, 1.0),
     comment="#",
+    heading="kopf.achs_nr {axis}",
 )

@@ -54,8 +54,10 @@ class Control:
         What activates the compensation by the offset alone; it must be 1.
     comment : str
         What begins a comment in a file for the control.
+    heading : str
+        First line of an axis in such a file; ``{axis}``.
     ending : tuple of str
-        Last lines of such a file.
+        Its last lines.
     """
 
     title: str
@@ -63,6 +65,7 @@ class Control:
     zeros: tuple[Quantity, ...]
     switch: Quantity
     comment: str
+    heading: str = ""
     ending: tuple[str, ...] = ()
 
     @property

@@ -12,6 +12,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from thermojoint.artefacts.errors import InputError, unknown_name
+from thermojoint.artefacts.units import MEGA
 from thermojoint.compensation.offsets.settings import Settings, read_settings
 from thermojoint.live.settings import HttpServer, Service
 
@@ -67,8 +68,8 @@ def files_for(
         "machine": machine,
         "token-file": token.absolute(),
         "axes": "".join(output.output.names).lower(),
-        "rate-um-s": f"{1e6 * output.output.rate:.6g}",
-        "largest-um": f"{1e6 * output.output.largest:.6g}",
+        "rate-um-s": f"{MEGA * output.output.rate:.6g}",
+        "largest-um": f"{MEGA * output.output.largest:.6g}",
         "hold-s": f"{output.output.freeze_time:g}",
         "units-per-mm": f"{_UNITS_PER_MM[unit]:.9g}",
     }

@@ -87,8 +87,8 @@ def lines_of(given: TargetFile, metres: Mapping[str, float]) -> Iterator[str]:
     control = given.control
     yield f"{control.comment} {control.title}: temperature compensation by thermojoint"
     for axis, number in given.axes.items():
-        if given.kind == "beckhoff":
-            yield f"kopf.achs_nr {number}"
+        if control.heading:
+            yield control.heading.format(axis=number)
         values = {control.switch: 1.0, control.offset: in_units(control.offset, metres[axis])}
         for quantity in (control.switch, control.offset, *control.zeros):
             value = f"{values.get(quantity, 0.0):.10g}"

@@ -23,8 +23,8 @@ from thermojoint.compensation.offsets.handshake import DIFFERS, STANDS, Answer
 from thermojoint.live.audit import Audit
 from thermojoint.live.floor import Floor, answer
 from thermojoint.live.hub import Hub
-from thermojoint.live.mqtt_session import FIRST_S, next_delay
 from thermojoint.live.opcua_session import LOST, TIMEOUT_S, Reached, client_of, reached_of
+from thermojoint.live.reconnecting import FIRST_S, next_delay
 from thermojoint.live.served import Served
 from thermojoint.live.settings import Service
 from thermojoint.live.targets.control import Quantity, next_value

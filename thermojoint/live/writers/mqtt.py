@@ -16,15 +16,14 @@ from thermojoint.live.audit import Audit
 from thermojoint.live.floor import Floor
 from thermojoint.live.hub import Hub
 from thermojoint.live.mqtt_session import (
-    FIRST_S,
     Address,
     connected,
     is_behind,
     lost,
-    next_delay,
     publish,
 )
 from thermojoint.live.publication import as_json
+from thermojoint.live.reconnecting import FIRST_S, next_delay
 from thermojoint.live.settings import MqttTopics
 from thermojoint.live.writers.mqtt_control import attend, beat
 

@@ -1,22 +1,19 @@
-"""Messages of a control by MQTT: enable, heartbeat, acknowledged offsets (the handshake).
+"""Messages of a control by MQTT (`thermojoint.live.control_message`), on a topic for each machine.
 
-``{"enable": true, "heartbeat": 17, "offsets_um": {"X": -12.3}}`` on a topic for each machine. A
-retained message is no answer: nobody knows how old it is.
+A retained message is no answer: nobody knows how old it is.
 """
 
 from __future__ import annotations
 
 import asyncio
 import json
-import math
 import time
 from collections.abc import Callable, Collection
 
 import aiomqtt
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
-from thermojoint.artefacts.units import MICRO
-from thermojoint.compensation.offsets.handshake import Answer
+from thermojoint.live.control_message import answer_of
 from thermojoint.live.floor import Floor, answer
 from thermojoint.live.hub import Hub
 
@@ -74,25 +71,3 @@ async def beat(client: aiomqtt.Client, topic: str, hub: Hub) -> None:
             sent = hub.heartbeat
             await client.publish(topic, json.dumps({"heartbeat": sent}), qos=0)
         await asyncio.sleep(_BEAT_S)
-
-
-class ControlMessage(BaseModel):
-    """Message that a control publishes; further keys are its own."""
-
-    enable: bool
-    heartbeat: int
-    offsets_um: dict[str, float | None] = {}
-
-
-def answer_of(payload: bytes, axes: tuple[str, ...]) -> Answer:
-    """Return what a control says.
-
-    Raises
-    ------
-    ValidationError
-        It is no answer.
-    """
-    message = ControlMessage.model_validate_json(payload, strict=True)
-    offsets = (message.offsets_um.get(axis) for axis in axes)
-    metres = tuple(math.nan if one is None else MICRO * one for one in offsets)
-    return Answer(message.enable, message.heartbeat, metres)
