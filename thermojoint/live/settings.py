@@ -23,6 +23,8 @@ Port = Annotated[int, Field(ge=0, le=65535)]
 
 #: A machine's name is part of topics, node ids, addresses of pages and file names.
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+#: URL of an agent.
+_HTTP = re.compile(r"https?://(\[[0-9A-Fa-f:]+\]|[A-Za-z0-9._-]+)(:\d{1,5})?(/[A-Za-z0-9._~/-]*)?")
 #: Largest number of machines of one service.
 MOST_MACHINES = 10_000
 
@@ -133,7 +135,20 @@ class OpcuaSource(OpcuaAddress):
     most_waiting: Annotated[int, Field(ge=1, le=1_000_000)] = 100_000
 
 
-Source = Annotated[CsvSource | MqttSource | OpcuaSource, Field(discriminator="kind")]
+class MtconnectSource(Section):
+    """Data items of an MTConnect agent, or of an adapter behind it."""
+
+    kind: Literal["mtconnect"]
+    url: str
+    ca_file: File | None = None
+    device: str = "{machine}"
+    columns: dict[str, str] = {}
+    unchanged_s: Positive | None = None
+
+
+Source = Annotated[
+    CsvSource | MqttSource | OpcuaSource | MtconnectSource, Field(discriminator="kind")
+]
 
 
 class WatchdogSection(Section):
@@ -334,8 +349,10 @@ def _single(sections: Mapping[str, MachineSection]) -> list[tuple[str, MachineSe
     ]
 
 
-def pattern_of(source: CsvSource | MqttSource | OpcuaSource) -> tuple[str, str]:
+def pattern_of(source: Source) -> tuple[str, str]:
     """Return the key that locates a machine's readings, and its value."""
+    if isinstance(source, MtconnectSource):
+        return "device", source.device
     if isinstance(source, CsvSource):
         return "path", str(source.path)
     if isinstance(source, MqttSource):
@@ -345,7 +362,7 @@ def pattern_of(source: CsvSource | MqttSource | OpcuaSource) -> tuple[str, str]:
 
 def _check_pattern(
     where: str,
-    source: CsvSource | MqttSource | OpcuaSource,
+    source: Source,
     name: str,
     machines: Mapping[str, MachineSection],
 ) -> None:
@@ -357,6 +374,8 @@ def _check_pattern(
         )
     if isinstance(source, OpcuaSource) and "{reading}" not in pattern:
         raise InputError(f"{where}.node: write {{reading}} in place of the name of a reading")
+    if isinstance(source, MtconnectSource) and not _HTTP.fullmatch(source.url):
+        raise InputError(f"{where}.url: {source.url!r} is none; give https://HOST:PORT")
 
 
 def _check_topics(where: str, given: ServiceFile, machines: Mapping[str, MachineSection]) -> None:
@@ -381,6 +400,14 @@ def _check_protected(where: str, given: ServiceFile) -> None:
         for name, source in given.sources.items()
         if isinstance(source, OpcuaSource) and source.security == "none"
     ]
+    for name, source in given.sources.items():
+        if isinstance(source, MtconnectSource) and source.url.startswith("http:"):
+            host = _host_in(source.url)
+            if not is_loopback(host):
+                raise InputError(
+                    f"{where}: sources.{name}.url: http:// at {host}, which others reach; use "
+                    "https://, or an agent or a proxy on 127.0.0.1"
+                )
     if given.mqtt and given.mqtt.security == "none":
         open_doors.append(("mqtt", given.mqtt.host))
     if given.opcua and given.opcua.security == "none":
@@ -416,5 +443,5 @@ def is_loopback(host: str) -> bool:
 
 
 def _host_in(url: str) -> str:
-    match = re.match(r"opc\.tcp://(\[[^\]]*\]|[^:/]+)", url)
+    match = re.match(r"[a-z.]+://(\[[^\]]*\]|[^:/]+)", url)
     return match[1] if match else url

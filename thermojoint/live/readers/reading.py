@@ -11,7 +11,13 @@ from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.live.arrivals import NEVER, Arrival, Note
 from thermojoint.live.readers.csv_pipe import Pipe, read_pipe
 from thermojoint.live.served import Served
-from thermojoint.live.settings import CsvSource, MqttSource, OpcuaSource, Service
+from thermojoint.live.settings import (
+    CsvSource,
+    MqttSource,
+    MtconnectSource,
+    OpcuaSource,
+    Service,
+)
 from thermojoint.live.times import seconds_of
 
 
@@ -79,6 +85,10 @@ def readers_of(service: Service, models: Mapping[str, Served]) -> list[Reader]:
             from thermojoint.live.readers.opcua import opcua_reader
 
             readers.append(opcua_reader(service, source, names, fed))
+        elif isinstance(source, MtconnectSource):
+            from thermojoint.live.readers.mtconnect import mtconnect_reader
+
+            readers.append(mtconnect_reader(source, service.given.ahead_s, names, fed))
     return readers
 
 

@@ -1,0 +1,415 @@
+"""Data items of an MTConnect agent, by its stream of observations or by polling.
+
+An agent tells an observation only when a value changes; it holds until the next one, or until it is
+UNAVAILABLE. The readings are therefore what holds at the instants of the machine, by the agent's
+clock. After a disconnection the observations that the agent has kept are read on from the last one.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time as clock
+from collections.abc import AsyncGenerator, AsyncIterator, Generator, Iterator, Mapping, Sequence
+from contextlib import aclosing
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+from urllib.parse import quote
+
+from thermojoint.artefacts.quantities import Place
+from thermojoint.live.arrivals import NEVER, Arrival, Note
+from thermojoint.live.http_session import (
+    LOST,
+    TIMEOUT_S,
+    Address,
+    UnusableError,
+    address_of,
+    parts_of,
+    requested,
+    whole,
+)
+from thermojoint.live.mtconnect_documents import (
+    Devices,
+    Observation,
+    Refused,
+    Streams,
+    conversion,
+    converted,
+    document_of,
+)
+from thermojoint.live.reconnecting import FIRST_S, next_delay
+from thermojoint.live.served import Served
+from thermojoint.live.settings import MtconnectSource
+
+#: Arrivals that are passed on at once.
+_AT_ONCE = 64
+#: Observations in one document.
+_MOST = 1000
+#: Longest query; beyond it everything is asked for.
+_LONGEST = 4000
+#: Interval of the documents that an agent may be asked for, ms.
+_SHORTEST_MS, _LONGEST_MS = 10, 10_000
+
+
+class OverrunError(UnusableError):
+    """The agent no longer has the next observation."""
+
+
+class Fed(NamedTuple):
+    """A machine as its source knows it.
+
+    Attributes
+    ----------
+    device : str
+        Name or uuid.
+    readings, items : tuple of str
+        Names of the readings, and of their data items.
+    wanted : int
+        The first so many readings hold; those after them are occasional.
+    interval : float
+        Between two instants, s.
+    """
+
+    device: str
+    readings: tuple[str, ...]
+    items: tuple[str, ...]
+    wanted: int
+    interval: float
+
+
+class Held(NamedTuple):
+    """What holds of a machine; its position in the source.
+
+    Attributes
+    ----------
+    instance : int
+        Of the agent.
+    next : int
+        First observation that is not taken yet.
+    start, number : float, int
+        The next arrival is ``number`` intervals after the start, s since 1970.
+    values : tuple of float
+        NaN for what is unavailable, and for occasional readings that did not come.
+    since : tuple of float
+        When they were last observed, s since 1970.
+    """
+
+    instance: int
+    next: int
+    start: float
+    number: int
+    values: tuple[float, ...]
+    since: tuple[float, ...]
+
+    def due(self, fed: Fed) -> float:
+        """Return the instant of the next arrival, s since 1970."""
+        return self.start + fed.interval * self.number
+
+
+#: Data item to (machine, reading, conversion).
+Places = Mapping[str, Sequence[tuple[str, int, Place]]]
+
+
+@dataclass(frozen=True, eq=False)
+class MtconnectReader:
+    """All machines of one agent.
+
+    Attributes
+    ----------
+    url : str
+    address : Address
+    fed : dict of str to Fed
+    unchanged : float
+        How long a value may stay without a new observation, s.
+    ahead : float
+        Documents further in the future are refused, s.
+    """
+
+    url: str
+    address: Address
+    fed: Mapping[str, Fed]
+    unchanged: float
+    ahead: float
+
+    @property
+    def machines(self) -> Sequence[str]:
+        """Machines that the source feeds."""
+        return tuple(self.fed)
+
+    async def read(self, positions: Mapping[str, Any]) -> AsyncIterator[list[Arrival | Note]]:
+        """Yield readings for ever; reconnects whenever the connection is lost."""
+        held = {
+            machine: found
+            for machine, fed in self.fed.items()
+            if (found := held_of(positions.get(machine), fed))
+        }
+        delay = FIRST_S
+        while True:
+            try:
+                async with aclosing(self._connected(held)) as blocks:
+                    async for block in blocks:
+                        delay = FIRST_S
+                        yield block
+            except OverrunError as error:
+                held = {machine: one._replace(instance=-1) for machine, one in held.items()}
+                yield [Note("overrun", f"MTConnect {self.url}: {error}; read on from now")]
+            except LOST as error:
+                yield [Note("disconnected", f"MTConnect {self.url}: {_shown(error)}")]
+            await asyncio.sleep(delay)
+            delay = next_delay(delay)
+
+    async def _connected(self, held: dict[str, Held]) -> AsyncGenerator[list[Arrival | Note], None]:
+        """Yield the readings of one connection; `held` goes on."""
+        devices = await self._asked("/probe", ())
+        if not isinstance(devices, Devices):
+            raise UnusableError("the agent tells no devices")
+        places, notes = places_of(self.fed, devices)
+        if not places:
+            raise UnusableError("; ".join(note.text for note in notes)[:200])
+        yield [*notes, Note("connected", f"MTConnect {self.url}")]
+        path = f"path={quote('//DataItem[' + _ids(places) + ']')}"
+        query = path if len(path) <= _LONGEST else ""
+        instance = devices.header.instance
+        if {one.instance for one in held.values()} != {instance} or set(held) != set(self.fed):
+            streams = _observed(await self._asked(f"/current?{query}", places), instance)
+            for machine, fed in self.fed.items():
+                held[machine] = begun(fed, held.get(machine), observed(streams, places, machine))
+            for block in self._blocks(held, places, streams._replace(observations=())):
+                yield block
+        count = min(devices.header.size or 100, _MOST)
+        first = min(one.next for one in held.values())
+        async with aclosing(self._documents(f"{query}&count={count}", first, places)) as documents:
+            async for document in documents:
+                streams = _observed(document, instance)
+                if streams.faults:
+                    yield [Note("malformed", fault) for fault in streams.faults[:_AT_ONCE]]
+                for block in self._blocks(held, places, streams):
+                    yield block
+
+    def _blocks(
+        self, held: dict[str, Held], places: Places, streams: Streams
+    ) -> Iterator[list[Arrival | Note]]:
+        """Yield the arrivals of a document; `held` goes on."""
+        created, now = streams.header.created, clock.time()
+        for machine, fed in self.fed.items():
+            before, found = held[machine], observed(streams, places, machine)
+            due = before.due(fed)
+            if created > now + self.ahead or created < due - 2.0 * fed.interval:
+                # The agent's clock was set: the rules of every source refuse its time, and say so.
+                held[machine] = taken(fed, before, found, due)
+                yield [arrival_of(machine, fed, held[machine], created, self.unchanged)]
+                continue
+            block: list[Arrival | Note] = []
+            for after, instant in played(fed, before, found):
+                if instant is None:
+                    held[machine] = after
+                else:
+                    block.append(arrival_of(machine, fed, after, instant, self.unchanged))
+                if len(block) == _AT_ONCE:
+                    yield block
+                    block = []
+            if block:
+                yield block
+
+    async def _asked(self, target: str, places: Places | tuple[()]) -> Devices | Streams | Refused:
+        async with requested(self.address, target, TIMEOUT_S) as response:
+            content = await whole(response)
+            if response.status != 200 and not content.lstrip().startswith(b"<"):
+                raise UnusableError(f"HTTP status {response.status}")
+        return document_of(content, places)
+
+    async def _documents(
+        self, query: str, first: int, places: Places
+    ) -> AsyncGenerator[Devices | Streams | Refused, None]:
+        """Yield documents from an observation on: those of a stream, or of one request each."""
+        seconds = min(fed.interval for fed in self.fed.values())
+        interval = round(min(max(1000.0 * seconds, _SHORTEST_MS), _LONGEST_MS))
+        silence = TIMEOUT_S + 2e-3 * interval
+        while True:
+            asked = f"/sample?{query}&from={first}&interval={interval}&heartbeat={interval}"
+            async with requested(self.address, asked, silence) as response:
+                if response.kind.get_content_maintype() == "multipart":
+                    async for part in parts_of(response):
+                        yield document_of(part, places)
+                    raise UnusableError("the agent has ended the stream")
+                document = document_of(await whole(response), places)
+            yield document
+            if isinstance(document, Streams):
+                first = document.header.next
+            await asyncio.sleep(1e-3 * interval)
+
+
+def places_of(
+    fed: Mapping[str, Fed], devices: Devices
+) -> tuple[dict[str, list[tuple[str, int, Place]]], list[Note]]:
+    """Return where the observations of each data item belong, and notes of what is missing."""
+    places: dict[str, list[tuple[str, int, Place]]] = {}
+    notes = []
+    for machine, one in fed.items():
+        items = devices.devices.get(one.device)
+        if items is None:
+            notes.append(Note("unreadable", f"the agent has no device {one.device}", machine))
+            continue
+        for k, (reading, name) in enumerate(zip(one.readings, one.items, strict=True)):
+            if name == NEVER:
+                continue
+            if name not in items:
+                text = f"device {one.device} has no data item {name}"
+                notes.append(Note("unreadable", text, machine))
+                continue
+            try:
+                place = conversion(items[name], reading)
+            except UnusableError as error:
+                notes.append(Note("unreadable", str(error), machine))
+                continue
+            places.setdefault(items[name].ident, []).append((machine, k, place))
+    return places, notes
+
+
+def _ids(places: Places) -> str:
+    return " or ".join(f'@id="{item}"' for item in sorted(places))
+
+
+def _observed(document: Devices | Streams | Refused, instance: int) -> Streams:
+    if isinstance(document, Refused):
+        kind = OverrunError if "OUT_OF_RANGE" in document.codes else UnusableError
+        raise kind(document.text or "refused")
+    if not isinstance(document, Streams):
+        raise UnusableError("the agent tells no observations")
+    if document.header.instance != instance:
+        raise UnusableError("the agent has started anew")
+    return document
+
+
+def observed(streams: Streams, places: Places, machine: str) -> Streams:
+    """Return a document with the observations of one machine: by reading, in its unit."""
+    found = tuple(
+        Observation(str(k), one.sequence, one.time, converted(place, one.value))
+        for one in streams.observations
+        for name, k, place in places[one.item]
+        if name == machine
+    )
+    return streams._replace(observations=found)
+
+
+def begun(fed: Fed, before: Held | None, streams: Streams) -> Held:
+    """Return what holds by a document of all current observations.
+
+    Instants continue those of before, if there are any: the estimator's go on at the same phase.
+    """
+    header, count = streams.header, len(fed.readings)
+    start, number = header.created, 0
+    if before is not None:
+        start = before.start
+        number = max(before.number, math.ceil((header.created - start) / fed.interval))
+    nothing = (math.nan,) * count
+    held = Held(header.instance, 0, start, number, nothing, (header.created,) * count)
+    for one in streams.observations:
+        held = _with(held, one, min(one.time, header.created))
+    return held._replace(next=header.next, values=_kept(held.values, fed.wanted))
+
+
+def taken(fed: Fed, held: Held, streams: Streams, since: float) -> Held:
+    """Return what holds after all observations of a document."""
+    for one in streams.observations:
+        if one.sequence >= held.next:
+            held = _with(held, one, since)
+    return held._replace(
+        next=max(held.next, streams.header.next), values=_kept(held.values, fed.wanted)
+    )
+
+
+def played(fed: Fed, held: Held, streams: Streams) -> Iterator[tuple[Held, float | None]]:
+    """Yield what holds at each instant of a document, with the instant, and last without one.
+
+    Observations count from the first instant at or after their time, by the agent's clock at the
+    latest: those of an adapter whose clock differs count when they come.
+    """
+    header = streams.header
+    for one in streams.observations:
+        if one.sequence < held.next:
+            continue
+        while held.due(fed) < min(one.time, header.created):
+            held = yield from _instant(fed, held)
+        held = _with(held, one, held.due(fed))._replace(next=one.sequence + 1)
+    held = held._replace(next=max(held.next, header.next))
+    if header.next > header.last:
+        while held.due(fed) <= header.created:
+            held = yield from _instant(fed, held)
+    yield held, None
+
+
+def _instant(fed: Fed, held: Held) -> Generator[tuple[Held, float], None, Held]:
+    """Yield one instant; return what holds after it."""
+    after = held._replace(number=held.number + 1)
+    yield after, held.due(fed)
+    return after._replace(values=_kept(after.values, fed.wanted))
+
+
+def _with(held: Held, one: Observation, since: float) -> Held:
+    k = int(one.item)
+    return held._replace(
+        values=(*held.values[:k], one.value, *held.values[k + 1 :]),
+        since=(*held.since[:k], since, *held.since[k + 1 :]),
+    )
+
+
+def _kept(values: tuple[float, ...], wanted: int) -> tuple[float, ...]:
+    """Return the values that hold on: an occasional one counts once."""
+    return (*values[:wanted], *(math.nan for _ in values[wanted:]))
+
+
+def arrival_of(machine: str, fed: Fed, held: Held, instant: float, unchanged: float) -> Arrival:
+    """Return the readings that hold at an instant."""
+    readings: list[float | None] = [
+        value if instant - since <= unchanged else math.nan
+        for value, since in zip(held.values[: fed.wanted], held.since, strict=False)
+    ]
+    readings += [None if math.isnan(value) else value for value in held.values[fed.wanted :]]
+    kept = _kept(held.values, fed.wanted)
+    items = [
+        [name, None if math.isnan(value) else value, since]
+        for name, value, since in zip(fed.items, kept, held.since, strict=True)
+    ]
+    position = [fed.device, held.instance, held.next, held.due(fed), items]
+    return Arrival(machine, instant, readings, clock.time(), position)
+
+
+def held_of(position: Any, fed: Fed) -> Held | None:  # noqa: ANN401
+    """Return what held at a position; None if it is of another source or of other readings."""
+    try:
+        device, instance, following, due, items = position
+        names = tuple(name for name, _, _ in items)
+        values = tuple(math.nan if value is None else float(value) for _, value, _ in items)
+        since = tuple(float(since) for _, _, since in items)
+    except (TypeError, ValueError):
+        return None
+    if (device, names) != (fed.device, fed.items):
+        return None
+    return Held(int(instance), int(following), float(due), 0, values, since)
+
+
+def _shown(error: BaseException) -> str:
+    return f"{type(error).__name__} {error}".strip()[:200]
+
+
+def mtconnect_reader(
+    source: MtconnectSource,
+    ahead: float,
+    names: Mapping[str, tuple[str, ...]],
+    models: Mapping[str, Served],
+) -> MtconnectReader:
+    """Return the reader of a source; raises as `address_of`."""
+    fed = {
+        machine: Fed(
+            source.device.replace("{machine}", machine),
+            models[machine].intake.names,
+            called,
+            models[machine].intake.wanted,
+            models[machine].rule.interval,
+        )
+        for machine, called in names.items()
+    }
+    address = address_of(source.url, source.ca_file, "source")
+    unchanged = math.inf if source.unchanged_s is None else source.unchanged_s
+    return MtconnectReader(source.url, address, fed, unchanged, ahead)
