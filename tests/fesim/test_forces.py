@@ -16,10 +16,9 @@ from fesim.case.identity import condensation_key, elasticity_key
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from fesim.setup.parts import check_names
-from fesim.setup.structure import body_materials, build_structure
+from fesim.setup.structure import build_structure
 from fesim.simulate import simulate
-from fesim.solid.spaces import cells_around
-from fesim.solid.stress import principal, stress_at, stress_rows, stress_tensors, von_mises
+from fesim.solid.stress import principal, von_mises
 from thermojoint.artefacts.errors import InputError
 from thermojoint.verification.loaded import STANDING, WEIGHT, column_case, joint
 
@@ -80,24 +79,6 @@ def test_the_joint_passes_what_acts_above_it(marched):
     assert (last["pressure"] @ last["contact_area"]).item() == pytest.approx(passed[2].item())
     friction = 0.2 * last["pressure"]
     assert (np.linalg.norm(last["shear"], axis=1) <= friction * (1.0 + 1e-9)).all()
-
-
-def test_stress_at_a_probe_is_that_of_the_full_field(marched):
-    case, setup, steps, response = marched
-    structure = setup.structure
-    probe = structure.probes["P"]
-    cells = cells_around(structure, probe)
-    field = setup.displacement(steps[-1])
-    rows = stress_rows(
-        structure,
-        setup.spaces,
-        body_materials(case, structure),
-        np.tile(probe.position, (len(cells), 1)).T,
-        cells,
-    )
-    found = stress_at(rows, field, setup.nodal_temperature(steps[-1].state)).mean(axis=0)
-    row = response["stress"].sel(stress_probe="P")[-1].to_numpy()
-    np.testing.assert_allclose(stress_tensors(row), found, atol=1e-8 * np.abs(found).max())
 
 
 def test_the_reduced_march_bears_as_the_full_one(marched, tmp_path):

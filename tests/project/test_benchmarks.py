@@ -16,7 +16,6 @@ from benchmarks.performance.calibration import finite_differences
 from benchmarks.performance.cases import coarse_case, reference_case, with_elements
 from benchmarks.performance.compiled import compared
 from benchmarks.performance.pillar import pillar_case
-from benchmarks.performance.plain_set_up import plain_set_up
 from benchmarks.performance.report import BEGIN, END, TARGETS, cells, missed, write_markdown
 from benchmarks.performance.timing import Row, Skipped, paired
 from calibrate.linear import fit_ring
@@ -24,7 +23,6 @@ from estimator.fchs.stream import run
 from fesim.joint.compiled_gap import compile_gap
 from fesim.joint.gap import gap_problem
 from fesim.joint.law import stiffness_at_rest
-from fesim.setup import machine
 from fesim.setup.parts import make_parts
 from fesim.setup.structure import build_structure
 from thermojoint.artefacts.errors import ConvergenceError, InputError
@@ -307,24 +305,3 @@ def test_a_set_up_of_which_the_heat_changes_has_all_rows():
 def test_the_pillar_has_five_joints_of_as_many_contact_elements(tmp_path):
     parts = make_parts(pillar_case(tmp_path, 3, 2, 3))
     assert [len(joint.area) for joint in parts.joints] == 5 * [6]
-
-
-def test_the_set_up_gives_what_the_plain_one_gives():
-    """To 1e-12 m at 10 MPa in the joint and 100 K everywhere: the stiff screw is among it."""
-    case = coarse_case()
-    condensed, _ = plain_set_up(case)
-    ours = full(case)
-    for name, size in (
-        ("compliance", 1e7 * condensed.area),
-        ("thermal_gap", np.full(condensed.thermal_gap.shape[1], 100.0)),
-        ("probe_compliance", 1e7 * condensed.area),
-        ("probe_thermal", np.full(condensed.thermal_gap.shape[1], 100.0)),
-    ):
-        one, other = (getattr(made, name) @ size for made in (ours, condensed))
-        np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-12)
-
-
-def full(case):
-    """The elastic condensation of a set-up with the full thermal model."""
-    march = case.march.model_copy(update={"thermal": "full"})
-    return machine.set_up(case.model_copy(update={"march": march})).machine.contact.elastic

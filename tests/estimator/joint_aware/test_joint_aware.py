@@ -56,17 +56,6 @@ def response(data, setup):
     return run(data, setup, {"kind": "triangle", "peak": 2.0, "duration_min": 6.0})
 
 
-def test_the_machine_without_its_mesh_marches_as_the_simulator(data, setup, machine):
-    response = run(data, setup, step(3.0), 3.0)
-    held = machine.at_preload
-    physics = make_physics(diagonal_modes(machine, held), machine.joints, held)
-    seen = run_in(response, machine, "step 3")
-    temperature, displacement = simulate_known(physics, seen.inputs, machine.step)
-    steps = np.rint(seen.times[1:] / machine.step).astype(int) - 1
-    assert temperature[steps] == pytest.approx(seen.temperature[1:], abs=1e-9)
-    assert displacement[steps] == pytest.approx(seen.displacement[1:], abs=1e-12)
-
-
 @pytest.mark.parametrize("law", ["cmy-1969", "back-burdekin", "cmy-exact"])
 def test_machine_code_marches_as_the_plain_step(machine, law):
     """Heating that makes the joint slide, and cooling; a law that machine code does not know."""

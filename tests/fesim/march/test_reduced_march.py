@@ -2,44 +2,32 @@
 
 import copy
 from dataclasses import fields, replace
-from itertools import islice, pairwise
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pytest
-from bars import IRON, assemble, level, surface_law, two_bars, with_tolerance
+from bars import level, surface_law, with_tolerance
 from reduced_bars import bars_of, modes_of, on_modes, warmed
 from repository import ROOT
 
 from fesim.case.schema import case_from_data, read_case
 from fesim.joint.gap import TOLERANCE
-from fesim.march.contact import ContactProblem
 from fesim.march.ensemble import march_many
 from fesim.march.kernel import step_kernel
-from fesim.march.machine import CondensedMachine
 from fesim.march.reduced import (
     DISPLACEMENT_ERROR,
     TEMPERATURE_ERROR,
-    outputs_of,
-    project_elasticity,
-    project_heat,
-    thermal_modes,
 )
 from fesim.march.settling import initial_state
 from fesim.march.state_file import load_state, save_state
 from fesim.march.stepping import iterated, march, march_along, plainly_staggered, staggered
 from fesim.march.track import joined
-from fesim.setup.elastic import reference_springs
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 from fesim.snapshots import structure_snapshot
-from fesim.solid import reduction
-from fesim.solid.condensation import condense_elasticity, condense_heat
-from fesim.solid.heat import HeatSource, ThermalLoads, heat_operators
-from fesim.solid.joint_operators import joint_operators
-from fesim.solid.spaces import probe_rows
-from meshes.pairing import pair_joint
-from thermojoint.artefacts.errors import ConvergenceError, InputError
+from fesim.solid.condensation import condense_heat
+from thermojoint.artefacts.errors import InputError
 from thermojoint.console import out
 from thermojoint.paper.printing import show_convergence
 from thermojoint.paper.report import ReportData, report_html
@@ -255,96 +243,6 @@ def test_the_same_modes_serve_a_march_of_any_step(bars, modes, step, advance):
         np.testing.assert_allclose(other.state.pressure, one.state.pressure, rtol=0, atol=1e3)
         assert abs(other.heat_balance) < 1e-11
     assert max(step.state.pressure.max() for step in full) > 1e7
-
-
-def test_one_step_on_the_modes_is_diagonal(bars, modes):
-    """Nothing is solved in a step but the joint."""
-    thermal = on_modes(bars, modes).thermal
-    expected = 1.0 / 2.0 + modes.rates
-    np.testing.assert_allclose(thermal.factor.matrix.diagonal(), expected, rtol=1e-12)
-    assert thermal.factor.matrix.nnz == modes.rates.size
-    assert thermal.capacity_rate.nnz == modes.rates.size
-
-
-def test_a_heated_body_with_no_way_out_keeps_all_its_heat():
-    """No films: what entered is what the reduced field stores, whatever the joint does."""
-    bars = assemble(
-        two_bars(left=(4, 4, 2), right=(4, 4, 2)),
-        sources={"left_top": 1.0},
-        fixed=["left_end", "right_end"],
-    )
-    modes = modes_of(bars)
-    machine = on_modes(bars, modes)
-    steps = list(islice(march(machine, lambda _: np.array([300.0, 0.0]), staggered), 100))
-    capacity = bars.parts.heat.capacity.diagonal()
-    for count, step in enumerate(steps, start=1):
-        held = capacity @ (modes.basis @ step.state.temperature)
-        assert held == pytest.approx(300.0 * 2.0 * count, rel=1e-11)
-    assert all(abs(step.heat_balance) < 1e-12 for step in steps)
-
-
-def test_without_heat_the_sum_of_the_squared_amplitudes_only_falls(bars, modes):
-    """Every mode decays: stored heat spreads and leaves, none comes up."""
-    machine = on_modes(bars, modes)
-    hot = heated(machine, 20)[-1].state
-    cold = np.zeros(machine.thermal.inputs.shape[1])
-    steps = [hot, *(s.state for s in islice(march(machine, lambda _: cold, staggered, hot), 200))]
-    energies = [state.temperature @ state.temperature for state in steps]
-    assert all(after <= before for before, after in pairwise(energies))
-    assert energies[-1] < 0.5 * energies[0]
-
-
-def test_two_joints_of_different_laws():
-    """The interface is cut in two: the upper half is lubricated and lightly loaded."""
-    whole = two_bars(left=(4, 4, 2), right=(4, 4, 2))
-    heights = whole.mesh.p[1][whole.mesh.facets].mean(axis=0)
-    surfaces = dict(whole.surfaces)
-    for side in "ab":
-        facets = whole.surfaces[f"joint.{side}"]
-        surfaces[f"upper.{side}"] = facets[heights[facets] > 0.03]
-        surfaces[f"lower.{side}"] = facets[heights[facets] < 0.03]
-    names = ("upper", "lower")
-    structure = replace(
-        whole, surfaces=surfaces, joints={name: (f"{name}.a", f"{name}.b") for name in names}
-    )
-    bars = bars_of()
-    spaces = bars.parts.spaces
-    joints = [pair_joint(structure, name, 2, 2) for name in names]
-    operators = joint_operators(joints, spaces)
-    materials = {"left": IRON, "right": IRON}
-    heat = heat_operators(
-        structure,
-        spaces.heat,
-        materials,
-        ThermalLoads({"bottom": 50.0}, [HeatSource(1.0, "left_top")]),
-    )
-    springs = reference_springs(structure, materials, joints)
-    elastic, _ = condense_elasticity(bars.elastic, operators, springs, bars.probes)
-    laws = [(surface_law(0.05, preload=1e6), 4), (surface_law(0.6), 4)]
-    rows = probe_rows(spaces.heat, structure, structure.probes)
-    modes = thermal_modes(heat, operators, outputs_of(elastic, rows), 2.0)
-    thermal = condense_heat(heat, operators, 2.0)
-    full = heated(CondensedMachine(thermal, ContactProblem(elastic, laws)), 100)
-    reduced = heated(
-        CondensedMachine(
-            project_heat(heat, operators, 2.0, modes),
-            ContactProblem(project_elasticity(elastic, modes), laws),
-        ),
-        100,
-    )
-    for one, other in zip(full, reduced, strict=True):
-        allowed = modes.error * TEMPERATURE_ERROR
-        field = modes.basis @ other.state.temperature
-        np.testing.assert_allclose(rows @ field, rows @ one.state.temperature, rtol=0, atol=allowed)
-        np.testing.assert_allclose(other.state.pressure, one.state.pressure, rtol=0, atol=1e3)
-        np.testing.assert_allclose(other.state.slip, one.state.slip, rtol=0, atol=1e-10)
-    assert np.abs(full[-1].state.slip[:, :4]).max() > 10 * np.abs(full[-1].state.slip[:, 4:]).max()
-
-
-def test_modes_too_few_for_the_tolerance_are_refused(bars, monkeypatch):
-    monkeypatch.setattr(reduction, "SHIFTS", (3,))
-    with pytest.raises(ConvergenceError, match=r'off by .* use thermal = "full" in \[march\]'):
-        modes_of(bars)
 
 
 # --- what a user sees ----------------------------------------------------------------------------

@@ -9,8 +9,6 @@ from fesim.case.schema import case_from_data
 from fesim.joint.cutting import cut, held_by
 from fesim.joint.gap import gap_problem, solve_gap
 from fesim.joint.law import BackBurdekinLaw, Friction, JointLaw, evaluate, stiffness_at_rest
-from fesim.march.state_file import load_state, save_state
-from fesim.setup.machine import set_up
 from fesim.setup.parts import check_names
 from fesim.setup.structure import build_structure
 from fesim.simulate import simulate
@@ -52,46 +50,6 @@ def heated(folder, **changes):
         "held_temperatures": {"foot": {"rise_K": 20.0}},
         "loads": {"cut": force, **WEIGHT},
     }
-
-
-def test_the_full_field_ends_where_the_condensed_displacement_does(tmp_path):
-    """Loads, heat and slip together: two ways to one displacement, at the start and at the end."""
-    case = case_from_data(heated(tmp_path), "bars", tmp_path)
-    setup, steps = set_up(case), []
-    response = simulate(case, setup=setup, on_step=steps.append).response
-    assert response["displacement"][0].sel(axis="z").item() < 0.0
-    top = setup.structure.mesh.p
-    found = setup.displacement(steps[-1]).reshape(-1, 3)[setup.spaces.elastic.nodal_dofs[0]]
-    corners = np.flatnonzero(np.abs(top[2] - 0.4) < 1e-9)
-    centre = corners[np.argmin(np.abs(top[:2, corners] - 0.025).sum(axis=0))]
-    np.testing.assert_allclose(found[centre], response["displacement"][-1], rtol=1e-9, atol=1e-14)
-
-
-@pytest.mark.parametrize("coupling", ["staggered", "iterated"])
-def test_the_reduced_march_carries_loads_as_the_full_one(tmp_path, coupling):
-    data = heated(tmp_path)
-    data["march"] |= {"coupling": coupling}
-    ends = []
-    for thermal in ("full", "reduced"):
-        data["march"] |= {"thermal": thermal}
-        ends.append(simulate(case_from_data(data, "bars", tmp_path)).response)
-    full, reduced = ends
-    np.testing.assert_allclose(reduced["pressure"], full["pressure"], rtol=1e-3)
-    np.testing.assert_allclose(reduced["displacement"], full["displacement"], atol=2e-9)
-    np.testing.assert_allclose(full["load_factor"].sel(load="cut")[[0, 1]], [0.5, 0.6], rtol=1e-12)
-
-
-def test_a_march_goes_on_under_its_loads(tmp_path):
-    data = heated(tmp_path)
-    whole = simulate(case_from_data(data, "bars", tmp_path)).response
-    short = case_from_data(
-        data | {"march": data["march"] | {"duration_min": 1.0}}, "bars", tmp_path
-    )
-    case = case_from_data(data, "bars", tmp_path)
-    save_state(simulate(short).state, short, tmp_path / "state.npz")
-    rest = simulate(case, start=load_state(tmp_path / "state.npz", case)).response
-    np.testing.assert_array_equal(rest["pressure"], whole["pressure"][-3:])
-    np.testing.assert_array_equal(rest["displacement"], whole["displacement"][-3:])
 
 
 def test_a_pressure_is_the_force_over_its_surface(tmp_path):

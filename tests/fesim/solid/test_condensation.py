@@ -2,18 +2,16 @@
 
 import gc
 import weakref
-from itertools import islice
 
 import numpy as np
 import pytest
-from bars import IRON, STEEL, assemble, conduct, driven, surface_law, two_bars, with_tolerance
+from bars import IRON, STEEL, assemble, conduct, driven, surface_law, two_bars
 
 from benchmarks.performance.plain_set_up import plain_condensation
-from fesim.case.history import sampled_history, triangle_history
-from fesim.march.stepping import iterated, march, staggered
+from fesim.case.history import triangle_history
+from fesim.march.stepping import iterated, march
 from fesim.solid import linear_solver, substructures
 from thermojoint.artefacts.errors import InputError
-from thermojoint.verification.plain_march import plain_march
 
 STEP, COUNT = 2.0, 25
 
@@ -29,41 +27,6 @@ def heated_bars(friction, **changes):
         "step": STEP,
     }
     return assemble(two_bars(left=(2, 3, 1), right=(2, 2, 1)), **(given | changes))
-
-
-@pytest.mark.parametrize("friction", [0.0, 0.1, 0.3])
-def test_condensed_march_is_the_plain_one(friction):
-    """Temperature, displacement and pressure to 1e-9 in every step, heated and then cooled."""
-    made = heated_bars(friction)
-    machine = with_tolerance(made.machine, 1e-17)
-    history = sampled_history(np.array([0.0, 16.0, 20.0, 50.0]), np.array([0.0, 2.0, -6.0, -6.0]))
-    slid = 0.0
-    lowest = highest = made.machine.contact.preload[0]
-    inputs = driven(made.machine, history)
-    operators = made.parts.heat, made.elastic, made.parts.operators
-    plain = islice(plain_march(*operators, made.machine, inputs), COUNT)
-    condensed = march(machine, inputs, staggered)
-    for whole, step in zip(plain, condensed, strict=False):
-        state = step.state
-        field = made.field.solve(state.temperature, step.remainder)
-        for ours, theirs in (
-            (state.temperature, whole.temperature),
-            (field, whole.displacement),
-            (step.displacement, made.probes @ whole.displacement),
-            (state.pressure, whole.pressure),
-        ):
-            scale = np.abs(theirs).max()
-            np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=1e-9 * scale)
-        np.testing.assert_allclose(
-            state.slip, whole.slip, rtol=0.0, atol=1e-9 * np.abs(whole.displacement).max()
-        )
-        slid = max(slid, np.abs(whole.slip).max())
-        lowest, highest = min(lowest, whole.pressure.min()), max(highest, whole.pressure.max())
-    assert state.index == COUNT
-    # The comparison means something: the joint is pressed, relieved and slides.
-    assert highest > 2.0 * made.machine.contact.preload[0]
-    assert lowest < 0.1 * made.machine.contact.preload[0]
-    assert slid > 0.05e-6
 
 
 def test_field_on_demand_has_the_gaps_and_probes_of_the_march():

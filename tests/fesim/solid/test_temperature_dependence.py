@@ -6,7 +6,6 @@ from batch_cases import case_text, grid
 from hypothesis import given
 from hypothesis import strategies as st
 from repository import ROOT
-from scipy.integrate import quad
 from scipy.sparse import diags_array
 
 from fesim.batch.dataset import open_dataset
@@ -40,13 +39,6 @@ def test_the_integral_of_a_factor_is_its_integral(rises, data, temperature):
     exact = np.trapezoid(np.interp(ends, rises, values), ends) * (1 if temperature > 0 else -1)
     found = factor.integral(np.array([temperature]))[0]
     assert found == pytest.approx(exact, rel=1e-9, abs=1e-9)
-
-
-def test_the_integral_is_that_of_a_quadrature():
-    factor = TemperatureFactor(np.array([-10.0, 0.0, 20.0, 50.0]), np.array([1.0, 1.2, 0.8, 1.0]))
-    for temperature in (-30.0, 7.0, 45.0):
-        exact = quad(lambda t: np.interp(t, factor.rises, factor.values), 0.0, temperature)[0]
-        assert factor.integral(np.array([temperature]))[0] == pytest.approx(exact, rel=1e-6)
 
 
 def driven(folder, **changes):
@@ -99,29 +91,6 @@ def test_every_step_satisfies_its_own_equation(tmp_path):
     assert np.abs(response["heat_balance"]).max().item() < 1e-8
     # What leaves by film and radiation counts: the bar does not keep all of its heat.
     assert steps[-1].state.temperature.max() > 5.0
-
-
-def test_what_conducts_and_radiates_more_is_cooler(tmp_path):
-    def hottest(**changes):
-        data = driven(tmp_path, **changes)
-        if "metal" in changes:
-            data["materials"]["metal"] |= data.pop("metal")
-        return run(data, tmp_path)["temperature"][-1].max().item()
-
-    plain = hottest()
-    assert hottest(metal={"conductivity_factor": RISING}) < plain
-    assert hottest(metal={"conductivity_factor": FALLING}) > plain
-    assert hottest(convection_factor={"x1": RISING}) < plain
-    assert hottest(radiation={"x1": {"emissivity": 1.0, "ambient_degC": 20.0}}) < plain
-
-
-def test_radiation_is_a_film_for_small_differences(tmp_path):
-    convection = 4.0 * 0.9 * 5.670374419e-8 * 293.15**3
-    weak = {"sources": {"heat": {"surface": "x0", "reference_power_W": 0.05}}}
-    linear = run(driven(tmp_path, convection_W_m2K={"x1": convection}, **weak), tmp_path)
-    radiation = {"x1": {"emissivity": 0.9, "ambient_degC": 20.0}}
-    quartic = run(driven(tmp_path, convection_W_m2K={}, radiation=radiation, **weak), tmp_path)
-    np.testing.assert_allclose(quartic["temperature"], linear["temperature"], rtol=1e-3, atol=1e-9)
 
 
 def test_radiation_follows_the_ambient(tmp_path):

@@ -55,15 +55,7 @@ def superposed(ring, times, onsets, changes):
     return total
 
 
-def test_the_recursion_agrees_with_the_convolution_of_eq_5(inverse):
-    times = np.arange(1, 251) * DT
-    delta_T = superposed(TABLE_1, times, [0.0, 100.0, 260.0], [1.0, 2.0, -1.5])[:, None]
-    recursion, _ = respond_to_line(inverse, times, delta_T, DT)
-    convolution = heat_by_convolution([[TABLE_1]], [REGULARISED], times, delta_T, DT)
-    assert np.abs(recursion - convolution).max() < 1e-6 * np.abs(convolution).max()
-
-
-def test_both_agree_for_two_sources_and_samples_at_irregular_times(pair_inverse):
+def test_the_recursion_agrees_with_the_convolution_of_eqs_5_and_6_at_irregular_times(pair_inverse):
     rng = np.random.default_rng(5)
     times = np.cumsum(rng.uniform(0.3, 9.0, 50))
     temperatures = np.cumsum(rng.standard_normal((50, 2)), axis=0)
@@ -120,19 +112,6 @@ def test_two_sources_that_are_only_seen_together_are_told_apart(pair_inverse):
     assert np.abs(heat[times > 600.0] - strengths).max() < 5e-3
 
 
-def test_a_gap_is_bridged_as_if_the_straight_line_had_been_sampled(inverse):
-    times = np.arange(1, 301) * DT
-    delta_T = superposed(TABLE_1, times, [0.0], [1.0])
-    kept = (times < 200.0) | (times > 320.0)
-    bridged = np.interp(times, times[kept], delta_T[kept])
-    filled = respond_to_line(inverse, times, bridged[:, None], DT)[0][:, 0]
-    gap = respond_to_line(inverse, times[kept], delta_T[kept][:, None], DT)[0][:, 0]
-    after = times[kept] > 322.0
-    assert gap[after] == pytest.approx(filled[kept][after], rel=1e-9)
-    over_gap = filled[(times >= 200.0) & (times <= 322.0)]
-    assert gap[times[kept] == 322.0][0] == pytest.approx(over_gap.mean(), rel=1e-9)
-
-
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.integers(1, 40), min_size=2, max_size=25), st.integers(0, 2**32 - 1))
 def test_any_intervals_give_the_means_of_fine_uniform_sampling(inverse, steps, seed):
@@ -172,16 +151,6 @@ def test_the_noise_gain_is_what_A_says(dt):
     predicted = np.sqrt(2.0) * 0.03 / (REGULARISED.A * dt)
     # The next term of G is of the order of γ Δt.
     assert heat.std() == pytest.approx(predicted, rel=0.05 + 2.0 * REGULARISED.gamma * dt)
-
-
-def test_a_larger_A_passes_less_noise():
-    noise = 0.03 * np.random.default_rng(1).standard_normal((1000, 1))
-    spread = []
-    for factor in (1.0, 2.0, 4.0):
-        chosen = Regularisation(factor * REGULARISED.A, factor * REGULARISED.B, REGULARISED.gamma)
-        bank = inverse_bank([[TABLE_1]], [chosen], DT, LENGTH, 1e-6, "ΔT")
-        spread.append(respond_to_line(bank, np.arange(1, 1001) * DT, noise, DT)[0].std())
-    assert spread[0] > 1.5 * spread[1] > 2.0 * spread[2]
 
 
 @settings(max_examples=40, deadline=None)

@@ -15,13 +15,6 @@ from reference_case import lasting
 from short_runs import SHORT
 
 from calibrate import chain
-from calibrate.placement.fchs import (
-    RULE,
-    rank_joint_sensors,
-    sources_for,
-    with_roles,
-)
-from estimator import noise
 from estimator.fchs import judging as judge
 from estimator.joint_aware.model_file import read_observer
 from fesim.case.schema import MeshSection, read_case
@@ -97,22 +90,6 @@ def test_a_run_leaves_every_file(results):
         assert any(name.startswith(f"figure-{number:02d}") for name in pictures)
     assert {"temperature.png", "deformation.png", "pressure.png"} <= pictures
     assert {f"estimate-{case}.png" for case in inputs.CASES} <= pictures
-
-
-def test_tables_json_has_every_parameter(results):
-    tables = json.loads((results / "tables.json").read_text())
-    thermal = {"K", "a", "alpha", "r", "r0", "A", "B", "gamma", "max_abs_error_K"}
-    assert thermal <= set(tables["table1"]["thermal"])
-    eq8 = {"C", "D", "E", "c", "d", "e", "max_abs_error_um"}
-    for axis in AXES:
-        assert eq8 <= set(tables["table1"]["deformation"][axis])
-        for source in tables["table3"][axis]["sources"]:
-            assert {"C", "D", "E", "F", "c", "d", "e", "f"} <= set(source)
-    for source in tables["table2"]["sources"]:
-        assert {"a", "alpha", "K", "q", "A", "B", "gamma"} <= set(source)
-        assert set(source["q"]) == {"2.0", "0.5"}
-    assert np.shape(tables["table2"]["distances_m"]) == (2, 2)
-    assert set(tables["table3"]["max_abs_error_um"]) == {"0.5", "2.0"}
 
 
 def test_the_tables_are_those_of_the_model(command, results):
@@ -208,15 +185,6 @@ def test_the_report_is_one_page_that_loads_nothing(results):
     assert page.count("data:image/png;base64,") == shown == 16
 
 
-def test_the_estimator_sees_temperatures_only(model, responses):
-    reference, triangle = responses["step-1.0"], responses["triangle"]
-    blind = triangle.assign(displacement=0.0 * triangle["displacement"] + 1.0)
-    blind["displacement"].attrs = triangle["displacement"].attrs
-    seen = judge.validate_model(model, reference, {"triangle": triangle}).estimates["triangle"]
-    unseen = judge.validate_model(model, reference, {"triangle": blind}).estimates["triangle"]
-    assert np.array_equal(seen.total, unseen.total)
-
-
 def test_regressions_are_judged_where_they_are_given(results, model, responses):
     given = {"triangle": responses["triangle"]}
     beside = read_baselines(results / "baselines.json")
@@ -253,53 +221,6 @@ def test_responses_without_sensors_or_candidates_are_refused(responses):
     bare = {n: r.isel(probe=slice(0, 2)).assign_attrs(case="") for n, r in responses.items()}
     with pytest.raises(InputError, match="name the sensors a, b, T1 and T2"):
         chain.calibrate_responses(bare["step-1.0"], {0.5: bare["step-0.5"], 2.0: bare["step-2.0"]})
-
-
-def test_roles_keep_the_values_of_their_probes(responses):
-    response = responses["step-2.0"]
-    name = str(response["probe"].to_numpy()[5])
-    named = with_roles(response, {"T9": name})
-    assert np.array_equal(
-        named["temperature"].sel(probe="T9"), response["temperature"].sel(probe=name)
-    )
-    assert set(response["probe"].to_numpy()) < set(named["probe"].to_numpy())
-
-
-def test_sources_lie_at_the_contact_elements_nearest_to_the_sensors(responses):
-    response = responses["step-2.0"]
-    names = [str(n) for n in response["probe"].to_numpy() if str(n).startswith("s6")]
-    pair = names[0], names[-1]
-    sources, distances = sources_for(response, pair)
-    elements = response["contact_position"].to_numpy()
-    for i, name in enumerate(pair):
-        sensor = response["probe_position"].sel(probe=name).to_numpy()
-        reach = np.linalg.norm(elements - sensor, axis=1)
-        assert distances[i, i] == pytest.approx(reach.min())
-        assert np.array_equal(sources[i], elements[np.argmin(reach)])
-
-
-def test_joint_pairs_come_best_first_and_apart(responses):
-    base = responses["step-1.0"]
-    others = {0.5: responses["step-0.5"], 2.0: responses["step-2.0"]}
-    names = [str(n) for n in base["probe"].to_numpy() if str(n).startswith("s65")]
-    base, *rest = (one.sel(axis=list(AXES)) for one in (base, *others.values()))
-    others = dict(zip(others, rest, strict=True))
-    pairs = list(rank_joint_sensors(base, others, names))
-    places = base["probe_position"].sel(probe=names).to_numpy()
-    order = [(pair.signal < RULE.deviation_uncertainty, pair.misfit) for pair in pairs]
-    assert order == sorted(order)
-    assert 0.0 < order[0][1] < 1.0
-    for pair in pairs:
-        low, high = (base["probe_position"].sel(probe=n).to_numpy() for n in pair.probes)
-        assert np.linalg.norm(low - high) >= RULE.apart * np.ptp(places, axis=0).max() - 1e-9
-        assert low[1] <= high[1]
-
-
-def test_the_noise_is_seeded_and_as_large_as_the_papers(responses):
-    first, again = (noise.joint_noise(responses["triangle"]) for _ in range(2))
-    for role in ("T1", "T2"):
-        assert np.array_equal(first[role], again[role])
-        assert np.ptp(first[role]) == pytest.approx(0.12)
 
 
 def test_validation_noise_is_seeded(command, results, tmp_path):
