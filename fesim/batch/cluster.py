@@ -130,7 +130,11 @@ class DaskCrew:
 
 
 @contextmanager
-def dask_crew(address: str, tell: Callable[[str], None] = lambda text: None) -> Iterator[DaskCrew]:
+def dask_crew(
+    address: str,
+    tell: Callable[[str], None] = lambda text: None,
+    timeout: float = CONNECT_TIMEOUT,
+) -> Iterator[DaskCrew]:
     """Give the workers of the cluster at `address`, e.g. ``tcp://10.0.0.1:8786``.
 
     Parameters
@@ -139,6 +143,8 @@ def dask_crew(address: str, tell: Callable[[str], None] = lambda text: None) -> 
         Of the scheduler.
     tell : callable
         Called with one line for each worker with another version that joins later.
+    timeout : float, optional
+        For the scheduler to respond, s.
 
     Raises
     ------
@@ -148,7 +154,7 @@ def dask_crew(address: str, tell: Callable[[str], None] = lambda text: None) -> 
     # A lost connection is reported in one line, not in three tracebacks.
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     try:
-        client = Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)
+        client = Client(address, timeout=timeout, set_as_default=False)
     except (OSError, ValueError) as error:
         raise InputError(f"--scheduler {address}: no Dask scheduler responds there") from error
     with client:

@@ -54,8 +54,11 @@ def step_heat(
     temperature: Array,
     inputs: Array,
     joint: Array,
+    most: int = MOST,
 ) -> HeatTaken:
     """Take one step of the heat equation; arguments as for `fesim.march.heat_step.heat_step`.
+
+    `most` is the largest number of secant steps.
 
     Raises
     ------
@@ -74,7 +77,7 @@ def step_heat(
     at, size = temperature, np.inf
     guesses: list[Array] = []
     changes: list[Array] = []
-    for _ in range(MOST):
+    for _ in range(most):
         lost = lacking(at)
         lost[variable.held] = 0.0
         after, flow = heat_step(thermal, temperature, inputs, joint, lost)

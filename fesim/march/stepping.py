@@ -224,11 +224,18 @@ def iterated(machine: CondensedMachine) -> Take:
     return lambda state, inputs: track_of(iterated_step(machine, state, inputs[0]))
 
 
-def iterated_step(machine: CondensedMachine, state: State, inputs: Array) -> Step:
+def iterated_step(
+    machine: CondensedMachine,
+    state: State,
+    inputs: Array,
+    seeking: int = SEEKING,
+    relaxing: tuple[float, ...] = RELAXING,
+) -> Step:
     """Take one step of `iterated`.
 
     Fixed-point iteration. Every sweep starts from the state at the start of the step, so that
-    friction sees one increment only; the first takes the pressure of the state.
+    friction sees one increment only; the first takes the pressure of the state. `seeking` sweeps
+    have weights by Aitken's method, further ones those of `relaxing`.
 
     Raises
     ------
@@ -239,7 +246,7 @@ def iterated_step(machine: CondensedMachine, state: State, inputs: Array) -> Ste
     value = carried.of(state)
     weight, last = 1.0, np.zeros_like(value)
     iterations = cuts = 0
-    for sweep in range(SEEKING + len(RELAXING)):
+    for sweep in range(seeking + len(relaxing)):
         step = _step_with(machine, state, inputs, carried.conductance(value))
         iterations += step.iterations
         cuts += step.cuts
@@ -254,8 +261,8 @@ def iterated_step(machine: CondensedMachine, state: State, inputs: Array) -> Ste
         # keep changing them within the tolerance of the gap equations.
         state = replace(state, change=step.state.change)
         slow = change > 0.5 * float(np.abs(last).max(initial=0.0))
-        if sweep >= SEEKING:
-            weight = RELAXING[sweep - SEEKING]
+        if sweep >= seeking:
+            weight = relaxing[sweep - seeking]
         elif slow:
             weight = _aitken(weight, last, misfit)
         last = misfit

@@ -84,22 +84,24 @@ def make_parts(case: Case) -> Parts:
     return Parts(structure, joints, probes, constraints, laws, bolts)
 
 
-def paired_joints(case: Case, structure: Structure) -> tuple[PairedJoint, ...]:
+def paired_joints(
+    case: Case, structure: Structure, most: int = MOST_IN_ALL
+) -> tuple[PairedJoint, ...]:
     """Pair the sides of every joint of a case, in the order of the contact elements.
 
     Raises
     ------
     InputError
-        The sides of a joint do not fit, or there are more than `MOST_IN_ALL` contact elements.
+        The sides of a joint do not fit, or there are more than `most` contact elements.
     """
     joints = tuple(
         pair_joint(structure, name, section.along, section.across)
         for name, section in case.joints.items()
     )
     count = sum(len(joint.area) for joint in joints)
-    if count > MOST_IN_ALL:
+    if count > most:
         raise InputError(
-            f"joints: {count} contact elements in all, and {MOST_IN_ALL} at most: each dense "
+            f"joints: {count} contact elements in all, and {most} at most: each dense "
             "matrix of the joints would take gigabytes; lower along or across"
         )
     return joints

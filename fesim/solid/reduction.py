@@ -30,10 +30,6 @@ from fesim.solid.linear_solver import (
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
 
-#: Numbers of shifts tried in turn.
-SHIFTS = (20, 28, 40)
-#: Directions whose heat capacity-weighted size, K (J/K)^0.5, is below this are left out at first.
-CUT = 3e-4
 #: Directions below this fraction of the responses are rounding, and always left out.
 ROUNDING = 1e-13
 #: Relative accuracy of the full responses: a body that gives off no heat gets very hot at the
@@ -44,9 +40,30 @@ SOLVED = 1e-9
 CHECKED, STEPS, STEP = 4, 200, 2.0
 #: Number of steps whose outputs are computed together.
 TOGETHER = 50
-#: Random combinations at a time represent the drives if these are more than twice as many, until
-#: fewer than half of them add a new direction.
-SAMPLE = 64
+
+
+@dataclass(frozen=True)
+class Search:
+    """How a basis is searched for.
+
+    Attributes
+    ----------
+    shifts : tuple of int
+        Numbers of shifts tried in turn.
+    cut : float
+        Directions whose heat capacity-weighted size, K (J/K)^0.5, is below this are left out at
+        first; a tenth of it with every further number of shifts.
+    sample : int
+        So many random combinations at a time represent the drives if these are more than twice as
+        many, until fewer than half of them add a new direction.
+    """
+
+    shifts: tuple[int, ...] = (20, 28, 40)
+    cut: float = 3e-4
+    sample: int = 64
+
+
+USUAL = Search()
 
 
 @dataclass(frozen=True)
@@ -97,7 +114,11 @@ class HeatSystem:
 
 
 def reduce_heat(
-    system: HeatSystem, shortest: float, longest: float, solver: str | None = None
+    system: HeatSystem,
+    shortest: float,
+    longest: float,
+    solver: str | None = None,
+    search: Search = USUAL,
 ) -> ReducedHeat:
     """Reduce the heat equation.
 
@@ -108,6 +129,7 @@ def reduce_heat(
         Times of interest, s: the shortest step, and the time to a steady state.
     solver : str, optional
         See `fesim.solid.linear_solver.factorise`.
+    search : Search, optional
 
     Raises
     ------
@@ -122,14 +144,14 @@ def reduce_heat(
     step = STEP * shortest
     rate = capacity / step
     exact = _unit_march(factors(rate), rate, _together(drives), outputs, fields)
-    cut, error = CUT, np.inf
-    for count in SHIFTS:
+    cut, error = search.cut, np.inf
+    for count in search.shifts:
         shifts = np.geomspace(1.0 / longest, 1.0 / shortest, count)
         held = np.hstack([np.ones((len(root), 1)), fields])
         basis = _orthonormal(root[:, None] * held, np.empty((len(root), 0)), 0.0)
         for shift in shifts:
             factor, driving = factors(shift * capacity), np.hstack([drives, shift * stored])
-            for sample in _samples(driving.shape[1]):
+            for sample in _samples(driving.shape[1], search.sample):
                 block = root[:, None] * _response(factor, driving @ sample)
                 directions = _orthonormal(block, basis, cut)
                 basis = np.hstack([basis, directions])
@@ -172,17 +194,17 @@ def _response(factor: Factor, drives: Array) -> Array:
     return checked_solve(factor, drives, "reduction of the heat equation")
 
 
-def _samples(count: int) -> Iterator[Array]:
+def _samples(count: int, size: int) -> Iterator[Array]:
     """Combinations of inputs, shape (count, columns): each alone if they are few, else random.
 
     A combination is scaled so that inputs of unit size give a response of unit size.
     """
-    if count <= 2 * SAMPLE:
+    if count <= 2 * size:
         yield np.eye(count)
         return
     rng = np.random.default_rng(0)
-    for _ in range(-(-count // SAMPLE)):
-        yield rng.standard_normal((count, SAMPLE)) / np.sqrt(SAMPLE)
+    for _ in range(-(-count // size)):
+        yield rng.standard_normal((count, size)) / np.sqrt(size)
 
 
 def _unit_march(factor: Factor, rate: Array, drives: Array, outputs: Array, fields: Array) -> Array:

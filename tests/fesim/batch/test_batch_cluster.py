@@ -73,11 +73,10 @@ def test_the_command_uses_a_cluster_that_is_there(tmp_path, cluster):
     assert all("tcp://" in worker for worker in workers)
 
 
-def test_a_scheduler_that_is_not_there_is_one_line(tmp_path, monkeypatch):
-    monkeypatch.setattr("fesim.batch.cluster.CONNECT_TIMEOUT", 1.0)
+def test_a_scheduler_that_is_not_there_is_one_line(tmp_path):
     study = study_in(tmp_path, levels(2), 1.0)
     with pytest.raises(InputError, match="no Dask scheduler responds there"):
-        run_batch(study, tmp_path / "out", lambda: dask_crew("tcp://127.0.0.1:9"))
+        run_batch(study, tmp_path / "out", lambda: dask_crew("tcp://127.0.0.1:9", timeout=1.0))
 
 
 def test_a_cluster_with_another_version_is_refused(cluster, monkeypatch):

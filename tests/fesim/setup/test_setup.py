@@ -11,7 +11,7 @@ from fesim.joint.law import BackBurdekinLaw, SurfaceNormalLaw
 from fesim.setup.laws import joint_law
 from fesim.setup.loads import heat_history, source_power
 from fesim.setup.machine import set_up
-from fesim.setup.parts import make_parts
+from fesim.setup.parts import paired_joints
 from fesim.setup.structure import body_materials, build_structure, candidate_probes
 from fesim.simulate import simulate
 from meshes.pairing import pair_joint
@@ -396,8 +396,8 @@ def test_a_set_up_of_another_step_is_refused(coarse_case, coarse_setup):
         simulate(coarse_case.model_copy(update={"march": longer}), setup=coarse_setup)
 
 
-def test_more_contact_elements_in_all_than_memory_holds_are_refused(coarse_data, monkeypatch):
-    monkeypatch.setattr("fesim.setup.parts.MOST_IN_ALL", 26)
+def test_more_contact_elements_in_all_than_memory_holds_are_refused(coarse_data):
+    case = case_from_data(coarse_data, "case", Path())
     with pytest.raises(InputError, match="27 contact elements in all, and 26 at most") as caught:
-        make_parts(case_from_data(coarse_data, "case", Path()))
+        paired_joints(case, build_structure(case), most=26)
     assert "\n" not in str(caught.value)

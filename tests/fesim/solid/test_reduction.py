@@ -11,8 +11,7 @@ from scipy.sparse import csr_array, diags_array
 from scipy.sparse.linalg import splu
 
 from fesim.march.reduced import TEMPERATURE_ERROR, outputs_of, thermal_modes
-from fesim.solid import reduction
-from fesim.solid.reduction import HeatSystem, ReducedHeat, reduce_heat
+from fesim.solid.reduction import HeatSystem, ReducedHeat, Search, reduce_heat
 from fesim.solid.spaces import probe_rows
 from thermojoint.artefacts.errors import ConvergenceError
 
@@ -28,12 +27,12 @@ class Problem:
     drives: np.ndarray
     outputs: np.ndarray
 
-    def reduce(self, looser: float = 1.0) -> ReducedHeat:
+    def reduce(self, looser: float = 1.0, **search) -> ReducedHeat:
         at_rest = np.empty((len(self.capacity), 0))
         system = HeatSystem(
             self.capacity, self.conduction, self.drives, self.outputs / looser, at_rest
         )
-        return reduce_heat(system, SHORTEST, LONGEST)
+        return reduce_heat(system, SHORTEST, LONGEST, search=Search(**search))
 
     def march(self, step, levels):
         """Outputs (steps, q) of the full model; levels (steps, p) of the drives."""
@@ -116,11 +115,10 @@ def test_any_step_gives_the_full_march(problem, reduced, step):
 
 
 @pytest.mark.parametrize("count", [2, 3, 5, 8])
-def test_the_recorded_error_is_of_the_size_that_a_march_finds(problem, monkeypatch, count):
+def test_the_recorded_error_is_of_the_size_that_a_march_finds(problem, count):
     """Bases from too few shifts; a march of another step, that heats and cools."""
-    monkeypatch.setattr(reduction, "SHIFTS", (count,))
     looser = 1e6
-    found = problem.reduce(looser)
+    found = problem.reduce(looser, shifts=(count,))
     levels = np.ones((300, problem.drives.shape[1]))
     levels[150:] = 0.0
     off = problem.march(3.0, levels) - problem.reduced_march(found, 3.0, levels)[0]
@@ -130,30 +128,25 @@ def test_the_recorded_error_is_of_the_size_that_a_march_finds(problem, monkeypat
     assert 0.5 * recorded <= measured <= 1.5 * recorded
 
 
-def test_fewer_shifts_are_worse(problem, monkeypatch):
-    errors = []
-    for count in (2, 4, 8, 16):
-        monkeypatch.setattr(reduction, "SHIFTS", (count,))
-        errors.append(problem.reduce(1e6).error)
+def test_fewer_shifts_are_worse(problem):
+    errors = [problem.reduce(1e6, shifts=(count,)).error for count in (2, 4, 8, 16)]
     assert errors == sorted(errors, reverse=True)
     assert errors[-1] < 1e-2 * errors[0]
 
 
-def test_a_basis_too_crude_is_refused(problem, monkeypatch):
-    monkeypatch.setattr(reduction, "SHIFTS", (2, 3))
+def test_a_basis_too_crude_is_refused(problem):
     with pytest.raises(ConvergenceError, match="times its tolerance") as caught:
-        problem.reduce()
+        problem.reduce(shifts=(2, 3))
     assert "\n" not in str(caught.value)
     assert 'thermal = "full"' in str(caught.value)
     assert float(str(caught.value).split("off by ")[1].split()[0]) > 1.0
 
 
-def test_a_first_cut_too_coarse_is_refined(problem, monkeypatch):
+def test_a_first_cut_too_coarse_is_refined(problem):
     """A tenth of the cut with every round of more shifts, until the error is allowed."""
-    monkeypatch.setattr(reduction, "CUT", 1e-1)
-    found = problem.reduce()
+    found = problem.reduce(cut=1e-1)
     assert found.error <= 1.0
-    assert found.shifts.size > reduction.SHIFTS[0]
+    assert found.shifts.size > Search().shifts[0]
 
 
 def test_what_gives_off_no_heat_is_reduced_too():
@@ -242,7 +235,7 @@ def test_a_reduced_model_never_grows_by_itself_and_loses_no_heat(chain):
         np.testing.assert_array_less(np.abs(left), 1e-9 * moved)
 
 
-def test_many_inputs_are_sampled_and_each_is_checked(monkeypatch):
+def test_many_inputs_are_sampled_and_each_is_checked():
     """More contact elements than a sample has columns: the error is still that of every one."""
     parts = conduct(
         two_bars(left=(3, 5, 5), right=(3, 5, 5)),
@@ -258,8 +251,7 @@ def test_many_inputs_are_sampled_and_each_is_checked(monkeypatch):
         jump / TEMPERATURE_ERROR,
     )
     each = problem.reduce()
-    monkeypatch.setattr(reduction, "SAMPLE", 8)
-    sampled = problem.reduce()
+    sampled = problem.reduce(sample=8)
     assert max(each.error, sampled.error) <= 1.0
     levels = np.random.default_rng(5).uniform(-1.0, 1.0, (60, problem.drives.shape[1]))
     size = np.abs(levels).sum(axis=1).max()
