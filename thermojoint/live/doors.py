@@ -25,6 +25,7 @@ from thermojoint.live.settings import HandshakeSection, HttpServer, OpcuaServer,
 _ANSWER_S = 0.5
 
 if TYPE_CHECKING:
+    from thermojoint.live.companion_models import Identity
     from thermojoint.live.scene import Scene
 
 
@@ -169,13 +170,27 @@ async def _opcua_server(running: Running, section: OpcuaServer) -> list[Coroutin
     handshakes = _handshakes(service, "opcua")
     owners = {name: one.user for name, one in handshakes.items() if one.user is not None}
     entry = Entry(running.accounts, service.folder, log, owners)
-    server, nodes = await open_server(section, entry, running.hub, machines, given)
+    server, nodes = await open_server(
+        section, entry, running.hub, machines, given, _identities(running)
+    )
     controls = {name: machines[name][0].controls for name in handshakes}
     heartbeat = await add_controls(server, controls, partial(_answer, running.floor))
     return [
         serve_nodes(server, nodes, running.hub),
         tell_heartbeat(server, heartbeat, running.hub),
     ]
+
+
+def _identities(running: Running) -> dict[str, Identity]:
+    """Return the identifications of the machines that have one."""
+    from thermojoint.live.companion_models import Identity
+
+    sections, places = running.service.machines, running.floor.places
+    return {
+        name: Identity(section, place.served.file, place.served.digest)
+        for name, place in places.items()
+        if (section := sections[name].identification) is not None
+    }
 
 
 def _handshakes(service: Service, by: str) -> dict[str, HandshakeSection]:

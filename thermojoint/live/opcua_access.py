@@ -163,11 +163,13 @@ class Door(UserManager):
             return
         for one in event.request_params.NodesToWrite:
             why = self.refusal(event.user, one.NodeId, "operator")
-            if why or not isinstance(event.user, Known):
-                self._audit(event.user, one.NodeId, why or "not logged in")
+            if not why and not isinstance(event.user, Known):
+                why = "not logged in"
+            if not why and self.machine_of(one.NodeId) is None:
+                why = "it is of no machine"
+            self._audit(event.user, one.NodeId, why)
+            if why:
                 raise ServiceError(_DENIED)
-            if self.machine_of(one.NodeId) is not None:
-                self._audit(event.user, one.NodeId, "")
 
     def after_read(self, event: ServerItemCallback, service: object) -> None:
         """Replace the values of machines that the user may not see."""

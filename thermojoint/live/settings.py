@@ -73,6 +73,27 @@ class HandshakeSection(Section):
     differs_s: Positive = 5.0
 
 
+class IdentificationSection(Section):
+    """``[machines.NAME.identification]``: of the machine, as OPC 40001-1 names it.
+
+    ``{machine}`` in a text is the name of the machine.
+    """
+
+    manufacturer: str
+    serial_number: str
+    product_instance_uri: str
+    manufacturer_uri: str | None = None
+    model: str | None = None
+    product_code: str | None = None
+    hardware_revision: str | None = None
+    software_revision: str | None = None
+    device_class: str | None = None
+    asset_id: str | None = None
+    component_name: str | None = None
+    location: str | None = None
+    year_of_construction: Annotated[int, Field(ge=1800, le=9999)] | None = None
+
+
 class MachineSection(Section):
     """``[machines.NAME]``: one machine, or with ``count`` NAME-1, NAME-2, ..."""
 
@@ -80,6 +101,7 @@ class MachineSection(Section):
     source: str
     handshake: HandshakeSection | None = None
     target: File | None = None
+    identification: IdentificationSection | None = None
     count: Annotated[int, Field(ge=1, le=MOST_MACHINES)] | None = None
 
 
@@ -195,6 +217,10 @@ class Certified(Section):
         return self
 
 
+#: Companion specification of the service's own OPC UA server.
+CompanionModel = Literal["none", "machinery", "machine-tool"]
+
+
 class OpcuaServer(Certified):
     """``[opcua]``: the service's own OPC UA server."""
 
@@ -205,6 +231,7 @@ class OpcuaServer(Certified):
     trusted: File | None = None
     host_names: Texts = ()
     readings: bool = True
+    companion: CompanionModel = "none"
     most_sessions: Annotated[int, Field(ge=1, le=1000)] = 20
     most_subscriptions: Annotated[int, Field(ge=1, le=10_000)] = 40
     most_items: Annotated[int, Field(ge=1, le=1_000_000)] = 20_000
@@ -304,6 +331,7 @@ def service_from_data(data: dict[str, Any], where: str, base: Path) -> Service:
         if machine.source not in given.sources:
             raise unknown_name("source", machine.source, given.sources, at)
         _check_handshake(f"{at}.handshake", machine, given)
+        _check_identification(f"{at}.identification", machine, given)
     machines = dict(_single(given.machines))
     if len(machines) > MOST_MACHINES:
         raise InputError(
@@ -337,6 +365,21 @@ def _check_handshake(at: str, machine: MachineSection, given: ServiceFile) -> No
         raise InputError(f"{at}.by: nobody may write; name a file of users")
     if handshake.by == "mqtt" and handshake.user is not None:
         raise InputError(f"{at}.user: is for OPC UA and HTTP; an MQTT broker says who may publish")
+
+
+def _check_identification(at: str, machine: MachineSection, given: ServiceFile) -> None:
+    """A companion specification asks each machine for an identification of its own."""
+    asked = given.opcua is not None and given.opcua.companion != "none"
+    found = machine.identification
+    if asked and found is None:
+        raise InputError(f"{at}: missing; opcua.companion needs it")
+    if found is None or machine.count is None:
+        return
+    for key in ("serial_number", "product_instance_uri"):
+        if "{machine}" not in getattr(found, key):
+            raise InputError(
+                f"{at}.{key}: is for {machine.count} machines; write {{machine}} where they differ"
+            )
 
 
 def _single(sections: Mapping[str, MachineSection]) -> list[tuple[str, MachineSection]]:

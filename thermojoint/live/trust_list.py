@@ -42,7 +42,7 @@ class TrustList:
 
     def refusal(self, certificate: bytes | None, now: datetime) -> str:
         """Return why a client's certificate (DER) is refused; empty if it is accepted."""
-        if certificate is None:
+        if not certificate:
             return "" if self.trusted is None else "no certificate"
         try:
             given = x509.load_der_x509_certificate(certificate)

@@ -317,7 +317,7 @@ def plant(tmp_path_factory):
     async def live():
         machines = dict.fromkeys(("mill-1", "lathe-1"), (ABOUT.layout, 1))
         entry = Entry(accounts, folder, EventLog(), {})
-        server, nodes = await open_server(section, entry, hub, machines, given.append)
+        server, nodes = await open_server(section, entry, hub, machines, given.append, {})
         serving = asyncio.create_task(serve_nodes(server, nodes, hub))
         at = (port, server_certificate)
         clients = {"panel": panel, "unknown": unknown, "expired": expired, "early": early}

@@ -23,6 +23,13 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.live.accounts import Accounts
 from thermojoint.live.arrivals import Arrival
 from thermojoint.live.certificates import APPLICATION, application_uri, opcua_identity
+from thermojoint.live.companion_models import (
+    Companion,
+    Identity,
+    add_machine,
+    load_models,
+    object_item,
+)
 from thermojoint.live.hub import Hub
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.opcua_access import Door, restrict
@@ -58,6 +65,7 @@ async def add_machines(
     machines: Mapping[str, tuple[Layout, int]],
     readings: bool,
     given: Callable[[Arrival], None],
+    companion: Companion | None = None,
 ) -> Nodes:
     """Add the objects of all machines.
 
@@ -73,19 +81,27 @@ async def add_machines(
         Also what they read.
     given : callable
         Called with each written reading.
+    companion : Companion, optional
+        Specification that the machines follow.
     """
     index = await server.register_namespace(NAMESPACE)
     session, space = server.iserver.isession, server.iserver.aspace
-    root = await server.nodes.objects.add_folder(ua.NodeId("Machines", index), f"{index}:Machines")
+    root = ua.NodeId("Machines", index)
+    if companion is None:
+        await server.nodes.objects.add_folder(root, f"{index}:Machines")
     units: dict[str, ua.NodeId] = {}
     of: dict[str, list[tuple[Variable, Any]]] = {}
     for machine, (layout, wanted) in machines.items():
-        at = _object(f"{machine}", machine, root.nodeid, index)
+        at = _object(machine, machine, root, index)
         monitoring = _object(f"{machine}.Monitoring", "Monitoring", at[0], index)
         place = _object(
             f"{machine}.ThermalDisplacement", "ThermalDisplacement", monitoring[0], index
         )
         items = [at[1], monitoring[1], place[1]]
+        if companion is not None:
+            await add_machine(server, companion, machine)
+            # A machine tool has its Monitoring, too.
+            items = items[1:] if companion.machine_tool is None else items[2:]
         variables = list(variables_of(layout, readings, wanted))
         used = {variable.folder for variable in variables}
         folders = {"": place[0]}
@@ -164,15 +180,8 @@ def _object(
     name: str, shown: str, parent: ua.NodeId, index: int
 ) -> tuple[ua.NodeId, ua.AddNodesItem]:
     nodeid = ua.NodeId(name, index)
-    return nodeid, ua.AddNodesItem(
-        RequestedNewNodeId=nodeid,
-        BrowseName=ua.QualifiedName(shown, index),
-        NodeClass=ua.NodeClass.Object,
-        ParentNodeId=parent,
-        ReferenceTypeId=ua.NodeId(ua.ObjectIds.HasComponent),
-        TypeDefinition=ua.NodeId(ua.ObjectIds.BaseObjectType),
-        NodeAttributes=ua.ObjectAttributes(DisplayName=ua.LocalizedText(shown)),
-    )
+    called = ua.QualifiedName(shown, index)
+    return nodeid, object_item(nodeid, called, (parent, ua.ObjectIds.HasComponent))
 
 
 def _variable(
@@ -282,6 +291,7 @@ async def open_server(
     hub: Hub,
     machines: Mapping[str, tuple[Layout, int]],
     given: Callable[[Arrival], None],
+    identities: Mapping[str, Identity],
 ) -> tuple[Server, Nodes]:
     """Open the service's OPC UA server.
 
@@ -291,6 +301,8 @@ async def open_server(
     entry : Entry
     hub, machines, given
         As in `add_machines`.
+    identities : dict of str to Identity
+        Of the machines, for a companion specification.
 
     Raises
     ------
@@ -323,7 +335,14 @@ async def open_server(
         section.most_subscriptions,
         section.most_items,
     )
-    nodes = await add_machines(server, hub, machines, section.readings, given)
+    companion = None
+    if section.companion != "none":
+        own = await server.register_namespace(NAMESPACE)
+        begun = time.monotonic()
+        companion = await load_models(server, section.companion, own, identities)
+        spent = time.monotonic() - begun
+        entry.log.say(time.time(), "companion", f"{section.companion} loaded in {spent:.2f} s")
+    nodes = await add_machines(server, hub, machines, section.readings, given, companion)
     try:
         await server.start()
     except OSError as error:

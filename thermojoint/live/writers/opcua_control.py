@@ -41,9 +41,10 @@ async def add_controls(
     take : callable
     """
     index = await server.get_namespace_index(NAMESPACE)
-    root = server.get_node(ua.NodeId("Machines", index))
     heartbeat = ua.NodeId("Heartbeat", index)
-    await root.add_variable(heartbeat, f"{index}:Heartbeat", 0, ua.VariantType.UInt32)
+    await server.nodes.objects.add_variable(
+        heartbeat, f"{index}:Heartbeat", 0, ua.VariantType.UInt32
+    )
     for machine, axes in controls.items():
         parent = server.get_node(ua.NodeId(f"{machine}.ThermalDisplacement", index))
         at = ua.NodeId(f"{machine}.Control", index)

@@ -1,0 +1,260 @@
+"""Companion specifications in the service's OPC UA server: Machinery and Machine Tools.
+
+OPC 40001-1 (Machinery): a machine's identification, its components, its building blocks, in the
+Machines folder. OPC 40501-1 (Machine Tools): the machine as a MachineToolType. The node sets are
+those of the OPC Foundation, under its MIT licence, which each of them contains.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from importlib.metadata import version
+from importlib.resources import files
+from typing import Any, NamedTuple
+from xml.etree import ElementTree
+
+from asyncua import ua
+from asyncua.server import Server
+
+from thermojoint.live.settings import CompanionModel, IdentificationSection
+
+_UA = "http://opcfoundation.org/UA/"
+_NODE_SET = "{http://opcfoundation.org/UA/2011/03/UANodeSet.xsd}"
+_MACHINERY = ("Di", "Machinery")
+#: Node sets of each model, in the order of what they need.
+_NODE_SETS = {
+    "machinery": _MACHINERY,
+    "machine-tool": (*_MACHINERY, "IA", "ISA95.JobControl", "Machinery.Jobs", "MachineTool"),
+}
+#: UInt16, Byte, UInt32, UInt64: what an option set may be, instead of an OptionSet.
+_UNSIGNED = {"i=3", "i=5", "i=7", "i=9"}
+#: Nodes of the specifications: Machines, types of an identification and of components.
+_MACHINES, _IDENTIFICATION, _OF_COMPONENT, _COMPONENTS = 1001, 1012, 1005, 1006
+_MACHINE_TOOL, _TOOL_IDENTIFICATION = 13, 11
+#: Properties of an identification by key of its section: name, whether of DI, type.
+_TEXT, _STRING = ua.VariantType.LocalizedText, ua.VariantType.String
+_PROPERTIES = {
+    "manufacturer": ("Manufacturer", True, _TEXT),
+    "serial_number": ("SerialNumber", True, _STRING),
+    "product_instance_uri": ("ProductInstanceUri", True, _STRING),
+    "manufacturer_uri": ("ManufacturerUri", True, _STRING),
+    "model": ("Model", True, _TEXT),
+    "product_code": ("ProductCode", True, _STRING),
+    "hardware_revision": ("HardwareRevision", True, _STRING),
+    "software_revision": ("SoftwareRevision", True, _STRING),
+    "device_class": ("DeviceClass", True, _STRING),
+    "asset_id": ("AssetId", True, _STRING),
+    "component_name": ("ComponentName", True, _TEXT),
+    "location": ("Location", False, _STRING),
+    "year_of_construction": ("YearOfConstruction", False, ua.VariantType.UInt16),
+}
+#: What a machine tool must have, and a service beside its control does not know.
+_UNKNOWN = (
+    "Monitoring.MachineTool.OperationMode",
+    "Production.ActiveProgram.Name",
+    "Production.ActiveProgram.NumberInList",
+    "Production.ActiveProgram.State.CurrentState",
+    "Production.ActiveProgram.State.CurrentState.Id",
+    "Production.ActiveProgram.State.CurrentState.Number",
+)
+
+
+class Identity(NamedTuple):
+    """Identification of a machine, and of the model that estimates its displacement.
+
+    Attributes
+    ----------
+    machine : IdentificationSection
+    model, digest : str
+        Name of the model's file, and what tells it from others.
+    """
+
+    machine: IdentificationSection
+    model: str
+    digest: str
+
+
+@dataclass(frozen=True)
+class Companion:
+    """Loaded specifications.
+
+    Attributes
+    ----------
+    machines : NodeId
+        The Machines folder.
+    devices, machinery, own : int
+        Indices of the namespaces of DI and Machinery, and of the service's own.
+    machine_tool : int or None
+        Index of that of Machine Tools, if it is loaded.
+    identities : dict of str to Identity
+        By machine.
+    """
+
+    machines: ua.NodeId
+    devices: int
+    machinery: int
+    own: int
+    machine_tool: int | None
+    identities: Mapping[str, Identity]
+
+
+async def load_models(
+    server: Server, model: CompanionModel, own: int, identities: Mapping[str, Identity]
+) -> Companion:
+    """Load the node sets of a model into a server that is initialised, but not started.
+
+    Parameters
+    ----------
+    server : Server
+    model : {'machinery', 'machine-tool'}
+    own : int
+        Index of the service's namespace.
+    identities : dict of str to Identity
+        By machine.
+    """
+    for name in _NODE_SETS[model]:
+        path = files("thermojoint.live") / "nodesets" / f"Opc.Ua.{name}.NodeSet2.xml"
+        await server.import_xml(xmlstring=without_option_sets(path.read_bytes()))
+    devices = await server.get_namespace_index(f"{_UA}DI/")
+    machinery = await server.get_namespace_index(f"{_UA}Machinery/")
+    tool = (
+        await server.get_namespace_index(f"{_UA}MachineTool/") if model == "machine-tool" else None
+    )
+    machines = ua.NodeId(_MACHINES, machinery)
+    return Companion(machines, devices, machinery, own, tool, identities)
+
+
+def without_option_sets(content: bytes) -> bytes:
+    """Return a node set whose unsigned integers of options are plain ones.
+
+    asyncua takes only enumerations and structures with a definition, and then refuses the
+    structures that have such an integer (OutputInfoType of Machinery Jobs).
+    """
+    root = ElementTree.fromstring(content)
+    for one in root.iter(f"{_NODE_SET}UADataType"):
+        definition = one.find(f"{_NODE_SET}Definition")
+        bases = {
+            reference.text
+            for reference in one.iter(f"{_NODE_SET}Reference")
+            if reference.get("IsForward") == "false"
+        }
+        if definition is not None and definition.get("IsOptionSet") and bases & _UNSIGNED:
+            one.remove(definition)
+    return ElementTree.tostring(root)
+
+
+async def add_machine(server: Server, companion: Companion, machine: str) -> None:
+    """Add a machine with its identification, its components and its building blocks."""
+    identity, tool = companion.identities[machine], companion.machine_tool
+    place, blocks = ua.NodeId(machine, companion.own), f"{machine}.MachineryBuildingBlocks"
+    shown = ua.QualifiedName(machine, companion.own)
+    kind = ua.NodeId(_IDENTIFICATION, companion.machinery)
+    items = []
+    if tool is not None:
+        # Its mandatory parts only: what is optional would promise values that nobody has.
+        await server.get_node(companion.machines).add_object(
+            place, shown, ua.NodeId(_MACHINE_TOOL, tool), instantiate_optional=False
+        )
+        kind = ua.NodeId(_TOOL_IDENTIFICATION, tool)
+        unknown = ua.DataValue(StatusCode=ua.StatusCode(ua.StatusCodes.BadNotConnected))
+        for name in _UNKNOWN:
+            node = ua.NodeId(f"{machine}.{name}", companion.own)
+            await server.write_attribute_value(node, unknown)
+        there = server.get_node(ua.NodeId(f"{machine}.Identification", companion.own))
+        await server.delete_nodes([there], recursive=True)
+    else:
+        items.append(object_item(place, shown, (companion.machines, ua.ObjectIds.Organizes)))
+    given = identity.machine.model_dump(exclude_none=True)
+    items += _identified(companion, machine, machine, kind, given)
+    estimator = f"{machine}.Components.ThermalDisplacementEstimator"
+    components = ua.NodeId(f"{machine}.Components", companion.own)
+    items += [
+        object_item(
+            components,
+            ua.QualifiedName("Components", companion.machinery),
+            (place, ua.ObjectIds.HasAddIn),
+            ua.NodeId(_COMPONENTS, companion.machinery),
+        ),
+        object_item(
+            ua.NodeId(estimator, companion.own),
+            ua.QualifiedName("ThermalDisplacementEstimator", companion.own),
+            (components, ua.ObjectIds.HasComponent),
+        ),
+        *_identified(
+            companion,
+            machine,
+            estimator,
+            ua.NodeId(_OF_COMPONENT, companion.machinery),
+            {
+                "manufacturer": "thermojoint",
+                "serial_number": identity.digest[:16],
+                "model": identity.model,
+                "software_revision": version("thermojoint"),
+            },
+        ),
+        object_item(
+            ua.NodeId(blocks, companion.own),
+            ua.QualifiedName("MachineryBuildingBlocks", companion.machinery),
+            (place, ua.ObjectIds.HasComponent),
+            ua.NodeId(ua.ObjectIds.FolderType),
+        ),
+    ]
+    for result in await server.iserver.isession.add_nodes(items):
+        result.StatusCode.check()
+    folder = server.get_node(ua.NodeId(blocks, companion.own))
+    for name in ("Identification", "Components"):
+        block = ua.NodeId(f"{machine}.{name}", companion.own)
+        await folder.add_reference(block, ua.ObjectIds.HasAddIn, True, False)
+
+
+def _identified(
+    companion: Companion,
+    machine: str,
+    of: str,
+    kind: ua.NodeId,
+    given: Mapping[str, Any],
+) -> Iterable[ua.AddNodesItem]:
+    """Yield the identification of a machine or of one of its components."""
+    place = ua.NodeId(f"{of}.Identification", companion.own)
+    name = ua.QualifiedName("Identification", companion.devices)
+    yield object_item(place, name, (ua.NodeId(of, companion.own), ua.ObjectIds.HasAddIn), kind)
+    for key, value in given.items():
+        named, of_devices, variant = _PROPERTIES[key]
+        value = value.replace("{machine}", machine) if isinstance(value, str) else value
+        value = ua.LocalizedText(value) if variant is _TEXT else value
+        index = companion.devices if of_devices else companion.machinery
+        yield ua.AddNodesItem(
+            RequestedNewNodeId=ua.NodeId(f"{of}.Identification.{named}", companion.own),
+            BrowseName=ua.QualifiedName(named, index),
+            NodeClass=ua.NodeClass.Variable,
+            ParentNodeId=place,
+            ReferenceTypeId=ua.NodeId(ua.ObjectIds.HasProperty),
+            TypeDefinition=ua.NodeId(ua.ObjectIds.PropertyType),
+            NodeAttributes=ua.VariableAttributes(
+                DisplayName=ua.LocalizedText(named),
+                Value=ua.Variant(value, variant),
+                DataType=ua.NodeId(int(variant.value)),
+                ValueRank=-1,
+                AccessLevel=ua.AccessLevel.CurrentRead.mask,
+                UserAccessLevel=ua.AccessLevel.CurrentRead.mask,
+            ),
+        )
+
+
+def object_item(
+    nodeid: ua.NodeId,
+    name: ua.QualifiedName,
+    parent: tuple[ua.NodeId, int],
+    kind: ua.NodeId | None = None,
+) -> ua.AddNodesItem:
+    """Return an object to add below another; the parent comes with the type of the reference."""
+    return ua.AddNodesItem(
+        RequestedNewNodeId=nodeid,
+        BrowseName=name,
+        NodeClass=ua.NodeClass.Object,
+        ParentNodeId=parent[0],
+        ReferenceTypeId=ua.NodeId(parent[1]),
+        TypeDefinition=kind or ua.NodeId(ua.ObjectIds.BaseObjectType),
+        NodeAttributes=ua.ObjectAttributes(DisplayName=ua.LocalizedText(name.Name)),
+    )
