@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.intake import axis_name
-from estimator.interface import Channel, Estimate, Estimator
+from estimator.interface import Channel, Estimate, Estimator, NextReading
 from estimator.quality import quality_of
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
@@ -44,19 +44,23 @@ class Row(NamedTuple):
     status: str
 
 
-def header(estimator: Estimator) -> list[str]:
-    """Return the columns; an axis that carries a unit, like a log column, loses it."""
+def header(estimator: Estimator, more: Sequence[str] = ()) -> list[str]:
+    """Return the columns, `more` of them before the status.
+
+    An axis that carries a unit, like a log column, loses it.
+    """
     axes = [axis_name(axis) for axis in estimator.axes]
     return [
         "time_s",
         *(detail_name(channel) for channel in estimator.details),
         *(f"{axis}{ending}" for ending in (_VALUE, _BAND) for axis in axes),
+        *more,
         "status",
         "quality",
     ]
 
 
-def row(estimator: Estimator, estimate: Estimate) -> list[str]:
+def row(estimator: Estimator, estimate: Estimate, more: Sequence[str] = ()) -> list[str]:
     """Return one estimate as text, in the order of `header`; empty where there is no band."""
     scales = (MEGA if channel.unit == "m" else 1.0 for channel in estimator.details)
     values = [
@@ -67,7 +71,19 @@ def row(estimator: Estimator, estimate: Estimate) -> list[str]:
     texts = (f"{float(value):.9g}" if value == value else "" for value in values)
     quality = quality_of(estimate.words, estimate.displacement)
     # Fifteen digits: seconds since 1970 with milliseconds.
-    return [f"{estimate.time:.15g}", *texts, estimate.words, quality.word]
+    return [f"{estimate.time:.15g}", *texts, *more, estimate.words, quality.word]
+
+
+#: Columns of the displacement reading that is asked for; empty if there is none.
+NEXT_READING = ("next_reading", "next_reading_in_min", "next_reading_narrows_um")
+
+
+def next_reading_cells(asked: NextReading | None) -> list[str]:
+    """Return the displacement reading that is asked for as text, in the order of `NEXT_READING`."""
+    if asked is None:
+        return [""] * len(NEXT_READING)
+    narrows = MEGA * (asked.band - asked.narrowed)
+    return [axis_name(asked.axis), f"{asked.due / 60.0:g}", f"{narrows:.4g}"]
 
 
 def read_estimate(lines: Iterable[str], where: str) -> tuple[tuple[str, ...], list[Row]]:

@@ -103,6 +103,25 @@ class Estimate(NamedTuple):
         return " ".join(words) or "ok"
 
 
+class NextReading(NamedTuple):
+    """A displacement reading that an estimator asks for.
+
+    Attributes
+    ----------
+    axis : str
+        To be read.
+    due : float
+        From now, s: the band then passes its limit if the heat stays as it is.
+    band, narrowed : float
+        Half-widths of the 95 % interval of this axis then, without the reading and after it, m.
+    """
+
+    axis: str
+    due: float
+    band: float
+    narrowed: float
+
+
 class Estimator(Protocol):
     """Protocol of estimators."""
 

@@ -15,12 +15,13 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 from estimator.columns import samples_of
 from estimator.intake import Intake, by_channels
-from estimator.interface import READING_NOISE, Estimator
+from estimator.interface import READING_NOISE, Estimator, NextReading
 from estimator.judging import Conditions, Figures, judge_responses
 from estimator.ranges import Range
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
+from thermojoint.artefacts.units import MEGA
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -175,6 +176,10 @@ class Kind(Generic[M, E]):
         (model, name to log) to errors; None for a kind judged by responses only.
     residuals : callable, optional
         (estimator, state, sample as `channels`) to reading minus model, NaN where missing.
+    next_reading : callable, optional
+        (estimator, state, largest half-band m) to the displacement reading to take, or None.
+    narrowest_band : callable, optional
+        Estimator to the half-band that a displacement reading leaves, m: no limit can be smaller.
     program : callable, optional
         (estimator, precision, nominal interval s) to the contents of an exported program.
     """
@@ -197,4 +202,29 @@ class Kind(Generic[M, E]):
     judge: Callable[[Kind[M, E], M, Mapping[str, xr.Dataset], Conditions], Figures] | None = _judged
     judge_logs: Callable[[M, Mapping[str, Log]], Figures] | None = None
     residuals: Callable[[E, Array, Array], Array] | None = None
+    next_reading: Callable[[E, Array, float], NextReading | None] | None = None
+    narrowest_band: Callable[[E], float] | None = None
     program: Callable[[E, Precision, float], Contents] | None = None
+
+
+def checked_limit(
+    kind: Kind[Any, Any],
+    estimator: OpenedEstimator,
+    limit: float,
+    where: str,
+) -> None:
+    """Refuse a limit of the band (m) that displacement readings cannot keep.
+
+    Raises
+    ------
+    InputError
+        The kind asks for no readings, or the limit is below the band that a reading leaves.
+    """
+    if kind.next_reading is None or kind.narrowest_band is None:
+        raise InputError(f"{where}: {kind.name} asks for no readings; leave it out")
+    least = kind.narrowest_band(estimator)
+    if limit <= least:
+        raise InputError(
+            f"{where}: {MEGA * limit:g} um is below the {MEGA * least:.2g} um of the band after a "
+            "reading of the displacement; make it larger"
+        )

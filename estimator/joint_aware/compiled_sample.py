@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from estimator.joint_aware.displacement_readings import ModelError
 from estimator.joint_aware.observer_state import UNKNOWN, ObserverState
 from estimator.sensor_faults import Channels, Sample, Thresholds, certainly_alike, look
 from fesim.jit import compiled
@@ -49,8 +50,8 @@ class Filter(NamedTuple):
         Properties of the readings.
     rules : Thresholds
         Thresholds for rejecting a reading.
-    forgetting : float
-        Decay rate of the corrections by displacement readings, 1/s.
+    forgetting : ndarray, shape (d + axes,)
+        Decay rates of the corrections by displacement readings, 1/s.
     """
 
     relaxing: Array
@@ -60,7 +61,7 @@ class Filter(NamedTuple):
     discrepancy: Array
     channels: Channels
     rules: Thresholds
-    forgetting: float
+    forgetting: Array
 
 
 class SampleWork(NamedTuple):
@@ -167,10 +168,32 @@ def usual_sample(
         return False
     np.dot(own.discrepancy, relaxed, work.discrepancy)
     add(work.discrepancy, displacement)
-    kept = math.exp(-own.forgetting * length)
-    error = state.model_error
-    for axis in range(displacement.size):
-        error.mean[axis] *= kept
-        error.variance[axis] = 1.0 - kept * kept * (1.0 - error.variance[axis])
+    forget(state.model_error, own.forgetting, length)
     state.time[()] = time
     return True
+
+
+@compiled
+def forget(error: ModelError, rates: Array, length: float) -> None:
+    """Forget displacement readings over some time (s), in place, as `displacement_readings.later`.
+
+    Parameters
+    ----------
+    error : ModelError
+    rates : ndarray, shape (d + axes,)
+        1/s.
+    length : float
+        s.
+    """
+    draws = error.drawn.size
+    for i in range(rates.size):
+        kept = math.exp(-rates[i] * length)
+        for k in range(rates.size):
+            error.shared[i, k] *= kept
+            error.shared[k, i] *= kept
+        if i < draws:
+            error.drawn[i] *= kept
+            error.shared[i, i] += 1.0 - kept * kept
+        else:
+            error.mean[i - draws] *= kept
+            error.variance[i - draws] = 1.0 - kept * kept * (1.0 - error.variance[i - draws])

@@ -1,15 +1,16 @@
 """Displacement readings, e.g. by a touch probe, as measurements.
 
 The uncertainty of the displacement given the temperatures has two parts: that of the state (the
-columns L, corrected by a reading like by any other measurement), and the model error. The latter is
-modelled as b = beta sigma, where sigma is the model's standard deviation at the present heat
-(`Band`) and beta has unit variance and decays over `DisplacementProbe.memory`: an error found at
-one heat is assumed to grow and shrink with sigma.
+columns L, corrected by a reading like by any other measurement), and the model error b = E e. Its
+parts e have unit variance before any reading: one for each drawn machine of the band (`Band.open`),
+whose error in the displacement follows the heat of the last hours, and one for each axis, for the
+rest of the band. A reading thus tells which of the machines that the calibration cannot distinguish
+this one is, and corrects all axes, at any later heat. The errors of drawn machines decay over
+`DisplacementProbe.machine_memory`, the rest over `DisplacementProbe.memory`.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -28,41 +29,71 @@ class DisplacementProbe:
     ----------
     noise : float
         Standard deviation of a reading, m.
-    memory : float
-        Correlation time of the model's error, s.
+    memory, machine_memory : float
+        Correlation times of the model's error, s: of its rest, and of what the calibration did not
+        determine.
     gate : float
         Innovation gate in standard deviations, beyond which a reading is refused.
     """
 
     noise: float = READING_NOISE
     memory: float = 4.0 * 3600.0
+    machine_memory: float = 8.0 * 3600.0
     gate: float = 5.0
 
 
 class ModelError(NamedTuple):
-    """Estimate of beta; arrays of shape (axes,).
+    """Estimate of the parts e of the model error: those of d drawn machines, then of the axes.
 
     Attributes
     ----------
-    mean : ndarray
-        0 without any reading.
-    variance : ndarray
-        1 without any reading.
+    mean, variance : ndarray, shape (axes,)
+        Of the axes' own parts; 0 and 1 without any reading.
+    drawn : ndarray, shape (d,)
+        Mean of the drawn machines' parts; 0 without any reading.
+    shared : ndarray, shape (d + axes, d + axes)
+        Covariance of all parts, less `variance` on its diagonal.
     """
 
     mean: Array
     variance: Array
+    drawn: Array
+    shared: Array
 
 
-def unknown(axes: int) -> ModelError:
+def unknown(draws: int, axes: int) -> ModelError:
     """Return the prior before any reading."""
-    return ModelError(np.zeros(axes), np.ones(axes))
+    own = np.diag(np.append(np.ones(draws), np.zeros(axes)))
+    return ModelError(np.zeros(axes), np.ones(axes), np.zeros(draws), own)
 
 
-def later(known: ModelError, elapsed: float, memory: float) -> ModelError:
-    """Return the estimate after some time, s, for the correlation time `memory`, s."""
-    kept = math.exp(-elapsed / memory)
-    return ModelError(kept * known.mean, 1.0 - kept**2 * (1.0 - known.variance))
+def mean_of(known: ModelError) -> Array:
+    """Return the mean of e, shape (d + axes,)."""
+    return np.concatenate([known.drawn, known.mean])
+
+
+def covariance_of(known: ModelError) -> Array:
+    """Return the covariance of e, shape (d + axes, d + axes)."""
+    return known.shared + np.diag(np.append(np.zeros(known.drawn.size), known.variance))
+
+
+def known_error(mean: Array, covariance: Array, axes: int) -> ModelError:
+    """Return the estimate of a mean (d + axes,) and a covariance of e."""
+    draws, variance = mean.size - axes, np.diag(covariance)[mean.size - axes :]
+    shared = covariance - np.diag(np.append(np.zeros(draws), variance))
+    return ModelError(mean[draws:], variance, mean[:draws], shared)
+
+
+def later(known: ModelError, elapsed: float, probe: DisplacementProbe) -> ModelError:
+    """Return the estimate after some time, s."""
+    kept = np.exp(-elapsed * forgetting(known.drawn.size, known.mean.size, probe))
+    covariance = kept[:, None] * covariance_of(known) * kept + np.diag(1.0 - kept**2)
+    return known_error(kept * mean_of(known), covariance, known.mean.size)
+
+
+def forgetting(draws: int, axes: int, probe: DisplacementProbe) -> Array:
+    """Return the decay rates of e, 1/s, shape (draws + axes,)."""
+    return np.repeat([1.0 / probe.machine_memory, 1.0 / probe.memory], [draws, axes])
 
 
 class Correction(NamedTuple):
@@ -90,14 +121,14 @@ def correct_by(
     innovation: Array,
     probe: DisplacementProbe,
     band: Band,
-    sigma: Array,
+    parts: Array,
     factor: Array,
     known: ModelError,
 ) -> Correction:
     """Return the correction by a displacement reading.
 
-    With Y = T L and S = Y Y' + diag(steady + sigma^2 var(beta) + noise^2), the gains are L Y' S^-1
-    and diag(sigma var(beta)) S^-1. Correlations between L and beta are neglected.
+    With Y = T L and S = Y Y' + E var(e) E' + diag(steady + noise^2), the gains are L Y' S^-1 and
+    var(e) E' S^-1. Correlations between L and e are neglected.
 
     Parameters
     ----------
@@ -107,24 +138,23 @@ def correct_by(
         Properties of the readings.
     band : Band
         Band of the model: T, displacement per state, and the variance by the steady covariance.
-    sigma : ndarray, shape (axes,)
-        The model's standard deviation, m.
+    parts : ndarray, shape (axes, d + axes)
+        E: model error per part, m.
     factor : ndarray, shape (n, k)
         L.
     known : ModelError
         Before it.
     """
     at = np.flatnonzero(np.isfinite(innovation))
-    own = (band.steady + sigma**2 * known.variance + probe.noise**2)[at]
-    seen = band.tangent[at] @ factor
-    covariance = seen @ seen.T + np.diag(own)
+    before, seen = covariance_of(known), band.tangent[at] @ factor
+    across = parts[at] @ before
+    own = across @ parts[at].T + np.diag(band.steady[at] + probe.noise**2)
+    covariance = seen @ seen.T + own
     whitened = np.linalg.solve(covariance, innovation[at])
     if innovation[at] @ whitened > probe.gate**2 * at.size:
         return Correction(np.zeros(len(factor)), factor, known, True)
-    gain = (sigma * known.variance)[at]
-    mean, variance = known.mean.copy(), known.variance.copy()
-    mean[at] += gain * whitened
-    variance[at] -= gain**2 * np.diag(np.linalg.inv(covariance))
-    root = np.linalg.cholesky(np.eye(factor.shape[1]) + seen.T @ (seen / own[:, None]))
-    after = factor @ np.linalg.inv(root).T
-    return Correction(factor @ (seen.T @ whitened), after, ModelError(mean, variance), False)
+    after = before - across.T @ np.linalg.solve(covariance, across)
+    learned = known_error(mean_of(known) + across.T @ whitened, after, known.mean.size)
+    root = np.linalg.cholesky(np.eye(factor.shape[1]) + seen.T @ np.linalg.solve(own, seen))
+    narrower = factor @ np.linalg.inv(root).T
+    return Correction(factor @ (seen.T @ whitened), narrower, learned, False)

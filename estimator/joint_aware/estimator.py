@@ -13,7 +13,12 @@ import numpy as np
 from estimator import sensor_faults
 from estimator.interface import READING_NOISE, Channel, Estimate, Status
 from estimator.joint_aware import compiled_sample, displacement_readings, fault_isolation
-from estimator.joint_aware.displacement_readings import DisplacementProbe, ModelError
+from estimator.joint_aware.displacement_readings import (
+    DisplacementProbe,
+    ModelError,
+    covariance_of,
+    mean_of,
+)
 from estimator.joint_aware.observer import Observer, Settled
 from estimator.joint_aware.observer_model import SCHEMA, Kind, ObserverModel
 from estimator.joint_aware.observer_state import (
@@ -127,6 +132,11 @@ class JointAware(Described):
             Channel("highest_pressure", "Pa"),
         )
 
+    @property
+    def probe(self) -> DisplacementProbe:
+        """Properties of its displacement readings."""
+        return replace(self.thresholds.probe, noise=self.reading_noise)
+
     @cached_property
     def observer(self) -> Observer:
         """The recursion from sample to sample."""
@@ -142,8 +152,13 @@ class JointAware(Described):
             self.observer.physics.contacts,
             self.model.warm.shape[1],
             len(system.rows),
-            len(self.axes),
+            self._nothing_read,
         )
+
+    @property
+    def _nothing_read(self) -> ModelError:
+        """The model error before any displacement reading."""
+        return displacement_readings.unknown(self.model.band.open.shape[1], len(self.axes))
 
     @cached_property
     def calibrated_readings(self) -> tuple[Array, Array]:
@@ -180,7 +195,7 @@ class JointAware(Described):
             **self.observer.physics.at_rest()._asdict(),
             covariance_factor=factor,
             watch=sensor_faults.fresh(len(self.observer.system.rows), self.thresholds.faults),
-            model_error=displacement_readings.unknown(len(self.axes)),
+            model_error=self._nothing_read,
             pending=fault_isolation.none(size),
         ).flat()
 
@@ -205,7 +220,9 @@ class JointAware(Described):
             discrepancy=np.ascontiguousarray(model.discrepancy.displacement),
             channels=self._readable,
             rules=self.thresholds.faults,
-            forgetting=1.0 / self.thresholds.probe.memory,
+            forgetting=displacement_readings.forgetting(
+                model.band.open.shape[1], len(self.axes), self.thresholds.probe
+            ),
         )
         return compiled_sample.place_of(own, heat_step(model.modes, model.step), kernel)
 
@@ -272,8 +289,8 @@ class JointAware(Described):
         linear, factor = self._corrected(used, moment, readings)
         expected = used.expected
         settled = self.observer.read(linear, expected.joint, expected.memory, loads)
-        elapsed, memory = moment.length * moment.steps, self.thresholds.probe.memory
-        known = displacement_readings.later(before.model_error, elapsed, memory)
+        elapsed, probe = moment.length * moment.steps, self.thresholds.probe
+        known = displacement_readings.later(before.model_error, elapsed, probe)
         refused = False
         if np.isfinite(probed).any():
             correction = self._corrected_by_probe(probed, settled, expected.memory, factor, known)
@@ -298,7 +315,7 @@ class JointAware(Described):
         """The estimate after a sample."""
         after, factor = taken.after, taken.covariance_factor
         count, dynamic = self.model.modes.rates.size, self.observer.system.decay.size
-        sigma = self.observer.sigma(after.linear[count:dynamic], taken.memory)
+        parts = self.observer.model_error(after.linear[count:dynamic], taken.memory)
         inputs = after.linear[dynamic:]
         pressure = after.pressure if after.pressure.size else np.array([np.nan])
         missing, distrusted = self._left_out(readings, taken.believed)
@@ -316,8 +333,8 @@ class JointAware(Described):
                 status |= flag
         return Estimate(
             time=time,
-            displacement=taken.displacement + after.model_error.mean * sigma,
-            band=self._half_band(sigma, after.model_error, factor) + self._undecided(after),
+            displacement=taken.displacement + parts @ mean_of(after.model_error),
+            band=self.half_band(parts, after.model_error, factor) + self._undecided(after),
             status=status,
             details=np.concatenate([inputs, [pressure.min(), pressure.max()]]),
             missing=missing,
@@ -389,11 +406,10 @@ class JointAware(Described):
         self, probed: Array, settled: Settled, memory: float, factor: Array, known: ModelError
     ) -> displacement_readings.Correction:
         """Correction by a displacement reading."""
-        sigma = self.observer.sigma(settled.relaxed, memory)
-        probe: DisplacementProbe = replace(self.thresholds.probe, noise=self.reading_noise)
-        innovation = probed - settled.displacement - known.mean * sigma
+        parts = self.observer.model_error(settled.relaxed, memory)
+        innovation = probed - settled.displacement - parts @ mean_of(known)
         return displacement_readings.correct_by(
-            innovation, probe, self.model.band, sigma, factor, known
+            innovation, self.probe, self.model.band, parts, factor, known
         )
 
     def _left_out(self, readings: Array, believed: sensor_faults.Flags) -> tuple[Names, Names]:
@@ -407,9 +423,20 @@ class JointAware(Described):
             tuple(name for name, bad in zip(names, ~empty & ~believed, strict=True) if bad),
         )
 
-    def _half_band(self, sigma: Array, known: ModelError, factor: Array) -> Array:
-        """Half-width of the 95 % interval, m, shape (axes,)."""
-        variance = self.model.band.steady + known.variance * sigma**2
+    def half_band(self, parts: Array, known: ModelError, factor: Array) -> Array:
+        """Half-width of the 95 % interval, m, shape (axes,).
+
+        Parameters
+        ----------
+        parts : ndarray, shape (axes, d + axes)
+            Model error per part, m (`Observer.model_error`).
+        known : ModelError
+            What displacement readings have told of it.
+        factor : ndarray, shape (n, k)
+            Covariance factor.
+        """
+        covariance = covariance_of(known)
+        variance = self.model.band.steady + np.einsum("ai,ij,aj->a", parts, covariance, parts)
         if factor.any():
             uncertain = np.square(self.model.band.tangent @ factor).sum(axis=1)
             variance = variance + self.thresholds.doubt**2 * uncertain

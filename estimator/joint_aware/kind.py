@@ -7,10 +7,12 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from estimator.intake import Intake, intake
+from estimator.interface import NextReading
 from estimator.joint_aware.ageing import AgeingJointAware
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.log import log_samples
 from estimator.joint_aware.model_file import fingerprint, read_observer
+from estimator.joint_aware.next_reading import narrowest_band, next_reading
 from estimator.joint_aware.observer_model import ObserverModel
 from estimator.joint_aware.readings import samples_in
 from estimator.joint_aware.residuals import residuals
@@ -103,6 +105,20 @@ def _residuals(estimator: JointAwareEstimator, state: Array, values: Array) -> A
     return residuals(estimator, state, values)
 
 
+def _next_reading(estimator: JointAwareEstimator, state: Array, limit: float) -> NextReading | None:
+    return next_reading(_not_learning(estimator), state, limit)
+
+
+def _narrowest_band(estimator: JointAwareEstimator) -> float:
+    return narrowest_band(_not_learning(estimator))
+
+
+def _not_learning(estimator: JointAwareEstimator) -> JointAware:
+    if isinstance(estimator, AgeingJointAware):
+        raise InputError("next reading: not while the machine's parameters are learnt")
+    return estimator
+
+
 def _program(
     estimator: JointAwareEstimator,
     precision: Precision,
@@ -130,5 +146,7 @@ KIND: Kind[ObserverModel, JointAwareEstimator] = Kind(
     sensors=_sensors,
     ranges=_ranges,
     residuals=_residuals,
+    next_reading=_next_reading,
+    narrowest_band=_narrowest_band,
     program=_program,
 )

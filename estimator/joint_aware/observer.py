@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -177,14 +178,17 @@ class Observer:
         relaxed = linear[count : self.system.decay.size]
         return Settled(joint, relaxed, moved + self.model.discrepancy.displacement @ relaxed)
 
-    def sigma(self, relaxed: Array, memory: float) -> Array:
-        """Standard deviation of the model error, m, shape (axes,)."""
+    def model_error(self, relaxed: Array, memory: float) -> Array:
+        """Displacement per part of the model error, m, shape (axes, d + axes).
+
+        The parts, of unit variance, are those of the drawn machines and of every axis
+        (`displacement_readings`).
+        """
         band, rates = self.model.band, self.model.discrepancy.rates.size
         sources = relaxed.size // rates
         square = np.square(relaxed.reshape(sources, rates)).sum(axis=0) / sources
-        indistinct = band.open @ np.concatenate([relaxed, relaxed**2])
-        drawn = np.einsum("ad,ad->a", indistinct, indistinct) / indistinct.shape[1]
-        variance = band.constant + band.square @ square + drawn
+        drawn = band.open @ np.concatenate([relaxed, relaxed**2]) / math.sqrt(band.open.shape[1])
+        rest = band.constant + band.square @ square
         if memory != KNOWN:
-            variance = variance + band.history
-        return np.asarray(np.sqrt(variance))
+            rest = rest + band.history
+        return np.hstack([drawn, np.diag(np.sqrt(rest))])

@@ -18,6 +18,8 @@ from thermojoint.reduced.physics import JointState
 #: Knowledge of the joint's slips: those of a run from rest; unknown, because the temperatures are;
 #: or tracked since the temperatures became known.
 KNOWN, UNKNOWN, FOLLOWED = 0.0, 1.0, 2.0
+#: Parts of the model error that states have always had; its others stand at the end.
+_FIRST = 2
 
 
 class ObserverState(NamedTuple):
@@ -69,7 +71,8 @@ class ObserverState(NamedTuple):
     def flat(self) -> Array:
         """Return the whole state as one array."""
         *own, watch, error, pending = self
-        return np.concatenate([np.ravel(part) for part in (*own, *watch, *error, *pending)])
+        parts = (*own, *watch, *error[:_FIRST], *pending, *error[_FIRST:])
+        return np.concatenate([np.ravel(part) for part in parts])
 
 
 @dataclass(frozen=True)
@@ -105,9 +108,9 @@ def placed(shapes: Mapping[str, tuple[int, ...]]) -> Layout:
 
 
 def layout(
-    states: int, loads: int, contacts: int, columns: int, channels: int, axes: int
+    states: int, loads: int, contacts: int, columns: int, channels: int, error: ModelError
 ) -> Layout:
-    """Return the layout of an observer's state."""
+    """Return the layout of an observer's state, with a model error of the shapes of `error`."""
     return placed(
         {
             "time": (),
@@ -121,9 +124,11 @@ def layout(
             "change": (3, contacts),
             "covariance_factor": (states, columns),
             "watch": (len(Watch._fields), channels),
-            "model_error": (len(ModelError._fields), axes),
+            **{f"model_error.{name}": error.mean.shape for name in ModelError._fields[:_FIRST]},
             **{f"pending.{name}": () for name in PendingJump._fields[:-1]},
             "pending.linear": (states,),
+            "model_error.drawn": error.drawn.shape,
+            "model_error.shared": error.shared.shape,
         }
     )
 
@@ -132,5 +137,6 @@ def unpacked(state: Array, known: Layout) -> ObserverState:
     """Return views of the parts of a flat state."""
     views = known.views(state)
     pending = PendingJump(*(views.pop(f"pending.{name}") for name in PendingJump._fields))
-    watch, error = Watch(*views.pop("watch")), ModelError(*views.pop("model_error"))
+    error = ModelError(*(views.pop(f"model_error.{name}") for name in ModelError._fields))
+    watch = Watch(*views.pop("watch"))
     return ObserverState(watch=watch, model_error=error, pending=pending, **views)

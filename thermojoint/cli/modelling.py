@@ -25,7 +25,7 @@ from thermojoint.cli.log_reading import (
 )
 
 if TYPE_CHECKING:
-    from estimator.interface import Estimator
+    from estimator.interface import Estimator, NextReading
     from estimator.kind import OpenedEstimator, Sample
     from thermojoint.artefacts.arrays import Array
     from thermojoint.artefacts.log import Log
@@ -196,6 +196,13 @@ def estimate(  # noqa: PLR0913 - the options of a command
         str | None,
         typer.Option(help="Regression in a file of baselines: mlr, ridge, arx; default: ridge."),
     ] = None,
+    ask_above: Annotated[
+        float | None,
+        typer.Option(
+            "--ask-above-um",
+            help="Ask for a displacement reading when the 95 % band passes this (joint-aware).",
+        ),
+    ] = None,
     column: ColumnOption = None,
     mapping: MappingOption = None,
 ) -> None:
@@ -208,7 +215,8 @@ def estimate(  # noqa: PLR0913 - the options of a command
 
     Example: [bold]thermojoint estimate model.json measured.csv --out estimate.csv[/bold]
 
-    Readings of a touch probe (columns time_s, x_um, y_um) correct a joint-aware estimate.
+    Readings of a touch probe (columns time_s, x_um, y_um) correct a joint-aware estimate;
+    --ask-above-um adds columns with the next one: its axis, when, how much it narrows the band.
 
     Example: [bold]thermojoint estimate model.h5 log.csv --readings probe.csv --out e.csv[/bold]
 
@@ -217,11 +225,12 @@ def estimate(  # noqa: PLR0913 - the options of a command
     Example: [bold]logger | thermojoint estimate model.json - --interval-s 1 --out -[/bold]
     """
     from estimator import measured
-    from estimator.kind import Options
+    from estimator.kind import Options, checked_limit
     from estimator.probe_readings import read_probe_readings, with_probe_readings
     from estimator.registry import kind_of_file, resumed, save_state, started
     from thermojoint import console, plausibility
     from thermojoint.artefacts.response import read_response
+    from thermojoint.artefacts.units import MICRO
 
     # Without the state of --continue, which may be replaced by its successor.
     arguments.check_outputs(
@@ -241,6 +250,7 @@ def estimate(  # noqa: PLR0913 - the options of a command
             "--reading-noise-um": (reading_noise, "reading_noise" in kind.options),
             "--ageing": (ageing, "ageing" in kind.options),
             "--regression": (regression, "regression" in kind.options),
+            "--ask-above-um": (ask_above, kind.next_reading is not None),
         },
     )
     given = kind.read(model)
@@ -278,10 +288,18 @@ def estimate(  # noqa: PLR0913 - the options of a command
             estimator = started(kind, given, options)
             warm_state = kind.warm_state if warm else None
             state = warm_state(estimator) if warm_state else estimator.initial_state()
+        asks, ask = None, kind.next_reading
+        if ask_above is not None and ask is not None:
+            limit = MICRO * arguments.positive("--ask-above-um", ask_above)
+            checked_limit(kind, estimator, limit, "--ask-above-um")
+
+            def asks(state: Array) -> NextReading | None:
+                return ask(estimator, state, limit)
+
         if readings is not None:
             samples = with_probe_readings(samples, *read_probe_readings(readings, estimator.axes))
         keep = partial(save_state, estimator, path=save) if save else None
-        _write_estimates(estimator, state, samples, out, keep)
+        _write_estimates(estimator, state, samples, out, keep, asks)
     console.wrote(out, save)
 
 
@@ -291,8 +309,9 @@ def _write_estimates(
     samples: Iterable[Sequence[float]],
     out: Path,
     save: Callable[[Array], None] | None,
+    asks: Callable[[Array], NextReading | None] | None,
 ) -> None:
-    """Write one row for each sample, and save the state at the end."""
+    """Write one row for each sample, with the reading that is asked for; save the last state."""
     from estimator import estimate_table
     from estimator.interface import follow
     from thermojoint.artefacts.unfinished import cleared_at_stop
@@ -305,11 +324,13 @@ def _write_estimates(
 
     with arguments.output(out) as target, cleared_at_stop(keep_state):
         writer = csv.writer(target, lineterminator="\n")
-        writer.writerow(estimate_table.header(estimator))
+        more = estimate_table.NEXT_READING if asks else ()
+        writer.writerow(estimate_table.header(estimator, more))
         try:
             for reached, result in follow(estimator, samples, state):
                 state = reached
-                writer.writerow(estimate_table.row(estimator, result))
+                asked = estimate_table.next_reading_cells(asks(state)) if asks else ()
+                writer.writerow(estimate_table.row(estimator, result, asked))
                 target.flush()
         finally:
             # Rows on standard output are already delivered, even if the pipe breaks.

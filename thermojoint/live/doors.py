@@ -14,7 +14,7 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.compensation.offsets.handshake import Answer
 from thermojoint.live.arrivals import Arrival
 from thermojoint.live.control_message import answer_of
-from thermojoint.live.floor import Floor, Place, answer
+from thermojoint.live.floor import Floor, Place, answer, postpone
 from thermojoint.live.former_models import former_of, read_record, roll_back
 from thermojoint.live.publication import micrometres
 from thermojoint.live.residuals import residuals_of
@@ -104,10 +104,19 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
             name: (one.user, partial(_read_answer, running.floor, name))
             for name, one in _handshakes(service, "http").items()
         },
+        partial(_postpone, running),
     )
     opened = open_http(section, sources, running.accounts, folder)
     running.floor.log.say(time.time(), "listening", opened.url)
     return serve_http(opened, running.stop)
+
+
+def _postpone(running: Running, machine: str) -> bool:
+    """Postpone the displacement reading that a machine asks for."""
+    changed = postpone(running.floor, machine, time.time())
+    if changed is not None:
+        running.hub.publish([changed])
+    return changed is not None
 
 
 def _roll_back(running: Running, machine: str) -> None:

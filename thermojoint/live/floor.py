@@ -16,6 +16,7 @@ from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine import (
     Machine,
     Times,
+    postponed,
     received_of,
     rest_of,
     shaken,
@@ -26,6 +27,7 @@ from thermojoint.live.machine import (
     with_waiting,
 )
 from thermojoint.live.metrics import Metrics
+from thermojoint.live.next_reading import Request
 from thermojoint.live.publication import Publication, as_row
 from thermojoint.live.samples import Rule, arrived
 from thermojoint.live.served import Served
@@ -211,6 +213,7 @@ def _sample(
         place.heard = times.clock - age
         if latest.status != before.status and before.number:
             floor.log.say(now, "status", f"{latest.status}, was {before.status}", name)
+        _asked(floor, name, before.asked, latest.asked, now)
     row = as_row(latest)
     place.rows.append((row, latest.status))
     outcome.taken.append(Taken(place.era, latest.number, row.tobytes(), latest.status, "{}"))
@@ -223,6 +226,24 @@ def _sample(
     place.reported, place.mode = (published.quality, published.status), published.offset_mode
     outcome.publications[name] = published
     floor.metrics.samples.labels(place.served.file).inc()
+
+
+def _asked(floor: Floor, machine: str, before: Request, after: Request, now: float) -> None:
+    """Log and count a displacement reading that is asked for, and how that ends."""
+    if (after.axis, after.since, after.outcome) == (before.axis, before.since, before.outcome):
+        return
+    floor.log.say(now, "next-reading", after.text, machine)
+    floor.metrics.next_readings.labels(machine, after.outcome).inc()
+
+
+def postpone(floor: Floor, machine: str, now: float) -> Publication | None:
+    """Postpone the reading that a machine asks for; return what is published then, or None."""
+    place = floor.places[machine]
+    before, place.machine = place.machine, postponed(place.served, place.machine)
+    if place.machine is before:
+        return None
+    _asked(floor, machine, before.asked, place.machine.asked, now)
+    return shown(place.machine)
 
 
 def _refused(floor: Floor, arrival: Arrival, verdict: str, now: float) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -33,7 +34,8 @@ from thermojoint.compensation.offsets.output import (
 )
 from thermojoint.compensation.offsets.output import restored as output_restored
 from thermojoint.compensation.offsets.usable import usable
-from thermojoint.live.publication import Layout, Publication, from_row
+from thermojoint.live.next_reading import Request, after_sample, ended
+from thermojoint.live.publication import NOTHING_ASKED, Layout, Publication, from_row
 from thermojoint.live.samples import Waiting
 from thermojoint.live.served import Served
 from thermojoint.live.settings import WatchdogSection
@@ -78,6 +80,8 @@ class Machine:
         The newest publication.
     usable : Publication
         The newest publication with an estimate.
+    asked : Request
+        The displacement reading that is asked for.
     """
 
     name: str
@@ -88,6 +92,7 @@ class Machine:
     waiting: Waiting
     latest: Publication
     usable: Publication
+    asked: Request = NOTHING_ASKED
 
 
 def at_rest(name: str, served: Served, now: float) -> Machine:
@@ -166,6 +171,7 @@ def taken(
             status=REFUSED,
             offset_mode=_mode(served, machine.output),
             handshake=_handshake(served, machine),
+            asked=machine.asked,
         )
         return replace(machine, cold=cold, latest=nothing), str(error)
     words, reached = estimate.words, estimate.displacement
@@ -175,6 +181,10 @@ def taken(
     if used and served.output is not None:
         target = followed(served.output.output, served.layout.axes, reached)
     machine = _cycled(served, machine, times.clock, target)
+    asked = machine.asked
+    if served.asking is not None:
+        read = _read_axes(served, given)
+        asked = after_sample(served.asking, asked, instant, read, estimate.band, state)
     latest = Publication(
         machine.name,
         number,
@@ -190,11 +200,29 @@ def taken(
         words,
         _mode(served, machine.output),
         _handshake(served, machine),
+        asked,
     )
     output, handshake = machine.output, machine.handshake
     return Machine(
-        machine.name, state, cold, output, handshake, machine.waiting, latest, latest
+        machine.name, state, cold, output, handshake, machine.waiting, latest, latest, asked
     ), ""
+
+
+def _read_axes(served: Served, given: Sequence[float]) -> list[str]:
+    """Return the axes whose displacement is among the readings of a sample."""
+    wanted = served.intake.wanted
+    names = served.layout.readings[wanted:]
+    probed = zip(names, given[wanted:], strict=True)
+    return [name.removesuffix("_um") for name, value in probed if math.isfinite(value)]
+
+
+def postponed(served: Served, machine: Machine) -> Machine:
+    """Return a machine whose operator takes no reading now; the estimator asks again later."""
+    if served.asking is None or not machine.asked.axis:
+        return machine
+    asked = ended(served.asking, machine.asked, machine.latest.time, "postponed")
+    latest = replace(machine.latest, asked=asked)
+    return replace(machine, asked=asked, latest=latest)
 
 
 def with_waiting(machine: Machine, waiting: Waiting) -> Machine:
@@ -208,6 +236,7 @@ def with_waiting(machine: Machine, waiting: Waiting) -> Machine:
         waiting,
         machine.latest,
         machine.usable,
+        machine.asked,
     )
 
 
@@ -311,7 +340,7 @@ def state_bytes(served: Served, machine: Machine) -> bytes:
 
 def rest_of(machine: Machine, position: Any) -> str:  # noqa: ANN401
     """Return everything else that the next sample depends on, as it is stored: JSON."""
-    return json.dumps({"at": position, "waiting": machine.waiting})
+    return json.dumps({"at": position, "waiting": machine.waiting, "asked": machine.asked})
 
 
 def received_of(served: Served, machine: Machine, now: float) -> Received | None:
@@ -377,13 +406,18 @@ def restored(
     output = _output(served, machine, received, times)
     handshake = begun(_offsets(served, output), times.clock)
     machine = replace(
-        machine, output=output, handshake=handshake, waiting=_waiting(rest.get("waiting"))
+        machine,
+        output=output,
+        handshake=handshake,
+        waiting=_waiting(rest.get("waiting")),
+        asked=Request(*rest.get("asked", ())) if served.asking else NOTHING_ASKED,
     )
     latest = replace(
         machine.latest,
         offsets=_offsets(served, output),
         offset_mode=_mode(served, output),
         handshake=_handshake(served, machine),
+        asked=machine.asked,
     )
     return replace(machine, latest=latest), rest.get("at")
 

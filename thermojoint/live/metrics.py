@@ -26,6 +26,8 @@ class Metrics:
         Machines by quality.
     modes : Counter
         Time of the offsets of each machine in each mode, s.
+    next_readings : Counter
+        Displacement readings asked for, by machine and outcome.
     waiting, log_size : Gauge
         Arrivals in the queue; size of the store's write-ahead log, bytes.
     """
@@ -38,6 +40,7 @@ class Metrics:
     commit: Histogram
     quality: Gauge
     modes: Counter
+    next_readings: Counter
     waiting: Gauge
     log_size: Gauge
 
@@ -73,6 +76,12 @@ def fresh_metrics() -> Metrics:
             "thermojoint_offset_seconds",
             "Time in which offsets followed, froze, decayed or waited.",
             ["machine", "mode"],
+            registry=registry,
+        ),
+        Counter(
+            "thermojoint_next_readings",
+            "Displacement readings: asked, taken, postponed, withdrawn.",
+            ["machine", "outcome"],
             registry=registry,
         ),
         Gauge("thermojoint_waiting", "Arrivals that wait for their turn.", registry=registry),

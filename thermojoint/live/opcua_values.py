@@ -144,6 +144,7 @@ def variables_of(layout: Layout, readings: bool, wanted: int) -> Iterator[Variab
     yield Variable("", "Status", "", text, lambda p: (p.status, int(_CODES.Good)))
     yield Variable("", "Handshake", "", text, lambda p: (p.handshake, int(_CODES.Good)))
     yield Variable("", "Quality", "", text, lambda p: (p.quality.word, int(_CODES.Good)))
+    yield Variable("", "NextReading", "", text, lambda p: (p.asked.axis, int(_CODES.Good)))
     number = ua.VariantType.UInt64
     yield Variable("", "SampleNumber", "", number, lambda p: (p.number, int(_CODES.Good)))
 

@@ -15,7 +15,9 @@ from estimator.interface import Channel
 from estimator.quality import Quality
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.units import MEGA
+from thermojoint.live.next_reading import Request
 
+NOTHING_ASKED = Request()
 #: Numbers of a row before the arrays: time, published, quality.
 _LEADING = 3
 
@@ -87,6 +89,8 @@ class Publication:
     handshake : str
         State of the handshake with the control
         (`thermojoint.compensation.offsets.handshake.Handshake`); empty where there is none.
+    asked : Request
+        The displacement reading that is asked for; none in the history.
     """
 
     machine: str
@@ -103,6 +107,7 @@ class Publication:
     status: str
     offset_mode: str = ""
     handshake: str = ""
+    asked: Request = NOTHING_ASKED
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -151,6 +156,7 @@ def as_json(publication: Publication) -> dict[str, Any]:
         "offsets_um": micrometres(layout.controls, publication.offsets),
         "offset_mode": publication.offset_mode or None,
         "handshake": publication.handshake or None,
+        "next_reading": publication.asked.content,
         "details": {
             detail_name(channel): _number(_shown(channel, value))
             for channel, value in zip(layout.details, publication.details.tolist(), strict=True)

@@ -12,7 +12,7 @@ from typing import Any
 
 from estimator.intake import Intake, axis_name
 from estimator.interface import Estimator
-from estimator.kind import Kind, Options
+from estimator.kind import Kind, OpenedEstimator, Options, checked_limit
 from estimator.ranges import Range
 from estimator.registry import kind_of_file, resumed, save_state, started
 from thermojoint.artefacts.arrays import Array
@@ -20,6 +20,7 @@ from thermojoint.artefacts.errors import InputError, ThermojointError, unknown_n
 from thermojoint.artefacts.units import MICRO
 from thermojoint.compensation.offsets.handshake import HandshakeSettings
 from thermojoint.compensation.offsets.settings import Settings, read_settings
+from thermojoint.live.next_reading import Asking
 from thermojoint.live.publication import Layout
 from thermojoint.live.samples import Rule
 from thermojoint.live.settings import HandshakeSection, ModelSection, Service
@@ -51,6 +52,8 @@ class Served:
         Of the compensation output.
     handshake : HandshakeSettings or None
         With the control of a machine: `single`.
+    asking : Asking or None
+        When displacement readings are asked for.
     """
 
     estimator: Estimator
@@ -63,6 +66,7 @@ class Served:
     layout: Layout
     output: Settings | None
     handshake: HandshakeSettings | None = None
+    asking: Asking | None = None
 
 
 def served_models(service: Service) -> tuple[dict[str, Served], dict[str, ThermojointError]]:
@@ -122,6 +126,7 @@ def served(section: ModelSection, kept: Path) -> Served:
         rule,
         layout,
         output,
+        asking=_asking(kind, estimator, section),
     )
 
 
@@ -131,6 +136,20 @@ def _warm_up(estimator: Estimator, interval: float) -> None:
     for k in range(3):
         with suppress(ThermojointError):
             state, _ = estimator.sample(state, k * interval, [0.0] * len(estimator.channels))
+
+
+def _asking(
+    kind: Kind[Any, Any], estimator: OpenedEstimator, section: ModelSection
+) -> Asking | None:
+    """Return when displacement readings are asked for; refuses a limit that none can keep."""
+    given, ask = section.next_reading, kind.next_reading
+    if given is None:
+        return None
+    limit = MICRO * given.above_um
+    checked_limit(kind, estimator, limit, f"{section.file}: next_reading.above_um")
+    if ask is None:
+        return None
+    return Asking(limit, 60.0 * given.interval_min, lambda state: ask(estimator, state, limit))
 
 
 def _check_age(output: Settings, section: ModelSection) -> None:
@@ -153,7 +172,7 @@ def _opened(
     model: Any,  # noqa: ANN401
     section: ModelSection,
     kept: Path,
-) -> tuple[Estimator, str]:
+) -> tuple[OpenedEstimator, str]:
     """Start the estimator, or reuse the coefficients of the same file and interval."""
     options = Options(section.interval_s, 60.0 * section.run_length_min)
     made_of = f"{kind.fingerprint(model)} {section.reads}"

@@ -46,6 +46,13 @@ class Secret(Section):
         return self
 
 
+class NextReadingSection(Section):
+    """``[models.NAME.next_reading]``: displacement readings are asked for above a band's limit."""
+
+    above_um: Positive
+    interval_min: NotNegative = 60.0
+
+
 class ModelSection(Section):
     """``[models.NAME]``: an estimator, for any number of machines."""
 
@@ -55,6 +62,7 @@ class ModelSection(Section):
     reads: Literal["thermometers", "above-ambient"] = "thermometers"
     offsets: File | None = None
     scene: File | None = None
+    next_reading: NextReadingSection | None = None
     lateness_s: NotNegative = 5.0
     hold_s: NotNegative = 0.0
 

@@ -93,6 +93,7 @@ class Site:
             Route("/", self.overview),
             Route("/machines/{machine}", self.machine),
             Route("/machines/{machine}/rollback", self.rollback, methods=["POST"]),
+            Route("/machines/{machine}/next-reading", self.postpone, methods=["POST"]),
             Route("/login", self.login, methods=["GET", "POST"]),
             Route("/logout", self.logout, methods=["POST"]),
             Route("/assets/{digest}/{name}", self.asset),
@@ -137,6 +138,21 @@ class Site:
         except OSError as error:
             raise HTTPException(503, f"this cannot be audited now ({error})") from error
         self.sources.roll_back(name)
+        return RedirectResponse(f"/machines/{name}", 303)
+
+    async def postpone(self, request: Request) -> Response:
+        """Postpone the displacement reading that a machine asks for."""
+        name, _ = self._machine(request)
+        audit, who = self.door.accounts.audit, request.user
+        why = who.refusal("operator", name)
+        if why:
+            audit.refused(who.name, origin(request.scope), "postpone", why, name)
+            raise HTTPException(403, why)
+        try:
+            audit.accepted(who.name, origin(request.scope), "postpone the next reading", name)
+        except OSError as error:
+            raise HTTPException(503, f"this cannot be audited now ({error})") from error
+        self.sources.postpone(name)
         return RedirectResponse(f"/machines/{name}", 303)
 
     async def control(self, request: Request) -> Response:

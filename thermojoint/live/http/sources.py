@@ -69,6 +69,8 @@ class Sources:
     controls : mapping
         The machines whose controls answer here (the handshake): the only user who may, None for
         any that may write, and what takes the answer.
+    postpone : callable
+        Postpones the displacement reading that a machine asks for; False if it asks for none.
     """
 
     hub: Hub
@@ -81,3 +83,4 @@ class Sources:
     former: Callable[[str], Deployment | None] = lambda machine: None
     roll_back: Callable[[str], object] = lambda machine: None
     controls: Mapping[str, tuple[str | None, Callable[[bytes], None]]] = field(default_factory=dict)
+    postpone: Callable[[str], bool] = lambda machine: False

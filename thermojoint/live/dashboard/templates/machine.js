@@ -173,6 +173,15 @@ function axes() {
   }
 }
 
+// The estimator asks for a reading of the displacement, by a probe.
+function nextReading() {
+  const asked = page.newest.next_reading;
+  document.getElementById("next-reading").hidden = !asked;
+  if (!asked) return;
+  const narrows = `± ${shown(asked.band_um, 1)} µm to ± ${shown(asked.narrowed_um, 1)} µm`;
+  write(document.getElementById("next-reading-text"), `A reading of ${asked.axis} would narrow its band from ${narrows}. Asked for at ${clockTime(asked.since_s)}.`);
+}
+
 function readings() {
   const body = document.getElementById("readings"), one = page.newest;
   for (const key of page.about.readings) {
@@ -262,6 +271,7 @@ function news(publications) {
   }
   status();
   axes();
+  nextReading();
   readings();
   ages();
   // A curve of 8 h need not be drawn anew every second.

@@ -1,0 +1,75 @@
+"""The displacement reading that would narrow the band most, and when it is due.
+
+The covariance after a reading does not depend on what is read, so the band after it is known
+beforehand. The band of the next hours is that at the present heat: the relaxations of the heat
+approach it, and what earlier readings have told fades. What the thermometers will have settled by
+then is not counted.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from estimator.interface import NextReading
+from estimator.joint_aware.displacement_readings import correct_by, later
+from estimator.joint_aware.estimator import WIDTH, JointAware
+from estimator.joint_aware.observer_state import unpacked
+from thermojoint.artefacts.arrays import Array
+
+#: Times at which the band is looked at, s from now.
+OUTLOOK = (0.0, 600.0, 1200.0, 1800.0, 3600.0, 7200.0)
+#: A reading that narrows the band of its axis by less than this share is not asked for.
+LEAST = 0.1
+
+
+def narrowest_band(estimator: JointAware) -> float:
+    """Return the half-width that a reading leaves where nothing else was known, m."""
+    steady = float(estimator.model.band.steady.max())
+    return float(WIDTH * np.sqrt(2.0 * steady + estimator.probe.noise**2))
+
+
+def next_reading(estimator: JointAware, state: Array, limit: float) -> NextReading | None:
+    """Return the reading to take when the band passes a limit; None if it will not, or if in vain.
+
+    Parameters
+    ----------
+    estimator : JointAware
+        The estimator.
+    state : ndarray
+        After a sample.
+    limit : float
+        Largest half-width of the 95 % interval of any axis, m.
+    """
+    for due in OUTLOOK:
+        before, after = bands_around(estimator, state, due)
+        if not (before > limit).any():
+            continue
+        # The axis that leaves least above the limit, then the narrowest bands.
+        left = [(np.maximum(band - limit, 0.0).sum(), band.sum()) for band in after]
+        axis = min(range(len(left)), key=left.__getitem__)
+        wide, narrow = float(before[axis]), float(after[axis, axis])
+        if narrow > (1.0 - LEAST) * wide:
+            return None
+        return NextReading(estimator.axes[axis], due, wide, narrow)
+    return None
+
+
+def bands_around(estimator: JointAware, state: Array, due: float) -> tuple[Array, Array]:
+    """Return the half-band some time (s) from now, and that after a reading of each axis then, m.
+
+    Shapes (axes,) and (axes read, axes).
+    """
+    model, now = estimator.model, unpacked(state, estimator.parts)
+    sources, rates = model.power.size, model.discrepancy.rates
+    dynamic = estimator.observer.system.decay.size
+    heat = now.linear[dynamic:][:sources] / model.power
+    relaxed = now.linear[model.modes.rates.size : dynamic].reshape(sources, -1)
+    kept = np.exp(-rates * due)
+    relaxed = kept * relaxed + (1.0 - kept) * heat[:, None]
+    parts = estimator.observer.model_error(relaxed.ravel(), float(now.memory))
+    known, factor = later(now.model_error, due, estimator.probe), now.covariance_factor
+    after = []
+    for innovation in np.where(np.eye(len(estimator.axes), dtype=bool), 0.0, np.nan):
+        told = correct_by(innovation, estimator.probe, model.band, parts, factor, known)
+        after.append(estimator.half_band(parts, told.known, told.covariance_factor))
+    return estimator.half_band(parts, known, factor), np.array(after)

@@ -1,0 +1,142 @@
+"""What displacement readings tell of a machine that its calibration left open, and the next one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from observed import SENSORS, estimates
+from typer.testing import CliRunner
+
+from estimator.interface import follow
+from estimator.joint_aware.compiled_sample import forget
+from estimator.joint_aware.displacement_readings import (
+    DisplacementProbe,
+    ModelError,
+    covariance_of,
+    forgetting,
+    known_error,
+    later,
+    mean_of,
+    unknown,
+)
+from estimator.joint_aware.estimator import JointAware
+from estimator.joint_aware.model_file import write_observer
+from estimator.joint_aware.next_reading import bands_around, narrowest_band, next_reading
+from estimator.joint_aware.observer_state import unpacked
+from estimator.joint_aware.readings import samples_in
+from estimator.states import completed
+from thermojoint.artefacts.response import write_response
+from thermojoint.artefacts.units import MICRO
+from thermojoint.cli.app import app
+
+LIMIT = 2.0 * MICRO
+
+
+@pytest.fixture(scope="module")
+def undecided(estimator):
+    """An observer of machines that its calibration cannot tell apart: they err on both axes."""
+    model = estimator.model
+    relaxations = model.discrepancy.rates.size * model.power.size
+    rng = np.random.default_rng(1)
+    errors = np.zeros((2, 3, 2 * relaxations))
+    errors[:, :, :relaxations] = 8.0 * MICRO / relaxations * rng.normal(size=(2, 3, 1))
+    return JointAware(replace(model, band=replace(model.band, open=errors)))
+
+
+@pytest.fixture(scope="module")
+def warmed(undecided, stepped):
+    """The samples of ten minutes, and the state after each."""
+    samples = list(samples_in(stepped, SENSORS))
+    found = list(follow(undecided, samples, undecided.initial_state()))
+    return samples, [state for state, _ in found], [estimate for _, estimate in found]
+
+
+def with_reading(estimator, sample, along, off):
+    """A sample with a reading of one axis that is off from the estimate by something (m)."""
+    at = estimator.axes.index(along)
+    probed = [np.nan] * len(estimator.axes)
+    probed[at] = off[at]
+    return [*sample, *probed]
+
+
+def test_a_reading_of_one_axis_tells_which_machine_it_is_and_corrects_the_other(undecided, warmed):
+    samples, states, alone = warmed
+    true = undecided.model.band.open[:, 0, 0] / MICRO
+    off = alone[150].displacement + 3.0 * MICRO * true / np.abs(true).max()
+    (time, *values) = samples[150]
+    _, told = undecided.sample(states[149], time, with_reading(undecided, values, "x", off))
+    assert np.all(told.band < alone[150].band)
+    assert told.displacement[1] != pytest.approx(alone[150].displacement[1], abs=0.01 * MICRO)
+
+
+def test_the_band_after_a_reading_is_known_before_it(undecided, warmed):
+    samples, states, alone = warmed
+    before, after = bands_around(undecided, states[149], 0.0)
+    assert before == pytest.approx(alone[149].band, rel=1e-9)
+    (time, *values) = samples[150]
+    for k, axis in enumerate(undecided.axes):
+        given = with_reading(undecided, values, axis, alone[150].displacement)
+        _, told = undecided.sample(states[149], time, given)
+        assert told.band == pytest.approx(after[k], rel=0.05)
+
+
+def test_the_axis_is_asked_for_whose_reading_leaves_least_above_the_limit(undecided, warmed):
+    _, states, alone = warmed
+    state, limit = states[-1], 0.6 * float(alone[-1].band.max())
+    asked = next_reading(undecided, state, limit)
+    _, after = bands_around(undecided, state, 0.0)
+    left = [np.maximum(band - limit, 0.0).sum() for band in after]
+    assert asked.due == 0.0
+    assert asked.narrowed < asked.band
+    assert left[undecided.axes.index(asked.axis)] == min(left)
+
+
+def test_a_reading_is_announced_before_it_is_due(undecided, warmed):
+    _, states, alone = warmed
+    asked = next_reading(undecided, states[150], 1.2 * float(alone[150].band.max()))
+    assert asked.due > 0.0
+
+
+def test_what_no_reading_narrows_is_not_asked_for(estimator, stepped):
+    """Its only error is that of its own state after a reading."""
+    state, _ = estimates(estimator, list(samples_in(stepped, SENSORS))[:50])
+    assert next_reading(estimator, state, 0.01 * MICRO) is None
+    assert narrowest_band(estimator) > 0.9 * MICRO
+
+
+def test_readings_are_forgotten_alike_in_machine_code():
+    rng = np.random.default_rng(2)
+    root = rng.normal(size=(5, 5))
+    known = known_error(rng.normal(size=5), root @ root.T, 2)
+    probe = DisplacementProbe()
+    slowly = later(known, 600.0, probe)
+    quickly = ModelError(*(part.copy() for part in known))
+    forget(quickly, forgetting(3, 2, probe), 600.0)
+    assert mean_of(quickly) == pytest.approx(mean_of(slowly), rel=1e-12)
+    assert covariance_of(quickly) == pytest.approx(covariance_of(slowly), rel=1e-12)
+    long = later(known, 1e9, probe)
+    assert covariance_of(long) == pytest.approx(covariance_of(unknown(3, 2)), abs=1e-12)
+
+
+def test_a_state_of_an_earlier_version_has_read_nothing_of_the_machines(undecided, warmed):
+    _, states, _ = warmed
+    parts = undecided.parts.parts
+    begins = next(at.start for name, at, _ in parts if name == "model_error.drawn")
+    whole = completed(states[100][:begins], undecided.initial_state())
+    assert whole == pytest.approx(states[100], rel=1e-9, nan_ok=True)
+    known = unpacked(whole, undecided.parts).model_error
+    assert covariance_of(known) == pytest.approx(np.eye(5), rel=1e-9)
+
+
+def test_the_command_asks_for_readings(undecided, stepped, tmp_path):
+    model, log, out = tmp_path / "model.h5", tmp_path / "stepped.nc", tmp_path / "out.csv"
+    write_observer(undecided.model, model)
+    write_response(stepped, log)
+    given = ["estimate", str(model), str(log), "--out", str(out), "--ask-above-um"]
+    assert CliRunner().invoke(app, [*given, "2"]).exit_code == 0
+    header, *rows = (line.split(",") for line in out.read_text().splitlines())
+    assert header[-5:-2] == ["next_reading", "next_reading_in_min", "next_reading_narrows_um"]
+    assert rows[-1][-5] in undecided.axes
+    assert rows[-1][-4] == "0"
+    refused = CliRunner().invoke(app, [*given, "0.5"])
+    assert "make it larger" in str(refused.exception)

@@ -1,0 +1,159 @@
+"""A service that asks for a reading of the displacement, and what becomes of the request."""
+
+import asyncio
+import math
+import time
+from dataclasses import replace
+
+import httpx
+import numpy as np
+import pytest
+from live_parts import PATIENCE_S, free_port, serving, until
+from observed import SENSORS, observed_data, observer, run, step
+
+from estimator.interface import NextReading
+from estimator.joint_aware.model_file import write_observer
+from estimator.joint_aware.readings import samples_in
+from fesim.case.schema import case_from_data
+from fesim.setup.machine import set_up
+from thermojoint.artefacts.errors import InputError
+from thermojoint.live.archive import Archive
+from thermojoint.live.next_reading import Asking, Request, after_sample, ended
+from thermojoint.live.served import served
+from thermojoint.live.settings import ModelSection, NextReadingSection
+from thermojoint.live.users import add_user
+from thermojoint.reduced.machine import reduce_machine
+
+WIDE, NARROW, STATE = np.array([3e-6, 1e-6]), np.array([1e-6, 1e-6]), np.empty(0)
+ASKED = NextReading("x", 0.0, 3e-6, 1e-6)
+
+
+def asking(answer=ASKED):
+    return Asking(2e-6, 600.0, lambda state: answer)
+
+
+def test_a_request_stands_until_its_axis_is_read_and_the_next_one_waits():
+    one = after_sample(asking(), Request(), 100.0, (), WIDE, STATE)
+    assert (one.axis, one.outcome, one.since) == ("x", "asked", 100.0)
+    assert after_sample(asking(), one, 102.0, ("y",), WIDE, STATE) == one
+    taken = after_sample(asking(), one, 104.0, ("x",), WIDE, STATE)
+    assert (taken.axis, taken.outcome) == ("", "taken")
+    assert after_sample(asking(), taken, 703.0, (), WIDE, STATE) == taken
+    assert after_sample(asking(), taken, 704.0, (), WIDE, STATE).axis == "x"
+
+
+def test_a_request_is_withdrawn_once_the_band_is_narrow_again():
+    one = after_sample(asking(), Request(), 100.0, (), WIDE, STATE)
+    assert after_sample(asking(), one, 102.0, (), NARROW, STATE).outcome == "withdrawn"
+    later = asking(ASKED._replace(due=600.0))
+    assert after_sample(later, Request(), 100.0, (), WIDE, STATE) == Request()
+
+
+def test_nothing_is_asked_for_where_the_band_is_unknown_or_narrow():
+    for band in (NARROW, np.full(2, math.nan)):
+        assert after_sample(asking(), Request(), 100.0, (), band, STATE) == Request()
+    postponed = ended(asking(), Request("x", 100.0), 200.0, "postponed")
+    assert after_sample(asking(), postponed, 500.0, (), WIDE, STATE).axis == ""
+
+
+@pytest.fixture(scope="module")
+def plant(coarse_data, tmp_path_factory):
+    """A folder with a model whose band is wide, and the samples of a warm-up."""
+    folder, data = tmp_path_factory.mktemp("asking"), observed_data(coarse_data)
+    case = case_from_data(data, "case", folder)
+    setup = set_up(case)
+    response = run(data, setup, step(1.0), 4.0)
+    model = observer(reduce_machine(case, setup, SENSORS), {"step": response}).model
+    # A band of 5 um at a relaxed heat of one.
+    wide = replace(model.band, square=np.full_like(model.band.square, 6e-12))
+    write_observer(replace(model, band=wide), folder / "model.h5")
+    add_user(folder / "users", "olga", "operator", "olgas-secret")
+    return folder, list(samples_in(response, SENSORS))
+
+
+def test_a_limit_that_no_reading_can_keep_is_refused(plant):
+    folder, _ = plant
+    section = ModelSection(file=folder / "model.h5", next_reading=NextReadingSection(above_um=0.2))
+    with pytest.raises(InputError, match=r"next_reading.above_um: 0.2 um is below the .* larger"):
+        served(section, folder / "kept")
+
+
+def settings_of(port):
+    return {
+        "folder": "state",
+        "users": "users",
+        "models": {
+            "m": {
+                "file": "model.h5",
+                "interval_s": 2.0,
+                "reads": "above-ambient",
+                "next_reading": {"above_um": 1.5, "interval_min": 1.0},
+            }
+        },
+        "machines": {"mill": {"model": "m", "source": "line"}},
+        "sources": {
+            "line": {
+                "kind": "csv",
+                "path": "log.csv",
+                "columns": {"x_um": "x_um", "y_um": "y_um"},
+            }
+        },
+        "http": {"port": port, "security": "none"},
+    }
+
+
+def test_an_operator_sees_the_request_and_postpones_it(plant):
+    folder, samples = plant
+    start, port = time.time() - 2.0 * len(samples), free_port()
+    names = ",".join(f"{name}_K" for name in (*SENSORS, "ambient"))
+    lines = [f"time_s,{names},x_um,y_um"]
+    lines += [f"{start + at:.1f},{','.join(map(str, values))},," for at, *values in samples]
+    log = folder / "log.csv"
+    log.write_text("\n".join(lines[:90]) + "\n")
+
+    async def live():
+        async with serving(settings_of(port), folder) as running:
+            newest = running.hub.newest
+            await until(lambda: newest["mill"].asked.axis)
+            axis = newest["mill"].asked.axis
+            url = f"http://127.0.0.1:{port}"
+            async with httpx.AsyncClient(base_url=url, trust_env=False, timeout=PATIENCE_S) as one:
+                assert (await one.post("/machines/mill/next-reading")).status_code in (303, 401)
+                await one.post("/login", data={"name": "olga", "token": "olgas-secret"})
+                assert "Not now" in (await one.get("/machines/mill")).text
+                told = (await one.get("/api/machines/mill/latest")).json()["next_reading"]
+                assert told["axis"] == axis
+                assert told["narrowed_um"] < told["band_um"]
+                assert (await one.post("/machines/mill/next-reading")).status_code == 303
+                assert newest["mill"].asked.outcome == "postponed"
+                metrics = (await one.get("/metrics")).text
+                assert 'next_readings_total{machine="mill",outcome="postponed"} 1.0' in metrics
+            with log.open("a") as more:
+                more.write("\n".join(lines[90:]) + "\n")
+            # A minute of samples later it asks again, and takes what is read.
+            await until(lambda: newest["mill"].asked.axis)
+            last = start + samples[-1][0]
+            more_lines = [f"{last + 2.0},{','.join(map(str, samples[-1][1:]))},"]
+            read = ["3.0" if name == axis else "" for name in ("x", "y")]
+            with log.open("a") as more:
+                more.write(more_lines[0] + ",".join(read) + "\n")
+            await until(lambda: newest["mill"].asked.outcome == "taken")
+
+    asyncio.run(live())
+    archive = Archive(folder / "state" / "history.sqlite")
+    texts = [
+        one.text for one in archive.events("mill", 0.0, 1e11, 100) if one.kind == "next-reading"
+    ]
+    assert texts[0] == "taken"
+    assert "postponed" in texts
+    assert any("would narrow" in text for text in texts)
+
+
+def test_a_restart_keeps_the_request(plant):
+    folder, _ = plant
+
+    async def live():
+        async with serving(settings_of(free_port()), folder) as running:
+            return running.floor.places["mill"].machine.asked
+
+    assert asyncio.run(live()).outcome == "taken"

@@ -1,0 +1,126 @@
+"""Displacement readings that a machine's estimator asks for: asked, taken, postponed, withdrawn.
+
+All times are those of samples, so that a replay asks again at the same samples.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from estimator.intake import axis_name
+from estimator.interface import NextReading
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.units import MEGA
+
+
+@dataclass(frozen=True)
+class Asking:
+    """When readings are asked for.
+
+    Attributes
+    ----------
+    limit : float
+        Largest half-width of the band, m.
+    interval : float
+        Shortest time between two requests, s.
+    ask : callable
+        State of the estimator to the reading to take, or None.
+    """
+
+    limit: float
+    interval: float
+    ask: Callable[[Array], NextReading | None]
+
+
+class Request(NamedTuple):
+    """The present request of a machine, or its last one.
+
+    Attributes
+    ----------
+    axis : str
+        To be read; empty if nothing is asked for.
+    since : float
+        When the last request was made, s since 1970.
+    band, narrowed : float
+        Half-band of the axis then, and what a reading would have left of it, m.
+    quiet : float
+        No request before this time, s since 1970.
+    outcome : str
+        ``asked``, or how the last request ended: ``taken``, ``postponed``, ``withdrawn``; empty
+        before the first.
+    """
+
+    axis: str = ""
+    since: float = math.nan
+    band: float = math.nan
+    narrowed: float = math.nan
+    quiet: float = -math.inf
+    outcome: str = ""
+
+    @property
+    def text(self) -> str:
+        """The request, or its end, as a sentence."""
+        if not self.axis:
+            return self.outcome
+        return (
+            f"{self.axis}: the band of {MEGA * self.band:.2g} um would narrow to "
+            f"{MEGA * self.narrowed:.2g} um"
+        )
+
+    @property
+    def content(self) -> dict[str, Any] | None:
+        """The request for JSON; None if nothing is asked for."""
+        if not self.axis:
+            return None
+        return {
+            "axis": self.axis,
+            "since_s": self.since,
+            "band_um": round(MEGA * self.band, 4),
+            "narrowed_um": round(MEGA * self.narrowed, 4),
+        }
+
+
+def after_sample(
+    asking: Asking,
+    request: Request,
+    instant: float,
+    read: Collection[str],
+    band: Array,
+    state: Array,
+) -> Request:
+    """Return the request after a sample.
+
+    Parameters
+    ----------
+    asking : Asking
+    request : Request
+        Before.
+    instant : float
+        Of the sample, s since 1970.
+    read : collection of str
+        Axes whose displacement was read in it.
+    band : ndarray, shape (axes,)
+        Half-widths after it, m.
+    state : ndarray
+        Of the estimator after it.
+    """
+    if request.axis in read:
+        return ended(asking, request, instant, "taken")
+    wide = bool((band > asking.limit).any())
+    if not request.axis and (not wide or instant < request.quiet):
+        return request
+    asked = asking.ask(state) if wide else None
+    if asked is None or asked.due > 0.0:
+        return ended(asking, request, instant, "withdrawn") if request.axis else request
+    if request.axis:
+        return request
+    axis = axis_name(asked.axis)
+    return Request(axis, instant, asked.band, asked.narrowed, request.quiet, "asked")
+
+
+def ended(asking: Asking, request: Request, instant: float, outcome: str) -> Request:
+    """Return no request, and none for a while."""
+    return request._replace(axis="", quiet=instant + asking.interval, outcome=outcome)
