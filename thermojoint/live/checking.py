@@ -83,7 +83,8 @@ def _findings(service: Service, folder: Path) -> Findings:
 
 def taken_addresses(service: Service) -> list[str]:
     """Return the addresses that others have taken; none while the service itself runs."""
-    sections = (("opcua", service.given.opcua), ("http", service.given.http))
+    file = service.given
+    sections = (("opcua", file.opcua), ("http", file.http), ("shdr", file.shdr))
     given = [(name, one.address, one.port) for name, one in sections if one is not None]
     if is_held(service.folder):
         return []

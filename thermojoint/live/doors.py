@@ -1,4 +1,4 @@
-"""Output interfaces (MQTT, OPC UA, HTTP), imported only if configured."""
+"""Output interfaces (MQTT, OPC UA, HTTP, SHDR), imported only if configured."""
 
 from __future__ import annotations
 
@@ -49,6 +49,14 @@ async def open_doors(running: Running) -> list[Coroutine[Any, Any, None]]:
         doors += _writers(running)
     if service.given.http is not None:
         doors.append(_http_server(running, service.given.http))
+    if service.given.shdr is not None:
+        from thermojoint.live.limited_socket import listening
+        from thermojoint.live.writers.shdr import serve_agents
+
+        shdr = service.given.shdr
+        most = shdr.most_connections
+        taken = listening("shdr", shdr.address, shdr.port, most, most)
+        doors.append(serve_agents(running.hub, taken, shdr.heartbeat_s))
     return doors
 
 

@@ -268,6 +268,15 @@ class HttpServer(Certified):
     requests_per_s: Annotated[float, Field(gt=0.0, le=1e4)] = 20.0
 
 
+class ShdrAdapter(Section):
+    """``[shdr]``: an adapter for an MTConnect agent on this computer."""
+
+    address: str = "127.0.0.1"
+    port: Port = 7878
+    heartbeat_s: Annotated[float, Field(ge=1.0, le=600.0)] = 10.0
+    most_connections: Annotated[int, Field(ge=1, le=1000)] = 8
+
+
 class ServiceFile(Section):
     """The whole file."""
 
@@ -284,6 +293,7 @@ class ServiceFile(Section):
     opcua: OpcuaServer | None = None
     mqtt: MqttTopics | None = None
     http: HttpServer | None = None
+    shdr: ShdrAdapter | None = None
 
 
 @dataclass(frozen=True)
@@ -465,6 +475,11 @@ def _check_protected(where: str, given: ServiceFile) -> None:
         open_doors.append(("opcua", given.opcua.address))
     if given.http and given.http.security == "none":
         open_doors.append(("http", given.http.address))
+    if given.shdr and not is_loopback(given.shdr.address):
+        raise InputError(
+            f"{where}: shdr.address: {given.shdr.address}, which others reach: SHDR has no "
+            "encryption; use 127.0.0.1 and an agent on this computer"
+        )
     for place, host in open_doors:
         _check_loopback(f"{where}: {place}", host)
 

@@ -26,6 +26,7 @@ from live_parts import free_port
 from repository import ROOT
 
 from thermojoint.artefacts.errors import InputError
+from thermojoint.live import limited_socket
 from thermojoint.live.accounts import SHORTEST_TOKEN, checked
 from thermojoint.live.certificates import HTTP_LASTS, own_certificate
 from thermojoint.live.descriptors import RESERVE
@@ -327,7 +328,7 @@ def test_connections_leave_descriptors_for_the_files_and_room_for_others(
     taken = []
     with contextlib.ExitStack() as opened:
         ours = socket.create_server(("127.0.0.1", 0))
-        listening = opened.enter_context(patience.LimitedSocket(ours, 100, of_one))
+        listening = opened.enter_context(limited_socket.LimitedSocket(ours, 100, of_one))
         for _ in range(10):
             opened.enter_context(socket.create_connection(listening.getsockname()))
             with contextlib.suppress(ConnectionAbortedError):

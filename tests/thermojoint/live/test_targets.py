@@ -269,7 +269,7 @@ def test_the_graded_page_has_a_true_row_for_every_source_output_and_target():
     rows = re.findall(r"^\| (source|output|target) (\S+) \| ([ABC]) \| (.*) \|$", page, re.M)
     kinds = {
         "source": {get_args(one.model_fields["kind"].annotation)[0] for one in SOURCES},
-        "output": {"opcua", "mqtt", "http"} & set(ServiceFile.model_fields),
+        "output": {"opcua", "mqtt", "http", "shdr"} & set(ServiceFile.model_fields),
         "target": {"linuxcnc", *CONTROLS},
     }
     files = (ROOT / "tests" / "thermojoint" / "live").glob("test_*.py")
@@ -287,5 +287,5 @@ def test_the_graded_page_has_a_true_row_for_every_source_output_and_target():
         assert "test_" in faulty
         assert security != "–"
         # What is played by the manuals is no control and no agent.
-        assert grade == ("B" if name.strip("`") in {*CONTROLS, "mtconnect"} else "A")
+        assert grade == ("B" if name.strip("`") in {*CONTROLS, "mtconnect", "shdr"} else "A")
         assert (ROOT / "docs" / re.search(r"\((\S+)\)", guide)[1]).is_file()

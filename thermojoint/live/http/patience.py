@@ -9,13 +9,10 @@ import asyncio
 import contextlib
 import socket
 from collections.abc import Iterator
-from typing import Any
 
 import h11
 import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
-
-from thermojoint.live.descriptors import is_spare
 
 #: Time for a whole request after its first byte, and for the first after the connection, s.
 REQUEST_S = 10.0
@@ -23,42 +20,6 @@ REQUEST_S = 10.0
 READER_S = 30.0
 #: Timeout of the TLS handshake and shutdown, s; asyncio would wait for a minute.
 TLS_S = 5.0
-
-
-class LimitedSocket(socket.socket):
-    """Listening socket that closes connections beyond a limit at once, before TLS.
-
-    Attributes
-    ----------
-    most, most_of_one : int
-        Largest number of connections, of all and of one address.
-    """
-
-    def __init__(self, listening: socket.socket, most: int, most_of_one: int) -> None:
-        super().__init__(
-            listening.family, listening.type, listening.proto, fileno=listening.detach()
-        )
-        self.most, self.most_of_one = most, most_of_one
-        self.taken: list[tuple[str, socket.socket]] = []
-
-    def accept(self) -> tuple[socket.socket, Any]:
-        """Return the next connection.
-
-        Raises
-        ------
-        ConnectionAbortedError
-            There are too many, in all or of its address; asyncio goes on with the next.
-        """
-        connection, address = super().accept()
-        host = str(address[0])
-        self.taken = [one for one in self.taken if one[1].fileno() >= 0]
-        same = sum(one[0] == host for one in self.taken)
-        full = len(self.taken) >= self.most or same >= self.most_of_one
-        if full or not is_spare(connection.fileno()):
-            connection.close()
-            raise ConnectionAbortedError
-        self.taken.append((host, connection))
-        return connection, address
 
 
 class PatientProtocol(H11Protocol):

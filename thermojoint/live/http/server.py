@@ -17,9 +17,10 @@ from thermojoint.live.certificates import Identity, http_identity
 from thermojoint.live.http.app import make_app
 from thermojoint.live.http.gate import BURST_S, LARGEST_HEAD, Door
 from thermojoint.live.http.hosts import hosts_of
-from thermojoint.live.http.patience import LimitedSocket, PatientProtocol, Server
+from thermojoint.live.http.patience import PatientProtocol, Server
 from thermojoint.live.http.rates import Buckets
 from thermojoint.live.http.sources import Sources
+from thermojoint.live.limited_socket import listening
 from thermojoint.live.settings import HttpServer, is_loopback
 from thermojoint.live.tokens import tokens_in
 
@@ -137,16 +138,9 @@ def open_http(section: HttpServer, sources: Sources, accounts: Accounts, folder:
     )
     app = make_app(sources, door, section.most_streams)
     server = make_server(app, section, own)
-    family = socket.AF_INET6 if ":" in section.address else socket.AF_INET
-    try:
-        taken = socket.create_server((section.address, section.port), family=family)
-    except OSError as error:
-        raise InputError(
-            f"http: cannot listen at {section.address}:{section.port} ({error.strerror}); give "
-            "an address of this computer and a port that is free"
-        ) from error
     most = _most_connections(section)
-    return Opened(server, LimitedSocket(taken, most, section.most_per_address))
+    taken = listening("http", section.address, section.port, most, section.most_per_address)
+    return Opened(server, taken)
 
 
 def _most_connections(section: HttpServer) -> int:

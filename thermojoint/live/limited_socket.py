@@ -1,0 +1,64 @@
+"""Listening socket of a server that others reach, with limits."""
+
+from __future__ import annotations
+
+import socket
+from typing import Any
+
+from thermojoint.artefacts.errors import InputError
+from thermojoint.live.descriptors import is_spare
+
+
+class LimitedSocket(socket.socket):
+    """Listening socket that closes connections beyond a limit at once, before TLS.
+
+    Attributes
+    ----------
+    most, most_of_one : int
+        Largest number of connections, of all and of one address.
+    """
+
+    def __init__(self, listening: socket.socket, most: int, most_of_one: int) -> None:
+        super().__init__(
+            listening.family, listening.type, listening.proto, fileno=listening.detach()
+        )
+        self.most, self.most_of_one = most, most_of_one
+        self.taken: list[tuple[str, socket.socket]] = []
+
+    def accept(self) -> tuple[socket.socket, Any]:
+        """Return the next connection.
+
+        Raises
+        ------
+        ConnectionAbortedError
+            There are too many, in all or of its address; asyncio goes on with the next.
+        """
+        connection, address = super().accept()
+        host = str(address[0])
+        self.taken = [one for one in self.taken if one[1].fileno() >= 0]
+        same = sum(one[0] == host for one in self.taken)
+        full = len(self.taken) >= self.most or same >= self.most_of_one
+        if full or not is_spare(connection.fileno()):
+            connection.close()
+            raise ConnectionAbortedError
+        self.taken.append((host, connection))
+        return connection, address
+
+
+def listening(where: str, address: str, port: int, most: int, most_of_one: int) -> LimitedSocket:
+    """Return a socket that listens at an address, with the limits of `LimitedSocket`.
+
+    Raises
+    ------
+    InputError
+        The address cannot be had; `where` names the section.
+    """
+    family = socket.AF_INET6 if ":" in address else socket.AF_INET
+    try:
+        taken = socket.create_server((address, port), family=family)
+    except OSError as error:
+        raise InputError(
+            f"{where}: cannot listen at {address}:{port} ({error.strerror}); give an address of "
+            "this computer and a port that is free"
+        ) from error
+    return LimitedSocket(taken, most, most_of_one)

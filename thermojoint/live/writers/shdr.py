@@ -1,0 +1,142 @@
+"""SHDR adapter: the service's own values for an MTConnect agent.
+
+A line is ``time|item|value|item|value``; the items of a machine begin with ``NAME:``, the agent's
+device. The agent asks ``* PING`` and is answered ``* PONG`` with the heartbeat in ms.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import re
+import socket
+from collections.abc import Iterator
+from contextlib import suppress
+from datetime import UTC, datetime
+
+from estimator.quality import Quality
+from thermojoint.artefacts.arrays import Array
+from thermojoint.live.hub import Hub
+from thermojoint.live.publication import Publication
+
+#: A reader that accepts no data for this long is disconnected, s.
+READER_S = 30.0
+#: Heartbeats after which an agent that has asked before counts as gone.
+_MISSED = 3.0
+#: Longest line of an agent, bytes; what may wait for a reader in the program, bytes.
+_LONGEST, _WAITING = 1024, 65_536
+_MILLI = 1e3
+_LEVELS = {Quality.GOOD: "NORMAL", Quality.UNCERTAIN: "WARNING", Quality.BAD: "FAULT"}
+_NONE = "UNAVAILABLE"
+
+
+def lines_of(latest: Publication) -> Iterator[str]:
+    """Yield the lines of a publication: displacement and band, offsets, condition.
+
+    Lengths are in mm, as MTConnect has them. What is bad is unavailable; an offset is always the
+    one that the control should apply, and its mode says what stands behind it.
+    """
+    layout, machine, now = latest.layout, latest.machine, _stamp(latest.published)
+    bad = latest.quality is Quality.BAD
+    values = [
+        (f"{machine}:{axis}_{name}", _NONE if bad else _millimetres(array, k))
+        for name, array in (("displacement", latest.displacement), ("band", latest.band))
+        for k, axis in enumerate(layout.axes)
+    ]
+    # A value that has become bad became so now, not at the time of its sample.
+    yield _line(now if bad or not math.isfinite(latest.time) else _stamp(latest.time), values)
+    if layout.controls:
+        offsets = [
+            (f"{machine}:{axis}_offset", _millimetres(latest.offsets, k))
+            for k, axis in enumerate(layout.controls)
+        ]
+        yield _line(now, [*offsets, (f"{machine}:offset_mode", _word(latest.offset_mode))])
+    level = _LEVELS[latest.quality] if latest.number else _NONE
+    text = "" if level in ("NORMAL", _NONE) else re.sub(r"[|\r\n]+", " ", latest.status)
+    # Without a native code: of several codes each would be a condition of its own.
+    yield f"{now}|{machine}:thermal_displacement|{level}||||{text}\n"
+
+
+def _line(stamp: str, values: list[tuple[str, str]]) -> str:
+    return "|".join((stamp, *(cell for pair in values for cell in pair))) + "\n"
+
+
+def _stamp(seconds: float) -> str:
+    moment = datetime.fromtimestamp(seconds, UTC)
+    return moment.isoformat(timespec="microseconds")[:-6] + "Z"
+
+
+def _millimetres(array: Array, k: int) -> str:
+    value = _MILLI * float(array[k])
+    return f"{value:.7f}" if math.isfinite(value) else _NONE
+
+
+def _word(mode: str) -> str:
+    return mode.upper() or _NONE
+
+
+async def serve_agents(hub: Hub, listening: socket.socket, heartbeat: float) -> None:
+    """Serve agents until the task is cancelled.
+
+    Parameters
+    ----------
+    hub : Hub
+    listening : socket
+        Limits the connections.
+    heartbeat : float
+        Within which an agent asks again, s.
+    """
+    connected: dict[asyncio.Task[None], asyncio.StreamWriter] = {}
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.transport.set_write_buffer_limits(_WAITING)
+        task = asyncio.current_task()
+        assert task is not None
+        connected[task] = writer
+        telling = asyncio.create_task(_tell(hub, writer))
+        asking = asyncio.create_task(_answer(reader, writer, heartbeat))
+        try:
+            await asyncio.wait((telling, asking), return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for one in (telling, asking):
+                one.cancel()
+            await asyncio.gather(telling, asking, return_exceptions=True)
+            writer.transport.abort()
+            del connected[task]
+
+    server = await asyncio.start_server(serve, sock=listening, limit=_LONGEST)
+    try:
+        await server.serve_forever()
+    finally:
+        server.close()
+        for writer in connected.values():
+            writer.transport.abort()
+        await asyncio.gather(*connected, return_exceptions=True)
+
+
+async def _tell(hub: Hub, writer: asyncio.StreamWriter) -> None:
+    """Send all values, then those that change, to an agent that takes them."""
+    with hub.follow() as follower:
+        while True:
+            for machine in await follower.wait():
+                writer.write("".join(lines_of(hub.newest[machine])).encode())
+                async with asyncio.timeout(READER_S):
+                    await writer.drain()
+
+
+async def _answer(
+    reader: asyncio.StreamReader, writer: asyncio.StreamWriter, heartbeat: float
+) -> None:
+    """Answer an agent until it goes, or no longer asks although it has."""
+    patience = None
+    with suppress(ValueError, TimeoutError):  # a line that is too long
+        while True:
+            async with asyncio.timeout(patience):
+                line = await reader.readline()
+            if not line:
+                return
+            if line.strip() == b"* PING":
+                patience = _MISSED * heartbeat
+                writer.write(f"* PONG {round(_MILLI * heartbeat)}\n".encode())
+                async with asyncio.timeout(READER_S):
+                    await writer.drain()
