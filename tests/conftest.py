@@ -163,11 +163,10 @@ def coarse_response(coarse_case, coarse_setup):
 
 
 @pytest.fixture(scope="session")
-def hand_made_model(coarse_response):
+def hand_made_model(coarse_data):
     """A model with round numbers, whose sensors are the probes of the coarse case."""
     main = RingModel(K=3.372, a=3.20, alpha=0.000212, r=0.19, r0=0.12)
     near = RingModel(K=3.0, a=4.0, alpha=2e-4, r=0.10, r0=0.05)
-    places = coarse_response["probe_position"].to_numpy().tolist()
     sources = tuple(
         FictitiousSource(
             K=near.K,
@@ -199,8 +198,8 @@ def hand_made_model(coarse_response):
         sources=sources,
         distances=((0.10, 0.30), (0.32, 0.11)),
         sensors={
-            str(name): (x, y, z)
-            for name, (x, y, z) in zip(coarse_response["probe"].to_numpy(), places, strict=True)
+            name: tuple(1e-3 * place for place in probe["position_mm"])
+            for name, probe in coarse_data["probes"].items()
         },
         reference_power_W=295.0,
         span=Span(60.0, (0.0, 2.0), {"delta_T": (0.0, 8.0), "T1": (0.0, 2.0), "T2": (0.0, 12.0)}),

@@ -112,9 +112,9 @@ def started(study, out, cases, workers):
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    """Twelve cases on two processes, one of which is killed in the middle."""
+    """Eight cases on two processes, one of which is killed in the middle."""
     folder = tmp_path_factory.mktemp("batch")
-    study = study_in(folder, levels(12), minutes=6.0)
+    study = study_in(folder, levels(8), minutes=4.0)
     killed, told = [], []
 
     def watch(progress):
@@ -135,10 +135,10 @@ def finished(tmp_path_factory):
 def test_a_killed_worker_costs_no_case_and_repeats_none_that_was_finished(finished):
     study, out, end, killed, told = finished
     assert (end.summary["status"] == "done").all()
-    assert end.ran == len(study.cases) == 12
+    assert end.ran == len(study.cases) == 8
     events = tally(out)
     assert set(events["done"].values()) == {1}
-    assert len(events["done"]) == 12
+    assert len(events["done"]) == 8
     assert events["lost"].total() == 1
     assert events["started"] == events["done"] + events["lost"]
     assert told == [f"{killed} is lost (killed by SIGKILL); the case starts again"]
@@ -219,13 +219,13 @@ def test_the_tables_agree_and_say_what_the_responses_say(finished):
     assert peak == pytest.approx(np.abs(track).max(), rel=1e-12, abs=0.0)
     assert row["pressure_min_MPa"] == pytest.approx(1e-6 * float(response["pressure"].min()))
     assert row["iterations"] == response["iterations"].sum()
-    assert row["steps"] == 180
+    assert row["steps"] == 120
 
 
 def test_a_finished_batch_asks_nobody_to_work(finished):
     study, out, end, _, _ = finished
     again = run_batch(study, out, nobody)
-    assert (again.found, again.ran, again.stopped) == (12, 0, False)
+    assert (again.found, again.ran, again.stopped) == (8, 0, False)
     pd.testing.assert_frame_equal(again.summary, end.summary)
 
 

@@ -38,7 +38,7 @@ def process_ids(cluster):
 def test_a_worker_that_dask_loses_costs_no_case_and_repeats_none_that_was_finished(
     tmp_path, cluster
 ):
-    study, out = study_in(tmp_path, levels(12), minutes=6.0), tmp_path / "out"
+    study, out = study_in(tmp_path, levels(8), minutes=4.0), tmp_path / "out"
     processes, killed, told = process_ids(cluster), [], []
     assert len(processes) == 2
 
@@ -59,10 +59,10 @@ def test_a_worker_that_dask_loses_costs_no_case_and_repeats_none_that_was_finish
     assert (end.summary["status"] == "done").all()
     events = tally(out)
     assert set(events["done"].values()) == {1}
-    assert len(events["done"]) == 12
+    assert len(events["done"]) == 8
     assert events["started"] == events["done"] + events["lost"]
     assert events["lost"].total() == 1
-    assert read_response(response_path(out, study.cases[0].id)).sizes["time"] == 181
+    assert read_response(response_path(out, study.cases[0].id)).sizes["time"] == 121
 
 
 def test_the_command_uses_a_cluster_that_is_there(tmp_path, cluster):

@@ -435,8 +435,9 @@ def test_the_commands_of_the_page_follow_one_another(tmp_path, monkeypatch):
             text = text.replace("element_size_mm = 50.0", "element_size_mm = 125.0")
             text = text.replace("cycle_s = 2.0", "cycle_s = 10.0")
             text = re.sub(r"tried_delays_s = .*", "", text)
-            if path.stem in ("break", "duty"):
-                text = re.sub(r"duration_min = .*", "duration_min = 10.0", text)
+            minutes = {"machine": 40.0, "break": 10.0, "duty": 10.0}.get(path.stem)
+            if minutes is not None:
+                text = re.sub(r"duration_min = .*", f"duration_min = {minutes}", text)
             (tmp_path / path.name).write_text(text, "utf-8")
     monkeypatch.chdir(tmp_path)
     page = (EXAMPLE.parents[1] / "docs" / "closing-the-loop.md").read_text("utf-8")
