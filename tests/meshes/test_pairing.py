@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from itertools import pairwise
-from time import process_time
 
 import numpy as np
 import pytest
@@ -336,15 +335,3 @@ def test_a_contact_element_around_half_a_shaft_is_refused(count):
     sleeve = long_sleeve(8.0 * SEAT, (24, 20), (30, 16))
     with pytest.raises(InputError, match="turns through more than 120 degrees; raise along"):
         pair_joint(sleeve, "joint", count, 1)
-
-
-def test_the_time_of_pairing_grows_with_the_facets_and_not_with_their_pairs():
-    """Eight times as many facets on either side: eight times the work, not 64 times."""
-    taken = []
-    for few, many in (((1, 25, 6), (1, 22, 7)), ((1, 50, 24), (1, 44, 28))):
-        structure = two_bars(few, many)
-        begun = process_time()
-        joint = pair_joint(structure, "joint", 12, 4)
-        taken.append(process_time() - begun)
-        assert joint.area.sum() == pytest.approx(AREA, rel=1e-9)
-    assert taken[1] < 24.0 * taken[0]

@@ -389,10 +389,6 @@ class Modes:
     factors: Array
     tight: Array
 
-    def factors_with(self, given: Array) -> Array:
-        """Return the factors (l,) with others for the first ones."""
-        return np.concatenate([given, self.factors[given.size :]])
-
 
 def contact_of(modes: Modes, laws: Laws) -> ContactProblem:
     """Return the joints of a machine."""

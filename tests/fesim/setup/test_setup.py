@@ -14,7 +14,6 @@ from fesim.setup.machine import set_up
 from fesim.setup.parts import paired_joints
 from fesim.setup.structure import body_materials, build_structure, candidate_probes
 from fesim.simulate import simulate
-from meshes.pairing import pair_joint
 from thermojoint.artefacts.errors import InputError
 
 PROBES = {
@@ -263,16 +262,6 @@ def test_contact_elements_cover_the_strip(edit, along):
     np.testing.assert_allclose(joint.area, joint.area.mean(), rtol=1e-9)
 
 
-def test_contact_elements_are_counted_upwards(edit):
-    """Element 9 is at the top end of the strip."""
-    case = edit((("joints", "knee", "along"), 9), (("joints", "knee", "across"), 1))
-    joint = pair_joint(build_structure(case), "knee", 9, 1)
-    heights = joint.centre[:, 1]
-    assert (np.diff(heights) > 0.0).all()
-    assert heights[[0, -1]] == pytest.approx([0.35 + 0.4 / 18, 0.75 - 0.4 / 18])
-    np.testing.assert_allclose(joint.normal, [[1.0, 0.0, 0.0]] * len(joint.area), atol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("heat_input", "times", "expected"),
     [
@@ -343,17 +332,6 @@ def test_the_ambient_of_a_case_is_read_as_a_change(edit, tmp_path):
     )
     response = simulate(case).response
     np.testing.assert_allclose(response["ambient"][[0, 1, 5, 15]], [0.0, 1.0, 5.0, 5.0])
-    assert float(np.abs(response["heat_balance"]).max()) < 1e-9
-
-
-def test_a_held_surface_keeps_its_temperature(edit):
-    case = edit(
-        (("held_temperatures",), {"screw_foot": {"rise_K": 4.0}}),
-        (("probes", "foot"), {"position_mm": [1025.0, 0.0, 250.0], "body": "screw"}),
-        (("march", "duration_min"), 0.5),
-    )
-    response = simulate(case).response
-    np.testing.assert_allclose(response["temperature"].sel(probe="foot")[1:], 4.0, rtol=1e-12)
     assert float(np.abs(response["heat_balance"]).max()) < 1e-9
 
 

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from bars import AREA, DEPTH, WIDTH, two_bars
+from bars import DEPTH, WIDTH, two_bars
 from hypothesis import example, given
 from hypothesis import strategies as st
 
@@ -23,7 +23,6 @@ from thermojoint.pictures.scenes import (
     Surface,
     bodies,
     finished,
-    outward_areas,
     up_direction,
 )
 from thermojoint.pictures.stills import sheet
@@ -46,15 +45,6 @@ def quick(monkeypatch):
 def scenes(coarse_case):
     """Four moments of the coarse machine's minute."""
     return film_scenes(FIELDS, coarse_case, lambda *_: None, 4)
-
-
-@pytest.mark.parametrize("tetrahedra", [False, True])
-def test_outward_areas_point_out_and_close(tetrahedra):
-    structure = two_bars(tetrahedra=tetrahedra)
-    mesh = structure.mesh
-    end = outward_areas(mesh, structure.surface("left_end"))
-    assert end.sum(axis=0) == pytest.approx([-AREA, 0.0, 0.0])
-    assert outward_areas(mesh, mesh.boundary_facets()).sum(axis=0) == pytest.approx(np.zeros(3))
 
 
 def test_a_structure_stands_on_its_supports():
