@@ -45,7 +45,9 @@ T = TypeVar("T")
 Arrays = dict[str, NDArray[np.float64]]
 
 
-def remembered(kind: type[T], key: str | None, make: Callable[[], T], also: str = "") -> T:
+def remembered(
+    kind: type[T], key: str | None, make: Callable[[], T], also: str = "", limit: int = LIMIT
+) -> T:
     """Return a dataclass of arrays and numbers: the one stored under a key, or a new one.
 
     Parameters
@@ -58,6 +60,8 @@ def remembered(kind: type[T], key: str | None, make: Callable[[], T], also: str 
         Computes it.
     also : str, optional
         Further dependencies.
+    limit : int, optional
+        Of all entries together, bytes.
     """
     if key is None:
         return make()
@@ -68,7 +72,7 @@ def remembered(kind: type[T], key: str | None, make: Callable[[], T], also: str 
             **{field: array if array.ndim else array.item() for field, array in arrays.items()}
         )
     made = make()
-    store(name, {field: np.asarray(value) for field, value in vars(made).items()})
+    store(name, {field: np.asarray(value) for field, value in vars(made).items()}, limit)
     return made
 
 
@@ -96,7 +100,7 @@ def load(key: str) -> Arrays | None:
     return arrays
 
 
-def store(key: str, arrays: Mapping[str, NDArray[np.float64]]) -> None:
+def store(key: str, arrays: Mapping[str, NDArray[np.float64]], limit: int = LIMIT) -> None:
     """Store arrays under a key.
 
     If the folder is not writable or the disk is full, the next run computes them again.
@@ -108,7 +112,7 @@ def store(key: str, arrays: Mapping[str, NDArray[np.float64]]) -> None:
     with suppress(OSError):
         with whole_file(_path(place, key)) as part, part.open("wb") as file:
             np.savez(file, **contents)
-        _trim(place)
+        _trim(place, limit)
 
 
 @cache
@@ -126,7 +130,7 @@ def _path(place: Path, key: str) -> Path:
     return place / f"{hashlib.sha256(f'{program()} {key}'.encode()).hexdigest()}.npz"
 
 
-def _trim(place: Path) -> None:
+def _trim(place: Path, limit: int) -> None:
     for path in place.glob(f".{_NAME}.*.npz"):
         with suppress(OSError):
             if path.stat().st_mtime < time.time() - ABANDONED:
@@ -138,7 +142,7 @@ def _trim(place: Path) -> None:
             entries.append((status.st_mtime, status.st_size, path))
     size = sum(entry[1] for entry in entries)
     for _, taken, path in sorted(entries)[:-1]:
-        if size <= LIMIT:
+        if size <= limit:
             return
         with suppress(OSError):
             path.unlink()

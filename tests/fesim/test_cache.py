@@ -35,13 +35,13 @@ class Pair:
     factor: float
 
 
-def pair(key="key", made=None):
+def pair(key="key", made=None, limit=cache.LIMIT):
     def make():
         if made is not None:
             made.append(key)
         return Pair(np.arange(1000.0), 0.1)
 
-    return cache.remembered(Pair, key, make)
+    return cache.remembered(Pair, key, make, limit=limit)
 
 
 @pytest.fixture
@@ -277,17 +277,17 @@ def test_a_place_that_cannot_be_written_costs_time_only(tmp_path, monkeypatch):
     assert len(made) == 2
 
 
-def test_what_was_not_used_for_the_longest_time_goes_first(folder, monkeypatch):
+def test_what_was_not_used_for_the_longest_time_goes_first(folder):
     pair("one")
     (entry,) = folder.iterdir()
-    monkeypatch.setattr(cache, "LIMIT", int(2.5 * entry.stat().st_size))
+    limit = int(2.5 * entry.stat().st_size)
     now = time.time()
     made = []
     os.utime(entry, (now - 100, now - 100))
-    pair("two")
+    pair("two", limit=limit)
     os.utime(newest(folder), (now - 50, now - 50))
     pair("one")  # used: now the other one is the oldest
-    pair("three")
+    pair("three", limit=limit)
     pair("one", made)
     pair("three", made)
     assert made == []
@@ -295,14 +295,13 @@ def test_what_was_not_used_for_the_longest_time_goes_first(folder, monkeypatch):
     assert made == ["two"]
 
 
-def test_files_of_others_in_the_folder_stay(folder, monkeypatch):
+def test_files_of_others_in_the_folder_stay(folder):
     pair("one")
     others = [folder / "state.npz", folder / ".mine.x.npz"]
     for path in others:
         path.write_bytes(bytes(1000))
         os.utime(path, (0.0, 0.0))
-    monkeypatch.setattr(cache, "LIMIT", 0)
-    pair("two")
+    pair("two", limit=0)
     assert all(path.exists() for path in others)
     assert len(list(folder.glob("[!.]*.npz"))) == 2  # the one used last stays
 

@@ -15,4 +15,5 @@ SHORT = LongRuns(
     heated=10.0,
     steady=40.0,
     effort=QUICK,
+    processes=1,
 )

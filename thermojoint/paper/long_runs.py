@@ -43,7 +43,7 @@ COOLED_FROM = 2.0
 
 @dataclass(frozen=True)
 class LongRuns:
-    """Durations of the cases, min.
+    """Durations of the cases, min, and what is spent on them.
 
     Attributes
     ----------
@@ -61,6 +61,8 @@ class LongRuns:
         Length of the steps of the calibration until the machine is steady.
     effort : Effort
         Effort of the calibration of the observers.
+    processes : int
+        For the validation.
     """
 
     day: float = 480.0
@@ -71,6 +73,7 @@ class LongRuns:
     seed: int = 10
     steady: float = 480.0
     effort: Effort = USUAL
+    processes: int = 2
 
 
 def random_day(minutes: float, seed: int) -> dict[str, tuple[Array, Array]]:

@@ -52,10 +52,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-#: Number of processes for the validation.
-JUDGES = 2
-
-
 def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
     """Run the complete chain for `case`, write its results to `out` and print them.
 
@@ -228,7 +224,7 @@ def _judged(
     started = {inputs.WARM_START: warm_part(lasting[inputs.DAY], runs)}
     cold = replace(beside, observers=at_rest)
     begun = replace(beside, observers=warm, settled_s=60.0 * runs.settled)
-    with process_pool(JUDGES) as crew:
+    with process_pool(runs.processes) as crew:
         long = crew.submit(judge.validate_model, model, None, lasting, beside=cold)
         warmed = crew.submit(judge.validate_model, model, None, started, beside=begun)
         short = crew.submit(

@@ -37,11 +37,14 @@ def check_film(path: Path) -> None:
     require(f"{path}: a film", "view", "imageio", "imageio_ffmpeg")
 
 
-def write_film(scenes: Sequence[Scene], path: Path, report: Report) -> None:
+def write_film(
+    scenes: Sequence[Scene], path: Path, report: Report, height: int | None = None
+) -> None:
     """Write one frame for each scene to `path` (MP4, GIF), whole or not at all.
 
     Camera, window and colour scale are the same for all scenes, which have the same panels and
-    surfaces. `report` is called with (frames done, frames in all).
+    surfaces. `report` is called with (frames done, frames in all). The default height of the
+    panels, pixels, is that of `HEIGHTS`.
 
     Raises
     ------
@@ -49,7 +52,7 @@ def write_film(scenes: Sequence[Scene], path: Path, report: Report) -> None:
         See `check_film`.
     """
     check_film(path)
-    height = HEIGHTS[path.suffix.lower()]
+    height = height or HEIGHTS[path.suffix.lower()]
     # After an error the writer must be closed, otherwise ffmpeg would continue to write.
     with (
         whole_file(path) as part,

@@ -58,7 +58,6 @@ def case(case_file):
 def results(case_file):
     """The folder that `reproduce` leaves."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(reproduce, "JUDGES", 1)
         patch.setattr(reproduce, "reproduce", partial(reproduce.reproduce, long=SHORT))
         assert run("reproduce", "--case", case_file, "--out", case_file.parent / "results") == 0
     return case_file.parent / "results"

@@ -36,9 +36,8 @@ ENDS = ["left_end", "right_end"]
 
 @pytest.fixture
 def quick(monkeypatch):
-    """Small pictures, drawn without another process."""
+    """Pictures are drawn without another process."""
     monkeypatch.setattr(renderer, "find_spec", lambda name: None)
-    monkeypatch.setattr(film, "HEIGHTS", {".mp4": 120, ".gif": 120})
 
 
 @pytest.fixture(scope="module")
@@ -222,7 +221,7 @@ def test_a_film_has_its_frames_and_they_differ(scenes, quick, tmp_path, suffix):
     pytest.importorskip("imageio_ffmpeg")
     out = tmp_path / f"film{suffix}"
     told = []
-    film.write_film(scenes[::2], out, lambda *done: told.append(done))
+    film.write_film(scenes[::2], out, lambda *done: told.append(done), 120)
     assert told == [(1, 2), (2, 2)]
     assert [path.name for path in tmp_path.iterdir()] == [out.name]
     with imageio.get_reader(out) as reader:
@@ -256,7 +255,7 @@ def test_a_film_that_fails_leaves_nothing(scenes, quick, tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        film.write_film(scenes, tmp_path / "film.mp4", stop)
+        film.write_film(scenes, tmp_path / "film.mp4", stop, 120)
     assert list(tmp_path.iterdir()) == []
 
 
