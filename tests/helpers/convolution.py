@@ -33,23 +33,11 @@ _REACH = 4.6
 
 
 def invert_laplace(transform: Transfer, times: np.ndarray, nodes: int = _NODES) -> np.ndarray:
-    """Return the original of `transform` at `times`: trapezoidal rule on a hyperbola.
+    """Return the original of `transform` at positive `times`: trapezoidal rule on a hyperbola.
 
-    s(u) = (4/t) (1 + sin(iu - angle)), nodes at u = (k + 1/2) h and their mirror images.
-
-    Parameters
-    ----------
-    transform : callable
-        s, complex, shape (k,), to values, shape (k, ...); real on the real axis, singular only
-        within 1.2 rad of the negative real axis.
-    times : ndarray, shape (n,)
-        s, positive.
-    nodes : int
-        Nodes on the upper half of the contour.
-
-    Returns
-    -------
-    ndarray, shape (n, ...)
+    s(u) = (4/t) (1 + sin(iu - angle)), nodes at u = (k + 1/2) h and their mirror images. The
+    transform, (k,) to (k, ...), is real on the real axis and singular only within `_SECTOR` of
+    the negative one.
     """
     spacing = _REACH / nodes
     along = 1j * (np.arange(nodes) + 0.5) * spacing - _ANGLE
@@ -70,31 +58,10 @@ def heat_by_convolution(
     lead: float,
     accuracy: float = 1e-8,
 ) -> np.ndarray:
-    """Return the mean heat of each interval by Eq. 5.
+    """Return the mean heat (k, n) of each interval by Eq. 5.
 
-    Parameters
-    ----------
-    rings, regularisations
-        As in `thermojoint.models.filters.inverse.inverse_bank`.
-    times : ndarray, shape (k,)
-        s, increasing, any intervals.
-    temperatures : ndarray, shape (k, n)
-        K, joined by straight lines.
-    lead : float
-        The temperatures were zero until `lead` seconds before the first sample.
-    accuracy : float
-        Largest difference between two orders of the inversion, relative to the kernel's largest
-        value.
-
-    Returns
-    -------
-    ndarray, shape (k, n)
-        Heat of each source, 1.
-
-    Raises
-    ------
-    ConvergenceError
-        The inverse Laplace transform does not reach the accuracy.
+    Temperatures (k, n), joined by straight lines, were zero until `lead` seconds before the first;
+    two orders of the inversion differ by less than `accuracy` of the kernel's largest value.
     """
     transfer = regularised_transfer(rings, regularisations)
     slope = np.diag([1.0 / f.A for f in regularisations])

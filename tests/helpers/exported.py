@@ -1,13 +1,16 @@
 """Exported programs, compiled and run, for the tests."""
 
+import ctypes
 import re
 import shutil
 import subprocess
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from estimator.export.c_source import c_files
+from estimator.export.fmu import write_fmu
 
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc (Debian: gcc)")
 needs_gxx = pytest.mark.skipif(shutil.which("g++") is None, reason="needs g++ (Debian: g++)")
@@ -21,6 +24,35 @@ def written(found, folder):
     for name, text in c_files(found).items():
         (folder / name).write_text(text, encoding="utf-8")
     return folder
+
+
+def library(found, folder):
+    """The program as a shared library."""
+    written(found, folder)
+    command = ["gcc", "-std=c99", "-O1", "-shared", "-fPIC", f"{found.name}.c", "-lm", "-o", "p.so"]
+    subprocess.run(command, cwd=folder, check=True)
+    return ctypes.CDLL(str(folder / "p.so"))
+
+
+def co_simulated(found, path, standard, rows):
+    """Displacements that a unit for co-simulation gives for rows of times and inputs."""
+    fmpy = pytest.importorskip("fmpy", reason="needs FMPy")
+    from fmpy.validation import validate_fmu
+
+    write_fmu(found, path, standard)
+    assert validate_fmu(str(path)) == []
+    step, names = found.interface.interval, [one.name for one in found.interface.inputs]
+    result = fmpy.simulate_fmu(
+        str(path),
+        input=np.array(rows, dtype=[("time", float), *((name, float) for name in names)]),
+        start_time=rows[0][0],
+        stop_time=rows[-2][0],
+        step_size=step,
+        output_interval=step,
+        output=["displacement_x", "status"],
+    )
+    assert len(result) > 50
+    return result["displacement_x"][1:]
 
 
 def selftest(folder, name, *flags):

@@ -6,7 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from exported import SANITISED, counts, needs_gcc, needs_gxx, operations, selftest, written
+from exported import (
+    SANITISED,
+    counts,
+    library,
+    needs_gcc,
+    needs_gxx,
+    operations,
+    selftest,
+    written,
+)
 
 from estimator.export.c_source import literal
 from estimator.export.program import REFUSED, Precision
@@ -106,19 +115,16 @@ def program(fchs, tmp_path_factory):
     """The compiled program, and the size of its state."""
     folder = tmp_path_factory.mktemp("program")
     found = export_program(fchs, Precision.DOUBLE, "spindle")
-    written(found, folder)
-    command = ["gcc", "-std=c99", "-O1", "-shared", "-fPIC", "spindle.c", "-lm", "-o", "s.so"]
-    subprocess.run(command, cwd=folder, check=True)
-    library = ctypes.CDLL(str(folder / "s.so"))
-    library.spindle_step.argtypes = [ctypes.c_void_p, ctypes.c_double] + 2 * [ctypes.c_void_p]
-    library.spindle_step.restype = ctypes.c_uint
-    return library, found.state
+    loaded = library(found, folder)
+    loaded.spindle_step.argtypes = [ctypes.c_void_p, ctypes.c_double] + 2 * [ctypes.c_void_p]
+    loaded.spindle_step.restype = ctypes.c_uint
+    return loaded, found.state
 
 
 def started(program):
-    library, size = program
+    loaded, size = program
     state = ctypes.create_string_buffer(size)
-    library.spindle_init(state)
+    loaded.spindle_init(state)
     return state
 
 

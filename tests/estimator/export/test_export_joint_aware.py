@@ -1,7 +1,6 @@
 """An exported joint-aware estimator is the one in Python, and near it where a sensor is faulty."""
 
 import ctypes
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,7 +8,9 @@ import numpy as np
 import pytest
 from exported import (
     SANITISED,
+    co_simulated,
     counts,
+    library,
     needs_gcc,
     needs_gxx,
     operations,
@@ -19,7 +20,7 @@ from exported import (
 )
 from observed import FAULTS, ONSET, SENSORS, errors, estimates, faulty, run, step
 
-from estimator.export.fmu import Standard, write_fmu
+from estimator.export.fmu import Standard
 from estimator.export.program import COMMON, Precision
 from estimator.exporting import export_program
 from estimator.interface import Status, follow
@@ -66,17 +67,14 @@ def compiled(found, folder, number=ctypes.c_double, sources=1, axes=2):
         ("status", ctypes.c_uint),
     )
     estimate = type("Estimate", (ctypes.Structure,), {"_fields_": fields})
-    written(found, folder)
-    command = ["gcc", "-std=c99", "-O2", "-shared", "-fPIC", "m.c", "-lm", "-o", "m.so"]
-    subprocess.run(command, cwd=folder, check=True)
-    library = ctypes.CDLL(str(folder / "m.so"))
+    loaded = library(found, folder)
 
     def estimates(rows):
         state, readings = ctypes.create_string_buffer(found.state), number * len(rows[0])
-        library.m_init(state)
+        loaded.m_init(state)
         for row in rows:
             result = estimate()
-            word = library.m_step(state, ctypes.byref(readings(*row)), ctypes.byref(result))
+            word = loaded.m_step(state, ctypes.byref(readings(*row)), ctypes.byref(result))
             assert word == result.status
             yield result
 
@@ -311,22 +309,9 @@ def test_the_command_exports_a_joint_aware_model_with_a_log(estimator, samples, 
 
 @needs_gcc
 def test_as_a_unit_for_co_simulation_it_says_the_same(estimator, samples, expected, tmp_path):
-    fmpy = pytest.importorskip("fmpy", reason="needs FMPy")
-    step, names = estimator.model.step, (*SENSORS, "ambient")
     found = export_program(estimator, Precision.DOUBLE, "m")
-    write_fmu(found, tmp_path / "m.fmu", Standard.FMI2)
     # A sample at t holds over the step that ends at t.
-    rows = [(time - step, *values) for time, *values in samples[:60]]
-    given = np.array(rows, dtype=[("time", float), *((name, float) for name in names)])
-    result = fmpy.simulate_fmu(
-        str(tmp_path / "m.fmu"),
-        input=given,
-        start_time=-step,
-        stop_time=58.0 * step,
-        step_size=step,
-        output_interval=step,
-        output=["displacement_x", "status"],
-    )
-    there = [one.displacement[0] for one in expected[: len(result) - 1]]
-    assert len(there) > 50
-    assert result["displacement_x"][1:] == pytest.approx(there, rel=1e-9, abs=1e-15)
+    rows = [(time - estimator.model.step, *values) for time, *values in samples[:60]]
+    moved = co_simulated(found, tmp_path / "m.fmu", Standard.FMI2, rows)
+    there = [one.displacement[0] for one in expected[: len(moved)]]
+    assert moved == pytest.approx(there, rel=1e-9, abs=1e-15)

@@ -1,16 +1,25 @@
 """An exported learned model is the one in Python where no displacement is read."""
 
 import ctypes
-import subprocess
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from exported import SANITISED, counts, needs_gcc, needs_gxx, operations, selftest, written
+from exported import (
+    SANITISED,
+    co_simulated,
+    counts,
+    library,
+    needs_gcc,
+    needs_gxx,
+    operations,
+    selftest,
+    written,
+)
 from machine_logs import as_csv, machine_log
 
 from estimator.columns import samples_of
-from estimator.export.fmu import Standard, write_fmu
+from estimator.export.fmu import Standard
 from estimator.export.program import REFUSED, Precision
 from estimator.exporting import export_program
 from estimator.interface import Status, follow
@@ -74,19 +83,16 @@ def program(learned, tmp_path_factory):
     """Gives what the compiled program says of samples, from its start on."""
     folder = tmp_path_factory.mktemp("program")
     found = export_program(learned, Precision.DOUBLE, "m", interval=DT)
-    written(found, folder)
-    command = ["gcc", "-std=c99", "-O1", "-shared", "-fPIC", "m.c", "-lm", "-o", "m.so"]
-    subprocess.run(command, cwd=folder, check=True)
-    library = ctypes.CDLL(str(folder / "m.so"))
-    library.m_step.argtypes = [ctypes.c_void_p, ctypes.c_double] + 2 * [ctypes.c_void_p]
+    loaded = library(found, folder)
+    loaded.m_step.argtypes = [ctypes.c_void_p, ctypes.c_double] + 2 * [ctypes.c_void_p]
 
     def run(rows):
         state, last = ctypes.create_string_buffer(found.state), None
-        library.m_init(state)
+        loaded.m_init(state)
         for time, *values in rows:
             one, interval = Estimate(), DT if last is None else time - last
             readings = (ctypes.c_double * len(values))(*values)
-            library.m_step(state, interval, readings, ctypes.byref(one))
+            loaded.m_step(state, interval, readings, ctypes.byref(one))
             last = time
             yield one
 
@@ -173,27 +179,12 @@ def test_the_command_exports_a_learned_model_with_a_log(learned, tmp_path, capsy
 
 @needs_gcc
 def test_as_a_unit_for_co_simulation_it_says_the_same(learned, samples, tmp_path):
-    fmpy = pytest.importorskip("fmpy", reason="needs FMPy")
-    from fmpy.validation import validate_fmu
-
     found = export_program(learned, Precision.DOUBLE, "m", interval=DT)
-    write_fmu(found, tmp_path / "m.fmu", Standard.FMI3)
-    assert validate_fmu(str(tmp_path / "m.fmu")) == []
-    names = [one.name for one in found.interface.inputs]
     rows = [(DT * k, *values) for k, (_, *values) in enumerate(samples[:60])]
-    given = np.array(rows, dtype=[("time", float), *((name, float) for name in names)])
-    result = fmpy.simulate_fmu(
-        str(tmp_path / "m.fmu"),
-        input=given,
-        stop_time=58.0 * DT,
-        step_size=DT,
-        output_interval=DT,
-        output=["displacement_x", "status"],
-    )
+    moved = co_simulated(found, tmp_path / "m.fmu", Standard.FMI3, rows)
     plain = Learned(replace(learned.model, log_end=None))
     there = [e.displacement[0] for _, e in follow(plain, rows, plain.initial_state())]
-    assert len(result) > 50
-    assert result["displacement_x"][1:] == pytest.approx(there[: len(result) - 1], rel=1e-9)
+    assert moved == pytest.approx(there[: len(moved)], rel=1e-9)
 
 
 def test_an_interval_that_is_none_is_refused(learned):
