@@ -132,7 +132,7 @@ def _drives(table: Table, rules: Cleaning) -> tuple[list[str], list[str]]:
     """Return the columns that drive heat and vary, and warnings."""
     drives, warnings = [], []
     for k, column in enumerate(table.columns):
-        if column.quantity not in ("speed", "power", "current", "torque", "load"):
+        if column.quantity not in ("speed", "feed", "power", "current", "torque", "load"):
             continue
         values = table.values[:, k][np.isfinite(table.values[:, k])]
         largest = float(np.abs(values).max(initial=0.0))
@@ -140,7 +140,7 @@ def _drives(table: Table, rules: Cleaning) -> tuple[list[str], list[str]]:
             warnings.append(f"{column.name} is constant: its effect is not identifiable; left out")
             continue
         drives.append(column.name)
-        if column.quantity == "speed" and _levels(np.abs(values) / largest, rules) == 1:
+        if column.quantity in ("speed", "feed") and _levels(np.abs(values) / largest, rules) == 1:
             warnings.append(
                 f"{column.name} has one level only: the effect of other speeds is extrapolated"
             )

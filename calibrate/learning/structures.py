@@ -50,7 +50,7 @@ def candidates(cleaned: Cleaned, rules: Features) -> tuple[Feature, ...]:
             features.append(Feature(name, tau, reference=float(np.mean(values))))
     for name in cleaned.drives:
         largest = float(np.abs(cleaned.at(name)).max())
-        exponents = rules.exponents if quantities[name] == "speed" else (1.0,)
+        exponents = rules.exponents if quantities[name] in ("speed", "feed") else (1.0,)
         features += [
             Feature(name, tau, exponent=p, scale=largest) for p in exponents for tau in rules.heat
         ]

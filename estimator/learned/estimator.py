@@ -30,7 +30,14 @@ from thermojoint.artefacts.quantities import column_named
 from thermojoint.models.filters.relaxations import relaxed
 from thermojoint.models.learned import FILE, LearnedModel, at_rest, signals
 
-_UNITS = {"temperature": "K", "speed": "rad/s", "power": "W", "current": "A", "torque": "N m"}
+_UNITS = {
+    "temperature": "K",
+    "speed": "rad/s",
+    "feed": "m/s",
+    "power": "W",
+    "current": "A",
+    "torque": "N m",
+}
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,10 @@ UNITS = {
     "nm": Unit("length", 1e-9),
     "rpm": Unit("speed", 2.0 * math.pi / _MINUTE),
     "rad_s": Unit("speed", 1.0),
+    "deg_s": Unit("speed", math.pi / 180.0),
+    "mm_s": Unit("feed", 1e-3),
+    "mm_min": Unit("feed", 1e-3 / _MINUTE),
+    "m_min": Unit("feed", 1.0 / _MINUTE),
     "W": Unit("power", 1.0),
     "kW": Unit("power", 1e3),
     "A": Unit("current", 1.0),
@@ -67,6 +71,11 @@ _ALIASES = {
     "min^-1": "rpm",
     "RPM": "rpm",
     "rad/s": "rad_s",
+    "°/s": "deg_s",
+    "deg/s": "deg_s",
+    "mm/s": "mm_s",
+    "mm/min": "mm_min",
+    "m/min": "m_min",
     "N m": "Nm",
     "%": "percent",
     "sec": "s",
@@ -105,7 +114,7 @@ class Column:
 
     @property
     def quantity(self) -> str:
-        """``temperature``, ``length``, ``speed``, ``power``, ``current``, ``torque``, ``load``."""
+        """``temperature``, ``length``, ``speed``, ``feed``, ``power`` ...: of `UNITS`."""
         return UNITS[self.unit].quantity
 
     def to_si(self, values: Array) -> Array:

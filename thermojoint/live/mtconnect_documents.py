@@ -28,7 +28,9 @@ _SINGLE = {None, "VALUE", "DISCRETE"}
 _UNITS = {
     "AMPERE": "A",
     "CELSIUS": "degC",
+    "DEGREE/SECOND": "deg_s",
     "MILLIMETER": "mm",
+    "MILLIMETER/SECOND": "mm_s",
     "NEWTON_METER": "Nm",
     "PERCENT": "percent",
     "REVOLUTION/MINUTE": "rpm",

@@ -17,13 +17,19 @@ _LABELS = {
     "temperature": "temperature (°C)",
     "length": "displacement (µm)",
     "speed": "speed (rpm)",
+    "feed": "feed (mm/s)",
     "power": "power (W)",
     "current": "current (A)",
     "torque": "torque (N m)",
     "load": "load (%)",
 }
 #: From SI to the unit of the label: scale and zero.
-_SHOWN = {"length": (1e6, 0.0), "speed": (30.0 / np.pi, 0.0), "load": (100.0, 0.0)}
+_SHOWN = {
+    "length": (1e6, 0.0),
+    "speed": (30.0 / np.pi, 0.0),
+    "feed": (1e3, 0.0),
+    "load": (100.0, 0.0),
+}
 
 
 def write_log_picture(log: Log, path: Path) -> None:

@@ -23,6 +23,7 @@ from estimator.quality import Quality, quality_of
 from estimator.registry import resumed, save_state
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
+from thermojoint.artefacts.quantities import column_named
 from thermojoint.compensation.offsets.usable import Trust, usable
 from thermojoint.models.filters.relaxations import relax_all
 from thermojoint.models.learned import LearnedFrom, read_learned, write_learned
@@ -231,6 +232,26 @@ def test_what_the_log_cannot_tell_is_said():
     found = learn([none], AXES)
     assert "constant" in " ".join(found.learned_from.warnings)
     assert "n_rpm" not in found.columns
+
+
+@pytest.mark.parametrize(
+    ("name", "largest"), [("I_A", 30.0), ("load_percent", 0.6), ("Xfeed_m_min", 0.5)]
+)
+def test_a_motor_current_a_load_or_a_feed_drives_a_model_as_a_speed_does(name, largest):
+    """In SI: a current and a load that are as the heat, a feed that is as the speed."""
+    column = column_named(name)
+    power = 1.0 if column.quantity == "feed" else 1.5
+
+    def driven(log):
+        values = log.values.copy()
+        relative = values[:, 0] / log.columns[0].to_si(3500.0)
+        values[:, 0] = largest * relative**power
+        return replace(log, columns=(column, *log.columns[1:]), values=values)
+
+    model = learn([driven(LOG)], AXES, 4)
+    assert name in model.columns
+    for row in judge("day", Learned(model), driven(DAY)):
+        assert row["rms_error_um"] < 0.12 * row["rms_uncompensated_um"], row
 
 
 def test_a_log_without_speed_and_one_without_temperatures_are_learned_from():

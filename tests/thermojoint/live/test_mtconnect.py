@@ -232,10 +232,15 @@ def test_motor_currents_load_and_speeds_come_in_the_units_of_the_readings():
         "M_Nm": 'units="NEWTON_METER"',
         "T_degF": 'units="CELSIUS"',
         "x_um": 'units="MILLIMETER"',
+        "feed_mm_min": 'units="MILLIMETER/SECOND"',
+        "C_rpm": 'units="DEGREE/SECOND"',
     }
     values = {"I_A": 12.5, "load_percent": 40, "n_rpm": 6e3, "M_Nm": 3, "T_degF": 20, "x_um": 0.01}
+    values |= {"feed_mm_min": 50.0, "C_rpm": 90.0}
     [arrival], notes = arrivals_of(units, [(START, values)])
-    assert arrival.readings == pytest.approx([12.5, 40.0, 6000.0, 3.0, 68.0, 10.0], rel=1e-12)
+    assert arrival.readings == pytest.approx(
+        [12.5, 40.0, 6000.0, 3.0, 68.0, 10.0, 3000.0, 15.0], rel=1e-12
+    )
     assert [one.kind for one in notes] == ["connected"]
 
 
