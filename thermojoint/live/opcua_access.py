@@ -19,6 +19,7 @@ from asyncua.common.utils import ServiceError
 from asyncua.crypto.permission_rules import USER_TYPES, SimpleRoleRuleset, User, UserRole
 from asyncua.server import Server
 from asyncua.server.user_managers import UserManager
+from asyncua.ua.ua_binary import struct_from_binary
 
 from thermojoint.live.accounts import Accounts
 from thermojoint.live.log_lines import EventLog
@@ -29,7 +30,12 @@ from thermojoint.live.trust_list import TrustList
 #: Largest request, bytes.
 _LARGEST = 1 << 20
 
-_NEVER = {ua.NodeId(ua.ObjectIds.CallRequest_Encoding_DefaultBinary)}
+_CALL = ua.NodeId(ua.ObjectIds.CallRequest_Encoding_DefaultBinary)
+#: What everybody may call: it sends the alarms that are active to a subscription.
+_CALLED = {
+    ua.NodeId(ua.ObjectIds.ConditionType_ConditionRefresh),
+    ua.NodeId(ua.ObjectIds.ConditionType_ConditionRefresh2),
+}
 _DENIED = ua.StatusCodes.BadUserAccessDenied
 #: The user where nobody is asked to log in: only this computer reaches such a server.
 _ANYBODY = Principal("anybody")
@@ -52,14 +58,20 @@ class Known(User):
 
 
 class Rules(SimpleRoleRuleset):
-    """Users who have logged in read, browse, subscribe and write; nobody calls or adds nodes."""
+    """Users who have logged in read, browse, subscribe and write; nobody adds nodes.
+
+    Nobody calls anything but the refresh of alarms.
+    """
 
     def __init__(self) -> None:
         super().__init__()
-        self._allowed = set(map(ua.NodeId, USER_TYPES)) - _NEVER
+        self._allowed = set(map(ua.NodeId, USER_TYPES)) - {_CALL}
 
     def check_validity(self, user: User | None, action_type_id: ua.NodeId, body: Any) -> bool:  # noqa: ANN401
         """Say whether a user may ask for something; `Door` then looks at the nodes."""
+        if action_type_id == _CALL and isinstance(user, Known):
+            called = struct_from_binary(ua.CallParameters, body.copy()).MethodsToCall
+            return all(one.MethodId in _CALLED for one in called)
         return isinstance(user, Known) and action_type_id in self._allowed
 
 

@@ -6,6 +6,7 @@ tests/project/test_private_parts.py lists what it relies on; `pyproject.toml` bo
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Iterator
 from typing import Any, Protocol
 
 from asyncua import ua
@@ -87,6 +88,20 @@ def limit_callers(server: Server, sessions: int) -> None:
     """Limit the connections of a server that has just started."""
     assert server.bserver is not None
     server.bserver.clients = Callers(sessions)
+
+
+def subscribers(server: Server) -> Iterator[tuple[User, Any]]:
+    """Yield the subscriptions of everybody who has logged in, with the user."""
+    inner = server.iserver
+    users = {one.session_id: one.user for one in inner._external_sessions.values()}
+    for subscription in list(inner.subscription_service.subscriptions.values()):
+        if subscription.session_id in users:
+            yield users[subscription.session_id], subscription
+
+
+async def send_event(subscription: Any, event: Any) -> None:  # noqa: ANN401
+    """Send an event to whoever of a subscription listens at the node that emits it."""
+    await subscription.monitored_item_srv.trigger_event(event)
 
 
 class Watched(Protocol):

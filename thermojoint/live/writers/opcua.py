@@ -38,6 +38,7 @@ from thermojoint.live.opcua_values import Variable, data_value, variables_of
 from thermojoint.live.publication import Layout
 from thermojoint.live.settings import OpcuaServer
 from thermojoint.live.trust_list import TrustList, contents_of
+from thermojoint.live.writers.opcua_alarms import Alarms, add_alarms, tell_alarms
 
 #: The service's namespace; its nodes are ``ns=2;s=NAME.Displacement.x``.
 NAMESPACE = "urn:thermojoint:live:machines"
@@ -54,9 +55,12 @@ class Nodes:
     ----------
     of : dict of str to list
         By machine: (variable, its value attribute).
+    alarms : Alarms
+        Of the machines.
     """
 
     of: Mapping[str, list[tuple[Variable, Any]]]
+    alarms: Alarms
 
 
 async def add_machines(
@@ -66,8 +70,8 @@ async def add_machines(
     readings: bool,
     given: Callable[[Arrival], None],
     companion: Companion | None = None,
-) -> Nodes:
-    """Add the objects of all machines.
+) -> dict[str, list[tuple[Variable, Any]]]:
+    """Add the objects of all machines; return their variables, as `Nodes` has them.
 
     Parameters
     ----------
@@ -130,7 +134,7 @@ async def add_machines(
                 nodeid, ua.AttributeIds.Value, _told_by(hub, machine, variable)
             )
             of[machine].append((variable, value_of(server, nodeid)))
-    return Nodes(of)
+    return of
 
 
 def _told_by(hub: Hub, machine: str, variable: Variable) -> Callable[[Any, Any], ua.DataValue]:
@@ -342,7 +346,7 @@ async def open_server(
         companion = await load_models(server, section.companion, own, identities)
         spent = time.monotonic() - begun
         entry.log.say(time.time(), "companion", f"{section.companion} loaded in {spent:.2f} s")
-    nodes = await add_machines(server, hub, machines, section.readings, given, companion)
+    variables = await add_machines(server, hub, machines, section.readings, given, companion)
     try:
         await server.start()
     except OSError as error:
@@ -350,12 +354,15 @@ async def open_server(
             f"opcua: {section.address}:{section.port}: {error.strerror}; take another port"
         ) from error
     limit_callers(server, section.most_sessions)
-    return server, nodes
+    alarms = await add_alarms(server, door, await server.get_namespace_index(NAMESPACE))
+    return server, Nodes(variables, alarms)
 
 
 async def serve_nodes(server: Server, nodes: Nodes, hub: Hub) -> None:
     """Send new values until the task is cancelled, then close the server."""
     try:
-        await asyncio.gather(tell_subscribers(hub, nodes), disconnect_ended(server))
+        await asyncio.gather(
+            tell_subscribers(hub, nodes), tell_alarms(nodes.alarms, hub), disconnect_ended(server)
+        )
     finally:
         await server.stop()

@@ -1,0 +1,146 @@
+"""An alarm of the OPC UA server for each machine whose displacement is bad (Part 9).
+
+An OffNormalAlarmType, which nobody acknowledges: it is active as long as the value is bad. It is
+sent to those who listen at the machine or at the Server object, and see the machine.
+"""
+
+from __future__ import annotations
+
+import copy
+import uuid
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+from asyncua import ua, uamethod
+from asyncua.server import Server
+
+from estimator.quality import Quality
+from thermojoint.live.hub import Hub
+from thermojoint.live.opcua_access import Door
+from thermojoint.live.opcua_internals import send_event, subscribers
+from thermojoint.live.opcua_values import status_of
+from thermojoint.live.publication import Publication
+
+#: Of an alarm, 1 to 1000 (Part 5: 667 to 1000 is high).
+SEVERITY = 700
+_SERVER = ua.NodeId(ua.ObjectIds.Server)
+_NAME = "ThermalDisplacementBad"
+
+
+@dataclass(frozen=True, eq=False)
+class Alarms:
+    """Alarms of a server.
+
+    Attributes
+    ----------
+    server : Server
+    door : Door
+        Knows who sees a machine.
+    index : int
+        Of the service's namespace.
+    template : Event
+        With all fields of the type.
+    active : dict of str to Event
+        By machine.
+    """
+
+    server: Server
+    door: Door
+    index: int
+    template: Any
+    active: dict[str, Any]
+
+
+async def add_alarms(server: Server, door: Door, index: int) -> Alarms:
+    """Let the machines of a server emit events, and its clients ask for those that are active."""
+    generator = await server.get_event_generator(ua.ObjectIds.OffNormalAlarmType)
+    for machine in door.machines:
+        node = server.get_node(ua.NodeId(machine, index))
+        await node.set_event_notifier([ua.EventNotifier.SubscribeToEvents])
+    alarms = Alarms(server, door, index, generator.event, {})
+    bounds = [
+        await server.get_event_generator(kind)
+        for kind in (ua.ObjectIds.RefreshStartEventType, ua.ObjectIds.RefreshEndEventType)
+    ]
+
+    @uamethod  # type: ignore[untyped-decorator,unused-ignore]
+    async def refresh(parent: Any, subscription: int, item: int | None = None) -> None:  # noqa: ANN401
+        """Send what is active to one subscription: to all of its items."""
+        await bounds[0].trigger(subscription_id=subscription)
+        for event in list(alarms.active.values()):
+            await _send(alarms, event, subscription)
+        await bounds[1].trigger(subscription_id=subscription)
+
+    for method in ("ConditionType_ConditionRefresh", "ConditionType_ConditionRefresh2"):
+        server.link_method(server.get_node(ua.NodeId(getattr(ua.ObjectIds, method))), refresh)
+    return alarms
+
+
+async def tell_alarms(alarms: Alarms, hub: Hub) -> None:
+    """Send an alarm when a value becomes bad, for another reason, or is no longer bad; for ever."""
+    told: dict[str, str] = {}
+    with hub.follow() as follower:
+        while True:
+            for machine in await follower.wait():
+                latest = hub.newest[machine]
+                status = latest.status if latest.quality is Quality.BAD else ""
+                if status == told.get(machine, ""):
+                    continue
+                told[machine] = status
+                event = alarm_of(alarms, latest, bool(status))
+                if status:
+                    alarms.active[machine] = event
+                else:
+                    alarms.active.pop(machine, None)
+                await _send(alarms, event)
+
+
+async def _send(alarms: Alarms, event: Any, only: int | None = None) -> None:  # noqa: ANN401
+    for user, subscription in subscribers(alarms.server):
+        wanted = only is None or subscription.data.SubscriptionId == only
+        if wanted and not alarms.door.hides(user, event.SourceNode):
+            for emitter in (event.SourceNode, _SERVER):
+                event.emitting_node = emitter
+                await send_event(subscription, event)
+
+
+def alarm_of(alarms: Alarms, latest: Publication, active: bool) -> Any:  # noqa: ANN401
+    """Return the alarm of a machine as it is now."""
+    machine, index, now = latest.machine, alarms.index, datetime.now(UTC)
+    event = copy.copy(alarms.template)
+    states = {
+        "EnabledState": ("Enabled", True),
+        "AckedState": ("Acknowledged", True),
+        "ActiveState": ("Active" if active else "Inactive", active),
+    }
+    values = {
+        "EventId": uuid.uuid4().bytes,
+        "Time": now,
+        "ReceiveTime": now,
+        "SourceNode": ua.NodeId(machine, index),
+        "SourceName": machine,
+        "Message": ua.LocalizedText(
+            f"the displacement of {machine} is {latest.quality.word}: {latest.status}"
+        ),
+        "Severity": SEVERITY,
+        "LastSeverity": SEVERITY,
+        # The condition, which is no node.
+        "NodeId": ua.NodeId(f"{machine}.{_NAME}", index),
+        "ConditionName": _NAME,
+        "ConditionClassId": ua.NodeId(ua.ObjectIds.ProcessConditionClassType),
+        "ConditionClassName": ua.LocalizedText("ProcessConditionClassType"),
+        "BranchId": ua.NodeId(),
+        "Retain": active,
+        "Quality": ua.StatusCode(status_of(latest)),
+        "Comment": ua.LocalizedText(""),
+        "ClientUserId": "",
+        "InputNode": ua.NodeId(f"{machine}.ThermalDisplacement", index),
+        "NormalState": ua.NodeId(),
+        "SuppressedOrShelved": False,
+    }
+    for name, (text, value) in states.items():
+        values |= {name: ua.LocalizedText(text), f"{name}/Id": value}
+    for name, value in values.items():
+        setattr(event, name, value)
+    return event
