@@ -7,6 +7,7 @@ import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -133,6 +134,26 @@ class Archive:
             every,
         )
 
+    def samples(
+        self, machine: str, span: tuple[float, float], at_most: int, newest_first: bool
+    ) -> list[Publication]:
+        """Return the first samples of a machine within two times (s since 1970), or the last.
+
+        Raises
+        ------
+        InputError
+            No such machine.
+        """
+        since, until = span
+        with self._reading() as store:
+            eras, layout = _eras(store, machine)
+            rows = _in_order(store, eras, span, newest_first)
+            within = (one for one in rows if since <= one[1][0] <= until)
+            return [
+                from_row(machine, number, layout, row, status)
+                for number, row, status in islice(within, at_most)
+            ]
+
     def latest(self, machine: str) -> Publication | None:
         """Return the newest stored publication of a machine; None before the first sample.
 
@@ -228,6 +249,31 @@ def _journal(store: sqlite3.Connection, eras: list[int]) -> list[tuple[int, byte
         "ORDER BY id",
         eras,
     ).fetchall()
+
+
+def _in_order(
+    store: sqlite3.Connection, eras: list[int], span: tuple[float, float], newest_first: bool
+) -> Iterator[tuple[int, Array, str]]:
+    """Yield number, row and status of samples, and some outside the span, in their order."""
+    step, order = (-1, "DESC") if newest_first else (1, "ASC")
+    marks = ",".join("?" * len(eras))
+    # The journal has the newest.
+    recent = [
+        (number, np.frombuffer(row, dtype="<f8"), status)
+        for number, row, status in _journal(store, eras)
+    ]
+    if newest_first:
+        yield from reversed(recent)
+    for number, count, rows, status in store.execute(
+        f"SELECT number, count, rows, status FROM chunks WHERE era IN ({marks}) "
+        f"AND first <= ? AND last >= ? ORDER BY first {order}",
+        (*eras, span[1], span[0]),
+    ):
+        table = np.frombuffer(rows, dtype="<f8").reshape(count, -1)
+        words = spread(json.loads(status), count)
+        yield from ((number + k, table[k], words[k]) for k in range(count)[::step])
+    if not newest_first:
+        yield from recent
 
 
 def _thinned(

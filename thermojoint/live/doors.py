@@ -186,7 +186,7 @@ async def _opcua_server(running: Running, section: OpcuaServer) -> list[Coroutin
     service, log = running.service, running.floor.log
     handshakes = _handshakes(service, "opcua")
     owners = {name: one.user for name, one in handshakes.items() if one.user is not None}
-    entry = Entry(running.accounts, service.folder, log, owners)
+    entry = Entry(running.accounts, service.folder, log, owners, running.archive)
     server, nodes = await open_server(
         section, entry, running.hub, machines, given, _identities(running)
     )

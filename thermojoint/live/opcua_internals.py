@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any, Protocol
 
 from asyncua import ua
@@ -150,6 +151,7 @@ def watch_callers(server: Server, door: Watched) -> None:
     def session_of(*given: Any, **named: Any) -> Any:  # noqa: ANN401
         session = begin(*given, **named)
         browse, translate = session.browse, session.translate_browsepaths_to_nodeids
+        read_history = session.history_read
 
         async def browse_seen(params: ua.BrowseParameters) -> list[ua.BrowseResult]:
             results = await browse(params)
@@ -166,6 +168,20 @@ def watch_callers(server: Server, door: Watched) -> None:
                     one.Targets, one.StatusCode = [], ua.StatusCode(ua.StatusCodes.BadNoMatch)
             return results
 
+        async def history_seen(params: ua.HistoryReadParameters) -> list[ua.HistoryReadResult]:
+            results = []
+            for node in params.NodesToRead:
+                code = ua.StatusCodes.BadUserAccessDenied
+                if not door.refusal(session.user, node.NodeId, "viewer"):
+                    try:
+                        results += await read_history(replace(params, NodesToRead=[node]))
+                        continue
+                    except ua.UaStatusCodeError as error:
+                        code = error.code
+                results.append(ua.HistoryReadResult(StatusCode=ua.StatusCode(code)))
+            return results
+
+        session.history_read = history_seen
         session.browse, session.translate_browsepaths_to_nodeids = browse_seen, translate_seen
         return session
 

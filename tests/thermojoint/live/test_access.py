@@ -23,6 +23,7 @@ from thermojoint.cli.app import app
 from thermojoint.live import opcua_internals
 from thermojoint.live.access_store import open_access
 from thermojoint.live.accounts import Accounts
+from thermojoint.live.archive import Archive
 from thermojoint.live.audit import Audit
 from thermojoint.live.certificates import APPLICATION, own_identity
 from thermojoint.live.hub import Hub
@@ -316,7 +317,7 @@ def plant(tmp_path_factory):
 
     async def live():
         machines = dict.fromkeys(("mill-1", "lathe-1"), (ABOUT.layout, 1))
-        entry = Entry(accounts, folder, EventLog(), {})
+        entry = Entry(accounts, folder, EventLog(), {}, Archive(folder / "history.sqlite"))
         server, nodes = await open_server(section, entry, hub, machines, given.append, {})
         serving = asyncio.create_task(serve_nodes(server, nodes, hub))
         at = (port, server_certificate)

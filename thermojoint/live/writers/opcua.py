@@ -21,6 +21,7 @@ from asyncua.server import Server
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.accounts import Accounts
+from thermojoint.live.archive import Archive
 from thermojoint.live.arrivals import Arrival
 from thermojoint.live.certificates import APPLICATION, application_uri, opcua_identity
 from thermojoint.live.companion_models import (
@@ -39,6 +40,7 @@ from thermojoint.live.publication import Layout
 from thermojoint.live.settings import OpcuaServer
 from thermojoint.live.trust_list import TrustList, contents_of
 from thermojoint.live.writers.opcua_alarms import Alarms, add_alarms, tell_alarms
+from thermojoint.live.writers.opcua_history import add_history, is_kept
 
 #: The service's namespace; its nodes are ``ns=2;s=NAME.Displacement.x``.
 NAMESPACE = "urn:thermojoint:live:machines"
@@ -112,10 +114,7 @@ async def add_machines(
         for folder in (folder for folder in _FOLDERS if folder in used):
             folders[folder], item = _object(f"{machine}.{folder}", folder, place[0], index)
             items.append(item)
-        ids = [
-            ua.NodeId(".".join(filter(None, (machine, variable.folder, variable.name))), index)
-            for variable in variables
-        ]
+        ids = [node_of(machine, variable, index) for variable in variables]
         items += [
             _variable(nodeid, variable, folders[variable.folder], index)
             for nodeid, variable in zip(ids, variables, strict=True)
@@ -135,6 +134,11 @@ async def add_machines(
             )
             of[machine].append((variable, value_of(server, nodeid)))
     return of
+
+
+def node_of(machine: str, variable: Variable, index: int) -> ua.NodeId:
+    """Return the node id of a variable: ``NAME.Displacement.x``."""
+    return ua.NodeId(".".join(filter(None, (machine, variable.folder, variable.name))), index)
 
 
 def _told_by(hub: Hub, machine: str, variable: Variable) -> Callable[[Any, Any], ua.DataValue]:
@@ -192,6 +196,8 @@ def _variable(
     nodeid: ua.NodeId, variable: Variable, parent: ua.NodeId, index: int
 ) -> ua.AddNodesItem:
     access = ua.AccessLevel.CurrentRead.mask
+    if is_kept(variable):
+        access |= ua.AccessLevel.HistoryRead.mask
     if variable.writable:
         access |= ua.AccessLevel.CurrentWrite.mask
     kind = ua.ObjectIds.AnalogUnitType if variable.unit else ua.ObjectIds.BaseDataVariableType
@@ -209,6 +215,7 @@ def _variable(
             ValueRank=-1,
             AccessLevel=access,
             UserAccessLevel=access,
+            Historizing=is_kept(variable),
         ),
     )
 
@@ -281,12 +288,15 @@ class Entry:
         Receives refused log-ins.
     controls : mapping of str to str
         By machine: the only user who may write its control's side of the handshake.
+    archive : Archive
+        Stored history.
     """
 
     accounts: Accounts
     folder: Path
     log: EventLog
     controls: Mapping[str, str]
+    archive: Archive
 
 
 async def open_server(
@@ -347,6 +357,19 @@ async def open_server(
         spent = time.monotonic() - begun
         entry.log.say(time.time(), "companion", f"{section.companion} loaded in {spent:.2f} s")
     variables = await add_machines(server, hub, machines, section.readings, given, companion)
+    add_history(
+        server,
+        entry.archive,
+        {
+            node_of(machine, variable, await server.get_namespace_index(NAMESPACE)): (
+                machine,
+                variable,
+            )
+            for machine, some in variables.items()
+            for variable, _ in some
+            if is_kept(variable)
+        },
+    )
     try:
         await server.start()
     except OSError as error:

@@ -1,17 +1,20 @@
-"""Alarms of the OPC UA server: a client hears of a value that becomes bad, and that it is over."""
+"""Clients of the OPC UA server hear alarms and read the history of the service's values."""
 
 import asyncio
 import contextlib
 import time
+from datetime import UTC, datetime
 
+import numpy as np
 import pytest
 from asyncua import ua
-from dashboard_server import ABOUT, publication
+from dashboard_server import ABOUT, keep, publication
 from live_parts import client_of, free_port, until
 
 from estimator.quality import Quality
 from thermojoint.live.access_store import open_access
 from thermojoint.live.accounts import Accounts
+from thermojoint.live.archive import Archive
 from thermojoint.live.audit import Audit
 from thermojoint.live.hub import Hub
 from thermojoint.live.log_lines import EventLog
@@ -19,12 +22,26 @@ from thermojoint.live.settings import OpcuaServer
 from thermojoint.live.users import add_user
 from thermojoint.live.writers.opcua import Entry, open_server, serve_nodes
 
+AT = 1_772_431_200.0
+#: More than one response has.
+COUNT = 5_200
 MACHINES = ("mill-1", "lathe-1")
 KINDS = [
     ua.ObjectIds.OffNormalAlarmType,
     ua.ObjectIds.RefreshStartEventType,
     ua.ObjectIds.RefreshEndEventType,
 ]
+
+
+def bad(number, machine):
+    now = time.time()
+    return publication(number, now, machine, quality=Quality.BAD, status="silent")
+
+
+def day(machine):
+    """Samples of some hours, of which one is bad."""
+    good = [publication(k + 1, AT + k, machine) for k in range(COUNT)]
+    return [*good, bad(COUNT + 1, machine)]
 
 
 class Heard:
@@ -57,12 +74,13 @@ async def plant(base):
     folder.mkdir()
     add_user(folder / "users", "plant", "viewer", "plants-secret")
     add_user(folder / "users", "mill", "viewer", "mills-secret", ["mill-*"])
+    keep(folder / "history.sqlite", [day(name) for name in MACHINES])
     hub, port = Hub(), free_port()
     hub.publish([publication(1, time.time(), name) for name in MACHINES])
     accounts = Accounts(open_access(folder), Audit(folder / "audit.jsonl"), folder / "users")
     server, nodes = await open_server(
         OpcuaServer(port=port, users=folder / "users"),
-        Entry(accounts, folder, EventLog(), {}),
+        Entry(accounts, folder, EventLog(), {}, Archive(folder / "history.sqlite")),
         hub,
         dict.fromkeys(MACHINES, (ABOUT.layout, 1)),
         [].append,
@@ -82,12 +100,6 @@ async def hears(client, where=ua.ObjectIds.Server):
     subscription = await client.create_subscription(50.0, heard)
     await subscription.subscribe_alarms_and_conditions(where, KINDS)
     return heard, subscription
-
-
-def bad(number, machine, status="silent"):
-    return publication(
-        number, time.time(), machine, quality=Quality.BAD, status=status, published=time.time()
-    )
 
 
 def test_a_value_that_becomes_bad_is_an_alarm_to_all_who_see_the_machine(tmp_path):
@@ -132,3 +144,40 @@ def test_a_value_that_becomes_bad_is_an_alarm_to_all_who_see_the_machine(tmp_pat
     assert first.EventType == ua.NodeId(ua.ObjectIds.OffNormalAlarmType)
     assert first.NodeId == ua.NodeId("mill-1.ThermalDisplacementBad", 2)
     assert first.Quality.name == "BadNoCommunication"
+
+
+def test_the_history_of_a_value_is_read_whole_in_either_direction_by_who_may(tmp_path):
+    async def live():
+        async with (
+            plant(tmp_path) as (_, port),
+            await client_of(tmp_path, port, "mill", "mills-secret") as client,
+        ):
+            value = client.get_node("ns=2;s=mill-1.Displacement.x")
+            begun, ended = (datetime.fromtimestamp(AT + k, UTC) for k in (100, 5_180))
+            found = {
+                "whole": await value.read_raw_history(begun, ended),
+                "newest": await value.read_raw_history(None, None, numvalues=2),
+                "first": await value.read_raw_history(begun, None, numvalues=3),
+                "status": await client.get_node("ns=2;s=mill-1.Status").read_raw_history(
+                    begun, None, numvalues=1
+                ),
+                "shown": await value.read_attribute(ua.AttributeIds.Historizing),
+            }
+            for name in ("lathe-1.Displacement.x", "mill-1.Handshake", "mill-1"):
+                with pytest.raises(ua.UaError) as error:
+                    await client.get_node(f"ns=2;s={name}").read_raw_history(begun, ended)
+                found[name] = type(error.value).__name__
+            return found
+
+    found = asyncio.run(live())
+    whole = np.arange(100, 5_181)
+    np.testing.assert_allclose([one.Value.Value for one in found["whole"]], whole + 1, rtol=1e-12)
+    times = [one.SourceTimestamp.timestamp() for one in found["whole"]]
+    np.testing.assert_allclose(times, AT + whole, rtol=0, atol=1e-5)
+    assert [one.StatusCode.name for one in found["newest"]] == ["BadNoCommunication", "Good"]
+    assert found["newest"][0].Value.Value is None
+    assert [round(one.Value.Value) for one in found["first"]] == [101, 102, 103]
+    assert found["status"][0].Value.Value == "reading-missing:T2_degC"
+    assert found["shown"].Value.Value is True
+    assert found["lathe-1.Displacement.x"] == "BadUserAccessDenied"
+    assert found["mill-1.Handshake"] == found["mill-1"] == "BadHistoryOperationUnsupported"

@@ -1,0 +1,85 @@
+"""History of the service's own values by OPC UA (HistoryRead of raw values), from its archive."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from typing import Any
+
+from asyncua import ua
+from asyncua.server import Server
+from asyncua.server.history import HistoryStorageInterface
+
+from thermojoint.live.archive import Archive
+from thermojoint.live.opcua_values import Variable, data_value
+
+#: Values of one variable in a response; the others follow by continuation points.
+_MOST = 5_000
+#: A missing time is OPC UA's first day.
+_FIRST_YEAR = 1602
+
+
+class ArchiveHistory(HistoryStorageInterface):
+    """Reads the archive; nothing is written to it by OPC UA.
+
+    Parameters
+    ----------
+    archive : Archive
+    variables : mapping of NodeId to (str, Variable)
+        Machine and variable of each node.
+    """
+
+    def __init__(
+        self, archive: Archive, variables: Mapping[ua.NodeId, tuple[str, Variable]]
+    ) -> None:
+        super().__init__(_MOST)
+        self.archive, self.variables = archive, variables
+
+    async def init(self) -> None:
+        """Need nothing."""
+
+    async def stop(self) -> None:
+        """Hold nothing."""
+
+    async def read_node_history(
+        self, node_id: ua.NodeId, start: datetime | None, end: datetime | None, nb_values: int
+    ) -> tuple[list[ua.DataValue], datetime | None]:
+        """Return values between two times, and the time of the next one if there are more.
+
+        Without a start, or with one after the end, the newest come first.
+        """
+        if node_id not in self.variables:
+            raise ua.UaStatusCodeError(ua.StatusCodes.BadHistoryOperationUnsupported)
+        since, until = _seconds(start, -math.inf), _seconds(end, math.inf)
+        backwards = (math.isinf(since) and bool(nb_values)) or since > until
+        since, until = min(since, until), max(since, until)
+        most = min(nb_values or _MOST, _MOST)
+        machine, variable = self.variables[node_id]
+        found = await asyncio.to_thread(
+            self.archive.samples, machine, (since, until), most + 1, backwards
+        )
+        values = [data_value(variable.kind, *variable.value(one), one) for one in found[:most]]
+        if len(found) <= most or most == nb_values:
+            return values, None
+        return values, datetime.fromtimestamp(found[most].time, UTC)
+
+
+def _seconds(time: datetime | None, otherwise: float) -> float:
+    if time is None or time.year < _FIRST_YEAR:
+        return otherwise
+    return time.replace(tzinfo=time.tzinfo or UTC).timestamp()
+
+
+def is_kept(variable: Variable) -> bool:
+    """Say whether the archive has the values of a variable."""
+    return bool(variable.folder) or variable.name in ("Status", "Quality", "SampleNumber")
+
+
+def add_history(
+    server: Server, archive: Archive, variables: Mapping[ua.NodeId, tuple[str, Variable]]
+) -> None:
+    """Let the clients of a server read the history of its variables."""
+    storage: Any = ArchiveHistory(archive, variables)
+    server.iserver.history_manager.set_storage(storage)
