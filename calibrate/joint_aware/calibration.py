@@ -65,12 +65,15 @@ class JointAwareCalibration(Described):
         As described by the case, with the axes that move.
     runs : tuple of Run
         Calibration runs.
+    unchecked : tuple of str
+        Runs that the band was not checked on: without them there is no fit.
     """
 
     model: ObserverModel
     fit: Fit
     machine: ReducedMachine
     runs: tuple[Run, ...]
+    unchecked: tuple[str, ...] = ()
 
     def _facts(self) -> dict[str, str]:
         return {"model": repr(self.model), "runs": str(len(self.runs))}
@@ -152,8 +155,11 @@ def calibrate_machine(
     model = make_observer(machine, fit, calibrated_range(machine, responses), noise)
     band = open_band(machine, runs, fit, model, noise, effort.drawing)
     model = replace(model, band=band)
-    model = replace(model, band=widened(machine, whole, fit, model, noise, effort.drawing))
-    return JointAwareCalibration(model, fit, machine, tuple(runs))
+    band, unchecked = widened(machine, whole, fit, model, noise, effort.drawing)
+    names = tuple(responses)
+    return JointAwareCalibration(
+        replace(model, band=band), fit, machine, tuple(runs), tuple(names[k] for k in unchecked)
+    )
 
 
 def _moving(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> list[str]:
@@ -199,7 +205,8 @@ def report(fit: Fit) -> dict[str, object]:
     dict
         parameters: factor on the case's value, standard deviation of its logarithm before and
         after, all in W/m2K where the name says so; directions: singular value and main parameters
-        (|weight| > 0.3), with those determined by the data (`DECIDED`); residuals.
+        (|weight| > 0.3), with those determined by the data (`DECIDED`); residuals; doubt: factor on
+        the assumed errors.
     """
     after = np.sqrt(np.diag(fit.covariance))
     singular, directions = fit.directions
@@ -225,6 +232,7 @@ def report(fit: Fit) -> dict[str, object]:
         ],
         "residual_temperature_K": fit.residual_temperature.tolist(),
         "residual_displacement_um": (MEGA * fit.residual_displacement).tolist(),
+        "doubt": fit.doubt,
         "evaluations": fit.evaluations,
     }
 

@@ -26,7 +26,7 @@ from calibrate.joint_aware.misfit import (
     residuals,
     sampled,
 )
-from calibrate.joint_aware.physics_fit import SEARCH, Fit
+from calibrate.joint_aware.physics_fit import SEARCH, Fit, problem_of
 from calibrate.joint_aware.random_heat import random_levels
 from thermojoint.artefacts.arrays import Array
 from thermojoint.reduced.machine import ReducedMachine
@@ -94,7 +94,7 @@ def profiles(
     machine: ReducedMachine, runs: Sequence[Run], fit: Fit, inquiry: Inquiry = INQUIRY
 ) -> list[Profile]:
     """Return the profile of every fitted parameter."""
-    problem = make_problem(machine, [coarser(run, SEARCH.steps) for run in runs])
+    problem = problem_of(machine, [coarser(run, SEARCH.steps) for run in runs], fit)
     at_fit = fit.coordinates / fit.spread
     # Correct the coarse march by its difference from the machine's own march.
     defect = fit.residuals - residuals(problem, fit.parameters, fit.coordinates)
@@ -170,7 +170,7 @@ def further_runs(
     for name, run in planned.items():
         information = np.eye(fit.spread.size) + fit.jacobian.T @ fit.jacobian
         if run is not None:
-            added = _jacobian(make_problem(machine, [run]), fit)
+            added = _jacobian(problem_of(machine, [run], fit), fit)
             information = information + added.T @ added
         covariance = np.linalg.inv(information)
         variance = np.einsum("nak,kl,nal->na", moved, covariance, moved)

@@ -15,16 +15,15 @@ from typing import NamedTuple
 import numpy as np
 
 from calibrate.joint_aware.assembling import make_observer
-from calibrate.joint_aware.misfit import Run, coarser, fewer, make_problem
+from calibrate.joint_aware.misfit import Run, coarser, fewer
 from calibrate.joint_aware.open_band import (
-    HEALTHY,
     Drawing,
-    draw_machines,
-    errors_on,
+    drawn_errors,
     history_of,
+    on_longer_steps,
     shortfall,
 )
-from calibrate.joint_aware.physics_fit import SEARCH, Fit, refit
+from calibrate.joint_aware.physics_fit import Fit, refit
 from estimator.interface import follow
 from estimator.joint_aware.estimator import WIDTH, JointAware
 from estimator.joint_aware.filter_design import Noise
@@ -46,8 +45,11 @@ def widened(
     model: ObserverModel,
     noise: Noise | None,
     drawing: Drawing,
-) -> Band:
+) -> tuple[Band, list[int]]:
     """Return the band of a model, wide enough to hold on every run that is left out.
+
+    Also the positions of runs that it was not checked on: the others have no fit, or its machine
+    cannot be marched.
 
     Parameters
     ----------
@@ -64,7 +66,7 @@ def widened(
     drawing : Drawing
         Number of machines drawn.
     """
-    unseen = []
+    unseen, unchecked = list[_Unseen](), list[int]()
     thinned = [fewer(run) for run in runs]
     for k, run in enumerate(runs if len(runs) > 1 else ()):
         others = [*thinned[:k], *thinned[k + 1 :]]
@@ -73,11 +75,11 @@ def widened(
             left = _Others(others, fitted, noise)
             unseen.append(_unseen(machine, run, left, model, drawing))
         except ConvergenceError:
-            continue
+            unchecked.append(k)
     if not unseen:
-        return model.band
+        return model.band, unchecked
     more = [_missing(unseen, axis, drawing.floor) for axis in range(len(machine.axes))]
-    return replace(model.band, square=model.band.square + np.array(more))
+    return replace(model.band, square=model.band.square + np.array(more)), unchecked
 
 
 class _Others(NamedTuple):
@@ -130,20 +132,14 @@ def _unseen(
     )
     found = np.array([estimate.displacement for _, estimate in estimates])
     # What the posterior expects, on the longer steps of the band.
-    slow = replace(machine, step=max(drawing.step, machine.step))
-    steps = coarser(run, max(2, round(run.length * len(run.inputs) / slow.step)))
+    slow = on_longer_steps(machine, others.runs, model.calibrated, fit, others.noise, drawing)
+    step = slow.machine.step
+    steps = coarser(run, max(2, round(run.length * len(run.inputs) / step)))
     grid = steps.length * np.arange(1.0, len(steps.inputs) + 1.0)
     # Means over these steps: the noise of the displacement's readings is no error.
     errors, read = _means(found - run.displacement, run.times, grid)
-    problem = make_problem(slow, [coarser(one, SEARCH.steps) for one in others.runs])
-    history = history_of(steps.inputs[:, :sources] / slow.power, fit.discrepancy.rates, slow.step)
-    observer = JointAware(
-        make_observer(slow, fit, model.calibrated, others.noise), thresholds=HEALTHY
-    )
-    rng = np.random.default_rng(drawing.seed)
-    drawn = [
-        errors_on(slow, one, observer, history) for one in draw_machines(rng, problem, fit, drawing)
-    ]
+    history = history_of(steps.inputs[:, :sources] / machine.power, fit.discrepancy.rates, step)
+    drawn = drawn_errors(np.random.default_rng(drawing.seed), slow, [history], drawing)
     expected = filtered.band.steady + filtered.band.constant + np.mean(np.square(drawn), axis=0)
     # What lasts for longer than the run is not told by it.
     told = fit.discrepancy.rates * grid[-1] >= 1.0

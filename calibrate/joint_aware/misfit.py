@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+from scipy.signal import lfilter
 
 from thermojoint.artefacts.arrays import Array
 from thermojoint.reduced.discrepancy import (
@@ -26,7 +27,7 @@ from thermojoint.reduced.discrepancy import (
     told_by,
 )
 from thermojoint.reduced.machine import ReducedMachine, diagonal_basis, on_basis
-from thermojoint.reduced.parameters import Parameter, factors_of, with_factors
+from thermojoint.reduced.parameters import Parameter, factors_of, lag_name, with_factors
 from thermojoint.reduced.physics import Physics, at_start, make_physics, simulate_known
 
 
@@ -138,6 +139,8 @@ class Problem:
         Factor on the error of a temperature for every sensor.
     sigmas : Sigmas
         Assumed errors.
+    doubt : float
+        Factor on all of them, prior sizes of the discrepancy included (`doubt_of`).
     """
 
     machine: ReducedMachine
@@ -149,6 +152,7 @@ class Problem:
     displacement: tuple[Channel, ...]
     trust: Array
     sigmas: Sigmas
+    doubt: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,14 +243,35 @@ def errors(
     ConvergenceError
         The machine cannot be marched through the runs.
     """
-    physics = physics_with(problem.machine, factors_of(parameters, coordinates))
-    warm, bent = at_start(physics)
+    factors = factors_of(parameters, coordinates)
+    lags = [factors.pop(lag_name(sensor), 0.0) for sensor in problem.machine.sensor_names]
+    (warm, bent), marched = _marched(problem.machine, tuple(problem.runs), tuple(factors.items()))
     temperature, displacement = [], []
-    for run in problem.runs:
-        sensed, moved = simulate_known(physics, run.inputs, run.length)
-        temperature.append(run.temperature - sampled(sensed, run, warm))
+    for run, (sensed, moved) in zip(problem.runs, marched, strict=True):
+        read = _lagged(sensed - warm, lags, run.length) + warm if any(lags) else sensed
+        temperature.append(run.temperature - sampled(read, run, warm))
         displacement.append(run.displacement - sampled(moved, run, bent))
     return np.vstack(temperature), np.vstack(displacement)
+
+
+# Lags of sensors change no march.
+@lru_cache(maxsize=2)
+def _marched(
+    machine: ReducedMachine, runs: tuple[Run, ...], factors: tuple[tuple[str, float], ...]
+) -> tuple[tuple[Array, Array], list[tuple[Array, Array]]]:
+    """Sensors and displacement at the start, and in every run, of a machine with `factors`."""
+    physics = physics_with(machine, dict(factors))
+    return at_start(physics), [simulate_known(physics, run.inputs, run.length) for run in runs]
+
+
+def _lagged(values: Array, lags: Sequence[float], length: float) -> Array:
+    """Values (n, p) from rest through first-order lags, s, by the implicit steps of the modes."""
+    kept = [lag / (lag + length) for lag in lags]
+    filtered = [
+        lfilter([1.0 - part], [1.0, -part], column)
+        for part, column in zip(kept, values.T, strict=True)
+    ]
+    return np.column_stack(filtered)
 
 
 def physics_with(machine: ReducedMachine, factors: dict[str, float]) -> Physics:
@@ -274,7 +299,7 @@ def _basis(machine: ReducedMachine, turning: tuple[tuple[str, float], ...]) -> t
 def residuals(problem: Problem, parameters: tuple[Parameter, ...], coordinates: Array) -> Array:
     """Return everything that neither parameters nor linear part explain, in units of sigma."""
     temperature, displacement = errors(problem, parameters, coordinates)
-    return np.concatenate(
+    whitened = np.concatenate(
         [
             *(
                 channel.whitened(column, trust * problem.sigmas.temperature)
@@ -288,6 +313,18 @@ def residuals(problem: Problem, parameters: tuple[Parameter, ...], coordinates: 
             ),
         ]
     )
+    return np.asarray(whitened / problem.doubt)
+
+
+def doubt_of(problem: Problem, left: Array) -> float:
+    """Return the factor on the assumed errors that the residuals (n,) of a fit ask for, at least 1.
+
+    As assumed, a run weighs as much as one sample of every channel, so that their squares sum to
+    the number of runs times that of channels. Larger ones show that the machine differs from its
+    model by more than parameters: then the parameters are known less well.
+    """
+    expected = len(problem.runs) * (len(problem.temperature) + len(problem.displacement))
+    return max(1.0, problem.doubt * math.sqrt(float(left @ left) / expected))
 
 
 @dataclass(frozen=True, eq=False)

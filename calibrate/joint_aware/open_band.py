@@ -25,22 +25,21 @@ from calibrate.joint_aware.misfit import (
     coarser,
     errors,
     fit_linear,
-    make_problem,
     physics_with,
 )
-from calibrate.joint_aware.physics_fit import SEARCH, Fit
+from calibrate.joint_aware.physics_fit import SEARCH, Fit, problem_of
 from calibrate.joint_aware.random_heat import random_levels
 from estimator import sensor_faults
 from estimator.interface import follow
 from estimator.joint_aware.estimator import WIDTH, JointAware
 from estimator.joint_aware.filter_design import Noise
-from estimator.joint_aware.observer_model import Band, ObserverModel
+from estimator.joint_aware.observer_model import Band, Calibrated, ObserverModel
 from estimator.joint_aware.thresholds import Thresholds
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
 from thermojoint.reduced.discrepancy import Discrepancy, make_ridge, relaxed
 from thermojoint.reduced.machine import ReducedMachine
-from thermojoint.reduced.parameters import factors_of
+from thermojoint.reduced.parameters import LAG_UNIT, factors_of
 from thermojoint.reduced.physics import at_start, conduct, settle_joint, simulate_known
 
 
@@ -112,33 +111,18 @@ def open_band(
     drawing : Drawing
         Number of machines, and their histories.
     """
-    slow = replace(machine, step=max(drawing.step, machine.step))
-    slower = make_observer(slow, fit, model.calibrated, noise)
-    observer = JointAware(slower, thresholds=HEALTHY)
-    rng = np.random.default_rng(drawing.seed)
+    slow = on_longer_steps(machine, runs, model.calibrated, fit, noise, drawing)
+    rng, step = np.random.default_rng(drawing.seed), slow.machine.step
     highest, sources = drawing.beyond * model.calibrated.heat, machine.power.size
-    day = random_levels(rng, drawing.duration, slow.step, highest, sources)
+    day = random_levels(rng, drawing.duration, step, highest, sources)
     # The day contains hardly any machine that has just started to warm up.
-    begun = np.full(
-        (round(min(run.length * len(run.inputs) for run in runs) / slow.step), sources), highest
-    )
+    shortest = min(run.length * len(run.inputs) for run in runs)
+    begun = np.full((round(shortest / step), sources), highest)
     histories = [
-        history_of(heat, fit.discrepancy.rates, slow.step) for heat in (day, begun, 0.5 * begun)
+        history_of(heat, fit.discrepancy.rates, step) for heat in (day, begun, 0.5 * begun)
     ]
-    problem = make_problem(slow, [coarser(run, SEARCH.steps) for run in runs])
-    errors_of_draws: list[Array] = []
-    for drawn in draw_machines(rng, problem, fit, drawing):
-        try:
-            errors_of_draws.append(
-                np.vstack([errors_on(slow, drawn, observer, history) for history in histories])
-            )
-        except ConvergenceError:
-            continue
-    if not errors_of_draws:
-        raise ConvergenceError(
-            "band: no machine like the calibrated one can be marched; check the case"
-        )
-    every = np.array(errors_of_draws).transpose(2, 0, 1)
+    errors_of_draws = drawn_errors(rng, slow, histories, drawing)
+    every = errors_of_draws.transpose(2, 0, 1)
     features = np.vstack([history.features for history in histories])
     ends = np.cumsum([len(history.heat) for history in histories])[:-1]
     weights = np.array(
@@ -150,12 +134,65 @@ def open_band(
     squares = np.vstack([history.squares for history in histories])
     return replace(
         model.band,
-        history=_history(observer, slow, day),
+        history=_history(slow.observer, slow.machine, day),
         open=weights,
         square=np.array(
             [shortfall(squares, *axis, drawing.floor) for axis in zip(claimed, every, strict=True)]
         ),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A fitted machine on the longer steps of a band, with its runs and its observer."""
+
+    machine: ReducedMachine
+    problem: Problem
+    fit: Fit
+    observer: JointAware
+
+
+def on_longer_steps(
+    machine: ReducedMachine,
+    runs: Sequence[Run],
+    calibrated: Calibrated,
+    fit: Fit,
+    noise: Noise | None,
+    drawing: Drawing,
+) -> Fitted:
+    """Return a fit to `runs`, its machine and its observer on the steps of `drawing`."""
+    slow = replace(machine, step=max(drawing.step, machine.step))
+    observer = JointAware(make_observer(slow, fit, calibrated, noise), thresholds=HEALTHY)
+    problem = problem_of(slow, [coarser(run, SEARCH.steps) for run in runs], fit)
+    return Fitted(slow, problem, fit, observer)
+
+
+def drawn_errors(
+    rng: np.random.Generator, fitted: Fitted, histories: Sequence[History], drawing: Drawing
+) -> Array:
+    """Return the errors of an observer in histories of machines of its posterior.
+
+    Returns
+    -------
+    ndarray, shape (draws, n, axes)
+        m; the histories one after the other.
+
+    Raises
+    ------
+    ConvergenceError
+        None of the machines can be marched.
+    """
+    found: list[Array] = []
+    for drawn in draw_machines(rng, fitted.problem, fitted.fit, drawing):
+        try:
+            found.append(np.vstack([errors_on(fitted, drawn, history) for history in histories]))
+        except ConvergenceError:
+            continue
+    if not found:
+        raise ConvergenceError(
+            "band: no machine like the calibrated one can be marched; check the case"
+        )
+    return np.array(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,19 +258,27 @@ def draw_machines(
     drawing : Drawing
         Number of machines; what is assumed of errors.
     """
-    for along in _directions(rng, max(drawing.draws, fit.spread.size), fit.spread.size):
+    count = sum(_open(fit))
+    for along in _directions(rng, max(drawing.draws, count), count):
         try:
             yield _draw(rng, problem, fit, along, drawing)
         except ConvergenceError:
             continue
 
 
+def _open(fit: Fit) -> list[bool]:
+    """Parameters that are drawn, (k,): an error of a lag is over within minutes."""
+    return [not parameter.name.endswith(LAG_UNIT) for parameter in fit.parameters]
+
+
 def _draw(
     rng: np.random.Generator, problem: Problem, fit: Fit, along: Array, drawing: Drawing
 ) -> Drawn:
-    singular, directions = fit.directions
+    drawn = _open(fit)
+    _, singular, directions = np.linalg.svd(fit.jacobian[:, drawn], full_matrices=False)
     known = along / np.sqrt(1.0 + (drawing.assumed * singular) ** 2)
-    coordinates = fit.coordinates + fit.spread * (known @ directions)
+    coordinates = fit.coordinates.copy()
+    coordinates[drawn] += fit.spread[drawn] * (known @ directions)
     # Discrepancy and offsets compensate the effect of the parameters in the runs.
     moved = [
         fit_linear(problem, *errors(problem, fit.parameters, at))
@@ -249,12 +294,14 @@ def _draw(
         - moved[1].discrepancy.displacement
     )
     sigmas = problem.sigmas
-    sensed_sigma = sigmas.discrepancy_temperature / drawing.assumed
+    # What is assumed of errors, as far as the fit has found them to be so small.
+    assumed = drawing.assumed / problem.doubt
+    sensed_sigma = sigmas.discrepancy_temperature / assumed
     for row in temperature:
         tau = _size(row[:-1], sigmas.discrepancy_temperature, drawing.least_share)
         shape = np.append(tau * problem.shape, sigmas.offset)
         row += _unknown(rng, constant, shape, sensed_sigma)
-    moved_sigma = sigmas.discrepancy_displacement / drawing.assumed
+    moved_sigma = sigmas.discrepancy_displacement / assumed
     for row in displacement:
         tau = _size(row, sigmas.discrepancy_displacement, drawing.least_share)
         row += _unknown(rng, problem.states, tau * problem.shape, moved_sigma)
@@ -275,10 +322,9 @@ def _unknown(rng: np.random.Generator, states: Array, shape: Array, sigma: float
     return np.asarray(root @ rng.normal(size=root.shape[1]))
 
 
-def errors_on(
-    machine: ReducedMachine, drawn: Drawn, observer: JointAware, history: History
-) -> Array:
+def errors_on(fitted: Fitted, drawn: Drawn, history: History) -> Array:
     """Return the errors (n, axes), m, of an observer on a drawn machine."""
+    machine, observer = fitted.machine, fitted.observer
     physics = physics_with(machine, drawn.factors)
     count = len(history.heat)
     inputs = machine.inputs(history.heat * machine.power)

@@ -22,6 +22,7 @@ from calibrate.joint_aware.misfit import (
     Problem,
     Run,
     coarser,
+    doubt_of,
     errors,
     fit_linear,
     make_problem,
@@ -33,7 +34,7 @@ from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.artefacts.errors import ConvergenceError
 from thermojoint.reduced.discrepancy import Discrepancy
 from thermojoint.reduced.machine import ReducedMachine
-from thermojoint.reduced.parameters import AddedFilm, Parameter, active
+from thermojoint.reduced.parameters import Added, Parameter, active
 
 
 @dataclass(frozen=True)
@@ -62,8 +63,8 @@ class Search:
     furthest : float
         Largest distance of a draw from the case's values, in standard deviations of the prior.
     evident : float
-        A film that the case does not have is taken for one from this many posterior standard
-        deviations on.
+        A film or a lag that the case does not have is taken for one from this many posterior
+        standard deviations on.
     """
 
     steps: int = 150
@@ -124,6 +125,10 @@ class Fit:
         RMS residual, K.
     residual_displacement : ndarray, shape (axes,)
         m.
+    trust : ndarray, shape (p,)
+        Factor on the assumed error of every sensor (`misfit.trust_in`).
+    doubt : float
+        Factor on all assumed errors (`misfit.doubt_of`).
     starts : tuple of Start
         Results of the searches with the coarse march; the one from the case's values first.
     evaluations : int
@@ -139,6 +144,8 @@ class Fit:
     noise: Array
     residual_temperature: Array
     residual_displacement: Array
+    trust: Array
+    doubt: float
     starts: tuple[Start, ...]
     evaluations: int
 
@@ -209,18 +216,12 @@ def fit_physics(
         tried.append(Start(spread * begun, spread * result.x, float(result.cost)))
         evaluations += _counted(result)
     now = min(tried, key=lambda start: start.cost).reached / spread
-    for _ in range(search.rounds):
-        left = fit_linear(whole, *errors(whole, parameters, spread * now)).temperature
-        trust = trust_in(whole, left)
-        whole, problem = replace(whole, trust=trust), replace(problem, trust=trust)
-        defect = _defect(whole, problem, parameters, now)
-        result = _search(problem, parameters, now, defect, search)
-        evaluations += 3 + _counted(result)
-        before, now = now, result.x
-        # In posterior standard deviations.
-        step = np.append(result.jac[: defect.size] @ (now - before), now - before)
-        if np.linalg.norm(step) <= search.settled:
-            break
+    whole, problem, result, taken = _settled(whole, problem, parameters, now, search)
+    if (doubt := doubt_of(whole, result.fun[: defect.size])) > 1.0:
+        whole, problem = replace(whole, doubt=doubt), replace(problem, doubt=doubt)
+        evaluations += taken
+        whole, problem, result, taken = _settled(whole, problem, parameters, result.x, search)
+    evaluations, now = evaluations + taken, result.x
     if (held := _undecided(parameters, result, search)).any():
         defect = _defect(whole, problem, parameters, now)
         result = _search(problem, parameters, now, defect, search, held)
@@ -248,29 +249,58 @@ def refit(machine: ReducedMachine, runs: Sequence[Run], fit: Fit, search: Search
         The machine cannot be marched through the runs.
     """
     parameters, now = fit.parameters, fit.coordinates / fit.spread
-    whole = make_problem(machine, runs)
+    whole = problem_of(machine, runs, fit)
     if not parameters:
         return _fit(whole, parameters, np.zeros(0), np.zeros((0, 0)), (), 1)
     left = fit_linear(whole, *errors(whole, parameters, fit.coordinates)).temperature
     whole = replace(whole, trust=trust_in(whole, left))
     coarse = [coarser(run, search.steps) for run in runs]
-    problem = replace(make_problem(machine, coarse), trust=whole.trust)
+    problem = replace(problem_of(machine, coarse, fit), trust=whole.trust)
     defect = _defect(whole, problem, parameters, now)
-    held = np.array([isinstance(one, AddedFilm) for one in parameters]) & (now == 0.0)
+    held = np.array([isinstance(one, Added) for one in parameters]) & (now == 0.0)
     few = replace(search, evaluations=REFITTED, close=search.roughly)
     result = _search(problem, parameters, now, defect, few, held)
     jacobian = result.jac[: defect.size]
     return _fit(whole, parameters, result.x, jacobian, (), 3 + _counted(result))
 
 
+def _settled(
+    whole: Problem,
+    problem: Problem,
+    parameters: tuple[Parameter, ...],
+    now: Array,
+    search: Search,
+) -> tuple[Problem, Problem, OptimizeResult, int]:
+    """Search until defect and trust settle; both problems, the last search, and evaluations."""
+    spread, evaluations = np.array([parameter.spread for parameter in parameters]), 0
+    for _ in range(search.rounds):
+        left = fit_linear(whole, *errors(whole, parameters, spread * now)).temperature
+        trust = trust_in(whole, left)
+        whole, problem = replace(whole, trust=trust), replace(problem, trust=trust)
+        defect = _defect(whole, problem, parameters, now)
+        result = _search(problem, parameters, now, defect, search)
+        evaluations += 3 + _counted(result)
+        before, now = now, result.x
+        # In posterior standard deviations.
+        step = np.append(result.jac[: defect.size] @ (now - before), now - before)
+        if np.linalg.norm(step) <= search.settled:
+            break
+    return whole, problem, result, evaluations
+
+
+def problem_of(machine: ReducedMachine, runs: Sequence[Run], fit: Fit) -> Problem:
+    """Return the problem of some runs with the errors that a fit assumed at its end."""
+    return replace(make_problem(machine, runs), trust=fit.trust, doubt=fit.doubt)
+
+
 def _undecided(parameters: tuple[Parameter, ...], result: OptimizeResult, search: Search) -> Flags:
-    """Films that the case does not have and the data do not show, (k,).
+    """Films and lags that the case does not have and the data do not show, (k,).
 
     A film may explain errors of the model, which is no evidence of one. The fit sets it to zero and
     keeps its uncertainty.
     """
     deviation = np.sqrt(np.diag(np.linalg.inv(result.jac.T @ result.jac)))
-    added = np.array([isinstance(parameter, AddedFilm) for parameter in parameters])
+    added = np.array([isinstance(parameter, Added) for parameter in parameters])
     return np.asarray(added & (result.x < search.evident * deviation))
 
 
@@ -372,6 +402,8 @@ def _fit(
         noise=reading_noise(problem, linear.temperature),
         residual_temperature=np.sqrt(np.mean(linear.temperature**2, axis=0)),
         residual_displacement=np.sqrt(np.mean(linear.displacement**2, axis=0)),
+        trust=problem.trust,
+        doubt=problem.doubt,
         starts=starts,
         evaluations=evaluations,
     )

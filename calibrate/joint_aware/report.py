@@ -30,12 +30,14 @@ def short_report(calibrated: JointAwareCalibration) -> dict[str, Any]:
     Returns
     -------
     dict
-        Content of `report`; further_runs: standard deviation of every parameter and of the
-        displacement in a day, um, root mean square, without and with each.
+        Content of `report`; unchecked_runs: those that the band was not checked on; further_runs:
+        standard deviation of every parameter and of the displacement in a day, um, root mean
+        square, without and with each.
     """
     machine, fit = calibrated.machine, calibrated.fit
     names = [parameter.name for parameter in fit.parameters]
     return report(fit) | {
+        "unchecked_runs": list(calibrated.unchecked),
         "further_runs": [
             {
                 "run": further_run.name,
@@ -45,7 +47,7 @@ def short_report(calibrated: JointAwareCalibration) -> dict[str, Any]:
                 ),
             }
             for further_run in further_runs(machine, calibrated.runs, fit)
-        ]
+        ],
     }
 
 

@@ -176,9 +176,7 @@ def design_filter(
     source[dynamic:, : walk.size] = np.diag(walk)
     source[:dynamic, : walk.size] = system.drive * walk
     count = modes.rates.size
-    source[:count, walk.size :] = (
-        noise.joint_flow * step * system.decay[:count, None] * modes.jump.T
-    )
+    source[:count, walk.size :] = noise.joint_flow * step * system.decay[:count, None] * modes.entry
     readings = np.append(
         np.broadcast_to(np.square(noise.sensor), len(system.rows) - 1), noise.ambient_sensor**2
     )

@@ -28,13 +28,15 @@ from thermojoint.artefacts.files import write_bytes
 from thermojoint.reduced.discrepancy import Discrepancy
 from thermojoint.reduced.machine import Joint, Modes
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 
 #: Reads the kind; other values are refused.
 KIND: pydantic.TypeAdapter[Kind] = pydantic.TypeAdapter(Kind)
 
 #: Parts of the model that consist of arrays: attribute to class, and its arrays.
-_MODES = ("rates", "drive", "jump", "mean", "sensors", "start", "film", "factors", "tight")
+_MODES = (
+    *("rates", "drive", "jump", "entry", "mean", "sensors", "start", "film", "factors", "tight"),
+)
 _ELASTIC = (
     "compliance",
     "thermal_gap",

@@ -100,6 +100,15 @@ def show_physics(console: Console, report: Mapping[str, Any]) -> None:
         parts = ", ".join(f"{name} {weight:+.2f}" for name, weight in direction["of"].items())
         known.add_row(number(direction["singular_value"], 3), direction["decided_by"], parts)
     titled(console, "What the responses determine (in units of the priors)", known)
+    if report["doubt"] > 1.0:
+        console.print(
+            f"The machine differs from its case by more than these parameters: errors are taken as "
+            f"{number(report['doubt'], 2)} times as large as usual."
+        )
+    if unchecked := report["unchecked_runs"]:
+        console.print(
+            f"The band is not checked on {', '.join(unchecked)}: the other runs alone have no fit."
+        )
     console.print(further_run_line(report["further_runs"]))
 
 

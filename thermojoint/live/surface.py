@@ -101,10 +101,9 @@ def surface_of(case: Case, setup: Setup, model: ObserverModel, up: Array) -> Sur
     modes = on_basis(fitted, rates, turn, model.held)
     if not _alike(modes, model.modes):
         raise InputError("scene: the model was calibrated with another case or mesh; give its own")
-    turn = turn @ _alignment(modes, model.modes)
-    if not np.allclose(
-        fitted.sensors @ turn, model.modes.sensors, atol=SAME * np.abs(model.modes.sensors).max()
-    ):
+    aligned = _alignment(modes, model.modes)
+    wanted = model.modes.sensors
+    if not np.allclose(modes.sensors @ aligned, wanted, atol=SAME * np.abs(wanted).max()):
         raise InputError("scene: the model was calibrated with another case or mesh; give its own")
     assert setup.modes is not None  # reduce_machine needs them
     outside, contacts = outside_of(setup), contacts_of(setup)
@@ -112,7 +111,11 @@ def surface_of(case: Case, setup: Setup, model: ObserverModel, up: Array) -> Sur
         model=fingerprint(model),
         points=outside.points,
         triangles=outside.corners,
-        rows=np.asarray(setup.modes.basis[outside.of] @ turn, dtype=np.float32),
+        # Modes of sensors that lag, the last ones, are no temperature of the machine.
+        rows=np.asarray(
+            setup.modes.basis[outside.of] @ turn @ aligned[: rates.size, : rates.size],
+            dtype=np.float32,
+        ),
         contact_points=contacts.points,
         contact_triangles=contacts.corners,
         contacts=contacts.of,
@@ -140,7 +143,7 @@ def _alignment(modes: Modes, model: Modes) -> Array:
         )
         for m in (modes, model)
     )
-    begins = np.flatnonzero(np.diff(modes.rates) > ALIKE * modes.rates[1:]) + 1
+    begins = np.flatnonzero(np.abs(np.diff(modes.rates)) > ALIKE * modes.rates[1:]) + 1
     turn = np.zeros((modes.rates.size, modes.rates.size))
     for group in np.split(np.arange(modes.rates.size), begins):
         left, _, right = np.linalg.svd(seen[:, group].T @ wanted[:, group])

@@ -37,6 +37,8 @@ from thermojoint.reduced.films import Film, films_of
 FOLLOWS = 1e12
 #: A mode is for itself if its rate and what drives it are less than this part of the largest.
 ALONE = 1e-9
+#: Least relative difference of the rates of a mode and of a sensor's lag.
+NEAR = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,6 +150,8 @@ class ReducedMachine:
         Loads and bolts.
     held : Held
         Held surfaces.
+    lags : tuple of float
+        Time constant of each sensor in its mounting, s; empty if none lags.
     """
 
     capacity: Array
@@ -169,6 +173,7 @@ class ReducedMachine:
     films: tuple[Film, ...] = ()
     acting: Acting | None = None
     held: Held = field(default_factory=Held)
+    lags: tuple[float, ...] = ()
 
     @property
     def free(self) -> int:
@@ -363,6 +368,9 @@ class Modes:
         Per W of each source, then per K of the held surfaces and of the ambient.
     jump, mean, sensors, start : ndarray
         As in `ReducedMachine`.
+    entry : ndarray, shape (r, m)
+        What a heat flow across each contact element takes, per W: the jump's transpose, but for
+        modes of sensors that lag (`lagging`).
     elastic : ElasticCondensation
         On these modes; bolts are part of it.
     film : ndarray, shape (r, r)
@@ -380,6 +388,7 @@ class Modes:
     rates: Array
     drive: Array
     jump: Array
+    entry: Array
     mean: Array
     sensors: Array
     start: Array
@@ -482,10 +491,11 @@ def on_basis(
         assert bolted.loads is not None  # tightened_contact makes them
         elastic, loads, factors = bolted.elastic, bolted.loads, np.append(factors, 1.0)
         tight = np.vstack([assembly.gap, assembly.slip, assembly.pressure])
-    return Modes(
+    modes = Modes(
         rates=rates,
         drive=_drive(machine, turned, rates, basis, held),
         jump=turned.jump,
+        entry=turned.jump.T,
         mean=turned.mean,
         sensors=turned.sensors,
         start=turned.start,
@@ -494,6 +504,52 @@ def on_basis(
         loads=loads,
         factors=factors,
         tight=tight,
+    )
+    return lagging(modes, np.array(machine.lags)) if machine.lags else modes
+
+
+def lagging(modes: Modes, lags: Array) -> Modes:
+    """Return modes whose sensors follow the temperature at their places with first-order lags.
+
+    A sensor's reading y follows the temperature C a there by lag dy/dt = C a - y. With c = C / (1 -
+    lag rates), y - c a relaxes with the time constant lag and is driven by -c times what drives a:
+    it is one more mode, and the equations stay diagonal, those of an implicit step included.
+
+    Parameters
+    ----------
+    modes : Modes
+        Of sensors that do not lag.
+    lags : ndarray, shape (p,)
+        Time constants, s; zero for a sensor that does not lag.
+    """
+    slow = np.flatnonzero(lags > 0.0)
+    lag = lags[slow, None]
+    # The limit of a rate that is the lag's own is another function of time, as near as one likes.
+    while (near := np.abs(1.0 - lag * modes.rates).min(axis=1, initial=1.0) < NEAR).any():
+        lag = lag * np.where(near, 1.0 + 2.0 * NEAR, 1.0)[:, None]
+    seen = modes.sensors[slow]
+    followed = seen / (1.0 - lag * modes.rates)
+    sensors = np.pad(modes.sensors, ((0, 0), (0, slow.size)))
+    sensors[slow] = np.hstack([followed, np.eye(slow.size)])
+
+    def none(rows: Array) -> Array:
+        return np.pad(rows, ((0, 0), (0, slow.size)))
+
+    return replace(
+        modes,
+        rates=np.append(modes.rates, 1.0 / lag),
+        drive=np.vstack([modes.drive, -followed @ modes.drive]),
+        jump=none(modes.jump),
+        entry=np.vstack([modes.entry, -followed @ modes.entry]),
+        mean=none(modes.mean),
+        sensors=sensors,
+        start=np.append(modes.start, (seen - followed) @ modes.start),
+        elastic=replace(
+            modes.elastic,
+            thermal_gap=none(modes.elastic.thermal_gap),
+            probe_thermal=none(modes.elastic.probe_thermal),
+        ),
+        film=np.pad(modes.film, (0, slow.size)),
     )
 
 

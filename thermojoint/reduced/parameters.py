@@ -2,7 +2,8 @@
 
 Every parameter is a factor on what the case says; its logarithm has a normal prior. The film of a
 surface that has none in the case is not a factor but W/(m2 K), with half a normal distribution as
-prior: a film cannot be negative, and most likely there is none. All of them reuse one condensation:
+prior: a film cannot be negative, and most likely there is none. So is the lag of a sensor, in s.
+All of them reuse one condensation:
 
 - conduction, capacity, film: K, M and H are scaled on the same modes, which are turned again, and
   so is the part of H of every surface. The modes are those of the nominal machine;
@@ -51,21 +52,21 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class AddedFilm(Parameter):
-    """The film of a surface that has none in the case.
+class Added(Parameter):
+    """What the case does not have: a surface's film, or a sensor's lag.
 
     Attributes
     ----------
     name : str
-        Of the film.
+        With its unit at the end (`ABSOLUTE`).
     spread : float
-        Of the normal distribution whose upper half is the prior, W/(m2 K).
+        Of the normal distribution whose upper half is the prior, W/(m2 K) or s.
     """
 
     least: ClassVar[float] = 0.0
 
     def factor(self, coordinate: float) -> float:
-        """Return the film of a coordinate, W/(m2 K)."""
+        """Return the film or the lag of a coordinate, W/(m2 K) or s."""
         return max(coordinate, 0.0)
 
 
@@ -87,8 +88,10 @@ PARAMETERS = (
 #: Spread of the factor of one surface's film beside the common one, and of a film that the case
 #: does not have, W/(m2 K): enclosed air, or an outside that was left out.
 OF_SURFACE, ADDED = 0.7, 3.0
-#: End of the name of a parameter that is no factor.
-ABSOLUTE = ", W/m2K"
+#: Spread of the time constant of a sensor in its mounting, s.
+LAG = 30.0
+#: Ends of the names of parameters that are no factors.
+ABSOLUTE = (FILM_UNIT, LAG_UNIT) = (", W/m2K", ", s")
 
 #: What is no parameter here, as it changes the modes or the condensed stiffness as a whole.
 NEW_CONDENSATION = (
@@ -119,7 +122,14 @@ def active(machine: ReducedMachine) -> tuple[Parameter, ...]:
     if not machine.convection.any():
         absent.add("film")
     own = (parameter for parameter in PARAMETERS if parameter.name not in absent)
-    return (*own, *(film_parameter(film) for film in machine.films))
+    read = (name for name in machine.sensor_names if name not in machine.held.names)
+    lags = (Added(lag_name(name), LAG) for name in read)
+    return (*own, *(film_parameter(film) for film in machine.films), *lags)
+
+
+def lag_name(sensor: str) -> str:
+    """Return the name of a sensor's lag among the parameters."""
+    return f"lag {sensor}{LAG_UNIT}"
 
 
 def bolted(machine: ReducedMachine) -> bool:
@@ -131,7 +141,7 @@ def film_parameter(film: Film) -> Parameter:
     """Return the parameter of a surface's film."""
     if film.nominal:
         return Parameter(f"film {film.surface}", OF_SURFACE)
-    return AddedFilm(f"film {film.surface}{ABSOLUTE}", ADDED)
+    return Added(f"film {film.surface}{FILM_UNIT}", ADDED)
 
 
 def shown(name: str, factor: float, deviation: float) -> tuple[str, str]:
@@ -163,8 +173,10 @@ def with_factors(machine: ReducedMachine, factors: dict[str, float]) -> ReducedM
         more = by.get(film_parameter(film).name, film.nominal) - film.nominal
         more *= by["film"] if film.nominal else 1.0
         convection, ambient = convection + more * film.convection, ambient + more * film.ambient
+    lags = [by.get(lag_name(sensor), 0.0) for sensor in machine.sensor_names]
     return replace(
         machine,
+        lags=tuple(lags) if any(lags) else (),
         capacity=by["capacity"] * machine.capacity,
         conduction=by["conduction"] * machine.conduction,
         convection=convection,

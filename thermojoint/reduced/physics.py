@@ -100,7 +100,7 @@ def heat_step(modes: Modes, length: float) -> HeatStep:
     decay = 1.0 / (1.0 + length * modes.rates)
     drive, influence = (
         np.ascontiguousarray(length * decay[:, None] * influence)
-        for influence in (modes.drive, modes.jump.T)
+        for influence in (modes.drive, modes.entry)
     )
     return HeatStep(decay, drive, influence, np.ascontiguousarray(modes.jump @ influence))
 

@@ -481,11 +481,11 @@ def test_a_run_that_the_others_do_not_predict_widens_the_band(machine, plant, fi
     weak, strong = whole
     bent = replace(strong, displacement=strong.displacement * [1.0, 1.2])
     own, other = (
-        widened(small, runs, fit, model, None, drawing).square for runs in (whole, [weak, bent])
+        widened(small, runs, fit, model, None, drawing)[0].square for runs in (whole, [weak, bent])
     )
     assert np.all(other >= 0.0)
     assert other[1].sum() > 100.0 * own[1].sum()
-    assert widened(small, [strong], fit, model, None, drawing) is model.band
+    assert widened(small, [strong], fit, model, None, drawing) == (model.band, [])
 
 
 def test_a_state_file_goes_on_bit_for_bit_and_knows_its_model(estimator, response, tmp_path):

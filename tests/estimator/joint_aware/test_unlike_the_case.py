@@ -1,0 +1,87 @@
+"""Machines that differ from their case by more than factors: sensors that lag, unknown errors."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from observed import SENSORS
+
+from calibrate.joint_aware.misfit import Run, physics_with
+from calibrate.joint_aware.physics_fit import Search, fit_physics
+from thermojoint.reduced.machine import along
+from thermojoint.reduced.parameters import lag_name
+from thermojoint.reduced.physics import simulate_known
+
+STEP, COUNT = 2.0, 150
+
+
+def marched(machine, factors, level=2.0):
+    """Temperatures (n, p) and displacements of a step of heat."""
+    inputs = np.zeros((COUNT, 2))
+    inputs[:, 0] = level * machine.power[0]
+    return inputs, *simulate_known(physics_with(machine, factors), inputs, STEP)
+
+
+def follows(values, lag):
+    """What a sensor reads that follows its place, from rest, by implicit steps."""
+    read, now = [], 0.0
+    for value in values:
+        now += STEP / (lag + STEP) * (value - now)
+        read.append(now)
+    return np.array(read)
+
+
+@pytest.mark.parametrize("lag", [3.0, 20.0, 60.0])
+def test_a_sensor_that_lags_follows_its_place(machine, lag):
+    _, still, moved = marched(machine, {})
+    _, read, same = marched(machine, {lag_name("s"): lag})
+    assert read[:, 0] == pytest.approx(follows(still[:, 0], lag), abs=1e-9)
+    assert read[:, 1:] == pytest.approx(still[:, 1:], abs=1e-12)
+    assert same == pytest.approx(moved, abs=1e-15)
+
+
+@given(st.integers(0, 30), st.sampled_from([0.0, 1e-9, -1e-6]))
+def test_a_lag_as_slow_as_a_mode_is_none_the_worse(machine, which, beside):
+    """The limit of equal rates is approached, not divided by."""
+    rates = physics_with(machine, {}).modes.rates
+    lag = (1.0 + beside) / np.sort(rates)[which + rates.size // 2]
+    physics = physics_with(machine, {lag_name("s"): lag})
+    assert np.isfinite(physics.modes.sensors).all()
+    _, still, _ = marched(machine, {})
+    _, read, _ = marched(machine, {lag_name("s"): lag})
+    assert read[:, 0] == pytest.approx(follows(still[:, 0], lag), abs=1e-3)
+
+
+def runs_of(machine, factors, stretched=1.0):
+    runs = []
+    for level in (0.5, 2.0):
+        inputs, sensed, moved = marched(machine, factors, level)
+        times = STEP * np.arange(1.0, COUNT + 1.0)
+        # What is stretched is not proportional to the heat.
+        moved = moved[:, :2] * (stretched if level > 1.0 else 1.0)
+        runs.append(Run(inputs, times, sensed, moved, STEP))
+    return runs
+
+
+def test_a_calibration_finds_lags_and_takes_no_sensor_for_slow_that_is_not(machine):
+    small = along(machine, ["x", "y"])
+    fitted = ["heat", *map(lag_name, SENSORS)]
+    fit = fit_physics(small, runs_of(small, {lag_name("s"): 20.0}), fitted, Search(starts=0))
+    found = dict(zip(fitted, fit.coordinates, strict=True))
+    assert found.pop(lag_name("s")) == pytest.approx(20.0, rel=0.15)
+    assert found["heat"] == pytest.approx(0.0, abs=0.02)
+    assert all(found[lag_name(sensor)] == 0.0 for sensor in SENSORS[1:])
+
+
+def test_errors_that_no_parameter_explains_leave_more_unknown(machine):
+    """A machine of the family is fitted as ever; one beyond it has a wider posterior."""
+    small = along(machine, ["x", "y"])
+    own, other = (
+        fit_physics(small, runs_of(small, {"heat": 1.05}, stretched), ["heat"], Search(starts=0))
+        for stretched in (1.0, 1.3)
+    )
+    assert own.doubt == 1.0
+    assert other.doubt > 1.5
+    known = np.linalg.norm(other.jacobian) * other.doubt
+    assert known == pytest.approx(np.linalg.norm(own.jacobian), rel=0.2)
+    assert other.covariance[0, 0] > own.covariance[0, 0]
