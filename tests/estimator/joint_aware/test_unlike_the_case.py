@@ -2,13 +2,11 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from observed import SENSORS
 
 from calibrate.joint_aware.misfit import Run, physics_with
 from calibrate.joint_aware.physics_fit import Search, fit_physics
-from thermojoint.reduced.machine import along
+from thermojoint.reduced.machine import NEAR, along
 from thermojoint.reduced.parameters import lag_name
 from thermojoint.reduced.physics import simulate_known
 
@@ -40,16 +38,15 @@ def test_a_sensor_that_lags_follows_its_place(machine, lag):
     assert same == pytest.approx(moved, abs=1e-15)
 
 
-@given(st.integers(0, 30), st.sampled_from([0.0, 1e-9, -1e-6]))
+@pytest.mark.parametrize("which", [0, 10, 30])
+@pytest.mark.parametrize("beside", [0.0, 1e-9, -1e-6])
 def test_a_lag_as_slow_as_a_mode_is_none_the_worse(machine, which, beside):
     """The limit of equal rates is approached, not divided by."""
     rates = physics_with(machine, {}).modes.rates
     lag = (1.0 + beside) / np.sort(rates)[which + rates.size // 2]
-    physics = physics_with(machine, {lag_name("s"): lag})
-    assert np.isfinite(physics.modes.sensors).all()
     _, still, _ = marched(machine, {})
     _, read, _ = marched(machine, {lag_name("s"): lag})
-    assert read[:, 0] == pytest.approx(follows(still[:, 0], lag), abs=1e-3)
+    assert read[:, 0] == pytest.approx(follows(still[:, 0], lag), rel=10.0 * NEAR, abs=0)
 
 
 def runs_of(machine, factors, stretched=1.0):
