@@ -254,6 +254,30 @@ def errors(
     return np.vstack(temperature), np.vstack(displacement)
 
 
+def best_lags(
+    problem: Problem, parameters: tuple[Parameter, ...], coordinates: Array, lags: Sequence[float]
+) -> Array:
+    """Return the coordinates (k,) with the one of `lags` (s) that fits every sensor best.
+
+    The misfit has a minimum at zero and another one at the lag of a sensor: a search finds only
+    that on whose side it begins.
+    """
+    found = coordinates.copy()
+    places = {parameter.name: k for k, parameter in enumerate(parameters)}
+    for sensor, name in enumerate(problem.machine.sensor_names):
+        if (at := places.get(lag_name(name))) is None:
+            continue
+        channel, sigma = problem.temperature[sensor], problem.sigmas.temperature
+        costs = []
+        for lag in lags:
+            found[at] = lag
+            left = errors(problem, parameters, found)[0][:, sensor]
+            white = channel.whitened(left, problem.trust[sensor] * sigma) / problem.doubt
+            costs.append(float(white @ white) + (lag / parameters[at].spread) ** 2)
+        found[at] = lags[int(np.argmin(costs))]
+    return found
+
+
 # Lags of sensors change no march.
 @lru_cache(maxsize=2)
 def _marched(

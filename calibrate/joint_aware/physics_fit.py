@@ -21,6 +21,7 @@ from scipy.optimize import OptimizeResult, least_squares
 from calibrate.joint_aware.misfit import (
     Problem,
     Run,
+    best_lags,
     coarser,
     doubt_of,
     errors,
@@ -62,6 +63,8 @@ class Search:
         Searches from random draws of the prior, beside the one from the case's values.
     furthest : float
         Largest distance of a draw from the case's values, in standard deviations of the prior.
+    lags : tuple of float
+        Where searches for the lags of sensors begin, s, if that fits best.
     evident : float
         A film or a lag that the case does not have is taken for one from this many posterior
         standard deviations on.
@@ -77,6 +80,7 @@ class Search:
     starts: int = 3
     seed: int = 1
     furthest: float = 2.0
+    lags: tuple[float, ...] = (0.0, 3.0, 6.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0, 75.0)
     evident: float = 2.0
 
 
@@ -206,11 +210,13 @@ def fit_physics(
     spread = np.array([parameter.spread for parameter in parameters])
     now, rough = np.zeros(spread.size), replace(search, close=search.roughly)
     defect, evaluations, tried = _defect(whole, problem, parameters, now), 2, []
-    for begun in _starts(parameters, search):
+    for drawn in _starts(parameters, search):
+        begun = drawn
         try:
+            begun = best_lags(problem, parameters, spread * drawn, search.lags) / spread
             result = _search(problem, parameters, begun, defect, rough)
         except ConvergenceError:
-            if not begun.any():
+            if not drawn.any():
                 raise
             continue
         tried.append(Start(spread * begun, spread * result.x, float(result.cost)))
