@@ -80,7 +80,8 @@ def test_a_film_far_beyond_the_prior_ends_at_its_bound(machine):
     """Three standard deviations of 0.4, which rounding takes beyond 3 on the way."""
     small = along(replace(machine, step=60.0), ["x", "y"])
     fit = fit_physics(small, [cooled(small, {"film": 8.0})], ["film"], Search(starts=0))
-    assert fit.coordinates == pytest.approx([1.2])
+    # Its misfit is taken for errors of the model, so that the prior holds it back a little.
+    assert fit.coordinates == pytest.approx([1.2], rel=0.01)
 
 
 def test_the_run_that_tells_most_is_named_with_its_gain():
