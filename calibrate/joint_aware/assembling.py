@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calibrate.joint_aware.past import Pasts, random_pasts, states_after
 from calibrate.joint_aware.physics_fit import Fit
 from calibrate.joint_aware.sticking import sticking_tangent
 from estimator.joint_aware.filter_design import (
-    LinearSystem,
     Noise,
     SteadyFilter,
     compressed,
@@ -24,7 +24,7 @@ from thermojoint.reduced.parameters import factors_of, with_factors
 
 @dataclass(frozen=True)
 class Past:
-    """Past heating and cooling that a warm start considers.
+    """Range of past heating and cooling, and what a run carries of it.
 
     Attributes
     ----------
@@ -128,7 +128,13 @@ def make_observer(
             open=np.zeros((len(machine.axes), 1, 2 * fit.discrepancy.displacement.shape[1])),
             square=nothing,
         ),
-        warm=warm_columns(modes, system, fit, machine.power * calibrated.heat, steady),
+        warm=warm_columns(
+            modes,
+            fit.discrepancy.rates,
+            machine.power,
+            steady,
+            random_pasts(calibrated.heat, machine.power.size),
+        ),
         surfaces=held.names,
         first=held.first,
         power=machine.power,
@@ -149,31 +155,25 @@ def make_observer(
 
 
 def warm_columns(
-    modes: Modes, system: LinearSystem, fit: Fit, power: Array, steady: SteadyFilter
+    modes: Modes, rates: Array, power: Array, steady: SteadyFilter, pasts: Pasts
 ) -> Array:
     """Return the covariance factor L of an unknown start, shape (n, columns of `PAST`).
 
-    Any past is a sum of heating periods: the columns span those of `PAST`, for every source at
-    `power` (W) and for a change of the ambient and of the held temperatures that change.
+    Parameters
+    ----------
+    modes : Modes
+        With the joint held at its preload.
+    rates : ndarray, shape (q,)
+        Of the model discrepancy, 1/s.
+    power : ndarray, shape (s,)
+        Heat of each source at heat input 1, W.
+    steady : SteadyFilter
+        Of the observer.
+    pasts : Pasts
+        That the machine may have had.
     """
-    pasts, rates = PAST.lengths, fit.discrepancy.rates
-    count, sources = modes.rates.size, power.size
-    columns = []
-    for given in np.flatnonzero(steady.walk):
-        strength = power[given] if given < sources else PAST.ambient
-        for lasted in pasts:
-            for ago in (0.0, *pasts):
-                column = np.zeros(system.size)
-                column[:count] = strength * modes.drive[:, given] * answer(modes.rates, lasted, ago)
-                if given < sources:
-                    at = slice(count + given * rates.size, count + (given + 1) * rates.size)
-                    level = strength / power[given] * fit.discrepancy.rates
-                    column[at] = level * answer(rates, lasted, ago)
-                if ago == 0.0:
-                    column[system.decay.size + given] = strength
-                columns.append(column)
-    every = np.column_stack(columns) / np.sqrt(pasts.size)
-    return compressed(every, steady.scale, PAST.columns)
+    every = states_after(modes, rates, power, steady.walk, pasts)
+    return compressed(every / np.sqrt(every.shape[1]), steady.scale, PAST.columns)
 
 
 def answer(rates: Array, lasted: float, ago: float) -> Array:

@@ -12,6 +12,9 @@ P+ the covariance after a reading (unknown heat, ambient, flows across the joint
 difference of a plant's sensor readings from the nominal machine, d that of its displacement. The
 criterion is the sum of v over the axes. For a set that detects heat late the first part is large,
 for one at places where the plants differ the second one.
+
+With an unknown start (`plant_family.with_start`) the variance that it leaves after `SETTLED` is
+added: its covariance factor L goes through the same filter, which corrects it as the observer does.
 """
 
 from __future__ import annotations
@@ -26,6 +29,7 @@ from calibrate.joint_aware.sticking import sticking_tangent
 from calibrate.placement.plant_family import Family, loudest, make_family
 from estimator.joint_aware.estimator import WIDTH
 from estimator.joint_aware.filter_design import Noise, linear_system
+from estimator.joint_aware.thresholds import USUAL
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError, InputError, unknown_name
 from thermojoint.reduced.discrepancy import Discrepancy
@@ -35,6 +39,9 @@ from thermojoint.reduced.machine import ReducedMachine, diagonal_modes
 WORTH, ROUNDS = 1e-3, 3
 #: Most doublings of the Riccati equation, and their tolerance.
 DOUBLINGS, CLOSE = 40, 1e-10
+
+#: An unknown start counts after this time, s.
+SETTLED = 1200.0
 
 Report = Callable[[str, int, int], None]
 
@@ -144,14 +151,18 @@ def _check(machine: ReducedMachine, count: int, kept: Sequence[str]) -> None:
 class _Problem:
     """A filter of few modes: x' = F x + w, w of covariance Q, rows of all candidates and ambient.
 
-    transition, disturbance (n, n); rows (p + 1, n); variance (p + 1,); tangent (axes, n).
+    transition, disturbance (n, n); rows (p + 1, n); variance, lasting (p + 1,): that of a reading,
+    and of errors that last, for the correction of an unknown start; tangent (axes, n); start (n, k)
+    or None.
     """
 
     transition: Array
     disturbance: Array
     rows: Array
     variance: Array
+    lasting: Array
     tangent: Array
+    start: Array | None
     family: Family
 
 
@@ -182,9 +193,17 @@ def _problem(machine: ReducedMachine, family: Family, noise: Noise) -> _Problem:
         disturbance=source @ source.T,
         rows=system.rows * unit,
         variance=np.append(np.full(len(modes.sensors), noise.sensor**2), noise.ambient_sensor**2),
+        lasting=_lasting(noise, len(modes.sensors), machine.step / step),
         tangent=np.hstack([tangent, np.zeros((len(tangent), walk.size))]),
+        start=None if family.start is None else family.start / unit[:, None],
         family=family,
     )
+
+
+def _lasting(noise: Noise, sensors: int, share: float) -> Array:
+    """Variance of lasting errors in a reading that stands for 1 / `share` of the observer's."""
+    every = np.broadcast_to(USUAL.doubt_of_past * np.asarray(noise.lasting), sensors)
+    return np.append(share * every**2, 0.0)
 
 
 def steady_covariance(transition: Array, rows: Array, disturbance: Array, variance: Array) -> Array:
@@ -247,7 +266,25 @@ def _mean_squares(problem: _Problem, chosen: Sequence[int]) -> Array:
         error = closed @ error + more
         moved[k] = problem.tangent @ error
     left = np.square(moved - problem.family.displacement).mean(axis=(0, 2))
-    return np.asarray(np.maximum(known, 0.0) + left)
+    squares = np.maximum(known, 0.0) + left
+    if problem.start is not None:
+        covariance = rows @ cross + np.diag(variance)
+        doubted = covariance + np.diag(problem.lasting[at])
+        squares = squares + _left_of_start(problem, rows, gain, doubted)
+    return np.asarray(squares)
+
+
+def _left_of_start(problem: _Problem, rows: Array, gain: Array, doubted: Array) -> Array:
+    """Variance of the displacement that an unknown start leaves after `SETTLED`, m2, (axes,)."""
+    factor = problem.start
+    assert factor is not None
+    identity = np.eye(factor.shape[1])
+    for _ in range(round(SETTLED / problem.family.step)):
+        seen = rows @ factor
+        root = np.linalg.cholesky(identity + seen.T @ np.linalg.solve(doubted, seen))
+        left = np.linalg.solve(root, (factor - gain @ seen).T).T
+        factor = problem.transition @ left
+    return np.asarray(np.square(problem.tangent @ factor).sum(axis=1))
 
 
 def _criterion(problem: _Problem, chosen: Sequence[int]) -> float:

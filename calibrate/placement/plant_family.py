@@ -14,9 +14,10 @@ from scipy.linalg import qr
 
 from calibrate.joint_aware.assembling import PAST, answer
 from calibrate.joint_aware.misfit import Run, errors, fit_linear, make_problem
+from calibrate.joint_aware.past import Pasts, states_after
 from calibrate.joint_aware.physics_fit import fit_physics
 from calibrate.joint_aware.random_heat import random_levels
-from estimator.joint_aware.filter_design import Noise
+from estimator.joint_aware.filter_design import Noise, compressed
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError, InputError
 from thermojoint.reduced.discrepancy import relaxation_rates, relaxed
@@ -79,11 +80,24 @@ class Family:
         Of every candidate, K.
     displacement : ndarray, shape (n, axes, plants)
         m.
+    start : ndarray, shape (modes + s + 1, k), optional
+        Covariance factor of an unknown start that counts as well: amplitudes with the joint held at
+        its preload, heat of the sources, W, and ambient, K (`with_start`).
     """
 
     step: float
     readings: Array
     displacement: Array
+    start: Array | None = None
+
+
+def with_start(family: Family, machine: ReducedMachine, pasts: Pasts) -> Family:
+    """Return a family whose machine also starts with one of some pasts, nobody knows which."""
+    modes = diagonal_modes(machine, machine.at_preload)
+    walk = np.ones(machine.power.size + 1)
+    states = states_after(modes, np.zeros(0), machine.power, walk, pasts)
+    start = compressed(states / np.sqrt(states.shape[1]), np.ones(len(states)), PAST.columns)
+    return replace(family, start=start)
 
 
 def make_family(machine: ReducedMachine, drawing: Drawing = USUAL) -> Family:

@@ -120,7 +120,8 @@ class Observer:
         weight = max(1.0, self.model.step / length)
         if present.size == len(self.system.rows) and weight == 1.0 and not factor.any():
             return self.usual_gain, factor
-        doubt = self.thresholds.doubt_of_heat if memory == KNOWN else 1.0
+        known, unknown = self.thresholds.doubt_of_heat, self.thresholds.doubt_of_past
+        doubt = known if memory == KNOWN else unknown
         gain, after = correct(self.model.filter, self.system.rows, present, factor, weight, doubt)
         return gain, compressed(after, self.model.filter.scale, factor.shape[1])
 

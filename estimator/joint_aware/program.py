@@ -283,7 +283,8 @@ def _start(estimator: JointAware) -> _Start:
     observer, model, limits = estimator.observer, estimator.model, estimator.thresholds
     own, rows, band, usual = model.filter, observer.system.rows, model.band, observer.usual_gain
     steady = own.innovation + np.diag(own.noise)
-    doubted, identity = steady + np.diag(own.lasting), np.eye(observer.system.size)
+    doubted = steady + limits.doubt_of_past**2 * np.diag(own.lasting)
+    identity = np.eye(observer.system.size)
     covariance, k = model.warm @ model.warm.T, 0
     known, gains, spread = list[Array](), list[Array](), list[Array]()
     while True:

@@ -42,6 +42,9 @@ class Thresholds:
         minutes is unknown, and not a field that may have built up over hours. Of 1, 0.3, 0.1 and
         0.03 on four random plants (docs/faulty-sensors.md) all but the last keep every band, and
         0.1 and 0.3 have the smallest errors.
+    doubt_of_past : float
+        The same when the past is unknown. Of 1, 0.5, 0.3 and 0.1 on warm starts after 2, 4 and 6 h
+        (docs/joint-aware.md, on the initial state), 0.1 was off by twice as much.
     doubt : float
         The covariance factor ignores reading errors that last for hours: the displacement is this
         many times less certain than it says (warm starts after 2, 4 and 6 h, which were off by up
@@ -67,6 +70,7 @@ class Thresholds:
     forgotten: float = 1e-3
     followable: float = 1e-6
     doubt_of_heat: float = 0.2
+    doubt_of_past: float = 0.3
     doubt: float = 3.0
     ambient: float = 10.0
     lost: float = 1800.0

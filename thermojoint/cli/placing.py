@@ -23,11 +23,15 @@ def place(
     keep: Annotated[
         list[str] | None, typer.Option(help="A probe of the case that is already installed.")
     ] = None,
+    warm: Annotated[
+        bool, typer.Option("--warm", help="Also for starts on a machine with an unknown past.")
+    ] = False,
 ) -> None:
     """Place sensors for the joint-aware estimator so that its confidence band is narrow.
 
     Candidates are the lattice points of the case's candidates, or its probes if it has none.
-    Prints the 95 % band for one sensor, two sensors, and so on.
+    Prints the 95 % band for one sensor, two sensors, and so on; with --warm it includes what an
+    unknown start leaves after 20 min.
 
     Example: [bold]thermojoint place machine.toml --count 4 --out sensors.toml[/bold]
 
@@ -39,8 +43,9 @@ def place(
     from thermojoint.artefacts.settings.section import files_of
 
     machine = read_case(case)
+    from calibrate.joint_aware.past import random_pasts
     from calibrate.placement.joint_aware import place_sensors
-    from calibrate.placement.plant_family import fewer_modes
+    from calibrate.placement.plant_family import USUAL, fewer_modes, make_family, with_start
     from fesim.setup.machine import set_up
     from fesim.setup.structure import candidate_probes
     from thermojoint import console, plausibility
@@ -62,7 +67,11 @@ def place(
     with console.working("reducing"):
         reduced = fewer_modes(reduce_machine(machine, setup, names))
     with console.progress_bars() as report:
-        placement = place_sensors(reduced, count, kept, report=report)
+        family = make_family(reduced)
+        if warm:
+            pasts = random_pasts(USUAL.highest, reduced.power.size)
+            family = with_start(family, reduced, pasts)
+        placement = place_sensors(reduced, count, kept, family, report=report)
     write_text(out, written(placement, machine, setup.probes))
     results.show_placement(console.out(), placement, reduced.axes)
     console.wrote(out)

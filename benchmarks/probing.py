@@ -1,0 +1,249 @@
+"""How many readings of the displacement keep a band: asked for by the estimator, or at intervals.
+
+    python -m benchmarks.probing --out probing.json [--family films] [--seed 2] [--count 2]
+    python -m benchmarks.probing --log LOG.csv --displacement disp1_um --out probing.json
+
+Without a log: the plants of `benchmarks.plants`, calibrated from steps, and from steps and a
+cool-down, with four sensors, through their day of 8 h. The axis that `next_reading` names is read
+as soon as it is due (noise 0.5 um), and not again within the interval; beside it stand no readings
+and as many at equal intervals, of one axis after the other. With a log: the learned model of its
+first 60 % on the rest, where the displacements are read whose band is above the limit. Tables in
+docs/faulty-sensors.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from importlib.resources import files
+from itertools import cycle
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from benchmarks.plants.drawing import FAMILIES, Plant
+from benchmarks.plants.driving import drives
+from benchmarks.plants.judging import (
+    CALIBRATIONS,
+    DISPLACEMENT_NOISE,
+    TEMPERATURE_NOISE,
+    Machines,
+    judged_run,
+    measured,
+    with_sensors,
+)
+from benchmarks.plants.preparing import prepared
+from benchmarks.plants.responding import answers
+from benchmarks.plants.structural import structural_answers
+from calibrate.joint_aware.calibration import Effort, calibrate_machine
+from calibrate.joint_aware.physics_fit import Search
+from calibrate.learning.learn import learn
+from estimator.columns import samples_of
+from estimator.interface import READING_NOISE, Estimate, Estimator
+from estimator.joint_aware.estimator import JointAware
+from estimator.joint_aware.next_reading import next_reading
+from estimator.joint_aware.readings import samples_in
+from estimator.learned.estimator import Learned
+from estimator.rows import interval_score
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.files import write_text
+from thermojoint.artefacts.log_file import read_log
+from thermojoint.artefacts.response import columns_of
+from thermojoint.artefacts.units import MEGA, MICRO
+from thermojoint.reduced.machine import ReducedMachine
+
+#: Limits of the band, m, and shortest intervals between requests, s.
+LIMITS, INTERVALS = (2.0 * MICRO, 3.0 * MICRO), (1800.0, 7200.0)
+#: Within this an estimate is meant to be, m.
+WANTED = 2.0 * MICRO
+#: Share of a log that is learned from; every so many of its samples are judged.
+LEARNED, STRIDE = 0.6, 4
+
+#: (state, estimate, time s) to the axes to be read in the next sample.
+Policy = Callable[[Array, Estimate, float], Sequence[int]]
+
+
+class Run(NamedTuple):
+    """A run: samples (time and values without readings), and the displacement (n, axes), m."""
+
+    samples: list[tuple[float, ...]]
+    actual: Array
+
+
+def asked_for(estimator: JointAware, limit: float, interval: float) -> Policy:
+    """Return the policy of reading what the estimator asks for."""
+    last = -math.inf
+
+    def policy(state: Array, estimate: Estimate, time: float) -> Sequence[int]:
+        nonlocal last
+        if time - last < interval or not (estimate.band > limit).any():
+            return ()
+        asked = next_reading(estimator, state, limit)
+        if asked is None or asked.due > 0.0:
+            return ()
+        last = time
+        return (estimator.axes.index(asked.axis),)
+
+    return policy
+
+
+def above(limit: float, interval: float) -> Policy:
+    """Return the policy of reading every axis whose band is above a limit."""
+    last = -math.inf
+
+    def policy(state: Array, estimate: Estimate, time: float) -> Sequence[int]:
+        nonlocal last
+        axes = np.flatnonzero(estimate.band > limit).tolist()
+        if time - last < interval or not axes:
+            return ()
+        last = time
+        return axes
+
+    return policy
+
+
+def at_intervals(times: Array, count: int, turns: Sequence[Sequence[int]]) -> Policy:
+    """Return the policy of so many readings, evenly over a run, of some axes in turn."""
+    due = list(np.linspace(times[0], times[-1], count + 1)[:-1] + 0.5 * np.ptp(times) / count)
+    axes = cycle(turns)
+
+    def policy(state: Array, estimate: Estimate, time: float) -> Sequence[int]:
+        if not due or time < due[0]:
+            return ()
+        due.pop(0)
+        return next(axes)
+
+    return policy
+
+
+def followed(estimator: Estimator, run: Run, policy: Policy) -> dict[str, Any]:
+    """Return the figures of a run; each time at which something is read counts once."""
+    rng = np.random.default_rng(1)
+    axes, state, count = len(estimator.axes), estimator.initial_state(), 0
+    probed = np.full(axes, math.nan)
+    error, band = np.zeros_like(run.actual), np.zeros_like(run.actual)
+    for k, (time, *values) in enumerate(run.samples):
+        state, estimate = estimator.sample(state, time, [*values, *probed.tolist()])
+        error[k], band[k] = estimate.displacement - run.actual[k], estimate.band
+        probed, last = np.full(axes, math.nan), min(k + 1, len(run.samples) - 1)
+        read = list(policy(state, estimate, time))
+        probed[read] = run.actual[last, read] + READING_NOISE * rng.normal(size=len(read))
+        count += bool(read)
+    size = np.abs(error)
+    return {
+        "readings": count,
+        "max_um": (MEGA * size.max(axis=0)).round(2).tolist(),
+        "p90_um": (MEGA * np.quantile(size, 0.9, axis=0)).round(2).tolist(),
+        "within_percent": round(100.0 * float(np.mean(size.max(axis=1) <= WANTED)), 1),
+        "inside_percent": (100.0 * np.mean(size <= band, axis=0)).round(1).tolist(),
+        "half_band_um": (MEGA * band.mean(axis=0)).round(2).tolist(),
+        "interval_score_um": [
+            round(MEGA * float(interval_score(size[:, a], band[:, a])), 2) for a in range(axes)
+        ],
+    }
+
+
+class Plants(NamedTuple):
+    """The machines of a study and the plants that are drawn from them."""
+
+    machines: Machines
+    drawn: list[Plant]
+
+
+def calibrated(
+    machines: Machines, model: ReducedMachine, plant: Plant, label: str
+) -> tuple[JointAware, xr.Dataset]:
+    """Return the estimator of a plant that is calibrated like `CALIBRATIONS`, and its day."""
+    runs = drives(machines.plant.step, plant.seed)
+    if plant.unlike is None:
+        exact = answers(machines.plant, plant, runs)
+    else:
+        exact = structural_answers(machines.data, machines.plant.sensor_names, plant, runs)
+    noise = TEMPERATURE_NOISE, DISPLACEMENT_NOISE
+    responses = {
+        name: measured(
+            exact[name], machines.plant, machines.places, plant.offset, noise, plant.seed + k
+        )
+        for k, name in enumerate(CALIBRATIONS[label])
+    }
+    found = calibrate_machine(model, responses, effort=Effort(Search(starts=0)))
+    return JointAware(found.model), judged_run(machines, plant, exact, "day")[0]
+
+
+def plant_rows(plants: Plants) -> Iterator[dict[str, Any]]:
+    """Yield the figures of every plant, calibration, limit and interval."""
+    model = with_sensors(plants.machines.model, 4)
+    for plant in plants.drawn:
+        for label in CALIBRATIONS:
+            estimator, day = calibrated(plants.machines, model, plant, label)
+            samples = list(samples_in(day, model.sensor_names))
+            run = Run(samples, columns_of(day, "displacement", estimator.axes))
+            about = {"plant": plant.number, "calibration": label}
+            turns = [(axis,) for axis in range(len(estimator.axes))]
+            for row in compared(estimator, run, partial(asked_for, estimator), turns):
+                yield about | row
+
+
+def log_rows(path: Path, displacements: Sequence[str]) -> Iterator[dict[str, Any]]:
+    """Yield the figures of a measured machine."""
+    log = read_log([path])
+    cut = int(LEARNED * len(log.times))
+    model = learn([log.part(slice(0, cut))], displacements, 4)
+    rest = log.part(slice(cut, len(log.times), STRIDE))
+    estimator = Learned(model)
+    samples = list(samples_of(model.columns, [rest]))
+    run = Run(samples, np.stack([rest.at(name) for name in estimator.axes], axis=1))
+    yield from compared(estimator, run, above, [range(len(estimator.axes))])
+
+
+def compared(
+    estimator: Estimator,
+    run: Run,
+    asking: Callable[[float, float], Policy],
+    turns: Sequence[Sequence[int]],
+) -> Iterator[dict[str, Any]]:
+    """Yield figures without readings, with those asked for, and with as many at intervals."""
+    times = np.array([sample[0] for sample in run.samples])
+    yield {"policy": "none"} | followed(estimator, run, lambda *_: ())
+    for limit in LIMITS:
+        for interval in INTERVALS:
+            name = f"above {MEGA * limit:g} um, {interval / 60.0:g} min apart"
+            asked = followed(estimator, run, asking(limit, interval))
+            yield {"policy": name} | asked
+            if asked["readings"]:
+                evenly = at_intervals(times, asked["readings"], turns)
+                yield {"policy": f"as many as {name}"} | followed(estimator, run, evenly)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the study and write its rows."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--family", choices=list(FAMILIES), default="films")
+    parser.add_argument("--count", type=int, default=2)
+    parser.add_argument("--seed", type=int, default=2)
+    parser.add_argument("--log", type=Path)
+    parser.add_argument("--displacement", action="append", default=[])
+    parser.add_argument("--out", type=Path, default=Path("probing.json"))
+    options = parser.parse_args(arguments)
+    rows: list[dict[str, Any]] = []
+    if options.log:
+        found: Iterator[dict[str, Any]] = log_rows(options.log, options.displacement)
+    else:
+        path = Path(str(files("thermojoint").joinpath("cases/reference.toml")))
+        case, machines = prepared(path, more=True)
+        draw, names = FAMILIES[options.family], machines.model.sensor_names
+        drawn = [draw(case, names, options.seed, number) for number in range(options.count)]
+        found = plant_rows(Plants(machines, drawn))
+    for row in found:
+        print(json.dumps(row), flush=True)
+        rows.append(row)
+        write_text(options.out, json.dumps(rows, indent=1, allow_nan=False) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,101 @@
+"""Starts on a warm machine whose past is unknown: error and band, with four sensors and more.
+
+    python -m benchmarks.warm_start --out warm.json [--family films] [--seed 2] [--count 2]
+                                    [--more rear --more "table bottom"]
+
+The plants of `benchmarks.plants`, calibrated from steps, and from steps and a cool-down; an
+estimator starts 2, 4 and 6 h after the beginning of their day and is judged from 20 min on.
+`--more` adds sensors of `benchmarks.plants.preparing.MORE` to the four. Table in
+docs/joint-aware.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.plants.drawing import FAMILIES
+from benchmarks.plants.judging import CALIBRATIONS, SETTLED
+from benchmarks.plants.preparing import prepared
+from benchmarks.probing import Plants, calibrated
+from estimator.interface import follow
+from estimator.joint_aware.estimator import JointAware
+from estimator.joint_aware.readings import samples_in
+from thermojoint.artefacts.files import write_text
+from thermojoint.artefacts.response import columns_of
+from thermojoint.artefacts.units import MEGA
+from thermojoint.models.sensors import ROLES
+from thermojoint.reduced.machine import ReducedMachine
+
+#: Starts after the beginning of the day, and how long each is followed, s.
+STARTS, FOLLOWED = (7200.0, 14400.0, 21600.0), 7200.0
+
+
+def with_sensors(machine: ReducedMachine, names: Sequence[str]) -> ReducedMachine:
+    """Return a machine with some of its sensors."""
+    at = [machine.sensor_names.index(name) for name in names]
+    return replace(machine, sensors=machine.sensors[at], sensor_names=tuple(names))
+
+
+def rows(plants: Plants, more: Sequence[str]) -> Iterator[dict[str, Any]]:
+    """Yield the figures of every start of every plant and calibration."""
+    names = (*ROLES, *more)
+    model = with_sensors(plants.machines.model, names)
+    for plant in plants.drawn:
+        for label in CALIBRATIONS:
+            estimator, day = calibrated(plants.machines, model, plant, label)
+            samples = np.array(list(samples_in(day, names)))
+            actual = columns_of(day, "displacement", estimator.axes)
+            for start in STARTS:
+                times = samples[:, 0] - start
+                kept = (times >= 0.0) & (times <= FOLLOWED)
+                yield {
+                    "plant": plant.number,
+                    "calibration": label,
+                    "sensors": len(names),
+                    "start_h": start / 3600.0,
+                } | figures(estimator, samples[kept], actual[kept])
+
+
+def figures(estimator: JointAware, samples: np.ndarray, actual: np.ndarray) -> dict[str, Any]:
+    """Return the figures of one start."""
+    found = [one for _, one in follow(estimator, samples.tolist(), estimator.warm_state())]
+    size = MEGA * np.abs(np.array([one.displacement for one in found]) - actual)
+    band = MEGA * np.array([one.band for one in found])
+    late = samples[:, 0] >= samples[0, 0] + SETTLED
+    return {
+        "max_um": size[late].max(axis=0).round(2).tolist(),
+        "half_band_um": band[late][0].round(1).tolist(),
+        "inside_percent": (100.0 * np.mean(size <= band, axis=0)).round(1).tolist(),
+    }
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the study and write its rows."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--family", choices=list(FAMILIES), default="films")
+    parser.add_argument("--count", type=int, default=2)
+    parser.add_argument("--seed", type=int, default=2)
+    parser.add_argument("--more", action="append", default=[])
+    parser.add_argument("--out", type=Path, default=Path("warm.json"))
+    options = parser.parse_args(arguments)
+    path = Path(str(files("thermojoint").joinpath("cases/reference.toml")))
+    case, machines = prepared(path, more=True)
+    draw, names = FAMILIES[options.family], machines.model.sensor_names
+    drawn = [draw(case, names, options.seed, number) for number in range(options.count)]
+    found: list[dict[str, Any]] = []
+    for row in rows(Plants(machines, drawn), options.more):
+        print(json.dumps(row), flush=True)
+        found.append(row)
+        write_text(options.out, json.dumps(found, indent=1, allow_nan=False) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,140 @@
+"""Pasts that a machine may have had when an estimator starts on it: random work.
+
+Every past ends now. Its state is that of the linear part of the observer, marched exactly over
+steps of constant inputs. The second moment of many such states is the covariance of an unknown
+start: it says which fields work can have left, and how large they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from thermojoint.artefacts.arrays import Array
+from thermojoint.reduced.machine import Modes
+
+
+@dataclass(frozen=True)
+class Duty:
+    """Work of which nothing is known (docs/joint-aware.md, on the initial state).
+
+    Attributes
+    ----------
+    pasts, seed : int
+        Number of drawn pasts; their seed.
+    step : float
+        Of a past, s.
+    begun : (float, float)
+        The machine was cold this long ago, s, evenly in the logarithm.
+    lasts : (float, float)
+        Duration of a level of heat, s, evenly in the logarithm.
+    idle : float
+        Share of the levels without heat.
+    least : float
+        Least size of the levels of a past, relative to the largest calibrated heat; each past has a
+        size of its own.
+    ambient, ambient_memory : float
+        Standard deviation of the ambient, K, and its correlation time, s.
+    """
+
+    pasts: int = 400
+    seed: int = 1
+    step: float = 120.0
+    begun: tuple[float, float] = (1200.0, 86400.0)
+    lasts: tuple[float, float] = (300.0, 5400.0)
+    idle: float = 0.3
+    least: float = 0.4
+    ambient: float = 3.0
+    ambient_memory: float = 4.0 * 3600.0
+
+
+#: The default.
+BROAD = Duty()
+
+
+class Pasts(NamedTuple):
+    """Inputs of several pasts on common steps, the last one ending now.
+
+    Attributes
+    ----------
+    step : float
+        s.
+    heat : ndarray, shape (n, k, s)
+        Of every source in every past, relative to the reference.
+    ambient : ndarray, shape (n, k)
+        K above that of the cold machine.
+    """
+
+    step: float
+    heat: Array
+    ambient: Array
+
+
+def random_pasts(highest: float, sources: int, duty: Duty = BROAD) -> Pasts:
+    """Return drawn pasts.
+
+    Parameters
+    ----------
+    highest : float
+        Largest heat, relative to the reference.
+    sources : int
+        Each has its own levels.
+    duty : Duty
+        What is drawn.
+    """
+    rng = np.random.default_rng(duty.seed)
+    shortest, longest = np.log(duty.lasts)
+    count = round(duty.begun[1] / duty.step)
+    ago = duty.step * (np.arange(count)[::-1] + 0.5)
+    levels = int(2.0 * duty.begun[1] / np.exp(0.5 * (shortest + longest)))
+    heat = np.zeros((count, duty.pasts, sources))
+    for past in range(duty.pasts):
+        working = ago < np.exp(rng.uniform(*np.log(duty.begun)))
+        size = highest * rng.uniform(duty.least, 2.0)
+        for source in range(sources):
+            ends = np.cumsum(np.exp(rng.uniform(shortest, longest, levels)))
+            level = rng.uniform(0.0, size, levels) * (rng.uniform(size=levels) > duty.idle)
+            at = np.minimum(np.searchsorted(ends, ago), levels - 1)
+            heat[:, past, source] = working * np.minimum(level[at], highest)
+    kept = np.exp(-duty.step / duty.ambient_memory)
+    ambient = np.empty((count, duty.pasts))
+    ambient[0] = duty.ambient * rng.normal(size=duty.pasts)
+    for k in range(1, count):
+        fresh = duty.ambient * np.sqrt(1.0 - kept**2) * rng.normal(size=duty.pasts)
+        ambient[k] = kept * ambient[k - 1] + fresh
+    return Pasts(duty.step, heat, ambient)
+
+
+def states_after(modes: Modes, rates: Array, power: Array, walk: Array, pasts: Pasts) -> Array:
+    """Return the linear state after every past, shape (n, k).
+
+    Parameters
+    ----------
+    modes : Modes
+        With the joint held at its preload.
+    rates : ndarray, shape (q,)
+        Of the model discrepancy, 1/s.
+    power : ndarray, shape (s,)
+        Heat of each source at heat input 1, W.
+    walk : ndarray, shape (s + h + 1,)
+        As `SteadyFilter.walk`: held surfaces and an ambient that change follow the ambient of the
+        past.
+    pasts : Pasts
+        Inputs.
+    """
+    sources, count = power.size, pasts.ambient.shape[1]
+    inputs = np.zeros((len(pasts.ambient), count, walk.size))
+    inputs[..., :sources] = pasts.heat * power
+    inputs[..., sources:] = pasts.ambient[..., None] * (walk[sources:] > 0.0)
+    slow = modes.rates * pasts.step < 1e-9
+    grown = -np.expm1(-modes.rates * pasts.step)
+    grown = np.where(slow, pasts.step, grown / np.where(slow, 1.0, modes.rates))
+    decay, relaxing = np.exp(-modes.rates * pasts.step), np.exp(-rates * pasts.step)
+    amplitudes = np.zeros((count, modes.rates.size))
+    relaxed = np.zeros((count, sources, rates.size))
+    for given, heat in zip(inputs, pasts.heat, strict=True):
+        amplitudes = decay * amplitudes + grown * (given @ modes.drive.T)
+        relaxed = relaxing * relaxed + (1.0 - relaxing) * heat[..., None]
+    return np.hstack([amplitudes, relaxed.reshape(count, -1), inputs[-1]]).T
