@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 OUT ?= results
 # What a user may install beside the program; the rest are for those who work on it.
-EXTRAS := pardiso view excel gmsh batch dask control serve
+EXTRAS := pardiso view excel gmsh batch sensitivity dask control serve
 empty :=
 comma := ,
 

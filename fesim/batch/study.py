@@ -6,14 +6,15 @@ Grids, lists and a Latin hypercube vary values of one case; the batch is their p
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from fesim.batch.paths import known_paths, with_values
@@ -182,26 +183,56 @@ def read_study(path: Path) -> Study:
     """
     path = Path(path)
     given = read_settings(StudyFile, path, "study")
-    source = given.case
+    varied = varied_paths(given)
+    if (count := _count(given)) > MOST_CASES:
+        raise InputError(f"{path}: {count} cases; {MOST_CASES} are the most, take fewer values")
+    study = study_of(given.case, combinations(given), varied, str(path))
+    return replace(study, title=given.title or study.title, keep=given.keep)
+
+
+def study_of(
+    source: Path,
+    rows: Iterable[Values],
+    varied: Sequence[str],
+    where: str,
+    refused: Callable[[Values, InputError], None] | None = None,
+) -> Study:
+    """Return the study of a case with other values, all checked, without finite elements.
+
+    Parameters
+    ----------
+    source : Path
+        The case file.
+    rows : iterable of dict
+        A value for each of the paths, of each case.
+    varied : sequence of str
+        The paths.
+    where : str
+        For error messages.
+    refused : callable, optional
+        Called with the values of a case that is refused, which is then left out; default: raise.
+
+    Raises
+    ------
+    InputError
+        The case is missing or not TOML, a path is unknown, or a case is refused.
+    """
     text = toml.read_text(source, "case")
     base = parse_case(text, str(source), source.parent)
     known = known_paths(base)
-    for name in varied_paths(given):
+    for name in varied:
         if name not in known:
-            raise unknown_name("value", name, known, f"{path}: {source}")
-    if (count := _count(given)) > MOST_CASES:
-        raise InputError(f"{path}: {count} cases; {MOST_CASES} are the most, take fewer values")
-
+            raise unknown_name("value", name, known, f"{where}: {source}")
     digest = cache(file_digest)
     data = toml.parse(text, str(source))
     cases_by_id: dict[str, StudyCase] = {}
     shapes: dict[str, Shape] = {}
     loads: set[str] = set()
-    for number, values in enumerate(combinations(given), start=1):
-        where = f"{path}: case {number} ({shown(values)})"
-        case = case_from_data(with_values(data, values), where, source.parent)
-        load = case.model_dump_json(include=LOADS)
+    for number, values in enumerate(rows, start=1):
+        place = f"{where}: case {number} ({shown(values)})"
         try:
+            case = case_from_data(with_values(data, values), place, source.parent)
+            load = case.model_dump_json(include=LOADS)
             study_case = StudyCase(
                 case_id(case, digest), condensation_key(case, digest), values, case
             )
@@ -212,16 +243,14 @@ def read_study(path: Path) -> Study:
                 contacts = sum(len(joint.area) for joint in parts.joints)
                 shapes[study_case.key] = Shape(tuple(parts.probes), contacts)
         except InputError as error:
-            raise InputError(f"{where}: {error}") from error
+            given = error if str(error).startswith(place) else InputError(f"{place}: {error}")
+            if refused is None:
+                raise given from error
+            refused(values, error)
+            continue
         loads.add(load)
         cases_by_id.setdefault(study_case.id, study_case)
-    return Study(
-        given.title or base.title,
-        tuple(varied_paths(given)),
-        tuple(cases_by_id.values()),
-        shapes,
-        given.keep,
-    )
+    return Study(base.title, tuple(varied), tuple(cases_by_id.values()), shapes)
 
 
 def varied_paths(given: StudyFile) -> list[str]:
@@ -257,6 +286,11 @@ def latin_hypercube(section: LatinHypercubeSection) -> list[Values]:
 
     ranges = section.ranges
     unit = qmc.LatinHypercube(len(ranges), rng=np.random.default_rng(section.seed))
+    return values_in(ranges, unit.random(section.samples))
+
+
+def values_in(ranges: Sequence[RangeSection], unit: NDArray[np.float64]) -> list[Values]:
+    """Return the values of samples (n, ranges) in the unit cube, each in its scale."""
     low, high = (
         np.array([np.log(end) if span.scale == "log" else end for span, end in ends])
         for ends in (
@@ -264,13 +298,12 @@ def latin_hypercube(section: LatinHypercubeSection) -> list[Values]:
             [(span, span.high) for span in ranges],
         )
     )
-    scaled = low + (high - low) * unit.random(section.samples)
     return [
         {
             span.path: float(np.exp(value) if span.scale == "log" else value)
             for span, value in zip(ranges, row, strict=True)
         }
-        for row in scaled
+        for row in low + (high - low) * unit
     ]
 
 

@@ -13,6 +13,7 @@ ARROWS = {
     "thermojoint.models": {"thermojoint.artefacts"},
     "fesim": {"thermojoint.artefacts", "meshes"},
     "thermojoint.verification": {"thermojoint.artefacts", "meshes", "fesim"},
+    "thermojoint.sensitivity": {"thermojoint.artefacts", "meshes", "fesim"},
     "thermojoint.reduced": {"thermojoint.artefacts", "fesim"},
     "estimator": {"thermojoint.artefacts", "thermojoint.models", "fesim", "thermojoint.reduced"},
     "calibrate": {

@@ -25,13 +25,20 @@ from thermojoint.cli import (
 )
 from thermojoint.cli import meshing as structures
 from thermojoint.cli import modelling as models
+from thermojoint.cli import sensitivity as sensitivities
 from thermojoint.cli import simulating as simulation
 from thermojoint.cli.command import help_text, with_verbosity
 from thermojoint.pictures import fonts
 
 #: Panels of the help page and their commands, in order.
 COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
-    "Simulate": (structures.mesh, structures.inspect, simulation.simulate, simulation.batch),
+    "Simulate": (
+        structures.mesh,
+        structures.inspect,
+        simulation.simulate,
+        simulation.batch,
+        sensitivities.sensitivity,
+    ),
     "Calibrate and learn": (models.calibrate, learning.learn, placing.place, models.assemble),
     "Estimate": (models.estimate, models.validate),
     "Beside the control": (

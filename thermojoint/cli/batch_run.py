@@ -37,9 +37,15 @@ SHOWN_WORKERS = 8
 
 def run_study(path: Path, out: Path, workers: int, scheduler: str | None) -> run.Finished:
     """Run the batch of a study file and show its progress."""
-    study = read_study(path)
+    return run_cases(read_study(path), str(path), out, workers, scheduler)
+
+
+def run_cases(
+    study: Study, where: str, out: Path, workers: int, scheduler: str | None
+) -> run.Finished:
+    """Run a study and show its progress; `where` names its file in warnings."""
     require("batch", "batch", "zarr", "pyarrow")
-    warn(of_cases((case.case for case in study.cases), str(path)))
+    warn(of_cases((case.case for case in study.cases), where))
     # Here, not above: mistakes in a study are reported before Zarr and Arrow are loaded.
     from fesim.batch import run
 

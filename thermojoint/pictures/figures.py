@@ -177,7 +177,7 @@ def estimates_figure(
     others = [name for name in errors if name not in (*OWN, "none")]
     if others:
         shown.append(min(others, key=lambda name: float(np.mean(errors[name] ** 2))))
-    figure = _grid(2, len(axes))
+    figure = empty_grid(2, len(axes))
     panels = figure.axes
     figure.suptitle(case, fontsize=11)
     for k, axis in enumerate(axes):
@@ -249,11 +249,11 @@ def check_png(path: Path) -> None:
 
 def _figure(panels: int) -> tuple[Figure, list[Axes]]:
     """Return an empty figure with `panels` panels side by side."""
-    figure = _grid(1, panels, (_SIZE[0] + 3.5 * (panels - 1), _SIZE[1]))
+    figure = empty_grid(1, panels, (_SIZE[0] + 3.5 * (panels - 1), _SIZE[1]))
     return figure, figure.axes
 
 
-def _grid(rows: int, columns: int, size: tuple[float, float] = (7.0, 5.6)) -> Figure:
+def empty_grid(rows: int, columns: int, size: tuple[float, float] = (7.0, 5.6)) -> Figure:
     """Return an empty figure of rows of panels, `size` in inches, without pyplot's global state."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

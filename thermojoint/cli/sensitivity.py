@@ -1,0 +1,171 @@
+"""The command `sensitivity`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+
+import typer
+from rich.table import Table
+
+from thermojoint.artefacts.errors import InputError
+from thermojoint.cli import arguments, file_kinds
+
+if TYPE_CHECKING:
+    from fesim.batch.study import Study, Values
+    from thermojoint.artefacts.arrays import Array
+
+Method = Literal["morris", "sobol"]
+Run: TypeAlias = "Callable[[Study, list[Values]], tuple[list[str], Array]]"
+
+#: Rows of a table at the terminal, and panels of the picture.
+SHOWN, PANELS = 8, 4
+#: Files in the folder of the results.
+TABLE, PICTURE = "sensitivity.csv", "sensitivity.png"
+
+
+def sensitivity(  # noqa: PLR0913 - options of a command
+    given: Annotated[
+        Path, typer.Argument(metavar="FILE", help="Case, or ranges of its values (TOML).")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for all results; finished cases are kept.")],
+    parameter: Annotated[
+        list[str] | None,
+        typer.Option(help="Paths in the case, with * and ?; default: every number of it."),
+    ] = None,
+    figure: Annotated[
+        list[str] | None, typer.Option(help="Columns of summary.csv to judge; default: all.")
+    ] = None,
+    method: Annotated[Method, typer.Option(help="Indices of a file of ranges.")] = "morris",
+    samples: Annotated[
+        int, typer.Option(help="Trajectories of morris; base samples of sobol, a power of 2.")
+    ] = 16,
+    seed: Annotated[int, typer.Option(help="Of the samples and of the intervals.")] = 1,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes on this machine; default: one for each core.")
+    ] = None,
+    scheduler: Annotated[str | None, typer.Option(help="Use this Dask cluster instead.")] = None,
+    json: arguments.Json = None,
+) -> None:
+    """Show which values of a case its displacement, temperatures and pressures depend on.
+
+    Of a case: the effect of one percent of each number (of 1 mm of a coordinate), by central
+    differences of two sizes. Of a file of ranges: Morris screening or Sobol indices over all of
+    them. The cases run as a batch does; interrupted in any way, the same command goes on.
+
+    Example: [bold]thermojoint sensitivity machine.toml --out effects --parameter "joints.*"[/bold]
+
+    Example: [bold]thermojoint sensitivity ranges.toml --method sobol --samples 64 --out s[/bold]
+    """
+    from thermojoint import console
+    from thermojoint.artefacts.settings import toml
+    from thermojoint.cli import batch_run
+    from thermojoint.sensitivity.results import chosen_figures, figures_of_rows
+
+    batch_run.check_workers(workers, scheduler)
+    arguments.check_outputs({"--json": (json, file_kinds.SENSITIVITY)}, [given])
+
+    def run(study: Study, rows: list[Values]) -> tuple[list[str], Array]:
+        """Run the cases; return the names of the figures, and their values for each row."""
+        crew = workers or os.cpu_count() or 1
+        finished = batch_run.run_cases(study, str(given), out, crew, scheduler)
+        if finished.stopped:
+            console.say("stopped; the same command continues from here")
+            raise typer.Exit(batch_run.worst(finished))
+        names = chosen_figures(finished.summary, figure or [])
+        return names, figures_of_rows(study, rows, finished.summary, names)
+
+    if "ranges" in toml.parse(toml.read_text(given, "case"), str(given)):
+        arguments.only_for("a case", {"--parameter": parameter})
+        content = _screened(given, (method, samples, seed), run)
+    else:
+        content = _local(given, tuple(parameter or ["*"]), run)
+    _report(content, out)
+    arguments.write_json(json, content)
+    console.wrote(out / TABLE, out / PICTURE, json)
+
+
+def _local(given: Path, patterns: tuple[str, ...], run: Run) -> dict[str, Any]:
+    """Vary each number of a case that matches."""
+    from fesim.batch.study import study_of
+    from fesim.case.schema import read_case
+    from thermojoint.sensitivity import local, results
+    from thermojoint.sensitivity.parameters import parameters_of
+
+    parameters = parameters_of(read_case(given), patterns)
+    if not parameters:
+        raise InputError(f"--parameter {' '.join(patterns)}: no number of {given} has such a path")
+    rows = local.rows_of(parameters)
+    reasons: dict[str, str] = {}
+
+    def refused(values: Values, error: InputError) -> None:
+        reasons[local.varied_in(values, parameters)] = str(error)
+
+    paths = [each.path for each in parameters]
+    study = replace(study_of(given, rows, paths, str(given), refused), keep="displacement")
+    names, figures = run(study, rows)
+    effects = local.effects_of(parameters, figures)
+    done = {effect.parameter.path for effect in effects}
+    missing = [path for path in paths if path not in done]
+    left_out = {path: reasons.get(path, "a case of it has no result") for path in missing}
+    entries = results.local_results(effects, names)
+    return {"method": "local", "cases": len(study.cases), "left_out": left_out, "entries": entries}
+
+
+def _screened(given: Path, sampling: tuple[Method, int, int], run: Run) -> dict[str, Any]:
+    """Vary all ranges of a file together."""
+    from fesim.batch.study import study_of
+    from thermojoint.artefacts.extras import require
+    from thermojoint.artefacts.settings.read import read_settings
+    from thermojoint.sensitivity import results, screening
+    from thermojoint.sensitivity.settings import RangesFile
+
+    require("screening", "sensitivity", "SALib")
+    ranges = read_settings(RangesFile, given, "ranges")
+    design = screening.design_of(ranges.ranges, *sampling)
+    paths = [span.path for span in ranges.ranges]
+    study = replace(study_of(ranges.case, design.rows, paths, str(given)), keep="displacement")
+    names, figures = run(study, design.rows)
+    entries, convergence = results.screening_results(design, figures, names)
+    return {
+        "method": design.method,
+        "cases": len(study.cases),
+        "seed": design.seed,
+        "convergence": convergence,
+        "entries": entries,
+    }
+
+
+def _report(content: dict[str, Any], out: Path) -> None:
+    """Print the largest effects; write the table and the picture."""
+    import pandas as pd
+
+    from thermojoint import console
+    from thermojoint.artefacts.files import write_text
+    from thermojoint.pictures.figures import write_figure
+    from thermojoint.pictures.tornado import Panel, tornado_figure
+    from thermojoint.sensitivity.results import MEASURES
+
+    first, spread = MEASURES[content["method"]]
+    table = pd.DataFrame(content["entries"])
+    write_text(out / TABLE, table.to_csv(index=False))
+    panels = []
+    for name, rows in table.groupby("figure", sort=False):
+        per = " per 1 % (coordinates: per 1 mm)" if content["method"] == "local" else ""
+        panels.append(
+            Panel(str(name), f"{first}{per}", rows["path"].tolist(), rows[first], rows[spread])
+        )
+        shown = Table("value of the case", *console.numeric(first, spread))
+        for row in rows.head(SHOWN).itertuples():
+            shown.add_row(
+                row.path,
+                console.number(getattr(row, first), 3),
+                console.number(getattr(row, spread), 2),
+            )
+        console.titled(console.out(), f"{name}{per}", shown)
+    write_figure(tornado_figure(panels[:PANELS]), out / PICTURE)
+    for path, reason in content.get("left_out", {}).items():
+        console.say(f"{path} is left out: {reason}")

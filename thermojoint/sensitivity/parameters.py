@@ -1,0 +1,69 @@
+"""Numbers of a case that may be varied one by one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from fnmatch import fnmatchcase
+from typing import Any
+
+from fesim.case.schema import Case, MillingMachineSection
+from meshes.milling_machine import MillingMachineDimensions
+
+#: Sections whose numbers describe no machine.
+_LEFT_OUT = {"title", "march", "output", "candidates", "displacement"}
+#: Numbers of a mesh, not of the machine.
+_MESHED = {"structure.element_size_mm", "structure.joint_element_size_mm"}
+#: Points: a percentage of a coordinate would depend on the origin.
+_POINT = "_mm."
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number of a case.
+
+    Attributes
+    ----------
+    path : str
+        Its path in the case file, with dots.
+    value : float
+        In the unit that the path names.
+    unit_change : float
+        Change that effects are given for: a hundredth of the value, or 1 mm of a coordinate.
+    """
+
+    path: str
+    value: float
+    unit_change: float
+
+    @property
+    def change(self) -> str:
+        """The change in words."""
+        return "1 mm" if _POINT in self.path else "1 %"
+
+
+def parameters_of(case: Case, patterns: tuple[str, ...] = ("*",)) -> list[Parameter]:
+    """Return the numbers of a case whose paths match one of the patterns (``*``, ``?``).
+
+    Integers, zeros, and the numbers of march, mesh and outputs are left out.
+    """
+    data = case.model_dump(mode="json", exclude=_LEFT_OUT)
+    if isinstance(case.structure, MillingMachineSection):
+        default, names = MillingMachineDimensions(), fields(MillingMachineDimensions)
+        dimensions = {field.name: 1e3 * getattr(default, field.name) for field in names}
+        data["structure"]["dimensions_mm"] = dimensions | case.structure.dimensions_mm
+    found = []
+    for path, value in _numbers(data, ""):
+        matched = any(fnmatchcase(path, pattern) for pattern in patterns)
+        if matched and path not in _MESHED and (value or _POINT in path):
+            found.append(Parameter(path, value, 1.0 if _POINT in path else 0.01 * abs(value)))
+    return found
+
+
+def _numbers(data: Any, above: str) -> Iterator[tuple[str, float]]:  # noqa: ANN401 - any JSON value
+    parts = dict(enumerate(data)) if isinstance(data, list) else data
+    if isinstance(parts, dict):
+        for key, part in parts.items():
+            yield from _numbers(part, f"{above}.{key}" if above else str(key))
+    elif isinstance(data, float):
+        yield above, data

@@ -1,0 +1,118 @@
+"""Results of a sensitivity study: figures of its cases, a table and a dictionary of all indices."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fesim.batch.study import Study, Values
+from fesim.batch.summary import FIGURES
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError, unknown_name
+from thermojoint.sensitivity.local import Effect
+from thermojoint.sensitivity.screening import INDICES, Design, indices_of
+
+#: A figure that changes by less does not, in µm, K, MPa or as a share.
+STILL = 1e-9
+#: Method to the column that ranks, and the one that says how uncertain it is.
+MEASURES = {
+    "local": ("change", "error"),
+    "morris": ("mu_star", "mu_star_conf"),
+    "sobol": ("ST", "ST_conf"),
+}
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+#: Figures of a batch that say something of the machine, not of the solver.
+PHYSICAL = (
+    *(name for name in FIGURES if name.startswith("displacement_") and "final" in name),
+    "temperature_max_K",
+    "pressure_min_MPa",
+    "pressure_max_MPa",
+    "open_share_final",
+    "bolt_force_min_N",
+    *(name for name in FIGURES if name.startswith("displacement_") and "peak" in name),
+)
+
+
+def chosen_figures(summary: pd.DataFrame, asked: Sequence[str]) -> list[str]:
+    """Return the figures to judge: those asked for, or all of `PHYSICAL` that change.
+
+    Raises
+    ------
+    InputError
+        A figure does not exist.
+    """
+    have = [name for name in PHYSICAL if name in summary and summary[name].notna().any()]
+    for name in asked:
+        if name not in have:
+            raise unknown_name("figure", name, have, "--figure")
+    changing = [name for name in have if np.ptp(summary[name].dropna()) > STILL]
+    return list(asked) or changing or have
+
+
+def figures_of_rows(
+    study: Study, rows: Sequence[Values], summary: pd.DataFrame, names: Sequence[str]
+) -> Array:
+    """Return the figures of each row's case, shape (rows, figures); NaN where there is none."""
+    by_id = summary.set_index("id")[list(names)].astype(np.float64)
+    ids = {_key(case.values): case.id for case in study.cases}
+    return by_id.reindex([ids.get(_key(row)) for row in rows]).to_numpy()
+
+
+def local_results(effects: Sequence[Effect], names: Sequence[str]) -> list[dict[str, Any]]:
+    """Return an entry for each parameter and figure, for every figure the largest effect first."""
+    entries = [
+        {
+            "figure": name,
+            "path": effect.parameter.path,
+            "value": effect.parameter.value,
+            "per": effect.parameter.change,
+            "change": float(effect.change[at]),
+            "error": float(effect.error[at]),
+        }
+        for at, name in enumerate(names)
+        for effect in effects
+    ]
+    return _ranked(entries, names, "change")
+
+
+def screening_results(
+    design: Design, figures: Array, names: Sequence[str]
+) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """Return an entry for each range and figure, and the convergence of the first index.
+
+    Raises
+    ------
+    InputError
+        A case has no result.
+    """
+    missing = int(np.isnan(figures).any(axis=1).sum())
+    if missing:
+        raise InputError(
+            f"{missing} of {len(figures)} cases have no result, so there are no indices; narrow "
+            "the ranges that their reasons name (summary.csv), and run the command again"
+        )
+    entries, convergence = [], {}
+    first, _ = MEASURES[design.method]
+    for at, name in enumerate(names):
+        stages = indices_of(design, figures[:, at])
+        for number, span in enumerate(design.ranges):
+            values = {index: stages[-1][index][number] for index in INDICES[design.method]}
+            ends = {"low": span.low, "high": span.high}
+            entries.append({"figure": name, "path": span.path, **ends, **values})
+        convergence[name] = [{"samples": s["samples"], first: s[first]} for s in stages]
+    return _ranked(entries, names, first), convergence
+
+
+def _ranked(entries: list[dict[str, Any]], names: Sequence[str], by: str) -> list[dict[str, Any]]:
+    place = {name: at for at, name in enumerate(names)}
+    return sorted(entries, key=lambda entry: (place[entry["figure"]], -abs(entry[by])))
+
+
+def _key(values: Values) -> str:
+    return json.dumps(values, sort_keys=True)
