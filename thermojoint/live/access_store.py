@@ -7,10 +7,13 @@ from hashlib import sha256
 from pathlib import Path
 
 from thermojoint.artefacts.errors import InputError
+from thermojoint.live.reserve import RESERVE, stay_within
 from thermojoint.live.secret import create_private
 
 #: Its name in the folder of a service.
 NAME = "access.sqlite"
+#: What it keeps for a full disk, bytes: hundreds of sessions.
+RESERVE_SIZE = 1 << 18
 #: The service waits at most this long for a command that writes, s.
 _PATIENCE_S = 0.5
 _TABLES = """
@@ -39,7 +42,8 @@ def open_access(folder: Path) -> sqlite3.Connection:
         )
         store.execute("PRAGMA journal_mode = WAL")
         store.execute("PRAGMA synchronous = NORMAL")
-        store.executescript(_TABLES)
+        stay_within(store, RESERVE_SIZE)
+        store.executescript(_TABLES + RESERVE)
     except (sqlite3.Error, OSError) as error:
         raise InputError(
             f"{path}: cannot be used ({error}); restore it, or remove it to end all tokens"

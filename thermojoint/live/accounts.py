@@ -10,8 +10,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from thermojoint.artefacts.errors import InputError
-from thermojoint.live.access_store import digest_of, open_access
+from thermojoint.live.access_store import NAME as ACCESS
+from thermojoint.live.access_store import RESERVE_SIZE, digest_of, open_access
 from thermojoint.live.audit import NAME, Audit
+from thermojoint.live.reserve import lay_in
 from thermojoint.live.rights import Principal
 from thermojoint.live.secret import read_secret
 from thermojoint.live.sessions import begin_session, credential_of, end_session
@@ -113,7 +115,10 @@ def accounts_of(service: Service) -> Accounts:
         given = {digest_of(token): Principal("http.token", credential=checked(token))}
     users = service.users_file
     gate = Gate({} if users is None else read_users(users))
-    return Accounts(open_access(service.folder), audit_of(service), users, given, gate)
+    store = open_access(service.folder)
+    with suppress(sqlite3.OperationalError):
+        lay_in(store, service.folder / ACCESS, RESERVE_SIZE)
+    return Accounts(store, audit_of(service), users, given, gate)
 
 
 def checked(token: str) -> str:

@@ -221,6 +221,7 @@ class Archive:
     def _reading(self) -> Iterator[sqlite3.Connection]:
         uri = f"{self.path.absolute().as_uri()}?mode=ro"
         with closing(sqlite3.connect(uri, uri=True, isolation_level=None, timeout=5.0)) as store:
+            store.execute("PRAGMA temp_store = MEMORY")
             store.execute("BEGIN")
             yield store
             store.execute("COMMIT")

@@ -2,13 +2,18 @@
 
 Lines are only ever appended. Refused attempts and values that a control writes in every cycle are
 limited like log lines, with the number of those left out, so that nobody can write the log full.
+
+While the disk is full, what somebody has done is written into a file that has its size already, and
+moved to the log later; values that a control writes are counted as left out. Nothing stops for it.
 """
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import time
+from collections.abc import Hashable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -21,6 +26,8 @@ from thermojoint.live.secret import create_private
 #: Its name in the folder of a service.
 NAME = "audit.jsonl"
 _LONGEST = 200
+#: Size of the file for a full disk, bytes: some five thousand lines.
+_SPARE = 1 << 20
 
 
 @dataclass(eq=False)
@@ -59,39 +66,77 @@ class Audit:
         Raises
         ------
         OSError
-            The line cannot be written; the caller refuses what cannot be audited.
+            The line cannot be written, not even aside; the caller refuses what cannot be audited.
         """
-        self._write(who, origin, what, machine, _outcome("accepted", 0))
+        line = _line(who, origin, what, machine, {"outcome": "accepted"})
+        try:
+            self._append(line)
+        except OSError:
+            self._put_aside(line)
 
     def written(self, who: str, origin: str, what: str, machine: str | None) -> None:
         """Write that somebody has written a value; as `accepted`, but limited."""
-        left_out = self._limit.left_out((who, what), time.monotonic())
-        if left_out is not None:
-            self._write(who, origin, what, machine, _outcome("accepted", left_out))
+        self._write((who, what), (who, origin, what, machine), {"outcome": "accepted"})
 
     def refused(
         self, who: str, origin: str, what: str, why: str, machine: str | None = None
     ) -> None:
         """Write what somebody tried; parameters as of `accepted`, and why it was refused."""
-        left_out = self._limit.left_out((origin, what), time.monotonic())
-        if left_out is not None:
-            outcome = _outcome("refused", left_out) | {"why": why}
-            with suppress(OSError):
-                self._write(who, origin, what, machine, outcome)
+        self._write(
+            (origin, what), (who, origin, what, machine), {"outcome": "refused", "why": why}
+        )
 
     def _write(
-        self, who: str, origin: str, what: str, machine: str | None, outcome: dict[str, str | int]
+        self, kind: Hashable, entry: tuple[str, str, str, str | None], outcome: dict[str, str]
     ) -> None:
-        entry = {"time": iso_time(time.time()), "who": who[:_LONGEST], "from": origin, "what": what}
-        line = json.dumps(entry | ({"machine": machine} if machine else {}) | outcome) + "\n"
-        if self.path.exists() and self.path.stat().st_size + len(line) > self.largest:
+        """Write a line that is limited by its kind."""
+        left_out = self._limit.left_out(kind, time.monotonic())
+        if left_out is None:
+            return
+        try:
+            self._append(_line(*entry, outcome, left_out))
+        except OSError:
+            self._limit.leave_out(kind, left_out + 1)
+
+    def _append(self, line: bytes) -> None:
+        """Append a line, after those that were put aside."""
+        earlier = self._aside()
+        lines = earlier + line
+        if self.path.exists() and self.path.stat().st_size + len(lines) > self.largest:
             self._rotate()
         create_private(self.path)
         handle = os.open(self.path, os.O_WRONLY | os.O_APPEND)
         try:
-            os.write(handle, line.encode())
+            size = os.fstat(handle).st_size
+            if os.write(handle, lines) < len(lines):
+                os.ftruncate(handle, size)
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         finally:
             os.close(handle)
+        with suppress(OSError):
+            create_private(self._spare)
+            if earlier or self._spare.stat().st_size < _SPARE:
+                # In place: what a shorter file gives up would be gone on a disk that fills.
+                with self._spare.open("r+b") as file:
+                    file.write(bytes(_SPARE))
+
+    @property
+    def _spare(self) -> Path:
+        """The file that has its size already."""
+        return self.path.with_suffix(".spare")
+
+    def _aside(self) -> bytes:
+        """Return the lines in it."""
+        return self._spare.read_bytes().rstrip(b"\0") if self._spare.exists() else b""
+
+    def _put_aside(self, line: bytes) -> None:
+        """Overwrite a part of it that is free."""
+        with self._spare.open("r+b") as file:
+            used, size = len(self._aside()), file.seek(0, os.SEEK_END)
+            if used + len(line) > size:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            file.seek(used)
+            file.write(line)
 
     def _rotate(self) -> None:
         """Begin a new file, and delete those that are too old."""
@@ -104,5 +149,15 @@ class Audit:
                 path.unlink(missing_ok=True)
 
 
-def _outcome(word: str, left_out: int) -> dict[str, str | int]:
-    return {"outcome": word} | ({"left_out_before": left_out} if left_out else {})
+def _line(
+    who: str,
+    origin: str,
+    what: str,
+    machine: str | None,
+    outcome: dict[str, str],
+    left_out: int = 0,
+) -> bytes:
+    entry = {"time": iso_time(time.time()), "who": who[:_LONGEST], "from": origin, "what": what}
+    more = ({"machine": machine} if machine else {}) | outcome
+    before = {"left_out_before": left_out} if left_out else {}
+    return (json.dumps(entry | more | before) + "\n").encode()

@@ -113,6 +113,10 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
             for name, one in _handshakes(service, "http").items()
         },
         partial(_postpone, running),
+        lambda: {
+            "disk": "full" if running.room.full else "ok",
+            "reserve_h": round(running.reserve_h, 1),
+        },
     )
     opened = open_http(section, sources, running.accounts, folder)
     running.floor.log.say(time.time(), "listening", opened.url)

@@ -30,6 +30,8 @@ class Metrics:
         Displacement readings asked for, by machine and outcome.
     waiting, log_size : Gauge
         Arrivals in the queue; size of the store's write-ahead log, bytes.
+    disk_full, reserve : Gauge
+        1 if the disk of the store is full; how long the store's own reserve lasts, s.
     """
 
     registry: CollectorRegistry
@@ -43,6 +45,8 @@ class Metrics:
     next_readings: Counter
     waiting: Gauge
     log_size: Gauge
+    disk_full: Gauge
+    reserve: Gauge
 
 
 def fresh_metrics() -> Metrics:
@@ -86,4 +90,10 @@ def fresh_metrics() -> Metrics:
         ),
         Gauge("thermojoint_waiting", "Arrivals that wait for their turn.", registry=registry),
         Gauge("thermojoint_store_log_bytes", "Size of the write-ahead log.", registry=registry),
+        Gauge("thermojoint_disk_full", "1 if the disk of the store is full.", registry=registry),
+        Gauge(
+            "thermojoint_store_reserve_seconds",
+            "How long the store can go on within its file.",
+            registry=registry,
+        ),
     )

@@ -32,9 +32,7 @@ class LineLimit:
         time : float
             s, by any clock.
         """
-        if kind not in self.seen and len(self.seen) >= _MOST:
-            kind = None
-        seen = self.seen.setdefault(kind, [0.0, -AGAIN_S, 0.0])
+        seen = self._seen(kind)
         if time - seen[1] >= AGAIN_S:
             seen[0] = 0.0
         elif seen[0] >= AT_ONCE:
@@ -43,3 +41,12 @@ class LineLimit:
         before = int(seen[2])
         seen[:] = [seen[0] + 1.0, time, 0.0]
         return before
+
+    def leave_out(self, kind: Hashable, count: int) -> None:
+        """Count lines of a kind as left out: they could not be written."""
+        self._seen(kind)[2] += count
+
+    def _seen(self, kind: Hashable) -> list[float]:
+        if kind not in self.seen and len(self.seen) >= _MOST:
+            kind = None
+        return self.seen.setdefault(kind, [0.0, -AGAIN_S, 0.0])

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live import floor as floors
+from thermojoint.live.reserve import lay_in
 from thermojoint.live.running import Running
 from thermojoint.live.store import Batch, commit, identity_of, layout_text, open_store
 
@@ -90,6 +91,7 @@ async def _renew(
                 lambda store: _put(store, _written(path, source, eras, batch), path, aside)
             )
             running.store = open_store(path, running.service.given.store.durable)
+            lay_in(running.store, path)
         except (sqlite3.Error, OSError, InputError) as error:
             for place, earlier in zip(places, rows, strict=True):
                 place.rows = earlier + place.rows

@@ -25,6 +25,7 @@ from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine import Machine, Times, rest_of, restored, shown, state_bytes
 from thermojoint.live.metrics import Metrics, fresh_metrics
 from thermojoint.live.publication import Publication
+from thermojoint.live.reserve import OVERHEAD, Room, lay_in, tend
 from thermojoint.live.served import Served, single
 from thermojoint.live.settings import Service
 from thermojoint.live.store import (
@@ -32,7 +33,6 @@ from thermojoint.live.store import (
     Checkpoint,
     Kept,
     commit,
-    cut_log,
     era_before,
     era_of,
     identity_of,
@@ -89,6 +89,8 @@ class Running:
         Tells the store's file from another of its name.
     mending : asyncio.Lock
         Held while a store is replaced.
+    room : Room
+        Of the store, when it was last looked at.
     """
 
     service: Service
@@ -109,11 +111,41 @@ class Running:
     reload: Callable[[], None] = lambda: None
     identity: tuple[int, ...] | None = None
     mending: asyncio.Lock = field(default_factory=asyncio.Lock)
+    room: Room = field(default_factory=Room)
 
     async def kept(self, work: Callable[..., Result], *arguments: object) -> Result:
         """Run a function on the store, after all earlier ones."""
         loop = asyncio.get_running_loop()
         return await loop.run_in_executor(self.keeper, work, self.store, *arguments)
+
+    @property
+    def reserve_h(self) -> float:
+        """How long the store's reserve lasts, h."""
+        return self.room.reserve / self._per_hour
+
+    @property
+    def _per_hour(self) -> float:
+        """What the store of the machines grows by in an hour, bytes."""
+        places = self.floor.places.values()
+        rows = sum(8.0 * one.served.layout.width / one.served.rule.interval for one in places)
+        return 3600.0 * OVERHEAD * rows
+
+    async def tended(self) -> None:
+        """Look after the store's reserve, and say when the disk is full.
+
+        Raises
+        ------
+        sqlite3.DatabaseError
+            The reserve is used up, or the store is damaged.
+        """
+        before, wanted = self.room, self._per_hour * self.service.given.store.reserve_h
+        self.room = await self.kept(tend, self.archive.path, wanted)
+        self.metrics.disk_full.set(self.room.full)
+        self.metrics.reserve.set(3600.0 * self.reserve_h)
+        if self.room.full != before.full:
+            what = "is full" if self.room.full else "has room again"
+            text = f"{what}; the store's reserve lasts for {self.reserve_h:.1f} h"
+            self.floor.log.say(time.time(), "disk", text)
 
 
 @asynccontextmanager
@@ -130,6 +162,7 @@ async def opened(
         store = open_store(path, service.given.store.durable)
         ends.callback(store.close)
         ends.callback(keeper.shutdown, wait=True)
+        lay_in(store, path)
         metrics = fresh_metrics()
         times = Times(time.time(), time.monotonic())
         floor, newest = restored_floor(service, models, store, log, metrics, times)
@@ -153,7 +186,6 @@ async def opened(
         log.say(time.time(), "stop", "all that was read is kept")
         with suppress(sqlite3.DatabaseError):
             await running.kept(commit, Batch(events=log.fetched()))
-            await running.kept(cut_log)
 
 
 def restored_floor(

@@ -29,7 +29,7 @@ from thermojoint.live.recovery import is_damage, recover, recover_if_gone
 from thermojoint.live.running import Running, opened
 from thermojoint.live.served import Served, served_models, single
 from thermojoint.live.settings import Service
-from thermojoint.live.store import Batch, commit, cut_log, forget, move_log
+from thermojoint.live.store import Batch, commit, forget, move_log
 
 #: Arrivals that are processed at once; others wait meanwhile.
 _AT_ONCE = 32
@@ -45,8 +45,6 @@ _ANNOUNCE_S = 86400.0
 _AGAIN_S = 1.0
 #: Unacknowledged messages that a broker sends by default.
 _USUAL_IN_FLIGHT = 20
-#: Size from which the log is truncated, bytes.
-_LONGEST_LOG = 64_000_000
 
 
 async def run(
@@ -236,6 +234,7 @@ async def _watch(running: Running) -> None:
         await _release(running, floors.stalled(running.floor, clock))
         async with _tending(running):
             await recover_if_gone(running)
+            await running.tended()
             await _checkpoint_some(running, settings.checkpoint_s)
         if clock - announced >= _ANNOUNCE_S:
             announced = clock
@@ -244,13 +243,9 @@ async def _watch(running: Running) -> None:
             shortened = clock
             path = running.archive.path
             log = path.with_name(path.name + "-wal")
-            size = log.stat().st_size if log.exists() else 0
-            # Commits wait for a cut, not for a move; after it little is left to cut.
             async with _tending(running):
                 await asyncio.to_thread(move_log, path)
-                if size > _LONGEST_LOG:
-                    await running.kept(cut_log)
-            running.metrics.log_size.set(size)
+            running.metrics.log_size.set(log.stat().st_size if log.exists() else 0)
 
 
 @asynccontextmanager
@@ -316,7 +311,7 @@ async def _checkpoint(running: Running, places: Sequence[Place]) -> None:
 
 
 async def _keep(running: Running, batch: Batch) -> None:
-    """Store a batch; waits while the disk is full or another program holds the file.
+    """Store a batch; waits while its reserve is used up or another program holds the file.
 
     Meanwhile nothing new is published, and the controls hold what they received last.
     """
@@ -337,5 +332,8 @@ async def _keep(running: Running, batch: Batch) -> None:
             if running.stop.is_set():
                 return
             await asyncio.sleep(_AGAIN_S)
+            # `_watch` may wait here itself.
+            with suppress(sqlite3.DatabaseError):
+                await running.tended()
         else:
             return

@@ -195,11 +195,12 @@ class WatchdogSection(Section):
 
 
 class StoreSection(Section):
-    """``[store]``: interval of checkpoints, length of the history, durability of commits."""
+    """``[store]``: checkpoints, length of the history, durability, reserve for a full disk."""
 
     checkpoint_s: Positive = 60.0
     keep_days: Positive = 7.0
     durable: bool = False
+    reserve_h: NotNegative = 8.0
 
 
 class AuditSection(Section):

@@ -29,6 +29,7 @@ from estimator.interface import Channel
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.publication import Layout
+from thermojoint.live.reserve import RESERVE, stay_within
 
 SCHEMA_VERSION = 2
 #: Locked by the service that holds a folder; it says which process this is.
@@ -37,6 +38,8 @@ _LOCK = "lock"
 _PASSES = 2
 #: How long a writer waits for another one, s.
 _PATIENCE_S = 10.0
+#: Size of the write-ahead log from which a commit moves it, bytes.
+_LONGEST_LOG = 64_000_000
 #: Entries of the journal, and chunks of a past era, that are deleted at once.
 MOST_FORGOTTEN, _MOST_CHUNKS = 5_000, 50
 #: Adds what `_chunk` returns; condition of a sample of the journal that is in no chunk yet.
@@ -268,9 +271,9 @@ def open_store(path: Path, durable: bool = False) -> sqlite3.Connection:
         )
         store.execute("PRAGMA journal_mode = WAL")
         store.execute(f"PRAGMA synchronous = {'FULL' if durable else 'NORMAL'}")
-        # The service moves the log itself: doing so within a commit would delay it.
-        store.execute("PRAGMA wal_autocheckpoint = 0")
-        store.executescript(_TABLES)
+        # The service moves the log itself: a commit that does so, from this size on, takes longer.
+        stay_within(store, _LONGEST_LOG)
+        store.executescript(_TABLES + RESERVE)
         store.execute(
             "INSERT OR IGNORE INTO meta VALUES ('schema_version', ?)", (str(SCHEMA_VERSION),)
         )
@@ -547,16 +550,6 @@ def move_log(path: Path) -> None:
     with closing(sqlite3.connect(path, timeout=_PATIENCE_S)) as own:
         for _ in range(_PASSES):
             own.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
-
-
-def cut_log(store: sqlite3.Connection) -> None:
-    """Move the rest of the write-ahead log, and truncate it if no reader uses it."""
-    # Commits wait meanwhile, so it does not wait for readers: there is a next time.
-    store.execute("PRAGMA busy_timeout = 0")
-    try:
-        store.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
-    finally:
-        store.execute(f"PRAGMA busy_timeout = {round(1e3 * _PATIENCE_S)}")
 
 
 def layout_text(layout: Layout) -> str:

@@ -6,6 +6,7 @@ import json
 import os
 import stat
 import time
+import types
 from datetime import UTC, datetime, timedelta
 
 import httpx
@@ -17,6 +18,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from dashboard_server import ABOUT, BEARER, TOKEN, again, keep, publication, serving
 from live_parts import free_port, until
+from small_disk import fill, mounted
 from typer.testing import CliRunner
 
 from thermojoint.cli.app import app
@@ -170,6 +172,31 @@ def test_the_audit_log_rotates_and_refusals_do_not_fill_it(tmp_path):
     assert max(path.stat().st_size for path in files) <= 1000
     lines = [json.loads(line) for path in files for line in path.read_text().splitlines()]
     assert {f"write {k}" for k in range(20)} <= {one["what"] for one in lines}
+
+
+def test_on_a_full_disk_people_and_controls_come_in_and_the_audit_log_has_them_later(
+    tmp_path, monkeypatch
+):
+    with mounted(tmp_path / "disk", 4) as disk:
+        audit = Audit(disk / "audit.jsonl")
+        audit.accepted("anna", "http 192.0.2.7", "before")
+        filler = fill(disk)
+        # The last block has room for a part of a line.
+        for k in range(40):
+            audit.accepted("anna", "http 192.0.2.7", f"login {k}")
+            audit.written("plc", "opcua 192.0.2.7", "write mill.Control.Heartbeat", "mill")
+        with pytest.raises(OSError, match="No space"):
+            audit.accepted("anna", "http 192.0.2.7", 2_000_000 * "x")
+        filler.unlink()
+        audit.accepted("anna", "http 192.0.2.7", "after")
+        later = types.SimpleNamespace(time=time.time, monotonic=lambda: time.monotonic() + 100.0)
+        monkeypatch.setattr("thermojoint.live.audit.time", later)
+        audit.written("plc", "opcua 192.0.2.7", "write mill.Control.Heartbeat", "mill")
+        lines = [json.loads(line) for line in audit.path.read_text().splitlines()]
+    said = [one["what"] for one in lines if one["who"] == "anna"]
+    assert said == ["before", *(f"login {k}" for k in range(40)), "after"]
+    writes = [one for one in lines if one["who"] == "plc"]
+    assert len(writes) + sum(one.get("left_out_before", 0) for one in writes) == 41
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="root alone can give files away")

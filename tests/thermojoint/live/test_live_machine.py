@@ -1,5 +1,6 @@
 """One machine of the service: what silence does, what a kill does not, and what the store keeps."""
 
+import contextlib
 import json
 import logging
 import math
@@ -8,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_disk import fill, mounted
 
 from benchmarks import offset_invariant
 from estimator.quality import Quality
@@ -22,14 +24,15 @@ from thermojoint.live.metrics import fresh_metrics
 from thermojoint.live.publication import as_json, as_row, from_row
 from thermojoint.live.rate_limit import AT_ONCE, LineLimit
 from thermojoint.live.recovery import is_damage
+from thermojoint.live.reserve import SLICE, lay_in, tend
 from thermojoint.live.samples import Rule
 from thermojoint.live.served import Served, served
 from thermojoint.live.settings import ModelSection, WatchdogSection
 from thermojoint.live.store import (
     Batch,
     Event,
+    Taken,
     commit,
-    cut_log,
     era_before,
     era_of,
     forget,
@@ -200,8 +203,11 @@ def test_the_history_marks_what_is_missing_thins_and_forgets(model, tmp_path):
     left = archive.history("mill", 0.0, 1e11, 1000)
     np.testing.assert_array_equal(left.numbers, np.arange(101, 211))
     move_log(path)
-    cut_log(store)
-    assert path.with_name(path.name + "-wal").stat().st_size == 0
+    # All of it is in the file: the next commit begins it anew.
+    log = path.with_name(path.name + "-wal")
+    size = log.stat().st_size
+    commit(store, Batch())
+    assert log.stat().st_size == size
 
 
 def test_another_model_begins_anew(model, tmp_path):
@@ -341,6 +347,36 @@ def test_a_full_disk_is_no_damage(tmp_path):
     assert not is_damage(found.value)
     store.execute("PRAGMA max_page_count = 10000")
     commit(store, batch)
+
+
+def test_a_store_goes_on_in_its_reserve_on_a_full_disk(tmp_path):
+    """For all of it, and then it loses nothing; with room again it has a reserve again."""
+    batch = Batch(taken=[Taken(1, k, bytes(8 * 20), "ok", "{}") for k in range(1000)])
+    wanted, stored, rooms = 3 * SLICE, 0, []
+    with mounted(tmp_path / "disk", 96) as disk:
+        path = disk / "history.sqlite"
+        store = open_store(path)
+        lay_in(store, path)
+        for _ in range(10):
+            room = tend(store, path, wanted)
+        assert (room.full, room.reserve >= wanted) == (False, True)
+        filler = fill(disk)
+        with contextlib.suppress(sqlite3.OperationalError):
+            while True:
+                rooms.append(tend(store, path, wanted))
+                commit(store, batch)
+                stored += 1000
+        assert all(room.full for room in rooms)
+        assert sorted(rooms, reverse=True) == rooms
+        assert 8 * 20 * stored > 0.7 * wanted
+        assert store.execute("SELECT count(*) FROM journal").fetchone() == (stored,)
+        filler.unlink()
+        commit(store, batch)
+        for _ in range(10):
+            room = tend(store, path, wanted)
+        assert (room.full, room.reserve >= wanted) == (False, True)
+        assert store.execute("PRAGMA integrity_check").fetchone() == ("ok",)
+        store.close()
 
 
 def test_other_axes_of_the_control_leave_the_estimator_its_state(model, tmp_path):

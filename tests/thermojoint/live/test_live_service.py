@@ -13,11 +13,14 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import aiomqtt
+import httpx
 import numpy as np
 import pytest
 from asyncua import Client, Server, ua
 from asyncua.crypto.permission_rules import User, UserRole
 from live_parts import Broker, client_of, free_port, message, needs_broker, serving, until
+from prometheus_client import generate_latest
+from small_disk import fill, mounted
 
 from benchmarks import live_kills
 from estimator.interface import follow
@@ -262,6 +265,46 @@ def test_a_store_that_is_lost_while_the_service_runs_is_made_anew(
     )
     asyncio.run(live(40, more=False))
     assert not said_in(tmp_path).holes
+
+
+def test_a_full_disk_stops_nobody(model, expected, tmp_path):
+    """What is stored and published is what it would be, over a stop, too; health says how long."""
+    lines = csv_of(day(40)).splitlines(keepends=True)
+    log = tmp_path / "log.csv"
+    log.write_text("".join(lines[:21]))
+    port, found = free_port(), []
+
+    async def live(before, after, *, full):
+        async with serving(data, tmp_path) as running, httpx.AsyncClient() as client:
+            newest = running.hub.newest
+            await until(lambda: newest["mill"].number == before)
+            await until(lambda: running.reserve_h >= 8.0)
+            if full:
+                fill(disk)
+            else:
+                (disk / "filler").unlink()
+            await until(lambda: running.room.full is full)
+            with log.open("a") as file:
+                file.write("".join(lines[before + 1 : after + 1]))
+            await until(lambda: newest["mill"].number == after)
+            found.append((await client.get(f"http://127.0.0.1:{port}/healthz")).json())
+            found[-1]["metrics"] = generate_latest(running.metrics.registry).decode()
+            await until(lambda: not next(iter(running.floor.places.values())).rows)
+
+    with mounted(tmp_path / "disk", 96) as disk:
+        http = {"port": port, "security": "none", "token": secret(tmp_path, "token", 32 * "x")}
+        data = file_of(model, {"kind": "csv", "path": "log.csv"}, http=http)
+        data |= {"folder": "disk/state", "store": {"checkpoint_s": 0.5}}
+        asyncio.run(live(20, 30, full=True))
+        asyncio.run(live(30, 40, full=False))
+        path = disk / "state" / "history.sqlite"
+        assert_says(Archive(path).history("mill", 0.0, 1e11, 10**6), expected[:40])
+        kinds = [one.kind for one in Archive(path).events("mill", 0.0, 1e11, 1000)]
+    assert "store-waits" not in kinds
+    assert [one["disk"] for one in found] == ["full", "ok"]
+    assert found[0]["status"] == "degraded"
+    assert found[0]["reserve_h"] > 7.9
+    assert "thermojoint_disk_full 1.0" in found[0]["metrics"]
 
 
 def test_a_damaged_state_begins_its_machine_anew(model, tmp_path):

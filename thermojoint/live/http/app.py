@@ -174,8 +174,6 @@ class Site:
             take(body or b"")
         except ValueError as error:
             raise HTTPException(400, f"what the control says is no answer: {error}") from error
-        except OSError as error:
-            raise HTTPException(503, f"this cannot be audited now ({error})") from error
         return answered({"handshake": self.sources.hub.newest[name].handshake})
 
     async def login(self, request: Request) -> Response:
@@ -376,13 +374,14 @@ class Site:
         )
 
     async def health(self, request: Request) -> Response:
-        """Return the number of machines by quality, without their names."""
+        """Return the number of machines by quality, without their names, and the disk."""
         newest = self.sources.hub.newest.values()
         counts = {
             one.word: sum(publication.quality is one for publication in newest) for one in Quality
         }
-        status = "degraded" if counts[Quality.BAD.word] else "ok"
-        return answered({"status": status, "machines": counts})
+        disk = self.sources.disk()
+        poor = counts[Quality.BAD.word] or disk.get("disk") == "full"
+        return answered({"status": "degraded" if poor else "ok", "machines": counts} | disk)
 
     def _visible(self, request: Request) -> list[str]:
         """Return the machines that a user may see."""

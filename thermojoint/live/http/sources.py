@@ -71,6 +71,8 @@ class Sources:
         any that may write, and what takes the answer.
     postpone : callable
         Postpones the displacement reading that a machine asks for; False if it asks for none.
+    disk : callable
+        What the health check says of the disk.
     """
 
     hub: Hub
@@ -84,3 +86,4 @@ class Sources:
     roll_back: Callable[[str], object] = lambda machine: None
     controls: Mapping[str, tuple[str | None, Callable[[bytes], None]]] = field(default_factory=dict)
     postpone: Callable[[str], bool] = lambda machine: False
+    disk: Callable[[], dict[str, str | float]] = dict

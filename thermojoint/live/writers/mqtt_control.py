@@ -53,9 +53,6 @@ async def attend(
         try:
             given = answer_of(message.payload[:_LARGEST], axes)
             written(f"write {message.topic} ({'enable' if given.enabled else 'disable'})", machine)
-        except OSError as error:
-            text = f"the control's word is refused: the audit log cannot be written ({error})"
-            floor.log.say(time.time(), "audit", text, machine)
         except ValidationError as error:
             text = f"what the control says is no answer: {error.errors()[0]['msg']}"
             floor.log.say(time.time(), "malformed", text, machine)
