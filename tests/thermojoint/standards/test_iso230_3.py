@@ -180,7 +180,7 @@ def test_every_range_of_the_report_is_in_the_json_with_its_unit():
     assert "http" not in page.replace("http-equiv", "")
 
 
-def test_no_label_of_the_figure_lies_on_another():
+def test_no_label_of_the_figure_lies_on_another_or_on_an_arrow():
     # An hour is a small part of what is shown, and both points have moved as far.
     record = warm_up(step=300.0, running=15 * HOUR)
     record = replace(
@@ -192,6 +192,9 @@ def test_no_label_of_the_figure_lies_on_another():
     for panel in figure.axes:
         boxes = [label.get_window_extent() for label in panel.texts if label.get_text()]
         assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
+        arrows = [arrow for label in panel.texts if (arrow := label.arrow_patch) is not None]
+        lines = [arrow.get_path().get_extents(arrow.get_transform()) for arrow in arrows]
+        assert not any(one.padded(1.0).overlaps(line) for one in boxes for line in lines)
     assert [len(panel.texts) // 2 for panel in figure.axes] == [4, 0]
 
 

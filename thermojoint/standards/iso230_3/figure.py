@@ -29,6 +29,8 @@ _STYLES = ("-", "--", "-.", ":")
 _BEFORE, _AFTER = 0.1, 0.5
 #: Width of the column of a range, relative to the time shown.
 _COLUMN = 0.04
+#: Space between a label and its arrow, pt.
+_GAP = 3.5
 
 
 def figure_of(record: Record, evaluation: Evaluation) -> Figure:
@@ -116,10 +118,11 @@ def _mark_ranges(
         }
         panel.annotate("", xy=(at, low), xytext=(at, high), arrowprops=arrow)
         middle = 0.5 * (low + high)
-        panel.text(
-            at,
-            middle,
+        panel.annotate(
             parameter.symbol,
+            (at, middle),
+            (-_GAP, 0.0),
+            textcoords="offset points",
             color=_shade(k),
             fontsize=7,
             rotation=90,
