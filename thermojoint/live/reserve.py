@@ -83,26 +83,21 @@ def tend(store: sqlite3.Connection, path: Path, wanted: float) -> Room:
     sqlite3.OperationalError
         The reserve is used up, or another program holds the file.
     """
-    full, free = is_full(path), _free_pages(store)
-    ((count, last),) = store.execute("SELECT count(*), max(id) FROM reserve")
-    low = free < SLICE // 2
+    full, size = is_full(path), _rows(store)
     if full:
         # All of the log is in the file afterwards, so that the next commit begins it anew.
         # It waits for room where the reserve was used up.
         with suppress(sqlite3.OperationalError):
             store.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
-        surplus = low and count > 0
+        if _free_pages(store) < SLICE // 2:
+            store.execute("DELETE FROM reserve WHERE id = (SELECT max(id) FROM reserve)")
     else:
-        enough = min(wanted, (_free(path) + count * SLICE) / 2.0)
-        missing = count * SLICE < enough
-        surplus = low and not missing
-        if low or missing:
-            # It takes the free pages first: a row more than wanted becomes the free pages.
-            last = _grow(store, SLICE)
-    if surplus:
-        store.execute("DELETE FROM reserve WHERE id = ?", (last,))
-    ((size,),) = store.execute("SELECT ? * count(*) FROM reserve", (SLICE,))
-    return Room(full, size + _free_pages(store))
+        if size < min(wanted, (_free(path) + size) / 2.0):
+            _grow(store, SLICE)
+        # A row takes the free pages first, and then makes the file longer.
+        if _free_pages(store) < SLICE // 2:
+            lay_in(store, path, SLICE)
+    return Room(full, _rows(store) + _free_pages(store))
 
 
 def _grow(store: sqlite3.Connection, size: int) -> int:
@@ -110,6 +105,12 @@ def _grow(store: sqlite3.Connection, size: int) -> int:
     row = store.execute("INSERT INTO reserve (room) VALUES (zeroblob(?))", (size,)).lastrowid
     store.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
     return int(row or 0)
+
+
+def _rows(store: sqlite3.Connection) -> int:
+    """Return the size of the rows without content, bytes."""
+    ((count,),) = store.execute("SELECT count(*) FROM reserve")
+    return int(count * SLICE)
 
 
 def _free_pages(store: sqlite3.Connection) -> int:

@@ -29,6 +29,7 @@ from estimator.registry import open_estimator
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.archive import Archive
 from thermojoint.live.certificates import own_identity
+from thermojoint.live.reserve import SLICE
 from thermojoint.live.service import run
 from thermojoint.live.settings import read_service
 from thermojoint.live.users import add_user
@@ -305,6 +306,45 @@ def test_a_full_disk_stops_nobody(model, expected, tmp_path):
     assert found[0]["status"] == "degraded"
     assert found[0]["reserve_h"] > 7.9
     assert "thermojoint_disk_full 1.0" in found[0]["metrics"]
+
+
+def test_a_service_that_is_killed_on_a_full_disk_starts_on_it(model, expected, tmp_path):
+    """What it needs is in its files."""
+    lines = csv_of(day(40) - np.array([START, 0, 0, 0, 0, 0])).splitlines(keepends=True)
+    with mounted(tmp_path / "disk", 96) as disk:
+        live_kills.prepare(disk, model, "x", INTERVAL, 1.0)
+        file, log = tmp_path / "fed.csv", disk / "killed.log"
+        (disk / "fed.csv").symlink_to(file)
+        file.write_text("".join(lines[:11]))
+        path = disk / "killed" / "history.sqlite"
+
+        def there(count):
+            with contextlib.suppress(InputError, sqlite3.OperationalError):
+                last = Archive(path).latest("mill")
+                return last is not None and last.number == count
+            return False
+
+        def laid_in():
+            return path.exists() and path.stat().st_size > 3 * SLICE
+
+        service = live_kills.started(disk, "killed")
+        try:
+            asyncio.run(until(lambda: laid_in() and there(10)))
+            for count in (20, 30, 40):
+                fill(disk)
+                service.kill()
+                service.wait()
+                service = live_kills.started(disk, "killed")
+                with file.open("a") as out:
+                    out.write("".join(lines[count - 9 : count + 1]))
+                asyncio.run(until(lambda count=count: there(count)))
+            service.send_signal(signal.SIGTERM)
+            assert service.wait(30.0) == 0
+        finally:
+            service.kill()
+        history = Archive(path).history("mill", 0.0, 1e11, 10**6)
+        assert_says(history, expected[:40])
+        assert "store-waits" not in log.read_text()
 
 
 def test_a_damaged_state_begins_its_machine_anew(model, tmp_path):
