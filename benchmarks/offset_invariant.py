@@ -160,10 +160,10 @@ class Offsets(RuleBasedStateMachine):
         self.control: dict[str, tuple[float, float]] = {}
         self.allowed: dict[str, tuple[float, float, float]] = {}
         self.unheard: set[str] = set()
-        # When the last sample was taken, by both clocks; whether an offset may follow it, and how
-        # late it was, s.
-        self.estimated = (-math.inf, -math.inf)
-        self.usable, self.late = False, 0.0
+        # When the last sample was taken, by both clocks, and by which model; whether an offset may
+        # follow it, and how late it was, s.
+        self.estimated, self.by = (-math.inf, -math.inf), math.nan
+        self.sound, self.late = False, 0.0
         # Whether the control is connected and enables offsets; whether it has been away since it
         # took one over; by how much its acknowledgement is wrong, m; its counter, and what the
         # service knows: when it said so last, s, and that it was enabled.
@@ -237,11 +237,17 @@ class Offsets(RuleBasedStateMachine):
         if said.number != before:
             self.estimated = self.times.now, self.true
             self.late = max(0.0, self.times.now - said.time - 5.0 - INTERVAL)
-            self.usable = bool(said.readings[1] == SOUND and np.isfinite(said.readings[0]))
+            self.by = self.gain
+            self.sound = bool(said.readings[1] == SOUND and np.isfinite(said.readings[0]))
         if until == "before the publication":
             return
         for one in changed:
             self.receive(one)
+
+    @property
+    def gain(self) -> float:
+        """What tells the model from the other one."""
+        return self.model.estimator.gain  # type: ignore[attr-defined, no-any-return]
 
     @property
     def oldest(self) -> float | None:
@@ -322,7 +328,9 @@ class Offsets(RuleBasedStateMachine):
             assert oldest is not None
             wall, true = self.estimated
             age = max(self.late, min(self.true - true, abs(self.times.now - wall)))
-            assert self.usable, "good, and the last sample gave no usable estimate"
+            # A model that took no sample leaves the one before it where that was.
+            sound = self.sound and self.by == self.gain
+            assert sound, "good, and the last sample gave no usable estimate"
             assert age <= oldest + 1e-6, f"good, and the last estimate is {age:.1f} s old"
             if self.model.handshake is not None:
                 at, enabled = self.told
@@ -436,13 +444,11 @@ class Offsets(RuleBasedStateMachine):
         self.store.close()
         self.true += down
         before = self.model
-        gain = before.estimator.gain if gain is None else gain  # type: ignore[attr-defined]
+        gain = self.gain if gain is None else gain
         # A control that is away would not know that nobody asks for its word any more.
         handshake = HANDSHAKE if shakes or self.away else None
         self.lie, self.told = 0.0, (-math.inf, False)
         self.model = served_with(before.output if output is None else output[0], gain, handshake)
-        if gain != before.estimator.gain:  # type: ignore[attr-defined]
-            self.usable = False
         self.unheard = {"X", "Z"}
         self.start()
 
