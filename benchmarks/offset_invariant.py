@@ -247,7 +247,7 @@ class Offsets(RuleBasedStateMachine):
     @property
     def gain(self) -> float:
         """What tells the model from the other one."""
-        return self.model.estimator.gain  # type: ignore[attr-defined, no-any-return]
+        return self.model.estimator.gain  # type: ignore[attr-defined]
 
     @property
     def oldest(self) -> float | None:

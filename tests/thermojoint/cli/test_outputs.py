@@ -5,6 +5,7 @@ import sys
 
 import pytest
 from reference_case import lasting
+from small_disk import fill, mounted
 
 from benchmarks.fuzz_inputs import unharmed
 from fesim.batch import folder as batch_folder
@@ -171,6 +172,22 @@ def test_a_full_disk_ends_in_one_line_and_leaves_nothing(at_hand, originals):
     told = "thermojoint: out.nc: File too large; choose another place\n"
     assert (done.returncode, done.stderr) == (2, told)
     assert untouched(at_hand, originals)
+
+
+@pytest.mark.parametrize("left", [0, 8192])
+@pytest.mark.parametrize("arguments", [[], ["--save-state", "disk/state.npz"]])
+def test_a_simulation_onto_a_full_disk_ends_in_one_line(left, arguments, at_hand):
+    """No crash of a library, and no hidden file that takes the last byte."""
+    with mounted(at_hand / "disk", 1) as disk:
+        (disk / "kept").write_bytes(bytes(left))
+        fill(disk)
+        (disk / "kept").unlink()
+        program = [sys.executable, "-m", "thermojoint.cli", "simulate", "case.toml"]
+        command = [*program, "--out", "disk/out.nc", *arguments]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode == 2
+        assert "No space left on device" in done.stderr.splitlines()[-1]
+        assert [one.name for one in disk.iterdir()] == ["filler"]
 
 
 def test_an_empty_file_is_no_loss(command, at_hand):

@@ -396,21 +396,25 @@ def test_thirty_machines_get_through_a_broker_that_has_twenty_messages_in_flight
     """After a pause the first sample of each machine waits for its next message."""
     rows = day(30)
 
-    async def live(port):
+    async def live(port, before, some, last):
         source = {"kind": "mqtt", "port": port, "security": "none", "topic": "plant/{machine}"}
         data = file_of(model, source)
         data["machines"]["mill"]["count"] = 30
+        data["models"]["m"]["lateness_s"] = 0.75
         async with serving(data, tmp_path) as running, aiomqtt.Client("127.0.0.1", port) as plant:
-            await until(lambda: _events(tmp_path, "connected"))
-            for row in (*rows[:3], *rows[12:22]):
+            await until(lambda: _events(tmp_path, "connected") > before)
+            for row in some:
                 told = message(row[0], dict(zip(NAMES, row[1:].tolist(), strict=True)))
                 for k in range(30):
                     await plant.publish(f"plant/mill-{k + 1}", told, qos=1)
             newest = running.hub.newest.values()
-            await until(lambda: min(one.time for one in newest) >= rows[13, 0])
+            await until(lambda: min(one.time for one in newest) >= last)
 
-    with Broker(tmp_path, "allow_anonymous true", "max_inflight_messages 20") as broker:
-        asyncio.run(live(broker.port))
+    # A broker of its own each: once it has got acknowledgements, Mosquitto lets more be in flight.
+    lives = ((rows[:1], rows[0, 0]), (rows[12:22], rows[13, 0]))
+    for before, (some, last) in enumerate(lives):
+        with Broker(tmp_path, "allow_anonymous true", "max_inflight_messages 20") as broker:
+            asyncio.run(live(broker.port, before, some, last))
     assert _events(tmp_path, "in-flight")
 
 
