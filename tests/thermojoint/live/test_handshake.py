@@ -119,6 +119,27 @@ def test_a_control_that_holds_an_old_offset_within_the_tolerance_goes_on_from_it
     found.teardown()
 
 
+def test_an_offset_that_decays_does_not_meet_a_wrong_acknowledgement():
+    """A control acknowledges 50 um too much: as much as it was sent some seconds before."""
+    at_once = dict.fromkeys(("dead_band_um", "freeze_s", "recover_s"), 0.0)
+    given = at_once | {
+        "resolution_um": 0.1,
+        "rate_um_s": 20.0,
+        "filter_s": 10.0,
+        "largest_um": 100.0,
+    }
+    found = offset_invariant.Offsets()
+    found.begin(
+        offset_invariant.settings_of(given | {"oldest_s": 3.0, "decay_s": 5.0}, two=False),
+        shakes=True,
+    )
+    found.control_returns(linked=False, clears=False, count=8, value=-161.0)
+    found.control_lies(lie=50e-6)
+    # Each publication is held against what it received last.
+    found.samples(count=10, value=0.0, slope=0.0, kind=offset_invariant.SOUND)
+    found.teardown()
+
+
 @pytest.mark.parametrize(
     "payload",
     [b"", b"[]", b"[" * 5000, b'{"enable": 1, "heartbeat": 2}', b'{"enable": true}', b"\xff",

@@ -201,12 +201,15 @@ def _range(recent: Sequence[tuple[float, Array]]) -> tuple[Array, Array]:
 def _agrees(settings: HandshakeSettings, handshake: Handshake, clock: float) -> bool:
     """Whether the control has taken over something that it was sent a short time ago.
 
-    After it was away: anything that it was sent since it agreed last, or on the way to zero.
+    After it was away: anything that it was sent since it agreed last, or on the way to zero. After
+    it differed: what was sent last. What decays meanwhile would meet any wrong acknowledgement.
     """
     if math.isinf(settings.differs):
         return True
     if handshake.away:
         low, high = np.minimum(handshake.low, 0.0), np.maximum(handshake.high, 0.0)
+    elif handshake.state == DIFFERS:
+        low = high = handshake.sent[-1][1]
     else:
         low, high = _range(_recent(settings, handshake, clock))
     acknowledged = handshake.acknowledged
