@@ -38,6 +38,7 @@ from fesim.setup.machine import Setup, set_up
 from fesim.setup.structure import measured_points
 from fesim.setup.temperature_dependence import convecting_surfaces
 from fesim.solid.elasticity import DIRECTIONS
+from fesim.solid.friction_heat import friction_work
 from fesim.solid.linear_solver import default_solver
 from meshes.covered import covered_areas
 from thermojoint.artefacts.display import Described, as_html, curves
@@ -150,15 +151,16 @@ def simulate(
     ends = case.march.step_s * (first.index + 1.0 + np.arange(count, dtype=np.float64))
     parts = []
     if start is None:
-        parts.append(_kept(ready, track_of(at_rest(ready.machine, at_zero))))
+        rest = track_of(at_rest(ready.machine, at_zero))
+        parts.append(_kept(ready, first.slip, rest))
     state, done, spent = first, 0, None
     with one_thread():
         for track, effort in _marching(case, ready, inputs, ends, first):
             spent = effort
             _check_pressures(ready, track)
-            state = track.step(-1).state
             # The temperature field is the only large part of a step: store the probes only.
-            parts.append(_kept(ready, track))
+            parts.append(_kept(ready, state.slip, track))
+            state = track.step(-1).state
             for at in range(len(track)):
                 done += 1
                 if on_step is not None:
@@ -191,6 +193,12 @@ def _marching(
         yield from march_adaptively(machine, rates, drive, ends, tolerance, first)
         return
     advance, between = COUPLINGS[march.coupling], inputs.reversed_forces(ends)
+    if between and machine.friction is not None:
+        raise InputError(
+            f"march.step_s: a load turns back within the step to {ends[min(between)]:g} s, whose "
+            "heat of friction would be lost; take steps that end where it turns, or leave out "
+            "slip_heating"
+        )
     for track in march_along(machine, inputs.at(ends), advance, first, between):
         yield track, None
 
@@ -229,21 +237,31 @@ class _Course:
         K.
     outputs : ndarray, shape (n, o)
         `outputs_of` each step.
+    friction_heat : ndarray, shape (n, m)
+        W; of joints whose friction heats.
     """
 
     track: Track
     probes: np.ndarray
     outputs: np.ndarray
+    friction_heat: np.ndarray
 
 
-def _kept(setup: Setup, track: Track) -> _Course:
+def _kept(setup: Setup, slip: np.ndarray, track: Track) -> _Course:
+    """Contents of the response of a track that starts with a slip (2, m), m."""
     probes = each(setup.probe_rows, track.temperature)
     outputs = np.empty((len(track), 0))
     if setup.outputs is not None or setup.bolts is not None:
         outputs = np.array([outputs_of(setup, track.step(at)) for at in range(len(track))])
     none = np.empty((len(track), 0))
     small = replace(track, temperature=none, frozen=none, turning=none)
-    return _Course(small, probes, outputs)
+    rubbed = np.empty((len(track), 0))
+    if setup.machine.friction is not None:
+        moved = np.diff(track.slip, axis=0, prepend=slip[None])
+        elastic, counted = setup.machine.contact.elastic, setup.machine.friction.counted
+        work = friction_work(elastic, track.remainder, track.gap, moved)
+        rubbed = counted * work / setup.machine.thermal.step
+    return _Course(small, probes, outputs, rubbed)
 
 
 def _joined(parts: Sequence[_Course]) -> _Course:
@@ -251,6 +269,7 @@ def _joined(parts: Sequence[_Course]) -> _Course:
         joined([part.track for part in parts]),
         np.concatenate([part.probes for part in parts]),
         np.concatenate([part.outputs for part in parts]),
+        np.concatenate([part.friction_heat for part in parts]),
     )
 
 
@@ -336,6 +355,8 @@ def _response(case: Case, setup: Setup, inputs: MarchInputs, course: _Course) ->
         values["held_temperature"] = track.inputs[:, layout.held_columns]
     if case.loads:
         values["load_factor"] = track.inputs[:, layout.count : layout.count + len(case.loads)]
+    if machine.friction is not None:
+        values["friction_heat"] = course.friction_heat
     if machine.variable is not None:
         values["secant_residual"] = track.secant_residual
     coords: dict[str, np.ndarray | list[str]] = {

@@ -22,6 +22,7 @@ from fesim.setup.bolts import first_forces
 from fesim.setup.laws import joint_laws
 from fesim.setup.machine import Setup
 from fesim.solid.condensation import ElasticCondensation, LoadInfluence, ThermalCondensation
+from fesim.solid.friction_heat import FrictionHeat
 from meshes.pairing import PairedJoint
 from thermojoint.artefacts.arrays import Array
 
@@ -114,6 +115,7 @@ def merged_machine(
     elastic, loads = _elastic(contact.elastic, contact.loads, means)
     coarse = replace(
         machine,
+        friction=_merged_friction(machine.friction, means),
         thermal=merged_heat(thermal, means),
         contact=ContactProblem(elastic, laws, contact.gap_tolerance, loads=loads),
     )
@@ -146,6 +148,14 @@ def merged_state(state: State, means: csr_array) -> State:
         frozen=np.zeros((len(state.frozen), means.shape[0])),
         turning=np.zeros((len(state.turning), means.shape[0])),
     )
+
+
+def _merged_friction(friction: FrictionHeat | None, means: csr_array) -> FrictionHeat | None:
+    if friction is None:
+        return None
+    shares = _shares(means)
+    counted = np.asarray(means @ friction.counted)
+    return FrictionHeat(friction.into @ shares, friction.entering @ shares, counted)
 
 
 def _shares(means: csr_array) -> Array:

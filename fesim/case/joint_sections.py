@@ -90,6 +90,7 @@ class JointSection(Section):
     Properties of one machine have no default: preload, surfaces, friction. A joint without preload
     starts open by ``initial_opening_um``, or by the distance of its sides in the mesh.
     Without ``along`` and ``across``, `meshes.pairing.pair_joint` divides it by its geometry.
+    With ``slip_heating`` the work of sliding heats both sides in equal parts.
     ``tangential_stiffness_ratio`` is Mindlin's 2(1-v)/(2-v), by default for v = 0.27; it is 0.86
     for v = 0.25 and 0.80 for v = 0.33.
     """
@@ -109,6 +110,7 @@ class JointSection(Section):
     conductance: ConductanceSection = ConductanceSection()
     gap: GapSection | None = None
     friction_coefficient: NotNegative
+    slip_heating: bool = False
     tangential_stiffness_ratio: Positive = 0.844
 
     @model_validator(mode="after")

@@ -287,6 +287,24 @@ class Case(Described, Section):
         return self
 
     @model_validator(mode="after")
+    def _friction_heats_both_sides(self) -> Case:
+        adiabatic = set(self.walls) - set(self.held_temperatures)
+        for name, joint in self.joints.items():
+            if not joint.slip_heating:
+                continue
+            if walls := sorted(adiabatic & {joint.side_a, joint.side_b} - {None}):
+                raise ValueError(
+                    f"joints.{name}.slip_heating: the wall {walls[0]!r} has no temperature, so it "
+                    f"takes no heat; add [held_temperatures.{walls[0]}], or leave out slip_heating"
+                )
+            if self.march.method == "adaptive":
+                raise ValueError(
+                    f"joints.{name}.slip_heating: adaptive steps do not count the heat of "
+                    'friction; take march.method = "fixed", or leave out slip_heating'
+                )
+        return self
+
+    @model_validator(mode="after")
     def _deforms_if_asked(self) -> Case:
         if self.displacement is None and (sections := deforming_sections(self)):
             raise ValueError(
@@ -338,6 +356,7 @@ def deforming_sections(case: Case) -> list[str]:
             for name, joint in case.joints.items()
             if joint.conductance.law not in ("fixed", "none")
             or (joint.gap is not None and joint.gap.gas_conductivity_W_mK > 0.0)
+            or joint.slip_heating
         ),
         *(["output"] if asked else []),
         *(['march.method = "adaptive"'] if case.march.method == "adaptive" else []),

@@ -13,6 +13,7 @@ from thermojoint.artefacts.arrays import Array
 
 if TYPE_CHECKING:
     from fesim.march.start_field import StartField
+    from fesim.solid.friction_heat import FrictionHeat
     from fesim.solid.temperature_factor import ThermalGrowth
     from fesim.solid.variable_heat import VariableHeat
 
@@ -60,6 +61,8 @@ class CondensedMachine:
         Temperature-dependent part of conduction, convection and radiation; full model only.
     growth : ThermalGrowth, optional
         Temperature-dependent expansion of the bodies; full model only.
+    friction : FrictionHeat, optional
+        Heat of friction of the joints; default none.
     """
 
     thermal: ThermalCondensation
@@ -68,6 +71,7 @@ class CondensedMachine:
     start: StartField | None = None
     variable: VariableHeat | None = None
     growth: ThermalGrowth | None = None
+    friction: FrictionHeat | None = None
 
     def with_laws(self, laws: Laws) -> CondensedMachine:
         """Return the machine with other joint laws, on which no condensation depends."""

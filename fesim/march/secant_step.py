@@ -7,11 +7,13 @@ that nothing is factorised. Anderson's method (1965) combines the last few itera
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from fesim.march.heat_step import heat_balance, heat_step
 from fesim.solid.condensation import ThermalCondensation
+from fesim.solid.friction_heat import GivenHeat
 from fesim.solid.variable_heat import VariableHeat
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
@@ -48,26 +50,38 @@ class HeatTaken:
     residual: float
 
 
+class HeatLoads(NamedTuple):
+    """Loads of a step of the heat equation; arrays as for `fesim.march.heat_step.heat_step`.
+
+    `given` is heat that enters besides the inputs.
+    """
+
+    inputs: Array
+    joint: Array
+    given: GivenHeat | None = None
+
+
 def step_heat(
     thermal: ThermalCondensation,
     variable: VariableHeat | None,
     temperature: Array,
-    inputs: Array,
-    joint: Array,
+    loads: HeatLoads,
     most: int = MOST,
 ) -> HeatTaken:
-    """Take one step of the heat equation; arguments as for `fesim.march.heat_step.heat_step`.
-
-    `most` is the largest number of secant steps.
+    """Take one step of the heat equation; `most` is the largest number of secant steps.
 
     Raises
     ------
     ConvergenceError
         The secant steps do not converge.
     """
+    inputs, joint, given = loads
+    load, total = (0.0, 0.0) if given is None else (given.load, given.total)
     if variable is None:
-        after, flow = heat_step(thermal, temperature, inputs, joint)
-        balance = heat_balance(thermal, temperature, after, inputs, flow)
+        leaves = None if given is None else -given.load
+        after, flow = heat_step(thermal, temperature, inputs, joint, leaves)
+        left = None if given is None else (-total, np.zeros(len(thermal.balance.drive)))
+        balance = heat_balance(thermal, temperature, after, inputs, flow, left)
         return HeatTaken(after, flow, balance, 0.0)
 
     def lacking(after: Array) -> Array:
@@ -80,13 +94,13 @@ def step_heat(
     for _ in range(most):
         lost = lacking(at)
         lost[variable.held] = 0.0
-        after, flow = heat_step(thermal, temperature, inputs, joint, lost)
+        after, flow = heat_step(thermal, temperature, inputs, joint, lost - load)
         change = after - at
         size = float(np.abs(change).max())
         if size <= TOLERANCE + ROUNDING * float(np.abs(after).max()):
             lost = lacking(after)
             held = lost[variable.held]
-            left = float(lost.sum()), held
+            left = float(lost.sum()) - total, held
             balance = heat_balance(thermal, temperature, after, inputs, flow, left)
             return HeatTaken(after, flow, balance, size)
         if not np.isfinite(size):

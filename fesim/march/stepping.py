@@ -10,12 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from fesim.march.alternation import GAIN, gain_of, suspected, turnings
 from fesim.march.machine import CondensedMachine, State, Step
-from fesim.march.secant_step import step_heat
+from fesim.march.secant_step import HeatLoads, step_heat
 from fesim.march.settling import (
     displaced,
     initial_state,
@@ -24,6 +25,7 @@ from fesim.march.settling import (
     settled_between,
 )
 from fesim.march.track import Track, first_of, kernel_march, track_of
+from fesim.solid.friction_heat import GivenHeat, friction_work, given_heat
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError, ThermojointError
 
@@ -36,6 +38,8 @@ SEEKING = 400
 RELAXING = 300 * (0.3,) + 400 * (0.1,) + 800 * (0.03,)
 #: From this sweep on, agreement within the tolerance of the gap equations is sufficient.
 PATIENCE = 20
+#: Largest change of the heat of friction between sweeps, relative to it, and number of sweeps.
+FRICTION_TOLERANCE, FRICTION_SWEEPS = 1e-9, 50
 #: Steps in a block, whose amplitudes fit into the processor's cache.
 BLOCK = 128
 
@@ -322,11 +326,47 @@ def _aitken(weight: float, last: Array, misfit: Array) -> float:
 
 
 def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductance: Array) -> Step:
+    """Take a step with given conductances (m,), W/(m2 K)."""
+    take = partial(_step_heated, machine, state, inputs, conductance)
+    return take() if machine.friction is None else _with_friction(machine, state.slip, take)
+
+
+def _with_friction(
+    machine: CondensedMachine, before: Array, take: Callable[[GivenHeat], Step]
+) -> Step:
+    """Repeat a step until the heat that entered is the work of friction in it."""
+    length, friction, contact = machine.thermal.step, machine.friction, machine.contact
+    assert friction is not None
+    # Work that the tolerance of the gap equations leaves open.
+    area = contact.elastic.area[: contact.count]
+    least = float((area * contact.reference_pressure).max()) * contact.tolerance / length
+    power = np.zeros(contact.count)
+    for _ in range(FRICTION_SWEEPS):
+        step = take(given_heat(friction, power))
+        moved = (step.state.slip - before)[None]
+        work = friction_work(contact.elastic, step.remainder[None], step.state.gap[None], moved)[0]
+        change, power = work / length - power, work / length
+        if np.abs(change).max() <= FRICTION_TOLERANCE * np.abs(power).max() + least:
+            return step
+    raise ConvergenceError(
+        "the heat of friction still changes the slip after "
+        f"{FRICTION_SWEEPS} sweeps; take a shorter march.step_s"
+    )
+
+
+def _step_heated(
+    machine: CondensedMachine,
+    state: State,
+    inputs: Array,
+    conductance: Array,
+    given: GivenHeat | None = None,
+) -> Step:
     count = machine.contact.count
     elastic = machine.contact.elastic
     thermal = inputs if machine.contact.loads is None else inputs[: machine.thermal.inputs.shape[1]]
     joint = conductance * elastic.area[:count]
-    heat = step_heat(machine.thermal, machine.variable, state.temperature, thermal, joint)
+    loads = HeatLoads(thermal, joint, given)
+    heat = step_heat(machine.thermal, machine.variable, state.temperature, loads)
     strained = machine.strained(heat.temperature)
     thermal_gap = loaded_gap(machine, elastic.thermal_gap @ strained, inputs)
     settled, cuts = settle_along(machine.contact, state, thermal_gap)

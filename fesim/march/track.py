@@ -124,12 +124,12 @@ def joined(tracks: Sequence[Track]) -> Track:
 
 
 def kernel_march(machine: CondensedMachine) -> Callable[[State, Array], Track | None] | None:
-    """Start a compiled march; None if a law or the thermal model is not supported.
+    """Start a compiled march; None if a law, the thermal model or friction heat is not supported.
 
     The returned function takes a state and inputs (n, k + l), and returns the steps before a joint
     snaps or a body comes loose; None if that happens in the first one.
     """
-    if not machine.contact.count:
+    if not machine.contact.count or machine.friction is not None:
         return None
     # Imported here because it loads a compiler, which structures without joints do not need.
     from fesim.march.kernel import new_kept, step_kernel

@@ -57,6 +57,7 @@ from fesim.solid.condensation import (
     condense_loads,
     elastic_condensation,
 )
+from fesim.solid.friction_heat import friction_heat
 from fesim.solid.materials import Material
 from fesim.solid.outputs import MechanicalOutputs
 from fesim.solid.rigid_motions import Constraints
@@ -381,13 +382,25 @@ def _modes(whole: Discretised, keys: _Keys, condensed: ElasticCondensation) -> T
         lambda: thermal_modes(
             whole.heat,
             whole.operators,
-            outputs_of(condensed, csr_array(vstack([whole.rows, whole.ends]))),
+            outputs_of(condensed, csr_array(vstack([whole.rows, whole.ends, _rubbed(whole)]))),
             march.step_s,
             march.solver,
             whole.warm,
         ),
         also=f"from {shortest(march.step_s)!r} s",
     )
+
+
+def _counted(whole: Discretised) -> NDArray[np.float64]:
+    """Contact elements whose heat of friction counts (1) or not (0), (m,)."""
+    joints, sections = whole.parts.joints, whole.case.joints
+    each = [float(sections[joint.name].slip_heating) for joint in joints]
+    return np.repeat(each, [len(joint.area) for joint in joints])
+
+
+def _rubbed(whole: Discretised) -> csr_array:
+    """Mean temperatures of the contact elements whose heat of friction counts: its dual."""
+    return csr_array(whole.operators.mean[np.flatnonzero(_counted(whole))])
 
 
 def _thermal(whole: Discretised, modes: ThermalModes | None, step: float) -> ThermalCondensation:
@@ -408,6 +421,7 @@ def _machine(
     case, parts, heat = whole.case, whole.parts, whole.heat
     elastic = condensed if modes is None else project_elasticity(condensed, modes)
     constraints = None if case.displacement is None else parts.constraints
+    counted = _counted(whole)
     return CondensedMachine(
         thermal,
         ContactProblem(elastic, parts.laws, constraints=constraints, loads=loads),
@@ -416,6 +430,7 @@ def _machine(
             case, parts.structure, whole.spaces.heat, whole.materials, parts.joints, heat
         ),
         growth=growth(case, parts.structure, whole.spaces.heat),
+        friction=friction_heat(thermal, counted) if counted.any() else None,
     )
 
 

@@ -42,6 +42,7 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "heat_flow": (("time", "contact"), "W", "heat flow across the joint, side a to side b"),
     "opening": (("time", "contact"), "m", "normal opening from the state at the start"),
     "slip": (("time", "contact", "tangent"), "m", "irreversible tangential slip"),
+    "friction_heat": (("time", "contact"), "W", "heat of friction, half into each side"),
     "contact_position": (("contact", "space"), "m", "centroid of the contact elements"),
     "contact_area": (("contact",), "m2", "area of the contact elements"),
     "contact_joint": (("contact",), "", "name of the joint each contact element belongs to"),

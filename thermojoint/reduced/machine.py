@@ -271,6 +271,11 @@ def reduce_machine(case: Case, setup: Setup, sensors: Sequence[str]) -> ReducedM
     """
     if case.displacement is None:
         raise InputError("joint-aware: the case records no displacement; add [displacement]")
+    if rubbing := [name for name, joint in case.joints.items() if joint.slip_heating]:
+        raise InputError(
+            f"joint-aware: joints.{rubbing[0]}: it does not know the heat of friction; leave out "
+            "slip_heating"
+        )
     if not case.sources:
         raise InputError("joint-aware: the case has no source whose heat could be estimated")
     if setup.modes is None:

@@ -2,6 +2,9 @@
 
 Two bodies are so stiff that only the joint between them deforms; the far face of one is fixed, that
 of the other is driven. Force and work are those of a spring k_t A in series with a slider mu P.
+
+From a case file, a force F pushes one half of an insulated column to and fro on the other, against
+a spring k. It slides by (F - mu P)/k - mu p/k_t to each side, and its work becomes heat.
 """
 
 from __future__ import annotations
@@ -12,9 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse import csr_array
 
+from fesim.case.schema import case_from_data
 from fesim.joint.gap import Equilibrium, gap_problem
 from fesim.joint.law import Friction, JointLaw, SurfaceNormalLaw, evaluate, stiffness_at_rest
 from fesim.march.contact import gap_solver
+from fesim.setup.machine import set_up
+from fesim.simulate import simulate
 from fesim.solid.condensation import ElasticCondensation, condense_elasticity
 from fesim.solid.elasticity import elastic_operators
 from fesim.solid.joint_operators import joint_operators
@@ -23,13 +29,20 @@ from fesim.solid.spaces import make_spaces
 from meshes.pairing import pair_joint
 from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.files import temporary_folder
+from thermojoint.verification import loaded
 from thermojoint.verification.check import Check, Quantity
+from thermojoint.verification.loaded import column_case, joint
 from thermojoint.verification.series import HARDNESS, ROUGHNESS, law_at
 from thermojoint.verification.structures import IRON, SECTION, bars
 
 #: Largest gap residual, m: far below the march's, so that only the law is compared.
 RESIDUAL = 1e-18
 TOLERANCE = 1e-8
+#: Push on the column, N; spring against it, N/m; strokes from one side to the other, s each.
+PUSH, AGAINST, STROKES, STROKE = 4000.0, 5e6, 20, 120.0
+#: Its modulus, Pa, and the time in which it becomes evenly warm, s.
+STIFF, EVEN = 1e17, 12000.0
 
 COEFFICIENT = 0.3
 #: The bodies' share of the compliance is below 1e-9: k_t times their length over their modulus.
@@ -113,6 +126,7 @@ def checks() -> Iterator[Check]:
     for pressure in PRESSURES:
         yield from block_checks(pressure)
     yield circle_check()
+    yield from heat_checks()
 
 
 @dataclass(frozen=True)
@@ -218,3 +232,42 @@ def circle_check() -> Check:
     dissipated = drive_block(path).dissipated[-ROUND:].sum()
     compared = Quantity("dissipation of a round", "J", 2e-3)
     return compared.check("friction, block round a circle", expected, dissipated)
+
+
+def heat_checks() -> Iterator[Check]:
+    """Heat of friction in the halves of a column, and the temperature it leaves."""
+    turns = 0.5 * STROKE + STROKE * np.arange(STROKES + 1)
+    factors = (-1.0) ** np.arange(STROKES + 1)
+    history = np.column_stack([[0.0, *turns, EVEN], [0.0, *factors, factors[-1]]])
+    with temporary_folder() as folder:
+        rows = "".join(f"{time},{factor}\n" for time, factor in history)
+        (folder / "push.csv").write_text(f"time_s,factor\n{rows}")
+        changes = {
+            "supports": {
+                "fixed": ["foot"],
+                "symmetry": {"side": "y"},
+                "springs": {"joint.b": {"stiffness_N_um": [1e-6 * AGAINST, 0.0, 0.0]}},
+            },
+            "joints": {"joint": joint(preload_MPa=1e-6 * loaded.PRELOAD, slip_heating=True)},
+            "loads": {
+                "push": {"surface": "joint.b", "force_N": [PUSH, 0.0, 0.0], "file": "push.csv"}
+            },
+            "march": {"step_s": 20.0, "duration_min": EVEN / 60.0},
+        }
+        data = column_case(folder, True, changes)
+        data["materials"]["iron"]["youngs_modulus_GPa"] = 1e-9 * STIFF
+        case = case_from_data(data, "column", folder)
+        setup = set_up(case)
+        response = simulate(case, setup=setup).response
+    law, _ = setup.machine.contact.laws[0]
+    limit = law.friction.coefficient * loaded.PRELOAD
+    sliding = (PUSH - limit * loaded.AREA) / AGAINST - limit / law.friction.stiffness
+    work = limit * loaded.AREA * sliding * (1 + 2 * STROKES)
+    heat = case.march.step_s * response["friction_heat"].to_numpy()
+    iron = case.materials["iron"]
+    capacity = iron.density_kg_m3 * iron.heat_capacity_J_kgK * loaded.AREA * 2.0 * loaded.HALF
+    name = "friction, column pushed to and fro"
+    compared = Quantity("heat of friction", "J", 1e-5, "mu P times the way")
+    yield compared.check(name, work, float(heat.sum()))
+    compared = Quantity("temperature afterwards", "K", 1e-5, "work over heat capacity")
+    yield compared.check(name, work / capacity, float(response["temperature"][-1, 0]))

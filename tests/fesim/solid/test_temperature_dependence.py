@@ -11,7 +11,7 @@ from scipy.sparse import diags_array
 from fesim.batch.dataset import open_dataset
 from fesim.batch.study import read_study
 from fesim.case.schema import case_from_data, read_case
-from fesim.march.secant_step import step_heat
+from fesim.march.secant_step import HeatLoads, step_heat
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 from fesim.solid.temperature_factor import TemperatureFactor, thermal_growth
@@ -113,7 +113,7 @@ def test_an_unsettled_secant_step_is_one_line(tmp_path):
     machine = set_up(case_from_data(data, "bar", tmp_path)).machine
     cold, inputs = np.zeros(machine.thermal.inputs.shape[0]), np.array([0.0, 40.0])
     with pytest.raises(ConvergenceError, match="secant steps: temperatures still change") as told:
-        step_heat(machine.thermal, machine.variable, cold, inputs, np.empty(0), most=2)
+        step_heat(machine.thermal, machine.variable, cold, HeatLoads(inputs, np.empty(0)), most=2)
     assert "\n" not in str(told.value)
 
 

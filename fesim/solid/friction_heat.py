@@ -1,0 +1,87 @@
+"""Heat of friction in joints that slide: half of it enters each side."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array, diags_array
+
+from fesim.solid.condensation import FULL, ElasticCondensation, ThermalCondensation
+from thermojoint.artefacts.arrays import Array
+
+
+@dataclass(frozen=True)
+class FrictionHeat:
+    """Heat of friction of the contact elements as a load of the heat equation.
+
+    Attributes
+    ----------
+    into : scipy.sparse.csr_array or ndarray, shape (n, m)
+        Heat of each unknown per W of each element; zero where temperatures are held and for joints
+        whose friction is not counted.
+    entering : ndarray, shape (m,)
+        Its sum over the nodes that are not held.
+    counted : ndarray, shape (m,)
+        1 for elements whose friction heats, 0 for the others.
+    """
+
+    into: csr_array | Array
+    entering: Array
+    counted: Array
+
+
+@dataclass(frozen=True)
+class GivenHeat:
+    """Heat that enters besides the inputs of a step.
+
+    Attributes
+    ----------
+    load : ndarray, shape (n,)
+        Of each unknown, W; zero where temperatures are held.
+    total : float
+        Its sum over the nodes, W.
+    """
+
+    load: Array
+    total: float
+
+
+def friction_heat(thermal: ThermalCondensation, counted: Array) -> FrictionHeat:
+    """Return the heat of friction, for elements (m,) that are counted (1) or not (0).
+
+    The mean temperature of both sides is the dual of heat that enters them in equal parts.
+    """
+    rows = diags_array(counted) @ csr_array(thermal.mean)
+    held = thermal.capacity_rate.diagonal() == 0.0
+    into = csr_array(diags_array(1.0 - held) @ rows.T)
+    # Rows of means over nodes have the sum one; amplitudes of held surfaces are nodal temperatures.
+    entering = counted - np.asarray(rows[:, held].sum(axis=1)).ravel()
+    return FrictionHeat(into if thermal.model == FULL else into.toarray(), entering, counted)
+
+
+def given_heat(friction: FrictionHeat, power: Array) -> GivenHeat:
+    """Return the load of the friction's power (m,), W."""
+    return GivenHeat(friction.into @ power, float(friction.entering @ power))
+
+
+def friction_work(
+    elastic: ElasticCondensation, remainder: Array, gap: Array, slip_change: Array
+) -> Array:
+    """Return the work of friction of each contact element in steps, shape (n, m), J.
+
+    Parameters
+    ----------
+    elastic : ElasticCondensation
+        Areas and reference springs.
+    remainder : ndarray, shape (n, 3 m)
+        z + k g at the end of each step, Pa: with the gaps, it gives the shear tractions.
+    gap : ndarray, shape (n, 3, m)
+        Then, m.
+    slip_change : ndarray, shape (n, 2, m)
+        Of the irreversible slip in the step, m.
+    """
+    count = gap.shape[2]
+    springs = elastic.reference.reshape(3, count)
+    traction = remainder.reshape(gap.shape) - springs * gap
+    return -elastic.area[:count] * (traction[:, 1:] * slip_change).sum(axis=1)
