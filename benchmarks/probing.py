@@ -44,7 +44,7 @@ from calibrate.joint_aware.calibration import Effort, calibrate_machine
 from calibrate.joint_aware.physics_fit import Search
 from calibrate.learning.learn import learn
 from estimator.columns import samples_of
-from estimator.interface import READING_NOISE, Estimate, Estimator
+from estimator.interface import READING_NOISE, Estimate, Estimator, Status
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.next_reading import next_reading
 from estimator.joint_aware.readings import samples_in
@@ -125,13 +125,15 @@ def followed(estimator: Estimator, run: Run, policy: Policy) -> dict[str, Any]:
     """Return the figures of a run; each time at which something is read counts once."""
     rng = np.random.default_rng(1)
     axes, state, count = len(estimator.axes), estimator.initial_state(), 0
-    probed = np.full(axes, math.nan)
+    probed, read = np.full(axes, math.nan), list[int]()
     error, band = np.zeros_like(run.actual), np.zeros_like(run.actual)
     for k, (time, *values) in enumerate(run.samples):
         state, estimate = estimator.sample(state, time, [*values, *probed.tolist()])
         error[k], band[k] = estimate.displacement - run.actual[k], estimate.band
         probed, last = np.full(axes, math.nan), min(k + 1, len(run.samples) - 1)
-        read = list(policy(state, estimate, time))
+        # A reading that is refused is repeated at once.
+        refused = Status.READING_REFUSED in estimate.status
+        read = read if refused else list(policy(state, estimate, time))
         probed[read] = run.actual[last, read] + READING_NOISE * rng.normal(size=len(read))
         count += bool(read)
     size = np.abs(error)

@@ -34,16 +34,22 @@ class DisplacementProbe:
         determine.
     gate : float
         Innovation gate in standard deviations, beyond which a reading is refused.
+    alike : float
+        A second reading beyond the gate confirms the first if it differs by no more than this share
+        from it.
     """
 
     noise: float = READING_NOISE
     memory: float = 4.0 * 3600.0
     machine_memory: float = 8.0 * 3600.0
     gate: float = 5.0
+    alike: float = 0.5
 
 
 class ModelError(NamedTuple):
     """Estimate of the parts e of the model error: those of d drawn machines, then of the axes.
+
+    `refused` is what the last refused reading differed by from the estimate, m; NaN for none.
 
     Attributes
     ----------
@@ -59,12 +65,13 @@ class ModelError(NamedTuple):
     variance: Array
     drawn: Array
     shared: Array
+    refused: Array
 
 
 def unknown(draws: int, axes: int) -> ModelError:
     """Return the prior before any reading."""
     own = np.diag(np.append(np.ones(draws), np.zeros(axes)))
-    return ModelError(np.zeros(axes), np.ones(axes), np.zeros(draws), own)
+    return ModelError(np.zeros(axes), np.ones(axes), np.zeros(draws), own, np.full(axes, np.nan))
 
 
 def mean_of(known: ModelError) -> Array:
@@ -77,18 +84,19 @@ def covariance_of(known: ModelError) -> Array:
     return known.shared + np.diag(np.append(np.zeros(known.drawn.size), known.variance))
 
 
-def known_error(mean: Array, covariance: Array, axes: int) -> ModelError:
+def known_error(mean: Array, covariance: Array, refused: Array) -> ModelError:
     """Return the estimate of a mean (d + axes,) and a covariance of e."""
+    axes = refused.size
     draws, variance = mean.size - axes, np.diag(covariance)[mean.size - axes :]
     shared = covariance - np.diag(np.append(np.zeros(draws), variance))
-    return ModelError(mean[draws:], variance, mean[:draws], shared)
+    return ModelError(mean[draws:], variance, mean[:draws], shared, refused)
 
 
 def later(known: ModelError, elapsed: float, probe: DisplacementProbe) -> ModelError:
     """Return the estimate after some time, s."""
     kept = np.exp(-elapsed * forgetting(known.drawn.size, known.mean.size, probe))
     covariance = kept[:, None] * covariance_of(known) * kept + np.diag(1.0 - kept**2)
-    return known_error(kept * mean_of(known), covariance, known.mean.size)
+    return known_error(kept * mean_of(known), covariance, known.refused)
 
 
 def forgetting(draws: int, axes: int, probe: DisplacementProbe) -> Array:
@@ -108,7 +116,7 @@ class Correction(NamedTuple):
     known : ModelError
         After it.
     refused : bool
-        The reading is inconsistent: nothing is changed.
+        The reading is inconsistent: the estimate is not changed.
     """
 
     state: Array
@@ -126,6 +134,10 @@ def correct_by(
     known: ModelError,
 ) -> Correction:
     """Return the correction by a displacement reading.
+
+    A reading beyond the gate is refused. If the next one of the axis is off by as much, it is the
+    model that is wrong: its error is taken to be so many times larger that the reading is one
+    standard deviation off.
 
     With Y = T L and S = Y Y' + E var(e) E' + diag(steady + noise^2), the gains are L Y' S^-1 and
     var(e) E' S^-1. Correlations between L and e are neglected.
@@ -147,14 +159,24 @@ def correct_by(
     """
     at = np.flatnonzero(np.isfinite(innovation))
     before, seen = covariance_of(known), band.tangent[at] @ factor
+    noise = np.diag(band.steady[at] + probe.noise**2)
     across = parts[at] @ before
-    own = across @ parts[at].T + np.diag(band.steady[at] + probe.noise**2)
+    own = across @ parts[at].T + noise
     covariance = seen @ seen.T + own
+    beyond = float(innovation[at] @ np.linalg.solve(covariance, innovation[at])) / at.size
+    refused = known.refused.copy()
+    if beyond > probe.gate**2:
+        alike = np.abs(refused - innovation)[at] <= probe.alike * np.abs(innovation[at])
+        if not alike.all():
+            refused[at] = innovation[at]
+            return Correction(np.zeros(len(factor)), factor, known._replace(refused=refused), True)
+        before, across = beyond * before, beyond * across
+        own = across @ parts[at].T + noise
+        covariance = seen @ seen.T + own
+    refused[at] = np.nan
     whitened = np.linalg.solve(covariance, innovation[at])
-    if innovation[at] @ whitened > probe.gate**2 * at.size:
-        return Correction(np.zeros(len(factor)), factor, known, True)
     after = before - across.T @ np.linalg.solve(covariance, across)
-    learned = known_error(mean_of(known) + across.T @ whitened, after, known.mean.size)
+    learned = known_error(mean_of(known) + across.T @ whitened, after, refused)
     root = np.linalg.cholesky(np.eye(factor.shape[1]) + seen.T @ np.linalg.solve(own, seen))
     narrower = factor @ np.linalg.inv(root).T
     return Correction(factor @ (seen.T @ whitened), narrower, learned, False)

@@ -129,6 +129,7 @@ def layout(
             "pending.linear": (states,),
             "model_error.drawn": error.drawn.shape,
             "model_error.shared": error.shared.shape,
+            "model_error.refused": error.refused.shape,
         }
     )
 

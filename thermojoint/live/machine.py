@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from estimator.interface import Status
 from estimator.quality import Quality, quality_of
 from estimator.states import as_bytes, completed, from_bytes
 from thermojoint.artefacts.arrays import Array
@@ -183,7 +184,9 @@ def taken(
     machine = _cycled(served, machine, times.clock, target)
     asked = machine.asked
     if served.asking is not None:
-        read = _read_axes(served, given)
+        # One that is refused is to be confirmed: the request stands.
+        refused = Status.READING_REFUSED in estimate.status
+        read = [] if refused else _read_axes(served, given)
         asked = after_sample(served.asking, asked, instant, read, estimate.band, state)
     latest = Publication(
         machine.name,

@@ -7,7 +7,7 @@ import pytest
 from observed import SENSORS, estimates
 from typer.testing import CliRunner
 
-from estimator.interface import follow
+from estimator.interface import Status, follow
 from estimator.joint_aware.compiled_sample import forget
 from estimator.joint_aware.displacement_readings import (
     DisplacementProbe,
@@ -104,10 +104,23 @@ def test_what_no_reading_narrows_is_not_asked_for(estimator, stepped):
     assert narrowest_band(estimator) > 0.9 * MICRO
 
 
+def test_two_readings_that_agree_against_the_band_are_believed_and_widen_it(undecided, warmed):
+    samples, states, alone = warmed
+    (time, *values), (after, *later) = samples[150:152]
+    off = alone[150].displacement + 200.0 * MICRO
+    given = with_reading(undecided, values, "x", off)
+    state, first = undecided.sample(states[149], time, given)
+    assert Status.READING_REFUSED in first.status
+    state, second = undecided.sample(state, after, with_reading(undecided, later, "x", off))
+    assert Status.READING_REFUSED not in second.status
+    assert second.displacement[0] == pytest.approx(off[0], abs=10.0 * MICRO)
+    assert second.band[1] > 3.0 * alone[151].band[1]
+
+
 def test_readings_are_forgotten_alike_in_machine_code():
     rng = np.random.default_rng(2)
     root = rng.normal(size=(5, 5))
-    known = known_error(rng.normal(size=5), root @ root.T, 2)
+    known = known_error(rng.normal(size=5), root @ root.T, np.full(2, np.nan))
     probe = DisplacementProbe()
     slowly = later(known, 600.0, probe)
     quickly = ModelError(*(part.copy() for part in known))
