@@ -53,10 +53,10 @@ def started(place):
 
 
 @contextlib.contextmanager
-def warming_up(place):
-    """The machine is on."""
+def warming_up(place, begins=0):
+    """The machine is on, from a sample on."""
     ended = threading.Event()
-    machine = threading.Thread(target=_warm_up, args=(place, ended))
+    machine = threading.Thread(target=_warm_up, args=(place, ended, begins))
     machine.start()
     try:
         yield
@@ -65,8 +65,8 @@ def warming_up(place):
         machine.join()
 
 
-def _warm_up(place, ended):
-    for k in range(10_000):
+def _warm_up(place, ended, begins):
+    for k in range(begins, begins + 10_000):
         with (place / "mill.csv").open("a") as file:
             file.write(f"{1.7e9 + k},{20 + 0.02 * k},20,20.5,21,20\n")
         if ended.wait(0.1):

@@ -164,6 +164,43 @@ def test_controls_follow_with_kills_on_either_side(hand_made_model, tmp_path):
             assert abs(record[cleared + 1][1]) <= STEP_UM + 0.11
 
 
+def test_controls_return_to_zero_without_readings_and_follow_again(hand_made_model, tmp_path):
+    """No control keeps an offset without an estimate behind it, and none jumps when it is back."""
+    places = {kind: tmp_path / kind for kind in CONTROLS}
+    trust = OFFSETS.replace("oldest_s = 1e6", "oldest_s = 2.0\ndecay_s = 0.5")
+
+    async def one(kind, place):
+        prepare(place, hand_made_model, HANDSHAKE)
+        (place / "offsets.toml").write_text(trust)
+        played = Played(place, PAGES[kind])
+        text = (place / "target.toml").read_text()
+        (place / "target.toml").write_text(text.replace("enable = false", "enable = true"))
+        await played.open()
+        service = started(place)
+        try:
+            with warming_up(place):
+                await until(lambda: abs(played.newest) > 10.0)
+            await until(lambda: abs(played.newest) < 0.2)
+            with warming_up(place, 2000):
+                await until(lambda: abs(played.newest) > 10.0)
+        finally:
+            service.kill()
+            service.wait()
+            await played.server.stop()
+        return np.array(played.record).T
+
+    async def live():
+        return await asyncio.gather(*(one(*each) for each in places.items()))
+
+    for place in places.values():
+        place.mkdir()
+    for at, um in asyncio.run(live()):
+        assert np.abs(np.diff(um)).max() <= STEP_UM + 0.11
+        for lag in (1, 5, 20):
+            spent = at[lag:] - at[:-lag]
+            assert (np.abs(um[lag:] - um[:-lag]) <= RATE * spent + STEP_UM + 0.11).all()
+
+
 async def follow(kind, place):
     """What a control received, and which of it was the zero of somebody else."""
     played = Played(place, PAGES[kind])
