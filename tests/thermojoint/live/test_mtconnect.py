@@ -285,6 +285,14 @@ def test_a_clock_that_is_set_closes_no_sample_and_loses_no_value():
     arrivals, _ = arrivals_of(units, back)
     assert [one.time - START for one in arrivals] == [0.0, -500.0, 1.0]
     assert [one.readings for one in arrivals[::2]] == [[20.0], [21.0]]
+    # A clock that nobody had set yet: the decades between are a gap.
+    early = [(10.0, {"T1_degC": 20.0}), (START, {"T1_degC": 21.0}), (START + 1, {})]
+    arrivals, _ = arrivals_of(units, early)
+    found = [(one.time, *one.readings) for one in arrivals]
+    assert found == [(10.0, 20.0), (START, 21.0), (START + 1, 21.0)]
+    late = [(9e9, {"T1_degC": 20.0}), (START, {"T1_degC": 21.0}), (START + 1, {})]
+    arrivals, _ = arrivals_of(units, late)
+    assert [one.time for one in arrivals] == [9e9, START, START + 1]
     ahead = [(START, {"T1_degC": 20.0}), (9e9, {"T1_degC": 21.0}), (START + 1, {})]
     arrivals, _ = arrivals_of(units, ahead)
     assert [one.time for one in arrivals] == [START, 9e9, START + 1]
@@ -367,7 +375,8 @@ BOMB = (
         (b"{}", "no XML"),
         (b'<MTConnectStreams xmlns="urn:mtconnect.org:MTConnectStreams:1.2"/>', "version 1.2"),
         (b'<MTConnectStreams xmlns="urn:mtconnect.org:MTConnectStreams:2.0"/>', "no header|header"),
-        (b"<a" * 50_000, "no XML"),
+        (b"<a>" * 500_000, "no XML"),
+        (b"<a>" * 100_000 + b"</a>" * 100_000, "another kind"),
     ],
 )
 def test_what_is_no_document_of_an_agent_is_refused(content, said):

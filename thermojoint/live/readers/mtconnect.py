@@ -47,6 +47,8 @@ _AT_ONCE = 64
 _MOST = 1000
 #: Longest query; beyond it everything is asked for.
 _LONGEST = 4000
+#: A longer stretch without any observation or document is a gap, s.
+_GAP_S = 3600.0
 #: Interval of the documents that an agent may be asked for, ms.
 _SHORTEST_MS, _LONGEST_MS = 10, 10_000
 
@@ -193,6 +195,9 @@ class MtconnectReader:
         created, now = streams.header.created, clock.time()
         for machine, fed in self.fed.items():
             before, found = held[machine], observed(streams, places, machine)
+            if before.number == 0 and created < before.start:
+                # Nothing has come of these instants yet: they may begin earlier.
+                before = before._replace(start=created)
             due = before.due(fed)
             if created > now + self.ahead or created < due - 2.0 * fed.interval:
                 # The agent's clock was set: the rules of every source refuse its time, and say so.
@@ -329,14 +334,25 @@ def played(fed: Fed, held: Held, streams: Streams) -> Iterator[tuple[Held, float
     for one in streams.observations:
         if one.sequence < held.next:
             continue
-        while held.due(fed) < min(one.time, header.created):
+        time = min(one.time, header.created)
+        held = _later(fed, held, time)
+        while held.due(fed) < time:
             held = yield from _instant(fed, held)
         held = _with(held, one, held.due(fed))._replace(next=one.sequence + 1)
     held = held._replace(next=max(held.next, header.next))
     if header.next > header.last:
+        held = _later(fed, held, header.created)
         while held.due(fed) <= header.created:
             held = yield from _instant(fed, held)
     yield held, None
+
+
+def _later(fed: Fed, held: Held, time: float) -> Held:
+    """Return what holds without the instants of a gap before a time."""
+    late = time - held.due(fed)
+    if late <= _GAP_S:
+        return held
+    return held._replace(number=held.number + math.floor(late / fed.interval))
 
 
 def _instant(fed: Fed, held: Held) -> Generator[tuple[Held, float], None, Held]:
