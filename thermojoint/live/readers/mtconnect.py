@@ -10,7 +10,15 @@ from __future__ import annotations
 import asyncio
 import math
 import time as clock
-from collections.abc import AsyncGenerator, AsyncIterator, Generator, Iterator, Mapping, Sequence
+from collections.abc import (
+    AsyncGenerator,
+    AsyncIterator,
+    Generator,
+    Iterable,
+    Iterator,
+    Mapping,
+    Sequence,
+)
 from contextlib import aclosing
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -174,8 +182,8 @@ class MtconnectReader:
         instance = devices.header.instance
         if {one.instance for one in held.values()} != {instance} or set(held) != set(self.fed):
             streams = _observed(await self._asked(f"/current?{query}", places), instance)
-            for machine, fed in self.fed.items():
-                held[machine] = begun(fed, held.get(machine), observed(streams, places, machine))
+            for machine, some in observed(streams, places, self.fed).items():
+                held[machine] = begun(self.fed[machine], held.get(machine), some)
             for block in self._blocks(held, places, streams._replace(observations=())):
                 yield block
         count = min(devices.header.size or 100, _MOST)
@@ -193,8 +201,8 @@ class MtconnectReader:
     ) -> Iterator[list[Arrival | Note]]:
         """Yield the arrivals of a document; `held` goes on."""
         created, now = streams.header.created, clock.time()
-        for machine, fed in self.fed.items():
-            before, found = held[machine], observed(streams, places, machine)
+        for machine, found in observed(streams, places, self.fed).items():
+            fed, before = self.fed[machine], held[machine]
             if before.number == 0 and created < before.start:
                 # Nothing has come of these instants yet: they may begin earlier.
                 before = before._replace(start=created)
@@ -286,15 +294,14 @@ def _observed(document: Devices | Streams | Refused, instance: int) -> Streams:
     return document
 
 
-def observed(streams: Streams, places: Places, machine: str) -> Streams:
-    """Return a document with the observations of one machine: by reading, in its unit."""
-    found = tuple(
-        Observation(str(k), one.sequence, one.time, converted(place, one.value))
-        for one in streams.observations
-        for name, k, place in places[one.item]
-        if name == machine
-    )
-    return streams._replace(observations=found)
+def observed(streams: Streams, places: Places, machines: Iterable[str]) -> dict[str, Streams]:
+    """Return a document for each machine: its observations by reading, in the reading's unit."""
+    found: dict[str, list[Observation]] = {machine: [] for machine in machines}
+    for one in streams.observations:
+        for machine, k, place in places[one.item]:
+            value = converted(place, one.value)
+            found[machine].append(one._replace(item=str(k), value=value))
+    return {machine: streams._replace(observations=tuple(some)) for machine, some in found.items()}
 
 
 def begun(fed: Fed, before: Held | None, streams: Streams) -> Held:
