@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from live_parts import free_port, serving, until
 from played_agent import NONE, Agent
+from warming_machine import started
 
 from estimator.interface import follow
 from estimator.registry import open_estimator
@@ -141,6 +142,38 @@ def test_every_sample_is_there_once_although_agent_and_service_go_away(model, ve
     # The state is asked for once: after that every observation is read on from the last.
     assert sum("/current" in one for one in asked) == 1
     assert {"connected", "disconnected"} <= set(events_of(tmp_path))
+
+
+def test_a_service_that_is_killed_reads_the_agents_buffer_on(model, tmp_path):
+    readings = day(300)
+
+    async def live():
+        agent = await Agent(free_port(), UNITS, size=10_000).begin()
+        await agent.tell(START, told(readings[0]))
+        (tmp_path / "service.toml").write_text(
+            f'folder = "state"\nbehind_s = 1e9\n[models.m]\nfile = "{model}"\nlateness_s = 0.0\n'
+            '[machines.mill]\nmodel = "m"\nsource = "agent"\n'
+            f'[sources.agent]\nkind = "mtconnect"\nurl = "http://127.0.0.1:{agent.port}"\n'
+        )
+
+        path, lives = tmp_path / "state" / "history.sqlite", [(1, 80), (80, 160), (160, 300)]
+        for first, last in lives:
+            service, before = started(tmp_path), len(agent.asked)
+            await until(lambda before=before: any("/sample" in one for one in agent.asked[before:]))
+            for k in range(first, last):
+                await agent.tell(START + k, told(readings[k]))
+                await asyncio.sleep(0.005)
+            if last == 300:
+                await until(lambda: Archive(path).latest("mill").time == START + 299.0)
+            service.kill()
+            service.wait()
+        await agent.end()
+
+    asyncio.run(live())
+    history = history_of(tmp_path)
+    assert not history.holes
+    np.testing.assert_array_equal(history.columns.times, START + np.arange(300.0))
+    np.testing.assert_array_equal(history.columns.readings, readings)
 
 
 @pytest.mark.parametrize("cause", ["restart", "overrun"])
