@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 from asyncua import Client, ua
-from live_parts import free_port, serving
+from live_parts import free_port, serving, until
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.settings import service_from_data
@@ -131,6 +131,27 @@ def test_a_machine_tool_says_nothing_of_what_the_service_does_not_know(model, tm
     tool, jobs = index[f"{UA}MachineTool/"], index[f"{UA}Machinery/Jobs/"]
     assert names == [f"{tool}:MachineToolType", f"{jobs}:OutputInformationDataType"]
     assert codes == ["BadNotConnected"] * 2
+
+
+def test_a_client_of_the_machines_folder_hears_of_a_machine_without_readings(model, tmp_path):
+    class Heard(list):
+        def event_notification(self, event):
+            self.append(event)
+
+    async def look(client):
+        index = (await namespaces_of(client))[f"{UA}Machinery/"]
+        heard = Heard()
+        subscription = await client.create_subscription(50.0, heard)
+        await subscription.subscribe_alarms_and_conditions(ua.NodeId(1001, index))
+        number = ua.Variant(subscription.subscription_id, ua.VariantType.UInt32)
+        kind = client.get_node(ua.NodeId(ua.ObjectIds.ConditionType))
+        await kind.call_method("0:ConditionRefresh", number)
+        await until(lambda: heard)
+        return [(one.SourceName, one.Message.Text) for one in heard]
+
+    data = file_of(model, "machinery", identification=IDENTIFICATION)
+    said = "the displacement of mill is bad: no-sample"
+    assert ("mill", said) in found_by_a_client(data, tmp_path, look)
 
 
 def test_nobody_writes_the_nodes_of_a_specification(model, tmp_path):

@@ -123,6 +123,9 @@ def test_a_value_that_becomes_bad_is_an_alarm_to_all_who_see_the_machine(tmp_pat
             number = ua.Variant(subscription.subscription_id, ua.VariantType.UInt32)
             await kind.call_method("0:ConditionRefresh", number)
             await until(lambda: len(late.events) == 3)
+            nobody = ua.Variant(9_999, ua.VariantType.UInt32)
+            with pytest.raises(ua.UaError, match="subscription"):
+                await kind.call_method("0:ConditionRefresh", nobody)
             # It is all that anybody may call.
             server = of_plant.nodes.server
             with pytest.raises(ua.UaError):

@@ -377,7 +377,9 @@ async def open_server(
             f"opcua: {section.address}:{section.port}: {error.strerror}; take another port"
         ) from error
     limit_callers(server, section.most_sessions)
-    alarms = await add_alarms(server, door, await server.get_namespace_index(NAMESPACE))
+    index = await server.get_namespace_index(NAMESPACE)
+    folders = () if companion is None else (companion.machines,)
+    alarms = await add_alarms(server, door, index, folders)
     return server, Nodes(variables, alarms)
 
 

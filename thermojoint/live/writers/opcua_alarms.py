@@ -43,6 +43,8 @@ class Alarms:
         With all fields of the type.
     active : dict of str to Event
         By machine.
+    above : tuple of NodeId
+        Where everybody's events are listened to: the Server object, the Machines folder.
     """
 
     server: Server
@@ -50,27 +52,34 @@ class Alarms:
     index: int
     template: Any
     active: dict[str, Any]
+    above: tuple[ua.NodeId, ...]
 
 
-async def add_alarms(server: Server, door: Door, index: int) -> Alarms:
+async def add_alarms(
+    server: Server, door: Door, index: int, folders: tuple[ua.NodeId, ...]
+) -> Alarms:
     """Let the machines of a server emit events, and its clients ask for those that are active."""
     generator = await server.get_event_generator(ua.ObjectIds.OffNormalAlarmType)
     for machine in door.machines:
         node = server.get_node(ua.NodeId(machine, index))
         await node.set_event_notifier([ua.EventNotifier.SubscribeToEvents])
-    alarms = Alarms(server, door, index, generator.event, {})
+    alarms = Alarms(server, door, index, generator.event, {}, (_SERVER, *folders))
     bounds = [
         await server.get_event_generator(kind)
         for kind in (ua.ObjectIds.RefreshStartEventType, ua.ObjectIds.RefreshEndEventType)
     ]
 
     @uamethod  # type: ignore[untyped-decorator,unused-ignore]
-    async def refresh(parent: Any, subscription: int, item: int | None = None) -> None:  # noqa: ANN401
+    async def refresh(parent: Any, subscription: int, item: int | None = None) -> Any:  # noqa: ANN401
         """Send what is active to one subscription: to all of its items."""
+        known = {one.data.SubscriptionId for _, one in subscribers(server)}
+        if subscription not in known:
+            return ua.StatusCode(ua.StatusCodes.BadSubscriptionIdInvalid)
         await bounds[0].trigger(subscription_id=subscription)
         for event in list(alarms.active.values()):
             await _send(alarms, event, subscription)
         await bounds[1].trigger(subscription_id=subscription)
+        return None
 
     for method in ("ConditionType_ConditionRefresh", "ConditionType_ConditionRefresh2"):
         server.link_method(server.get_node(ua.NodeId(getattr(ua.ObjectIds, method))), refresh)
@@ -100,7 +109,7 @@ async def _send(alarms: Alarms, event: Any, only: int | None = None) -> None:  #
     for user, subscription in subscribers(alarms.server):
         wanted = only is None or subscription.data.SubscriptionId == only
         if wanted and not alarms.door.hides(user, event.SourceNode):
-            for emitter in (event.SourceNode, _SERVER):
+            for emitter in (event.SourceNode, *alarms.above):
                 event.emitting_node = emitter
                 await send_event(subscription, event)
 
