@@ -88,6 +88,24 @@ class Observer:
             readings.append(self.system.rows @ columns)
         return np.array(readings)
 
+    @cached_property
+    def sudden(self) -> Array:
+        """Largest innovations after a step of 1 W at each source, K, shape (p + 1, s).
+
+        Of a sensor that reads the source at once that is the first one. Where it lags, the heat
+        is found step by step, and the innovations grow meanwhile.
+        """
+        unknown = np.zeros((self.system.size, self.model.power.size))
+        unknown[self.system.decay.size :][: self.model.power.size] = np.eye(self.model.power.size)
+        innovations = []
+        for _ in range(ANSWER):
+            unknown = self.system.advance(unknown)
+            innovations.append(self.system.rows @ unknown)
+            unknown = unknown - self.usual_gain @ innovations[-1]
+        every = np.array(innovations)
+        largest = np.abs(every).max(axis=1).argmax(axis=0)
+        return np.asarray(every[largest, :, np.arange(largest.size)].T)
+
     def expected(self, before: ObserverState, length: float, steps: int) -> Expected:
         """Prediction `steps` of `length` (s) after the previous sample."""
         linear, joint, factor = before.linear, before.joint, before.covariance_factor

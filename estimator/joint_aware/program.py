@@ -228,7 +228,7 @@ def _tables(estimator: JointAware, kernel: JointKernel, tolerance: float) -> lis
         Table("tangent_of", "Displacement per state, m.", band.tangent),
         Table("noise", "Of the thermometers, K.", readable.noise),
         Table("spread", "Variance of an innovation, K2, likewise.", start.spread),
-        Table("onset", "Readings a step after 1 W, K.", observer.onset[0]),
+        Table("onset", "Largest innovations after 1 W, K.", observer.sudden),
         Table("answers", "... of the source that is seen best, later, K.", _answers(observer)),
         Table("most", "Heat that may be switched on, W.", most),
         Table("slack", "Tolerance of that, W.", estimator.thresholds.onset_slack * most),

@@ -195,7 +195,7 @@ def _heat_unknown(
 ) -> Expected:
     """The same, with the heat unknown for the sources that an excluded channel saw best."""
     power, scale = observer.model.power, observer.model.filter.scale
-    answers = np.abs(observer.onset[0])
+    answers = np.abs(observer.sudden)
     lost = answers[newly].max(axis=0) > answers[believed].max(axis=0, initial=0.0)
     if not lost.any():
         return expected
@@ -229,4 +229,6 @@ def _unexplained(
     bounds = (np.minimum(-heat, 0.0) - slack, np.maximum(most - heat, 0.0) + slack)
     # A source may have been on for one step before the first sample.
     onset = observer.onset[min(max(moment.steps, 1), len(observer.onset)) - 1]
+    slower = np.abs(observer.sudden).max(axis=0) > np.abs(onset).max(axis=0)
+    onset = np.where(slower, observer.sudden, onset)
     return fault_isolation.without_heat(innovation, at, covariance, onset, bounds), covariance

@@ -4,8 +4,13 @@ import numpy as np
 import pytest
 from observed import SENSORS
 
+from calibrate.joint_aware.assembling import make_observer
 from calibrate.joint_aware.misfit import Run, physics_with
 from calibrate.joint_aware.physics_fit import Search, fit_physics
+from estimator.interface import Status, follow
+from estimator.joint_aware.estimator import JointAware
+from estimator.joint_aware.filter_design import Noise
+from estimator.joint_aware.observer_model import Calibrated
 from thermojoint.reduced.machine import NEAR, along
 from thermojoint.reduced.parameters import lag_name
 from thermojoint.reduced.physics import simulate_known
@@ -82,3 +87,21 @@ def test_errors_that_no_parameter_explains_leave_more_unknown(machine):
     known = np.linalg.norm(other.jacobian) * other.doubt
     assert known == pytest.approx(np.linalg.norm(own.jacobian), rel=0.2)
     assert other.covariance[0, 0] > own.covariance[0, 0]
+
+
+def test_a_step_of_heat_is_no_fault_of_a_sensor_that_lags(machine):
+    """The heat is found over many steps, in which the reading departs from its prediction."""
+    small, factors = along(machine, ["x", "y"]), {lag_name("s"): 60.0}
+    fit = fit_physics(small, runs_of(small, factors), [lag_name("s")], Search(starts=0))
+    known = Calibrated(300.0, 2.0, dict.fromkeys(SENSORS, (0.0, 60.0)))
+    model = make_observer(small, fit, known, Noise(sensor=0.2))
+    observer = JointAware(model)
+    assert observer.observer.sudden[0, 0] > 2.0 * observer.observer.onset[0, 0, 0]
+    _, sensed, moved = marched(small, factors, 2.9)
+    times = STEP * np.arange(1.0, COUNT + 1.0)
+    samples = np.column_stack([times, sensed, np.zeros(COUNT)])
+    first = np.zeros((1, samples.shape[1]))
+    found = [one for _, one in follow(observer, [*first, *samples], observer.initial_state())][1:]
+    assert not any(one.status & Status.SENSOR_DISTRUSTED for one in found)
+    errors = np.array([one.displacement for one in found]) - moved[:, :2]
+    assert np.abs(errors[-1]).max() < 0.05 * np.abs(moved[-1]).max()
