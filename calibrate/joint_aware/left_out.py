@@ -30,6 +30,7 @@ from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.observer_model import Band, ObserverModel
 from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.artefacts.errors import ConvergenceError
+from thermojoint.reduced.discrepancy import told_by
 from thermojoint.reduced.machine import ReducedMachine
 
 #: Share of the samples of a run that the band has to hold: errors last, so that it is nearly all.
@@ -141,8 +142,8 @@ def _unseen(
     history = history_of(steps.inputs[:, :sources] / machine.power, fit.discrepancy.rates, step)
     drawn = drawn_errors(np.random.default_rng(drawing.seed), slow, [history], drawing)
     expected = filtered.band.steady + filtered.band.constant + np.mean(np.square(drawn), axis=0)
-    # What lasts for longer than the run is not told by it.
-    told = fit.discrepancy.rates * grid[-1] >= 1.0
+    # The beginning of what lasts for longer than the run is seen in it.
+    told = told_by(fit.discrepancy.rates, grid[-1]) > 0.0
     return _Unseen((history.squares * told)[read], expected[read], errors)
 
 
