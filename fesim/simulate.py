@@ -13,6 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fesim.accuracy.estimate import Accuracy, Marched, accuracy_of
+from fesim.axes.course import course_values, mapped
+from fesim.axes.march import march_moving
+from fesim.axes.setup import MovingSetup, axis_inputs, set_up_axis
 from fesim.case.history import entering_in_steps
 from fesim.case.schema import (
     TOLERANCE_K,
@@ -29,7 +32,13 @@ from fesim.march.machine import State, Step
 from fesim.march.settling import at_rest, initial_state
 from fesim.march.state_file import check_resumable
 from fesim.march.step_control import Tolerance
-from fesim.march.stepping import Advance, iterated, march_along, staggered
+from fesim.march.stepping import (
+    Advance,
+    iterated,
+    march_along,
+    plainly_staggered,
+    staggered,
+)
 from fesim.march.track import Track, joined, track_of
 from fesim.one_thread import one_thread
 from fesim.setup.bolts import first_forces
@@ -50,6 +59,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
 COUPLINGS: dict[str, Advance] = {"staggered": staggered, "iterated": iterated}
+#: With a moving axis the machine is another one in every step, which nothing is compiled for.
+MOVING_COUPLINGS: dict[str, Advance] = {"staggered": plainly_staggered, "iterated": iterated}
 
 Progress = Callable[[int, int], None]
 OnStep = Callable[[Step], None]
@@ -92,7 +103,7 @@ class Simulation(Described):
 def simulate(
     case: Case | Path | str,
     *,
-    setup: Setup | None = None,
+    setup: Setup | MovingSetup | None = None,
     start: State | None = None,
     on_step: OnStep | None = None,
     progress: Progress | None = None,
@@ -104,8 +115,9 @@ def simulate(
     ----------
     case : Case or path
         The case, or its file.
-    setup : Setup, optional
-        The condensed structure, for several heat inputs on one structure; default `set_up(case)`.
+    setup : Setup or MovingSetup, optional
+        The condensed structure, for several heat inputs on one structure; default
+        `prepared(case)`.
     start : State, optional
         A saved state to continue from; default the preload, and the case's initial temperatures.
     on_step : callable, optional
@@ -125,13 +137,15 @@ def simulate(
     """
     if not isinstance(case, Case):
         case = read_case(case)
-    ready = setup if setup is not None else set_up(case)
+    given = setup if setup is not None else prepared(case)
+    moving = given if isinstance(given, MovingSetup) else None
+    ready = given.setup if isinstance(given, MovingSetup) else given
     if ready.machine.thermal.step != case.march.step_s:
         raise InputError(
             f"march.step_s: {case.march.step_s:g} s, but the structure was set up for steps of "
             f"{ready.machine.thermal.step:g} s; set it up for this case"
         )
-    inputs = march_inputs(case)
+    inputs = march_inputs(case) if moving is None else axis_inputs(case)
     _check_forces(case, ready)
     (at_zero,) = inputs.at(np.zeros(1))
     first = start if start is not None else initial_state(ready.machine, at_zero)
@@ -152,14 +166,14 @@ def simulate(
     parts = []
     if start is None:
         rest = track_of(at_rest(ready.machine, at_zero))
-        parts.append(_kept(ready, first.slip, rest))
+        parts.append(_kept(given, first.slip, rest))
     state, done, spent = first, 0, None
     with one_thread():
-        for track, effort in _marching(case, ready, inputs, ends, first):
+        for track, effort in _marching(case, given, inputs, ends, first):
             spent = effort
             _check_pressures(ready, track)
             # The temperature field is the only large part of a step: store the probes only.
-            parts.append(_kept(ready, state.slip, track))
+            parts.append(_kept(given, state.slip, track))
             state = track.step(-1).state
             for at in range(len(track)):
                 done += 1
@@ -168,22 +182,38 @@ def simulate(
                 if progress is not None:
                     progress(done, count)
     course = _joined(parts)
-    response = _response(case, ready, inputs, course)
+    response = _response(case, given, inputs, course)
     known = None
     if spent is not None:
         response.attrs |= _spent(spent)
         known = spent.displacement
-    if accuracy and case.displacement is not None:
+    if accuracy and case.displacement is not None and moving is None:
         taken = course.track.displacement[-count:]
         marched = Marched(case, ready, COUPLINGS[case.march.coupling], start, taken)
         response.attrs |= _good_to(accuracy_of(marched, known))
     return Simulation(response, state)
 
 
+def prepared(case: Case) -> Setup | MovingSetup:
+    """Set up a case, with or without a moving axis, for `simulate`.
+
+    Raises
+    ------
+    InputError
+        As `fesim.setup.machine.set_up` and `fesim.axes.setup.set_up_axis`.
+    """
+    return set_up_axis(case) if case.axes else set_up(case)
+
+
 def _marching(
-    case: Case, ready: Setup, inputs: MarchInputs, ends: np.ndarray, first: State
+    case: Case, ready: Setup | MovingSetup, inputs: MarchInputs, ends: np.ndarray, first: State
 ) -> Iterator[tuple[Track, Effort | None]]:
     """Yield the march up to the times of a response, and the effort of an adaptive one."""
+    if isinstance(ready, MovingSetup):
+        coupling, rows = MOVING_COUPLINGS[case.march.coupling], inputs.at(ends)
+        for track in march_moving(ready.moving, ready.course, rows, coupling, first):
+            yield track, None
+        return
     machine, march = ready.machine, case.march
     if march.method == "adaptive" and ready.modes is not None:
         tolerance = Tolerance(
@@ -239,16 +269,20 @@ class _Course:
         `outputs_of` each step.
     friction_heat : ndarray, shape (n, m)
         W; of joints whose friction heats.
+    mapped : ndarray, shape (n, k, p)
+        Displacement probes at each of k positions that an axis is asked about.
     """
 
     track: Track
     probes: np.ndarray
     outputs: np.ndarray
     friction_heat: np.ndarray
+    mapped: np.ndarray
 
 
-def _kept(setup: Setup, slip: np.ndarray, track: Track) -> _Course:
+def _kept(given: Setup | MovingSetup, slip: np.ndarray, track: Track) -> _Course:
     """Contents of the response of a track that starts with a slip (2, m), m."""
+    setup = given.setup if isinstance(given, MovingSetup) else given
     probes = each(setup.probe_rows, track.temperature)
     outputs = np.empty((len(track), 0))
     if setup.outputs is not None or setup.bolts is not None:
@@ -261,7 +295,10 @@ def _kept(setup: Setup, slip: np.ndarray, track: Track) -> _Course:
         elastic, counted = setup.machine.contact.elastic, setup.machine.friction.counted
         work = friction_work(elastic, track.remainder, track.gap, moved)
         rubbed = counted * work / setup.machine.thermal.step
-    return _Course(small, probes, outputs, rubbed)
+    there = np.empty((len(track), 0, 0))
+    if isinstance(given, MovingSetup):
+        there = mapped(given, track)
+    return _Course(small, probes, outputs, rubbed, there)
 
 
 def _joined(parts: Sequence[_Course]) -> _Course:
@@ -270,6 +307,7 @@ def _joined(parts: Sequence[_Course]) -> _Course:
         np.concatenate([part.probes for part in parts]),
         np.concatenate([part.outputs for part in parts]),
         np.concatenate([part.friction_heat for part in parts]),
+        np.concatenate([part.mapped for part in parts]),
     )
 
 
@@ -322,7 +360,10 @@ def _check_pressures(ready: Setup, track: Track) -> None:
         )
 
 
-def _response(case: Case, setup: Setup, inputs: MarchInputs, course: _Course) -> xr.Dataset:
+def _response(
+    case: Case, given: Setup | MovingSetup, inputs: MarchInputs, course: _Course
+) -> xr.Dataset:
+    setup = given.setup if isinstance(given, MovingSetup) else given
     machine, track = setup.machine, course.track
     names = [joint.name for joint in setup.joints for _ in joint.area]
     times = machine.thermal.step * track.index
@@ -333,7 +374,7 @@ def _response(case: Case, setup: Setup, inputs: MarchInputs, course: _Course) ->
         "source_power": powers,
         "ambient": track.inputs[:, layout.ambient],
         "temperature": course.probes,
-        "displacement": track.displacement,
+        "displacement": track.displacement[:, : len(DIRECTIONS)],
         "probe_position": np.array([probe.position for probe in setup.probes.values()]),
         "pressure": track.pressure,
         "conductance": track.conductance,
@@ -376,6 +417,9 @@ def _response(case: Case, setup: Setup, inputs: MarchInputs, course: _Course) ->
         steps = [track.step(at) for at in range(len(track))]
         forces, places = mechanical_values(case, setup, steps, course.outputs)
         values, coords = values | forces, coords | places
+    if isinstance(given, MovingSetup):
+        moved, places = course_values(given, times, track, course.mapped)
+        values, coords = values | moved, coords | places
     attrs: dict[str, str | float | int] = {
         "title": case.title,
         "reference_power_W": _reference_power(case),

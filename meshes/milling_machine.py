@@ -36,10 +36,14 @@ class MillingMachineDimensions:
         Thickness of the contact strips along x.
     strip_inset, strip_width : float
         Distance of a strip from the side of the machine, and its width, along z.
+    strip_bottom, strip_top : float or None
+        Heights of the ends of the strips; None for those of the table.
     table_bottom, table_top, table_length : float
         Heights of the table's faces and its length along x.
     screw_x, screw_depth, screw_width : float
         Start along x, extent along x, and extent along z of the support screw.
+    screw_bottom : float
+        Height of its foot.
     source_top, source_height, source_inset, source_width : float
         Bearing source on the inside of the column's front wall: height of its top edge, size along
         y, distance from the side along z, and width along z.
@@ -58,18 +62,27 @@ class MillingMachineDimensions:
     strip_depth: float = 0.05
     strip_inset: float = 0.05
     strip_width: float = 0.075
+    strip_bottom: float | None = None
+    strip_top: float | None = None
     table_bottom: float = 0.35
     table_top: float = 0.75
     table_length: float = 0.80
     screw_x: float = 1.00
     screw_depth: float = 0.05
     screw_width: float = 0.10
+    screw_bottom: float = 0.0
     source_top: float = 0.75
     source_height: float = 0.10
     source_inset: float = 0.05
     source_width: float = 0.10
     nose_height: float = 1.05
     table_point: float = 0.15
+
+    @property
+    def strip_ends(self) -> tuple[float, float]:
+        """Heights of the ends of the strips, m."""
+        low = self.table_bottom if self.strip_bottom is None else self.strip_bottom
+        return low, self.table_top if self.strip_top is None else self.strip_top
 
 
 def box_milling_machine(
@@ -134,16 +147,22 @@ def box_milling_machine(
 
 def _check_dimensions(d: MillingMachineDimensions) -> None:
     for name, value in vars(d).items():
+        if value is None or (name == "screw_bottom" and value == 0.0):
+            continue
         if not (np.isfinite(value) and value > 0.0):
             raise InputError(f"milling machine: {name} is {value} m; give a positive length")
     fits = {
         "bracket": d.wall < d.bracket_bottom < d.bracket_top < d.column_height - d.wall,
-        "strips": d.strip_inset + d.strip_width <= d.width / 2 and d.table_top <= d.column_height,
+        "strips": d.strip_inset + d.strip_width <= d.width / 2
+        and d.strip_ends[0] < d.strip_ends[1] <= d.column_height
+        and d.strip_ends[0] < d.table_top
+        and d.table_bottom < d.strip_ends[1],
         "column": 2 * d.wall < d.column_depth,
         "table": d.table_bottom + 2 * d.wall < d.table_top and 2 * d.wall < d.table_length,
         "screw": d.screw_x + d.screw_depth <= d.column_depth + d.strip_depth + d.table_length
         and d.screw_x >= d.column_depth + d.strip_depth
-        and d.screw_width <= d.width,
+        and d.screw_width <= d.width
+        and d.screw_bottom < d.table_bottom,
         "source": d.wall < d.source_top - d.source_height
         and d.source_top <= d.bracket_bottom
         and d.source_inset >= d.wall
@@ -164,11 +183,9 @@ def _both_sides(d: MillingMachineDimensions, values: list[float], depth: float) 
 
 def _strips(d: MillingMachineDimensions, depth: float) -> list[Box]:
     starts = [d.strip_inset, d.width - d.strip_inset - d.strip_width]
-    x = d.column_depth
+    x, (low, high) = d.column_depth, d.strip_ends
     return [
-        Box((x, d.table_bottom, z), (x + d.strip_depth, d.table_top, z + d.strip_width))
-        for z in starts
-        if z < depth
+        Box((x, low, z), (x + d.strip_depth, high, z + d.strip_width)) for z in starts if z < depth
     ]
 
 
@@ -218,7 +235,8 @@ def _table_and_screw(
     )
     screw_z = (side, min(side + d.screw_width, depth))
     screw = Box(
-        (d.screw_x, 0.0, screw_z[0]), (d.screw_x + d.screw_depth, d.table_bottom, screw_z[1])
+        (d.screw_x, d.screw_bottom, screw_z[0]),
+        (d.screw_x + d.screw_depth, d.table_bottom, screw_z[1]),
     )
     across = [d.strip_inset, d.strip_inset + d.strip_width]
     breaks = ([x0 + d.table_point], (), _both_sides(d, across, depth))
@@ -241,11 +259,10 @@ def _surfaces(
         return (value > low + _SLACK) & (value < high - _SLACK)
 
     from_side = np.minimum(z, d.width - z)
-    on_strip = between(from_side, d.strip_inset, d.strip_inset + d.strip_width) & between(
-        y, d.table_bottom, d.table_top
-    )
+    on_strip = between(from_side, d.strip_inset, d.strip_inset + d.strip_width)
+    on_strip &= between(y, *d.strip_ends)
     cut = at(z, d.width / 2) if half else np.zeros(facets.size, dtype=bool)
-    foot = at(y, 0.0)
+    foot = np.where(of_column, at(y, 0.0), at(y, d.screw_bottom))
     joint = at(x, joint_x) & on_strip
     inside_z = between(z, 0.0, d.width) & ~cut
     in_column = of_column & between(x, 0.0, d.column_depth) & between(y, 0.0, d.column_height)

@@ -28,7 +28,10 @@ _LAW = {
     "conductance",
     "friction_coefficient",
     "tangential_stiffness_ratio",
+    "running_friction_coefficient",
 }
+#: Where an axis stands, and what is read from it.
+_COURSE = {"position_mm", "file", "asked_mm", "reference_mm"}
 _MARCH = {"duration_min", "coupling", "method", "tolerance_um", "tolerance_K"}
 _LOADS = {"title", "heat_input", "ambient", "output"}
 #: Sections, and keys of materials, that enter the heat equation only.
@@ -192,6 +195,7 @@ def _condensed(case: Case) -> dict[str, Any]:
     data["held_temperatures"] = {
         name: {"profile": held["profile"]} for name, held in data["held_temperatures"].items()
     }
+    data["axes"] = [(name, _without(axis, _COURSE)) for name, axis in data["axes"].items()]
     data["loads"] = load_patterns(case)
     data["bolts"] = [(name, _without(bolt, _TIGHTENING)) for name, bolt in data["bolts"].items()]
     data["output"] = case.output.model_dump(exclude={"snapshots_s"})

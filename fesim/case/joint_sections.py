@@ -92,7 +92,8 @@ class JointSection(Section):
     Without ``along`` and ``across``, `meshes.pairing.pair_joint` divides it by its geometry.
     With ``slip_heating`` the work of sliding heats both sides in equal parts.
     ``tangential_stiffness_ratio`` is Mindlin's 2(1-v)/(2-v), by default for v = 0.27; it is 0.86
-    for v = 0.25 and 0.80 for v = 0.33.
+    for v = 0.25 and 0.80 for v = 0.33. Side a of a joint on an ``axis`` are the pads, which move
+    along side b; ``running_friction_coefficient`` gives the heat of their motion.
     """
 
     side_a: str | None = None
@@ -112,6 +113,8 @@ class JointSection(Section):
     friction_coefficient: NotNegative
     slip_heating: bool = False
     tangential_stiffness_ratio: Positive = 0.844
+    axis: str | None = None
+    running_friction_coefficient: NotNegative = 0.0
 
     @model_validator(mode="after")
     def _preload_or_opening(self) -> JointSection:
@@ -146,6 +149,10 @@ class JointSection(Section):
             )
         if (self.side_a is None) != (self.side_b is None):
             raise ValueError("give both side_a and side_b, or neither")
+        if self.axis is None and self.running_friction_coefficient > 0.0:
+            raise ValueError("'running_friction_coefficient' is for a joint on an axis; add 'axis'")
+        if self.axis is not None and self.initial_opening_um == "mesh":
+            raise ValueError("initial_opening_um: the distance in the mesh is that at one position")
         if self.normal_law == "back-burdekin" and self.back_burdekin is None:
             raise ValueError(
                 'normal_law = "back-burdekin" needs back_burdekin = { coefficient_um = ..., '

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
+from fesim.case.axis_section import AxisSection
 from fesim.case.bolts import BoltSection
 from fesim.case.joint_sections import JointSection, WallSection
 from fesim.case.thermal_sections import (
@@ -199,6 +200,7 @@ class Case(Described, Section):
     bodies: dict[str, str]
     joints: dict[str, JointSection] = {}
     walls: dict[str, WallSection] = {}
+    axes: dict[str, AxisSection] = {}
     supports: SupportsSection
     convection_W_m2K: dict[str, NotNegative] = {}
     convection_factor: dict[str, FactorSection] = {}
@@ -319,6 +321,12 @@ class Case(Described, Section):
         return self
 
     @model_validator(mode="after")
+    def _moves_as_it_can(self) -> Case:
+        if (reason := not_movable(self)) is not None:
+            raise ValueError(reason)
+        return self
+
+    @model_validator(mode="after")
     def _snapshots_in_the_march(self) -> Case:
         end = self.march.step_s * step_count(self.march)
         for time in self.output.snapshots_s:
@@ -381,6 +389,33 @@ def not_reducible(case: Case) -> str | None:
         f"{sections[0]}: the reduced thermal model has constant properties and convects to the "
         'ambient only; set thermal = "full" in [march]'
     )
+
+
+def not_movable(case: Case) -> str | None:
+    """Return why a case cannot move along its axes; None if it can, or has none."""
+    riding = {joint.axis for joint in case.joints.values() if joint.axis is not None}
+    for name in sorted(riding - set(case.axes)):
+        return f"joints: axis {name!r} has no section; add [axes.{name}]"
+    for name in case.axes:
+        if name not in riding:
+            return f'axes.{name}: no joint rides on it; give one axis = "{name}"'
+    if not case.axes:
+        return None
+    if len(case.axes) > 1:
+        return "axes: only one axis can move so far; leave out the others"
+    if case.displacement is None:
+        return "axes: joints on an axis need the deformation of the structure; add [displacement]"
+    asked = case.output.snapshots_s or case.output.forces or case.output.stress_probes
+    refused = [
+        *(f"loads.{name}" for name in case.loads),
+        *(f"bolts.{name}" for name in case.bolts),
+        *(f"walls.{name}" for name in case.walls),
+        *(f"joints.{name}.slip_heating" for name, j in case.joints.items() if j.slip_heating),
+        *(["output"] if asked else []),
+        *(['march.method = "adaptive"'] if case.march.method == "adaptive" else []),
+        *(['march.thermal = "full"'] if case.march.thermal == "full" else []),
+    ]
+    return f"{refused[0]}: not with [axes] so far; leave it out" if refused else None
 
 
 def read_case(path: Path | str) -> Case:

@@ -12,6 +12,7 @@ from fesim.solid.condensation import ThermalCondensation
 from thermojoint.artefacts.arrays import Array
 
 if TYPE_CHECKING:
+    from fesim.march.passing import Passing
     from fesim.march.start_field import StartField
     from fesim.solid.friction_heat import FrictionHeat
     from fesim.solid.temperature_factor import ThermalGrowth
@@ -63,6 +64,8 @@ class CondensedMachine:
         Temperature-dependent expansion of the bodies; full model only.
     friction : FrictionHeat, optional
         Heat of friction of the joints; default none.
+    passing : Passing, optional
+        What contact elements touch that move within the step; not with `variable`.
     """
 
     thermal: ThermalCondensation
@@ -72,6 +75,7 @@ class CondensedMachine:
     variable: VariableHeat | None = None
     growth: ThermalGrowth | None = None
     friction: FrictionHeat | None = None
+    passing: Passing | None = None
 
     def with_laws(self, laws: Laws) -> CondensedMachine:
         """Return the machine with other joint laws, on which no condensation depends."""

@@ -16,7 +16,8 @@ import numpy as np
 
 from fesim.march.alternation import GAIN, gain_of, suspected, turnings
 from fesim.march.machine import CondensedMachine, State, Step
-from fesim.march.secant_step import HeatLoads, step_heat
+from fesim.march.passing import pass_heat
+from fesim.march.secant_step import HeatLoads, HeatTaken, step_heat
 from fesim.march.settling import (
     displaced,
     initial_state,
@@ -325,6 +326,12 @@ def _aitken(weight: float, last: Array, misfit: Array) -> float:
     return float(np.clip(-weight * (last @ turn) / (turn @ turn), *WEIGHTS))
 
 
+def _conducted(machine: CondensedMachine, temperature: Array, loads: HeatLoads) -> HeatTaken:
+    if machine.passing is not None:
+        return pass_heat(machine.thermal, machine.passing, temperature, loads.inputs, loads.joint)
+    return step_heat(machine.thermal, machine.variable, temperature, loads)
+
+
 def _step_with(machine: CondensedMachine, state: State, inputs: Array, conductance: Array) -> Step:
     """Take a step with given conductances (m,), W/(m2 K)."""
     take = partial(_step_heated, machine, state, inputs, conductance)
@@ -366,7 +373,7 @@ def _step_heated(
     thermal = inputs if machine.contact.loads is None else inputs[: machine.thermal.inputs.shape[1]]
     joint = conductance * elastic.area[:count]
     loads = HeatLoads(thermal, joint, given)
-    heat = step_heat(machine.thermal, machine.variable, state.temperature, loads)
+    heat = _conducted(machine, state.temperature, loads)
     strained = machine.strained(heat.temperature)
     thermal_gap = loaded_gap(machine, elastic.thermal_gap @ strained, inputs)
     settled, cuts = settle_along(machine.contact, state, thermal_gap)

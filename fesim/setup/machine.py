@@ -202,7 +202,7 @@ class Setup(Described):
 
 
 @dataclass(frozen=True)
-class _Keys:
+class CacheKeys:
     """Keys of a case in the cache; None if a mesh file has changed since it was read."""
 
     heat: str | None
@@ -220,17 +220,23 @@ def set_up(case: Case) -> Setup:
     Raises
     ------
     InputError
-        A name does not exist in the structure, parts do not fit, or a body is not constrained.
+        A name does not exist in the structure, parts do not fit, a body is not constrained, or the
+        case has axes.
     """
+    if case.axes:
+        raise InputError(
+            f"axes.{next(iter(case.axes))}: only `thermojoint simulate` moves bodies so far; leave "
+            "out [axes] for a machine that stands"
+        )
     before = thermal_key(case)
     parts = make_parts(case)
     for line in suspicions(parts.structure, parts.joints):
         warnings.warn(line, stacklevel=2)
     with explained_by_size(parts.structure):
-        return _condensed(case, parts, _keys(case, before))
+        return _condensed(case, parts, cache_keys(case, before))
 
 
-def _condensed(case: Case, parts: Parts, keys: _Keys) -> Setup:
+def _condensed(case: Case, parts: Parts, keys: CacheKeys) -> Setup:
     """Condense checked parts."""
     whole = discretised(case, parts)
     forces = load_forces(whole)
@@ -267,17 +273,17 @@ def _condensed(case: Case, parts: Parts, keys: _Keys) -> Setup:
     )
 
 
-def _keys(case: Case, before: str) -> _Keys:
-    """Keys in the cache; `before` is the thermal key from before the meshes were read."""
+def cache_keys(case: Case, before: str) -> CacheKeys:
+    """Return keys in the cache; `before` is the thermal key from before the meshes were read."""
     # A mesh file may have been rewritten since.
     digest = cache(file_digest)
     if thermal_key(case, digest) != before:
-        return _Keys(None, None)
-    return _Keys(before, elasticity_key(case, digest))
+        return CacheKeys(None, None)
+    return CacheKeys(before, elasticity_key(case, digest))
 
 
 def _condensed_elasticity(
-    whole: Discretised, keys: _Keys, forces: NDArray[np.float64]
+    whole: Discretised, keys: CacheKeys, forces: NDArray[np.float64]
 ) -> tuple[ElasticCondensation, Callable[[], DisplacementField], StressErrors | None]:
     """Condense the structure; its displacement field is factorised on demand.
 
@@ -338,7 +344,7 @@ def _no_field() -> DisplacementField:
 
 def _loads(
     whole: Discretised,
-    keys: _Keys,
+    keys: CacheKeys,
     field: Callable[[], DisplacementField],
     forces: NDArray[np.float64],
 ) -> LoadInfluence | None:
@@ -355,7 +361,7 @@ def _loads(
 
 def _outputs(
     whole: Discretised,
-    keys: _Keys,
+    keys: CacheKeys,
     field: Callable[[], DisplacementField],
     forces: NDArray[np.float64],
 ) -> MechanicalOutputs | None:
@@ -371,7 +377,9 @@ def _outputs(
     )
 
 
-def _modes(whole: Discretised, keys: _Keys, condensed: ElasticCondensation) -> ThermalModes | None:
+def _modes(
+    whole: Discretised, keys: CacheKeys, condensed: ElasticCondensation
+) -> ThermalModes | None:
     """The reduced thermal model, if the case marches on one."""
     march = whole.case.march
     if march.thermal != "reduced":

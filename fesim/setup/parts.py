@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from fesim.case.axis_section import AxisSection
+from fesim.case.joint_sections import JointSection
 from fesim.case.schema import Case, not_reducible
 from fesim.joint.law import JointLaw
 from fesim.setup.bolts import bolts_of, first_forces
@@ -22,6 +26,8 @@ from fesim.solid.bolts import Bolt
 from fesim.solid.rigid_motions import Constraints
 from meshes.pairing import PairedJoint, pair_joint
 from meshes.structure import Probe, Structure
+from meshes.travel import sliding
+from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError, unknown_name
 
 #: A dense matrix of all joints has (three times this) squared numbers: 2.6 GB.
@@ -94,10 +100,7 @@ def paired_joints(
     InputError
         The sides of a joint do not fit, or there are more than `most` contact elements.
     """
-    joints = tuple(
-        pair_joint(structure, name, section.along, section.across)
-        for name, section in case.joints.items()
-    )
+    joints = tuple(_paired(case, structure, name, section) for name, section in case.joints.items())
     count = sum(len(joint.area) for joint in joints)
     if count > most:
         raise InputError(
@@ -105,6 +108,18 @@ def paired_joints(
             "matrix of the joints would take gigabytes; lower along or across"
         )
     return joints
+
+
+def _paired(case: Case, structure: Structure, name: str, section: JointSection) -> PairedJoint:
+    joint = pair_joint(structure, name, section.along, section.across)
+    if section.axis is None:
+        return joint
+    return sliding(joint, unit_direction(case.axes[section.axis]))
+
+
+def unit_direction(axis: AxisSection) -> Array:
+    """Direction of an axis, shape (3,), of length one."""
+    return np.array(axis.direction) / np.linalg.norm(axis.direction)
 
 
 def check_names(case: Case, structure: Structure) -> None:

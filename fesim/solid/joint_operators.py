@@ -47,27 +47,44 @@ def joint_operators(joints: Sequence[PairedJoint], spaces: Spaces) -> JointOpera
         none_moves = csr_array((0, spaces.displacement_size))
         return JointOperators(nothing, none_moves, np.empty(0), nothing)
     area = np.concatenate([joint.area for joint in joints])
-    sides = [_sides(joint, spaces.heat) for joint in joints]
+    sides = [side_means(joint, spaces.heat) for joint in joints]
     jump = vstack([side_a - side_b for side_a, side_b in sides], format="csr")
     mean = vstack([0.5 * (side_a + side_b) for side_a, side_b in sides], format="csr")
-    by_direction: list[csr_array] = []
     moves = [
         side_b - side_a
         for joint in joints
-        for side_a, side_b in [_sides(joint, spaces.displacement)]
+        for side_a, side_b in [side_means(joint, spaces.displacement)]
     ]
-    for k in range(3):
-        rows = [
-            _along(move, joint.normal if k == 0 else joint.tangents[:, k - 1])
-            for joint, move in zip(joints, moves, strict=True)
-        ]
-        by_direction.append(vstack(rows, format="csr"))
-    gap = csr_array(vstack(by_direction, format="csr"))
+    gap = directed(csr_array(vstack(moves, format="csr")), frames_of(joints))
     return JointOperators(csr_array(jump), gap, area, csr_array(mean))
 
 
-def _sides(joint: PairedJoint, basis: CellBasis) -> tuple[csr_array, csr_array]:
-    """Means over each contact element on side a and on side b."""
+def frames_of(joints: Sequence[PairedJoint]) -> NDArray[np.float64]:
+    """Return normal and tangents of all contact elements, shape (m, 3, 3)."""
+    return np.concatenate([np.hstack([j.normal[:, None], j.tangents]) for j in joints])
+
+
+def directed(means: csr_array, frames: NDArray[np.float64]) -> csr_array:
+    """Return the components of m mean displacements, shape (3 m, n).
+
+    Parameters
+    ----------
+    means : scipy.sparse.csr_array, shape (m, n / 3)
+        Rows of the means on the unknowns of one displacement component.
+    frames : ndarray, shape (m, 3, 3)
+        Normal and tangents as rows.
+
+    Returns
+    -------
+    scipy.sparse.csr_array
+        m normal components, then m along the first tangent, then along the second.
+    """
+    rows = [_along(means, frames[:, k]) for k in range(3)]
+    return csr_array(vstack(rows, format="csr"))
+
+
+def side_means(joint: PairedJoint, basis: CellBasis) -> tuple[csr_array, csr_array]:
+    """Return rows of the means over each contact element on side a and on side b."""
     weights = joint.weights / joint.area[joint.element]
     count = len(joint.area)
     side_a = interpolation(basis, joint.points_a, joint.cells_a, joint.element, weights, count)

@@ -226,6 +226,25 @@ def tie_rows(gap: csr_array, pieces: Iterable[Substructure]) -> csr_array:
 
 
 @dataclass(frozen=True)
+class UntiedCondensation:
+    """Ties and k probes as functions of forces and temperatures, for Kd: no tie carries a force.
+
+    Attributes
+    ----------
+    springs : ndarray, shape (q,)
+        D, N/m.
+    compliance : ndarray, shape (q + k, q)
+        [E; P] Kd^-1 E^T, m/N.
+    thermal : ndarray, shape (q + k, n_heat)
+        [E; P] Kd^-1 F, m/K.
+    """
+
+    springs: Array
+    compliance: Array
+    thermal: Array
+
+
+@dataclass(frozen=True)
 class _Influence:
     """R Kd^-1 [R^T, F] of one piece, for the rows R = [gaps; its anchors; probes] that touch it."""
 
@@ -264,6 +283,17 @@ def condense_ties(
     InputError
         Neither supports nor joints constrain the structure.
     """
+    return tied(untied(pieces, gap, springs, probes, temperatures))
+
+
+def untied(
+    pieces: Iterable[Substructure],
+    gap: csr_array,
+    springs: Array,
+    probes: csr_array,
+    temperatures: int,
+) -> UntiedCondensation:
+    """Condense pieces on their ties and probes without coupling them; as `condense_ties`."""
     # No loop: its variable would keep a factor while the next one is made.
     influences = list(map(partial(_influence, gap=gap, probes=probes), pieces))
     springs = np.concatenate([springs, *(-influence.anchors for influence in influences)])
@@ -278,7 +308,7 @@ def condense_ties(
         rows = np.concatenate([own, ties + piece.probes])
         compliance[np.ix_(rows, own)] += piece.compliance[:, : own.size]
         thermal[np.ix_(rows, piece.heated)] += piece.thermal
-    return _tied(springs, compliance, thermal)
+    return UntiedCondensation(springs, compliance, thermal)
 
 
 def _influence(piece: Substructure, gap: csr_array, probes: csr_array) -> _Influence:
@@ -309,16 +339,15 @@ def _influence(piece: Substructure, gap: csr_array, probes: csr_array) -> _Influ
     )
 
 
-def _tied(springs: Array, compliance: Array, thermal: Array) -> TieCondensation:
-    """Tie pieces by springs D: (I + E Kd^-1 E^T D)^-1 before all that belongs to ties.
+def tied(apart: UntiedCondensation) -> TieCondensation:
+    """Tie pieces by their springs D: (I + E Kd^-1 E^T D)^-1 before all that belongs to ties.
 
-    Parameters
-    ----------
-    springs : ndarray, shape (q,)
-        D.
-    compliance, thermal : ndarray, shapes (q + k, q) and (q + k, n_heat)
-        Of ties and probes, without D.
+    Raises
+    ------
+    InputError
+        Neither supports nor ties constrain the structure.
     """
+    springs, compliance, thermal = apart.springs, apart.compliance, apart.thermal
     count = springs.size
     probes, by_force = thermal[count:], compliance[count:] * springs
     if not count:

@@ -38,9 +38,10 @@ def simulate(
 
     Example: [bold]thermojoint simulate longer.toml --continue half.npz --out rest.nc[/bold]
     """
+    from fesim.axes.setup import MovingSetup, check_still
     from fesim.case.schema import read_case
     from fesim.march.state_file import check_resumable, load_state, save_state
-    from fesim.setup.machine import set_up
+    from fesim.simulate import prepared
     from fesim.simulate import simulate as run_case
     from fesim.snapshots import snapshot_writer
     from thermojoint import console, plausibility
@@ -49,7 +50,7 @@ def simulate(
     from thermojoint.artefacts.settings.section import files_of
     from thermojoint.cli import results
     from thermojoint.paper import printing
-    from thermojoint.paper.summary import accuracy_line, convergence, covered_areas
+    from thermojoint.paper.summary import accuracy_line, axis_lines, convergence, covered_areas
 
     given = read_case(case)
     # Without the state of --continue, which may be replaced by its successor.
@@ -62,6 +63,7 @@ def simulate(
     times = given.output.snapshots_s
     folder = snapshots or (out.with_name(f"{out.stem}-snapshots") if times else None)
     if folder:
+        check_still(given, "--snapshots")
         arguments.check_whole_folder(folder)
     console.warn(plausibility.of_case(given, str(case)))
     begin = load_state(resume, given) if resume else None
@@ -70,12 +72,13 @@ def simulate(
         console.progress_bars() as report,
     ):
         report("setting up", 0, 1)
-        setup = set_up(given)
+        ready = prepared(given)
+        setup = ready.setup if isinstance(ready, MovingSetup) else ready
         report("setting up", 1, 1)
         console.warn(plausibility.of_structure(setup.structure, str(case)))
         finished = run_case(
             given,
-            setup=setup,
+            setup=ready,
             start=begin,
             on_step=snapshot_writer(setup, fields, times or [60.0 * given.march.duration_min])
             if fields
@@ -93,6 +96,8 @@ def simulate(
     if "secant_residual" in finished.response:
         left = float(finished.response["secant_residual"].max())
         console.say(f"last secant step: temperatures changed by {left:.1e} K at most")
+    for line in axis_lines(finished.response):
+        console.say(line)
     if "error_total_um" in finished.response.attrs:
         console.say(accuracy_line(finished.response.attrs))
     console.wrote(out, save, folder)

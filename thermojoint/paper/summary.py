@@ -11,6 +11,7 @@ import numpy as np
 
 from fesim.batch.summary import taken_steps
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.units import MEGA, MILLI
 from thermojoint.paper.verdict import largest_error
 
 if TYPE_CHECKING:
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 STILL = 0.1
 #: With more contact elements than this, a joint's resistance to rocking is less than 5 % too low.
 FINE = 4
+#: Displacements (um, um/m) that a summary leaves out.
+LEAST_SHOWN_UM = 1e-6
 
 
 @dataclass(frozen=True)
@@ -170,6 +173,29 @@ def _joint_lines(response: xr.Dataset, figures: Mapping[str, float]) -> list[str
             f"Coupling: staggered steps alternated; {count} steps, from "
             f"{_lasting(response, first)} on, were iterated instead."
         )
+    return lines
+
+
+def axis_lines(response: xr.Dataset) -> list[str]:
+    """Return a line for each moving axis and each direction in which its displacement varies."""
+    if "moving_axis" not in response.coords:
+        return []
+    last = response.isel(time=-1)
+    lines = []
+    for name in response["moving_axis"].to_numpy():
+        one = last.sel(moving_axis=name)
+        for axis in response["axis"].to_numpy():
+            offset, slope, left = (
+                MEGA * float(one[key].sel(axis=axis))
+                for key in ("line_offset", "line_slope", "line_left")
+            )
+            if max(abs(offset), abs(slope)) > LEAST_SHOWN_UM:
+                at = float(one["reference_position"]) / MILLI
+                lines.append(
+                    f"axis {str(name)!r} at the end: displacement along {axis} is "
+                    f"K0 {offset:.3g} µm at P0 {at:g} mm and tan β {slope:.3g} µm/m; "
+                    f"the line leaves {left:.2g} µm"
+                )
     return lines
 
 

@@ -374,11 +374,17 @@ WITH_FILE = {
         "diameter_mm": 10.0,
     },
     "joints.knee.conductance": {"law": "table"},
+    "axes.y": {
+        "bodies": ["table"],
+        "direction": [0.0, 1.0, 0.0],
+        "stroke_mm": [0.0, 1.0],
+        "station_mm": 1.0,
+    },
 }
 
 
 def test_every_file_that_a_case_can_name_is_tried_here():
-    named = {"bearings", "foot", "weight", "left", "knee"}
+    named = {"bearings", "foot", "weight", "left", "knee", "y"}
     tried = {
         ".".join("*" if part in named else part for part in place.split(".")) + ".file"
         for place in WITH_FILE
@@ -395,6 +401,8 @@ def test_a_case_is_another_when_what_is_in_its_file_changes(tmp_path, place):
     for key in above:
         part = part.setdefault(key, {})
     part[last] = WITH_FILE[place] | {"file": "given.csv"}
+    if "axes" in data:
+        data["joints"]["knee"]["axis"] = "y"
     case = case_from_data(data, "machine.toml", tmp_path)
     path = tmp_path / "given.csv"
     assert files_of(case) == [path]

@@ -19,7 +19,12 @@ from thermojoint.paper.inputs import StepInput, simulate_inputs
 
 CASES = Path(str(files("thermojoint").joinpath("cases")))
 FLANGE = ROOT / "examples" / "bolted_flange" / "case.toml"
-SOURCED = [path for path in sorted(CASES.glob("*.toml")) if "[sources." in path.read_text("utf-8")]
+#: Nothing is calibrated on a machine that moves so far.
+SOURCED = [
+    path
+    for path in sorted(CASES.glob("*.toml"))
+    if "[sources." in (text := path.read_text("utf-8")) and "[axes." not in text
+]
 
 
 def coarse(path):

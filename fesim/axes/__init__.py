@@ -1,0 +1,1 @@
+"""Bodies that move along an axis during the march."""

@@ -1,0 +1,103 @@
+"""Time shares of the aligned positions of an axis, and what moves in a step.
+
+At a position between two aligned ones these have the weights of linear interpolation. A step needs
+the means of the weights over time, and of their products. Both are exact while the axis moves
+evenly, stands or turns back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fesim.case.history import History
+from thermojoint.artefacts.arrays import Array
+
+#: A position nearer to an aligned one than this share of their spacing is that position.
+STILL = 1e-9
+
+
+@dataclass(frozen=True)
+class Shares:
+    """Means over a step of the weights w of k aligned positions, at most two at a time not zero.
+
+    Attributes
+    ----------
+    mean : ndarray, shape (k,)
+        Of w_i; they add up to one.
+    square : ndarray, shape (k,)
+        Of w_i^2.
+    product : ndarray, shape (k - 1,)
+        Of w_i w_(i+1).
+    """
+
+    mean: Array
+    square: Array
+    product: Array
+
+
+def weights_at(positions: Array, at: float) -> Array:
+    """Return the weights (k,) of evenly spaced positions (k,), m, at a position, m.
+
+    One of them is one at an aligned position.
+    """
+    return _shares(len(positions), np.array([_place(positions, at)] * 2), np.ones(1)).mean
+
+
+def shares_of(positions: Array, course: History, start: float, end: float) -> Shares:
+    """Return the shares of positions while an axis moves from `start` to `end`, s.
+
+    Parameters
+    ----------
+    positions : ndarray, shape (k,)
+        Evenly spaced, ascending, m.
+    course : History
+        Position of the axis, m.
+    start, end : float
+        s.
+    """
+    times, at = _stretches(course, start, end)
+    places = np.array([_place(positions, place) for place in at])
+    return _shares(len(positions), places, np.diff(times) / (end - start))
+
+
+def _place(positions: Array, at: float) -> float:
+    """Position in units of the spacing; a whole number where it is aligned."""
+    last = len(positions) - 1
+    place = (at - positions[0]) / (positions[-1] - positions[0]) * last
+    nearest = round(place)
+    return float(np.clip(nearest if abs(place - nearest) <= STILL else place, 0, last))
+
+
+def _shares(count: int, places: Array, lengths: Array) -> Shares:
+    """Shares of `count` positions on a way through places (n,) in parts (n - 1,) of the time."""
+    mean, square, product = np.zeros(count), np.zeros(count), np.zeros(count - 1)
+    for first, second, length in zip(places, places[1:], lengths, strict=False):
+        low, high = min(first, second), max(first, second)
+        inner = np.arange(np.floor(low) + 1.0, np.ceil(high))
+        ends = np.concatenate([[low], inner, [high]])
+        part = np.diff(ends) / (high - low) if high > low else np.ones(1)
+        below = np.clip(np.floor(ends[:-1]).astype(np.int64), 0, count - 2)
+        a, b = ends[:-1] - below, ends[1:] - below
+        once, twice = length * part * (a + b) / 2.0, length * part * (a * a + a * b + b * b) / 3.0
+        whole = length * part
+        # No position occurs twice: each piece lies between another two.
+        mean[below] += whole - once
+        mean[below + 1] += once
+        square[below] += whole - 2.0 * once + twice
+        square[below + 1] += twice
+        product[below] += once - twice
+    return Shares(mean, square, product)
+
+
+def distance(course: History, start: float, end: float) -> float:
+    """Return the length of the way from `start` to `end` (s), there and back counted, m."""
+    return float(np.abs(np.diff(_stretches(course, start, end)[1])).sum())
+
+
+def _stretches(course: History, start: float, end: float) -> tuple[Array, Array]:
+    """Times and positions between which an axis moves evenly."""
+    knots = course.times[(course.times > start) & (course.times < end)]
+    times = np.concatenate([[start], knots, [end]])
+    return times, course(times)

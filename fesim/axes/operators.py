@@ -1,0 +1,120 @@
+"""Rows of pads and of the stations of their guide, apart from each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array, diags_array, vstack
+from skfem import CellBasis
+
+from fesim.solid.joint_operators import JointOperators, directed, frames_of, side_means
+from fesim.solid.spaces import Spaces, interpolation
+from meshes.pairing import PairedJoint
+from meshes.travel import Stations
+from thermojoint.artefacts.arrays import Array
+
+
+@dataclass(frozen=True)
+class GuidedOperators:
+    """Joints of which some move along a guide: m contact elements, n stations.
+
+    Attributes
+    ----------
+    pads : JointOperators
+        Both sides of the joints that do not move along a guide, side a alone of the others.
+    heat : scipy.sparse.csr_array, shape (n, n_heat)
+        Mean temperature of each station.
+    gap : scipy.sparse.csr_array, shape (3 n, n_displacement)
+        Mean displacement of each station along the normal and the tangents of a contact element.
+    place : ndarray of int, shape (k, m)
+        Station of each contact element at each aligned position; -1 for none.
+    """
+
+    pads: JointOperators
+    heat: csr_array
+    gap: csr_array
+    place: NDArray[np.int64]
+
+
+def guided_operators(
+    joints: Sequence[PairedJoint], stations: Stations, spaces: Spaces
+) -> GuidedOperators:
+    """Assemble the rows of pads and stations for all joints in their order."""
+    gap = directed(_means(stations, spaces.displacement), frames_of(joints)[stations.element])
+    gap.eliminate_zeros()
+    return GuidedOperators(
+        _pads(joints, stations.place[0] >= 0, spaces),
+        _means(stations, spaces.heat),
+        gap,
+        stations.place,
+    )
+
+
+def _pads(
+    joints: Sequence[PairedJoint], riding: NDArray[np.bool_], spaces: Spaces
+) -> JointOperators:
+    facing = diags_array((~riding).astype(float))
+    heat_a, heat_b, side_a, side_b = (
+        csr_array(vstack([side_means(joint, basis)[side] for joint in joints], format="csr"))
+        for basis in (spaces.heat, spaces.displacement)
+        for side in (0, 1)
+    )
+    gap = directed(csr_array(facing @ side_b - side_a), frames_of(joints))
+    gap.eliminate_zeros()  # a row without entries is not solved for
+    return JointOperators(
+        csr_array(heat_a - facing @ heat_b),
+        gap,
+        np.concatenate([joint.area for joint in joints]),
+        csr_array(0.5 * (heat_a + facing @ heat_b)),
+    )
+
+
+def _means(stations: Stations, basis: CellBasis) -> csr_array:
+    """Mean over each station as rows on scalar unknowns."""
+    return interpolation(
+        basis,
+        stations.points,
+        stations.cells,
+        stations.station,
+        stations.share,
+        stations.element.size,
+    )
+
+
+def coupled(operators: GuidedOperators, position: int, others: int) -> csr_array:
+    """Return the ties at an aligned position as combinations of the rows condensed apart.
+
+    Parameters
+    ----------
+    operators : GuidedOperators
+        With m contact elements and n stations.
+    position : int
+        Which aligned position.
+    others : int
+        Number of further rows, which remain as they are.
+
+    Returns
+    -------
+    scipy.sparse.csr_array, shape (3 m + others, 3 m + 3 n + others)
+        On the rows of the pads, then those of the stations, then the others.
+    """
+    place = operators.place[position]
+    count, stations = place.size, operators.heat.shape[0]
+    own = np.concatenate([np.arange(3 * count), 3 * count + np.arange(others)])
+    columns = np.concatenate([np.arange(3 * count), 3 * (count + stations) + np.arange(others)])
+    riding = np.flatnonzero(place >= 0)
+    tied = np.concatenate([k * count + riding for k in range(3)])
+    under = np.concatenate([3 * count + k * stations + place[riding] for k in range(3)])
+    entries = np.ones(own.size + tied.size)
+    shape = (3 * count + others, 3 * (count + stations) + others)
+    return csr_array(
+        (entries, (np.concatenate([own, tied]), np.concatenate([columns, under]))), shape=shape
+    )
+
+
+def untied_springs(operators: GuidedOperators) -> Array:
+    """Return no springs (3 m + 3 n,) on the rows condensed apart."""
+    return np.zeros(operators.pads.gap.shape[0] + operators.gap.shape[0])

@@ -1,0 +1,67 @@
+"""Rotation of a body at a point: that of the rigid motion which fits the nodes around it best."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from fesim.solid.spaces import Spaces, cells_around
+from meshes.structure import Probe, Structure
+from thermojoint.artefacts.errors import InputError
+
+#: Nodes on a line do not show every rotation: smallest over largest moment of inertia.
+ON_A_LINE = 1e-6
+
+
+def rotation_rows(structure: Structure, spaces: Spaces, name: str, radius: float) -> csr_array:
+    """Return rows (3, n) of the rotation about x, y and z at a probe, rad per m.
+
+    Of u_i = a + w x r_i, with r_i from the nodes' centre, least squares give
+    w = J^-1 sum r_i x u_i, J = sum (r_i . r_i I - r_i r_i^T).
+
+    Parameters
+    ----------
+    structure : Structure
+        With the probe.
+    spaces : Spaces
+        Its displacements.
+    name : str
+        Of the probe.
+    radius : float
+        Nodes of the probe's body as near as this count, m.
+
+    Raises
+    ------
+    InputError
+        The nodes so near lie on a line.
+    """
+    probe = structure.probes[name]
+    at, basis = np.array(probe.position), spaces.displacement
+    nodes = np.unique(basis.element_dofs[:, _own_cells(structure, probe)])
+    near = nodes[np.linalg.norm(basis.doflocs[:, nodes].T - at, axis=1) <= radius]
+    arms = basis.doflocs[:, near].T - basis.doflocs[:, near].mean(axis=1)
+    inertia = (arms**2).sum() * np.eye(3) - arms.T @ arms
+    sizes = np.linalg.eigvalsh(inertia)
+    if near.size < 3 or sizes[0] <= ON_A_LINE * sizes[-1]:
+        raise InputError(
+            f"axes.rotation_within_mm: {near.size} nodes so near {name!r} lie on a line and show "
+            "no rotation; take a larger radius"
+        )
+    # r x u as a matrix on u.
+    zero = np.zeros(near.size)
+    x, y, z = arms.T
+    cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
+    values = np.einsum("ij,jkn->ikn", np.linalg.inv(inertia), cross)
+    columns = np.broadcast_to(3 * near.astype(np.int64) + np.arange(3)[:, None], values.shape)
+    rows = np.broadcast_to(np.arange(3)[:, None, None], values.shape)
+    shape = (3, spaces.displacement_size)
+    return csr_array((values.ravel(), (rows.ravel(), columns.ravel())), shape=shape)
+
+
+def _own_cells(structure: Structure, probe: Probe) -> np.ndarray:
+    """Cells of the body that a probe belongs to."""
+    if probe.body is not None:
+        return structure.bodies[probe.body]
+    around = cells_around(structure, probe)
+    own = [cells for cells in structure.bodies.values() if np.isin(around, cells).any()]
+    return np.concatenate(own)

@@ -1,0 +1,342 @@
+"""Set-up of a case with a moving axis: every body is factorised and reduced once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import NoReturn
+
+import numpy as np
+from scipy.sparse import csr_array, vstack
+
+from fesim.axes.condensation import condense_aligned, condense_apart
+from fesim.axes.machine import MovingMachine
+from fesim.axes.operators import GuidedOperators, guided_operators
+from fesim.axes.rotation import rotation_rows
+from fesim.cache import remembered
+from fesim.case.axis_section import AxisSection
+from fesim.case.history import History, read_history, step_history
+from fesim.case.identity import thermal_key
+from fesim.case.schema import Case
+from fesim.march.contact import ContactProblem
+from fesim.march.machine import CondensedMachine
+from fesim.march.passing import Rows
+from fesim.march.reduced import (
+    DISPLACEMENT_ERROR,
+    GAP_ERROR,
+    TEMPERATURE_ERROR,
+    ThermalModes,
+    project_heat,
+    shortest,
+    thermal_modes,
+)
+from fesim.march.start_field import start_field
+from fesim.setup.discretised import Discretised, discretised, relative_rows
+from fesim.setup.elastic import elastic_structure
+from fesim.setup.loads import MarchInputs, march_inputs
+from fesim.setup.machine import CacheKeys, Setup, cache_keys
+from fesim.setup.parts import Parts, make_parts, unit_direction
+from fesim.setup.soundness import explained_by_size
+from fesim.setup.structure import measured_points
+from fesim.setup.temperature_dependence import convecting_surfaces
+from fesim.solid.condensation import ThermalCondensation
+from fesim.solid.substructures import UntiedCondensation
+from meshes.travel import stations_of
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.units import MILLI
+
+#: A rotation counts as its displacement at this distance, m.
+LEVER = 0.1
+#: Positions along the stroke at which displacements are given if the case names none.
+USUAL = 5
+#: Numbers in the matrices of all aligned positions: 3.2 GB.
+MOST_NUMBERS = 400_000_000
+
+
+@dataclass(frozen=True)
+class MovingSetup:
+    """A condensed case with a moving axis.
+
+    Attributes
+    ----------
+    setup : Setup
+        Of the machine as it stands at time zero; nothing draws or factorises it.
+    moving : MovingMachine
+        The machine at every position.
+    name : str
+        Of the axis.
+    course : History
+        Its position, m.
+    asked : ndarray, shape (k,)
+        Positions at which displacements are wanted, m.
+    reference : float
+        P0 of the line through them, m.
+    """
+
+    setup: Setup
+    moving: MovingMachine
+    name: str
+    course: History
+    asked: Array
+    reference: float
+
+
+def set_up_axis(case: Case) -> MovingSetup:
+    """Build, check and condense a case with an axis.
+
+    Raises
+    ------
+    InputError
+        As `fesim.setup.machine.set_up`; or a position is outside the stroke, or pads leave their
+        guide.
+    """
+    before = thermal_key(case)
+    ((name, axis),) = case.axes.items()
+    course = course_of(axis, name)
+    parts = make_parts(case)
+    _check_guides(case, parts)
+    positions = aligned_positions(axis)
+    with explained_by_size(parts.structure):
+        whole = discretised(case, parts)
+        moving, modes = _moving(whole, axis, positions, cache_keys(case, before))
+    at_zero = float(course(np.zeros(1))[0])
+    setup = Setup(
+        structure=parts.structure,
+        spaces=whole.spaces,
+        joints=parts.joints,
+        machine=moving.standing(at_zero),
+        make_field=_unavailable,
+        probes=parts.probes,
+        probe_rows=whole.rows @ modes.basis,
+        modes=modes,
+        constraints=parts.constraints,
+        forces=np.zeros((whole.spaces.displacement_size, 0)),
+        outputs=None,
+        bolts=None,
+        materials=whole.materials,
+        make_thermal=_unavailable,
+        make_mesh_errors=lambda: None,
+    )
+    return MovingSetup(setup, moving, name, course, asked_positions(axis), reference_of(axis))
+
+
+def axis_inputs(case: Case) -> MarchInputs:
+    """Return the inputs of a case with an axis; the last one is the heat of running friction."""
+    return replace(march_inputs(case), forces=[step_history(0.0)])
+
+
+def course_of(axis: AxisSection, name: str) -> History:
+    """Return the position of an axis, m, as a function of time.
+
+    Raises
+    ------
+    InputError
+        The history is invalid or leaves the stroke.
+    """
+    if axis.file is None:
+        return step_history(MILLI * (axis.position_mm or 0.0))
+    course = read_history(axis.file, "position_mm")
+    low, high = axis.stroke_mm
+    outside = np.flatnonzero((course.values < low) | (course.values > high))
+    if outside.size:
+        at = outside[0]
+        raise InputError(
+            f"axes.{name}: {axis.file}: {course.values[at]:g} mm at {course.times[at]:g} s is "
+            f"outside stroke_mm, {low:g} to {high:g} mm; correct the history or the stroke"
+        )
+    return History(course.times, MILLI * course.values)
+
+
+def aligned_positions(axis: AxisSection) -> Array:
+    """Return the positions at which everything is exact: stations apart or less, m."""
+    low, high = axis.stroke_mm
+    count = int(np.ceil((high - low) / axis.station_mm - 1e-9))
+    return MILLI * np.linspace(low, high, count + 1)
+
+
+def asked_positions(axis: AxisSection) -> Array:
+    """Return the positions at which displacements are wanted, m."""
+    if axis.asked_mm is None:
+        return MILLI * np.linspace(*axis.stroke_mm, USUAL)
+    return MILLI * np.array(axis.asked_mm)
+
+
+def reference_of(axis: AxisSection) -> float:
+    """Return P0 of the line over the stroke, m: its middle if the case names none."""
+    given = axis.reference_mm
+    return MILLI * (0.5 * sum(axis.stroke_mm) if given is None else given)
+
+
+def _moving(
+    whole: Discretised, axis: AxisSection, positions: Array, keys: CacheKeys
+) -> tuple[MovingMachine, ThermalModes]:
+    """Condense pads, guides and modes once, and tie them at every aligned position."""
+    case, parts = whole.case, whole.parts
+    shifts = (positions - MILLI * axis.mesh_position_mm)[:, None] * unit_direction(axis)
+    divided = {
+        name: (joint.along, joint.across)
+        for name, joint in case.joints.items()
+        if joint.axis is not None
+    }
+    stations = stations_of(parts.structure, parts.joints, divided, axis.bodies, shifts)
+    operators = guided_operators(parts.joints, stations, whole.spaces)
+    _check_held(whole, operators)
+    probes = _probes(whole, axis)
+    apart = _apart(whole, operators, probes, keys.elasticity)
+    modes = _modes(whole, operators, apart, keys.heat)
+    _check_size(operators, modes)
+    apart = replace(apart, thermal=apart.thermal @ modes.basis)
+    elastic = tuple(
+        condense_aligned(apart, operators, whole.springs, k) for k in range(len(positions))
+    )
+    thermal = _with_friction(project_heat(whole.heat, operators.pads, case.march.step_s, modes))
+    machine = CondensedMachine(
+        thermal,
+        ContactProblem(elastic[0], parts.laws, constraints=parts.constraints),
+        start=start_field(whole.heat, whole.warm, modes),
+    )
+    running = [
+        np.full(joint.area.size, case.joints[joint.name].running_friction_coefficient)
+        for joint in parts.joints
+    ]
+    return MovingMachine(
+        machine,
+        positions,
+        elastic,
+        _rows(thermal, operators, modes),
+        operators.pads.mean @ modes.basis,
+        operators.place,
+        np.concatenate(running) * operators.pads.area,
+        parts.structure.symmetry_factor,
+        modes.rates.size,
+    ), modes
+
+
+def _probes(whole: Discretised, axis: AxisSection) -> csr_array:
+    """Rows of the displacement between tool and workpiece, then of the rotation if asked for."""
+    rows = relative_rows(whole)
+    if axis.rotation_within_mm is None:
+        return rows
+    radius = MILLI * axis.rotation_within_mm
+    point, *origin = (
+        rotation_rows(whole.parts.structure, whole.spaces, name, radius)
+        for name in measured_points(whole.case)
+    )
+    turned = point - origin[0] if origin else point
+    return csr_array(vstack([rows, turned], format="csr"))
+
+
+def _apart(
+    whole: Discretised, operators: GuidedOperators, probes: csr_array, key: str | None
+) -> UntiedCondensation:
+    solid = elastic_structure(
+        whole.case,
+        whole.parts.structure,
+        whole.spaces,
+        whole.materials,
+        whole.operators,
+        whole.springs,
+    )
+    return remembered(
+        UntiedCondensation,
+        key,
+        lambda: condense_apart(solid.one_by_one(), operators, probes, solid.shape[1]),
+    )
+
+
+def _modes(
+    whole: Discretised, operators: GuidedOperators, apart: UntiedCondensation, key: str | None
+) -> ThermalModes:
+    """Modes for heat at every pad and at every station."""
+    march, pads = whole.case.march, operators.pads
+    every = replace(pads, jump=csr_array(vstack([pads.jump, operators.heat], format="csr")))
+    ties = pads.gap.shape[0] + operators.gap.shape[0]
+    moved = apart.thermal[apart.springs.size :] / DISPLACEMENT_ERROR
+    moved[3:] *= LEVER
+    outputs = np.vstack(
+        [whole.rows.toarray() / TEMPERATURE_ERROR, apart.thermal[:ties] / GAP_ERROR, moved]
+    )
+    return remembered(
+        ThermalModes,
+        key,
+        partial(thermal_modes, whole.heat, every, outputs, march.step_s, march.solver, whole.warm),
+        also=f"along the stroke from {shortest(march.step_s)!r} s",
+    )
+
+
+def _rows(thermal: ThermalCondensation, operators: GuidedOperators, modes: ThermalModes) -> Rows:
+    temperature = np.vstack([operators.pads.jump @ modes.basis, operators.heat @ modes.basis])
+    influence = thermal.factor.solve(np.ascontiguousarray(temperature.T))
+    influence[modes.rates.size :] = 0.0  # held surfaces stay as they are
+    return Rows(temperature, influence, temperature @ influence)
+
+
+def _with_friction(thermal: ThermalCondensation) -> ThermalCondensation:
+    """One more input, which `MovingMachine` distributes: the heat of running friction, W."""
+    balance = thermal.balance
+    return replace(
+        thermal,
+        inputs=_one_more(thermal.inputs),
+        balance=replace(
+            balance,
+            entering=np.append(balance.entering, 0.0),
+            drive=_one_more(balance.drive),
+        ),
+    )
+
+
+def _one_more(columns: Array) -> Array:
+    return np.hstack([columns, np.zeros((len(columns), 1))])
+
+
+def _check_guides(case: Case, parts: Parts) -> None:
+    """Refuse convection from a guide's surface: the pads cover another part at every position."""
+    for name, joint in case.joints.items():
+        if joint.axis is None:
+            continue
+        guide = parts.structure.surfaces[parts.structure.joints[name][1]]
+        for surface in convecting_surfaces(case):
+            if np.isin(parts.structure.surface(surface), guide).any():
+                raise InputError(
+                    f"convection_W_m2K.{surface}: contains the guide of joint {name!r}, of which "
+                    "the pads cover another part at every position; leave the guide out"
+                )
+
+
+def _check_held(whole: Discretised, operators: GuidedOperators) -> None:
+    riding = operators.place[0] >= 0
+    held = whole.heat.held
+    for rows in (operators.pads.jump[riding], operators.heat):
+        if csr_array(rows[:, held]).count_nonzero():
+            raise InputError(
+                "held_temperatures: a pad or the guide of an axis touches a held surface; hold the "
+                "temperature of another one"
+            )
+
+
+def _check_size(operators: GuidedOperators, modes: ThermalModes) -> None:
+    size = operators.pads.gap.shape[0]
+    if len(operators.place) * size * (size + modes.basis.shape[1]) > MOST_NUMBERS:
+        raise InputError(
+            f"axes: {len(operators.place)} positions with {size // 3} contact elements need "
+            "gigabytes; raise station_mm, or lower along or across of the joints"
+        )
+
+
+def check_still(case: Case, where: str) -> None:
+    """Refuse a case with an axis where its fields are wanted; `where` names the place.
+
+    Raises
+    ------
+    InputError
+        It has one.
+    """
+    if case.axes:
+        raise InputError(
+            f"{where}: the fields of a machine that moves cannot be drawn so far; leave it out"
+        )
+
+
+def _unavailable(*_: object) -> NoReturn:
+    raise InputError("axes: neither fields nor steps of another length for a machine that moves")

@@ -1,0 +1,51 @@
+"""Section of a case for bodies that move during the march."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from thermojoint.artefacts.settings.section import File, Finite, Point, Positive, Section
+
+
+class AxisSection(Section):
+    """``[axes.NAME]``: bodies that move together along a straight line.
+
+    The position is one value, or a CSV with ``time_s,position_mm``. The mesh shows the bodies at
+    ``mesh_position_mm``. Stiffness and heat are exact at positions that are stations apart.
+    """
+
+    bodies: Annotated[list[str], Field(min_length=1)]
+    direction: Point
+    stroke_mm: Annotated[tuple[Finite, Finite], Field(strict=False)]
+    mesh_position_mm: Finite = 0.0
+    position_mm: Finite | None = None
+    file: File | None = None
+    station_mm: Positive
+    asked_mm: list[Finite] | None = None
+    reference_mm: Finite | None = None
+    rotation_within_mm: Positive | None = None
+
+    @model_validator(mode="after")
+    def _one_course(self) -> AxisSection:
+        if (self.position_mm is None) == (self.file is None):
+            raise ValueError("give either 'position_mm' or 'file', a CSV with time_s,position_mm")
+        low, high = self.stroke_mm
+        if not low < high:
+            raise ValueError(f"stroke_mm: {low:g} to {high:g} is no stroke; lower end first")
+        if math.hypot(*self.direction) == 0.0:
+            raise ValueError("direction is zero; give the direction of positive motion")
+        for name, values in (
+            ("position_mm", [] if self.position_mm is None else [self.position_mm]),
+            ("asked_mm", self.asked_mm or []),
+        ):
+            for value in values:
+                if not low <= value <= high:
+                    raise ValueError(
+                        f"{name}: {value:g} mm is outside stroke_mm, {low:g} to {high:g} mm"
+                    )
+        if self.asked_mm is not None and len(set(self.asked_mm)) < 2:
+            raise ValueError("asked_mm: a line needs two positions or more; leave it out")
+        return self

@@ -1,0 +1,94 @@
+"""Heat step of contact elements that pass several places of another body within the step.
+
+At every moment the jump of a contact element is a combination b of rows R of the temperatures: its
+own, less those of the places below it. With the time means of the products b b^T, weighted with the
+conductances, in a matrix L, the heat that leaves the rows is q = L R T. With S = R A0^-1 R^T the
+implicit Euler step is (1 + L S) q = L R y, T = y - A0^-1 R^T q, where y is the step without joints
+(docs/moving-axes.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fesim.march.heat_step import heat_balance
+from fesim.march.secant_step import HeatTaken
+from fesim.solid.condensation import ThermalCondensation
+from thermojoint.artefacts.arrays import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Rows of m contact elements, then of the places that they may touch: q in all.
+
+    Attributes
+    ----------
+    temperature : ndarray, shape (q, n)
+        R: mean temperature of each, K; of a contact element that passes nothing its jump.
+    influence : ndarray, shape (n, q)
+        A0^-1 R^T, K/W.
+    joint_influence : ndarray, shape (q, q)
+        R A0^-1 R^T, K/W.
+    """
+
+    temperature: Array
+    influence: Array
+    joint_influence: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Passing:
+    """What contact elements touch in a step: l products of their combinations of rows.
+
+    Attributes
+    ----------
+    rows : Rows
+        Their temperatures.
+    element : ndarray of int, shape (l,)
+        Contact element of each product.
+    first, second : ndarray of int, shape (l,)
+        Rows that are multiplied.
+    mean : ndarray, shape (l,)
+        Mean of the product of their coefficients over the step.
+    """
+
+    rows: Rows
+    element: NDArray[np.int64]
+    first: NDArray[np.int64]
+    second: NDArray[np.int64]
+    mean: Array
+
+
+def pass_heat(
+    thermal: ThermalCondensation, passing: Passing, temperature: Array, inputs: Array, joint: Array
+) -> HeatTaken:
+    """Take one step of the heat equation.
+
+    Parameters
+    ----------
+    thermal : ThermalCondensation
+        The condensed step; its influence of the joints is not used.
+    passing : Passing
+        Who touches what.
+    temperature : ndarray, shape (n,)
+        At the start, K.
+    inputs : ndarray, shape (k,)
+        Sources, W; ambient and held surfaces, K.
+    joint : ndarray, shape (m,)
+        Conductance times area of each contact element, W/K.
+    """
+    rows = passing.rows
+    used = np.union1d(np.arange(len(joint)), passing.first)
+    laplacian = np.zeros((used.size, used.size))
+    at = np.searchsorted(used, passing.first), np.searchsorted(used, passing.second)
+    np.add.at(laplacian, at, passing.mean * joint[passing.element])
+    alone = thermal.factor.solve(thermal.capacity_rate @ temperature + thermal.inputs @ inputs)
+    system = laplacian @ rows.joint_influence[np.ix_(used, used)]
+    system.flat[:: used.size + 1] += 1.0
+    leaving = np.linalg.solve(system, laplacian @ (rows.temperature[used] @ alone))
+    after: Array = alone - rows.influence[:, used] @ leaving
+    flow = np.asarray(leaving[: len(joint)])
+    return HeatTaken(after, flow, heat_balance(thermal, temperature, after, inputs, flow), 0.0)

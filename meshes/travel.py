@@ -1,0 +1,213 @@
+"""Pads that move along a guide: where their contact elements lie on its surface.
+
+The contact elements of a joint on an axis belong to its side a, the pads. At a position of the
+axis each one covers a station of side b, the guide's surface. Contact elements that cover the same
+place at different positions share a station.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshes.pairing import PairedJoint, pair_joint
+from meshes.structure import Structure
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+
+#: Normals of the pads may turn towards the axis by this, rad.
+PARALLEL = 1e-3
+#: Contact elements that differ by less than this share of their size at two positions are equal.
+SAME = 1e-5
+
+
+@dataclass(frozen=True)
+class Stations:
+    """Places on guides that contact elements cover: n stations, quadrature points on them.
+
+    Attributes
+    ----------
+    points : ndarray, shape (3, nq)
+        m.
+    cells : ndarray of int, shape (nq,)
+        The cell of the guide behind each point.
+    station : ndarray of int, shape (nq,)
+        Of each point.
+    share : ndarray, shape (nq,)
+        Area weights; they add up to one at every station.
+    element : ndarray of int, shape (n,)
+        A contact element that covers the station, with its normal and tangents.
+    place : ndarray of int, shape (k, m)
+        Station of each of m contact elements at each of k positions; -1 if it does not move along
+        a guide.
+    """
+
+    points: Array
+    cells: NDArray[np.int64]
+    station: NDArray[np.int64]
+    share: Array
+    element: NDArray[np.int64]
+    place: NDArray[np.int64]
+
+
+def sliding(joint: PairedJoint, direction: Array) -> PairedJoint:
+    """Return a joint whose sides move freely along a direction: its first tangent is zero.
+
+    Parameters
+    ----------
+    joint : PairedJoint
+        Its side a are the pads.
+    direction : ndarray, shape (3,)
+        Unit vector.
+
+    Raises
+    ------
+    InputError
+        Its surface is not parallel to the direction.
+    """
+    across = np.cross(joint.normal, direction)
+    if float(np.abs(joint.normal @ direction).max()) > PARALLEL:
+        raise InputError(
+            f"joints.{joint.name}: its surface is not parallel to the direction of its axis; "
+            "correct the direction, or make the end face a joint of its own"
+        )
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    return replace(joint, tangents=np.stack([np.zeros_like(across), across], axis=1))
+
+
+def shifted(structure: Structure, bodies: Sequence[str], shift: Array) -> Structure:
+    """Return a structure with some bodies moved by `shift` (3,), m; without probes.
+
+    Raises
+    ------
+    InputError
+        A body shares nodes with one that does not move.
+    """
+    mesh = structure.mesh
+    moving = np.concatenate([structure.body(name, "axes") for name in bodies])
+    nodes = mesh.dofs.element_dofs if mesh.doflocs.shape[1] > mesh.p.shape[1] else mesh.t
+    moved = np.unique(nodes[:, moving])
+    if np.isin(np.delete(nodes, moving, axis=1), moved).any():
+        raise InputError(
+            f"axes: bodies {', '.join(map(repr, bodies))} share nodes with others; separate them "
+            "by a joint, or let them move together"
+        )
+    points = mesh.doflocs.copy()
+    points[:, moved] += shift[:, None]
+    return replace(structure, mesh=replace(mesh, doflocs=points), probes={})
+
+
+def stations_of(
+    structure: Structure,
+    joints: Sequence[PairedJoint],
+    divided: dict[str, tuple[int | None, int | None]],
+    bodies: Sequence[str],
+    shifts: Array,
+) -> Stations:
+    """Find the stations that contact elements cover at some positions.
+
+    Parameters
+    ----------
+    structure : Structure
+        As meshed.
+    joints : sequence of PairedJoint
+        All joints as meshed, in the order of the contact elements.
+    divided : dict
+        Joints that move along a guide to `along` and `across` of `pair_joint`.
+    bodies : sequence of str
+        The bodies that move.
+    shifts : ndarray, shape (k, 3)
+        From where the mesh shows them, m.
+
+    Raises
+    ------
+    InputError
+        Pads leave the guide, or side a of a joint does not move or its side b does.
+    """
+    moving = np.concatenate([structure.body(name, "axes") for name in bodies])
+    starts = np.cumsum([0, *(joint.area.size for joint in joints)])
+    place = np.full((len(shifts), starts[-1]), -1)
+    known: dict[tuple[object, ...], int] = {}
+    points, cells, stations, shares = [], [], [], []
+    elements: list[int] = []
+    for joint in joints:
+        _check_sides(joint, moving, joint.name in divided)
+    for row, shift in zip(place, shifts, strict=True):
+        there = shifted(structure, bodies, shift)
+        for joint, start in zip(joints, starts, strict=False):
+            if joint.name not in divided:
+                continue
+            now = _same_elements(there, joint, divided[joint.name], shift)
+            low, high = _extent(now)
+            size = np.sqrt(now.area.min())
+            for e in range(now.area.size):
+                ends = np.concatenate([low[e], high[e]])
+                key = (joint.name, *np.round(ends / (SAME * size)), *np.round(now.normal[e], 4))
+                row[start + e] = known.setdefault(key, len(known))
+                if row[start + e] == len(elements):
+                    own = now.element == e
+                    points.append(now.points_b[:, own])
+                    cells.append(now.cells_b[own])
+                    stations.append(np.full(int(own.sum()), len(elements)))
+                    shares.append(now.weights[own] / now.area[e])
+                    elements.append(start + e)
+    return Stations(
+        np.hstack(points),
+        np.concatenate(cells),
+        np.concatenate(stations),
+        np.concatenate(shares),
+        np.array(elements),
+        place,
+    )
+
+
+def _same_elements(
+    there: Structure, joint: PairedJoint, divided: tuple[int | None, int | None], shift: Array
+) -> PairedJoint:
+    """The joint where the bodies have moved by `shift`, with the same contact elements."""
+    try:
+        now = pair_joint(there, joint.name, *divided)
+    except InputError as error:
+        raise _left(joint, shift) from error
+    size = float(np.sqrt(joint.area.min()))
+    if now.area.size != joint.area.size:
+        raise _left(joint, shift)
+    off = np.abs(now.centre - joint.centre - shift).max() / size
+    if max(off, float(np.abs(now.area / joint.area - 1.0).max())) > SAME:
+        raise _left(joint, shift)
+    return now
+
+
+def _left(joint: PairedJoint, shift: Array) -> InputError:
+    return InputError(
+        f"axes: the pads of joint {joint.name!r} leave the guide "
+        f"{1e3 * float(np.linalg.norm(shift)):.6g} mm from where the mesh shows them; shorten "
+        "stroke_mm, or correct mesh_position_mm or the guide"
+    )
+
+
+def _check_sides(joint: PairedJoint, moving: NDArray[np.int64], rides: bool) -> None:
+    pads, guide = (np.isin(cells, moving) for cells in (joint.cells_a, joint.cells_b))
+    if rides and (not pads.all() or guide.any()):
+        raise InputError(
+            f"joints.{joint.name}: its side a must be the pads, on bodies that move, and its side "
+            "b the guide, on bodies that do not; exchange side_a and side_b, or correct "
+            "axes.bodies"
+        )
+    if not rides and (pads != guide).any():
+        raise InputError(
+            f"joints.{joint.name}: one of its sides moves and the other does not; let it ride on "
+            "the axis, or correct axes.bodies"
+        )
+
+
+def _extent(joint: PairedJoint) -> tuple[Array, Array]:
+    """Lowest and highest coordinates (m, 3) of each contact element."""
+    low, high = np.full(joint.centre.shape, np.inf), np.full(joint.centre.shape, -np.inf)
+    for piece, e in zip(joint.pieces, joint.piece_element, strict=True):
+        low[e] = np.minimum(low[e], piece.min(axis=0))
+        high[e] = np.maximum(high[e], piece.max(axis=0))
+    return low, high
