@@ -7,7 +7,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from thermojoint.artefacts.errors import InputError
-from thermojoint.live.reserve import RESERVE, stay_within
+from thermojoint.live.reserve import RESERVE, is_full, stay_within
 from thermojoint.live.secret import create_private
 
 #: Its name in the folder of a service.
@@ -45,6 +45,8 @@ def open_access(folder: Path) -> sqlite3.Connection:
         stay_within(store, RESERVE_SIZE)
         store.executescript(_TABLES + RESERVE)
     except (sqlite3.Error, OSError) as error:
+        if folder.exists() and is_full(path):
+            raise InputError(f"{path}: the disk is full ({error}); make room on it") from error
         raise InputError(
             f"{path}: cannot be used ({error}); restore it, or remove it to end all tokens"
         ) from error

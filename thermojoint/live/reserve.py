@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import os
 import sqlite3
-from contextlib import suppress
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -64,6 +64,18 @@ def lay_in(store: sqlite3.Connection, path: Path, size: int = 2 * SLICE) -> None
     if not is_full(path):
         row = _grow(store, size)
         store.execute("DELETE FROM reserve WHERE id = ?", (row,))
+
+
+def close(store: sqlite3.Connection, path: Path) -> None:
+    """Close a store; on a full disk its write-ahead log stays: there is no room for another."""
+    with ExitStack() as last:
+        if path.exists() and is_full(path):
+            # Whoever is last and may only read deletes nothing.
+            uri = f"{path.absolute().as_uri()}?mode=ro"
+            reader = last.enter_context(closing(sqlite3.connect(uri, uri=True)))
+            with suppress(sqlite3.DatabaseError):
+                reader.execute("SELECT count(*) FROM reserve").fetchone()
+        store.close()
 
 
 def tend(store: sqlite3.Connection, path: Path, wanted: float) -> Room:

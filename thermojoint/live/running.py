@@ -16,6 +16,7 @@ import numpy as np
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live import floor as floors
+from thermojoint.live.access_store import NAME as ACCESS
 from thermojoint.live.accounts import Accounts, accounts_of
 from thermojoint.live.archive import Archive
 from thermojoint.live.arrivals import Arrival, Note
@@ -25,7 +26,7 @@ from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine import Machine, Times, rest_of, restored, shown, state_bytes
 from thermojoint.live.metrics import Metrics, fresh_metrics
 from thermojoint.live.publication import Publication
-from thermojoint.live.reserve import OVERHEAD, Room, lay_in, tend
+from thermojoint.live.reserve import OVERHEAD, Room, close, lay_in, tend
 from thermojoint.live.served import Served, single
 from thermojoint.live.settings import Service
 from thermojoint.live.store import (
@@ -157,7 +158,7 @@ async def opened(
     path = service.folder / _STORE
     with locked(service.folder), ExitStack() as ends:
         accounts = accounts_of(service)
-        ends.callback(accounts.store.close)
+        ends.callback(close, accounts.store, service.folder / ACCESS)
         keeper = ThreadPoolExecutor(1, "keeper")
         store = open_store(path, service.given.store.durable)
         ends.callback(store.close)
@@ -179,7 +180,7 @@ async def opened(
             stop,
             identity=identity_of(path),
         )
-        ends.callback(lambda: running.store.close())
+        ends.callback(lambda: close(running.store, path))
         log.say(times.now, "start", f"store {path}")
         running.hub.publish(newest)
         yield running

@@ -29,7 +29,7 @@ from estimator.interface import Channel
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.publication import Layout
-from thermojoint.live.reserve import RESERVE, stay_within
+from thermojoint.live.reserve import RESERVE, is_full, stay_within
 
 SCHEMA_VERSION = 2
 #: Locked by the service that holds a folder; it says which process this is.
@@ -303,6 +303,8 @@ def _as_store(path: Path) -> Iterator[None]:
     try:
         yield
     except sqlite3.DatabaseError as error:
+        if path.parent.exists() and is_full(path):
+            raise InputError(f"{path}: the disk is full ({error}); make room on it") from error
         raise InputError(
             f"{path}: no store of this service ({error}); give another folder"
         ) from error

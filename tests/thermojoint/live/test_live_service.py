@@ -297,6 +297,8 @@ def test_a_full_disk_stops_nobody(model, expected, tmp_path):
         data = file_of(model, {"kind": "csv", "path": "log.csv"}, http=http)
         data |= {"folder": "disk/state", "store": {"checkpoint_s": 0.5}}
         asyncio.run(live(20, 30, full=True))
+        # What its stop gave back is gone, too.
+        fill(disk)
         asyncio.run(live(30, 40, full=False))
         path = disk / "state" / "history.sqlite"
         assert_says(Archive(path).history("mill", 0.0, 1e11, 10**6), expected[:40])
