@@ -16,12 +16,12 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from fesim.case.schema import case_from_data
-from fesim.joint.gap import Equilibrium, gap_problem
-from fesim.joint.law import Friction, JointLaw, SurfaceNormalLaw, evaluate, stiffness_at_rest
-from fesim.march.contact import gap_solver
+from fesim.joint.gap import Equilibrium
+from fesim.joint.law import Friction, JointLaw, SurfaceNormalLaw
+from fesim.march.contact import ContactProblem
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
-from fesim.solid.condensation import ElasticCondensation, condense_elasticity
+from fesim.solid.condensation import condense_elasticity
 from fesim.solid.elasticity import elastic_operators
 from fesim.solid.joint_operators import joint_operators
 from fesim.solid.materials import Material
@@ -61,43 +61,29 @@ ROUND = 1440
 
 @dataclass(frozen=True)
 class Pressed:
-    """Two bodies and the equations of the joint between them.
+    """Two bodies and the joint between them.
 
     Attributes
     ----------
-    law : JointLaw
-        Its law.
-    condensed : ElasticCondensation
-        Its linear side.
-    contacts : int
-        Number of contact elements.
+    contact : ContactProblem
+        The joint and its linear side.
     nodes : int
         Number of temperatures.
     """
 
-    law: JointLaw
-    condensed: ElasticCondensation
-    contacts: int
+    contact: ContactProblem
     nodes: int
 
     @property
     def area(self) -> Array:
         """Area of each contact element, m2."""
-        return self.condensed.area[: self.contacts]
+        return self.contact.elastic.area[: self.contact.count]
 
     def follow(self, thermal_gaps: Iterable[Array]) -> Iterator[tuple[Array, Equilibrium]]:
         """Yield (slip before, equilibrium) for one thermal gap (3 m,) after another."""
-        laws = [(self.law, self.contacts)]
-        problem = gap_problem(
-            self.condensed.compliance * self.condensed.area,
-            self.condensed.reference,
-            stiffness_at_rest(laws),
-            lambda gap, slip: evaluate(self.law, gap, slip),
-        )
-        settle = gap_solver(problem, laws, RESIDUAL)
-        gap, slip = np.zeros((3, self.contacts)), np.zeros((2, self.contacts))
+        gap, slip = np.zeros((3, self.contact.count)), np.zeros((2, self.contact.count))
         for thermal_gap in thermal_gaps:
-            settled = settle(thermal_gap, slip, gap)
+            settled = self.contact.settle(thermal_gap, slip, gap)
             yield slip, settled
             gap, slip = settled.gap, settled.traction.slip
 
@@ -118,7 +104,8 @@ def pressed(
     springs = np.full(3 * contacts, law.friction.stiffness)
     no_probes = csr_array((0, spaces.displacement_size))
     condensed, _ = condense_elasticity(elastic, operators, springs, no_probes)
-    return Pressed(law, condensed, contacts, int(spaces.heat.N))
+    contact = ContactProblem(condensed, [(law, contacts)], RESIDUAL)
+    return Pressed(contact, int(spaces.heat.N))
 
 
 def checks() -> Iterator[Check]:
@@ -154,9 +141,9 @@ def drive_block(path: Array) -> Drive:
     law = replace(law_at(PRELOAD), friction=Friction(COEFFICIENT, STIFFNESS))
     bodies = {"left": RIGID, "right": RIGID}
     block = pressed(bars("hexahedra", (2, 2, 2), (2, 3, 2)), bodies, law, (3, 2), ["x0", "x1"], {})
-    springs = block.condensed.area * block.condensed.reference
-    each = np.repeat(path, block.contacts, axis=1)
-    moves = each - (each * springs) @ block.condensed.compliance
+    elastic = block.contact.elastic
+    each = np.repeat(path, block.contact.count, axis=1)
+    moves = each - (each * elastic.area * elastic.reference) @ elastic.compliance
     force, dissipated = [], []
     for before, after in block.follow(moves):
         shear = -after.traction.value[1:]

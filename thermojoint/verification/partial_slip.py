@@ -98,7 +98,7 @@ def checks() -> Iterator[Check]:
         # Free to move along y only; held at one end.
         {"x1": "x", "joint.b": "x", "y0": "y", "z0": "z", "z1": "z"},
     )
-    per_kelvin = strip.condensed.thermal_gap @ np.ones(strip.nodes)
+    per_kelvin = strip.contact.elastic.thermal_gap @ np.ones(strip.nodes)
     up = RISE / STEPS * np.arange(1, STEPS + 1)
     levels = np.concatenate([up, up[-2::-1], [0.0]])
     states = [state for _, state in strip.follow(level * per_kelvin for level in levels)]

@@ -8,9 +8,8 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.sparse import csr_array
 
-from fesim.joint.gap import gap_problem
-from fesim.joint.law import JointLaw, evaluate, stiffness_at_rest
-from fesim.march.contact import gap_solver
+from fesim.joint.law import JointLaw
+from fesim.march.contact import ContactProblem
 from fesim.setup.elastic import reference_springs
 from fesim.solid.condensation import condense_elasticity
 from fesim.solid.elasticity import elastic_operators
@@ -125,21 +124,14 @@ def contact_checks() -> Iterator[Check]:
         no_probes = csr_array((0, spaces.displacement_size))
         condensed, field = condense_elasticity(elastic, operators, springs, no_probes)
         hot = np.full(spaces.heat.N, rise)
-        laws = [(law, len(operators.area))]
-        problem = gap_problem(
-            condensed.compliance * condensed.area,
-            condensed.reference,
-            stiffness_at_rest(laws),
-            lambda gap, slip: evaluate(law, gap, slip),
-        )
         zero = np.zeros((3, len(operators.area)))
         # Far below the march's tolerance: the joint turns 1e-16 m into 1e-10 of the pressure.
-        settle = gap_solver(problem, laws, 1e-16)
-        settled = settle(condensed.thermal_gap @ hot, zero[1:], zero)
+        contact = ContactProblem(condensed, [(law, len(operators.area))], 1e-16)
+        settled = contact.settle(condensed.thermal_gap @ hot, zero[1:], zero)
         name = f"contact patch test, non-matching {kind}"
         source = "bars and joint in series"
-        contact = settled.traction.value[0] + law.preload
-        yield worst(name, "contact pressure", contact, np.full_like(contact, pressure), source)
+        found = settled.traction.value[0] + law.preload
+        yield worst(name, "contact pressure", found, np.full_like(found, pressure), source)
         remainder = settled.traction.value.ravel() + condensed.reference * settled.gap.ravel()
         moved = field.solve(hot, remainder)
         # The field is that of the pressure above the preload.
