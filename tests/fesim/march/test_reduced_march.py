@@ -135,7 +135,7 @@ def test_sources_held_surfaces_and_the_ambient_each_with_its_history(coarse_data
 def test_several_joints_springs_and_a_warming_hall():
     """The bolted flange of the examples: three joints of different preload and friction."""
     case = read_case(FLANGE)
-    short = case.model_copy(update={"march": case.march.model_copy(update={"duration_min": 5.0})})
+    short = case.model_copy(update={"march": case.march.model_copy(update={"duration_min": 2.0})})
     full, reduced = both(short)
     assert_equal_within_the_recorded_error(full, reduced)
     assert len(set(full["contact_joint"].to_numpy())) == 3

@@ -248,16 +248,15 @@ def test_conductivity_of_the_joint_is_harmonic_between_its_bodies(edit, coarse_s
     assert ratio == pytest.approx(2.0 * 10.0 / (47.0 + 10.0), rel=1e-12)
 
 
-@pytest.mark.parametrize("along", [1, 4, 9])
-def test_contact_elements_cover_the_strip(edit, along):
+def test_contact_elements_cover_the_strip(edit):
     setup = set_up(
         edit(
-            (("joints", "knee", "along"), along),
+            (("joints", "knee", "along"), 4),
             (("joints", "knee", "across"), 2),
         )
     )
     (joint,) = setup.joints
-    assert len(joint.area) == setup.machine.contact.count == 2 * along
+    assert len(joint.area) == setup.machine.contact.count == 8
     assert joint.area.sum() == pytest.approx(0.40 * 0.075, rel=1e-12, abs=0.0)
     np.testing.assert_allclose(joint.area, joint.area.mean(), rtol=1e-9)
 
