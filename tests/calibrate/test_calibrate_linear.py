@@ -13,7 +13,6 @@ from calibrate.linear import (
     calibrate_heat,
     fit_deformation,
     fit_relaxation,
-    fit_ring,
     relaxation_response,
     with_direct_models,
 )
@@ -136,17 +135,6 @@ def test_the_direct_models_are_the_spectra_and_equation_2_is_reported_beside_the
     for sensor in ("T1", "T2"):
         assert table_1.direct_errors[sensor] < 1e-4
         assert table_1.fits[f"direct.{sensor}"].max_abs_error > table_1.direct_errors[sensor]
-
-
-def test_noise_on_the_temperature_widens_the_standard_errors_and_they_cover_the_truth():
-    clean = ring_source.step_response(RUN, **asdict(THERMAL))
-    noise = np.random.default_rng(3).standard_normal(RUN.size)
-    loud, loud_fit = fit_ring(RUN, clean + 0.03 * noise)
-    _, quiet_fit = fit_ring(RUN, clean + 0.003 * noise)
-    for name in ("K", "a", "alpha", "r"):
-        error = loud_fit.standard_errors[name]
-        assert error == pytest.approx(10 * quiet_fit.standard_errors[name], rel=0.2)
-        assert abs(getattr(loud, name) - getattr(THERMAL, name)) < 4 * error
 
 
 def test_the_level_of_the_step_and_heat_at_time_zero_do_not_matter(table_1):

@@ -118,12 +118,6 @@ def test_a_csv_is_read_by_its_column_names(tmp_path):
     np.testing.assert_allclose(history(np.array([0.0, 5.0, 10.0, 20.0, 99.0])), [0, 1, 2, 1.5, 1])
 
 
-def test_a_csv_of_a_spreadsheet_with_comments_is_read(tmp_path):
-    text = "\ufeff# spindle run 3\r\ntime_s, heat_input\r\n\r\n0, 0.5\r\n10, 1e0\r\n"
-    history = read_history(csv_of(tmp_path, text))
-    assert history(np.array([0.0, 10.0])).tolist() == [0.5, 1.0]
-
-
 def test_a_csv_with_a_single_row_holds_its_value(tmp_path):
     history = read_history(csv_of(tmp_path, "time_s,heat_input\n0,1.5\n"))
     assert history(np.array([7.0]))[0] == 1.5

@@ -5,7 +5,6 @@ import pytest
 
 from thermojoint.artefacts import log_file as logs
 from thermojoint.artefacts.errors import InputError
-from thermojoint.artefacts.log import joined
 from thermojoint.artefacts.quantities import column_named
 
 
@@ -56,12 +55,6 @@ def test_columns_are_given_names_with_units(tmp_path):
     assert log.at("T1_degC") == pytest.approx([293.65, 294.65])
 
 
-def test_a_clock_may_tell_the_date(tmp_path):
-    text = "timestamp,x_um\n2024-03-01T23:59:30,1\n2024-03-02T00:00:15,2\n"
-    log = logs.read_log([written(tmp_path, text)])
-    assert np.diff(log.times) == pytest.approx([45.0])
-
-
 def test_days_follow_each_other_and_a_clock_that_begins_anew_begins_a_run(tmp_path):
     days = [
         written(tmp_path, f"time_s,x_um\n{first},{k}\n{first + 9},2\n", f"{k}.csv")
@@ -70,16 +63,6 @@ def test_days_follow_each_other_and_a_clock_that_begins_anew_begins_a_run(tmp_pa
     log = logs.read_log(days)
     assert log.starts == (0, 4)
     assert [list(run.times) for run in log.runs()] == [[0, 9, 100, 109], [0, 9]]
-
-
-def test_a_file_read_in_pieces_is_the_file(tmp_path):
-    rows = "".join(f"{k},{k % 7}\n" for k in range(100))
-    path = written(tmp_path, "time_s,x_um\n" + rows)
-    pieces = list(logs.log_pieces([path], rows=9))
-    assert max(len(piece.times) for piece in pieces) == 9
-    whole, one = joined(pieces), logs.read_log([path])
-    np.testing.assert_array_equal(whole.values, one.values)
-    assert whole.starts == one.starts == (0,)
 
 
 @pytest.mark.parametrize(
