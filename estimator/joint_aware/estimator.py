@@ -16,7 +16,6 @@ from estimator.joint_aware import compiled_sample, displacement_readings, fault_
 from estimator.joint_aware.displacement_readings import (
     DisplacementProbe,
     ModelError,
-    covariance_of,
     mean_of,
 )
 from estimator.joint_aware.observer import Observer, Settled
@@ -435,8 +434,10 @@ class JointAware(Described):
         factor : ndarray, shape (n, k)
             Covariance factor.
         """
-        covariance = covariance_of(known)
-        variance = self.model.band.steady + np.einsum("ai,ij,aj->a", parts, covariance, parts)
+        # As E var(e) E', of which only the diagonal is needed, in every sample.
+        shared = ((parts @ known.shared) * parts).sum(axis=1)
+        own = np.square(parts[:, known.drawn.size :]) @ known.variance
+        variance = self.model.band.steady + shared + own
         if factor.any():
             uncertain = np.square(self.model.band.tangent @ factor).sum(axis=1)
             variance = variance + self.thresholds.doubt**2 * uncertain

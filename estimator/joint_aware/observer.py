@@ -210,4 +210,7 @@ class Observer:
         rest = band.constant + band.square @ square
         if memory != KNOWN:
             rest = rest + band.history
-        return np.hstack([drawn, np.diag(np.sqrt(rest))])
+        parts = np.zeros((rest.size, drawn.shape[1] + rest.size))
+        parts[:, : drawn.shape[1]] = drawn
+        parts[range(rest.size), range(drawn.shape[1], parts.shape[1])] = np.sqrt(rest)
+        return parts
