@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NoReturn
@@ -36,7 +37,7 @@ from fesim.setup.elastic import elastic_structure
 from fesim.setup.loads import MarchInputs, march_inputs
 from fesim.setup.machine import CacheKeys, Setup, cache_keys
 from fesim.setup.parts import Parts, make_parts, unit_direction
-from fesim.setup.soundness import explained_by_size
+from fesim.setup.soundness import explained_by_size, suspicions
 from fesim.setup.structure import measured_points
 from fesim.setup.temperature_dependence import convecting_surfaces
 from fesim.solid.condensation import ThermalCondensation
@@ -95,6 +96,8 @@ def set_up_axis(case: Case) -> MovingSetup:
     ((name, axis),) = case.axes.items()
     course = course_of(axis, name)
     parts = make_parts(case)
+    for line in suspicions(parts.structure, parts.joints):
+        warnings.warn(line, stacklevel=2)
     _check_guides(case, parts)
     positions = aligned_positions(axis)
     with explained_by_size(parts.structure):

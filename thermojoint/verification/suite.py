@@ -18,6 +18,7 @@ from thermojoint.verification import (
     loaded,
     manufactured,
     marching,
+    moving_axis,
     nafems_heat,
     partial_slip,
     patch,
@@ -75,6 +76,7 @@ GROUPS: tuple[Group, ...] = (
     Group("The condensed march against a plain one", marching.condensed_checks),
     Group("Errors in the time step", marching.splitting_checks),
     Group("Adaptive steps, pulses, units", adaptive_march.checks),
+    Group("Moving axes", moving_axis.checks),
 )
 
 
