@@ -68,5 +68,7 @@ def calibrate_linear_joint(
     effort: Effort = USUAL,
 ) -> JointAwareCalibration:
     """Return the Kalman filter of a machine; as `calibrate.joint_aware.calibration`."""
+    # Its joint is known to be wrong, which says nothing about the other parameters.
+    effort = replace(effort, search=replace(effort.search, doubted=1.0))
     calibrated = calibrate_machine(with_linear_joint(machine), responses, noise, fitted, effort)
     return replace(calibrated, model=replace(calibrated.model, kind="kalman-linear"))

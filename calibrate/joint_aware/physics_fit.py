@@ -65,6 +65,8 @@ class Search:
         Largest distance of a draw from the case's values, in standard deviations of the prior.
     lags : tuple of float
         Where searches for the lags of sensors begin, s, if that fits best.
+    doubted : float
+        Largest factor on the assumed errors (`misfit.doubt_of`).
     evident : float
         A film or a lag that the case does not have is taken for one from this many posterior
         standard deviations on.
@@ -81,6 +83,7 @@ class Search:
     seed: int = 1
     furthest: float = 2.0
     lags: tuple[float, ...] = (0.0, 3.0, 6.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0, 75.0)
+    doubted: float = 5.0
     evident: float = 2.0
 
 
@@ -223,7 +226,7 @@ def fit_physics(
         evaluations += _counted(result)
     now = min(tried, key=lambda start: start.cost).reached / spread
     whole, problem, result, taken = _settled(whole, problem, parameters, now, search)
-    if (doubt := doubt_of(whole, result.fun[: defect.size])) > 1.0:
+    if (doubt := min(doubt_of(whole, result.fun[: defect.size]), search.doubted)) > 1.0:
         whole, problem = replace(whole, doubt=doubt), replace(problem, doubt=doubt)
         evaluations += taken
         whole, problem, result, taken = _settled(whole, problem, parameters, result.x, search)
