@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass
 from fnmatch import fnmatchcase
 from typing import Any
 
 from fesim.case.schema import Case, MillingMachineSection
 from meshes.milling_machine import MillingMachineDimensions
+from thermojoint.artefacts.units import MILLI
 
 #: Sections whose numbers describe no machine.
 _LEFT_OUT = {"title", "march", "output", "candidates", "displacement"}
@@ -49,8 +50,8 @@ def parameters_of(case: Case, patterns: tuple[str, ...] = ("*",)) -> list[Parame
     """
     data = case.model_dump(mode="json", exclude=_LEFT_OUT)
     if isinstance(case.structure, MillingMachineSection):
-        default, names = MillingMachineDimensions(), fields(MillingMachineDimensions)
-        dimensions = {field.name: 1e3 * getattr(default, field.name) for field in names}
+        usual = asdict(MillingMachineDimensions())
+        dimensions = {name: value / MILLI for name, value in usual.items() if value is not None}
         data["structure"]["dimensions_mm"] = dimensions | case.structure.dimensions_mm
     found = []
     for path, value in _numbers(data, ""):

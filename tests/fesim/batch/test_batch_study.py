@@ -195,6 +195,7 @@ CONDENSED = {
     "joints.knee.along": 8,
     "joints.knee.across": 2,
     "joints.knee.side_a": "other",
+    "joints.knee.slip_heating": True,
     "supports.fixed": ["column_base"],
     "supports.symmetry": {},
     "supports.springs": {"screw_foot": {"stiffness_N_um": [1.0, 1.0, 1.0]}},
@@ -230,6 +231,8 @@ CONDENSED = {
 }
 #: What a joint has in the place of its preload.
 OF_OPEN_JOINTS = {"joints.knee.initial_opening_um", "joints.knee.reference_pressure_MPa"}
+#: What a joint has on an axis, which a batch refuses.
+OF_AXES = {"joints.knee.axis", "joints.knee.running_friction_coefficient"}
 
 
 @pytest.fixture(scope="module")
@@ -275,10 +278,9 @@ def test_every_value_of_a_case_is_known_to_one_of_the_two_lists(data):
     above = {path.rsplit(".", n)[0] for path in [*CONDENSED, *NOT_CONDENSED] for n in range(5)}
     sections = {path.split(".")[0] for path in known_paths(made(data, {}))}
     joint = {p for p in known_paths(made(data, {})) if p.startswith("joints.knee.")}
-    assert sections - {p.split(".")[0] for p in above} == {"ambient"}
-    assert {p for p in joint if p.count(".") == 2} <= above | {
-        "joints.knee.side_b"
-    } | OF_OPEN_JOINTS
+    assert sections - {p.split(".")[0] for p in above} == {"ambient", "axes"}
+    pair = {"joints.knee.side_b"}
+    assert {p for p in joint if p.count(".") == 2} <= above | pair | OF_OPEN_JOINTS | OF_AXES
 
 
 def test_an_opening_is_part_of_the_law(data):

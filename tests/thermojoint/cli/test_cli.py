@@ -516,11 +516,13 @@ def test_results_as_json_have_one_option_everywhere():
             words = f"{getattr(option, 'help', '')}".lower()
             if "results as json" in words:
                 assert option.opts == ["--json"], name
-    assert {"tables", "validate", "verify", "inspect", "control", "iso230-3", "calibrate"} == {
+    with_json = {
         name
         for name, command in HELPED.items()
         if any("--json" in option.opts for option in command.params)
     }
+    written = {"tables", "validate", "verify", "inspect", "control", "iso230-3", "calibrate"}
+    assert with_json == written | {"sensitivity"}
 
 
 def test_a_view_of_a_case_and_of_a_response(command, files_at_hand, tmp_path, coarse_response):
