@@ -41,8 +41,8 @@ RESIDUAL = 1e-18
 TOLERANCE = 1e-8
 #: Push on the column, N; spring against it, N/m; strokes from one side to the other, s each.
 PUSH, AGAINST, STROKES, STROKE = 4000.0, 5e6, 20, 120.0
-#: Its modulus, Pa, and the time in which it becomes evenly warm, s.
-STIFF, EVEN = 1e17, 12000.0
+#: Its modulus, Pa, whose share of the slip is 9e-6; the time in which it becomes evenly warm, s.
+STIFF, EVEN = 1e15, 12000.0
 
 COEFFICIENT = 0.3
 #: The bodies' share of the compliance is below 1e-9: k_t times their length over their modulus.
@@ -254,7 +254,7 @@ def heat_checks() -> Iterator[Check]:
     iron = case.materials["iron"]
     capacity = iron.density_kg_m3 * iron.heat_capacity_J_kgK * loaded.AREA * 2.0 * loaded.HALF
     name = "friction, column pushed to and fro"
-    compared = Quantity("heat of friction", "J", 1e-5, "mu P times the way")
+    compared = Quantity("heat of friction", "J", 2e-5, "mu P times the way")
     yield compared.check(name, work, float(heat.sum()))
-    compared = Quantity("temperature afterwards", "K", 1e-5, "work over heat capacity")
+    compared = Quantity("temperature afterwards", "K", 2e-5, "work over heat capacity")
     yield compared.check(name, work / capacity, float(response["temperature"][-1, 0]))
