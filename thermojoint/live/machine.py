@@ -351,6 +351,10 @@ def received_of(served: Served, machine: Machine, now: float) -> Received | None
     if served.output is None or machine.output is None:
         return None
     content = content_of(served.output.output, machine.output)
+    if served.handshake is not None:
+        handshake = machine.handshake
+        for k, axis in enumerate(content["axes"].values()):
+            axis["sent"] = [float(handshake.low[k]), float(handshake.high[k])]
     return Received(machine.name, now, json.dumps(content))
 
 
@@ -407,7 +411,7 @@ def restored(
         # Earlier stores have it beside the samples.
         received = Received(name, machine.usable.published, json.dumps(rest["output"]))
     output = _output(served, machine, received, times)
-    handshake = begun(_offsets(served, output), times.clock)
+    handshake = _handshake_begun(served, output, received, times.clock)
     machine = replace(
         machine,
         output=output,
@@ -423,6 +427,24 @@ def restored(
         asked=machine.asked,
     )
     return replace(machine, latest=latest), rest.get("at")
+
+
+def _handshake_begun(
+    served: Served, output: OutputState | None, received: Received | None, clock: float
+) -> Handshake:
+    """Return the handshake of a machine that goes on, at a time (s).
+
+    The control may still have what it was sent before it last agreed.
+    """
+    handshake = begun(_offsets(served, output), clock)
+    if served.output is None or received is None:
+        return handshake
+    axes = json.loads(received.content)["axes"]
+    names = served.output.output.names
+    # Axes of other settings, and stores of earlier versions, have no range.
+    ranges = np.array([axes.get(name, {}).get("sent", [np.nan, np.nan]) for name in names])
+    low, high = np.fmin(handshake.low, ranges[:, 0]), np.fmax(handshake.high, ranges[:, 1])
+    return handshake._replace(low=low, high=high)
 
 
 def _laid_out(last: Publication, layout: Layout) -> Publication:

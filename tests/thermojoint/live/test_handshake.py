@@ -119,6 +119,22 @@ def test_a_control_that_holds_an_old_offset_within_the_tolerance_goes_on_from_it
     found.teardown()
 
 
+def test_a_killed_service_knows_what_a_control_may_still_have():
+    """The control holds -0.2 um, unnoticed; the offset has moved to zero when the service ends."""
+    at_once = dict.fromkeys(("dead_band_um", "filter_s", "freeze_s", "recover_s"), 0.0)
+    given = at_once | {"resolution_um": 0.1, "rate_um_s": 0.05, "oldest_s": 3.0, "decay_s": 5.0}
+    found = offset_invariant.Offsets()
+    found.begin(offset_invariant.settings_of(given | {"largest_um": 10.0}, two=False), shakes=True)
+    found.control_leaves(clears=True, enabled=False, linked=False)
+    found.control_returns(clears=True, count=3, linked=True, value=0.95)
+    found.control_returns(clears=False, count=3, linked=False, value=215.9)
+    found.control_lies(lie=0.0)
+    found.samples(count=15, kind=0, slope=0.0, value=0.0)
+    found.kill(down=0.1, gain=None, output=None, shakes=False, until="", value=0.0)
+    found.samples(count=9, kind=0, slope=0.0, value=0.0)
+    found.teardown()
+
+
 def test_an_offset_that_decays_does_not_meet_a_wrong_acknowledgement():
     """A control acknowledges 50 um too much: as much as it was sent some seconds before."""
     at_once = dict.fromkeys(("dead_band_um", "freeze_s", "recover_s"), 0.0)
