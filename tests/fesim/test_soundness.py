@@ -94,6 +94,7 @@ def test_two_joints_on_the_same_faces_are_refused(tmp_path, data):
         run(tmp_path, data)
 
 
+@pytest.mark.filterwarnings("ignore:bodies 'high' and 'other' face each other")
 def test_two_pads_on_one_face_are_no_joints_on_the_same_face(tmp_path, data):
     half = SIDE / 2
     structure = boxes(
