@@ -139,7 +139,7 @@ def simulate(
         case = read_case(case)
     given = setup if setup is not None else prepared(case)
     moving = given if isinstance(given, MovingSetup) else None
-    ready = given.setup if isinstance(given, MovingSetup) else given
+    ready = standing(given)
     if ready.machine.thermal.step != case.march.step_s:
         raise InputError(
             f"march.step_s: {case.march.step_s:g} s, but the structure was set up for steps of "
@@ -203,6 +203,11 @@ def prepared(case: Case) -> Setup | MovingSetup:
         As `fesim.setup.machine.set_up` and `fesim.axes.setup.set_up_axis`.
     """
     return set_up_axis(case) if case.axes else set_up(case)
+
+
+def standing(given: Setup | MovingSetup) -> Setup:
+    """Return the setup of a machine, of one with a moving axis as it stands at time zero."""
+    return given.setup if isinstance(given, MovingSetup) else given
 
 
 def _marching(
@@ -282,7 +287,7 @@ class _Course:
 
 def _kept(given: Setup | MovingSetup, slip: np.ndarray, track: Track) -> _Course:
     """Contents of the response of a track that starts with a slip (2, m), m."""
-    setup = given.setup if isinstance(given, MovingSetup) else given
+    setup = standing(given)
     probes = each(setup.probe_rows, track.temperature)
     outputs = np.empty((len(track), 0))
     if setup.outputs is not None or setup.bolts is not None:
@@ -363,7 +368,7 @@ def _check_pressures(ready: Setup, track: Track) -> None:
 def _response(
     case: Case, given: Setup | MovingSetup, inputs: MarchInputs, course: _Course
 ) -> xr.Dataset:
-    setup = given.setup if isinstance(given, MovingSetup) else given
+    setup = standing(given)
     machine, track = setup.machine, course.track
     names = [joint.name for joint in setup.joints for _ in joint.area]
     times = machine.thermal.step * track.index

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibrate.joint_aware.past import Pasts, random_pasts, states_after
+from calibrate.joint_aware.past import Pasts, answer, random_pasts, states_after
 from calibrate.joint_aware.physics_fit import Fit
 from calibrate.joint_aware.sticking import sticking_tangent
 from estimator.joint_aware.filter_design import (
@@ -174,11 +174,3 @@ def warm_columns(
     """
     every = states_after(modes, rates, power, steady.walk, pasts)
     return compressed(every / np.sqrt(every.shape[1]), steady.scale, PAST.columns)
-
-
-def answer(rates: Array, lasted: float, ago: float) -> Array:
-    """Return (1 - exp(-rate lasted)) exp(-rate ago) / rate, s: heating that ended `ago`."""
-    slow = rates * lasted < 1e-9
-    safe = np.where(slow, 1.0, rates)
-    grown = np.where(slow, lasted, -np.expm1(-safe * lasted) / safe)
-    return np.asarray(grown * np.exp(-rates * ago))

@@ -128,9 +128,7 @@ def states_after(modes: Modes, rates: Array, power: Array, walk: Array, pasts: P
     inputs = np.zeros((len(pasts.ambient), count, walk.size))
     inputs[..., :sources] = pasts.heat * power
     inputs[..., sources:] = pasts.ambient[..., None] * (walk[sources:] > 0.0)
-    slow = modes.rates * pasts.step < 1e-9
-    grown = -np.expm1(-modes.rates * pasts.step)
-    grown = np.where(slow, pasts.step, grown / np.where(slow, 1.0, modes.rates))
+    grown = answer(modes.rates, pasts.step, 0.0)
     decay, relaxing = np.exp(-modes.rates * pasts.step), np.exp(-rates * pasts.step)
     amplitudes = np.zeros((count, modes.rates.size))
     relaxed = np.zeros((count, sources, rates.size))
@@ -138,3 +136,11 @@ def states_after(modes: Modes, rates: Array, power: Array, walk: Array, pasts: P
         amplitudes = decay * amplitudes + grown * (given @ modes.drive.T)
         relaxed = relaxing * relaxed + (1.0 - relaxing) * heat[..., None]
     return np.hstack([amplitudes, relaxed.reshape(count, -1), inputs[-1]]).T
+
+
+def answer(rates: Array, lasted: float, ago: float) -> Array:
+    """Return (1 - exp(-rate lasted)) exp(-rate ago) / rate, s: heating that ended `ago`."""
+    slow = rates * lasted < 1e-9
+    safe = np.where(slow, 1.0, rates)
+    grown = np.where(slow, lasted, -np.expm1(-safe * lasted) / safe)
+    return np.asarray(grown * np.exp(-rates * ago))

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import qr
 
-from calibrate.joint_aware.assembling import PAST, answer
+from calibrate.joint_aware.assembling import PAST
 from calibrate.joint_aware.misfit import Run, errors, fit_linear, make_problem
-from calibrate.joint_aware.past import Pasts, states_after
+from calibrate.joint_aware.past import Pasts, answer, states_after
 from calibrate.joint_aware.physics_fit import fit_physics
 from calibrate.joint_aware.random_heat import random_levels
 from estimator.joint_aware.filter_design import Noise, compressed

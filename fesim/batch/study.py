@@ -195,7 +195,7 @@ def study_of(
     rows: Iterable[Values],
     varied: Sequence[str],
     where: str,
-    refused: Callable[[Values, InputError], None] | None = None,
+    refused: Callable[[Values, str], None] | None = None,
 ) -> Study:
     """Return the study of a case with other values, all checked, without finite elements.
 
@@ -210,7 +210,8 @@ def study_of(
     where : str
         For error messages.
     refused : callable, optional
-        Called with the values of a case that is refused, which is then left out; default: raise.
+        Called with the values of a case that is refused, which is then left out, and the reason;
+        default: raise.
 
     Raises
     ------
@@ -243,10 +244,10 @@ def study_of(
                 contacts = sum(len(joint.area) for joint in parts.joints)
                 shapes[study_case.key] = Shape(tuple(parts.probes), contacts)
         except InputError as error:
-            given = error if str(error).startswith(place) else InputError(f"{place}: {error}")
+            reason = str(error).removeprefix(f"{place}: ")
             if refused is None:
-                raise given from error
-            refused(values, error)
+                raise InputError(f"{place}: {reason}") from error
+            refused(values, reason)
             continue
         loads.add(load)
         cases_by_id.setdefault(study_case.id, study_case)

@@ -6,19 +6,19 @@ import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 from rich.table import Table
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.cli import arguments, file_kinds
+from thermojoint.sensitivity.measures import MEASURES, Method
 
 if TYPE_CHECKING:
     from fesim.batch.study import Study, Values
     from thermojoint.artefacts.arrays import Array
 
-Method = Literal["morris", "sobol"]
 Run: TypeAlias = "Callable[[Study, list[Values]], tuple[list[str], Array]]"
 
 #: Rows of a table at the terminal, and panels of the picture.
@@ -101,8 +101,8 @@ def _local(given: Path, patterns: tuple[str, ...], run: Run) -> dict[str, Any]:
     rows = local.rows_of(parameters)
     reasons: dict[str, str] = {}
 
-    def refused(values: Values, error: InputError) -> None:
-        reasons[local.varied_in(values, parameters)] = str(error)
+    def refused(values: Values, reason: str) -> None:
+        reasons[local.varied_in(values, parameters)] = reason
 
     paths = [each.path for each in parameters]
     study = replace(study_of(given, rows, paths, str(given), refused), keep="displacement")
@@ -147,7 +147,6 @@ def _report(content: dict[str, Any], out: Path) -> None:
     from thermojoint.artefacts.files import write_text
     from thermojoint.pictures.figures import write_figure
     from thermojoint.pictures.tornado import Panel, tornado_figure
-    from thermojoint.sensitivity.results import MEASURES
 
     first, spread = MEASURES[content["method"]]
     table = pd.DataFrame(content["entries"])

@@ -38,10 +38,10 @@ def simulate(
 
     Example: [bold]thermojoint simulate longer.toml --continue half.npz --out rest.nc[/bold]
     """
-    from fesim.axes.setup import MovingSetup, check_still
+    from fesim.axes.setup import check_still
     from fesim.case.schema import read_case
     from fesim.march.state_file import check_resumable, load_state, save_state
-    from fesim.simulate import prepared
+    from fesim.simulate import prepared, standing
     from fesim.simulate import simulate as run_case
     from fesim.snapshots import snapshot_writer
     from thermojoint import console, plausibility
@@ -73,7 +73,7 @@ def simulate(
     ):
         report("setting up", 0, 1)
         ready = prepared(given)
-        setup = ready.setup if isinstance(ready, MovingSetup) else ready
+        setup = standing(ready)
         report("setting up", 1, 1)
         console.warn(plausibility.of_structure(setup.structure, str(case)))
         finished = run_case(

@@ -13,16 +13,11 @@ from fesim.batch.summary import FIGURES
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.sensitivity.local import Effect
-from thermojoint.sensitivity.screening import INDICES, Design, indices_of
+from thermojoint.sensitivity.measures import INDICES, MEASURES
+from thermojoint.sensitivity.screening import Design, indices_of
 
 #: A figure that changes by less does not, in µm, K, MPa or as a share.
 STILL = 1e-9
-#: Method to the column that ranks, and the one that says how uncertain it is.
-MEASURES = {
-    "local": ("change", "error"),
-    "morris": ("mu_star", "mu_star_conf"),
-    "sobol": ("ST", "ST_conf"),
-}
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -4,34 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from fesim.batch.study import RangeSection, Values, values_in
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
+from thermojoint.sensitivity.measures import INDICES, Method
 
-Method = Literal["morris", "sobol"]
 #: Levels of the grid of Morris's trajectories.
 LEVELS = 4
 #: Shares of the samples whose indices show the convergence.
 SHARES = (0.25, 0.5, 1.0)
-#: Names and meanings of the indices of a method, the one that ranks first.
-INDICES: dict[Method, dict[str, str]] = {
-    "morris": {
-        "mu_star": "mean size of the effect of a third of the range, in the figure's unit",
-        "mu": "its mean with sign",
-        "sigma": "its spread: curvature, or interaction with other ranges",
-        "mu_star_conf": "half of the 95 % interval of mu_star",
-    },
-    "sobol": {
-        "ST": "share of the variance that would be left if only this range were uncertain",
-        "ST_conf": "half of its 95 % interval",
-        "S1": "share of the variance that would vanish if the value were known",
-        "S1_conf": "half of its 95 % interval",
-    },
-}
 
 
 @dataclass(frozen=True)
