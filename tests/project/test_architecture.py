@@ -14,6 +14,7 @@ ARROWS = {
     "fesim": {"thermojoint.artefacts", "meshes"},
     "thermojoint.verification": {"thermojoint.artefacts", "meshes", "fesim"},
     "thermojoint.sensitivity": {"thermojoint.artefacts", "meshes", "fesim"},
+    "thermojoint.optimisation": {"thermojoint.artefacts", "fesim", "thermojoint.sensitivity"},
     "thermojoint.reduced": {"thermojoint.artefacts", "fesim"},
     "estimator": {"thermojoint.artefacts", "thermojoint.models", "fesim", "thermojoint.reduced"},
     "calibrate": {

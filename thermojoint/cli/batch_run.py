@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, TypeAlias
@@ -31,32 +32,39 @@ if TYPE_CHECKING:
     from fesim.batch import run
     from fesim.batch.crew import Crew
 
+Watch: TypeAlias = "Callable[[run.Progress], None]"
+Tell = Callable[[StudyCase, str], None]
+Say = Callable[[str], None]
+#: Starts the workers of a batch.
+Recruit: TypeAlias = "Callable[[], AbstractContextManager[Crew]]"
+
 #: Largest number of workers that are listed.
 SHOWN_WORKERS = 8
 
 
 def run_study(path: Path, out: Path, workers: int, scheduler: str | None) -> run.Finished:
     """Run the batch of a study file and show its progress."""
-    return run_cases(read_study(path), str(path), out, workers, scheduler)
+    return run_cases(read_study(path), str(path), out, partial(crew_of, workers, scheduler))
 
 
 def run_cases(
-    study: Study, where: str, out: Path, workers: int, scheduler: str | None
+    study: Study, where: str, out: Path, recruit: Callable[[Say], Recruit]
 ) -> run.Finished:
-    """Run a study and show its progress; `where` names its file in warnings."""
+    """Run a study and show its progress.
+
+    `where` names its file in warnings; `recruit` starts workers, given a function that prints.
+    """
     require("batch", "batch", "zarr", "pyarrow")
     warn(of_cases((case.case for case in study.cases), where))
     # Here, not above: mistakes in a study are reported before Zarr and Arrow are loaded.
     from fesim.batch import run
 
     with stop_request() as stopped, display(study, stopped) as (watch, tell, say):
-        crew = crew_of(workers, scheduler, say)
+        crew = recruit(say)
         return run.run_batch(study, out, crew, watch=watch, tell=tell, stopped=stopped)
 
 
-def crew_of(
-    workers: int, scheduler: str | None, say: Callable[[str], None]
-) -> Callable[[], AbstractContextManager[Crew]]:
+def crew_of(workers: int, scheduler: str | None, say: Say) -> Recruit:
     """Return a function that starts the workers: local processes, or those of a Dask cluster."""
     if scheduler is None:
         from fesim.batch.local import local_crew
@@ -84,11 +92,6 @@ def stop_request() -> Iterator[Callable[[], bool]]:
         yield lambda: pressed
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-Watch: TypeAlias = "Callable[[run.Progress], None]"
-Tell = Callable[[StudyCase, str], None]
-Say = Callable[[str], None]
 
 
 @contextmanager

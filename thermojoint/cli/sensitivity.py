@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
@@ -71,7 +72,9 @@ def sensitivity(  # noqa: PLR0913 - options of a command
     def run(study: Study, rows: list[Values]) -> tuple[list[str], Array]:
         """Run the cases; return the names of the figures, and their values for each row."""
         crew = workers or os.cpu_count() or 1
-        finished = batch_run.run_cases(study, str(given), out, crew, scheduler)
+        finished = batch_run.run_cases(
+            study, str(given), out, partial(batch_run.crew_of, crew, scheduler)
+        )
         if finished.stopped:
             console.say("stopped; the same command continues from here")
             raise typer.Exit(batch_run.worst(finished))

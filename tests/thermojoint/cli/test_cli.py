@@ -522,7 +522,7 @@ def test_results_as_json_have_one_option_everywhere():
         if any("--json" in option.opts for option in command.params)
     }
     written = {"tables", "validate", "verify", "inspect", "control", "iso230-3", "calibrate"}
-    assert with_json == written | {"sensitivity"}
+    assert with_json == written | {"optimise", "sensitivity"}
 
 
 def test_a_view_of_a_case_and_of_a_response(command, files_at_hand, tmp_path, coarse_response):

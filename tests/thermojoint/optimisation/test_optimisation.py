@@ -1,0 +1,132 @@
+"""Design questions: known minima are found, limits hold, and a machine becomes better."""
+
+import json
+
+import numpy as np
+import pytest
+from batch_cases import case_text
+from in_process import run
+
+from fesim.batch.study import RangeSection
+from thermojoint.optimisation.results import measured
+from thermojoint.optimisation.search import Effort, search
+from thermojoint.optimisation.settings import DesignFile, LimitSection
+
+SPANS = [RangeSection(path=name, low=-2.0, high=3.0) for name in ("x", "y")]
+QUESTION = """case = "machine.toml"
+minimise = "joints.knee.preload_MPa"
+ranges = [{ path = "joints.knee.preload_MPa", low = 1.0, high = 10.0, scale = "log" }]
+limits = [{ figure = "displacement_x_peak_um", at_most = %s }]
+"""
+
+
+def bowl(rows):
+    """(x - 1)² + (y + 1)² of rows of values, and x + y as a second figure."""
+    at = np.array([[row["x"], row["y"]] for row in rows])
+    return np.column_stack([((at - [1.0, -1.0]) ** 2).sum(axis=1), at.sum(axis=1)])
+
+
+def question(tmp_path, limits=()):
+    """A question about `bowl`: minimise the first figure within limits of the second."""
+    (tmp_path / "machine.toml").touch()
+    return DesignFile.model_construct(
+        case=tmp_path / "machine.toml", ranges=SPANS, minimise="bowl", limits=list(limits)
+    )
+
+
+def found(given, effort):
+    done = search(SPANS, bowl, lambda figures: measured(given, figures), effort)
+    return done, done.rows[done.best()]
+
+
+def test_the_bottom_of_a_bowl_is_found(tmp_path):
+    _, values = found(question(tmp_path), Effort(population=20, generations=60))
+    assert list(values.values()) == pytest.approx([1.0, -1.0], abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("limit", "at"),
+    [({"at_least": 1.0}, [1.5, -0.5]), ({"at_most": -1.0}, [0.5, -1.5])],
+)
+def test_within_a_limit_the_nearest_point_on_it_is_found(tmp_path, limit, at):
+    """On x + y = c the bowl is lowest at (1 + c/2, -1 + c/2)."""
+    given = question(tmp_path, [LimitSection(figure="sum", **limit)])
+    done, values = found(given, Effort(population=20, generations=80))
+    assert list(values.values()) == pytest.approx(at, abs=0.1)
+    assert done.measured[done.best(), 1] <= 0.0
+
+
+def test_a_limit_that_nothing_holds_ends_with_the_least_excess(tmp_path):
+    given = question(tmp_path, [LimitSection(figure="sum", at_most=-6.0)])
+    done, values = found(given, Effort(population=20, generations=40))
+    assert list(values.values()) == pytest.approx([-2.0, -2.0], abs=0.1)
+    assert done.measured[done.best(), 1] > 0.0
+
+
+def test_a_search_asks_for_each_case_once_and_again_for_the_same(tmp_path):
+    given, effort = question(tmp_path), Effort(population=8, generations=6)
+    first, again = (found(given, effort)[0] for _ in range(2))
+    assert first.rows == again.rows
+    assert len({tuple(row.items()) for row in first.rows}) == len(first.rows)
+
+
+def test_cases_without_a_result_are_passed_over(tmp_path):
+    given = question(tmp_path, [LimitSection(figure="sum", at_most=10.0)])
+
+    def half(rows):
+        figures = bowl(rows)
+        figures[figures[:, 1] < 0.5] = np.nan
+        return figures
+
+    done = search(SPANS, half, lambda figures: measured(given, figures), Effort(20, 60))
+    assert list(done.rows[done.best()].values()) == pytest.approx([1.25, -0.75], abs=0.1)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("optimisation")
+    (folder / "machine.toml").write_text(case_text(1.0))
+    return folder
+
+
+def optimised(folder, limit):
+    (folder / "question.toml").write_text(QUESTION % limit)
+    effort = ("--population", 5, "--generations", 3, "--workers", 1)
+    options = ("--out", folder / "out", "--json", folder / "found.json")
+    code = run("optimise", folder / "question.toml", *options, *effort)
+    return code, json.loads((folder / "found.json").read_text())
+
+
+def test_the_least_preload_that_keeps_a_limit_is_checked_by_a_full_march(folder, capsys):
+    code, content = optimised(folder, 1e3)
+    assert code == 0
+    # Every preload keeps this limit: the lowest of the cases is found.
+    table = (folder / "out" / "summary.csv").read_text().splitlines()
+    column = table[0].split(",").index("joints.knee.preload_MPa")
+    preloads = [float(line.split(",")[column]) for line in table[1:]]
+    assert content["found"]["joints.knee.preload_MPa"] == min(preloads)
+    assert content["cases"] == len(preloads)
+    moved = content["figures"][1]
+    assert moved["full_march"] == pytest.approx(moved["found"], rel=1e-3)
+    assert (folder / "out" / "optimisation.png").stat().st_size > 1000
+    # A limit that no preload keeps: the same cases, none of them run again, and exit code 1.
+    code, content = optimised(folder, 1e-3)
+    assert code == 1
+    assert not content["figures"][1]["holds"]
+    assert "within the limit" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (QUESTION.replace("displacement_x_peak_um", "displacement_q_um"), "no figure named"),
+        (QUESTION.replace("minimise", "maximise", 1) + 'minimise = "steps"\n', "either"),
+        (QUESTION.replace(", at_most = %s", ""), "no bound"),
+        (QUESTION.replace("at_most = %s", "at_most = 1.0, at_least = 2.0"), "below at_most"),
+    ],
+)
+def test_a_question_that_makes_no_sense_is_refused(folder, capsys, text, message):
+    (folder / "bad.toml").write_text(text.replace("%s", "1.0"))
+    assert run("optimise", folder / "bad.toml", "--out", folder / "none") == 2
+    assert message in capsys.readouterr().err
+    assert not (folder / "none").exists()

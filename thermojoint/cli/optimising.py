@@ -1,0 +1,208 @@
+"""The command `optimise`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+from rich.table import Table
+
+from thermojoint.artefacts.errors import InputError
+from thermojoint.cli import arguments, file_kinds
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+    from fesim.batch.crew import Crew
+    from fesim.batch.study import Study, Values
+    from thermojoint.artefacts.arrays import Array
+    from thermojoint.cli.batch_run import Recruit, Say
+    from thermojoint.optimisation.settings import DesignFile
+
+#: File in the folder of the results.
+PICTURE = "optimisation.png"
+#: A limit does not hold.
+NOT_HELD = 1
+#: The march that checks what was found: all thermal unknowns, heat and contact iterated.
+FULL = {
+    "march.thermal": "full",
+    "march.coupling": "iterated",
+    "march.method": "fixed",
+    "march.tolerance_um": None,
+    "march.tolerance_K": None,
+}
+
+
+def optimise(  # noqa: PLR0913 - options of a command
+    question: Annotated[
+        Path, typer.Argument(metavar="FILE", help="Values to choose, aim and limits (TOML).")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for all results; finished cases are kept.")],
+    population: Annotated[int, typer.Option(min=5, help="Cases of a generation.")] = 12,
+    generations: Annotated[int, typer.Option(min=1, help="At most.")] = 15,
+    seed: Annotated[int, typer.Option(help="Of the search.")] = 1,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes on this machine; default: one for each core.")
+    ] = None,
+    scheduler: Annotated[str | None, typer.Option(help="Use this Dask cluster instead.")] = None,
+    json: arguments.Json = None,
+) -> None:
+    """Find the values of a case that serve a purpose best: a figure to minimise, limits to hold.
+
+    The cases run as a batch does; interrupted in any way, the same command goes on. What it finds
+    is checked by a full march. Exit code 1 if a limit does not hold.
+
+    Example: [bold]thermojoint optimise question.toml --out design --json design.json[/bold]
+    """
+    from thermojoint import console
+    from thermojoint.artefacts.settings.read import read_settings
+    from thermojoint.cli import batch_run
+    from thermojoint.optimisation.results import entries_of, figures_in, history_of, measured
+    from thermojoint.optimisation.search import Effort, search
+    from thermojoint.optimisation.settings import DesignFile, check_names
+    from thermojoint.pictures.figures import write_figure
+    from thermojoint.pictures.search_figure import search_figure
+
+    batch_run.check_workers(workers, scheduler)
+    arguments.check_outputs({"--json": (json, file_kinds.OPTIMISATION)}, [question])
+    given = read_settings(DesignFile, question, "question")
+    check_names(given, str(question))
+    own = _own_values(given)
+    every: list[Values] = []
+    refusals: dict[str, str] = {}
+    with _one_crew(workers or os.cpu_count() or 1, scheduler) as recruit:
+
+        def run(rows: list[Values]) -> Array:
+            """Run cases beside all before them, so that the tables hold them all."""
+            every.extend(rows)
+            study = _study(given, every, str(question), refusals)
+            summary = _summary(study, str(question), out, recruit)
+            return figures_in(given, study, rows, summary)
+
+        effort = Effort(population, generations, seed)
+        done = search(given.ranges, run, partial(measured, given), effort, [own] if own else [])
+    best = done.best()
+    if best is None:
+        raise InputError(f"{question}: no case within the ranges has a result{_why(refusals)}")
+    with console.working("checking by a full march"):
+        full = _full_march(given, done.rows[best])
+    entries = entries_of(given, done.figures[best], full, done.figures[0] if own else None)
+    content = {
+        "found": done.rows[best],
+        "figures": entries,
+        "cases": len(done.rows),
+        "refused": refusals,
+        "history": history_of(given, done),
+    }
+    _report(given, content, own)
+    picture = search_figure(
+        given.aim,
+        done.figures[:, 0],
+        np.all(done.measured[:, 1:] <= 0.0, axis=1),
+        {span.path: np.array([row[span.path] for row in done.rows]) for span in given.ranges},
+        best,
+    )
+    write_figure(picture, out / PICTURE)
+    arguments.write_json(json, content)
+    console.wrote(out / PICTURE, json)
+    broken = [entry["figure"] for entry in entries if not entry["holds"]]
+    if broken:
+        console.say(f"no case was found that keeps {', '.join(broken)} within the limit")
+        raise typer.Exit(NOT_HELD)
+
+
+def _own_values(given: DesignFile) -> Values:
+    """Values of the case as it is; empty where one is no number of it, or outside its range."""
+    from fesim.case.schema import read_case
+    from thermojoint.sensitivity.parameters import parameters_of
+
+    paths = tuple(span.path for span in given.ranges)
+    own = {each.path: each.value for each in parameters_of(read_case(given.case), paths)}
+    inside = all(span.low <= own.get(span.path, np.nan) <= span.high for span in given.ranges)
+    return {path: own[path] for path in paths} if inside else {}
+
+
+@contextmanager
+def _one_crew(workers: int, scheduler: str | None) -> Iterator[Callable[[Say], Recruit]]:
+    """Give workers that are started when they are needed first, and ended with the block."""
+    from thermojoint.cli.batch_run import crew_of
+
+    with ExitStack() as stack:
+        crews: list[Crew] = []
+
+        def recruit(say: Say) -> Recruit:
+            def once() -> AbstractContextManager[Crew]:
+                if not crews:
+                    crews.append(stack.enter_context(crew_of(workers, scheduler, say)()))
+                return nullcontext(crews[0])
+
+            return once
+
+        yield recruit
+
+
+def _study(given: DesignFile, rows: list[Values], where: str, refusals: dict[str, str]) -> Study:
+    """Return the study of some cases, without those refused; `refusals` gets the reasons."""
+    from fesim.batch.study import shown, study_of
+
+    def refused(values: Values, reason: str) -> None:
+        refusals[shown(values)] = reason
+
+    paths = [span.path for span in given.ranges]
+    return replace(study_of(given.case, rows, paths, where, refused), keep="displacement")
+
+
+def _summary(study: Study, where: str, out: Path, recruit: Callable[[Say], Recruit]) -> DataFrame:
+    """Run a study as a batch does; return its table."""
+    from thermojoint import console
+    from thermojoint.cli import batch_run
+
+    finished = batch_run.run_cases(study, where, out, recruit)
+    if finished.stopped:
+        console.say("stopped; the same command continues from here")
+        raise typer.Exit(batch_run.worst(finished))
+    return finished.summary
+
+
+def _why(refusals: dict[str, str]) -> str:
+    """The first reason for which cases were refused."""
+    return f"; {len(refusals)} are refused: {next(iter(refusals.values()))}" if refusals else ""
+
+
+def _full_march(given: DesignFile, values: Values) -> Array:
+    """Figures of a case by a march with all thermal unknowns."""
+    from fesim.batch.paths import with_values
+    from fesim.batch.summary import figures_of
+    from fesim.case.schema import case_from_data
+    from fesim.simulate import simulate
+    from thermojoint.artefacts.settings import toml
+    from thermojoint.optimisation.results import figures_by_name
+
+    data = toml.parse(toml.read_text(given.case, "case"), str(given.case))
+    case = case_from_data(with_values(data, values | FULL), str(given.case), given.case.parent)
+    response = simulate(case, accuracy=False).response
+    return figures_by_name(given.names, values, figures_of(response))
+
+
+def _report(given: DesignFile, content: dict[str, Any], own: Values) -> None:
+    """Print the values that were found, and the figures."""
+    from thermojoint import console
+
+    chosen = Table("value of the case", *console.numeric("now", "found", "low", "high"))
+    for span in given.ranges:
+        ends = (own.get(span.path), content["found"][span.path], span.low, span.high)
+        chosen.add_row(span.path, *map(console.number, ends))
+    title = f"found in {content['cases']} cases{_why(content['refused'])}"
+    console.titled(console.out(), title, chosen)
+    figures = Table("figure", *console.numeric("at least", "at most", "now", "found", "full march"))
+    for entry in content["figures"]:
+        columns = ("at_least", "at_most", "now", "found", "full_march")
+        figures.add_row(entry["figure"], *(console.number(entry[name]) for name in columns))
+    console.titled(console.out(), "displacements by their magnitude", figures)

@@ -1,0 +1,68 @@
+"""Schema of a design question: values to choose, a figure to minimise, limits to hold."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from fesim.batch.study import RangeSection
+from fesim.batch.summary import FIGURES
+from thermojoint.artefacts.errors import unknown_name
+from thermojoint.artefacts.settings.section import Finite, Section
+from thermojoint.sensitivity.settings import RangesFile
+
+
+class LimitSection(Section):
+    """``[[limits]]``: a figure that must stay within bounds."""
+
+    figure: str
+    at_least: Finite | None = None
+    at_most: Finite | None = None
+
+    @model_validator(mode="after")
+    def _bounded(self) -> LimitSection:
+        if self.at_least is None and self.at_most is None:
+            raise ValueError(f"{self.figure!r} has no bound; give at_most or at_least")
+        if self.at_least is not None and self.at_most is not None and self.at_least >= self.at_most:
+            raise ValueError(f"{self.figure!r}: at_least must be below at_most")
+        return self
+
+
+class DesignFile(RangesFile):
+    """A whole design question."""
+
+    ranges: Annotated[list[RangeSection], Field(min_length=1)]
+    minimise: str | None = None
+    maximise: str | None = None
+    limits: list[LimitSection] = Field(default_factory=list)
+
+    @model_validator(mode="after")
+    def _one_aim(self) -> DesignFile:
+        if (self.minimise is None) == (self.maximise is None):
+            raise ValueError("give either minimise or maximise")
+        return self
+
+    @property
+    def aim(self) -> str:
+        """Figure, or path of a value, that is minimised or maximised."""
+        return self.minimise or self.maximise or ""
+
+    @property
+    def names(self) -> list[str]:
+        """Columns that are judged: the aim, then those of the limits."""
+        return [self.aim, *(limit.figure for limit in self.limits)]
+
+
+def check_names(given: DesignFile, where: str) -> None:
+    """Refuse names that are neither figures nor values that are varied.
+
+    Raises
+    ------
+    InputError
+        There is no such figure.
+    """
+    known = [*(span.path for span in given.ranges), *FIGURES]
+    for name in given.names:
+        if name not in known:
+            raise unknown_name("figure", name, known, where)
