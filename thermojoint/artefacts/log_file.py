@@ -11,6 +11,7 @@ import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log, joined
@@ -28,7 +29,11 @@ def read_mapping(path: Path) -> dict[str, str]:
     InputError
         The file is missing or has another content.
     """
-    content = parse(read_text(path, "mapping"), str(path))
+    return mapping_from_data(parse(read_text(path, "mapping"), str(path)), path)
+
+
+def mapping_from_data(content: dict[str, Any], path: Path | str) -> dict[str, str]:
+    """Return new names of columns given as nested dictionaries; raises as `read_mapping`."""
     columns = content.get("columns")
     if set(content) != {"columns"} or not isinstance(columns, dict):
         raise InputError(f"{path}: give one table [columns] with lines like 'Temp 1' = 'T1_degC'")

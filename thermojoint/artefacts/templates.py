@@ -8,15 +8,15 @@ if TYPE_CHECKING:
     from jinja2 import Environment
 
 
-def templates_of(package: str) -> Environment:
-    """Return the templates in the folder ``templates`` of a package.
+def templates_of(*packages: str) -> Environment:
+    """Return the templates in the folders ``templates`` of packages; the first one comes first.
 
     An undefined name in a template is an error. Values are escaped in HTML templates only.
     """
-    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
     return Environment(
-        loader=PackageLoader(package),
+        loader=ChoiceLoader([PackageLoader(package) for package in packages]),
         autoescape=lambda name: name is None or ".html" in name,
         undefined=StrictUndefined,
         trim_blocks=True,

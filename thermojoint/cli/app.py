@@ -47,6 +47,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
         exporting.export,
         compensating.compensate,
         compensating.control,
+        serving.setup,
         serving.serve,
         serving.rollback,
         serving.backup,

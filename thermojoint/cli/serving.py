@@ -73,6 +73,27 @@ def serve(
     asyncio.run(until_stopped())
 
 
+def setup(
+    folder: Annotated[
+        Path, typer.Argument(help="Folder that everything is read from and written into.")
+    ] = Path(),
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Of 127.0.0.1; 0: one that is free.")
+    ] = 0,
+) -> None:
+    """Set up in the browser: from a log or a CAD part to a running compensation.
+
+    Prints a link that is good for one browser on this computer. The pages run the commands of this
+    program in the folder and write the files that you would write.
+
+    Example: [bold]thermojoint setup mill[/bold]
+    """
+    require("setup", "serve", *_LIBRARIES)
+    from thermojoint.setup_pages.server import serve_pages
+
+    serve_pages(folder, port)
+
+
 def rollback(
     service: ServiceFile,
     machine: Annotated[str, typer.Argument(help="Name of the machine.")],

@@ -243,10 +243,15 @@ def is_held(folder: Path) -> bool:
 
 def hang_up(folder: Path) -> bool:
     """Send SIGHUP to the service that runs on a folder; return whether one does."""
-    if not is_held(folder):
-        return False
-    os.kill(int((folder / _LOCK).read_text()), signal.SIGHUP)
-    return True
+    process = holder(folder)
+    if process is not None:
+        os.kill(process, signal.SIGHUP)
+    return process is not None
+
+
+def holder(folder: Path) -> int | None:
+    """Return the process of the service that runs on a folder; None without one."""
+    return int((folder / _LOCK).read_text()) if is_held(folder) else None
 
 
 def open_store(path: Path, durable: bool = False) -> sqlite3.Connection:

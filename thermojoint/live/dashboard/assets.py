@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cache
 from hashlib import sha256
 from importlib.resources import files
+from importlib.resources.abc import Traversable
 
 #: Files of the log-in page, which need no log-in.
 OPEN = ("dashboard.css", "theme.js", "icon.svg")
@@ -52,8 +53,13 @@ def asset(name: str) -> Asset | None:
         file = files("thermojoint.live.dashboard").joinpath("templates", name)
     else:
         return None
+    return packed(file)
+
+
+def packed(file: Traversable) -> Asset:
+    """Return a file of a package."""
     plain = file.read_bytes()
-    kind = _KINDS[name.rpartition(".")[2]]
+    kind = _KINDS[file.name.rpartition(".")[2]]
     return Asset(kind, plain, gzip.compress(plain, 6, mtime=0), sha256(plain).hexdigest()[:16])
 
 

@@ -22,7 +22,7 @@ from starlette.routing import Route
 
 from estimator.quality import Quality
 from thermojoint.artefacts.errors import InputError, unknown_name
-from thermojoint.live.dashboard.assets import asset
+from thermojoint.live.dashboard.assets import Asset, asset
 from thermojoint.live.dashboard.pages import page
 from thermojoint.live.former_models import SHOWN
 from thermojoint.live.http.bodies import (
@@ -62,6 +62,17 @@ READERS = 4
 def answered(body: Any) -> Response:  # noqa: ANN401
     """Return JSON."""
     return Response(encoded(body), media_type="application/json")
+
+
+def asset_answer(request: Request, content: Asset | None) -> Response:
+    """Return a style sheet or a script, compressed if possible."""
+    if content is None or content.digest != request.path_params["digest"]:
+        raise HTTPException(404, "no such file; load the page again")
+    headers = {"cache-control": "private, max-age=31536000, immutable", "vary": "accept-encoding"}
+    packed = "gzip" in request.headers.get("accept-encoding", "")
+    if packed:
+        headers["content-encoding"] = "gzip"
+    return Response(content.packed if packed else content.plain, 200, headers, content.kind)
 
 
 @dataclass(eq=False)
@@ -222,17 +233,7 @@ class Site:
 
     async def asset(self, request: Request) -> Response:
         """Return a style sheet or a script."""
-        content = asset(request.path_params["name"])
-        if content is None or content.digest != request.path_params["digest"]:
-            raise HTTPException(404, "no such file; load the page again")
-        packed = "gzip" in request.headers.get("accept-encoding", "")
-        headers = {
-            "cache-control": "private, max-age=31536000, immutable",
-            "vary": "accept-encoding",
-        }
-        if packed:
-            headers["content-encoding"] = "gzip"
-        return Response(content.packed if packed else content.plain, 200, headers, content.kind)
+        return asset_answer(request, asset(request.path_params["name"]))
 
     async def machines(self, request: Request) -> Response:
         """Return a summary of all machines."""

@@ -125,6 +125,35 @@ def wrong_secret(door: Door, scope: Scope, who: str, what: str) -> Response | No
     return too_many(waiting) if waiting > 0.0 else None
 
 
+def with_headers(send: Send, secure: bool) -> Send:
+    """Return a channel for responses that adds `HEADERS`."""
+
+    async def sent(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            headers = MutableHeaders(scope=message)
+            for name, value in HEADERS.items():
+                headers.setdefault(name, value)
+            headers.setdefault("cache-control", "no-store")
+            if secure:
+                headers["strict-transport-security"] = "max-age=31536000"
+        await send(message)
+
+    return sent
+
+
+def oversized(scope: Scope, headers: Headers) -> Response | None:
+    """Return the response to a request with too long a head, or a body that it must not have."""
+    if len(scope["raw_path"]) + len(scope["query_string"]) > LONGEST_ADDRESS:
+        return refused(414, f"the address has more than {LONGEST_ADDRESS} bytes; shorten it")
+    if sum(len(name) + len(value) for name, value in scope["headers"]) > LARGEST_HEAD:
+        return refused(431, f"the headers have more than {LARGEST_HEAD} bytes; send fewer")
+    if scope["method"] != "POST" and (
+        headers.get("content-length", "0") != "0" or "transfer-encoding" in headers
+    ):
+        return refused(413, "only POST requests have a body; leave it out", connection="close")
+    return None
+
+
 class Gate:
     """Wraps an application: refuses what must not get in, adds the headers to every response."""
 
@@ -135,44 +164,27 @@ class Gate:
         """Answer one request."""
         if scope["type"] != "http":
             return
-        secure = self.door.secure
-
-        async def with_headers(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                headers = MutableHeaders(scope=message)
-                for name, value in HEADERS.items():
-                    headers.setdefault(name, value)
-                headers.setdefault("cache-control", "no-store")
-                if secure:
-                    headers["strict-transport-security"] = "max-age=31536000"
-            await send(message)
-
         try:
             answer = self._stopped(scope)
         except (sqlite3.Error, OSError) as error:
             answer = refused(503, f"log-ins cannot be checked or audited now ({error})")
-        await (answer or self.app)(scope, receive, with_headers)
+        await (answer or self.app)(scope, receive, with_headers(send, self.door.secure))
 
     def _stopped(self, scope: Scope) -> Response | None:
         """Return the response to a request that is refused; None if it may pass."""
         waiting = self.door.requests.take(client(scope), time.monotonic())
         if waiting > 0.0:
             return too_many(waiting)
-        if len(scope["raw_path"]) + len(scope["query_string"]) > LONGEST_ADDRESS:
-            return refused(414, f"the address has more than {LONGEST_ADDRESS} bytes; shorten it")
-        if sum(len(name) + len(value) for name, value in scope["headers"]) > LARGEST_HEAD:
-            return refused(431, f"the headers have more than {LARGEST_HEAD} bytes; send fewer")
         headers = Headers(scope=scope)
+        refusal = oversized(scope, headers)
+        if refusal is not None:
+            return refusal
         elsewhere = misdirected(headers, scope, self.door.hosts)
         if elsewhere is not None:
             status, why = elsewhere
             if status == 403:
                 self.door.accounts.audit.refused("", origin(scope), scope["path"][:40], why)
             return refused(status, why)
-        if scope["method"] != "POST" and (
-            headers.get("content-length", "0") != "0" or "transfer-encoding" in headers
-        ):
-            return refused(413, "only POST requests have a body; leave it out", connection="close")
         if self._is_open(scope):
             return None
         return self._unknown(scope, headers)

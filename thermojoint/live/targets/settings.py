@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -62,7 +62,13 @@ def read_target(path: Path, output: OutputSettings | None = None) -> TargetFile:
         The file is missing or not TOML, a key or a name is unknown, a value is out of range, or an
         address is open to others without protection.
     """
-    data = toml.parse(toml.read_text(path, "target"), str(path))
+    return target_from_data(toml.parse(toml.read_text(path, "target"), str(path)), path, output)
+
+
+def target_from_data(
+    data: dict[str, Any], path: Path, output: OutputSettings | None = None
+) -> TargetFile:
+    """Return a target given as nested dictionaries; raises as `read_target`."""
     given = settings_from(TargetFile, data, str(path), path.parent)
     check_protected_url(str(path), given)
     known = [one.name.split()[0] for one in given.control.quantities]

@@ -1,0 +1,365 @@
+"""The pages that set up: who gets in, what is refused, what a form does to a file."""
+
+import time
+import tomllib
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from machine_logs import as_csv, machine_log
+from starlette.testclient import TestClient
+
+from thermojoint.setup_pages.app import make_app
+from thermojoint.setup_pages.gate import Key
+from thermojoint.setup_pages.jobs import Jobs, Record
+from thermojoint.setup_pages.place import Place
+from thermojoint.setup_pages.toml_form import changed, fields_of
+from thermojoint.setup_pages.uploads import LARGEST_PIECE
+
+HERE = "http://127.0.0.1:8123"
+#: The offsets of one axis, as a person would write them.
+OFFSETS = """\
+# Agreed with the operator.
+rate_um_s = 1.0  # fastest change
+# widest_band_um = 50.0 # and so does a wider band
+
+[axes.Z]  # of the control
+follows = "x"
+sign = -1 # one of: -1, 1
+"""
+ESTIMATE = "time_s,x_um,x_band_um,status,quality\n0,0,1,ok,good\n1,5,1,ok,good\n"
+TARGET = 'kind = "beckhoff"\nurl = "opc.tcp://127.0.0.1"\nsecurity = "none"\naxes = { Z = 1 }\n'
+SERVICE = """\
+folder = "state"
+models = { m = { file = "model.json", offsets = "offsets.toml" } }
+sources = { line = { kind = "csv", path = "mill.csv" } }
+[machines.mill]
+model = "m"
+source = "line"
+target = "target.toml"
+handshake = { by = "target" }
+"""
+
+
+@pytest.fixture
+def place(tmp_path):
+    made = Place(tmp_path, Jobs(tmp_path))
+    yield made
+    made.jobs.close()
+
+
+@pytest.fixture
+def key():
+    return Key(frozenset({"127.0.0.1"}), 8123)
+
+
+@pytest.fixture
+def stranger(place, key):
+    """A client that has opened no link."""
+    return TestClient(make_app(place, key), HERE, headers={"origin": HERE}, follow_redirects=False)
+
+
+@pytest.fixture
+def client(stranger, key):
+    stranger.get("/", params={"token": key.token})
+    return stranger
+
+
+def ended(place):
+    """Wait for the end of what runs."""
+    end = time.monotonic() + 60.0
+    while place.jobs.running:
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def recorded(place, step, *lines):
+    """Put a run of a step on record."""
+    place.jobs.records.mkdir(exist_ok=True)
+    (place.jobs.records / f"{step}.log").write_text("\n".join([*lines, ""]))
+
+
+def sent(client, page, **values):
+    """Send a form; the status and the page."""
+    answer = client.post(page, data=values)
+    return answer.status_code, answer.text
+
+
+def form(client, page, file, **values):
+    """Send the form of a file of settings as it is, with some values changed."""
+    text = client.get(page).text
+    digest = text.split(f'name="file" value="{file}"')[1].split('name="digest" value="')[1]
+    return sent(client, page, file=file, digest=digest.split('"')[0], **values)
+
+
+# Who gets in
+
+
+def test_a_link_is_good_for_one_browser(stranger, key, capsys):
+    token = key.token
+    assert stranger.get("/").status_code == 401
+    assert stranger.get("/", params={"token": "wrong"}).status_code == 401
+    answer = stranger.get("/", params={"token": token})
+    assert answer.status_code == 303
+    assert "HttpOnly" in answer.headers["set-cookie"]
+    assert "SameSite=strict" in answer.headers["set-cookie"]
+    assert stranger.get("/").status_code == 200
+    stranger.cookies.clear()
+    assert stranger.get("/", params={"token": token}).status_code == 401
+    assert key.link in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({"origin": "http://evil.example"}, 403),
+        ({"origin": "null"}, 403),
+        ({"host": "evil.example"}, 421),
+        ({"x": "y" * 20_000}, 431),
+    ],
+)
+def test_pages_of_others_and_other_names_are_refused(client, headers, status):
+    assert client.post("/log", data={"log": "a.csv"}, headers=headers).status_code == status
+
+
+def test_a_form_without_an_origin_is_refused(client):
+    client.headers.pop("origin")
+    assert client.post("/log", data={"log": "a.csv"}).status_code == 403
+
+
+def test_a_form_is_bounded(client):
+    assert client.post("/log", content=b"a" * ((1 << 20) + 1)).status_code == 413
+
+
+def test_a_page_runs_no_script_but_its_own_files(client):
+    answer = client.get("/")
+    assert "script-src 'self'" in answer.headers["content-security-policy"]
+    assert "<script>" not in answer.text
+
+
+# Files
+
+
+@pytest.mark.parametrize("name", ["..%2Fsecret.csv", ".hidden.csv", "-o.csv", "a%2Fb.csv"])
+def test_no_file_outside_of_the_folder_is_read_or_written(name, client, place):
+    (place.folder.parent / "secret.csv").write_text("secret")
+    assert client.get(f"/files/{name}").status_code in (400, 404)
+    assert client.post(f"/upload/{name}?at=0&size=1", content=b"x").status_code in (400, 404)
+
+
+def test_a_link_out_of_the_folder_is_none_of_its_files(client, place):
+    (place.folder.parent / "secret.txt").write_text("secret")
+    (place.folder / "own.txt").symlink_to(place.folder.parent / "secret.txt")
+    assert client.get("/files/own.txt").status_code == 400
+
+
+def upload(client, name, content, piece=LARGEST_PIECE):
+    for at in range(0, len(content), piece):
+        where = f"/upload/{name}?at={at}&size={len(content)}"
+        answer = client.post(where, content=content[at : at + piece])
+    return answer
+
+
+def test_a_file_is_sent_in_pieces_and_replaces_none(client, place):
+    content = bytes(range(256)) * 10
+    assert upload(client, "a.csv", content, 1000).status_code == 204
+    assert (place.folder / "a.csv").read_bytes() == content
+    answer = upload(client, "a.csv", b"other")
+    assert answer.status_code == 400
+    assert "exists" in answer.json()["error"]
+    assert (place.folder / "a.csv").read_bytes() == content
+
+
+@pytest.mark.parametrize(
+    ("name", "at", "size", "told"),
+    [
+        ("run.sh", 0, 1, "not used"),
+        ("a.csv", 0, 1 << 40, "larger"),
+        ("a.csv", 5, 9, "missing"),
+        ("a.csv", -1, 9, "larger"),
+    ],
+)
+def test_what_is_no_piece_of_a_file_is_refused(name, at, size, told, client, place):
+    answer = client.post(f"/upload/{name}?at={at}&size={size}", content=b"x")
+    assert answer.status_code == 400
+    assert told in answer.json()["error"]
+    assert not (place.folder / name).exists()
+
+
+def test_a_piece_that_is_too_large_is_refused(client):
+    content = b"x" * (LARGEST_PIECE + 1)
+    assert client.post("/upload/a.csv?at=0&size=9999999", content=content).status_code == 413
+
+
+# Steps
+
+
+def test_columns_are_named_in_a_file_and_others_are_not_overwritten(client, place):
+    as_csv(machine_log(hours=1.0), place.folder / "log.csv")
+    text = (place.folder / "log.csv").read_text().replace("T1_degC", "Fühler")
+    (place.folder / "log.csv").write_text(text)
+    (place.folder / "log.png").write_bytes(b"mine")
+    assert "log.png: exists already" in sent(client, "/log", log="log.csv")[1]
+    (place.folder / "log.png").unlink()
+    recorded(place, "log", "$ thermojoint look log.csv --out=log.png", "exit code 0")
+    status, page = sent(client, "/log", **{"name:Fühler": "T1"})
+    assert status == 400
+    assert "ends in no unit" in page
+    assert sent(client, "/log", **{"name:Fühler": "T1_degC"})[0] == 303
+    ended(place)
+    assert tomllib.loads(place.text("columns.toml")) == {"columns": {"Fühler": "T1_degC"}}
+    assert place.is_done("log")
+    assert "ignored" not in place.record("log").output
+    (place.folder / "columns.toml").write_text("# mine\n[columns]\n'Fühler' = 'T1_degC'\n")
+    assert "columns.toml: exists" in sent(client, "/log", **{"name:Fühler": "T9_degC"})[1]
+    assert not place.is_done("log")
+
+
+def test_a_command_that_fails_says_why_and_one_that_runs_can_be_cancelled(client, place):
+    (place.folder / "log.csv").write_text("a,b\n1,2\n")
+    sent(client, "/log", log="log.csv")
+    ended(place)
+    assert "no clock" in client.get("/log").text
+    assert place.record("log").code == 2
+    # It waits for its standard input's end, or for ever.
+    place.jobs.start("log", ["serve", "missing.toml"], ["verify"])
+    place.jobs.cancel()
+    ended(place)
+    assert "cancelled" in place.record("log").output
+    assert place.record("log").code != 0
+
+
+def test_a_mistake_in_a_setting_stands_beside_its_field(client, place):
+    (place.folder / "offsets.toml").write_text(OFFSETS)
+    (place.folder / "estimate.csv").write_text(ESTIMATE)
+    status, page = form(client, "/offsets", "offsets.toml", rate_um_s="fast")
+    assert status == 400
+    beside = page.split('name="rate_um_s" value="fast"')[1].split("</div>")[0]
+    assert "input should be a valid number" in beside
+    assert place.text("offsets.toml") == OFFSETS
+    assert form(client, "/offsets", "offsets.toml", rate_um_s="2.5")[0] == 303
+    assert place.text("offsets.toml") == OFFSETS.replace("1.0", "2.5", 1)
+
+
+def test_a_form_of_a_file_that_has_changed_since_is_refused(client, place):
+    (place.folder / "offsets.toml").write_text(OFFSETS)
+    (place.folder / "estimate.csv").write_text(ESTIMATE)
+    status, page = sent(client, "/offsets", file="offsets.toml", digest="old", rate_um_s="2")
+    assert status == 400
+    assert "has changed since" in page
+
+
+# Enabling
+
+
+@pytest.fixture
+def target(place):
+    """The files of a target that nobody has enabled, and the record of a dry run."""
+    for name, text in (
+        ("offsets.toml", OFFSETS),
+        ("estimate.csv", ESTIMATE),
+        ("target.toml", TARGET),
+        ("service.toml", SERVICE),
+    ):
+        (place.folder / name).write_text(text)
+
+    def tried(code=0):
+        (place.folder / "offsets.csv").write_text("time_s,offset_Z_um,state\n")
+        (place.folder / "writes.csv").write_text("time_s,axis,node,value,unit\n1,Z,a node,-15,um\n")
+        said = (
+            "$ thermojoint compensate estimate.csv --settings=offsets.toml --out=offsets.csv",
+            "$ thermojoint target target.toml --offsets=offsets.csv --out=writes.csv",
+            f"exit code {code}",
+        )
+        recorded(place, "try", *said)
+
+    return tried
+
+
+def enabled(place):
+    return tomllib.loads(place.text("target.toml")).get("enable", False)
+
+
+def test_a_target_is_enabled_by_a_tick_after_the_dry_run_alone(client, place, target):
+    assert "has not ended well" in sent(client, "/try", enable="yes", read="yes")[1]
+    target(code=2)
+    assert "has not ended well" in sent(client, "/try", enable="yes", read="yes")[1]
+    target()
+    assert "tick that" in sent(client, "/try", enable="yes")[1]
+    assert not enabled(place)
+    assert sent(client, "/try", enable="yes", read="yes")[0] == 303
+    assert enabled(place)
+    assert sent(client, "/try", disable="yes")[0] == 303
+    assert not enabled(place)
+
+
+def test_changed_settings_disable_the_target_until_they_are_tried(client, place, target):
+    target()
+    sent(client, "/try", enable="yes", read="yes")
+    assert enabled(place)
+    assert form(client, "/offsets", "offsets.toml", rate_um_s="3")[0] == 303
+    ended(place)
+    assert not enabled(place)
+    assert "changed since: offsets" in sent(client, "/try", enable="yes", read="yes")[1]
+    assert not enabled(place)
+
+
+def test_the_form_of_a_target_cannot_enable_it(client, place, target):
+    assert form(client, "/control", "target.toml", enable="true")[0] == 303
+    assert not enabled(place)
+
+
+def test_every_write_is_shown_before_it_is_enabled(client, place, target):
+    target()
+    page = client.get("/try").text
+    assert "<td>a node</td><td>-15</td>" in page
+    assert 'name="enable"' in page
+
+
+# A file as a form
+
+
+def test_a_form_keeps_what_it_does_not_change():
+    fields = {field.name: field for field in fields_of(OFFSETS)}
+    assert {name: (field.texts, field.given) for name, field in fields.items()} == {
+        "rate_um_s": (["1.0"], True),
+        "widest_band_um": ([""], False),
+        "axes.Z.follows": (["x"], True),
+        "axes.Z.sign": (["-1"], True),
+    }
+    assert fields["axes.Z.sign"].choices == ("-1", "1")
+    assert changed(OFFSETS, {}, [*fields.values()]) == OFFSETS
+    given = {"widest_band_um": ["20"], "axes.Z.follows": ['"y"'], "rate_um_s": [""]}
+    new = changed(OFFSETS, given, [*fields.values()])
+    assert tomllib.loads(new) == {
+        "widest_band_um": 20,
+        "axes": {"Z": {"follows": '"y"', "sign": -1}},
+    }
+    assert "# rate_um_s = 1.0  # fastest change" in new
+    assert new.startswith("# Agreed with the operator.")
+
+
+@given(
+    st.text().filter(lambda text: len(text.strip().splitlines()) < 2),
+    st.sampled_from(["rate_um_s", "axes.Z.follows", "axes.Z.sign"]),
+)
+def test_whatever_is_typed_changes_one_value_and_stays_toml(typed, name):
+    new = tomllib.loads(changed(OFFSETS, {name: [typed]}, fields_of(OFFSETS)))
+    *sections, last = name.split(".")
+    before = tomllib.loads(OFFSETS)
+    for data in (new, before):
+        for section in sections:
+            data = data.get(section, {})
+        data.pop(last, None)
+    assert {key: new.get(key) for key in before} == before
+
+
+def test_a_value_over_several_lines_or_in_a_text_is_no_field():
+    text = 'a = [\n  1,\n]\nb = """\nc = 1\n"""\n[[d]]\ne = 1\n[f]\ng = 2 # is # more\n'
+    assert [(field.name, field.hint) for field in fields_of(text)] == [("f.g", "is # more")]
+
+
+def test_what_a_record_reads_is_no_file_that_it_wrote_itself():
+    record = Record((["learn", "a.csv", "--out=m.json"], ["estimate", "m.json", "b.csv"]))
+    assert record.read == ["a.csv", "b.csv"]
+    assert record.written == ["m.json"]

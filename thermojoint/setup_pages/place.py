@@ -1,0 +1,190 @@
+"""The folder that the pages work in: which files it holds, and which of them may be written."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from estimator.registry import known_schemas
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.files import write_text
+from thermojoint.artefacts.schema import schema_of
+from thermojoint.setup_pages.jobs import Jobs, Record
+
+#: What was sent from a page: name to values.
+Given = Mapping[str, Sequence[str]]
+
+TABLES = (".csv", ".txt", ".tsv", ".xlsx", ".parquet")
+CAD = (".step", ".stp", ".iges", ".igs", ".brep")
+MESHES = (".msh", ".inp", ".med", ".vtu", ".vtk")
+RESPONSES = (".nc",)
+#: Of files that the pages take or show: no folder, nothing hidden, nothing like an option.
+_NAME = re.compile(r"[^\W_][\w .,()+-]{0,120}")
+MAPPING = "columns.toml"
+#: Outputs of the steps that are tables, not logs.
+_OWN_TABLES = ("estimate.csv", "offsets.csv", "writes.csv")
+
+
+class ExistsError(InputError):
+    """Files would be replaced that the pages did not write; they ask first.
+
+    Attributes
+    ----------
+    names : tuple of str
+    """
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self.names = tuple(names)
+        listed = ", ".join(names)
+        super().__init__(f"{listed}: exists already; tick that it may be replaced, or move it away")
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """The folder and the commands that run in it.
+
+    Attributes
+    ----------
+    folder : Path
+        Absolute.
+    jobs : Jobs
+    """
+
+    folder: Path
+    jobs: Jobs
+
+    def path(self, name: str) -> Path:
+        """Return the path of a file in the folder, which need not exist.
+
+        Raises
+        ------
+        InputError
+            The name leads out of the folder, or is hidden.
+        """
+        path = self.folder / name
+        if not _NAME.fullmatch(name) or not path.resolve().is_relative_to(self.folder.resolve()):
+            raise InputError(
+                f"{name[:120]!r}: not the name of a file in this folder; use letters, digits, _ - ."
+            )
+        return path
+
+    def existing(self, name: str) -> str:
+        """Return the name of a file that is there; raises InputError."""
+        if not self.path(name).is_file():
+            raise InputError(f"{name}: no such file in {self.folder}; choose one that is there")
+        return name
+
+    def has(self, name: str) -> bool:
+        """Whether a file is there."""
+        return (self.folder / name).is_file()
+
+    def text(self, name: str) -> str:
+        """Return the content of a text file; empty without it."""
+        return self.path(name).read_text("utf-8") if self.has(name) else ""
+
+    def all_files(self) -> list[str]:
+        """Return the files that the pages take or show."""
+        names = (path.name for path in self.folder.iterdir() if path.is_file())
+        return sorted(name for name in names if _NAME.fullmatch(name))
+
+    def files(self, *suffixes: str) -> list[str]:
+        """Return the files with one of some suffixes."""
+        return [name for name in self.all_files() if Path(name).suffix.lower() in suffixes]
+
+    def tables(self) -> list[str]:
+        """Return the files that may be logs."""
+        return [name for name in self.files(*TABLES) if name not in _OWN_TABLES]
+
+    def models(self) -> list[str]:
+        """Return the files of models, of any kind that is installed."""
+        return [name for name in self.files(".json", ".h5") if self._is_model(name)]
+
+    def _is_model(self, name: str) -> bool:
+        try:
+            return schema_of(self.folder / name) in known_schemas()
+        except (InputError, OSError):
+            return False
+
+    def record(self, step: str) -> Record:
+        """Return what is on record of a step."""
+        return self.jobs.record(step)
+
+    def is_done(self, step: str) -> bool:
+        """Whether a step has ended well, and nothing that it read has changed since."""
+        record = self.record(step)
+        made = all(self.has(name) for name in record.written)
+        return record.code == 0 and made and not self.changed_since(step)
+
+    def changed_since(self, step: str) -> list[str]:
+        """Return the files that a step has read, and that are others now."""
+        record = self.record(step)
+        return [
+            name
+            for name in record.read
+            if not self.has(name) or (self.folder / name).stat().st_mtime > record.ended
+        ]
+
+    def check_replaced(self, names: Sequence[str], given: Given) -> None:
+        """Refuse to replace files that no step wrote, or that were changed after it.
+
+        Raises
+        ------
+        ExistsError
+            There are some, and nobody has said that they may be replaced.
+        """
+        written: dict[str, float] = {}
+        for record in self.jobs.all_records():
+            for name in record.written:
+                written[name] = max(record.ended, written.get(name, 0.0))
+        foreign = [
+            name
+            for name in names
+            if self.path(name).exists() and self.path(name).stat().st_mtime > written.get(name, 0.0)
+        ]
+        if foreign and "replace" not in given:
+            raise ExistsError(foreign)
+
+    def run(self, step: str, given: Given, *commands: Sequence[str]) -> None:
+        """Run the commands of a step.
+
+        Raises
+        ------
+        InputError
+            Another step runs, or files would be replaced that nobody has allowed to be.
+        """
+        self.check_replaced(Record(tuple(map(list, commands))).written, given)
+        self.jobs.start(step, *commands)
+
+    def begin(self, name: str, text: str, given: Given) -> None:
+        """Write a new file of settings; one that is there is kept as NAME.former, if that is asked.
+
+        Raises
+        ------
+        ExistsError
+            It is there, and nobody has said that it may be replaced.
+        """
+        path = self.path(name)
+        if path.exists():
+            if path.read_text("utf-8") == text:
+                return
+            if "replace" not in given:
+                raise ExistsError([name])
+            path.replace(path.with_name(f"{name}.{time.strftime('%Y%m%d-%H%M%S')}.former"))
+        write_text(path, text)
+
+
+def one(given: Given, name: str, usual: str = "") -> str:
+    """Return a value that was sent."""
+    values = given.get(name) or [usual]
+    return values[0].strip()
+
+
+def chosen(given: Given, name: str, known: Sequence[str], what: str) -> str:
+    """Return a value that must be one of some; raises InputError."""
+    value = one(given, name)
+    if value not in known:
+        raise InputError(f"{what}: choose one of {', '.join(known) or 'none; there is none yet'}")
+    return value

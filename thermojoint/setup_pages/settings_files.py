@@ -1,0 +1,116 @@
+"""Files of settings that the pages edit: checked by their own rules before they are written."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from fesim.case.schema import case_from_data
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.files import write_text
+from thermojoint.artefacts.settings import toml
+from thermojoint.compensation.offsets.settings import read_settings, settings_from_data
+from thermojoint.live.settings import service_from_data
+from thermojoint.live.targets.settings import target_from_data
+from thermojoint.setup_pages.place import Given, Place, one
+from thermojoint.setup_pages.toml_form import Field, by_field, changed, fields_of
+
+OFFSETS, TARGET, SERVICE, CASE = "offsets.toml", "target.toml", "service.toml", "machine.toml"
+#: Switched on by the page of the dry run alone.
+ENABLE = "enable"
+Data = dict[str, Any]
+
+
+class RefusedError(InputError):
+    """Values of a form are refused.
+
+    Attributes
+    ----------
+    lines : mapping
+        Name of a field, empty for none, to what is wrong with it.
+    """
+
+    def __init__(self, lines: Mapping[str, Sequence[str]]) -> None:
+        self.lines = lines
+        super().__init__("\n".join(line for one in lines.values() for line in one))
+
+
+def _check_offsets(place: Place, data: Data) -> None:
+    settings_from_data(data, OFFSETS)
+
+
+def _check_target(place: Place, data: Data) -> None:
+    output = read_settings(place.path(OFFSETS)).output if place.has(OFFSETS) else None
+    target_from_data(data, place.path(TARGET), output)
+
+
+def _check_service(place: Place, data: Data) -> None:
+    service_from_data(data, SERVICE, place.folder)
+
+
+def _check_case(place: Place, data: Data) -> None:
+    case_from_data(data, CASE, place.folder)
+
+
+_CHECKS: Mapping[str, Callable[[Place, Data], None]] = {
+    OFFSETS: _check_offsets,
+    TARGET: _check_target,
+    SERVICE: _check_service,
+    CASE: _check_case,
+}
+
+
+def form_of(place: Place, name: str, given: Given) -> dict[str, Any] | None:
+    """Return what the form of a file shows, with what was sent for it; None without the file.
+
+    Raises
+    ------
+    InputError
+        The file is not TOML.
+    """
+    if not place.has(name):
+        return None
+    text = place.text(name)
+    sent = given if one(given, "file") == name else {}
+    rows = [(field, sent.get(field.name, field.texts)) for field in _fields(place, name)]
+    sections: dict[str, list[tuple[Field, Sequence[str]]]] = {}
+    for field, values in rows:
+        sections.setdefault(field.section, []).append((field, values))
+    return {"file": name, "text": text, "digest": _digest(text), "sections": sections}
+
+
+def save(place: Place, given: Given) -> str:
+    """Write what was sent for a file of settings, and return its name.
+
+    Raises
+    ------
+    RefusedError
+        A value is refused; the file stays as it is.
+    InputError
+        The file has changed since the form was shown, or is none of these.
+    """
+    name = one(given, "file")
+    if name not in _CHECKS or not place.has(name):
+        raise InputError(f"{name!r}: no file of settings; load the page again")
+    text, fields = place.text(name), _fields(place, name)
+    if one(given, "digest") != _digest(text):
+        raise InputError(f"{name}: has changed since this page was shown; look at it again")
+    new = changed(text, given, fields)
+    try:
+        _CHECKS[name](place, toml.parse(new, name))
+    except InputError as error:
+        lines = str(error).replace(str(place.path(name)), name).splitlines()
+        raise RefusedError(by_field(lines, name, fields)) from error
+    if new != text:
+        write_text(place.path(name), new)
+    return name
+
+
+def _fields(place: Place, name: str) -> list[Field]:
+    toml.parse(place.text(name), name)
+    return [field for field in fields_of(place.text(name)) if field.path != (ENABLE,)]
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

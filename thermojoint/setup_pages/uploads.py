@@ -1,0 +1,60 @@
+"""Files that a browser sends, piece by piece, into the folder; whole or not at all."""
+
+from __future__ import annotations
+
+import hashlib
+from contextlib import suppress
+
+from thermojoint.artefacts.errors import InputError
+from thermojoint.setup_pages.place import CAD, MESHES, RESPONSES, TABLES, Place
+
+#: Largest piece and largest file, bytes.
+LARGEST_PIECE, LARGEST_FILE = 1 << 20, 1 << 30
+#: What a set-up can need: logs, models, parts, a control's files and certificates.
+SUFFIXES = (
+    *(*TABLES, *CAD, *MESHES, *RESPONSES),
+    *(".json", ".h5", ".toml", ".ini", ".der", ".pem", ".crt"),
+)
+
+
+def take_piece(place: Place, name: str, piece: bytes, at: str, size: str) -> None:
+    """Append a piece of a file; the last one gives it its name.
+
+    Parameters
+    ----------
+    place : Place
+    name : str
+        Of the file; none that is there is replaced.
+    piece : bytes
+    at, size : str
+        Where it begins, and how large the file will be.
+
+    Raises
+    ------
+    InputError
+        The name, the kind or the size cannot be taken, a file of this name exists, or a piece is
+        missing.
+    """
+    path = place.path(name)
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(f"{name}: files that end in {path.suffix!r} are not used here")
+    if path.exists():
+        raise InputError(f"{name}: exists already; send it under another name")
+    numbers = [int(one) if one.isascii() and one.isdigit() else -1 for one in (at[:12], size[:12])]
+    begin, whole = numbers
+    if not 0 <= begin <= whole <= LARGEST_FILE or begin + len(piece) > whole:
+        raise InputError(f"{name}: larger than {LARGEST_FILE} bytes, or in pieces that do not fit")
+    place.jobs.records.mkdir(exist_ok=True)
+    digest = hashlib.sha256(name.encode()).hexdigest()[:16]
+    part = place.jobs.records / f"upload-{digest}"
+    if begin == 0:
+        with suppress(FileNotFoundError):
+            part.unlink()
+    with part.open("ab") as file:
+        if file.tell() != begin:
+            raise InputError(f"{name}: a piece is missing; send it again")
+        file.write(piece)
+    if begin + len(piece) == whole:
+        # A link fails where a file of this name has come about meanwhile.
+        path.hardlink_to(part)
+        part.unlink()
