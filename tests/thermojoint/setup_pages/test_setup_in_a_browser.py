@@ -1,0 +1,160 @@
+"""Set up in a browser from end to end: the command, its pages, what they wrote, and what runs."""
+
+import contextlib
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+import tomllib
+
+import httpx
+import pytest
+from live_parts import free_port
+from machine_logs import as_csv, machine_log
+
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+#: Nothing to the outside, software in place of a graphics card.
+FLAGS = (
+    "--no-sandbox --disable-gpu --no-first-run --disable-background-networking "
+    "--disable-component-update --disable-sync"
+)
+PHONE, DESKTOP = {"width": 400, "height": 844}, {"width": 1200, "height": 800}
+WAIT_MS = 60_000
+INTERVAL = 300.0
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium to look with")
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    with playwright.sync_playwright() as started:
+        browser = started.chromium.launch(executable_path=CHROMIUM, args=FLAGS.split())
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def pages(chromium, tmp_path):
+    """The pages of a folder as the command serves them, opened; every one fits its window."""
+    command = [sys.executable, "-m", "thermojoint.cli", "setup", str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        link = re.search(r"http://\S+", process.stdout.readline())[0]
+        context = chromium.new_context(viewport=PHONE)
+        context.set_default_timeout(WAIT_MS)
+        page = context.new_page()
+        errors = []
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        page.goto(link)
+        yield page
+        context.close()
+        process.send_signal(signal.SIGINT)
+        said = process.stdout.read()
+        assert process.wait() == 0
+        if goes_on := re.search(r"kill (\d+)", said):
+            os.kill(int(goes_on[1]), signal.SIGKILL)
+    assert errors == []
+
+
+def do(page, selector):
+    """Press a button, wait for the end of what it runs, and look at the page in both widths."""
+    with page.expect_navigation():
+        page.click(selector)
+    page.wait_for_selector("#state[data-state=idle]", state="attached")
+    for size in (DESKTOP, PHONE):
+        page.set_viewport_size(size)
+        assert page.evaluate("document.documentElement.scrollWidth") <= size["width"]
+    assert page.locator(".wrong").all_inner_texts() == []
+
+
+def drawn(page, name):
+    """Whether a picture is there and can be shown."""
+    return page.locator(f"img[alt='{name}']").evaluate("one => one.naturalWidth") > 0
+
+
+@contextlib.contextmanager
+def played(log, path):
+    """The machine is on: a line of the log every tenth of a second, an interval later each."""
+    ended = threading.Event()
+    names = [name for name in log.names if not name.endswith("_um")]
+    values = [log.columns[log.index(name)].from_si(log.at(name)) for name in names]
+    path.write_text(",".join(["time_s", *names]) + "\n")
+
+    def tell():
+        for k, row in enumerate(zip(*values, strict=True)):
+            cells = [f"{1.7e9 + INTERVAL * k:.1f}", *(f"{one:.4f}" for one in row)]
+            with path.open("a") as file:
+                file.write(",".join(cells) + "\n")
+            if ended.wait(0.1):
+                return
+
+    machine = threading.Thread(target=tell)
+    machine.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        machine.join()
+
+
+def test_from_a_log_to_a_service_whose_offset_follows(pages, tmp_path):
+    page, port = pages, free_port()
+    log = machine_log(hours=14.0, interval=INTERVAL)
+    page.set_input_files("#file", as_csv(log, tmp_path.parent / f"{tmp_path.name}.csv"))
+    page.wait_for_selector(".files a")
+    (day,) = (path.name for path in tmp_path.glob("*.csv"))
+    do(page, "text=I have a log")
+    page.check(f"input[value='{day}']")
+    do(page, "button.main")
+    assert "168 rows" in page.inner_text(".said >> nth=0")
+    do(page, "text=Next: Learn")
+    page.uncheck("input[value=z_um]")
+    do(page, "button.main")
+    assert drawn(page, "held-out.png")
+    do(page, "text=Next: Compare")
+    do(page, "button.main")
+    assert drawn(page, "truth.png")
+    do(page, "text=Next: Offsets")
+    page.fill("input[name='axis:x']", "Z")
+    do(page, "button.main")
+    filled = {"rate_um_s": "50", "oldest_s": "1e6", "recover_s": "0", "unusable": "[]"}
+    for name, value in filled.items():
+        page.fill(f"input[name={name}]", value)
+    do(page, "button.main")
+    do(page, "text=Next: Control")
+    do(page, "button.main")
+    page.fill("input[name=behind_s]", "1e12")
+    page.fill("input[name='http.port']", str(port))
+    do(page, "button.main")
+    do(page, "text=Next: Dry run")
+    do(page, "button.main")
+    assert "a start would succeed" in page.inner_text(".said")
+    assert page.locator("td", has_text="follow").count() > 10
+    do(page, "text=Next: Run")
+    do(page, "button.main")
+    page.wait_for_selector("text=The service runs")
+    with played(log, tmp_path / "mill.csv"):
+        follows(port, page.inner_text("#token"))
+    do(page, "text=Stop")
+    page.wait_for_selector("text=The service does not run")
+    assert tomllib.loads((tmp_path / "offsets.toml").read_text())["axes"]["Z"]["follows"] == "x"
+
+
+def follows(port, token):
+    """Wait until the offset of the service stands against a displacement of some µm."""
+    address = f"http://127.0.0.1:{port}/api/machines/mill/latest"
+    end, told = time.monotonic() + WAIT_MS / 1000.0, {}
+    while time.monotonic() < end:
+        with contextlib.suppress(httpx.HTTPError):
+            answer = httpx.get(address, headers={"authorization": f"Bearer {token}"})
+            told = answer.json() if answer.status_code == 200 else {}
+        moved, offset = told.get("displacement_um", {}), told.get("offsets_um", {})
+        if moved and abs(moved["x"]) > 3.0 and abs(offset["Z"] + moved["x"]) < 1.0:
+            return
+        time.sleep(0.1)
+    raise AssertionError(told)
