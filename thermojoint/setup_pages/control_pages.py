@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import os
 import re
 import secrets
@@ -79,21 +80,22 @@ def show_offsets(place: Place, given: Given) -> dict[str, Any]:
 
 
 def do_offsets(place: Place, given: Given) -> None:
-    """Begin or save the settings of the offsets, and show what they make of the estimate."""
+    """Begin the settings of the offsets, or save them and show what they make of the estimate."""
     known, interval = _estimated(place)
     if "begin" in given:
         named = {one(given, _AXIS + axis): axis for axis in known if one(given, _AXIS + axis)}
         if not named:
             raise InputError("axes: name at least one axis of the control")
-        place.begin(OFFSETS, _filled(
-            OFFSETS, axes=named, known=known, unusable=list(UNUSABLE),
-            oldest=max(30.0, 3.0 * interval),
-        ).replace("'", '"'), given)  # fmt: skip
-    else:
-        save(place, given)
-        _switch(place, False)
-    command = ["compensate", ESTIMATE, f"--settings={OFFSETS}", "--out=offsets.csv"]
-    place.run("offsets", given, command)
+        values = {"axes": named, "known": known, "oldest": max(30.0, 3.0 * interval)}
+        place.begin(OFFSETS, _filled(OFFSETS, unusable=json.dumps(UNUSABLE), **values), given)
+        return
+    save(place, given)
+    _switch(place, False)
+    place.run("offsets", given, _compensate())
+
+
+def _compensate() -> list[str]:
+    return ["compensate", ESTIMATE, f"--settings={OFFSETS}", "--out=offsets.csv"]
 
 
 def show_control(place: Place, given: Given) -> dict[str, Any]:
@@ -286,8 +288,7 @@ def do_try(place: Place, given: Given) -> None:
 
 
 def _try(place: Place, given: Given, service: Service, kind: str) -> None:
-    offsets = ["compensate", ESTIMATE, f"--settings={OFFSETS}", "--out=offsets.csv"]
-    commands = [offsets]
+    commands = [_compensate()]
     if kind in CONTROLS:
         commands.append(["target", TARGET, "--offsets=offsets.csv", "--out=writes.csv"])
     if kind == LINUXCNC:
