@@ -11,12 +11,13 @@ from __future__ import annotations
 import argparse
 import json
 import os
+from functools import partial
 from pathlib import Path
 
 from benchmarks.reference_machine.table import as_json, as_markdown, scored
 from fesim.batch.study import read_study
 from thermojoint.artefacts.files import write_text
-from thermojoint.cli.batch_run import run_study
+from thermojoint.cli.batch_run import crew_of, run_cases
 
 HERE = Path(__file__).parent
 STUDIES = tuple(sorted(path.stem for path in HERE.glob("*.toml")))
@@ -31,8 +32,9 @@ def main(arguments: list[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     for name in options.study or STUDIES:
         path, folder = HERE / f"{name}.toml", options.out / name
-        run_study(path, folder, options.workers, None)
-        machines = list(scored(read_study(path), folder))
+        study = read_study(path)
+        run_cases(study, str(path), folder, partial(crew_of, options.workers, None))
+        machines = list(scored(study, folder))
         table = as_markdown(machines)
         write_text(options.out / f"{name}.json", json.dumps(as_json(machines), indent=1) + "\n")
         write_text(options.out / f"{name}.md", table)

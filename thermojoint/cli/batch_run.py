@@ -5,7 +5,6 @@ from __future__ import annotations
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, TypeAlias
@@ -22,7 +21,7 @@ from rich.progress import (
 )
 from rich.text import Text
 
-from fesim.batch.study import Study, StudyCase, brief, read_study, shown
+from fesim.batch.study import Study, StudyCase, brief, shown
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.extras import require
 from thermojoint.console import warn
@@ -40,11 +39,6 @@ Recruit: TypeAlias = "Callable[[], AbstractContextManager[Crew]]"
 
 #: Largest number of workers that are listed.
 SHOWN_WORKERS = 8
-
-
-def run_study(path: Path, out: Path, workers: int, scheduler: str | None) -> run.Finished:
-    """Run the batch of a study file and show its progress."""
-    return run_cases(read_study(path), str(path), out, partial(crew_of, workers, scheduler))
 
 
 def run_cases(

@@ -163,6 +163,7 @@ TEST_PARAMETERS = Kind("parameters of a thermal test", _schema("thermojoint-iso2
 SENSORS = Kind(
     "a list of placed sensors", _starts(b"# Sensors placed by 'thermojoint place'"), ".toml"
 )
+STUDY_PAGE = Kind("a page of a batch", _is_report("batch"), ".html")
 LOOP_REPORT = Kind("a report of a closed loop", _is_report("control"), ".html")
 LOOP_FIGURES = Kind("figures of a closed loop", _schema("thermojoint-control"), ".json")
 MESH = Kind("a mesh (MSH)", _starts(b"$MeshFormat"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -112,6 +113,9 @@ def batch(
     scheduler: Annotated[
         str | None, typer.Option(help="Use this Dask cluster instead, e.g. tcp://10.0.0.1:8786.")
     ] = None,
+    page: Annotated[
+        Path | None, typer.Option(help="Page with figures and pictures of all cases (HTML).")
+    ] = None,
 ) -> None:
     """Simulate many cases: grids, lists and Latin hypercubes over the values of a case.
 
@@ -122,13 +126,27 @@ def batch(
 
     Example: [bold]thermojoint batch study.toml --out results --scheduler tcp://10.0.0.1:8786[/bold]
     """
+    from fesim.batch.study import read_study
     from thermojoint import console
     from thermojoint.cli import batch_run
 
     batch_run.check_workers(workers, scheduler)
-    finished = batch_run.run_study(given, out, workers or os.cpu_count() or 1, scheduler)
+    arguments.check_outputs({"--page": (page, file_kinds.STUDY_PAGE)}, [given])
+    study = read_study(given)
+    recruit = partial(batch_run.crew_of, workers or os.cpu_count() or 1, scheduler)
+    finished = batch_run.run_cases(study, str(given), out, recruit)
     for line in batch_run.closing_lines(finished, out):
         console.say(line)
+    if page and not finished.stopped:
+        # Here, not above: most batches have no page.
+        import xarray as xr
+
+        from thermojoint.artefacts.files import write_text
+        from thermojoint.pictures.study_page import study_html
+
+        with xr.open_dataset(out / "dataset.zarr", engine="zarr") as dataset:
+            write_text(page, study_html(study, finished.summary, dataset))
+        console.wrote(page)
     if code := batch_run.worst(finished):
         raise typer.Exit(code)
 

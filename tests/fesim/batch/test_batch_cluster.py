@@ -2,10 +2,11 @@
 
 import os
 import signal
+from functools import partial
 from importlib.metadata import PackageNotFoundError
 
 import pytest
-from batch_cases import levels, study_in, tally, write_study
+from batch_cases import levels, study_in, tally
 
 from fesim.batch.folder import response_path
 from fesim.batch.run import run_batch
@@ -66,8 +67,9 @@ def test_a_worker_that_dask_loses_costs_no_case_and_repeats_none_that_was_finish
 
 
 def test_the_command_uses_a_cluster_that_is_there(tmp_path, cluster):
-    path, out = write_study(tmp_path, levels(3), 1.0), tmp_path / "out"
-    end = batch_run.run_study(path, out, 1, cluster.scheduler_address)
+    study, out = study_in(tmp_path, levels(3), 1.0), tmp_path / "out"
+    recruit = partial(batch_run.crew_of, 1, cluster.scheduler_address)
+    end = batch_run.run_cases(study, "study", out, recruit)
     assert (end.ran, batch_run.worst(end)) == (3, 0)
     workers = {line.split('"worker": ')[1] for line in (out / "journal.jsonl").open()}
     assert all("tcp://" in worker for worker in workers)

@@ -1,0 +1,101 @@
+"""Page of a finished batch: what varied, what came of it, in figures and pictures."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fesim.batch.study import Study
+from fesim.batch.summary import COUNTS, FIGURES
+from thermojoint.artefacts.figures import svg_address
+from thermojoint.artefacts.templates import templates_of
+from thermojoint.artefacts.units import MEGA
+from thermojoint.pictures.study_figures import fan_figure, map_figure, pair_figure, strongest
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+#: Columns in the picture of all pairs, at most; failed cases that are listed.
+MOST_VALUES, MOST_FIGURES, MOST_FAILED = 4, 2, 20
+#: What differs by less is rounding, in the unit of its column.
+STILL = 1e-9
+#: Quantiles in the table of figures.
+QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
+#: What is solved, not what the machine does.
+_SOLVER = {"gap_residual_m", "heat_balance", "force_balance", "secant_residual_K", *COUNTS}
+
+
+def study_html(study: Study, summary: pd.DataFrame, dataset: xr.Dataset) -> str:
+    """Return the page of a batch, without references to other files.
+
+    Parameters
+    ----------
+    study : Study
+        The batch.
+    summary : DataFrame
+        As `fesim.batch.run.Finished.summary`.
+    dataset : Dataset
+        Its ``dataset.zarr``.
+    """
+    done = summary[summary["status"] == "done"]
+    paths = [path for path in study.paths if _varies(done, path)]
+    figures = [name for name in FIGURES if name not in _SOLVER and _varies(done, name)]
+    table = [(name, FIGURES[name], done[name].quantile(QUANTILES).tolist()) for name in figures]
+    return (
+        templates_of("thermojoint.pictures")
+        .get_template("study.html.j2")
+        .render(
+            title=study.title,
+            counts=summary["status"].value_counts().to_dict(),
+            values=[(path, _described(done, path)) for path in study.paths],
+            quantiles=QUANTILES,
+            table=table,
+            pictures=_pictures(done, dataset, paths, figures),
+            failed=summary[summary["status"] != "done"][["id", "reason"]]
+            .head(MOST_FAILED)
+            .to_numpy()
+            .tolist(),
+            missing=int((summary["status"] != "done").sum()),
+        )
+    )
+
+
+def _varies(done: pd.DataFrame, name: str) -> bool:
+    """Whether a column is there, is numbers in every case, and not always the same."""
+    if name not in done or done[name].dtype.kind not in "if":
+        return False
+    values = done[name].to_numpy(dtype=np.float64)
+    return bool(values.size and np.isfinite(values).all() and np.ptp(values) > STILL)
+
+
+def _described(done: pd.DataFrame, path: str) -> str:
+    """The values of a path in words: a range of numbers, or how many there are."""
+    if _varies(done, path):
+        return f"{done[path].min():.4g} to {done[path].max():.4g}"
+    return f"{done[path].nunique()} different"
+
+
+def _pictures(
+    done: pd.DataFrame, dataset: xr.Dataset, paths: list[str], figures: list[str]
+) -> list[tuple[str, str]]:
+    """Return titles and addresses of the pictures."""
+    drawn = []
+    minutes = dataset["time"].to_numpy() / 60.0
+    for axis in dataset["axis"].to_numpy():
+        curves = MEGA * dataset["displacement"].sel(axis=axis).to_numpy()
+        if np.isfinite(curves).any() and np.nanmax(np.abs(curves)) > STILL:
+            title = f"Displacement along {axis}"
+            drawn.append((title, fan_figure(minutes, curves, f"{axis} (µm)")))
+    # One of each axis: the peak of a warm-up is its end.
+    judged = ([name for name in figures if "final" in name] or figures)[:MOST_FIGURES]
+    if paths and judged:
+        pairs = [*strongest(done, paths, judged[0])[:MOST_VALUES], *judged]
+        drawn.append(("Every pair of values and figures", pair_figure(done[pairs])))
+        for name in judged:
+            across, *others = strongest(done, paths, name)
+            if others:
+                title = f"{name} over the two values that it depends on most"
+                drawn.append((title, map_figure(done[across], done[others[0]], done[name])))
+    return [(title, svg_address(figure, title)) for title, figure in drawn]
