@@ -42,7 +42,7 @@ def fan_figure(minutes: Array, curves: Array, label: str) -> Figure:
         name = f"{100 * low:.0f} to {100 * high:.0f} % of the cases"
         axes.fill_between(minutes, *ends, color=shade, label=name, linewidth=0.0)
     axes.plot(minutes, np.nanmedian(curves, axis=0), color=_LINE, label="median")
-    for name, extreme in (("extremes", np.nanmin), (None, np.nanmax)):
+    for name, extreme in (("extremes", np.nanmin), ("", np.nanmax)):
         axes.plot(minutes, extreme(curves, axis=0), ":", color=_LINE, linewidth=0.8, label=name)
     axes.set_xlabel("time (min)")
     axes.set_ylabel(label)

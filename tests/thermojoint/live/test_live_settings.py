@@ -1,18 +1,22 @@
 """The file of a service: what is wrong ends in one line; what is open to others is refused."""
 
+import re
 import stat
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import pytest
+from repository import ROOT
 
 from benchmarks.offset_invariant import served_with, settings_of
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.settings.section import Section
 from thermojoint.live.certificates import own_identity
 from thermojoint.live.consistency import contradictions
 from thermojoint.live.secret import read_secret
 from thermojoint.live.served import served
-from thermojoint.live.settings import ModelSection, Secret, service_from_data
+from thermojoint.live.settings import ModelSection, Secret, ServiceFile, service_from_data
 from thermojoint.live.users import (
     MOST_TRIALS,
     Gate,
@@ -211,3 +215,20 @@ def test_the_services_own_key_is_its_alone_and_stays(tmp_path):
     one.key.chmod(0o644)
     with pytest.raises(InputError, match="chmod 600"):
         own_identity(tmp_path, ())
+
+
+def keys_of(section):
+    """Names of the keys of a section, and of all sections in it."""
+    for name, field in section.model_fields.items():
+        yield field.alias or name
+        for part in (field.annotation, *get_args(field.annotation)):
+            for inner in (part, *get_args(part)):
+                if isinstance(inner, type) and issubclass(inner, Section) and inner is not Secret:
+                    yield from keys_of(inner)
+
+
+def test_every_key_has_its_place_on_the_page_of_the_settings():
+    page = (ROOT / "docs" / "service-settings.md").read_text("utf-8")
+    named = {part for name in re.findall(r"[`\[]([a-z_.]+)", page) for part in name.split(".")}
+    sections = {"models", "machines", "sources", "kind", "columns"}
+    assert set(keys_of(ServiceFile)) - sections <= named
