@@ -1,6 +1,7 @@
 """Fixtures that several test files share."""
 
 import copy
+import gc
 import os
 import signal
 import tempfile
@@ -58,7 +59,6 @@ FIRST = (
     "calibrate/learning/test_learning.py",
     "thermojoint/cli/test_interruption.py",
     "calibrate/test_calibrate_linear.py",
-    "thermojoint/paper/test_calibration_input.py",
     "meshes/test_cad.py",
     "project/test_architecture.py",
     "meshes/test_pairing.py",
@@ -80,6 +80,7 @@ FIRST = (
     "fesim/batch/test_batch.py",
     "thermojoint/pictures/test_pictures.py",
     "thermojoint/live/test_dashboard.py",
+    "thermojoint/paper/test_calibration_input.py",
     "thermojoint/compensation/test_closed_loop.py",
     "thermojoint/live/test_live_service.py",
     "estimator/export/test_structured_text.py",
@@ -111,6 +112,17 @@ FIRST = (
     "fesim/batch/test_batch_cluster.py",
     "project/test_thermal_error.py",
 )
+
+
+def pytest_sessionstart():
+    gc.disable()
+
+
+def pytest_collection_finish():
+    """Nothing of what is loaded until here is garbage: it is not looked through again."""
+    gc.freeze()
+    gc.set_threshold(10_000, 20, 20)
+    gc.enable()
 
 
 def pytest_collection_modifyitems(items):
