@@ -20,7 +20,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import qr, solve_triangular
+from scipy.linalg.lapack import dtrtrs
 from scipy.optimize import least_squares
 
 from calibrate.fit_result import INDISTINCT, Fit, covariance
@@ -30,6 +30,9 @@ from thermojoint.artefacts.errors import InputError
 _AT_BOUND = 1e-3
 #: Starts whose rms is within this of the best, relative, reached the same optimum.
 _SAME = 1e-3
+#: Relative changes at which a search ends: of a start, which is only compared with others, and of
+#: the best results.
+_COMPARED, _REFINED = 1e-6, 1e-10
 
 #: theta -> (columns, shape (n, p); derivatives by ln(theta), shape (n, p, len(theta)))
 Basis = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -85,9 +88,9 @@ def _project(columns: np.ndarray, data: np.ndarray, ridge: float) -> _Projection
     scale[scale == 0.0] = 1.0
     stacked = np.vstack([columns / scale, ridge * np.sqrt(n) * np.eye(p)])
     target = np.vstack([data, np.zeros((p, data.shape[1]))])
-    orthogonal, triangle = qr(stacked, mode="economic", check_finite=False)
+    orthogonal, triangle = np.linalg.qr(stacked)
     seen = orthogonal.T @ target
-    scaled = solve_triangular(triangle, seen, check_finite=False)
+    scaled, _ = dtrtrs(triangle, seen)
     return _Projection(scale, orthogonal, triangle, scaled, target - orthogonal @ seen)
 
 
@@ -111,10 +114,9 @@ def _jacobian(part: _Projection, columns: np.ndarray, slopes: np.ndarray) -> np.
     ) / float(n)
     # All parameters in one go: first n rows of d(columns) @ coefficients, (n, m k).
     m, k = part.residual.shape[1], slopes.shape[2]
-    moved = np.tensordot(scaled_slopes, part.scaled, axes=(1, 0)).transpose(0, 2, 1)
-    moved = moved.reshape(n, m * k)
-    seen = np.tensordot(scaled_slopes, part.residual[:n], axes=(0, 0)).transpose(0, 2, 1)
-    back = solve_triangular(part.triangle, seen.reshape(p, m * k), trans="T", check_finite=False)
+    moved = np.einsum("npk,pm->nmk", scaled_slopes, part.scaled).reshape(n, m * k)
+    seen = np.einsum("npk,nm->pmk", scaled_slopes, part.residual[:n]).reshape(p, m * k)
+    back, _ = dtrtrs(part.triangle, seen, trans=1)
     out = part.orthogonal @ (part.orthogonal[:n].T @ moved - back)
     out[:n] -= moved
     return out.reshape(n + p, m, k)
@@ -128,7 +130,9 @@ class _End:
     message: str
 
 
-def _descend(problem: Separable, start: np.ndarray, scale: float, limit: int) -> _End:
+def _descend(
+    problem: Separable, start: np.ndarray, scale: float, limit: int, tolerance: float
+) -> _End:
     """Return the local optimum reached from the parameters `start`."""
     data = problem.data / scale
 
@@ -160,8 +164,8 @@ def _descend(problem: Separable, start: np.ndarray, scale: float, limit: int) ->
         np.clip(np.log(start), lower + inset, upper - inset),
         jac=jacobian,
         bounds=(lower, upper),
-        xtol=1e-10,
-        ftol=1e-10,
+        xtol=tolerance,
+        ftol=tolerance,
         gtol=1e-14,
         max_nfev=limit,
     )
@@ -226,13 +230,13 @@ def fit(
     trial = coarse or problem
     scale = float(np.abs(problem.data).max()) or 1.0
     points = [*np.asarray(guesses, dtype=float), *_starts(problem, starts, seed)]
-    ends = [_descend(trial, point, scale, 60) for point in points]
+    ends = [_descend(trial, point, scale, 60, _COMPARED) for point in points]
     ends.sort(key=lambda end: end.cost)
     best = ends[0]
     # cost is half a sum of squares, so an rms ratio of 1 + x is a cost ratio of about 1 + 2x.
     ceiling = best.cost * (1.0 + 2.0 * _SAME) + trial.data.size * 1e-20
     at_best = sum(end.cost <= ceiling for end in ends)
-    finals = [_descend(problem, end.theta, scale, 200) for end in ends[:polished]]
+    finals = [_descend(problem, end.theta, scale, 200, _REFINED) for end in ends[:polished]]
     winner = min(finals, key=lambda end: end.cost)
     evaluations = sum(end.evaluations for end in (*ends, *finals))
     return replace(
