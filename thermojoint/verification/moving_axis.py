@@ -39,15 +39,15 @@ GUIDE, SLIDE, DEPTH, HEIGHT, WIDTH = 0.4, 0.08, 0.04, 0.04, 0.04
 SIZE, ELEMENT, SHOWN = 0.02, 0.02, 0.12
 #: Aligned positions of the slide; a position, and stations with the lower end of a stroke for which
 #: it lies halfway between two of them, m.
-ALIGNED = (0.0, 0.08, 0.16, 0.24, 0.32)
+ALIGNED = (0.0, 0.16, 0.32)
 OFF, BETWEEN = 0.2, ((0.08, 0.0), (0.04, 0.02))
 PRELOAD, RUNNING, RISE = 2e6, 0.1, 20.0
 #: The half-space: band, mesh along it, first and all layers below it, width, m.
 BAND, ALONG, FIRST, LAYERS, GROWTH, WIDE = 0.02, 0.0025, 0.0008, 15, 1.25, 0.1
 #: Contact elements in the band. Peclet numbers; start and end of the band's way, a point on it, m.
 ELEMENTS = 8
-PECLET = (1.0, 2.0)
-WAY, POINT = (0.02, 0.2), 0.17
+PECLET = (1.2, 2.0)
+WAY, POINT = (0.02, 0.12), 0.1
 DIFFUSIVITY = IRON.conductivity / (IRON.density * IRON.heat_capacity)
 JAEGER = Quantity("temperature", "K", 1e-2, "Jaeger, closed form")
 
