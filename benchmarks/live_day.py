@@ -297,10 +297,9 @@ def excess(heard: list[tuple[float, float]]) -> float:
 
 async def play(place: Path, given: argparse.Namespace) -> dict[str, Any]:
     """Play the day; return what was found."""
-    lines = measured_day(INTERVAL)
+    lines = measured_day(INTERVAL, given.hours)
     names = lines[0].strip().split(",")
     rows = np.array([[float(one) for one in line.split(",")] for line in lines[1:]])
-    rows = rows[: int(given.hours * 3600.0 / INTERVAL)]
     draw, ports = random.Random(given.seed), [free_port() for _ in range(3)]
     text = _SERVICE.format(common=_COMMON, broker=ports[0], relay=ports[2])
     (place / "service.toml").write_text(text)

@@ -280,15 +280,20 @@ def together(parts: Sequence[History]) -> History:
     )
 
 
-def measured_day(interval: float) -> list[str]:
-    """Return a day of the measured machine, between its minutes by interpolation, as CSV lines."""
+def measured_day(interval: float, hours: float | None = None) -> list[str]:
+    """Return a day of the measured machine, between its minutes by interpolation, as CSV lines.
+
+    Its log has 23 hours; where more are asked for, it begins again, as that of a played machine.
+    """
     source = ROOT / "examples" / "measured_machine" / "learned.csv"
     names = source.read_text("utf-8").splitlines()[0]
     table = np.genfromtxt(source, delimiter=",", skip_header=1)
     rest = np.genfromtxt(source.with_name("unseen.csv"), delimiter=",", skip_header=1)
     table = np.vstack([table, rest])
-    times = np.arange(table[0, 0], table[-1, 0], interval)
-    columns = [np.interp(times, table[:, 0], column) for column in table.T[1:]]
+    first, last = table[[0, -1], 0]
+    times = np.arange(first, last if hours is None else first + 3600.0 * hours, interval)
+    again = last - first + np.diff(table[-2:, 0]).item()
+    columns = [np.interp(times, table[:, 0], column, period=again) for column in table.T[1:]]
     rows = np.column_stack([times, *columns])
     return [names + "\n", *(",".join(f"{one:.6g}" for one in row) + "\n" for row in rows)]
 

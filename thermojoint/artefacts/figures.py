@@ -10,8 +10,16 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+#: Width of a figure of curves in a report, inches: on a page of 400 pixels its smallest text (8 pt)
+#: is 9 pixels high.
+WIDTH = 4.4
 #: Colours of curves; as greys they differ, too.
 SHADES = ("#000000", "#b2341f", "#1f5fa8", "#3c7d3c", "#8a5a00", "#6b4c9a", "#777777")
+
+
+def legend_above(panel: Axes) -> None:
+    """Name the curves of a panel above it: beside it they would take its width."""
+    panel.legend(fontsize=8, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, frameon=False)
 
 
 def stacked_panels(count: int, width: float, height: float) -> tuple[Figure, list[Axes]]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -138,18 +140,27 @@ def draw(
     sensors: Mapping[str, tuple[float, float, float]],
     report: Report,
 ) -> list[Picture]:
-    """Write the figures and the 3-D pictures of the end of `case`."""
+    """Write the figures and the 3-D pictures of the end of `case`, a file for each of its views."""
     from thermojoint.pictures.stills import write_pictures
 
     _, _, last = run_to_end(case, report, setup)
     scenes = {"figure-06-structure": whole_structure(case, setup.structure, sensors)}
     scenes |= {str(show): field_scene(show, case, setup, last) for show in FIELDS}
+    # Side by side they would be too small on a narrow page.
+    views = {
+        f"{name}{f'-{k}' * (k > 1)}": replace(scene, panels=(panel,))
+        for name, scene in scenes.items()
+        for k, panel in enumerate(scene.panels, start=1)
+    }
     for name, figure in figures.items():
         write_figure(figure, folder / f"{name}.png")
-    write_pictures({folder / f"{name}.png": scene for name, scene in scenes.items()})
-    drawn = figures.keys() | scenes.keys()
+    write_pictures({folder / f"{name}.png": scene for name, scene in views.items()})
+    drawn = [*figures, *views]
     return [
-        Picture(folder / f"{name}.png", text) for name, text in CAPTIONS.items() if name in drawn
+        Picture(folder / f"{name}.png", text)
+        for first, text in CAPTIONS.items()
+        for name in drawn
+        if re.fullmatch(rf"{first}(-\d)?", name)
     ]
 
 

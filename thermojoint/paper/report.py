@@ -92,6 +92,8 @@ def report_html(data: ReportData) -> str:
     environment.globals["paper_claim"] = paper_claim
     template = environment.get_template("report.html.j2")
     return template.render(
+        title=data.title,
+        generator="reproduce",
         data=data,
         verdict=verdict(data.validation),
         errors=error_table(data.validation),

@@ -1,4 +1,4 @@
-"""Matplotlib figures in the form of the paper's Figures 7-11, as pure functions of the data.
+"""Matplotlib figures after the paper's Figures 7-11, as pure functions of the data.
 
 Time is in minutes, temperature in K, displacement in µm, pressure in MPa. Curves differ in line
 style as well as in shade, so that they can be distinguished in grey.
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.figures import WIDTH
 from thermojoint.artefacts.files import whole_file
 
 if TYPE_CHECKING:
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_SIZE = (7.0, 4.2)
 _STYLES = (
     "-",
     "--",
@@ -80,7 +80,10 @@ def pressure_figure(response: xr.Dataset) -> Figure:
     preload = float(response["pressure"].isel(time=0).max()) / 1e6
     figure.suptitle(f"{heat_text(response)}, preload {preload:.2f} MPa", fontsize=10)
     axes[0].set_ylabel("change of contact pressure (MPa)")
-    _finish(axes, legend=labelled, outside=True)
+    _finish(axes, legend=False)
+    if labelled:
+        names = axes[0].get_legend_handles_labels()
+        figure.legend(*names, loc="outside lower center", ncols=3, fontsize=8)
     return figure
 
 
@@ -159,7 +162,7 @@ def estimates_figure(
     """Actual and estimated displacement of each axis, and the errors below on their own scale.
 
     FCHS, the joint-aware estimator, and the best of the others in this case are drawn; all of them
-    would hide each other. Readable at a width of 400 pixels.
+    would hide each other.
 
     Parameters
     ----------
@@ -177,21 +180,20 @@ def estimates_figure(
     others = [name for name in errors if name not in (*OWN, "none")]
     if others:
         shown.append(min(others, key=lambda name: float(np.mean(errors[name] ** 2))))
-    figure = empty_grid(2, len(axes))
-    panels = figure.axes
+    figure, panels = _figure(2 * len(axes))
     figure.suptitle(case, fontsize=11)
     for k, axis in enumerate(axes):
         actual = -errors["none"][:, k]
         estimated = {name: actual + errors[name][:, k] for name in shown}
         wrong = {name: errors[name][:, k] for name in shown}
-        above, below = panels[k], panels[len(axes) + k]
+        above, below = panels[2 * k : 2 * k + 2]
         _draw(above, times, {"actual": actual} | estimated, 1e6)
         # The colours of the panel above.
         _draw(below, times, {"actual": np.full_like(actual, np.nan)} | wrong, 1e6)
         above.set_ylabel(f"{axis} (µm)")
         below.set_ylabel(f"error {axis} (µm)")
     _finish(panels, legend=False)
-    panels[0].legend(fontsize=9)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
     return figure
 
 
@@ -248,19 +250,19 @@ def check_png(path: Path) -> None:
 
 
 def _figure(panels: int) -> tuple[Figure, list[Axes]]:
-    """Return an empty figure with `panels` panels side by side."""
-    figure = empty_grid(1, panels, (_SIZE[0] + 3.5 * (panels - 1), _SIZE[1]))
+    """Return an empty figure with `panels` panels one above the other."""
+    figure = empty_grid(panels, (WIDTH, 0.5 + 2.8 * panels))
     return figure, figure.axes
 
 
-def empty_grid(rows: int, columns: int, size: tuple[float, float] = (7.0, 5.6)) -> Figure:
-    """Return an empty figure of rows of panels, `size` in inches, without pyplot's global state."""
+def empty_grid(rows: int, size: tuple[float, float]) -> Figure:
+    """Return an empty figure of panels in rows, `size` in inches, without pyplot's global state."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)
-    figure.subplots(rows, columns, squeeze=False)
+    figure.subplots(rows, squeeze=False)
     return figure
 
 
@@ -292,13 +294,11 @@ def _name_ends(axis: Axes, end: float, values: Array, names: list[str]) -> None:
         axis.text(end, lowest, f" {names[k]}", fontsize=8, va="center")
 
 
-def _finish(axes: list[Axes], legend: bool = True, outside: bool = False) -> None:
+def _finish(axes: list[Axes], legend: bool = True) -> None:
     for axis in axes:
         axis.set_xlabel("time (min)")
         axis.grid(visible=True, color="0.88", linewidth=0.6)
         axis.axhline(0.0, color="0.5", linewidth=0.6)
         axis.margins(x=0.04)
-        if legend and outside:
-            axis.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.04, 0.5))
-        elif legend:
+        if legend:
             axis.legend(fontsize=8)

@@ -9,6 +9,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import browser
 import numpy as np
 import pytest
 from hypothesis import given
@@ -360,6 +361,8 @@ def test_the_command_writes_margins_residuals_and_a_page(folder):
     page = outputs[0].read_text("utf-8")
     assert page.count("data:image/svg+xml") == 3
     assert "free machine moves" in page
+    if browser.CHROMIUM:
+        browser.assert_readable_at_400_px(page)
     # Its own outputs may be replaced, another file not.
     outputs[0].write_text("my page", "utf-8")
     done = CliRunner().invoke(app, command)

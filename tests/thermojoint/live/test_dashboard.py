@@ -1,10 +1,10 @@
 """The dashboard in a browser: what the service says stands on the page, and old values look old."""
 
-import shutil
 import time
 from dataclasses import replace
 from pathlib import Path
 
+import browser
 import numpy as np
 import pytest
 from dashboard_server import TOKEN, about, again, event, keep, layout_of, published, serving
@@ -19,18 +19,10 @@ from thermojoint.live.scene import scene_of
 from thermojoint.live.surface import surface_of, write_surface
 from thermojoint.reduced.machine import reduce_machine
 
-playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-#: Nothing to the outside, software in place of a graphics card.
-FLAGS = (
-    "--no-sandbox --disable-gpu --no-first-run --disable-background-networking "
-    "--disable-component-update --disable-sync --enable-unsafe-swiftshader"
-)
 PHONE, PANEL = {"width": 390, "height": 844}, {"width": 1024, "height": 768}
 WAIT_MS = 15_000
 
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium to look with")
+pytestmark = browser.needs_chromium
 
 
 @pytest.fixture(scope="module")
@@ -71,10 +63,8 @@ def floor(tmp_path_factory, coarse_data):
 
 @pytest.fixture(scope="module")
 def chromium():
-    with playwright.sync_playwright() as started:
-        browser = started.chromium.launch(executable_path=CHROMIUM, args=FLAGS.split())
-        yield browser
-        browser.close()
+    with browser.chromium() as started:
+        yield started
 
 
 @pytest.fixture

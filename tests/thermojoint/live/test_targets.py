@@ -1,25 +1,22 @@
 """Controls by OPC UA: what is written into them, and what never is."""
 
 import asyncio
-import contextlib
-import os
+import random
 import re
 import shlex
-import signal
-import time
 from typing import get_args
 
 import numpy as np
 import pytest
-from asyncua import Server, ua
-from live_parts import free_port, serving, until
+from live_parts import needs_broker, serving, until
+from played_control import PAGES, Played
 from repository import ROOT
 from warming_machine import OFFSETS, RATE, prepare, started, warming_up
 
+from benchmarks import target_kills
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.settings import toml
 from thermojoint.compensation.offsets.settings import settings_from_data
-from thermojoint.live.archive import Archive
 from thermojoint.live.settings import ServiceFile, Source
 from thermojoint.live.targets.beckhoff import BECKHOFF
 from thermojoint.live.targets.control import in_units, next_value
@@ -84,84 +81,15 @@ def test_a_mistake_in_the_file_of_a_target_is_one_line(lines, told, tmp_path):
         read_target(tmp_path / "target.toml", offsets.output)
 
 
-class Played:
-    """A server with the documented node names of a control, and what was written into it."""
-
-    def __init__(self, place, page):
-        text = re.search(r"^```toml target[^\n]*\n(.*?)^```", page, re.M | re.S)[1]
-        self.port = free_port()
-        text = re.sub(r'url = ".*"', f'url = "opc.tcp://127.0.0.1:{self.port}"', text)
-        text = text.replace("largest_step_um = 5.0", f"largest_step_um = {STEP_UM}")
-        text = re.sub(r"server_certificate.*\n|user.*\n|password.*\n", "", text)
-        (place / "target.toml").write_text(f'security = "none"\n{text}')
-        self.given = read_target(place / "target.toml")
-        self.server, self.nodes, self.record = None, {}, []
-
-    async def open(self, **values):
-        self.server = Server()
-        await self.server.init()
-        self.server.set_endpoint(f"opc.tcp://127.0.0.1:{self.port}")
-        for k in range(2, 5):
-            await self.server.register_namespace(f"urn:played:{k}")
-        for quantity in self.given.control.quantities:
-            node = ua.NodeId.from_string(self.given.node(quantity, "Z"))
-            begins = 1 if quantity is self.given.control.switch else 0
-            value = values.get(quantity.name.split()[0], begins)
-            made = await self.server.nodes.objects.add_variable(
-                node, f"{node.NamespaceIndex}:{quantity.name}",
-                self.variant(quantity, value),
-            )  # fmt: skip
-            await made.set_writable()
-            self.nodes[quantity.name.split()[0]] = made
-        offset = self.given.control.offset
-        self.offset = self.nodes[offset.name.split()[0]]
-        self.server.iserver.aspace.add_datachange_callback(
-            self.offset.nodeid, ua.AttributeIds.Value, self.written
-        )
-        await self.server.start()
-
-    async def written(self, handle, value):
-        self.record.append((time.monotonic(), self.um(value.Value.Value)))
-
-    @staticmethod
-    def variant(quantity, value):
-        if quantity.whole:
-            return ua.Variant(int(value), ua.VariantType.Int32)
-        return ua.Variant(float(value), ua.VariantType.Double)
-
-    def um(self, value):
-        return 1e6 * self.given.control.offset.metres * value
-
-    @property
-    def newest(self):
-        return self.record[-1][1] if self.record else 0.0
-
-
-PAGES = {
-    name: (ROOT / "docs" / f"guide-{name}.md").read_text("utf-8")
-    for name in ("sinumerik", "beckhoff")
-}
-
-
-def test_controls_follow_with_kills_on_either_side(hand_made_model, tmp_path):
-    """The service is killed, then the control; then somebody clears the value."""
-    places = {kind: tmp_path / kind for kind in CONTROLS}
-    with contextlib.ExitStack() as ends:
-        for place in places.values():
-            place.mkdir()
-            prepare(place, hand_made_model, HANDSHAKE)
-            ends.enter_context(warming_up(place))
-
-        async def live():
-            return await asyncio.gather(*(follow(*one) for one in places.items()))
-
-        for record, cleared in asyncio.run(live()):
-            for part in (record[:cleared], record[cleared + 1 :]):
-                at, um = np.array(part).T
-                assert np.abs(np.diff(um)).max() <= STEP_UM + 0.11
-                assert abs(um[-1] - um[0]) <= RATE * (at[-1] - at[0]) + STEP_UM + 0.11
-            assert record[cleared][1] == 0.0
-            assert abs(record[cleared + 1][1]) <= STEP_UM + 0.11
+@needs_broker
+def test_no_control_jumps_or_hears_a_lie_with_kills_on_either_side(tmp_path):
+    """By OPC UA, by MQTT, and in a Siemens and a Beckhoff; a LinuxCNC has its own test."""
+    target_kills.learned(tmp_path)
+    names = target_kills.names_of(None)
+    rounds = [(*names, "broker"), ("service", *names)]
+    found = asyncio.run(target_kills.play(tmp_path, None, rounds, random.Random(0), 1.5))
+    assert target_kills.violations(found) == []
+    assert all(min(one["values"], one["good"]) > 3 for one in found["controls"].values())
 
 
 def test_controls_return_to_zero_without_readings_and_follow_again(hand_made_model, tmp_path):
@@ -172,9 +100,7 @@ def test_controls_return_to_zero_without_readings_and_follow_again(hand_made_mod
     async def one(kind, place):
         prepare(place, hand_made_model, HANDSHAKE)
         (place / "offsets.toml").write_text(trust)
-        played = Played(place, PAGES[kind])
-        text = (place / "target.toml").read_text()
-        (place / "target.toml").write_text(text.replace("enable = false", "enable = true"))
+        played = Played(place / "target.toml", kind, STEP_UM)
         await played.open()
         service = started(place)
         try:
@@ -201,64 +127,19 @@ def test_controls_return_to_zero_without_readings_and_follow_again(hand_made_mod
             assert (np.abs(um[lag:] - um[:-lag]) <= RATE * spent + STEP_UM + 0.11).all()
 
 
-async def follow(kind, place):
-    """What a control received, and which of it was the zero of somebody else."""
-    played = Played(place, PAGES[kind])
-    text = (place / "target.toml").read_text()
-    (place / "target.toml").write_text(text.replace("enable = false", "enable = true"))
-    archive = Archive(place / "state" / "history.sqlite")
-
-    def follows(count=0):
-        return (
-            len(played.record) > count + 3
-            and abs(played.newest) > 10.0
-            and abs(played.newest - 1e6 * archive.latest("mill").offsets[0]) < 3.0
-        )
-
-    await played.open()
-    service = started(place)
-    try:
-        await until(follows)
-        os.kill(service.pid, signal.SIGKILL)
-        service.wait()
-        await asyncio.sleep(0.5)
-        held = played.newest
-        await asyncio.sleep(1.0)
-        assert played.newest == held
-        service, count = started(place), len(played.record)
-        await until(lambda: follows(count))
-        # The control is gone, and comes back with what it had.
-        await played.server.stop()
-        await asyncio.sleep(4.0)
-        offset = played.given.control.offset
-        value, count = await played.offset.read_value(), len(played.record)
-        await played.open(**{offset.name.split()[0]: value})
-        await until(lambda: follows(count))
-        cleared = len(played.record)
-        await played.offset.write_value(played.variant(offset, 0))
-        await until(lambda: follows(cleared))
-        await played.server.stop()
-    finally:
-        service.kill()
-        service.wait()
-    return played.record, cleared
-
-
 @pytest.mark.parametrize(
     ("enable", "values", "event", "told"),
     [
-        ("false", {}, "dry-run", "would write ns=2;s=/NC/_N_AX_SEA_ACX/$SA_TEMP_COMP"),
-        ("true", {"MD32750": 3}, "target-refused", "set it to 1"),
-        ("true", {"SD43910": 1e-5}, "target-refused", "set it to 0"),
-        ("true", {"SD43900": 0.05}, "handshake", "differs"),
+        (False, {}, "dry-run", "would write ns=2;s=/NC/_N_AX_SEA_ACX/$SA_TEMP_COMP"),
+        (True, {"MD32750": 3}, "target-refused", "set it to 1"),
+        (True, {"SD43910": 1e-5}, "target-refused", "set it to 0"),
+        (True, {"SD43900": 0.05}, "handshake", "differs"),
     ],
 )
 def test_a_control_is_left_alone(enable, values, event, told, hand_made_model, tmp_path):
     """Not enabled, compensating otherwise, or with a value that is not from the service."""
     prepare(tmp_path, hand_made_model, HANDSHAKE)
-    played = Played(tmp_path, PAGES["sinumerik"])
-    text = (tmp_path / "target.toml").read_text()
-    (tmp_path / "target.toml").write_text(text.replace("enable = false", f"enable = {enable}"))
+    played = Played(tmp_path / "target.toml", "sinumerik", STEP_UM, enable)
 
     async def live():
         await played.open(**values)

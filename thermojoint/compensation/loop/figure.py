@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from estimator.joint_aware.observer_model import ObserverModel
-from thermojoint.artefacts.figures import SHADES, stacked_panels
+from thermojoint.artefacts.figures import SHADES, WIDTH, legend_above, stacked_panels
 from thermojoint.artefacts.units import MICRO
 from thermojoint.compensation.loop.judging import runs_of
 from thermojoint.compensation.loop.linear import channels_of, disturbed, open_loop, state_space
@@ -115,11 +115,11 @@ def runs_figure(closed: Closed) -> Figure:
 
 
 def _panels(count: int) -> tuple[Figure, list[Axes]]:
-    return stacked_panels(count, 8.5, 1.0 + 2.0 * count)
+    return stacked_panels(count, WIDTH, 0.5 + 2.6 * count)
 
 
 def _finished(figure: Figure) -> Figure:
     for panel in figure.axes:
         panel.grid(visible=True, color="0.88", linewidth=0.6)
-        panel.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.01, 0.5))
+        legend_above(panel)
     return figure

@@ -23,5 +23,9 @@ def report_html(closed: Closed, content: dict[str, Any]) -> str:
         ]
     pictures = [(title, svg_address(figure, "control")) for title, figure in figures]
     return environment.get_template("report.html.j2").render(
-        content=content, loop=closed.loop, pictures=pictures
+        title=f"{content['title']}: closed loop",
+        generator="control",
+        content=content,
+        loop=closed.loop,
+        pictures=pictures,
     )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from thermojoint.artefacts.arrays import Array
-from thermojoint.artefacts.figures import SHADES, stacked_panels
+from thermojoint.artefacts.figures import SHADES, WIDTH, legend_above, stacked_panels
 from thermojoint.standards.iso230_3.evaluation import Evaluation
 from thermojoint.standards.iso230_3.parameters import FIRST, Parameter, Quantity
 from thermojoint.standards.iso230_3.protocol import Protocol
@@ -28,7 +28,7 @@ _STYLES = ("-", "--", "-.", ":")
 #: Time shown before and after the test, relative to its length.
 _BEFORE, _AFTER = 0.1, 0.5
 #: Width of the column of a range, relative to the time shown.
-_COLUMN = 0.04
+_COLUMN = 0.08
 #: Space between a label and its arrow, pt.
 _GAP = 3.5
 
@@ -44,7 +44,7 @@ def figure_of(record: Record, evaluation: Evaluation) -> Figure:
         groups.append(("tilt", record.tilts))
     if record.temperatures:
         groups.append(("temperature", record.temperatures))
-    figure, panels = stacked_panels(len(groups), 8.5, 1.0 + 2.6 * len(groups))
+    figure, panels = stacked_panels(len(groups), WIDTH, 0.5 + 3.0 * len(groups))
     first, last = _shown(record, evaluation)
     inside = (record.times >= first) & (record.times <= last)
     marked = {
@@ -86,7 +86,7 @@ def _draw(panel: Axes, times: Array, quantity: Quantity, channels: Mapping[str, 
         )
     panel.set_ylabel(label)
     panel.grid(visible=True, color="0.88", linewidth=0.6)
-    panel.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.01, 0.5))
+    legend_above(panel)
 
 
 def _mark_periods(panel: Axes, evaluation: Evaluation) -> None:
@@ -124,7 +124,7 @@ def _mark_ranges(
             (-_GAP, 0.0),
             textcoords="offset points",
             color=_shade(k),
-            fontsize=7,
+            fontsize=8,
             rotation=90,
             ha="right",
             va="center",

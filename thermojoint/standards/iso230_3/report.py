@@ -40,6 +40,7 @@ def report_html(
     environment = templates_of("thermojoint.standards.iso230_3")
     return environment.get_template("report.html.j2").render(
         title=evaluation.protocol.heading,
+        generator="iso230-3",
         moves=evaluation.protocol is not Protocol.ETVE,
         facts=[("record", origin), *facts],
         period=evaluation.period,
