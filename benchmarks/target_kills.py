@@ -100,6 +100,8 @@ by = "{by}"
 heartbeat_s = {silent}
 differs_um = 5.0
 """
+#: So long a control may take to be on and homed again, s.
+RESTARTS_S = 300.0
 #: A control that returns after a shorter time, s, was not away.
 AT_ONCE_S = 1.0
 #: How each machine's control answers.
@@ -288,8 +290,9 @@ class Cnc:
     def _switch_off(self, _: float) -> None:
         begun = time.monotonic()
         (self.control.folder / "off").touch()
-        self.control.until(lambda: not (self.control.folder / "off").exists())
-        self.control.until(lambda: abs(self.control.offset()) < 1.0)
+        self.control.until(lambda: not (self.control.folder / "off").exists(), RESTARTS_S)
+        rows = len(self.control.record())
+        self.control.until(lambda: len(self.control.record()) > rows, RESTARTS_S)
         self.off.append((begun, time.monotonic()))
 
     def record(self) -> list[tuple[float, float]]:

@@ -143,9 +143,9 @@ class Control:
         record = self.record()
         return record[-1, 4] if len(record) else np.nan
 
-    def until(self, condition):
+    def until(self, condition, patience=PATIENCE_S):
         """Wait until something holds."""
-        end = time.monotonic() + PATIENCE_S
+        end = time.monotonic() + patience
         while time.monotonic() < end:
             if condition():
                 return

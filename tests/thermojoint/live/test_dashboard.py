@@ -223,6 +223,8 @@ def test_on_a_phone_nothing_stands_beside_the_page(page, floor, path):
     page.wait_for_timeout(300)
     width = page.evaluate("document.documentElement.scrollWidth")
     assert width <= PHONE["width"]
+    values = "[...document.querySelectorAll('.tile-axis')]"
+    assert page.evaluate(f"{values}.every(one => one.scrollWidth <= one.clientWidth)")
 
 
 def test_light_and_dark_follow_the_system_until_somebody_chooses(page, floor):

@@ -8,7 +8,7 @@ from matplotlib.text import Text
 from estimator.fchs.judging import ESTIMATORS
 from thermojoint.paper import inputs
 from thermojoint.paper.report import Picture, ReportData, report_html
-from thermojoint.paper.summary import convergence, pressure_share
+from thermojoint.paper.summary import convergence
 from thermojoint.pictures import figures
 from thermojoint.standards.iso230_3 import report as iso230_3
 from thermojoint.standards.iso230_3.evaluation import evaluate
@@ -53,7 +53,6 @@ def test_reports_are_not_scrolled_sideways_on_a_page_of_400_pixels(
         title="A machine",
         facts=[("versions", "numpy 2.4.6, scipy 1.17.1")],
         validation=rows,
-        share=pressure_share(coarse_response),
         convergence={"step-2.0": convergence(coarse_response)},
         placement="a = s550_610_100 " * 9,
         pictures=[Picture(tmp_path / "curves.png", "Overview")],

@@ -32,7 +32,7 @@ function layoutOf(from, to, revision) {
     showlegend: true,
     legend: { orientation: "h", x: 0, y: 1.01, yanchor: "bottom", traceorder: "normal", font: { color: colour("--text") } },
     xaxis: { ...axis, type: "date", range: [localTime(from), localTime(to)], nticks: 5 },
-    yaxis: { ...axis, nticks: 6 },
+    yaxis: { ...axis, nticks: 6, automargin: true },
     hovermode: "x unified",
     hoverlabel: { bgcolor: colour("--card"), bordercolor: colour("--grid"), font: { color: colour("--text") } },
   };
