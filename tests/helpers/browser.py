@@ -27,12 +27,16 @@ def chromium():
         browser.close()
 
 
-def assert_readable_at_400_px(page):
-    """A page (HTML) is not scrolled sideways; its text and its pictures are large enough."""
+def assert_readable_at_400_px(*pages):
+    """No page (HTML) is scrolled sideways; text and pictures are large enough."""
+    sizes = (
+        "[...document.querySelectorAll('body *')]"
+        ".map(one => parseFloat(getComputedStyle(one).fontSize))"
+    )
     with chromium() as started:
         shown = started.new_page(viewport={"width": 400, "height": 800})
-        shown.set_content(page)
-        of = "[...document.querySelectorAll('body *')].map(one => parseFloat(%s))"
-        assert shown.evaluate("document.documentElement.scrollWidth") <= 400
-        assert min(shown.evaluate(of % "getComputedStyle(one).fontSize")) >= 12.0
-        assert min(shown.evaluate("[...document.images].map(one => one.clientWidth)")) >= 360
+        for page in pages:
+            shown.set_content(page)
+            assert shown.evaluate("document.documentElement.scrollWidth") <= 400
+            assert min(shown.evaluate(sizes)) >= 12.0
+            assert min(shown.evaluate("[...document.images].map(one => one.clientWidth)")) >= 360

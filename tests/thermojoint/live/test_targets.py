@@ -86,7 +86,7 @@ def test_no_control_jumps_or_hears_a_lie_with_kills_on_either_side(tmp_path):
     """By OPC UA, by MQTT, and in a Siemens and a Beckhoff; a LinuxCNC has its own test."""
     target_kills.learned(tmp_path)
     names = target_kills.names_of(None)
-    rounds = [(*names, "broker"), ("service", *names)]
+    rounds = [(*names, "broker"), ("service",)]
     found = asyncio.run(target_kills.play(tmp_path, None, rounds, random.Random(0), 1.5))
     assert target_kills.violations(found) == []
     assert all(one["good"] for one in found["controls"].values())
