@@ -18,7 +18,9 @@ def templates_of(*packages: str) -> Environment:
     from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
     return Environment(
-        loader=ChoiceLoader([*map(PackageLoader, packages), PackageLoader("thermojoint.artefacts")]),
+        loader=ChoiceLoader(
+            [*map(PackageLoader, packages), PackageLoader("thermojoint.artefacts")]
+        ),
         autoescape=lambda name: name is None or ".html" in name,
         undefined=StrictUndefined,
         trim_blocks=True,

@@ -251,18 +251,18 @@ def check_png(path: Path) -> None:
 
 def _figure(panels: int) -> tuple[Figure, list[Axes]]:
     """Return an empty figure with `panels` panels one above the other."""
-    figure = empty_grid(panels, (WIDTH, 0.5 + 2.8 * panels))
+    figure = empty_grid(panels, 1, (WIDTH, 0.5 + 2.8 * panels))
     return figure, figure.axes
 
 
-def empty_grid(rows: int, size: tuple[float, float]) -> Figure:
-    """Return an empty figure of panels in rows, `size` in inches, without pyplot's global state."""
+def empty_grid(rows: int, columns: int, size: tuple[float, float]) -> Figure:
+    """Return an empty figure of rows of panels, `size` in inches, without pyplot's global state."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)
-    figure.subplots(rows, squeeze=False)
+    figure.subplots(rows, columns, squeeze=False)
     return figure
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.figures import WIDTH
 from thermojoint.pictures.figures import empty_grid
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ def fan_figure(minutes: Array, curves: Array, label: str) -> Figure:
     label : str
         Of the curves, with their unit.
     """
-    figure = empty_grid(1, 1, (6.4, 3.8))
+    figure = empty_grid(1, 1, (WIDTH, 3.4))
     (axes,) = figure.axes
     some = ~np.isnan(curves).all(axis=0)
     minutes, curves = minutes[some], curves[:, some]
@@ -76,7 +77,7 @@ def map_figure(across: pd.Series, up: pd.Series, height: pd.Series) -> Figure:
 
     Lines are drawn where the cases span an area.
     """
-    figure = empty_grid(1, 1, (6.4, 4.4))
+    figure = empty_grid(1, 1, (WIDTH, 3.6))
     (axes,) = figure.axes
     points = axes.scatter(across, up, c=height, cmap="viridis", s=24, zorder=3)
     if _span_an_area(across.to_numpy(), up.to_numpy()) and np.ptp(height):

@@ -48,6 +48,7 @@ def study_html(study: Study, summary: pd.DataFrame, dataset: xr.Dataset) -> str:
         .get_template("study.html.j2")
         .render(
             title=study.title,
+            generator="batch",
             counts=summary["status"].value_counts().to_dict(),
             values=[(path, _described(done, path)) for path in study.paths],
             quantiles=QUANTILES,

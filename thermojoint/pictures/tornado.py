@@ -42,7 +42,7 @@ class Panel:
 def tornado_figure(panels: Sequence[Panel]) -> Figure:
     """Return the picture; effects that raise a figure are red, those that lower it blue."""
     tallest = max(min(len(panel.names), MOST) for panel in panels)
-    figure = empty_grid(len(panels), (7.0, len(panels) * (1.0 + 0.26 * tallest)))
+    figure = empty_grid(len(panels), 1, (7.0, len(panels) * (1.0 + 0.26 * tallest)))
     for axes, panel in zip(figure.axes, panels, strict=True):
         names, effects = panel.names[:MOST], panel.effects[:MOST]
         colours = [_RISES if effect >= 0.0 else _FALLS for effect in effects]
