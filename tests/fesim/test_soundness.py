@@ -23,6 +23,8 @@ from meshes.inspection import inspect, pieces
 from meshes.structure import Probe
 from thermojoint.artefacts.errors import ConvergenceError, InputError
 from thermojoint.paper.summary import result_lines, rocking_lines
+from thermojoint.reduced.machine import diagonal_modes, reduce_machine
+from thermojoint.reduced.physics import make_physics, simulate_known
 
 JOINT = {
     "side_a": "low.z1",
@@ -196,6 +198,23 @@ def test_steps_that_alternate_are_iterated_and_it_is_said(tmp_path, data, therma
     figures = figures_of(found)
     assert figures["taken_over"] >= 9
     assert f"{figures['taken_over']} steps" in result_lines(found, figures)[-1]
+
+
+def test_known_inputs_are_marched_by_halves_where_steps_alternate(tmp_path, data):
+    """The joint-aware model's march, against the simulator."""
+    rod = cooled_rod(data, thermal="reduced", step_s=120.0, duration_min=30.0)
+    write_structure(rod, tmp_path / "boxes.vtu")
+    case = case_from_data(data, "case", tmp_path)
+    setup = set_up(case)
+    machine = reduce_machine(case, setup, ("p",))
+    held = machine.at_preload
+    physics = make_physics(diagonal_modes(machine, held), machine.joints, held)
+    response = simulate(case, setup=setup, accuracy=False).response
+    inputs = np.tile([*machine.power, 0.0, -20.0, 0.0], (response.sizes["time"] - 1, 1))
+    _, moved = simulate_known(physics, inputs, case.march.step_s)
+    assert response["taken_over"].any()
+    expected = response["displacement"][-1]
+    np.testing.assert_allclose(moved[-1], expected, rtol=1e-3, atol=1e-12)
 
 
 def test_a_march_goes_on_in_the_middle_of_alternating(tmp_path, data):
