@@ -228,11 +228,11 @@ def _marching(
         yield from march_adaptively(machine, rates, drive, ends, tolerance, first)
         return
     advance, between = COUPLINGS[march.coupling], inputs.reversed_forces(ends)
-    if between and machine.friction is not None:
+    if between and (machine.friction is not None or machine.stiffness is not None):
+        key = "slip_heating" if machine.friction is not None else "youngs_modulus_factor"
         raise InputError(
-            f"march.step_s: a load turns back within the step to {ends[min(between)]:g} s, whose "
-            "heat of friction would be lost; take steps that end where it turns, or leave out "
-            "slip_heating"
+            f"march.step_s: a load turns back within the step to {ends[min(between)]:g} s, which "
+            f"{key} cannot follow; take steps that end where it turns, or leave out {key}"
         )
     for track in march_along(machine, inputs.at(ends), advance, first, between):
         yield track, None

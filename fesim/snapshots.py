@@ -102,16 +102,16 @@ def structure_snapshot(setup: Setup, step: Step) -> meshio.Mesh:
         body[cells] = number
     node, corners = points_of_bodies(structure)
     mesh = corner_mesh(structure.mesh)
-    stress = point_means(
-        corners,
-        corner_stresses(
-            structure,
-            spaces,
-            setup.materials,
-            setup.deformation(step),
-            setup.machine.strained(temperature),
-        ),
+    inside = corner_stresses(
+        structure,
+        spaces,
+        setup.materials,
+        setup.deformation(step),
+        setup.machine.strained(temperature),
     )
+    if setup.machine.stiffness is not None:
+        inside *= setup.machine.stiffness.relative(temperature[spaces.heat.element_dofs])[..., None]
+    stress = point_means(corners, inside)
     return to_meshio(
         replace(mesh, doflocs=np.ascontiguousarray(mesh.p[:, node]), t=corners),
         point_data={

@@ -172,6 +172,7 @@ CASE = {
     "materials.*.conductivity_factor.factor.*": FACTOR,
     "materials.*.heat_capacity_factor.factor.*": FACTOR,
     "materials.*.expansion_factor.factor.*": FACTOR,
+    "materials.*.youngs_modulus_factor.factor.*": FACTOR,
     "convection_factor.*.factor.*": FACTOR,
     "radiation.*.ambient_degC": AMBIENT,
     "loads.*.force_N.*": Quantity("N", -1e7, 1e7, 1e3, _units({"mN": 1e-3, "µN": 1e-6, "kN": 1e3})),

@@ -34,11 +34,12 @@ ALIKE = 0.9
 FREE = 1e12
 
 
-def merged_elements(joint: PairedJoint, last: bool) -> tuple[NDArray[np.int64], float]:
+def merged_elements(joint: PairedJoint, first_alone: bool) -> tuple[NDArray[np.int64], float]:
     """Return the merged element of each contact element, (m,), and what that does to the error.
 
     An error of second order in the size of an element grows by up to four. It is one where nothing
-    can be merged. Of an odd number in a row the last one stays alone, or else the first.
+    can be merged. Pairs begin with the first of a row, or with the second, which leaves the first
+    alone.
     """
     place, ratios = joint.place.copy(), []
     for part in np.unique(place[:, 0]):
@@ -46,9 +47,9 @@ def merged_elements(joint: PairedJoint, last: bool) -> tuple[NDArray[np.int64], 
         for way in (1, 2):
             count = int(place[own, way].max()) + 1
             if count >= FEWEST:
-                place[own, way] = (place[own, way] + (0 if last else count % 2)) // 2
-                # Sums of the third power of the widths.
-                ratios.append((8 * (count // 2) + count % 2) / count)
+                place[own, way] = (place[own, way] + first_alone) // 2
+                widths = np.bincount((np.arange(count) + first_alone) // 2)
+                ratios.append(float((widths**3).sum()) / count)
     _, first, number = np.unique(place, axis=0, return_index=True, return_inverse=True)
     number = number.ravel()
     turned = np.einsum("mi,mi->m", joint.normal, joint.normal[first[number]]) < ALIKE

@@ -112,12 +112,13 @@ def accuracy_of(marched: Marched, known: float | None = None) -> Accuracy:
         return Accuracy(None, None, time, {})
     by_joint: dict[str, float] = {}
     for joint in setup.joints:
-        odd = any(size % 2 for size in joint.place[:, 1:].max(axis=0) + 1)
-        for last in (True, False) if odd else (True,):
+        pairings = []
+        for first_alone in (False, True):
             with suppress(ThermojointError, np.linalg.LinAlgError):
-                left = _of_joint(marched, machine, fine, (joint.name, last))
-                if left is not None:
-                    by_joint[joint.name] = max(left, by_joint.get(joint.name, 0.0))
+                pairings.append(_of_joint(marched, machine, fine, (joint.name, first_alone)))
+        errors = [error for error in pairings if error is not None]
+        if errors:
+            by_joint[joint.name] = float(np.mean(errors))
     mesh = None
     with suppress(ThermojointError):
         mesh = _of_mesh(setup, fine, machine.thermal.step)
@@ -140,7 +141,7 @@ def _of_joint(
 ) -> float | None:
     """Error by the contact elements of a joint; None if they cannot be merged.
 
-    `merging` names the joint and, of an odd number of elements, whether the last stays alone.
+    `merging` names the joint, and says whether its first elements stay alone.
     """
     setup, numbers, ratio = marched.setup, [], 1.0
     for joint in setup.joints:
@@ -148,7 +149,7 @@ def _of_joint(
         if joint.name == merging[0]:
             number, ratio = merged_elements(joint, merging[1])
         numbers.append(number)
-    if ratio == 1.0 or machine.contact.count > LARGEST:
+    if ratio == 1.0 or machine.contact.count > LARGEST or machine.stiffness is not None:
         return None
     joints = [merged_joint(*pair) for pair in zip(setup.joints, numbers, strict=True)]
     means = means_of(setup.joints, numbers)
@@ -167,21 +168,21 @@ def _of_mesh(setup: Setup, fine: Track, step: float) -> float | None:
     if rows is None:
         return None
     machine, found = setup.machine, []
-    basis = None if setup.modes is None else setup.modes.basis
-    heat, stored, stress = (
-        row if basis is None else row @ basis
-        for row in (rows.heat, rows.stored, rows.stress.temperature)
-    )
+    heat, stress = rows.heat, rows.stress.temperature
+    if setup.modes is not None:
+        heat, stress = heat.on(setup.modes.basis), stress @ setup.modes.basis
     first = machine.assembly
     for at in range(len(fine)):
         taken = fine.step(at)
-        warm = taken.state.temperature
         acting, remainder = setup.acting(taken), taken.remainder
         if first is not None:
             acting, remainder = acting - first.factors[:-1], remainder - first.remainder
-        stressed = stress @ machine.strained(warm)
+        stressed = stress @ machine.strained(taken.state.temperature)
         stressed = stressed + rows.stress.remainder @ remainder + rows.stress.forces @ acting
-        heated = heat @ warm + stored @ warm / (step * (at + 1.0))
+        time = step * (at + 1.0)
+        heated = heat.of(taken, time)
+        if rows.variable is not None:
+            heated = heated + rows.variable(taken.state.temperature, time, taken.inputs)
         found.append(np.hypot(heated, stressed))
     return _largest(np.array(found))
 

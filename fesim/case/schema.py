@@ -281,10 +281,10 @@ class Case(Described, Section):
                         "to the ambient or another cavity; leave it out there"
                     )
                 taken.append(surface)
-        if self.bolts and (growing := growth_sections(self)):
+        if self.bolts and (growing := solid_sections(self)):
             raise ValueError(
-                f"{growing[0]}: bolts need bodies of constant expansion; leave out the factor or "
-                "the bolts"
+                f"{growing[0]}: bolts need bodies of constant expansion and modulus; leave out "
+                "the factor or the bolts"
             )
         return self
 
@@ -316,7 +316,7 @@ class Case(Described, Section):
 
     @model_validator(mode="after")
     def _marched_by_its_model(self) -> Case:
-        if (reason := not_reducible(self)) is not None:
+        if (reason := not_reducible(self) or not_softening(self)) is not None:
             raise ValueError(reason)
         return self
 
@@ -371,18 +371,31 @@ def deforming_sections(case: Case) -> list[str]:
     ]
 
 
-def growth_sections(case: Case) -> list[str]:
-    """Return the sections that make expansion depend on temperature."""
+def solid_sections(case: Case) -> list[str]:
+    """Return the sections that make expansion or modulus depend on temperature."""
     return [
-        f"materials.{name}.expansion_factor"
+        f"materials.{name}.{key}"
         for name, material in case.materials.items()
-        if material.expansion_factor is not None
+        for key in ("expansion_factor", "youngs_modulus_factor")
+        if getattr(material, key) is not None
     ]
+
+
+def not_softening(case: Case) -> str | None:
+    """Return what a modulus that depends on temperature cannot be with; None if nothing."""
+    refused = [
+        *(["output.forces"] if case.output.forces else []),
+        *(["output.stress_probes"] if case.output.stress_probes else []),
+    ]
+    soft = [name for name in solid_sections(case) if name.endswith("youngs_modulus_factor")]
+    if not refused or not soft:
+        return None
+    return f"{refused[0]}: not with {soft[0]} so far; leave out one of them"
 
 
 def not_reducible(case: Case) -> str | None:
     """Return why a case cannot use the reduced model that it requests; None if it can."""
-    sections = [*secant_sections(case), *growth_sections(case)]
+    sections = [*secant_sections(case), *solid_sections(case)]
     if not sections or case.march.thermal == "full":
         return None
     return (

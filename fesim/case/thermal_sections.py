@@ -56,6 +56,7 @@ class MaterialSection(Section):
     conductivity_factor: FactorSection | None = None
     heat_capacity_factor: FactorSection | None = None
     expansion_factor: FactorSection | None = None
+    youngs_modulus_factor: FactorSection | None = None
 
 
 class StepInput(Section):

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from fesim.solid.friction_heat import FrictionHeat
     from fesim.solid.temperature_factor import ThermalGrowth
     from fesim.solid.variable_heat import VariableHeat
+    from fesim.solid.variable_stiffness import VariableStiffness
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,8 @@ class CondensedMachine:
         Heat of friction of the joints; default none.
     passing : Passing, optional
         What contact elements touch that move within the step; not with `variable`.
+    stiffness : VariableStiffness, optional
+        Temperature-dependent part of the stiffness; full model only, and without bolts.
     """
 
     thermal: ThermalCondensation
@@ -76,6 +79,7 @@ class CondensedMachine:
     growth: ThermalGrowth | None = None
     friction: FrictionHeat | None = None
     passing: Passing | None = None
+    stiffness: VariableStiffness | None = None
 
     def with_laws(self, laws: Laws) -> CondensedMachine:
         """Return the machine with other joint laws, on which no condensation depends."""

@@ -106,7 +106,7 @@ def step_heat(
         if not np.isfinite(size):
             break
         guesses, changes = [*guesses[-DEPTH:], at], [*changes[-DEPTH:], change]
-        at = _next(guesses, changes)
+        at = accelerated(guesses, changes)
     raise ConvergenceError(
         f"secant steps: temperatures still change by {size:.1e} K; take a shorter march.step_s, or "
         "smaller changes of conductivity_factor, heat_capacity_factor, convection_factor and "
@@ -114,13 +114,12 @@ def step_heat(
     )
 
 
-def _next(guesses: list[Array], changes: list[Array]) -> Array:
-    """Return the next iterate, at which linear extrapolation of the last changes is smallest."""
+def accelerated(guesses: list[Array], changes: list[Array]) -> Array:
+    """Return the iterate after some, where linear extrapolation of their changes is smallest."""
     step = guesses[-1] + changes[-1]
     if len(guesses) == 1:
         return step
     moves = np.diff(np.array(guesses), axis=0).T
     turns = np.diff(np.array(changes), axis=0).T
     weights = np.linalg.lstsq(turns, changes[-1], rcond=1e-10)[0]
-    accelerated: Array = step - (moves + turns) @ weights
-    return accelerated
+    return np.asarray(step - (moves + turns) @ weights)

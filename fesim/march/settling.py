@@ -13,6 +13,7 @@ from fesim.joint.gap import Equilibrium
 from fesim.joint.relaxation import relax
 from fesim.march.contact import ContactProblem
 from fesim.march.machine import CondensedMachine, State, Step, load_factors
+from fesim.march.softening import Acting, lifted
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
 
@@ -95,26 +96,41 @@ def initial_state(machine: CondensedMachine, inputs: Array | None = None) -> Sta
     ConvergenceError
         There is no equilibrium.
     """
+    return _at_zero(machine, undriven(machine) if inputs is None else inputs)[0]
+
+
+def _at_zero(machine: CondensedMachine, inputs: Array) -> tuple[State, Array | None]:
+    """The state at time zero, and what a changed modulus adds to the probes then."""
     count, start, tight = machine.contact.count, machine.start, machine.assembly
-    inputs = undriven(machine) if inputs is None else inputs
+    contact, lift = machine.contact, None
     ambient = np.zeros(machine.thermal.inputs.shape[0])
     temperature = ambient if start is None else start.temperature(inputs)
     opened = None
-    if tight is not None or machine.contact.loads is not None or start is not None:
-        grown = machine.contact.elastic.thermal_gap @ machine.strained(temperature)
+    if tight is not None or contact.loads is not None or start is not None:
+        grown = contact.elastic.thermal_gap @ machine.strained(temperature)
         opened = loaded_gap(machine, grown, inputs)
     bolted = None
     if tight is not None:
         bolted = Rest(tight.gap, tight.slip, tight.pressure, np.zeros((3, count)))
-    return State(
+    if machine.stiffness is not None and opened is not None:
+        without = opened
+
+        def settle(added: Array) -> Array:
+            rest = first_equilibrium(contact, None, without + added)
+            return exerted(contact, rest.gap, contact.traction(rest.gap, rest.slip).value)
+
+        lift = lifted(machine.stiffness, acting_on(machine, temperature, inputs), settle)
+        opened = without + lift.gap
+    state = State(
         index=0,
         temperature=temperature,
-        **first_equilibrium(machine.contact, bolted, opened)._asdict(),
+        **first_equilibrium(contact, bolted, opened)._asdict(),
         model=machine.thermal.model,
         frozen=np.zeros((7, count)),
         turning=np.zeros((2, count)),
         taken_over=False,
     )
+    return state, None if lift is None else lift.probes
 
 
 def at_rest(machine: CondensedMachine, inputs: Array | None = None) -> Step:
@@ -128,12 +144,15 @@ def at_rest(machine: CondensedMachine, inputs: Array | None = None) -> Step:
         At time zero; as for `initial_state`. Default: those of an `undriven` machine.
     """
     inputs = undriven(machine) if inputs is None else inputs
-    state, elastic = initial_state(machine, inputs), machine.contact.elastic
+    elastic = machine.contact.elastic
+    state, added = _at_zero(machine, inputs)
     displacement = elastic.probe_thermal @ machine.strained(state.temperature)
+    if added is not None:
+        displacement = displacement + added
     remainder = np.zeros(3 * machine.contact.count)
     if state.gap.any():
         value = machine.contact.traction(state.gap, state.slip).value
-        remainder = value.ravel() + elastic.reference * state.gap.ravel()
+        remainder = exerted(machine.contact, state.gap, value)
         displacement = displacement + elastic.probe_compliance @ (elastic.area * remainder)
     driven = np.zeros(len(inputs))
     if machine.contact.loads is not None:
@@ -154,6 +173,16 @@ def at_rest(machine: CondensedMachine, inputs: Array | None = None) -> Step:
         cuts=0,
         heat_balance=0.0,
     )
+
+
+def exerted(contact: ContactProblem, gap: Array, value: Array) -> Array:
+    """Return z + k g (3 m,), Pa, of gaps and tractions (3, m)."""
+    return np.asarray(value.ravel() + contact.elastic.reference * gap.ravel())
+
+
+def acting_on(machine: CondensedMachine, temperature: Array, inputs: Array) -> Acting:
+    """Return what acts on the bodies at temperatures (n_heat,) and inputs (k + l,)."""
+    return Acting(temperature, machine.strained(temperature), load_factors(machine, inputs))
 
 
 def undriven(machine: CondensedMachine) -> Array:
@@ -187,7 +216,7 @@ def displaced(
         With the factors of the loads.
     """
     elastic = machine.contact.elastic
-    remainder = settled.traction.value.ravel() + elastic.reference * settled.gap.ravel()
+    remainder = exerted(machine.contact, settled.gap, settled.traction.value)
     displacement = elastic.probe_thermal @ strained + elastic.probe_compliance @ (
         elastic.area * remainder
     )

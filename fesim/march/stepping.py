@@ -19,12 +19,15 @@ from fesim.march.machine import CondensedMachine, State, Step
 from fesim.march.passing import pass_heat
 from fesim.march.secant_step import HeatLoads, HeatTaken, step_heat
 from fesim.march.settling import (
+    acting_on,
     displaced,
+    exerted,
     initial_state,
     loaded_gap,
     settle_along,
     settled_between,
 )
+from fesim.march.softening import lifted
 from fesim.march.track import Track, first_of, kernel_march, track_of
 from fesim.solid.friction_heat import GivenHeat, friction_work, given_heat
 from thermojoint.artefacts.arrays import Array
@@ -376,11 +379,23 @@ def _step_heated(
     heat = _conducted(machine, state.temperature, loads)
     strained = machine.strained(heat.temperature)
     thermal_gap = loaded_gap(machine, elastic.thermal_gap @ strained, inputs)
+    added = None
+    if machine.stiffness is not None:
+        without = thermal_gap
+
+        def settle(added: Array) -> Array:
+            found, _ = settle_along(machine.contact, state, without + added)
+            return exerted(machine.contact, found.gap, found.traction.value)
+
+        lift = lifted(machine.stiffness, acting_on(machine, heat.temperature, inputs), settle)
+        thermal_gap, added = without + lift.gap, lift.probes
     settled, cuts = settle_along(machine.contact, state, thermal_gap)
     pressure = machine.contact.preload + settled.traction.value[0]
     if machine.contact.watch is not None:
         machine.contact.watch.check(pressure, settled.traction.tangent)
     remainder, displacement = displaced(machine, strained, settled, inputs)
+    if added is not None:
+        displacement = displacement + added
     return Step(
         state=State(
             index=state.index + 1,

@@ -129,7 +129,7 @@ def kernel_march(machine: CondensedMachine) -> Callable[[State, Array], Track | 
     The returned function takes a state and inputs (n, k + l), and returns the steps before a joint
     snaps or a body comes loose; None if that happens in the first one.
     """
-    if not machine.contact.count or machine.friction is not None:
+    if not machine.contact.count or machine.friction or machine.stiffness:
         return None
     # Imported here because it loads a compiler, which structures without joints do not need.
     from fesim.march.kernel import new_kept, step_kernel

@@ -13,7 +13,11 @@ from fesim.setup.initial_temperature import initial_temperature
 from fesim.setup.loads import heat_sources, held_profiles, mechanical_loads
 from fesim.setup.parts import Parts
 from fesim.setup.structure import body_materials, measured_points
-from fesim.setup.temperature_dependence import reference_coefficients, reference_materials
+from fesim.setup.temperature_dependence import (
+    reference_coefficients,
+    reference_materials,
+    reference_moduli,
+)
 from fesim.solid.bolts import stretch_rows, temperature_rows
 from fesim.solid.elasticity import DIRECTIONS
 from fesim.solid.forces import nodal_forces
@@ -21,6 +25,7 @@ from fesim.solid.heat import HeatOperators, ThermalLoads, heat_operators
 from fesim.solid.joint_operators import JointOperators, joint_operators
 from fesim.solid.materials import Material
 from fesim.solid.spaces import Spaces, make_spaces, probe_rows
+from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
 
 
@@ -35,7 +40,7 @@ class Discretised:
     parts : Parts
         Structure, joints, bolts, probes.
     materials : dict of str to Material
-        Of every body.
+        Of every body; a modulus that depends on temperature in its middle.
     spaces : Spaces
         Finite-element spaces.
     operators : JointOperators
@@ -68,7 +73,7 @@ class Discretised:
 def discretised(case: Case, parts: Parts) -> Discretised:
     """Make spaces and operators of a case whose parts are checked."""
     structure, joints = parts.structure, parts.joints
-    materials = body_materials(case, structure)
+    materials = reference_moduli(case, body_materials(case, structure))
     spaces = make_spaces(structure.mesh)
     return Discretised(
         case=case,
@@ -80,9 +85,7 @@ def discretised(case: Case, parts: Parts) -> Discretised:
             structure,
             spaces.heat,
             reference_materials(case, materials),
-            ThermalLoads(
-                reference_coefficients(case), heat_sources(case, structure), held_profiles(case)
-            ),
+            thermal_loads(case, structure),
             joints,
         ),
         warm=initial_temperature(case, structure, spaces.heat),
@@ -90,6 +93,13 @@ def discretised(case: Case, parts: Parts) -> Discretised:
         stretch=stretch_rows(spaces.displacement, parts.bolts),
         ends=temperature_rows(spaces.heat, parts.bolts),
         rows=probe_rows(spaces.heat, structure, parts.probes),
+    )
+
+
+def thermal_loads(case: Case, structure: Structure) -> ThermalLoads:
+    """Return the convection, sources and held temperatures of a case."""
+    return ThermalLoads(
+        reference_coefficients(case), heat_sources(case, structure), held_profiles(case)
     )
 
 

@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from hashlib import sha256
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,19 +33,29 @@ from fesim.march.reduced import (
     thermal_modes,
 )
 from fesim.march.settling import initial_state
+from fesim.march.softening import Acting, lifted
 from fesim.march.start_field import start_field
 from fesim.setup.bolts import first_forces
 from fesim.setup.constraints import check_constrained
 from fesim.setup.discretised import Discretised, discretised, load_forces, relative_rows
 from fesim.setup.elastic import elastic_structure
 from fesim.setup.laws import joint_laws
-from fesim.setup.mesh_errors import MeshErrors, StressErrors, heat_errors, stress_errors
+from fesim.setup.mesh_errors import (
+    HeatErrors,
+    MeshErrors,
+    StressErrors,
+    dual_rows,
+    heat_errors,
+    stress_errors,
+    variable_errors,
+)
 from fesim.setup.outputs import asks_for_outputs, mechanical_outputs
 from fesim.setup.parts import Parts, make_parts
 from fesim.setup.soundness import explained_by_size, suspicions
 from fesim.setup.structure import body_materials
 from fesim.setup.temperature_dependence import (
     growth,
+    modulus_factors,
     variable_heat,
 )
 from fesim.solid.bolts import bolt_springs
@@ -63,6 +74,7 @@ from fesim.solid.outputs import MechanicalOutputs
 from fesim.solid.rigid_motions import Constraints
 from fesim.solid.spaces import Spaces
 from fesim.solid.substructures import TieCondensation
+from fesim.solid.variable_stiffness import VariableStiffness, soft_bodies
 from meshes.pairing import PairedJoint
 from meshes.structure import Probe, Structure
 from thermojoint.artefacts.display import Described
@@ -182,6 +194,8 @@ class Setup(Described):
         step : Step
             Of a march of this set-up.
         """
+        if self.machine.stiffness is not None:
+            return self.deformation(step)
         acting, remainder = self.acting(step), step.remainder
         if self.machine.assembly is not None:
             acting = acting - self.machine.assembly.factors[:-1]
@@ -197,8 +211,12 @@ class Setup(Described):
         step : Step
             Of a march of this set-up.
         """
-        temperature = self.machine.strained(self.nodal_temperature(step.state))
-        return self.field.solve(temperature, step.remainder, self.forces @ self.acting(step))
+        temperature = self.nodal_temperature(step.state)
+        strained = self.machine.strained(temperature)
+        if self.machine.stiffness is not None:
+            acting = Acting(temperature, strained, self.acting(step))
+            return lifted(self.machine.stiffness, acting, lambda _: step.remainder).moved
+        return self.field.solve(strained, step.remainder, self.forces @ self.acting(step))
 
 
 @dataclass(frozen=True)
@@ -246,7 +264,8 @@ def _condensed(case: Case, parts: Parts, keys: CacheKeys) -> Setup:
     modes = _modes(whole, keys, condensed)
     thermal = partial(_thermal, whole, modes)
     machine = _machine(whole, condensed, loads, modes, thermal(case.march.step_s))
-    errors = partial(_mesh_errors, whole, condensed, machine, stress)
+    machine = replace(machine, stiffness=_variable_stiffness(whole, field, forces))
+    errors = partial(_mesh_errors, whole, keys, condensed, machine, stress)
     bolts = None
     if parts.bolts:
         ends = whole.ends.toarray() if modes is None else whole.ends @ modes.basis
@@ -304,7 +323,8 @@ def _condensed_elasticity(
     solid, rows = make(), relative_rows(whole)
     # The factors are stored if loads, outputs or snapshots need them again; all at once only where
     # they are small.
-    again = case.loads or case.bolts or case.output.snapshots_s or asks_for_outputs(case)
+    soft = modulus_factors(case, whole.materials)
+    again = case.loads or case.bolts or case.output.snapshots_s or asks_for_outputs(case) or soft
     together = again or whole.spaces.displacement_size <= SMALL
 
     def condense() -> TieCondensation:
@@ -442,8 +462,20 @@ def _machine(
     )
 
 
+def _variable_stiffness(
+    whole: Discretised, field: Callable[[], DisplacementField], forces: NDArray[np.float64]
+) -> VariableStiffness | None:
+    """What the stiffness lacks where moduli depend on temperature."""
+    factors = modulus_factors(whole.case, whole.materials)
+    if not factors or whole.case.displacement is None:
+        return None
+    bodies = soft_bodies(whole.parts.structure, whole.spaces, whole.materials, factors)
+    return VariableStiffness(bodies, field, relative_rows(whole), forces)
+
+
 def _mesh_errors(
     whole: Discretised,
+    keys: CacheKeys,
     condensed: ElasticCondensation,
     machine: CondensedMachine,
     stress: StressErrors | None,
@@ -452,7 +484,15 @@ def _mesh_errors(
     if stress is None:
         return None
     conductance = machine.conductance_in(initial_state(replace(machine, assembly=None)))
-    return MeshErrors(*heat_errors(whole, condensed, machine.contact, conductance), stress)
+    rows = dual_rows(condensed, machine.contact)
+    given = sha256(rows.tobytes() + conductance.tobytes()).hexdigest()
+    heat = remembered(
+        HeatErrors,
+        keys.heat,
+        lambda: heat_errors(whole, rows, conductance),
+        also=f"off by {given} in {whole.case.march.duration_min!r} min",
+    )
+    return MeshErrors(heat, variable_errors(whole, heat.beyond), stress)
 
 
 def with_laws(setup: Setup, case: Case) -> Setup:

@@ -6,18 +6,28 @@ more than the condensation, and two products in a march.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import csr_array, diags_array
+from skfem import CellBasis
 
+from fesim.case.schema import secant_sections
 from fesim.march.contact import ContactProblem
-from fesim.setup.discretised import Discretised, relative_rows
+from fesim.march.machine import Step
+from fesim.setup.constraints import fixed_surfaces
+from fesim.setup.discretised import Discretised, relative_rows, thermal_loads
+from fesim.setup.temperature_dependence import reference_materials, variable_heat
 from fesim.solid.condensation import DisplacementField, ElasticCondensation, eliminate_held
 from fesim.solid.elasticity import DIRECTIONS
-from fesim.solid.heat import by_cell, capacity_form
+from fesim.solid.element_matrices import reference_shapes
+from fesim.solid.heat import HeatOperators, capacity_form, cell_field, heat_operators
+from fesim.solid.joint_operators import jumps
 from fesim.solid.linear_solver import checked_solve, factorise
-from fesim.solid.recovery import heat_error_rows, stress_error_rows
+from fesim.solid.materials import Material
+from fesim.solid.recovery import stress_error_rows
 from thermojoint.artefacts.arrays import Array
 
 
@@ -41,21 +51,57 @@ class StressErrors:
 
 
 @dataclass(frozen=True)
-class MeshErrors:
-    """Both errors of the mesh.
+class HeatErrors:
+    """Error of the displacement by the mesh of the temperatures, along three axes.
 
     Attributes
     ----------
-    heat : ndarray, shape (3, n_heat)
-        Of the displacement by the mesh of the temperatures, m/K.
-    stored : ndarray, shape (3, n_heat)
-        By heat capacities that are lumped at its nodes, per change of temperature in time, m s/K.
+    temperature : ndarray, shape (3, n_heat)
+        m/K.
+    rising : ndarray, shape (3, n_heat)
+        Per change of temperature in time, m s/K.
+    inputs : ndarray, shape (3, k)
+        Per unit of each input, m.
+    flow : ndarray, shape (3, m)
+        Per heat flow through each contact element, m/W.
+    beyond : ndarray, shape (n_high, 3)
+        Part of the dual temperatures of second order that those of first order lack, m/W.
+    """
+
+    temperature: Array
+    rising: Array
+    inputs: Array
+    flow: Array
+    beyond: Array
+
+    def on(self, basis: Array) -> HeatErrors:
+        """Return the same of the amplitudes of modes (n_heat, r)."""
+        return replace(self, temperature=self.temperature @ basis, rising=self.rising @ basis)
+
+    def of(self, step: Step, time: float) -> Array:
+        """Errors (3,), m, of a step that ends at a time, s, from rest and as if all rose evenly."""
+        warm, inputs = step.state.temperature, step.inputs[: self.inputs.shape[1]]
+        found = self.temperature @ warm + self.rising @ warm / time
+        return np.asarray(found + self.inputs @ inputs + self.flow @ step.heat_flow)
+
+
+@dataclass(frozen=True)
+class MeshErrors:
+    """Errors of the displacement by the meshes of temperatures and of displacements.
+
+    Attributes
+    ----------
+    heat : HeatErrors
+        By that of the temperatures.
+    variable : callable or None
+        Part of that by what depends on temperature: nodal temperatures (n_heat,), time (s) and
+        inputs (k + l,) to errors (3,), m.
     stress : StressErrors
         By that of the displacements.
     """
 
-    heat: Array
-    stored: Array
+    heat: HeatErrors
+    variable: Callable[[Array, float, Array], Array] | None
     stress: StressErrors
 
 
@@ -63,7 +109,8 @@ def stress_errors(whole: Discretised, field: DisplacementField, forces: Array) -
     """Return the rows of a case by the displacements (n,) under its probes' rows and `forces`."""
     structure, axes = whole.parts.structure, len(DIRECTIONS)
     duals = field.respond(relative_rows(whole)[:axes].toarray().T, "displacement's dual")
-    moved, heated = stress_error_rows(structure, whole.spaces, whole.materials, duals)
+    free = _free_facets(whole)
+    moved, heated = stress_error_rows(structure, whole.spaces, whole.materials, free, duals)
     answers = field.respond(moved, "displacement's dual")
     return StressErrors(
         (heated + field.structure.thermal_load.T @ answers).T,
@@ -72,29 +119,97 @@ def stress_errors(whole: Discretised, field: DisplacementField, forces: Array) -
     )
 
 
-def heat_errors(
-    whole: Discretised, condensed: ElasticCondensation, contact: ContactProblem, conducts: Array
-) -> tuple[Array, Array]:
-    """Return both rows of heat, with joints that stick and conduct as given, W/(m2 K).
+def _free_facets(whole: Discretised) -> NDArray[np.int64]:
+    """Facets of the boundary that no support, joint or load touches."""
+    case, structure = whole.case, whole.parts.structure
+    supports = [*fixed_surfaces(case), *case.supports.symmetry, *case.supports.springs]
+    loaded = [load.surface for load in case.loads.values() if load.surface is not None]
+    touched = [structure.surface(name, "supports") for name in (*supports, *loaded)]
+    touched += [side for joint in whole.parts.joints for side in (joint.facets_a, joint.facets_b)]
+    return np.setdiff1d(structure.mesh.boundary_facets(), np.concatenate([[], *touched]))
 
-    The dual temperatures are those after one step as long as the march, against the time.
-    """
+
+def dual_rows(condensed: ElasticCondensation, contact: ContactProblem) -> Array:
+    """Return the displacement per nodal temperature, (3, n_heat), m/K, with joints that stick."""
     problem, axes = contact.gap_problem, len(DIRECTIONS)
     tied = condensed.area * (condensed.reference - problem.springs)
     closing = (condensed.probe_compliance[:axes] * tied) @ problem.exchange
-    rows = condensed.probe_thermal[:axes] + closing @ condensed.thermal_gap
-    jump = whole.operators.jump
+    return np.asarray(condensed.probe_thermal[:axes] + closing @ condensed.thermal_gap)
+
+
+def heat_errors(whole: Discretised, rows: Array, conducts: Array) -> HeatErrors:
+    """Return the errors by `dual_rows`, with joints that conduct as given (m,), W/(m2 K).
+
+    The dual temperatures are of second order, after one step as long as the march. What they have
+    beyond first order is what the residual of the heat equation is multiplied with (Becker &
+    Rannacher 2001).
+    """
+    case, structure = whole.case, whole.parts.structure
+    low, solver = whole.spaces.heat, whole.case.march.solver
+    high, materials, fine = _second_order(whole)
+    stored = {name: m.density * m.heat_capacity for name, m in materials.items()}
+    capacity = csr_array(capacity_form.assemble(high, value=cell_field(structure, stored, high)))
+    jump = jumps(whole.parts.joints, whole.spaces.displacement)
     through = csr_array(jump.T @ diags_array(whole.operators.area * conducts) @ jump)
-    heat = replace(whole.heat, conduction=csr_array(whole.heat.conduction + through))
-    system, _ = eliminate_held(heat, 60.0 * whole.case.march.duration_min)
-    rows[:, heat.held] = 0.0
-    factor = factorise(system, "heat equation's dual", whole.case.march.solver)
-    duals = checked_solve(factor, rows.T, "heat equation's dual")
-    structure, basis = whole.parts.structure, whole.spaces.heat
-    stored = {name: m.density * m.heat_capacity for name, m in whole.materials.items()}
-    per_cell = np.tile(by_cell(structure, stored)[:, None], (1, basis.X.shape[-1]))
-    spread = capacity_form.assemble(basis, value=per_cell)
-    return (
-        heat_error_rows(structure, whole.spaces, whole.materials, duals).T,
-        (whole.heat.capacity @ duals - spread @ duals).T,
+    lifted = _lifted(low, high)
+    lost = csr_array(fine.conduction + fine.convection)
+    # Rows are integrals of a density, here per heat capacity: the same with functions of second
+    # order.
+    density = factorise(lifted.T @ capacity @ lifted, "density of the heat's dual", solver)
+    duals = capacity @ lifted @ checked_solve(density, rows.T, "density of the heat's dual")
+    duals[fine.held] = 0.0
+    joined = replace(fine, capacity=capacity, conduction=csr_array(fine.conduction + through))
+    system, _ = eliminate_held(joined, 60.0 * case.march.duration_min)
+    duals = checked_solve(factorise(system, "heat's dual", solver), duals, "heat's dual")
+    first = np.zeros((int(low.N), duals.shape[1]))
+    first[low.nodal_dofs[0]] = duals[high.nodal_dofs[0]]
+    beyond = duals - lifted @ first
+    lumped = whole.heat.capacity @ first - lifted.T @ (capacity @ (lifted @ first))
+    return HeatErrors(
+        temperature=-(lifted.T @ (lost @ beyond)).T,
+        rising=(lumped - lifted.T @ (capacity @ beyond)).T,
+        inputs=beyond.T @ fine.inputs,
+        flow=-(jump @ beyond).T,
+        beyond=beyond,
     )
+
+
+def variable_errors(
+    whole: Discretised, beyond: Array
+) -> Callable[[Array, float, Array], Array] | None:
+    """Return `MeshErrors.variable` of a case; `beyond` is that of its `HeatErrors`."""
+    if not secant_sections(whole.case):
+        return None
+    parts = whole.parts
+    high, materials, fine = _second_order(whole)
+    lifted = _lifted(whole.spaces.heat, high)
+    terms = variable_heat(whole.case, parts.structure, high, materials, parts.joints, fine)
+
+    def variable(warm: Array, time: float, inputs: Array) -> Array:
+        assert terms is not None
+        there = lifted @ warm
+        retained = terms.retained(np.zeros_like(there), there) / time
+        return np.asarray(-beyond.T @ (terms.lost(there, inputs) + retained))
+
+    return variable
+
+
+def _second_order(whole: Discretised) -> tuple[CellBasis, dict[str, Material], HeatOperators]:
+    """Space, materials and heat operators of temperatures of second order."""
+    case, structure = whole.case, whole.parts.structure
+    materials = reference_materials(case, whole.materials)
+    loads = thermal_loads(case, structure)
+    # A copy's, for it is large and not needed again.
+    high = replace(whole.spaces).elastic
+    return high, materials, heat_operators(structure, high, materials, loads, whole.parts.joints)
+
+
+def _lifted(low: CellBasis, high: CellBasis) -> csr_array:
+    """Functions of first order at the unknowns of second order, shape (n_high, n_low)."""
+    places = np.asarray(high.elem.doflocs).T
+    shapes, _ = reference_shapes(low.elem, places, len(low.element_dofs))
+    at, first = np.unique(high.element_dofs, return_index=True)
+    function, cell = np.divmod(first, high.element_dofs.shape[1])
+    columns, values = low.element_dofs[:, cell], shapes[:, function]
+    index = (np.tile(at, len(columns)), columns.ravel())
+    return csr_array((values.ravel(), index), shape=(int(high.N), int(low.N)))

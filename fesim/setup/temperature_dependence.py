@@ -48,6 +48,20 @@ def reference_materials(case: Case, materials: dict[str, Material]) -> dict[str,
     return found
 
 
+def reference_moduli(case: Case, materials: dict[str, Material]) -> dict[str, Material]:
+    """Return the bodies' materials with the middle of the moduli that have a factor."""
+    found = dict(materials)
+    for body, factor in modulus_factors(case, materials).items():
+        own = found[body]
+        found[body] = replace(own, youngs_modulus=factor.middle * own.youngs_modulus)
+    return found
+
+
+def modulus_factors(case: Case, materials: dict[str, Material]) -> dict[str, TemperatureFactor]:
+    """Return the factors on the moduli of the bodies that have one."""
+    return _factors(case, materials, "youngs_modulus_factor")
+
+
 def reference_coefficients(case: Case) -> dict[str, float]:
     """Return the constant coefficients by surface, W/(m2 K): convection and linear radiation."""
     coefficients = dict(case.convection_W_m2K)

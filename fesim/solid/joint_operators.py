@@ -48,15 +48,17 @@ def joint_operators(joints: Sequence[PairedJoint], spaces: Spaces) -> JointOpera
         return JointOperators(nothing, none_moves, np.empty(0), nothing)
     area = np.concatenate([joint.area for joint in joints])
     sides = [side_means(joint, spaces.heat) for joint in joints]
-    jump = vstack([side_a - side_b for side_a, side_b in sides], format="csr")
     mean = vstack([0.5 * (side_a + side_b) for side_a, side_b in sides], format="csr")
-    moves = [
-        side_b - side_a
-        for joint in joints
-        for side_a, side_b in [side_means(joint, spaces.displacement)]
-    ]
-    gap = directed(csr_array(vstack(moves, format="csr")), frames_of(joints))
-    return JointOperators(csr_array(jump), gap, area, csr_array(mean))
+    gap = directed(-jumps(joints, spaces.displacement), frames_of(joints))
+    return JointOperators(jumps(joints, spaces.heat), gap, area, csr_array(mean))
+
+
+def jumps(joints: Sequence[PairedJoint], basis: CellBasis) -> csr_array:
+    """Return rows (m, n) of the mean of a scalar on side a of all elements minus that on side b."""
+    if not joints:
+        return csr_array((0, basis.N))
+    sides = [side_means(joint, basis) for joint in joints]
+    return csr_array(vstack([side_a - side_b for side_a, side_b in sides], format="csr"))
 
 
 def frames_of(joints: Sequence[PairedJoint]) -> NDArray[np.float64]:

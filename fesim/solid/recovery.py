@@ -1,7 +1,8 @@
-"""Errors of the mesh in linear outputs, by recovered gradients (Zienkiewicz & Zhu 1987).
+"""Errors of the mesh in linear outputs, by recovered stresses (Zienkiewicz & Zhu 1987).
 
-A recovered gradient, its mean at each node over the cells of the same material, is compared with
-that of the solution. The error of an output is the inner product of these differences of the
+A recovered stress, its mean at each node over the cells of the same material, is compared with that
+of the solution. At a free surface it bears no traction, which also tells where a single element
+reaches across a wall. The error of an output is the inner product of these differences of the
 solution and of its dual, the solution under the output's own row as the load (Becker & Rannacher
 2001). It is linear in the solution, so it comes as a row.
 """
@@ -14,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, diags_array
-from skfem import CellBasis
+from skfem import CellBasis, Mesh
 from skfem.quadrature import get_quadrature
 
 from fesim.solid.element_matrices import CellGradients, cell_gradients, reference_shapes
@@ -22,49 +23,22 @@ from fesim.solid.heat import by_cell
 from fesim.solid.materials import Material
 from fesim.solid.spaces import Spaces
 from fesim.solid.stress import best_points
+from meshes.pairing import outward_areas
 from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
 
 #: Order of the quadrature of the differences.
 ORDER = 4
-
-
-def heat_error_rows(
-    structure: Structure, spaces: Spaces, materials: dict[str, Material], duals: Array
-) -> Array:
-    """Return rows, as columns (n_heat, k), that give the errors of outputs of temperatures.
-
-    Parameters
-    ----------
-    structure, spaces, materials
-        What is meshed, its spaces, and the material of every body.
-    duals : ndarray, shape (n_heat, k)
-        Temperatures under each output's row as heat, per W.
-    """
-    basis, corners = spaces.heat, structure.mesh.refdom.p
-    conductivity = by_cell(structure, {name: m.conductivity for name, m in materials.items()})
-    recovery = _recovery(structure, spaces, materials)
-    own = duals[basis.element_dofs]
-    rows, taken = np.zeros_like(duals), np.zeros((*basis.element_dofs.shape, duals.shape[1], 3))
-    for part, at in _batches(basis, (corners, np.ones(corners.shape[1]))):
-        taken[:, part] = np.einsum("cfjn,fck->nckj", at.gradient, own[:, part], optimize=True)
-    smooth, back = recovery.smoothed(taken), np.zeros_like(taken)
-    for part, at in _batches(basis, recovery.quadrature):
-        off = np.einsum("nq,nckj->ckjq", recovery.shapes, smooth[:, part])
-        off -= np.einsum("cfjq,fck->ckjq", at.gradient, own[:, part], optimize=True)
-        off *= (conductivity[part, None] * at.volume)[:, None, None]
-        back[:, part] = np.einsum("nq,ckjq->nckj", recovery.shapes, off)
-        shares = np.einsum("cfjq,ckjq->fck", at.gradient, off, optimize=True)
-        np.subtract.at(rows, basis.element_dofs[:, part], shares)
-    back = recovery.smoothed(back)
-    for part, at in _batches(basis, (corners, np.ones(corners.shape[1]))):
-        shares = np.einsum("cfjn,nckj->fck", at.gradient, back[:, part], optimize=True)
-        np.add.at(rows, basis.element_dofs[:, part], shares)
-    return rows
+#: Facets at a node are one surface where their normals vary by less than this, in the mean square.
+SMOOTH = 0.1
 
 
 def stress_error_rows(
-    structure: Structure, spaces: Spaces, materials: dict[str, Material], duals: Array
+    structure: Structure,
+    spaces: Spaces,
+    materials: dict[str, Material],
+    free: NDArray[np.int64],
+    duals: Array,
 ) -> tuple[Array, Array]:
     """Return rows, as columns (n, k) and (n_heat, k), that give the errors of outputs, m.
 
@@ -74,13 +48,15 @@ def stress_error_rows(
     Parameters
     ----------
     structure, spaces, materials
-        As for `heat_error_rows`.
+        What is meshed, its spaces, and the material of every body.
+    free : ndarray of int, shape (f,)
+        Facets of the boundary that bear no traction.
     duals : ndarray, shape (n, k)
         Displacements under each output's row as forces, per N.
     """
     basis, heat, count = spaces.displacement, spaces.heat, duals.shape[1]
     elastic = _Elastic.of(structure, materials)
-    recovery = _recovery(structure, spaces, materials)
+    recovery = _recovery(structure, spaces, materials, free)
     best = best_points(structure.mesh.t.shape[0])
     outwards = np.linalg.inv(reference_shapes(heat.elem, best, best.shape[1])[0])
     gauss = best, np.ones(best.shape[1])
@@ -125,19 +101,29 @@ class _Recovery:
         Points and weights of the reference cell.
     shapes : ndarray, shape (corners, q)
         Functions of the corners there.
+    inwards : ndarray, shape (corners, cells, 3, 3)
+        Projection on the directions along which a section through the node of a corner may bear
+        traction.
     """
 
     mean: csr_array
     quadrature: tuple[Array, Array]
     shapes: Array
+    inwards: Array
 
-    def smoothed(self, values: Array) -> Array:
-        """Means of values (corners, cells, ...) at the node of each corner."""
-        flat = values.reshape(self.mean.shape[0], -1)
-        return np.asarray(self.mean @ flat).reshape(values.shape)
+    def smoothed(self, stress: Array) -> Array:
+        """Means of stresses (corners, cells, k, 3, 3) at the node of each corner: symmetric."""
+        flat = stress.reshape(self.mean.shape[0], -1)
+        mean = np.asarray(self.mean @ flat).reshape(stress.shape)
+        return np.asarray(np.einsum("ncia,nckab,ncbj->nckij", self.inwards, mean, self.inwards))
 
 
-def _recovery(structure: Structure, spaces: Spaces, materials: dict[str, Material]) -> _Recovery:
+def _recovery(
+    structure: Structure,
+    spaces: Spaces,
+    materials: dict[str, Material],
+    free: NDArray[np.int64],
+) -> _Recovery:
     mesh = structure.mesh
     kinds = list(dict.fromkeys(materials.values()))
     kind = by_cell(structure, {name: kinds.index(m) for name, m in materials.items()})
@@ -147,7 +133,40 @@ def _recovery(structure: Structure, spaces: Spaces, materials: dict[str, Materia
     mean = csr_array(at.T @ diags_array(1.0 / np.bincount(node)) @ at)
     points, weights = get_quadrature(mesh.refdom, ORDER)
     shapes, _ = reference_shapes(spaces.heat.elem, points, len(mesh.t))
-    return _Recovery(mean, (points, weights), shapes)
+    return _Recovery(mean, (points, weights), shapes, _inwards(mesh, free)[mesh.t])
+
+
+def _inwards(mesh: Mesh, free: NDArray[np.int64]) -> Array:
+    """Projection (nodes, 3, 3) on what is perpendicular to all free facets at each node.
+
+    It is one at re-entrant edges and where other facets of the boundary begin: stresses may be
+    singular there. Facets that meet at less than about 40 degrees are one surface.
+    """
+    area = outward_areas(mesh, free)
+    size = np.linalg.norm(area, axis=1)
+    corners = mesh.facets[:, free]
+    spread = np.zeros((mesh.nvertices, 3, 3))
+    np.add.at(spread, corners, np.einsum("fi,fj->fij", area, area) / size[:, None, None])
+    whole = np.einsum("nii->n", spread)
+    values, vectors = np.linalg.eigh(spread / np.where(whole > 0.0, whole, 1.0)[:, None, None])
+    kept = vectors * (values < SMOOTH)[:, None, :]
+    inwards = np.einsum("nik,njk->nij", kept, kept)
+    # Convex where all cells around a node lie behind each free facet there.
+    cells = csr_array(
+        (np.ones(mesh.t.size), (mesh.t.ravel(), np.tile(np.arange(mesh.nelements), len(mesh.t)))),
+        shape=(mesh.nvertices, mesh.nelements),
+    )
+    node, facet = corners.ravel(), np.tile(np.arange(len(free)), len(corners))
+    pairs = cells[node].tocoo()
+    centre = mesh.p[:, mesh.t].mean(axis=1).T
+    away = centre[pairs.col] - mesh.p[:, node[pairs.row]].T
+    ahead = (away * area[facet[pairs.row]]).sum(axis=1) > 0.1 * size[facet[pairs.row]] * (
+        np.linalg.norm(away, axis=1)
+    )
+    inwards[np.unique(node[pairs.row[ahead]])] = np.eye(3)
+    others = np.setdiff1d(mesh.boundary_facets(), free)
+    inwards[mesh.facets[:, others]] = np.eye(3)
+    return np.asarray(inwards)
 
 
 @dataclass(frozen=True)

@@ -131,3 +131,38 @@ def test_what_single_contact_elements_leave_is_unknown(rocking):
     response = rocking(2, along=2, across=2)
     assert parts_of(response)["joint"] is None
     assert "joint unknown" in accuracy_line(response.attrs)
+
+
+def layer(folder, divisions, changes):
+    """A cantilever of square section, one element or more across, and what acts on it."""
+    beam = boxes({}, beam=((0.0, 0.0, 0.0), (0.2, 0.02, 0.02), divisions))
+    write_structure(beam, folder / "beam.vtu")
+    data = {
+        "title": "beam",
+        "structure": {"kind": "mesh", "file": "beam.vtu"},
+        "materials": {"metal": METAL},
+        "bodies": {"beam": "metal"},
+        "supports": {"fixed": ["beam.x0"]},
+        "march": {"step_s": 1e6, "duration_min": 1e5, "thermal": "full"},
+        "probes": {"tip": {"position_mm": [200.0, 0.0, 0.0]}},
+        "displacement": {"point": "tip"},
+    }
+    return simulate(case_from_data(data | changes, "beam", folder)).response
+
+
+ACTING = {
+    "force": {"loads": {"f": {"surface": "beam.x1", "force_N": [0.0, 200.0, 0.0]}}},
+    "heat": {
+        "sources": {"hot": {"surface": "beam.y1", "reference_power_W": 40.0}},
+        "heat_input": {"kind": "step", "level": 1.0},
+        "held_temperatures": {"beam.y0": {"rise_K": 0.0}, "beam.x0": {"rise_K": 0.0}},
+    },
+}
+
+
+@pytest.mark.parametrize("acting", ACTING)
+def test_a_single_element_across_a_wall_hides_no_error(tmp_path, acting):
+    coarse = layer(tmp_path, (4, 1, 1), ACTING[acting])
+    fine = layer(tmp_path, (16, 3, 3), ACTING[acting])["displacement"]
+    error = 1e6 * float(np.abs(coarse["displacement"] - fine).max())
+    assert 0.5 < error / parts_of(coarse)["mesh"] < 2.0

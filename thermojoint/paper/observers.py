@@ -20,8 +20,8 @@ from fesim.case.schema import (
     Case,
     MillingMachineSection,
     ProbeSection,
-    growth_sections,
     secant_sections,
+    solid_sections,
 )
 from fesim.case.thermal_sections import StepInput
 from fesim.one_thread import one_thread
@@ -89,7 +89,7 @@ def observers_beside(
     models ``joint_aware.h5`` and ``kalman_linear.h5`` and the reports on their parameters
     (``.json``) are written to `folder`.
     """
-    if case.held_temperatures or secant_sections(case) or growth_sections(case):
+    if case.held_temperatures or secant_sections(case) or solid_sections(case):
         reason = "held temperatures and properties that vary have no reduced-order model"
         yield lambda: ([], dict.fromkeys(KINDS, reason))
         return

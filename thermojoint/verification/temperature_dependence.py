@@ -1,4 +1,4 @@
-"""Temperature-dependent conductivity, convection, radiation and expansion, from case files.
+"""Temperature-dependent conductivity, convection, radiation, expansion and modulus, from cases.
 
 Closed forms for the steady state of a bar along x:
 
@@ -10,6 +10,12 @@ Closed forms for the steady state of a bar along x:
 
 A short bar of uniform temperature cools by convection h (1 + b T) T: with r = h A/C,
 T/(1 + b T) = T0/(1 + b T0) exp(-r t).
+
+With a modulus E0 (1 + b T) and temperatures linear from 0 to T1 between fixed ends, the stress is
+s = -alpha E0 b T1^2/(2 ln(1 + b T1)), and the middle moves by
+s L ln(1 + b T1/2)/(b E0 T1) + alpha T1 L/8. A free bar at T under a force F grows by
+alpha T L + F L/(A E0 (1 + b T)). One that presses on a joint with p = (a - g/c)^2, a^2 the preload,
+has p - a^2 = E0 (1 + b T) (alpha T + g/L).
 
 A bar that loses no heat warms by E = C (T + b T^2/2).
 
@@ -27,6 +33,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from scipy.constants import Stefan_Boltzmann, zero_Celsius
+from scipy.optimize import brentq
 
 from meshes.box_grid import put_side_by_side
 from meshes.exchange import write_structure
@@ -40,6 +47,7 @@ from thermojoint.verification.thermal_bar import (
     DENSITY,
     EXPANSION,
     LENGTH,
+    METAL,
     WIDTH,
     bar_case,
     run,
@@ -63,6 +71,7 @@ def checks() -> Iterator[Check]:
         yield from _conducting(folder)
         yield from _radiating(folder)
         yield from _growing(folder)
+        yield from _softening(folder)
         yield from _cooling(folder)
         yield from _storing(folder)
         yield from _enclosing(folder)
@@ -109,6 +118,77 @@ def _growing(folder: Path) -> Iterator[Check]:
         computed = response["displacement"][row].sel(axis="x").item()
         title = f"temperature dependence, expansion, {name}: growth"
         yield Quantity("displacement", "m", 1e-6).check(title, expected, computed)
+
+
+def _softening(folder: Path) -> Iterator[Check]:
+    modulus, moved = 1e9 * METAL["youngs_modulus_GPa"], Quantity("displacement", "m", 1e-6)
+    for name, factor, slope in (("rising", RISING, SLOPE), ("falling", FALLING, -SLOPE)):
+        metal = {"youngs_modulus_factor": factor}
+        held = {
+            "held_temperatures": {"x0": {"rise_K": 0.0}, "x1": {"rise_K": HOT}},
+            # Held all around, a bar without lateral contraction is one-dimensional.
+            "supports": {"symmetry": {f"{axis}{end}": axis for axis in "xyz" for end in "01"}},
+            "displacement": {"point": "middle"},
+        }
+        response = run(bar_case(folder, held, metal=metal), folder)
+        whole, half = np.log1p(slope * HOT), np.log1p(0.5 * slope * HOT)
+        # The stress times L/(E0 b T1).
+        pressed = -0.5 * EXPANSION * HOT * LENGTH / whole
+        expected = pressed * half + EXPANSION * HOT * LENGTH / 8.0
+        computed = response["displacement"][-1].sel(axis="x").item()
+        title = f"temperature dependence, {name} modulus between fixed ends: middle"
+        yield moved.check(title, expected, computed)
+        pulled = {
+            "initial_temperature": {"rise_K": 60.0},
+            "loads": {"pull": {"surface": "x1", "force_N": [4e4, 0.0, 0.0]}},
+            "march": {"step_s": 1.0, "duration_min": 0.05, "thermal": "full"},
+        }
+        response = run(bar_case(folder, pulled, metal=metal), folder)
+        soft = modulus * (1.0 + 60.0 * slope)
+        expected = LENGTH * (60.0 * EXPANSION + 4e4 / (WIDTH**2 * soft))
+        for when, row in (("start", 0), ("end", -1)):
+            computed = response["displacement"][row].sel(axis="x").item()
+            title = f"temperature dependence, {name} modulus under a force, {when}: growth"
+            yield moved.check(title, expected, computed)
+        yield _pressing(folder, f"{name} modulus on a joint", metal, soft)
+
+
+def _pressing(folder: Path, name: str, metal: dict[str, Any], soft: float) -> Check:
+    """Pressure of a warm bar, of a modulus in Pa, that a wall holds through a joint."""
+    coefficient, preload = 2e-9, 1e6
+    pressing: dict[str, Any] = {
+        "initial_temperature": {"rise_K": 60.0},
+        "walls": {"wall": {"faces": "x1"}},
+        "probes": {"end": {"position_mm": [1e3 * LENGTH, 0.0, 0.0], "body": "block"}},
+        "bodies": {"block": "metal", "wall": "metal"},
+        "joints": {
+            "joint": {
+                "side_a": "x1",
+                "side_b": "wall",
+                "preload_MPa": 1e-6 * preload,
+                "along": 2,
+                "across": 2,
+                "normal_law": "back-burdekin",
+                "back_burdekin": {"coefficient_um": 1e9 * coefficient, "exponent": 0.5},
+                "roughness_um": 1.0,
+                "asperity_slope": 0.1,
+                "hardness_GPa": 2.0,
+                "friction_coefficient": 0.0,
+            }
+        },
+        "march": {"step_s": 1.0, "duration_min": 0.05, "thermal": "full"},
+    }
+    response = run(bar_case(folder, pressing, metal=metal), folder)
+
+    def left(gap: float) -> float:
+        pressure = (np.sqrt(preload) - gap / coefficient) ** 2
+        return float(pressure - preload - soft * (60.0 * EXPANSION + gap / LENGTH))
+
+    gap = brentq(left, -60.0 * EXPANSION * LENGTH, 0.0, xtol=1e-18)
+    expected = preload + soft * (60.0 * EXPANSION + gap / LENGTH)
+    computed = response["pressure"][-1].mean().item()
+    title = f"temperature dependence, {name}"
+    return Quantity("pressure", "Pa", 1e-6).check(title, expected, computed)
 
 
 def _cooling(folder: Path) -> Iterator[Check]:

@@ -204,6 +204,7 @@ CONDENSED = {
     "sources.bearings.profile": {"expression": "1 + y_m"},
     "materials.cast_iron.conductivity_factor": {"rise_K": [0.0, 100.0], "factor": [1.0, 0.9]},
     "materials.cast_iron.expansion_factor": {"rise_K": [0.0, 100.0], "factor": [1.0, 1.1]},
+    "materials.cast_iron.youngs_modulus_factor": {"rise_K": [0.0, 100.0], "factor": [1.0, 0.9]},
     "convection_factor": {"exterior": {"rise_K": [0.0, 100.0], "factor": [1.0, 2.0]}},
     "radiation": {"exterior": {"emissivity": 0.9, "ambient_degC": 20.0}},
     "cavities": {"air": {"surfaces": ["interior"], "film_W_m2K": 3.0}},

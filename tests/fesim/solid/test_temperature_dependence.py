@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from batch_cases import case_text, grid
+from boxes import boxes
 from hypothesis import given
 from hypothesis import strategies as st
 from repository import ROOT
@@ -14,11 +15,13 @@ from fesim.case.schema import case_from_data, read_case
 from fesim.march.secant_step import HeatLoads, step_heat
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
+from fesim.snapshots import structure_snapshot
 from fesim.solid.temperature_factor import TemperatureFactor, thermal_growth
+from meshes.exchange import write_structure
 from thermojoint.artefacts.errors import ConvergenceError, InputError
 from thermojoint.paper.observers import observers_beside
 from thermojoint.verification.temperature_dependence import FALLING, RISING
-from thermojoint.verification.thermal_bar import FOREVER, bar_case, run
+from thermojoint.verification.thermal_bar import FOREVER, METAL, bar_case, run
 
 EXAMPLE = ROOT / "examples" / "warm_machine" / "machine.toml"
 FLAT = {"rise_K": [0.0], "factor": [1.0]}
@@ -61,6 +64,73 @@ def test_factors_of_one_are_the_constant_march(tmp_path):
     np.testing.assert_allclose(same["temperature"], plain["temperature"], rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(same["displacement"], plain["displacement"], rtol=1e-9, atol=1e-14)
     assert "secant_residual" not in plain
+
+
+def two_blocks(folder, gpa, **changes):
+    """A block pulled askew on a plate by a joint, both warm, the block of some modulus, GPa."""
+    structure = boxes(
+        {"joint": ("plate.z1", "block.z0")},
+        plate=((0.0, 0.0, -0.02), (0.1, 0.1, 0.0), (2, 2, 1)),
+        block=((0.0, 0.0, 0.0), (0.1, 0.1, 0.04), (2, 2, 1)),
+    )
+    write_structure(structure, folder / "blocks.vtu")
+    soft = METAL | {"youngs_modulus_GPa": gpa, "poisson_ratio": 0.3}
+    data = {
+        "title": "blocks",
+        "structure": {"kind": "mesh", "file": "blocks.vtu"},
+        "materials": {"metal": METAL, "soft": soft},
+        "bodies": {"plate": "metal", "block": "soft"},
+        "joints": {"joint": {"preload_MPa": 1.0, "along": 3, "across": 3} | RUBBING},
+        "supports": {"fixed": ["plate.z0"]},
+        "initial_temperature": {"rise_K": 30.0},
+        "loads": {"f": {"surface": "block.z1", "force_N": [2500.0, 0.0, 0.0]}},
+        "march": {"step_s": 20.0, "duration_min": 1.0, "thermal": "full"},
+        "convection_W_m2K": {"block.z1": 200.0},
+        "probes": {"tip": {"position_mm": [100.0, 100.0, 40.0], "body": "block"}},
+        "displacement": {"point": "tip"},
+        "output": {"snapshots_s": [60.0]},
+    }
+    data["materials"]["soft"] |= changes
+    return case_from_data(data, "blocks", folder)
+
+
+RUBBING = {
+    "roughness_um": 1.25,
+    "asperity_slope": 0.14,
+    "hardness_GPa": 2.0,
+    "friction_coefficient": 0.3,
+}
+
+
+def test_a_factor_on_the_modulus_is_the_modulus_that_it_gives(tmp_path):
+    """A joint that slides and opens settles with it, and snapshots have its stresses."""
+    halved = {"rise_K": [-100.0, -50.0], "factor": [1.5, 0.5]}
+    told = []
+    for case in (
+        two_blocks(tmp_path, 52.0),
+        two_blocks(tmp_path, 104.0, youngs_modulus_factor=halved),
+    ):
+        setup, steps = set_up(case), []
+        response = simulate(case, setup=setup, on_step=steps.append).response
+        told.append((response, structure_snapshot(setup, steps[-1]).point_data))
+    (plain, drawn), (soft, seen) = told
+    np.testing.assert_allclose(soft["displacement"], plain["displacement"], rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose(soft["pressure"], plain["pressure"], rtol=1e-6)
+    assert np.abs(plain["slip"]).max() > 1e-8
+    for name in ("displacement_m", "von_mises_Pa"):
+        np.testing.assert_allclose(
+            seen[name], drawn[name], rtol=1e-6, atol=1e-6 * drawn[name].max()
+        )
+    stiff = simulate(two_blocks(tmp_path, 104.0), accuracy=False).response
+    assert np.abs(stiff["displacement"] - plain["displacement"]).max() > 1e-7
+
+
+@pytest.mark.parametrize("asked", [{"forces": True}, {"stress_probes": ["tip"]}])
+def test_forces_and_stresses_of_a_changing_modulus_are_refused(tmp_path, asked):
+    case = two_blocks(tmp_path, 104.0, youngs_modulus_factor=FALLING)
+    data = case.model_dump(mode="json", exclude_unset=True) | {"output": asked}
+    with pytest.raises(InputError, match=r"materials\.soft\.youngs_modulus_factor so far"):
+        case_from_data(data, "blocks", tmp_path)
 
 
 def test_every_step_satisfies_its_own_equation(tmp_path):
@@ -143,6 +213,7 @@ def test_a_slip_about_what_depends_on_temperature_is_one_line(tmp_path, changes,
         "conductivity_factor",
         "heat_capacity_factor",
         "expansion_factor",
+        "youngs_modulus_factor",
         "convection_factor",
         "radiation",
     ],
