@@ -1,9 +1,9 @@
 """Meshing of CAD files with names by Gmsh (the extra ``gmsh``): STEP, IGES or BREP to MSH.
 
-Solids keep their names and become bodies. Faces shared by two solids become the two sides of
-a joint, ``BODY1_BODY2.a`` and ``.b``; a face that is only partly covered is divided there, so that
-its rest still convects. The solids are meshed apart: they share no node. Faces are named by points
-on them; those without a name are gathered as ``BODY_outer``.
+Solids keep their names and become bodies, unless others are given. Faces shared by two solids
+become the two sides of a joint, ``BODY1_BODY2.a`` and ``.b``; a face that is only partly covered is
+divided there, so that its rest still convects. The solids are meshed apart: they share no node.
+Faces are named by points on them; those without a name are gathered as ``BODY_outer``.
 """
 
 from __future__ import annotations
@@ -16,9 +16,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import combinations, product
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Annotated, Any, NamedTuple
 
-from thermojoint.artefacts.errors import InputError
+import numpy as np
+from pydantic import Field
+
+from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.files import whole_file
 from thermojoint.artefacts.settings.read import read_settings
 from thermojoint.artefacts.settings.section import Point, Section
@@ -34,25 +38,58 @@ LEAST_OVERLAP = 1e-3
 DimTag = tuple[int, int]
 
 
-class FaceNames(Section):
-    """A file of names: ``[surfaces_mm]`` with NAME = [[x, y, z], ...], points on its faces."""
+class NamesFile(Section):
+    """A file of names.
+
+    ``[surfaces_mm]`` with NAME = [[x, y, z], ...], points on its faces; ``[bodies_mm]`` with
+    NAME = [x, y, z], a point on its surface; ``[joints]`` with NAME = [BODY, BODY].
+    """
 
     surfaces_mm: dict[str, list[Point]] = {}
+    bodies_mm: dict[str, Point] = {}
+    joints: dict[str, Annotated[tuple[str, str], Field(strict=False)]] = {}
 
 
-def read_names(path: Path) -> dict[str, list[Point]]:
-    """Read the names of faces; points in m.
+class Names(NamedTuple):
+    """Names given to the parts of a CAD file.
+
+    Attributes
+    ----------
+    surfaces : mapping
+        Name to points on its faces, m.
+    bodies : mapping
+        Name to a point on its surface, m.
+    joints : mapping
+        Name to its two bodies, that of side ``.a`` first.
+    """
+
+    surfaces: Mapping[str, Sequence[Point]] = MappingProxyType({})
+    bodies: Mapping[str, Point] = MappingProxyType({})
+    joints: Mapping[str, tuple[str, str]] = MappingProxyType({})
+
+
+NO_NAMES = Names()
+
+
+def read_names(path: Path) -> Names:
+    """Read the names of faces, bodies and joints; points in m.
 
     Raises
     ------
     InputError
         The file is missing, not TOML, or has other contents.
     """
-    points_by_name = read_settings(FaceNames, path, "names").surfaces_mm
-    return {
-        name: [(1e-3 * x, 1e-3 * y, 1e-3 * z) for x, y, z in points]
-        for name, points in points_by_name.items()
-    }
+    given = read_settings(NamesFile, path, "names")
+    return Names(
+        {name: [_in_m(point) for point in points] for name, points in given.surfaces_mm.items()},
+        {name: _in_m(point) for name, point in given.bodies_mm.items()},
+        given.joints,
+    )
+
+
+def _in_m(point: Point) -> Point:
+    x, y, z = point
+    return 1e-3 * x, 1e-3 * y, 1e-3 * z
 
 
 def mesh_cad(
@@ -60,7 +97,7 @@ def mesh_cad(
     out: Path,
     size: float,
     order: int = 1,
-    names: Mapping[str, Sequence[Point]] | None = None,
+    names: Names = NO_NAMES,
 ) -> None:
     """Mesh a CAD file with tetrahedra and write it with its names, coordinates in m.
 
@@ -74,33 +111,20 @@ def mesh_cad(
         Largest element edge, m.
     order : int
         1, or 2 for curved cells.
-    names : mapping, optional
-        Name of a surface to points on its faces, m.
+    names : Names
+        Of faces, bodies and joints.
 
     Raises
     ------
     InputError
-        Gmsh is not installed, the file is unreadable or has no solid, a point lies on no face, or
-        Gmsh fails.
+        Gmsh is not installed, the file is unreadable or has no solid, a point lies on no face, a
+        joint's bodies do not touch, or Gmsh fails.
     """
-    if part.suffix.lower() not in SUFFIXES:
-        raise InputError(
-            f"{part}: unknown suffix {part.suffix!r}; give one of {', '.join(SUFFIXES)}"
-        )
-    if not part.is_file():
-        raise InputError(f"{part}: no such CAD file; check its name")
     if out.suffix != ".msh":
         raise InputError(f"{out}: the mesh is written as MSH; name it {out.stem}.msh")
-    with _gmsh_session() as gmsh:
-        with _in_one_line(part, "read it", "export it again"):
-            gmsh.model.occ.importShapes(str(part))
-            gmsh.model.occ.synchronize()
-        with _in_one_line(part, "find its joints", "correct solids that overlap"):
-            bodies = _bodies(gmsh)
-            if not bodies:
-                raise InputError(f"{part}: contains no solid; export solids, not surfaces")
-            sides = _joint_sides(gmsh, bodies)
-            surfaces = _surfaces(gmsh, bodies, sides, names or {})
+    with _opened(part, names) as (gmsh, bodies, sides):
+        with _in_one_line(part, "find its faces", "correct solids that overlap"):
+            surfaces = _surfaces(gmsh, bodies, sides, names.surfaces)
         with _in_one_line(part, "mesh it", "take another element size or correct the part"):
             for name, volume in bodies.items():
                 _group(gmsh, 3, [volume], name)
@@ -115,6 +139,86 @@ def mesh_cad(
                 gmsh.model.mesh.optimize("HighOrderElastic")
             with whole_file(out) as unfinished:
                 gmsh.write(str(unfinished))
+
+
+class Face(NamedTuple):
+    """A face that belongs to no joint.
+
+    Attributes
+    ----------
+    body : str
+    point : (float, float, float)
+        On it, away from its edges, m.
+    area : float
+        m2.
+    """
+
+    body: str
+    point: Point
+    area: float
+
+
+def free_faces(part: Path, size: float) -> tuple[list[Face], list[tuple[str, str]]]:
+    """Return the faces of a CAD file that belong to no joint, and the bodies of every joint.
+
+    Parameters
+    ----------
+    part : Path
+        One of `SUFFIXES`.
+    size : float
+        Largest edge of the triangles by which the points are found, m.
+
+    Raises
+    ------
+    InputError
+        As `mesh_cad`.
+    """
+    with _opened(part, NO_NAMES) as (gmsh, bodies, sides):
+        taken = {tag for tags in sides.values() for tag in tags}
+        with _in_one_line(part, "find its faces", "take another element size or correct the part"):
+            _check_size(gmsh, part, size)
+            gmsh.option.setNumber("Mesh.MeshSizeMax", size)
+            gmsh.model.mesh.generate(2)
+            faces = [
+                Face(body, _point_on(gmsh, tag), gmsh.model.occ.getMass(2, tag))
+                for body, volume in bodies.items()
+                for tag in _faces(gmsh, volume)
+                if tag not in taken
+            ]
+        touching = [pair for pair in combinations(bodies, 2) if f"{'_'.join(pair)}.a" in sides]
+        return faces, touching
+
+
+def _point_on(gmsh: Any, tag: int) -> Point:  # noqa: ANN401
+    """Return the point of a face below the triangle that is nearest to the middle of all."""
+    nodes, at, _ = gmsh.model.mesh.getNodes(2, tag, includeBoundary=True)
+    places = dict(zip(nodes.tolist(), at.reshape(-1, 3), strict=True))
+    (corners,) = gmsh.model.mesh.getElements(2, tag)[2]
+    middles = np.array([places[node] for node in corners.tolist()]).reshape(-1, 3, 3).mean(axis=1)
+    nearest = middles[np.linalg.norm(middles - middles.mean(axis=0), axis=1).argmin()]
+    x, y, z = gmsh.model.getClosestPoint(2, tag, nearest)[0]
+    return float(x), float(y), float(z)
+
+
+@contextmanager
+def _opened(part: Path, names: Names) -> Iterator[tuple[Any, dict[str, int], dict[str, list[int]]]]:
+    """Open a part in Gmsh: its bodies, and the faces of each side of its joints."""
+    if part.suffix.lower() not in SUFFIXES:
+        raise InputError(
+            f"{part}: unknown suffix {part.suffix!r}; give one of {', '.join(SUFFIXES)}"
+        )
+    if not part.is_file():
+        raise InputError(f"{part}: no such CAD file; check its name")
+    with _gmsh_session() as gmsh:
+        with _in_one_line(part, "read it", "export it again"):
+            gmsh.model.occ.importShapes(str(part))
+            gmsh.model.occ.synchronize()
+        with _in_one_line(part, "find its joints", "correct solids that overlap"):
+            bodies = _bodies(gmsh, names.bodies)
+            if not bodies:
+                raise InputError(f"{part}: contains no solid; export solids, not surfaces")
+            sides = _joint_sides(gmsh, bodies, names.joints)
+        yield gmsh, bodies, sides
 
 
 def _check_size(gmsh: Any, part: Path, size: float) -> None:  # noqa: ANN401
@@ -193,21 +297,32 @@ def _plain(label: str) -> str:
     return re.sub(r"[^A-Za-z0-9_.+-]+", "_", label.rsplit("/", 1)[-1]).strip("_.")
 
 
-def _bodies(gmsh: Any) -> dict[str, int]:  # noqa: ANN401
-    """Names of the solids; numbered if there is none or it is not unique."""
+def _bodies(gmsh: Any, given: Mapping[str, Point]) -> dict[str, int]:  # noqa: ANN401
+    """Names of the solids, those given first; numbered if there is none or it is not unique."""
+    named = {}
+    for name, point in given.items():
+        solids, _ = gmsh.model.getAdjacencies(2, _face_at(gmsh, name, point))
+        named[int(solids[0])] = name
     labels = {tag: _plain(gmsh.model.getEntityName(3, tag)) for _, tag in gmsh.model.getEntities(3)}
     all_names = list(labels.values())
-    return {
-        name if name and all_names.count(name) == 1 else f"{name or 'body'}_{tag}": tag
+    names = {
+        tag: name if name and all_names.count(name) == 1 else f"{name or 'body'}_{tag}"
         for tag, name in labels.items()
-    }
+    } | named
+    if len(set(names.values())) < len(names):
+        raise InputError(f"bodies {', '.join(names.values())}: two have the same name; rename one")
+    return {name: tag for tag, name in names.items()}
 
 
 def _faces(gmsh: Any, volume: int) -> list[int]:  # noqa: ANN401
     return [abs(tag) for _, tag in gmsh.model.getBoundary([(3, volume)], oriented=False)]
 
 
-def _joint_sides(gmsh: Any, bodies: Mapping[str, int]) -> dict[str, list[int]]:  # noqa: ANN401
+def _joint_sides(
+    gmsh: Any,  # noqa: ANN401
+    bodies: Mapping[str, int],
+    given: Mapping[str, tuple[str, str]],
+) -> dict[str, list[int]]:
     """Divide the solids' faces where they touch; return the faces of each joint side.
 
     The two sides get separate copies: a common one would glue their meshes together.
@@ -215,13 +330,22 @@ def _joint_sides(gmsh: Any, bodies: Mapping[str, int]) -> dict[str, list[int]]: 
     occ = gmsh.model.occ
     faces = {body: _faces(gmsh, volume) for body, volume in bodies.items()}
     patches: dict[str, dict[str, list[DimTag]]] = {body: {} for body in bodies}
-    for first, other in combinations(bodies, 2):
+    names = {pair: name for name, pair in given.items()}
+    for pair in combinations(bodies, 2):
+        first, other = pair if pair in names else pair[::-1] if pair[::-1] in names else pair
+        name = names.pop((first, other), f"{first}_{other}")
         shared = [
             patch for pair in product(faces[first], faces[other]) for patch in _shared(gmsh, *pair)
         ]
+        if not shared and name in given:
+            raise InputError(f"joints.{name}: {first} and {other} do not touch; remove it")
         if shared:
-            patches[first][f"{first}_{other}.a"] = shared
-            patches[other][f"{first}_{other}.b"] = occ.copy(shared)
+            patches[first][f"{name}.a"] = shared
+            patches[other][f"{name}.b"] = occ.copy(shared)
+    if names:
+        (first, other), name = next(iter(names.items()))
+        wrong = other if first in bodies else first
+        raise unknown_name("body", wrong, bodies, f"joints.{name}")
     sides_by_name = {}
     for body, sides in patches.items():
         tools = [patch for side in sides.values() for patch in side]
@@ -258,7 +382,9 @@ def _face_at(gmsh: Any, name: str, point: Point) -> int:  # noqa: ANN401
     at = occ.addPoint(*point)
     box = gmsh.model.getBoundingBox(-1, -1)
     size = max(high - low for low, high in zip(box[:3], box[3:], strict=True))
-    away = {tag: occ.getDistance(0, at, 2, tag)[0] for _, tag in gmsh.model.getEntities(2)}
+    tags = [tag for _, tag in gmsh.model.getEntities(2)]
+    near = [tag for tag in tags if _is_in_box(gmsh, tag, point, NEAR * size)]
+    away = {tag: occ.getDistance(0, at, 2, tag)[0] for tag in near or tags}
     occ.remove([(0, at)])
     nearest = min(away, key=lambda tag: away[tag])
     if away[nearest] > NEAR * size:
@@ -268,6 +394,11 @@ def _face_at(gmsh: Any, name: str, point: Point) -> int:  # noqa: ANN401
             f"{1e3 * away[nearest]:.3g} mm away"
         )
     return int(nearest)
+
+
+def _is_in_box(gmsh: Any, tag: int, point: Point, slack: float) -> bool:  # noqa: ANN401
+    box = gmsh.model.getBoundingBox(2, tag)
+    return all(box[k] - slack <= point[k] <= box[3 + k] + slack for k in range(3))
 
 
 def _shared(gmsh: Any, face: int, other: int) -> list[DimTag]:  # noqa: ANN401

@@ -73,6 +73,7 @@ FIRST = (
     "thermojoint/artefacts/test_response.py",
     "project/test_private_parts.py",
     "",
+    "thermojoint/setup_pages/test_setup_in_a_browser.py",
     "thermojoint/live/test_linuxcnc.py",
     "thermojoint/live/test_targets.py",
     "thermojoint/verification/test_verification.py",

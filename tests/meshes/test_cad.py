@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from step_files import write_step
 
-from meshes.cad import mesh_cad, read_names
+from meshes.cad import Names, free_faces, mesh_cad, read_names
 from meshes.exchange import read_structure
 from meshes.inspection import inspect
 from meshes.pairing import pair_joint
@@ -131,9 +131,30 @@ def test_points_name_faces(step, tmp_path):
 
 
 @needs_gmsh
+def test_bodies_and_joints_are_named_and_every_face_has_a_point(step, tmp_path):
+    faces, touching = free_faces(step, 0.02)
+    own = {face.body: face.point for face in faces}
+    points = {f"face_{k}": [face.point] for k, face in enumerate(faces)}
+    bodies = {f"a_{name}": point for name, point in own.items()}
+    joints = {f"j{k}": (f"a_{pair[1]}", f"a_{pair[0]}") for k, pair in enumerate(touching)}
+    mesh_cad(step, tmp_path / "part.msh", 0.02, names=Names(points, bodies, joints))
+    found = inspect(read_structure(tmp_path / "part.msh"))
+    assert set(found.bodies) == set(bodies)
+    assert set(found.joints) == set(joints)
+    for k, face in enumerate(faces):
+        assert found.surfaces[f"face_{k}"].area == pytest.approx(face.area, rel=0.1)
+        assert found.surfaces[f"face_{k}"].bodies == (f"a_{face.body}",)
+    assert not any(name.endswith("_outer") for name in found.surfaces)
+    for name, (first, _) in joints.items():
+        assert found.surfaces[f"{name}.a"].bodies == (first,)
+    with pytest.raises(InputError, match=r"joints\.slide: no body named 'pim'"):
+        mesh_cad(step, tmp_path / "part.msh", 0.02, names=Names({}, {}, {"slide": ("pim", "pin")}))
+
+
+@needs_gmsh
 def test_a_point_on_no_face_is_refused_with_the_distance(step, tmp_path):
     with pytest.raises(InputError, match=r"'foot': no face at \(-5, 20, 20\) mm.* 5 mm away"):
-        mesh_cad(step, tmp_path / "part.msh", 0.02, names={"foot": [(-0.005, 0.02, 0.02)]})
+        mesh_cad(step, tmp_path / "part.msh", 0.02, names=Names({"foot": [(-0.005, 0.02, 0.02)]}))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -184,7 +205,7 @@ def test_a_file_of_names_is_checked(tmp_path, text, message):
 
 def test_a_byte_order_mark_may_lead_a_file_of_names(tmp_path):
     (tmp_path / "names.toml").write_text("[surfaces_mm]\nfoot = [[0, 0, 0]]\n", "utf-8-sig")
-    assert read_names(tmp_path / "names.toml") == {"foot": [(0.0, 0.0, 0.0)]}
+    assert read_names(tmp_path / "names.toml").surfaces == {"foot": [(0.0, 0.0, 0.0)]}
 
 
 AFTERWARDS = """

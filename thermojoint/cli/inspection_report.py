@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.measure import Measurement
 from rich.table import Table
 
+from meshes.cad import Face
 from meshes.inspection import Inspection
 from thermojoint.artefacts.settings.toml import as_key, as_text
 from thermojoint.artefacts.templates import templates_of
@@ -66,6 +67,20 @@ def case_skeleton(mesh: Path, case: Path, unit: str, inspection: Inspection) -> 
         joints=[as_key(name) for name in inspection.joints],
         free=[name for name in inspection.surfaces if name not in sides],
         point=as_text(next(iter(inspection.probes), "P")),
+        key=as_key,
+        text=as_text,
+    )
+
+
+def names_draft(part: str, faces: Sequence[Face], touching: Sequence[tuple[str, str]]) -> str:
+    """Return the text of a file of names for every body, joint and face of a part."""
+    points = [", ".join(f"{1e3 * x:.6g}" for x in face.point) for face in faces]
+    template = templates_of("thermojoint.cli").get_template("names.toml.j2")
+    return template.render(
+        part=part,
+        bodies={face.body: point for face, point in zip(faces, points, strict=True)},
+        touching=touching,
+        faces=[(face, point) for face, point in zip(faces, points, strict=True)],
         key=as_key,
         text=as_text,
     )

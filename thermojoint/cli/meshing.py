@@ -37,32 +37,47 @@ def mesh(
     names: Annotated[
         Path | None,
         typer.Option(
-            help="TOML: \\[surfaces_mm] with NAME = \\[\\[x, y, z], ...], points on faces."
+            help="TOML: \\[surfaces_mm] with NAME = \\[\\[x, y, z], ...], points on faces; "
+            "\\[bodies_mm]; \\[joints]."
         ),
+    ] = None,
+    draft: Annotated[
+        Path | None,
+        typer.Option(help="File for --names to start from, to write: every face has a name here."),
     ] = None,
 ) -> None:
     """Mesh a CAD part with its names; needs Gmsh, the extra 'gmsh'.
 
     Solids become bodies, faces shared by two solids the two sides of a joint, and faces without a
-    name BODY_outer.
+    name BODY_outer. With --draft, they are face_1, face_2, ... instead.
 
     Example: [bold]thermojoint mesh part.step --size-mm 10 --out part.msh[/bold]
+
+    Example: [bold]thermojoint mesh part.step --size-mm 10 --draft names.toml --out part.msh[/bold]
     """
-    from meshes.cad import mesh_cad, read_names
+    from meshes.cad import NO_NAMES, free_faces, mesh_cad, read_names
     from meshes.exchange import read_structure
     from meshes.inspection import inspect as inspect_structure
     from thermojoint import console
+    from thermojoint.artefacts.files import write_text
     from thermojoint.cli import inspection_report
 
-    arguments.check_outputs({"--out": (out, file_kinds.MESH)}, [part, names])
+    outputs = {"--out": (out, file_kinds.MESH), "--draft": (draft, file_kinds.DRAFT)}
+    arguments.check_outputs(outputs, [part, names])
+    if names and draft:
+        raise InputError("--draft: has names for everything; leave out --names")
     if not 0.0 < size < math.inf:
         raise InputError(f"--size-mm {size:g}: give a positive length")
-    points = read_names(names) if names else None
+    given = read_names(names) if names else NO_NAMES
     with console.working("meshing"):
-        mesh_cad(part, out, 1e-3 * size, order, points)
+        if draft:
+            text = inspection_report.names_draft(part.name, *free_faces(part, 1e-3 * size))
+            write_text(draft, text)
+            given = read_names(draft)
+        mesh_cad(part, out, 1e-3 * size, order, given)
         inspection = inspect_structure(read_structure(out))
     inspection_report.show(console.out(), str(out), inspection)
-    console.wrote(out)
+    console.wrote(draft, out)
 
 
 def inspect(
@@ -71,6 +86,10 @@ def inspect(
         Unit, typer.Option(help="Unit of a mesh file's coordinates; a case states its own.")
     ] = Unit.m,
     out: Annotated[Path | None, typer.Option(help="Picture to write (PNG).")] = None,
+    faces: Annotated[
+        Path | None,
+        typer.Option(help="Picture of all surfaces with their names, from two sides (PNG)."),
+    ] = None,
     as_json: arguments.Json = None,
     skeleton: Annotated[
         Path | None, typer.Option("--case", help="Case file to start from, to write (TOML).")
@@ -94,14 +113,16 @@ def inspect(
 
     outputs = {
         "--out": (out, file_kinds.PICTURE),
+        "--faces": (faces, file_kinds.PICTURE),
         "--json": (as_json, file_kinds.INSPECTION),
         "--case": (skeleton, file_kinds.DRAFT),
     }
     arguments.check_outputs(outputs, [source])
-    if out:
+    if pictures := [path for path in (out, faces) if path]:
         from thermojoint.pictures.figures import check_png
 
-        check_png(out)
+        for path in pictures:
+            check_png(path)
     case = None
     if source.suffix == ".toml":
         if skeleton:
@@ -122,13 +143,18 @@ def inspect(
         write_text(
             skeleton, inspection_report.case_skeleton(source, skeleton, unit.value, inspection)
         )
-    if out:
+    if pictures:
         from thermojoint.pictures.stills import write_pictures
-        from thermojoint.pictures.view import bare_structure, whole_structure
+        from thermojoint.pictures.view import bare_structure, named_surfaces, whole_structure
 
-        drawn = bare_structure(structure) if case is None else whole_structure(case, structure)
-        write_pictures({out: drawn})
-    console.wrote(as_json, skeleton, out)
+        scenes = {}
+        if out:
+            drawn = bare_structure(structure) if case is None else whole_structure(case, structure)
+            scenes[out] = drawn
+        if faces:
+            scenes[faces] = named_surfaces(structure)
+        write_pictures(scenes)
+    console.wrote(as_json, skeleton, out, faces)
 
 
 def _with_loose_bodies(inspection: Inspection, case: Case, structure: Structure) -> Inspection:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import cycle
 
 import numpy as np
 
@@ -23,6 +24,10 @@ from thermojoint.pictures.scenes import (
 )
 
 _SIDE_COLOUR, _SOURCE_COLOUR = "#e0a100", "#c8301a"
+_SURFACE_COLOURS = (
+    *("#8fb8de", "#f2b880", "#a8d5a2", "#e6a4a4", "#c3b1e1", "#d2b48c", "#f4c2d7", "#b8b8b8"),
+    *("#dbdb8d", "#9edae5"),
+)
 #: Displayed distance of the other bodies from the joint, relative to the structure's size.
 _APART = 0.35
 
@@ -71,6 +76,45 @@ def structure_scene(
         tuple(marker for marker in named if _in_body(structure, marker, holder)),
     )
     return Scene((section, joint), caption)
+
+
+def surfaces_scene(structure: Structure, up: Vector) -> Scene:
+    """Named surfaces in colours of their own with their names, from two opposite sides.
+
+    Joints are named where they are; of the other surfaces each side names those that face it.
+    """
+    sides = {side: name for name, both in structure.joints.items() for side in both}
+    free = [name for name in structure.surfaces if name not in sides]
+    parts = [
+        replace(part(structure, structure.surface(name), colour), opacity=1.0)
+        for name, colour in zip(structure.surfaces, cycle(_SURFACE_COLOURS), strict=False)
+    ]
+    rest = bodies(structure, structure.surfaces).values()
+    surfaces = (*(one for one in rest if len(one.faces)), *parts)
+    joints = [
+        Marker(_centre(part(structure, structure.surface(both[0]), "")), f"joint {name}")
+        for name, both in structure.joints.items()
+    ]
+    flat = [k for k in range(3) if not up[k]]
+    main = np.eye(3)[flat[0]] + np.eye(3)[flat[1]]
+    panels = []
+    for sign, height in ((-1.0, 0.7), (1.0, -0.7)):
+        view = facing(sign * main, up, side=0.35, height=height)
+        names = [name for name in free if _faces(structure, name, view)]
+        markers = [Marker(_seen(structure, name, view), name) for name in names]
+        title = "from above" if height > 0.0 else "from below, the other side"
+        panels.append(Panel(title, surfaces, Camera(view, up), (*joints, *markers)))
+    return Scene(tuple(panels))
+
+
+def _seen(structure: Structure, surface: str, view: Vector) -> Vector:
+    """Return the middle of the facet that is nearest to the middle of those that face the eye."""
+    facets = structure.surface(surface)
+    facets = facets[outward_areas(structure.mesh, facets) @ np.asarray(view) > 0.0]
+    middles = structure.mesh.p[:, structure.mesh.facets[:, facets]].mean(axis=1).T
+    nearest = np.linalg.norm(middles - middles.mean(axis=0), axis=1).argmin()
+    x, y, z = middles[nearest]
+    return float(x), float(y), float(z)
 
 
 def onto(

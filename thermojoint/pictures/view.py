@@ -49,7 +49,7 @@ from thermojoint.pictures.scenes import (
     up_direction,
 )
 from thermojoint.pictures.show import Show, Up
-from thermojoint.pictures.structure_scene import structure_scene
+from thermojoint.pictures.structure_scene import structure_scene, surfaces_scene
 from thermojoint.plausibility import of_case
 
 if TYPE_CHECKING:
@@ -241,6 +241,11 @@ def bare_structure(structure: Structure) -> Scene:
     """Structure with its joints and its own points; z is up, as in CAD."""
     points = [Marker(probe.position, name) for name, probe in structure.probes.items()]
     return structure_scene(structure, [], points, up_direction(structure, ()))
+
+
+def named_surfaces(structure: Structure) -> Scene:
+    """Surfaces of a structure with their names, from two sides; z is up, as in CAD."""
+    return surfaces_scene(structure, up_direction(structure, ()))
 
 
 def field_scene(show: Show, case: Case, setup: Setup, step: Step, up: Up | None = None) -> Scene:

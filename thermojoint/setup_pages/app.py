@@ -23,7 +23,7 @@ from thermojoint.live.dashboard.assets import Asset, packed
 from thermojoint.live.dashboard.assets import asset as dashboard_asset
 from thermojoint.live.http.app import asset_answer
 from thermojoint.live.http.gate import body_of, refused
-from thermojoint.setup_pages import control_pages, log_pages
+from thermojoint.setup_pages import case_pages, control_pages, log_pages
 from thermojoint.setup_pages.gate import Gate, Key
 from thermojoint.setup_pages.place import ExistsError, Given, Place
 from thermojoint.setup_pages.settings_files import RefusedError
@@ -80,6 +80,10 @@ PAGES: Mapping[str, Page] = {
         control_pages.do_run,
         control_pages.is_running,
     ),
+    "part": Page("Part", "part", case_pages.show_part, case_pages.do_part),
+    "names": Page("Names", "part", case_pages.show_names, case_pages.do_names, case_pages.is_named),
+    "case": Page("Case", "part", case_pages.show_case, case_pages.do_case),
+    "result": Page("Result", "part", case_pages.show_result, case_pages.do_result),
 }
 
 
@@ -194,13 +198,13 @@ class Site:
             given = parse_qs(
                 body.decode("utf-8", "replace"), keep_blank_values=True, max_num_fields=MOST_VALUES
             )
-        return await anyio.to_thread.run_sync(self._answer, name, given)
+        return await anyio.to_thread.run_sync(self._answer, name, given, request.method)
 
-    def _answer(self, name: str, given: Given) -> Response:
+    def _answer(self, name: str, given: Given, method: str) -> Response:
         """Act on what was sent, and show the page: again, where it was refused."""
         errors: Mapping[str, Sequence[str]] = {}
         ask: Sequence[str] = ()
-        if given:
+        if method == "POST":
             try:
                 PAGES[name].do(self.place, given)
                 return RedirectResponse(f"/{name}", 303)
@@ -215,7 +219,7 @@ class Site:
         except ThermojointError as error:
             errors, shown = {"": [*errors.get("", ()), *str(error).splitlines()]}, {}
         text = _rendered(self.place, name, errors=errors, ask=ask, shown=shown, given=given)
-        return HTMLResponse(text, 400 if given else 200)
+        return HTMLResponse(text, 400 if errors else 200)
 
 
 async def _wrong(request: Request, error: Exception) -> Response:

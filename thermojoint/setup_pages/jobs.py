@@ -25,7 +25,7 @@ from thermojoint.artefacts.errors import InputError
 PATIENCE_S = 5.0
 #: Most characters of a record that are shown.
 MOST_SHOWN = 20_000
-_WRITTEN = re.compile(r"--(?:out|figure|json|draft|case)=(.*)")
+_WRITTEN = re.compile(r"--(?:out|figure|json|draft|case|faces)=(.*)")
 _READ = re.compile(r"--(?:mapping|settings|offsets|names)=(.*)|([^-].*)")
 _END = re.compile(r"^exit code (-?\d+)$")
 

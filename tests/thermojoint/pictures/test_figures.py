@@ -38,7 +38,7 @@ from thermojoint.pictures.scenes import (
     probe_position,
 )
 from thermojoint.pictures.structure_scene import structure_scene
-from thermojoint.pictures.view import FIELDS, field_scene, whole_structure
+from thermojoint.pictures.view import FIELDS, field_scene, named_surfaces, whole_structure
 
 PNG = b"\x89PNG\r\n\x1a\n"
 Y = (0.0, 1.0, 0.0)
@@ -168,6 +168,22 @@ def test_the_pressure_map_covers_the_joint_on_both_halves(coarse_setup, coarse_r
     assert surface.values == pytest.approx(np.tile(pressure / 1e6, 2))
     across = surface.points[surface.faces, 2]
     assert across[: area.size].max() < 0.25 < across[area.size :].min()
+
+
+def test_every_surface_is_named_on_the_side_that_it_faces(coarse_setup):
+    structure = coarse_setup.structure
+    above, below = named_surfaces(structure).panels
+    joints = {f"joint {name}" for name in structure.joints}
+    sides = {side for both in structure.joints.values() for side in both}
+    shown = [{marker.label for marker in panel.markers} for panel in (above, below)]
+    assert shown[0] & shown[1] >= joints
+    assert shown[0] | shown[1] == joints | (set(structure.surfaces) - sides)
+    for panel in (above, below):
+        for marker in panel.markers:
+            if marker.label in structure.surfaces:
+                facets = structure.surface(marker.label)
+                at = structure.mesh.p[:, structure.mesh.facets[:, facets]].mean(axis=1).T
+                assert np.abs(at - marker.position).max(axis=1).min() < 1e-12
 
 
 def test_the_structure_is_drawn_whole_with_its_points(coarse_case, coarse_setup):

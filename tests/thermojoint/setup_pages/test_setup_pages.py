@@ -41,6 +41,18 @@ handshake = { by = "target" }
 """
 
 
+FACES = """\
+[bodies_mm]
+bed = [0.0, 1.0, 2.0]
+block = [9.0, 9.0, 9.0]
+[joints]
+bed_block = ["bed", "block"]
+[surfaces_mm]
+face_1 = [[0.0, 1.0, 2.0]] # bed, 8 cm2
+face_2 = [[3.0, 4.0, 5.0]] # bed, 8 cm2
+"""
+
+
 @pytest.fixture
 def place(tmp_path):
     made = Place(tmp_path, Jobs(tmp_path))
@@ -247,6 +259,26 @@ def test_a_form_of_a_file_that_has_changed_since_is_refused(client, place):
     status, page = sent(client, "/offsets", file="offsets.toml", digest="old", rate_um_s="2")
     assert status == 400
     assert "has changed since" in page
+
+
+def test_names_are_written_by_points_and_come_back_into_the_form(client, place):
+    (place.folder / "part.step").write_text("")
+    recorded(place, "part", "$ thermojoint mesh part.step --size-mm=5", "exit code 0")
+    (place.folder / "faces.toml").write_text(FACES)
+    names = {"bodies_mm:bed": "base", "joints:bed_block": "slide", "surfaces_mm:face_1": "foot"}
+    assert sent(client, "/names", **names, **{"surfaces_mm:face_2": "foot"})[0] == 303
+    ended(place)
+    assert tomllib.loads(place.text("names.toml")) == {
+        "bodies_mm": {"base": [0.0, 1.0, 2.0], "block": [9.0, 9.0, 9.0]},
+        "joints": {"slide": ["base", "block"]},
+        "surfaces_mm": {"foot": [[0.0, 1.0, 2.0], [3.0, 4.0, 5.0]]},
+    }
+    page = client.get("/names").text
+    for name in ("base", "slide", "foot"):
+        assert f'value="{name}"' in page
+    same = {"bodies_mm:bed": "b", "bodies_mm:block": "b"}
+    assert "two have this name" in sent(client, "/names", **same)[1]
+    assert "use letters" in sent(client, "/names", **{"bodies_mm:bed": "a b"})[1]
 
 
 # Enabling
