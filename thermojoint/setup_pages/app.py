@@ -72,7 +72,13 @@ PAGES: Mapping[str, Page] = {
         control_pages.do_control,
         control_pages.is_complete,
     ),
-    "try": Page("Dry run", "log", control_pages.show_try, control_pages.do_try),
+    "try": Page(
+        "Dry run",
+        "log",
+        control_pages.show_try,
+        control_pages.do_try,
+        control_pages.is_tried,
+    ),
     "run": Page(
         "Run",
         "log",

@@ -264,6 +264,12 @@ def _table(place: Place, name: str) -> tuple[list[str], list[list[str]], int]:
         return header, first, len(first) + sum(1 for _ in rows)
 
 
+def is_tried(place: Place) -> bool:
+    """Whether the dry run has ended well; what is enabled has been tried."""
+    enabled = _kind(place) in CONTROLS and _is_enabled(place)
+    return place.is_done("try") or (enabled and place.record("try").code == 0)
+
+
 def do_try(place: Place, given: Given) -> None:
     """Try without writing; then enable what was tried, or disable it."""
     service, kind = read_service(place.path(place.existing(SERVICE))), _kind(place)

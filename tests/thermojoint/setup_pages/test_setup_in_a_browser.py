@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -13,7 +14,6 @@ import tomllib
 
 import httpx
 import pytest
-from live_parts import free_port
 from machine_logs import as_csv, machine_log
 from repository import ROOT
 
@@ -106,8 +106,16 @@ def played(log, path):
         machine.join()
 
 
+def port_for_long():
+    """A free port that no connection of the browser takes meanwhile."""
+    for port in range(20_000 + os.getpid() % 5000, 30_000):
+        with contextlib.suppress(OSError), socket.create_server(("127.0.0.1", port)):
+            return port
+    raise AssertionError("no port is free")
+
+
 def test_from_a_log_to_a_service_whose_offset_follows(pages, tmp_path):
-    page, port = pages, free_port()
+    page, port = pages, port_for_long()
     log = machine_log(hours=14.0, interval=INTERVAL)
     page.set_input_files("#file", as_csv(log, tmp_path.parent / f"{tmp_path.name}.csv"))
     page.wait_for_selector(".files a")
