@@ -90,7 +90,7 @@ def _project(columns: np.ndarray, data: np.ndarray, ridge: float) -> _Projection
     target = np.vstack([data, np.zeros((p, data.shape[1]))])
     orthogonal, triangle = np.linalg.qr(stacked)
     seen = orthogonal.T @ target
-    scaled, _ = dtrtrs(triangle, seen)
+    scaled = _solved(triangle, seen)
     return _Projection(scale, orthogonal, triangle, scaled, target - orthogonal @ seen)
 
 
@@ -101,6 +101,14 @@ def solve_linear(columns: np.ndarray, data: np.ndarray, ridge: float) -> np.ndar
     """
     part = _project(columns, data, ridge)
     return part.scaled / part.scale[:, None]
+
+
+def _solved(triangle: np.ndarray, right: np.ndarray, transposed: bool = False) -> np.ndarray:
+    """Solve with an upper triangle; SciPy's checks would cost more than these small systems."""
+    solution, zero = dtrtrs(triangle, right, trans=int(transposed))
+    if zero:
+        raise np.linalg.LinAlgError(f"column {zero} depends on those before it")
+    return np.asarray(solution)
 
 
 def _jacobian(part: _Projection, columns: np.ndarray, slopes: np.ndarray) -> np.ndarray:
@@ -116,7 +124,7 @@ def _jacobian(part: _Projection, columns: np.ndarray, slopes: np.ndarray) -> np.
     m, k = part.residual.shape[1], slopes.shape[2]
     moved = np.einsum("npk,pm->nmk", scaled_slopes, part.scaled).reshape(n, m * k)
     seen = np.einsum("npk,nm->pmk", scaled_slopes, part.residual[:n]).reshape(p, m * k)
-    back, _ = dtrtrs(part.triangle, seen, trans=1)
+    back = _solved(part.triangle, seen, transposed=True)
     out = part.orthogonal @ (part.orthogonal[:n].T @ moved - back)
     out[:n] -= moved
     return out.reshape(n + p, m, k)
