@@ -30,7 +30,7 @@ _standard = {}
 
 
 def _copied(nodes):
-    """Nodes of a server of their own; it replaces what a value or a reference is, and changes none."""
+    """Nodes of a server of their own; it replaces values and references, and changes none."""
     copies = {}
     for name, node in nodes.items():
         copies[name] = one = NodeData(node.nodeid)
@@ -40,7 +40,7 @@ def _copied(nodes):
 
 
 async def _load_standard_address_space(server, shelf_file=None):
-    """Six thousand nodes take a second of processor time: made once for all servers of a process."""
+    """Made once for all servers of a process: six thousand nodes take a second."""
     if not _standard:
         await _made_whole(server, shelf_file)
         _standard.update(_copied(server.aspace._nodes))
