@@ -539,7 +539,9 @@ def killed_files(place: Path, kills: int, draw: random.Random) -> dict[str, int]
 
 def violations(found: dict[str, Any]) -> list[str]:
     """Return what does not hold in what `play` found."""
-    limits = {"largest_um": LARGEST + 0.05, "oldest_behind_good_s": OLDEST_S + LOOKS_S + LATE_S}
+    # A message stays with a control until it notices that the service is gone.
+    oldest = OLDEST_S + max(LOOKS_S, SILENT_S) + LATE_S
+    limits = {"largest_um": LARGEST + 0.05, "oldest_behind_good_s": oldest}
     return [
         f"{name}: {key} {one[key]}"
         for name, one in found["controls"].items()

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from asyncua import Client, Server, ua
 from asyncua.crypto.permission_rules import User, UserRole
+from asyncua.server.history import HistoryDict
 from live_parts import Broker, client_of, free_port, message, needs_broker, serving, until
 from prometheus_client import generate_latest
 from small_disk import fill, mounted
@@ -28,7 +29,10 @@ from estimator.quality import Quality
 from estimator.registry import open_estimator
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.archive import Archive
+from thermojoint.live.arrivals import Arrival
 from thermojoint.live.certificates import own_identity
+from thermojoint.live.opcua_session import Reached
+from thermojoint.live.readers.opcua import OpcuaReader
 from thermojoint.live.reserve import SLICE
 from thermojoint.live.service import run
 from thermojoint.live.settings import read_service
@@ -665,6 +669,35 @@ def test_a_machine_that_tells_opcua_is_estimated_sample_by_sample(opcua_day, exp
 def test_what_came_while_the_service_was_away_is_read_from_the_machines_history(opcua_day):
     base, _ = opcua_day
     assert not [one for one in said_in(base).holes if one.since >= START]
+
+
+def test_a_history_that_a_server_stores_late_is_waited_for():
+    class Late(HistoryDict):
+        async def save_node_value(self, node_id, datavalue):
+            await asyncio.sleep(0.5)
+            await super().save_node_value(node_id, datavalue)
+
+    async def live():
+        server, port, found = Server(), free_port(), []
+        await server.init()
+        server.iserver.history_manager.set_storage(Late())
+        server.set_endpoint(f"opc.tcp://127.0.0.1:{port}")
+        node = await server.nodes.objects.add_variable(ua.NodeId("T", 2), "T", 0.0)
+        await server.write_attribute_value(node.nodeid, _value(0.0, START))
+        async with server:
+            await server.iserver.enable_history_data_change(node, timedelta(days=3650), 10_000)
+            for k in range(1, 6):
+                await server.write_attribute_value(node.nodeid, _value(float(k), START + k))
+            reached = Reached(f"opc.tcp://127.0.0.1:{port}", None, None, None, None, None)
+            reader = OpcuaReader(reached, {"ns=2;s=T": ("mill", 0)}, {"mill": 1}, 100, 50.0)
+            async with contextlib.aclosing(reader.read({"mill": START})) as arrivals:
+                async for some in arrivals:
+                    found += [one.time for one in some if isinstance(one, Arrival)]
+                    if START + 5.0 in found:
+                        break
+        assert sorted(set(found)) == [START + k for k in range(1, 6)]
+
+    asyncio.run(live())
 
 
 def test_values_carry_the_time_of_their_sample_and_opcuas_own_status(opcua_day):

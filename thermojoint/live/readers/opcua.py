@@ -34,6 +34,9 @@ _AT_ONCE = 64
 _MOST_HISTORY = 100_000
 #: Variables in one request.
 _AT_A_TIME = 500
+#: A server may store its history late: as long as it has not the present value, it is read again
+#: after this time, for so long, s.
+_AGAIN_S, _LATE_S = 0.1, 3.0
 #: Largest number of values of one variable that the server queues between two publications.
 _QUEUE = 1000
 
@@ -115,16 +118,9 @@ class OpcuaReader:
                     machine, _ = places[node.nodeid]
                     self._put(Note("unreadable", f"{node.nodeid}: {result.name}", machine))
         self._put(Note("connected", f"OPC UA {self.reached.url}"))
-        for at, (machine, value) in sorted(
-            [
-                (_time(value), (node.nodeid, value))
-                for node in nodes
-                for value in await self._history(node, places[node.nodeid])
-            ],
-            key=lambda item: item[0],
-        ):
-            del at
-            self._take(places, machine, value)
+        stored = await self._stored(client, nodes, places)
+        for nodeid, value in sorted(stored, key=lambda item: _time(item[1])):
+            self._take(places, nodeid, value)
         # Then the values that arrived meanwhile.
         for nodeid, value in missed:
             self._take(places, nodeid, value)
@@ -133,18 +129,40 @@ class OpcuaReader:
             await asyncio.sleep(_ALIVE_S)
             await asyncio.wait_for(client.nodes.server_state.read_value(), TIMEOUT_S)
 
-    async def _history(self, node: Node, place: tuple[str, int]) -> list[ua.DataValue]:
-        """Return a variable's history since its last reading; empty if the server keeps none."""
-        since = self._newest.get(place)
-        if since is None:
-            return []
-        try:
-            values = await node.read_raw_history(
-                datetime.fromtimestamp(since, UTC), None, numvalues=_MOST_HISTORY
-            )
-        except ua.UaStatusCodeError:
-            return []
-        return [value for value in values if _time(value) > since]
+    async def _stored(
+        self, client: Client, nodes: Sequence[Node], places: Mapping[ua.NodeId, tuple[str, int]]
+    ) -> list[tuple[ua.NodeId, ua.DataValue]]:
+        """Return the history of every variable since its last reading, up to its present value."""
+        # Whatever is newer than these comes by the subscription.
+        present: dict[ua.NodeId, float] = {}
+        for k in range(0, len(nodes), _AT_A_TIME):
+            some = nodes[k : k + _AT_A_TIME]
+            values = await client.read_attributes(some)
+            present |= {node.nodeid: _time(one) for node, one in zip(some, values, strict=True)}
+        since = {
+            node: self._newest[place]
+            for node in nodes
+            if (place := places[node.nodeid]) in self._newest
+        }
+        wanted = [node for node in since if not present[node.nodeid] <= since[node]]
+        found: dict[ua.NodeId, list[ua.DataValue]] = {}
+        end = clock.monotonic() + _LATE_S
+        while wanted:
+            late = []
+            for node in wanted:
+                try:
+                    values = await node.read_raw_history(
+                        datetime.fromtimestamp(since[node], UTC), None, numvalues=_MOST_HISTORY
+                    )
+                except ua.UaStatusCodeError:
+                    continue  # It keeps none.
+                found[node.nodeid] = [one for one in values if _time(one) > since[node]]
+                newest = max(map(_time, found[node.nodeid]), default=since[node])
+                if newest < present[node.nodeid]:
+                    late.append(node)
+            wanted = late if clock.monotonic() < end else []
+            await asyncio.sleep(_AGAIN_S if wanted else 0.0)
+        return [(nodeid, value) for nodeid, values in found.items() for value in values]
 
     def _take(
         self,
