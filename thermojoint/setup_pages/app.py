@@ -25,14 +25,14 @@ from thermojoint.live.http.app import asset_answer
 from thermojoint.live.http.gate import body_of, refused
 from thermojoint.setup_pages import case_pages, control_pages, log_pages
 from thermojoint.setup_pages.gate import Gate, Key
-from thermojoint.setup_pages.place import ExistsError, Given, Place
+from thermojoint.setup_pages.place import SHOWN, ExistsError, Given, Place
 from thermojoint.setup_pages.settings_files import RefusedError
 from thermojoint.setup_pages.uploads import LARGEST_PIECE, take_piece
 
 #: Largest form, bytes, and most values in it.
 LARGEST_FORM, MOST_VALUES = 1 << 20, 20_000
 #: Files that a browser shows as text.
-_TEXTS = (".csv", ".txt", ".tsv", ".toml", ".json", ".ini")
+_TEXTS = (".csv", ".txt", ".tsv", ".toml", ".json", ".ini", ".former")
 _OWN = ("setup.css", "upload.js")
 
 
@@ -168,6 +168,8 @@ class Site:
     def file(self, request: Request) -> Response:
         """Return a file of the folder."""
         path = self.place.path(self.place.existing(request.path_params["name"]))
+        if path.suffix.lower() not in SHOWN:
+            raise HTTPException(404, "files of this kind are not shown here")
         if path.suffix == ".png":
             return FileResponse(path, media_type="image/png")
         if path.suffix in _TEXTS:

@@ -52,7 +52,7 @@ KINDS: Mapping[str, str] = {
 }
 #: Writes of a dry run that a page shows.
 SHOWN = 500
-_TOKEN, _CNC_TOKEN, _CNC_DAYS = "token.txt", "linuxcnc-token.txt", 365.0
+_TOKEN, _CNC_TOKEN, _CNC_DAYS = "dashboard.token", "linuxcnc.token", 365.0
 _AXIS = "axis:"
 _USUAL_NUMBERS = {"X": 1, "Y": 2, "Z": 3}
 

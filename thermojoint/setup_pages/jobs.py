@@ -167,7 +167,9 @@ class Jobs:
             run.cancelled, process = True, run.process
             if process is not None:
                 process.terminate()
-                threading.Timer(PATIENCE_S, _kill, [process]).start()
+                killer = threading.Timer(PATIENCE_S, _kill, [process])
+                killer.daemon = True
+                killer.start()
 
     def close(self) -> None:
         """Stop what runs, and wait for its end."""
@@ -178,19 +180,22 @@ class Jobs:
 
     def _work(self, run: _Run, record: IO[bytes], commands: Sequence[Command]) -> None:
         code = 0
-        with record:
-            for words in commands:
-                record.write(f"$ {shlex.join(['thermojoint', *words])}\n".encode())
-                with self._lock:
-                    if run.cancelled:
+        try:
+            with record:
+                for words in commands:
+                    record.write(f"$ {shlex.join(['thermojoint', *words])}\n".encode())
+                    with self._lock:
+                        if run.cancelled:
+                            break
+                        run.process = started(words, self.folder, record)
+                    code = run.process.wait()
+                    if code:
                         break
-                    run.process = started(words, self.folder, record)
-                code = run.process.wait()
-                if code:
-                    break
-            said = "cancelled\n" if run.cancelled else ""
-            record.write(f"{said}exit code {code or int(run.cancelled)}\n".encode())
-        self._run = None
+                said = "cancelled\n" if run.cancelled else ""
+                record.write(f"{said}exit code {code or int(run.cancelled)}\n".encode())
+        finally:
+            # Also where the disk is full: the record then has no exit code.
+            self._run = None
 
 
 def started(words: Command, folder: Path, output: IO[bytes]) -> subprocess.Popen[bytes]:

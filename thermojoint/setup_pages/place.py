@@ -21,6 +21,13 @@ TABLES = (".csv", ".txt", ".tsv", ".xlsx", ".parquet")
 CAD = (".step", ".stp", ".iges", ".igs", ".brep")
 MESHES = (".msh", ".inp", ".med", ".vtu", ".vtk")
 RESPONSES = (".nc",)
+#: What a set-up can need: logs, models, parts, a control's files and certificates.
+TAKEN = (
+    *(*TABLES, *CAD, *MESHES, *RESPONSES),
+    *(".json", ".h5", ".toml", ".ini", ".der", ".pem", ".crt"),
+)
+#: What the pages show: no secrets, whose names have no ending or another one.
+SHOWN = (*TAKEN, ".png", ".former")
 #: Of files that the pages take or show: no folder, nothing hidden, nothing like an option.
 _NAME = re.compile(r"[^\W_][\w .,()+-]{0,120}")
 MAPPING = "columns.toml"
@@ -86,9 +93,9 @@ class Place:
         return self.path(name).read_text("utf-8") if self.has(name) else ""
 
     def all_files(self) -> list[str]:
-        """Return the files that the pages take or show."""
-        names = (path.name for path in self.folder.iterdir() if path.is_file())
-        return sorted(name for name in names if _NAME.fullmatch(name))
+        """Return the files that the pages show."""
+        files = (path for path in self.folder.iterdir() if path.suffix.lower() in SHOWN)
+        return sorted(one.name for one in files if _NAME.fullmatch(one.name) and one.is_file())
 
     def files(self, *suffixes: str) -> list[str]:
         """Return the files with one of some suffixes."""

@@ -6,15 +6,10 @@ import hashlib
 from contextlib import suppress
 
 from thermojoint.artefacts.errors import InputError
-from thermojoint.setup_pages.place import CAD, MESHES, RESPONSES, TABLES, Place
+from thermojoint.setup_pages.place import TAKEN, Place
 
 #: Largest piece and largest file, bytes.
 LARGEST_PIECE, LARGEST_FILE = 1 << 20, 1 << 30
-#: What a set-up can need: logs, models, parts, a control's files and certificates.
-SUFFIXES = (
-    *(*TABLES, *CAD, *MESHES, *RESPONSES),
-    *(".json", ".h5", ".toml", ".ini", ".der", ".pem", ".crt"),
-)
 
 
 def take_piece(place: Place, name: str, piece: bytes, at: str, size: str) -> None:
@@ -36,7 +31,7 @@ def take_piece(place: Place, name: str, piece: bytes, at: str, size: str) -> Non
         missing.
     """
     path = place.path(name)
-    if path.suffix.lower() not in SUFFIXES:
+    if path.suffix.lower() not in TAKEN:
         raise InputError(f"{name}: files that end in {path.suffix!r} are not used here")
     if path.exists():
         raise InputError(f"{name}: exists already; send it under another name")

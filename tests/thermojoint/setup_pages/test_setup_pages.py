@@ -1,5 +1,6 @@
 """The pages that set up: who gets in, what is refused, what a form does to a file."""
 
+import stat
 import time
 import tomllib
 
@@ -163,6 +164,13 @@ def test_a_link_out_of_the_folder_is_none_of_its_files(client, place):
     (place.folder.parent / "secret.txt").write_text("secret")
     (place.folder / "own.txt").symlink_to(place.folder.parent / "secret.txt")
     assert client.get("/files/own.txt").status_code == 400
+
+
+def test_secrets_are_neither_listed_nor_handed_out(client, place):
+    for name in ("control-password", "dashboard.token"):
+        (place.folder / name).write_text("secret")
+        assert client.get(f"/files/{name}").status_code == 404
+        assert name not in client.get("/").text
 
 
 def upload(client, name, content, piece=LARGEST_PIECE):
@@ -346,6 +354,25 @@ def test_every_write_is_shown_before_it_is_enabled(client, place, target):
     page = client.get("/try").text
     assert "<td>a node</td><td>-15</td>" in page
     assert 'name="enable"' in page
+
+
+def test_linuxcnc_is_shown_what_would_be_written_and_keeps_its_ini_file(client, place):
+    ini = "[TRAJ]\nLINEAR_UNITS = mm\n[AXIS_Z]\nOFFSET_AV_RATIO = 0.1\n[HAL]\nHALFILE = a.hal\n"
+    for name, text in (("offsets.toml", OFFSETS), ("estimate.csv", ESTIMATE), ("mill.ini", ini)):
+        (place.folder / name).write_text(text)
+    begun = {"begin": "yes", "machine": "mill", "source": "csv", "kind": "linuxcnc"}
+    assert sent(client, "/control", **begun)[0] == 303
+    assert "exists already" in sent(client, "/control", **begun)[1]
+    assert sent(client, "/try", ini="mill.ini")[0] == 303
+    ended(place)
+    page = client.get("/try").text
+    assert "would write" in page
+    assert "linuxcnc.token" in page
+    assert stat.S_IMODE((place.folder / "linuxcnc.token").stat().st_mode) == 0o600
+    # There is no model: a start would be refused, and nothing can be enabled.
+    assert "has not ended well" in sent(client, "/try", enable="yes", read="yes")[1]
+    assert place.text("mill.ini") == ini
+    assert not (place.folder / "thermojoint.hal").exists()
 
 
 # A file as a form
