@@ -44,13 +44,18 @@ def checked_constraints(
 def check_constrained(case: Case, constraints: Constraints, joints: Sequence[PairedJoint]) -> None:
     """Refuse a body that nothing constrains, unless heat is marched alone.
 
+    Joints that start open constrain nothing, unless there are loads. These may close them: the
+    state at time zero is then the equilibrium in which the body rests on them, and the march
+    refuses a step that leaves it loose.
+
     Raises
     ------
     InputError
         Names the body and its motions.
     """
     if case.displacement is not None:
-        check_held(constraints, _with_friction(case, joints), start_closed(case, joints))
+        closed = None if case.loads else start_closed(case, joints)
+        check_held(constraints, _with_friction(case, joints), closed)
 
 
 def fixed_surfaces(case: Case) -> list[str]:

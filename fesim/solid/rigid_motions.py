@@ -217,7 +217,7 @@ def check_held(
     sticks : ndarray of bool, shape (m,)
         Which contact elements have friction.
     closed : ndarray of bool, shape (m,), optional
-        Which of them do not start open; default all.
+        Which of them may hold a body at rest; default all.
 
     Raises
     ------
@@ -228,7 +228,7 @@ def check_held(
     closed = np.ones(len(sticks), dtype=bool) if closed is None else closed
     joined = constraints.share[closed].any(axis=0)
     touched = constraints.supports.reshape(-1, count, 6).any(axis=(0, 2)) | joined
-    open_ones = "" if closed.all() else "; a joint that starts open holds nothing"
+    open_ones = "" if closed.all() else "; a joint that starts open holds nothing without loads"
     if not touched.all():
         alone = constraints.pieces[int(np.argmin(touched))]
         raise InputError(

@@ -5,6 +5,7 @@ import sys
 import numpy as np
 import pytest
 from bars import two_bars
+from boxes import boxes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from repository import ROOT
@@ -23,7 +24,7 @@ from fesim.simulate import simulate
 from meshes.exchange import read_structure, write_structure
 from meshes.pairing import outward_areas, pair_joint
 from meshes.wall import face_of, with_wall
-from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.errors import ConvergenceError, InputError
 
 ROD = ROOT / "examples" / "bistable_rod"
 SURFACE = {"along": 1, "across": 1}
@@ -149,6 +150,47 @@ def test_a_body_that_only_an_open_joint_could_hold_is_refused(tmp_path):
     data["supports"] = {"fixed": ["left_end"]}
     with pytest.raises(InputError, match="a joint that starts open holds nothing"):
         make_parts(case_from_data(data, "bars", tmp_path))
+
+
+def lying(folder, opening, force):
+    """Simulate a block that nothing holds, above a plate by an opening, um, under its weight."""
+    structure = boxes(
+        {"joint": ("plate.z1", "block.z0")},
+        plate=((0.0, 0.0, -0.02), (0.1, 0.1, 0.0), (2, 2, 1)),
+        block=((0.0, 0.0, 0.0), (0.1, 0.1, 0.04), (2, 2, 1)),
+    )
+    write_structure(structure, folder / "block.vtu")
+    data = _bars(initial_opening_um=opening, reference_pressure_MPa=0.1, along=3, across=3)
+    data |= {
+        "structure": {"kind": "mesh", "file": "block.vtu"},
+        "bodies": {"plate": "iron", "block": "iron"},
+        "supports": {"fixed": ["plate.z0"]},
+        "loads": {
+            "weight": {"acceleration_m_s2": [0.0, 0.0, -9.81]},
+            "force": {"surface": "block.z1", "force_N": force},
+        },
+        "held_temperatures": {},
+        "march": {"step_s": 10.0, "duration_min": 1.0},
+        "probes": {"tip": {"position_mm": [100.0, 100.0, 40.0], "body": "block"}},
+        "displacement": {"point": "tip"},
+    }
+    return simulate(case_from_data(data, "block", folder), accuracy=False).response
+
+
+def test_a_body_that_nothing_holds_falls_on_its_joint(tmp_path):
+    """Six rigid motions, tilted by a side force: as from where it touches, but for the fall."""
+    force = [-100.0, 50.0, -500.0]
+    there, above = (lying(tmp_path, opening, force) for opening in (0.0, 50.0))
+    moved = above["displacement"] + 50e-6 * np.array([0.0, 0.0, 1.0])
+    np.testing.assert_allclose(moved, there["displacement"], rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(above["pressure"], there["pressure"], rtol=1e-5)
+    assert np.ptp(there["pressure"][-1].to_numpy()) > 1e3
+
+
+@pytest.mark.parametrize("force", [[0.0, 0.0, 100.0], [300.0, 0.0, -500.0]])
+def test_a_body_that_its_loads_carry_away_is_refused(tmp_path, force):
+    with pytest.raises(ConvergenceError, match=r"a body .*has come loose"):
+        lying(tmp_path, 5.0, force)
 
 
 def _bars(**joint):

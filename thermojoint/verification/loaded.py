@@ -85,7 +85,7 @@ def joint(**keys: float | str) -> dict[str, Any]:
 
 
 WEIGHT = {"weight": {"acceleration_m_s2": [0.0, 0.0, -GRAVITY]}}
-STANDING = {
+STANDING: dict[str, Any] = {
     "walls": {"floor": {"faces": "foot"}},
     "bodies": {"lower": "iron", "floor": "iron"},
     "supports": {"symmetry": {"back": "x", "side": "y"}},
@@ -100,6 +100,10 @@ STANDING = {
     },
     "loads": WEIGHT,
 }
+
+
+#: Distance that a column falls before it stands on its joint, m.
+FALL = 20e-6
 
 
 def separation(pressure: float) -> float:
@@ -125,6 +129,12 @@ def _weight_checks(folder: Path) -> Iterator[Check]:
     pressure = DENSITY * GRAVITY * height
     # The approach of a joint without preload starts where its surfaces touch.
     approach = separation(pressure) - separation(1e-6 * HARDNESS)
+    fallen = STANDING["joints"]["feet"] | {"initial_opening_um": 1e6 * FALL}
+    data = column_case(folder, False, STANDING | {"joints": {"feet": fallen}})
+    dropped = simulate(case_from_data(data, "column", folder), accuracy=False).response
+    top = float(dropped["displacement"].sel(axis="z")[0])
+    name = "loads, column above its joint: top at time zero"
+    yield displacement.check(name, sunk + approach - FALL, top)
     last = standing.response.isel(time=-1)
     name = "loads, column on a joint without preload"
     top = float(last["displacement"].sel(axis="z"))

@@ -190,8 +190,9 @@ def test_a_bolt_holds_a_body_along_its_axis(tmp_path):
     """The upper half hangs on nothing else: its joint starts open, and the bolt closes it."""
     apart = joint(preload_MPa=0.0, initial_opening_um=5.0, reference_pressure_MPa=4.0)
     hung = column_case(tmp_path, True, {"loads": WEIGHT, "joints": {"joint": apart}})
+    warm = hung | {"loads": {}, "initial_temperature": {"rise_K": 1.0}}
     with pytest.raises(InputError, match="keeps body 'upper' from moving along z"):
-        set_up(case_from_data(hung, "c", tmp_path))
+        set_up(case_from_data(warm, "c", tmp_path))
     ends = {"head": {"surface": "top"}, "thread": {"surface": "foot"}}
     one = ends | {"force_kN": 10.0, "material": "iron", "diameter_mm": 12.0}
     response = simulate(case_from_data(hung | {"bolts": {"one": one}}, "c", tmp_path)).response
