@@ -160,11 +160,12 @@ def _of_joint(
 
 
 def _of_mesh(setup: Setup, fine: Track, step: float) -> float | None:
-    """Error by the meshes at steps (s) of a march; None for a structure too large for its rows.
+    """Error by the meshes at steps (s) of a march; None where the structure is too large for rows.
 
+    Nor do they know how a modulus that depends on temperature varies in a cell.
     Temperatures change in time as if they had risen evenly, as the dual ones do.
     """
-    rows = setup.make_mesh_errors()
+    rows = None if setup.machine.stiffness is not None else setup.make_mesh_errors()
     if rows is None:
         return None
     machine, found = setup.machine, []

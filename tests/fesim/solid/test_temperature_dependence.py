@@ -117,6 +117,8 @@ def test_a_factor_on_the_modulus_is_the_modulus_that_it_gives(tmp_path):
     np.testing.assert_allclose(soft["displacement"], plain["displacement"], rtol=0.0, atol=1e-11)
     np.testing.assert_allclose(soft["pressure"], plain["pressure"], rtol=1e-6)
     assert np.abs(plain["slip"]).max() > 1e-8
+    assert "error_mesh_um" in plain.attrs
+    assert "error_mesh_um" not in soft.attrs
     for name in ("displacement_m", "von_mises_Pa"):
         np.testing.assert_allclose(
             seen[name], drawn[name], rtol=1e-6, atol=1e-6 * drawn[name].max()
