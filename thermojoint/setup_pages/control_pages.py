@@ -217,7 +217,7 @@ def _is_enabled(place: Place) -> bool:
 
 
 def _switch(place: Place, on: bool) -> None:
-    """Enable the target, or disable it."""
+    """Enable the target, or disable it; a service that runs follows."""
     if _is_enabled(place) == on or not place.has(TARGET):
         return
     text = place.text(TARGET)
@@ -226,6 +226,8 @@ def _switch(place: Place, on: bool) -> None:
     if not fields:
         new = f"{ENABLE} = {str(on).lower()}\n{text}"
     write_text(place.path(TARGET), new)
+    if (service := _service(place)) is not None:
+        hang_up(service.folder)
 
 
 def show_try(place: Place, given: Given) -> dict[str, Any]:
@@ -275,7 +277,6 @@ def do_try(place: Place, given: Given) -> None:
     service, kind = read_service(place.path(place.existing(SERVICE))), _kind(place)
     if "disable" in given:
         _switch(place, False)
-        hang_up(service.folder)
         return
     if "enable" not in given:
         _try(place, given, service, kind)
@@ -290,7 +291,6 @@ def do_try(place: Place, given: Given) -> None:
         place.jobs.start("enable", [*_linuxcnc(place, service, _ini(place)[0]), "--write"])
         return
     _switch(place, True)
-    hang_up(service.folder)
 
 
 def _try(place: Place, given: Given, service: Service, kind: str) -> None:
