@@ -6,7 +6,7 @@ more than the condensation, and two products in a march.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,7 +28,9 @@ from fesim.solid.joint_operators import jumps
 from fesim.solid.linear_solver import checked_solve, factorise
 from fesim.solid.materials import Material
 from fesim.solid.recovery import stress_error_rows
+from fesim.solid.round_faces import shape_error_rows
 from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.units import MEGA
 
 
 @dataclass(frozen=True)
@@ -110,23 +112,51 @@ def stress_errors(whole: Discretised, field: DisplacementField, forces: Array) -
     structure, axes = whole.parts.structure, len(DIRECTIONS)
     duals = field.respond(relative_rows(whole)[:axes].toarray().T, "displacement's dual")
     free = _free_facets(whole)
-    moved, heated = stress_error_rows(structure, whole.spaces, whole.materials, free, duals)
-    answers = field.respond(moved, "displacement's dual")
+    given = structure, whole.spaces, whole.materials
+    moved, heated = stress_error_rows(*given, free, duals)
+    pressed = _pressed(whole, free, forces.shape[1])
+    reshaped, warmed, loaded = shape_error_rows(*given, pressed, duals)
+    answers = field.respond(moved + reshaped, "displacement's dual")
     return StressErrors(
-        (heated + field.structure.thermal_load.T @ answers).T,
+        (heated + warmed + field.structure.thermal_load.T @ answers).T,
         (field.gap @ answers).T * field.area,
-        answers.T @ forces,
+        answers.T @ forces + loaded.T,
     )
 
 
 def _free_facets(whole: Discretised) -> NDArray[np.int64]:
     """Facets of the boundary that no support, joint or load touches."""
+    loaded = [load.surface for load in whole.case.loads.values() if load.surface is not None]
+    return np.setdiff1d(whole.parts.structure.mesh.boundary_facets(), _touched(whole, loaded))
+
+
+def _touched(whole: Discretised, others: Sequence[str]) -> NDArray[np.int64]:
+    """Facets of supports, joints and other surfaces."""
     case, structure = whole.case, whole.parts.structure
     supports = [*fixed_surfaces(case), *case.supports.symmetry, *case.supports.springs]
-    loaded = [load.surface for load in case.loads.values() if load.surface is not None]
-    touched = [structure.surface(name, "supports") for name in (*supports, *loaded)]
+    touched = [structure.surface(name, "supports") for name in (*supports, *others)]
     touched += [side for joint in whole.parts.joints for side in (joint.facets_a, joint.facets_b)]
-    return np.setdiff1d(structure.mesh.boundary_facets(), np.concatenate([[], *touched]))
+    return np.concatenate([np.empty(0, dtype=np.int64), *touched])
+
+
+def _pressed(
+    whole: Discretised, free: NDArray[np.int64], count: int
+) -> tuple[NDArray[np.int64], Array]:
+    """Facets without traction or with pressures only, and these (f, count) by the loads, Pa."""
+    structure, loads = whole.parts.structure, list(whole.case.loads.values())
+    others = [load.surface for load in loads if load.pressure_MPa is None and load.surface]
+    under = [
+        np.empty(0, dtype=np.int64)
+        if load.pressure_MPa is None
+        else structure.surface(load.surface or "", "loads")
+        for load in loads
+    ]
+    facets = np.union1d(free, np.concatenate([np.empty(0, dtype=np.int64), *under]))
+    facets = np.setdiff1d(facets, _touched(whole, others))
+    pressure = np.zeros((len(facets), count))
+    for column, (load, own) in enumerate(zip(loads, under, strict=True)):
+        pressure[np.isin(facets, own), column] = MEGA * (load.pressure_MPa or 0.0)
+    return facets, pressure
 
 
 def dual_rows(condensed: ElasticCondensation, contact: ContactProblem) -> Array:

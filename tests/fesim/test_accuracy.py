@@ -8,6 +8,7 @@ from boxes import boxes
 
 from fesim.case.schema import case_from_data
 from fesim.simulate import simulate
+from fesim.solid.round_faces import bulges
 from meshes.exchange import write_structure
 from thermojoint.paper.summary import accuracy_line
 from thermojoint.verification.thermal_bar import CONDUCTIVITY, EXPANSION, LENGTH, WIDTH, bar_case
@@ -131,6 +132,33 @@ def test_what_single_contact_elements_leave_is_unknown(rocking):
     response = rocking(2, along=2, across=2)
     assert parts_of(response)["joint"] is None
     assert "joint unknown" in accuracy_line(response.attrs)
+
+
+def test_straight_edges_on_round_faces_are_off_as_estimated(tmp_path):
+    """A quarter of a thick ring under inner pressure (Lamé, plane strain): 2 x 4 elements."""
+    ring = boxes({}, ring=((0.0, 0.0, 0.0), (0.05, 0.5 * np.pi, 0.01), (2, 4, 1)))
+    radius, angle = 0.05 + ring.mesh.p[0], ring.mesh.p[1].copy()
+    ring.mesh.p[:2] = radius * np.cos(angle), radius * np.sin(angle)
+    boundary = ring.mesh.boundary_facets()
+    outer = np.isin(boundary, ring.surfaces["ring.x1"])
+    inside = np.sort(np.abs(bulges(ring.mesh, boundary)[outer]))[-1]
+    assert inside == pytest.approx(0.1 * (1.0 - np.cos(np.pi / 16.0)) * 2.0 / 3.0, rel=0.05)
+    write_structure(ring, tmp_path / "ring.vtu")
+    data = {
+        "title": "ring",
+        "structure": {"kind": "mesh", "file": "ring.vtu"},
+        "materials": {"metal": METAL},
+        "bodies": {"ring": "metal"},
+        "supports": {"symmetry": {"ring.y0": "y", "ring.y1": "x", "ring.z0": "z", "ring.z1": "z"}},
+        "loads": {"p": {"surface": "ring.x0", "pressure_MPa": 50.0}},
+        "march": {"step_s": 1.0, "duration_min": 0.05},
+        "probes": {"P": {"position_mm": [100.0, 0.0, 0.0]}},
+        "displacement": {"point": "P"},
+    }
+    response = simulate(case_from_data(data, "ring", tmp_path)).response
+    grown = 2.0 * 50e6 * 0.05**2 / (0.1**2 - 0.05**2) * 0.1 * (1.0 - 0.3**2) / 104e9
+    error = 1e6 * abs(float(response["displacement"][-1, 0]) - grown)
+    assert 0.5 < error / parts_of(response)["mesh"] < 2.0
 
 
 def layer(folder, divisions, changes):
