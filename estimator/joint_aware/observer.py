@@ -89,12 +89,8 @@ class Observer:
         return np.array(readings)
 
     @cached_property
-    def sudden(self) -> Array:
-        """Largest innovations after a step of 1 W at each source, K, shape (p + 1, s).
-
-        Of a sensor that reads the source at once that is the first one. Where it lags, the heat
-        is found step by step, and the innovations grow meanwhile.
-        """
+    def _found(self) -> Array:
+        """Innovations while heat of 1 W at each source is found, K, shape (k, p + 1, s)."""
         unknown = np.zeros((self.system.size, self.model.power.size))
         unknown[self.system.decay.size :][: self.model.power.size] = np.eye(self.model.power.size)
         innovations = []
@@ -102,9 +98,31 @@ class Observer:
             unknown = self.system.advance(unknown)
             innovations.append(self.system.rows @ unknown)
             unknown = unknown - self.usual_gain @ innovations[-1]
-        every = np.array(innovations)
-        largest = np.abs(every).max(axis=1).argmax(axis=0)
-        return np.asarray(every[largest, :, np.arange(largest.size)].T)
+        return np.array(innovations)
+
+    @cached_property
+    def _largest(self) -> NDArray[np.int64]:
+        """Sample of the largest of these innovations, shape (s,)."""
+        return np.asarray(np.abs(self._found).max(axis=1).argmax(axis=0))
+
+    @cached_property
+    def sudden(self) -> Array:
+        """Largest innovations after a step of 1 W at each source, K, shape (p + 1, s).
+
+        Of a sensor that reads the source at once that is the first one. Where it lags, the heat
+        is found step by step, and the innovations grow meanwhile.
+        """
+        return np.asarray(self._found[self._largest, :, np.arange(self._largest.size)].T)
+
+    @cached_property
+    def answers(self) -> Array:
+        """Step response of every reading to the source that it sees best, K/W, shape (p + 1, k).
+
+        It begins where the innovations are largest: a jump is hardly noticed before.
+        """
+        best = np.abs(self.onset[-1]).argmax(axis=1)
+        after = np.minimum(np.arange(ANSWER) + self._largest[best, None], ANSWER - 1)
+        return np.asarray(self.onset[after, np.arange(best.size)[:, None], best[:, None]])
 
     def expected(self, before: ObserverState, length: float, steps: int) -> Expected:
         """Prediction `steps` of `length` (s) after the previous sample."""

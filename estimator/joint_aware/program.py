@@ -27,7 +27,7 @@ from estimator.export.program import (
 from estimator.interface import Status
 from estimator.joint_aware.estimator import WIDTH, JointAware
 from estimator.joint_aware.model_file import fingerprint
-from estimator.joint_aware.observer import ANSWER, Observer
+from estimator.joint_aware.observer import ANSWER
 from estimator.joint_aware.observer_state import KNOWN
 from estimator.joint_aware.trust import channels_of
 from estimator.span import SETTLING, SLACK
@@ -229,7 +229,7 @@ def _tables(estimator: JointAware, kernel: JointKernel, tolerance: float) -> lis
         Table("noise", "Of the thermometers, K.", readable.noise),
         Table("spread", "Variance of an innovation, K2, likewise.", start.spread),
         Table("onset", "Largest innovations after 1 W, K.", observer.sudden),
-        Table("answers", "... of the source that is seen best, later, K.", _answers(observer)),
+        Table("answers", "... of the source that is seen best, later, K.", observer.answers),
         Table("most", "Heat that may be switched on, W.", most),
         Table("slack", "Tolerance of that, W.", estimator.thresholds.onset_slack * most),
         Table("offset", "What every sensor reads too much, K.", np.append(model.offset, 0.0)),
@@ -314,12 +314,6 @@ def _start(estimator: JointAware) -> _Start:
     near = every[(every[:, 1:] <= (limits.doubt * limits.followable) ** 2).all(axis=1), 0]
     followed = float(near[0] if near.size else every[-1, 0])
     return _Start(every, np.array(gains), np.array(spread), followed)
-
-
-def _answers(observer: Observer) -> Array:
-    """Step response of each reading to the source that it sees best, K/W, shape (p + 1, k)."""
-    best = np.argmax(np.abs(observer.onset[-1]), axis=1)
-    return np.array([observer.onset[:, k, source] for k, source in enumerate(best)])
 
 
 @lru_cache(maxsize=8)

@@ -166,12 +166,11 @@ def _followed(
     predicted = observer.system.rows[channel] @ alone.linear
     departure, rules = float(readings[channel] - predicted), observer.thresholds
     limit = rules.faults.gate * float(model_error(predicted, rules.faults))
-    # The source that the reading responds to most.
-    answers = observer.onset[:, channel]
-    answer = answers[:, int(np.argmax(np.abs(answers[-1])))]
     elapsed = moment.time - float(known.since)
     due = elapsed >= rules.decided and known.samples >= rules.samples
-    expected = fault_isolation.growth(known, elapsed, answer, observer.model.step)
+    expected = fault_isolation.growth(
+        known, elapsed, observer.answers[channel], observer.model.step
+    )
     return known, fault_isolation.judged(known, departure, limit, bool(due), expected)
 
 
