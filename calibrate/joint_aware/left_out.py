@@ -22,6 +22,7 @@ from calibrate.joint_aware.open_band import (
     history_of,
     on_longer_steps,
     shortfall,
+    unlike_its_case,
 )
 from calibrate.joint_aware.physics_fit import Fit, refit
 from estimator.interface import follow
@@ -142,6 +143,7 @@ def _unseen(
     history = history_of(steps.inputs[:, :sources] / machine.power, fit.discrepancy.rates, step)
     drawn = drawn_errors(np.random.default_rng(drawing.seed), slow, [history], drawing)
     expected = filtered.band.steady + filtered.band.constant + np.mean(np.square(drawn), axis=0)
+    expected = expected + history.squares @ unlike_its_case(slow).T
     # The beginning of what lasts for longer than the run is seen in it.
     told = told_by(fit.discrepancy.rates, grid[-1]) > 0.0
     return _Unseen((history.squares * told)[read], expected[read], errors)

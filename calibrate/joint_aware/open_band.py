@@ -37,7 +37,7 @@ from estimator.joint_aware.observer_model import Band, Calibrated, ObserverModel
 from estimator.joint_aware.thresholds import Thresholds
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
-from thermojoint.reduced.discrepancy import Discrepancy, make_ridge, relaxed
+from thermojoint.reduced.discrepancy import COUNT, Discrepancy, make_ridge, relaxed
 from thermojoint.reduced.machine import ReducedMachine
 from thermojoint.reduced.parameters import LAG_UNIT, factors_of
 from thermojoint.reduced.physics import at_start, conduct, settle_joint, simulate_known
@@ -132,13 +132,12 @@ def open_band(
     weights *= float(student.ppf(0.975, len(errors_of_draws))) / WIDTH
     claimed = np.mean((weights @ features.T) ** 2, axis=1)
     squares = np.vstack([history.squares for history in histories])
+    more = [shortfall(squares, *axis, drawing.floor) for axis in zip(claimed, every, strict=True)]
     return replace(
         model.band,
         history=_history(slow.observer, slow.machine, day),
         open=weights,
-        square=np.array(
-            [shortfall(squares, *axis, drawing.floor) for axis in zip(claimed, every, strict=True)]
-        ),
+        square=unlike_its_case(slow) + np.array(more),
     )
 
 
@@ -165,6 +164,19 @@ def on_longer_steps(
     observer = JointAware(make_observer(slow, fit, calibrated, noise), thresholds=HEALTHY)
     problem = problem_of(slow, [coarser(run, SEARCH.steps) for run in runs], fit)
     return Fitted(slow, problem, fit, observer)
+
+
+def unlike_its_case(fitted: Fitted) -> Array:
+    """Return the variance of errors that no run shows, per square of the relaxed heat, (axes, q).
+
+    The slowest relaxation has no gain, as no run lasts long enough for it. A machine of the family
+    needs none. One that leaves more than its parameters explain is given one that is unknown, as
+    large as all others are assumed to be together, in proportion to what is left beyond the family.
+    """
+    unknown = np.zeros((len(fitted.machine.axes), fitted.problem.rates.size))
+    gains = [channel.tau for channel in fitted.problem.displacement]
+    unknown[:, -1] = (1.0 - fitted.fit.doubt**-2) * COUNT * np.square(gains)
+    return unknown
 
 
 def drawn_errors(

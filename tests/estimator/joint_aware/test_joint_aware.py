@@ -17,7 +17,12 @@ from calibrate.joint_aware.calibration import JointAwareCalibration, report
 from calibrate.joint_aware.identifiability import further_runs, profiles
 from calibrate.joint_aware.left_out import widened
 from calibrate.joint_aware.misfit import Run, make_problem, physics_with, residuals
-from calibrate.joint_aware.open_band import Drawing, open_band
+from calibrate.joint_aware.open_band import (
+    Drawing,
+    on_longer_steps,
+    open_band,
+    unlike_its_case,
+)
 from calibrate.joint_aware.physics_fit import Search, fit_physics
 from calibrate.joint_aware.readings import run_in
 from calibrate.joint_aware.report import whole_report
@@ -462,6 +467,22 @@ def test_what_the_calibration_leaves_open_widens_the_band_with_the_heat(machine,
     assert np.all(band.square >= 0.0)
     assert band.open.shape == (2, 2, 2 * fit.discrepancy.displacement.shape[1])
     assert np.all(np.abs(band.open).max(axis=(1, 2)) > 0.0)
+
+
+def test_a_machine_unlike_its_case_is_known_less_the_longer_it_is_warm(machine, plant, fit):
+    """No run lasts for as long as that; a machine of the family needs no such allowance."""
+    small = along(machine, ["x", "y"])
+    known = Calibrated(300.0, 3.0, dict.fromkeys(SENSORS, (0.0, 50.0)))
+    like, unlike = (
+        unlike_its_case(
+            on_longer_steps(small, plant, known, replace(fit, doubt=doubt), None, Drawing())
+        )
+        for doubt in (1.0, 2.0)
+    )
+    assert not like.any()
+    assert not unlike[:, :-1].any()
+    moved = np.max([np.abs(one.displacement).max(axis=0) for one in plant], axis=0) / 3.0
+    assert np.sqrt(unlike[:, -1]) == pytest.approx(0.13 * moved, rel=0.01)
 
 
 def test_a_run_that_the_others_do_not_predict_widens_the_band(machine, plant, fit):
