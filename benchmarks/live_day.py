@@ -1,4 +1,4 @@
-"""A day of three machines in 86 s while broker, PLC and disk fail at random moments.
+"""Days of three machines, 24 h in 86 s, while broker, PLC and disk fail at random moments.
 
 python -m benchmarks.live_day --seed 0
 
