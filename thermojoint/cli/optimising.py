@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
@@ -10,7 +11,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 from rich.table import Table
 
@@ -61,6 +61,8 @@ def optimise(  # noqa: PLR0913 - options of a command
 
     Example: [bold]thermojoint optimise question.toml --out design --json design.json[/bold]
     """
+    import numpy as np
+
     from thermojoint import console
     from thermojoint.artefacts.settings.read import read_settings
     from thermojoint.cli import batch_run
@@ -125,7 +127,7 @@ def _own_values(given: DesignFile) -> Values:
 
     paths = tuple(span.path for span in given.ranges)
     own = {each.path: each.value for each in parameters_of(read_case(given.case), paths)}
-    inside = all(span.low <= own.get(span.path, np.nan) <= span.high for span in given.ranges)
+    inside = all(span.low <= own.get(span.path, math.nan) <= span.high for span in given.ranges)
     return {path: own[path] for path in paths} if inside else {}
 
 
