@@ -181,7 +181,7 @@ def test_the_report_is_one_page_that_loads_nothing(results):
         assert words in page
     assert "uncertain by" in page
     shown = len(list((results / "figures").iterdir()))
-    assert page.count("data:image/png;base64,") == shown == 16
+    assert page.count("data:image/png;base64,") == shown == 18
 
 
 def test_regressions_are_judged_where_they_are_given(results, model, responses):
