@@ -104,6 +104,9 @@ def test_a_control_follows_returns_when_the_service_is_killed_and_follows_again(
         cnc.until(lambda: not (cnc.folder / "off").exists())
         cnc.until(lambda: abs(cnc.offset()) < 1.0)
         cnc.until(follows)
+        # Two minutes in all: the machine goes on warming up, the program running.
+        time.sleep(80.0)
+        assert follows()
     before, after, x, z, offset, asked = record.T
     # The program moves X all the time, and Z only by what is asked.
     assert min(np.ptp(part) for part in np.array_split(x, 5)) > 5000.0
