@@ -30,9 +30,8 @@ from thermojoint.artefacts.errors import InputError
 _AT_BOUND = 1e-3
 #: Starts whose rms is within this of the best, relative, reached the same optimum.
 _SAME = 1e-3
-#: Relative changes at which a search ends: of a start, which is only compared with others, and of
-#: the best results.
-_COMPARED, _REFINED = 1e-6, 1e-10
+#: Relative change at which a search ends.
+_TOLERANCE = 1e-10
 
 #: theta -> (columns, shape (n, p); derivatives by ln(theta), shape (n, p, len(theta)))
 Basis = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -138,9 +137,7 @@ class _End:
     message: str
 
 
-def _descend(
-    problem: Separable, start: np.ndarray, scale: float, limit: int, tolerance: float
-) -> _End:
+def _descend(problem: Separable, start: np.ndarray, scale: float, limit: int) -> _End:
     """Return the local optimum reached from the parameters `start`."""
     data = problem.data / scale
 
@@ -172,8 +169,8 @@ def _descend(
         np.clip(np.log(start), lower + inset, upper - inset),
         jac=jacobian,
         bounds=(lower, upper),
-        xtol=tolerance,
-        ftol=tolerance,
+        xtol=_TOLERANCE,
+        ftol=_TOLERANCE,
         gtol=1e-14,
         max_nfev=limit,
     )
@@ -238,13 +235,13 @@ def fit(
     trial = coarse or problem
     scale = float(np.abs(problem.data).max()) or 1.0
     points = [*np.asarray(guesses, dtype=float), *_starts(problem, starts, seed)]
-    ends = [_descend(trial, point, scale, 60, _COMPARED) for point in points]
+    ends = [_descend(trial, point, scale, 60) for point in points]
     ends.sort(key=lambda end: end.cost)
     best = ends[0]
     # cost is half a sum of squares, so an rms ratio of 1 + x is a cost ratio of about 1 + 2x.
     ceiling = best.cost * (1.0 + 2.0 * _SAME) + trial.data.size * 1e-20
     at_best = sum(end.cost <= ceiling for end in ends)
-    finals = [_descend(problem, end.theta, scale, 200, _REFINED) for end in ends[:polished]]
+    finals = [_descend(problem, end.theta, scale, 200) for end in ends[:polished]]
     winner = min(finals, key=lambda end: end.cost)
     evaluations = sum(end.evaluations for end in (*ends, *finals))
     return replace(
