@@ -20,7 +20,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg.lapack import dtrtrs
+from scipy.linalg import qr, solve_triangular
 from scipy.optimize import least_squares
 
 from calibrate.fit_result import INDISTINCT, Fit, covariance
@@ -30,8 +30,6 @@ from thermojoint.artefacts.errors import InputError
 _AT_BOUND = 1e-3
 #: Starts whose rms is within this of the best, relative, reached the same optimum.
 _SAME = 1e-3
-#: Relative change at which a search ends.
-_TOLERANCE = 1e-10
 
 #: theta -> (columns, shape (n, p); derivatives by ln(theta), shape (n, p, len(theta)))
 Basis = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -87,9 +85,9 @@ def _project(columns: np.ndarray, data: np.ndarray, ridge: float) -> _Projection
     scale[scale == 0.0] = 1.0
     stacked = np.vstack([columns / scale, ridge * np.sqrt(n) * np.eye(p)])
     target = np.vstack([data, np.zeros((p, data.shape[1]))])
-    orthogonal, triangle = np.linalg.qr(stacked)
+    orthogonal, triangle = qr(stacked, mode="economic", check_finite=False)
     seen = orthogonal.T @ target
-    scaled = _solved(triangle, seen)
+    scaled = solve_triangular(triangle, seen, check_finite=False)
     return _Projection(scale, orthogonal, triangle, scaled, target - orthogonal @ seen)
 
 
@@ -100,14 +98,6 @@ def solve_linear(columns: np.ndarray, data: np.ndarray, ridge: float) -> np.ndar
     """
     part = _project(columns, data, ridge)
     return part.scaled / part.scale[:, None]
-
-
-def _solved(triangle: np.ndarray, right: np.ndarray, transposed: bool = False) -> np.ndarray:
-    """Solve with an upper triangle; SciPy's checks would cost more than these small systems."""
-    solution, zero = dtrtrs(triangle, right, trans=int(transposed))
-    if zero:
-        raise np.linalg.LinAlgError(f"column {zero} depends on those before it")
-    return np.asarray(solution)
 
 
 def _jacobian(part: _Projection, columns: np.ndarray, slopes: np.ndarray) -> np.ndarray:
@@ -121,9 +111,10 @@ def _jacobian(part: _Projection, columns: np.ndarray, slopes: np.ndarray) -> np.
     ) / float(n)
     # All parameters in one go: first n rows of d(columns) @ coefficients, (n, m k).
     m, k = part.residual.shape[1], slopes.shape[2]
-    moved = np.einsum("npk,pm->nmk", scaled_slopes, part.scaled).reshape(n, m * k)
-    seen = np.einsum("npk,nm->pmk", scaled_slopes, part.residual[:n]).reshape(p, m * k)
-    back = _solved(part.triangle, seen, transposed=True)
+    moved = np.tensordot(scaled_slopes, part.scaled, axes=(1, 0)).transpose(0, 2, 1)
+    moved = moved.reshape(n, m * k)
+    seen = np.tensordot(scaled_slopes, part.residual[:n], axes=(0, 0)).transpose(0, 2, 1)
+    back = solve_triangular(part.triangle, seen.reshape(p, m * k), trans="T", check_finite=False)
     out = part.orthogonal @ (part.orthogonal[:n].T @ moved - back)
     out[:n] -= moved
     return out.reshape(n + p, m, k)
@@ -169,8 +160,8 @@ def _descend(problem: Separable, start: np.ndarray, scale: float, limit: int) ->
         np.clip(np.log(start), lower + inset, upper - inset),
         jac=jacobian,
         bounds=(lower, upper),
-        xtol=_TOLERANCE,
-        ftol=_TOLERANCE,
+        xtol=1e-10,
+        ftol=1e-10,
         gtol=1e-14,
         max_nfev=limit,
     )
