@@ -19,6 +19,13 @@ from thermojoint.artefacts.files import whole_file
 from thermojoint.artefacts.folders import check_replaceable
 from thermojoint.cli.file_kinds import Kind
 
+#: Where the cases of a batch run.
+Workers = Annotated[
+    int | None, typer.Option(help="Processes on this machine; default: one for each core.")
+]
+Scheduler = Annotated[
+    str | None, typer.Option(help="Use this Dask cluster instead, e.g. tcp://10.0.0.1:8786.")
+]
 #: The one option for results as JSON.
 Json = Annotated[
     Path | None,

@@ -9,6 +9,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, TypeAlias
 
+import typer
 from rich.console import Console, Group
 from rich.live import Live
 from rich.progress import (
@@ -22,12 +23,14 @@ from rich.progress import (
 from rich.text import Text
 
 from fesim.batch.study import Study, StudyCase, brief, shown
+from thermojoint import console as terminal
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.extras import require
-from thermojoint.console import warn
 from thermojoint.plausibility import of_cases
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from fesim.batch import run
     from fesim.batch.crew import Crew
 
@@ -49,13 +52,24 @@ def run_cases(
     `where` names its file in warnings; `recruit` starts workers, given a function that prints.
     """
     require("batch", "batch", "zarr", "pyarrow")
-    warn(of_cases((case.case for case in study.cases), where))
+    terminal.warn(of_cases((case.case for case in study.cases), where))
     # Here, not above: mistakes in a study are reported before Zarr and Arrow are loaded.
     from fesim.batch import run
 
     with stop_request() as stopped, display(study, stopped) as (watch, tell, say):
         crew = recruit(say)
         return run.run_batch(study, out, crew, watch=watch, tell=tell, stopped=stopped)
+
+
+def completed(
+    study: Study, where: str, out: Path, recruit: Callable[[Say], Recruit]
+) -> pd.DataFrame:
+    """Run a study as `run_cases`, and return its table; end the command if it was stopped."""
+    finished = run_cases(study, where, out, recruit)
+    if finished.stopped:
+        terminal.say("stopped; the same command continues from here")
+        raise typer.Exit(worst(finished))
+    return finished.summary
 
 
 def crew_of(workers: int, scheduler: str | None, say: Say) -> Recruit:

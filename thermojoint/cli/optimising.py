@@ -18,8 +18,6 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.cli import arguments, file_kinds
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
-
     from fesim.batch.crew import Crew
     from fesim.batch.study import Study, Values
     from thermojoint.artefacts.arrays import Array
@@ -48,10 +46,8 @@ def optimise(  # noqa: PLR0913 - options of a command
     population: Annotated[int, typer.Option(min=5, help="Cases of a generation.")] = 12,
     generations: Annotated[int, typer.Option(min=1, help="At most.")] = 15,
     seed: Annotated[int, typer.Option(help="Of the search.")] = 1,
-    workers: Annotated[
-        int | None, typer.Option(help="Processes on this machine; default: one for each core.")
-    ] = None,
-    scheduler: Annotated[str | None, typer.Option(help="Use this Dask cluster instead.")] = None,
+    workers: arguments.Workers = None,
+    scheduler: arguments.Scheduler = None,
     json: arguments.Json = None,
 ) -> None:
     """Find the values of a case that serve a purpose best: a figure to minimise, limits to hold.
@@ -85,7 +81,7 @@ def optimise(  # noqa: PLR0913 - options of a command
             """Run cases beside all before them, so that the tables hold them all."""
             every.extend(rows)
             study = _study(given, every, str(question), refusals)
-            summary = _summary(study, str(question), out, recruit)
+            summary = batch_run.completed(study, str(question), out, recruit)
             return figures_in(given, study, rows, summary)
 
         effort = Effort(population, generations, seed)
@@ -101,7 +97,7 @@ def optimise(  # noqa: PLR0913 - options of a command
         "figures": entries,
         "cases": len(done.rows),
         "refused": refusals,
-        "history": history_of(given, done),
+        "history": history_of(done),
     }
     _report(given, content, own)
     picture = search_figure(
@@ -159,18 +155,6 @@ def _study(given: DesignFile, rows: list[Values], where: str, refusals: dict[str
 
     paths = [span.path for span in given.ranges]
     return replace(study_of(given.case, rows, paths, where, refused), keep="displacement")
-
-
-def _summary(study: Study, where: str, out: Path, recruit: Callable[[Say], Recruit]) -> DataFrame:
-    """Run a study as a batch does; return its table."""
-    from thermojoint import console
-    from thermojoint.cli import batch_run
-
-    finished = batch_run.run_cases(study, where, out, recruit)
-    if finished.stopped:
-        console.say("stopped; the same command continues from here")
-        raise typer.Exit(batch_run.worst(finished))
-    return finished.summary
 
 
 def _why(refusals: dict[str, str]) -> str:

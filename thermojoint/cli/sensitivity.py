@@ -45,10 +45,8 @@ def sensitivity(  # noqa: PLR0913 - options of a command
         int, typer.Option(help="Trajectories of morris; base samples of sobol, a power of 2.")
     ] = 16,
     seed: Annotated[int, typer.Option(help="Of the samples and of the intervals.")] = 1,
-    workers: Annotated[
-        int | None, typer.Option(help="Processes on this machine; default: one for each core.")
-    ] = None,
-    scheduler: Annotated[str | None, typer.Option(help="Use this Dask cluster instead.")] = None,
+    workers: arguments.Workers = None,
+    scheduler: arguments.Scheduler = None,
     json: arguments.Json = None,
 ) -> None:
     """Show which values of a case its displacement, temperatures and pressures depend on.
@@ -71,15 +69,10 @@ def sensitivity(  # noqa: PLR0913 - options of a command
 
     def run(study: Study, rows: list[Values]) -> tuple[list[str], Array]:
         """Run the cases; return the names of the figures, and their values for each row."""
-        crew = workers or os.cpu_count() or 1
-        finished = batch_run.run_cases(
-            study, str(given), out, partial(batch_run.crew_of, crew, scheduler)
-        )
-        if finished.stopped:
-            console.say("stopped; the same command continues from here")
-            raise typer.Exit(batch_run.worst(finished))
-        names = chosen_figures(finished.summary, figure or [])
-        return names, figures_of_rows(study, rows, finished.summary, names)
+        recruit = partial(batch_run.crew_of, workers or os.cpu_count() or 1, scheduler)
+        summary = batch_run.completed(study, str(given), out, recruit)
+        names = chosen_figures(summary, figure or [])
+        return names, figures_of_rows(study, rows, summary, names)
 
     if "ranges" in toml.parse(toml.read_text(given, "case"), str(given)):
         arguments.only_for("a case", {"--parameter": parameter})

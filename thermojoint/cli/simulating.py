@@ -107,12 +107,8 @@ def simulate(
 def batch(
     given: Annotated[Path, typer.Argument(metavar="STUDY", help="Study file (TOML).")],
     out: Annotated[Path, typer.Option(help="Folder for all results; existing ones are kept.")],
-    workers: Annotated[
-        int | None, typer.Option(help="Processes on this machine; default: one for each core.")
-    ] = None,
-    scheduler: Annotated[
-        str | None, typer.Option(help="Use this Dask cluster instead, e.g. tcp://10.0.0.1:8786.")
-    ] = None,
+    workers: arguments.Workers = None,
+    scheduler: arguments.Scheduler = None,
     page: Annotated[
         Path | None, typer.Option(help="Page with figures and pictures of all cases (HTML).")
     ] = None,

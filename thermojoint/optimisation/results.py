@@ -90,15 +90,12 @@ def entries_of(
     return entries
 
 
-def history_of(given: DesignFile, done: Search) -> list[dict[str, Any]]:
+def history_of(done: Search) -> list[dict[str, Any]]:
     """Return the best case after each generation."""
     entries = []
     for count in done.sizes:
         if (best := done.best(count)) is not None:
-            held = all(
-                holds(limit, float(done.figures[best, at]))
-                for at, limit in enumerate(given.limits, start=1)
-            )
+            held = bool((done.measured[best, 1:] <= 0.0).all())
             aim = float(done.figures[best, 0])
             entries.append({"cases": count, "aim": aim, "holds": held, "values": done.rows[best]})
     return entries
