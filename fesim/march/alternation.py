@@ -8,10 +8,13 @@ then computed (`fesim.march.stepping`).
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
-from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array, Flags
 
 #: Smallest increment that counts, of what it is relative to: above what the gap equations leave.
 LEAST = 1e-5
@@ -21,6 +24,10 @@ SUSPECTED = 2
 GAIN = 0.9
 #: And in so many steps in a row, where the gain is seen in the increments themselves.
 STUBBORN = 6
+#: Or in so many of as many steps, where the oscillation is over three steps or more.
+TURNS = 2
+#: Increments below this part of the largest one tell no gain.
+LEADING = 0.1
 
 
 def turnings(last: Array, moved: Array) -> Array:
@@ -51,18 +58,42 @@ def suspected(turning: Array) -> Array:
 
 
 def alternating(values: Array) -> bool:
-    """Return whether relative values (n, m) of known steps come to alternate without end.
+    """Return whether relative values (n, m) of known steps come to oscillate without end.
 
-    Their increments turn in `STUBBORN` steps in a row, and hardly decay.
+    Either their increments turn in `STUBBORN` steps in a row and hardly decay, or they turn every
+    few steps, by swings that hardly decay from as many steps to the next.
     """
     moved = np.diff(values, axis=0)
     size = np.abs(moved)
     turned = (moved[1:] * moved[:-1] < 0.0) & (size[1:] > GAIN * size[:-1]) & (size[1:] > LEAST)
     if len(turned) < STUBBORN:
         return False
-    return bool(sliding_window_view(turned, STUBBORN, axis=0).all(axis=-1).any())
+    if _windows(turned, STUBBORN).all(axis=-1).any():
+        return True
+    swing = np.ptp(_windows(values, STUBBORN + 1), axis=-1)
+    often = _windows(_turned(moved), STUBBORN - 1).sum(axis=-1) >= TURNS
+    lasts = swing[STUBBORN:] > GAIN**STUBBORN * swing[:-STUBBORN]
+    return bool((often[STUBBORN:] & often[:-STUBBORN] & lasts).any())
+
+
+def _turned(moved: Array) -> Flags:
+    """Where increments (n, m) have another sign than the last ones that count, (n - 1, m)."""
+    counted = np.abs(moved) > LEAST
+    last = np.maximum.accumulate(np.where(counted, np.arange(len(moved))[:, None], 0), axis=0)
+    sign = np.take_along_axis(np.sign(moved) * counted, last, axis=0)
+    return np.asarray(sign[1:] * sign[:-1] < 0.0)
+
+
+def _windows(values: NDArray[Any], length: int) -> NDArray[Any]:
+    """All runs of `length` rows of values (n, m), shape (n - length + 1, m, length)."""
+    return np.asarray(sliding_window_view(values, length, axis=0))
 
 
 def gain_of(once: Array, twice: Array) -> float:
-    """Return the gain of an alternating map from two consecutive increments (k,)."""
-    return float(-(once @ twice) / max(float(once @ once), 1e-300))
+    """Return the gain of an alternating map from two consecutive increments (k,).
+
+    It is that of the element which alternates most: others may decay. Elements that hardly move
+    beside the rest only follow it.
+    """
+    leading = np.abs(once) >= max(LEADING * float(np.abs(once).max()), 1e-300)
+    return float((-twice[leading] / once[leading]).max(initial=0.0))

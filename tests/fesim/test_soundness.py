@@ -200,9 +200,11 @@ def test_steps_that_alternate_are_iterated_and_it_is_said(tmp_path, data, therma
     assert f"{figures['taken_over']} steps" in result_lines(found, figures)[-1]
 
 
-def test_known_inputs_are_marched_by_halves_where_steps_alternate(tmp_path, data):
-    """The joint-aware model's march, against the simulator."""
-    rod = cooled_rod(data, thermal="reduced", step_s=120.0, duration_min=30.0)
+@pytest.mark.parametrize(("step_s", "rise_K"), [(120.0, -20.0), (240.0, -60.0)], ids=["2", "3"])
+def test_known_inputs_are_marched_by_halves_where_steps_oscillate(tmp_path, data, step_s, rise_K):
+    """The joint-aware model's march, against the simulator; periods of two and of three steps."""
+    rod = cooled_rod(data, thermal="reduced", step_s=step_s, duration_min=15.0 * step_s / 60.0)
+    data["held_temperatures"]["high.z1"]["rise_K"] = rise_K
     write_structure(rod, tmp_path / "boxes.vtu")
     case = case_from_data(data, "case", tmp_path)
     setup = set_up(case)
@@ -210,7 +212,7 @@ def test_known_inputs_are_marched_by_halves_where_steps_alternate(tmp_path, data
     held = machine.at_preload
     physics = make_physics(diagonal_modes(machine, held), machine.joints, held)
     response = simulate(case, setup=setup, accuracy=False).response
-    inputs = np.tile([*machine.power, 0.0, -20.0, 0.0], (response.sizes["time"] - 1, 1))
+    inputs = np.tile([*machine.power, 0.0, rise_K, 0.0], (response.sizes["time"] - 1, 1))
     _, moved = simulate_known(physics, inputs, case.march.step_s)
     assert response["taken_over"].any()
     expected = response["displacement"][-1]
