@@ -24,8 +24,6 @@ SUSPECTED = 2
 GAIN = 0.9
 #: And in so many steps in a row, where the gain is seen in the increments themselves.
 STUBBORN = 6
-#: Or in so many of as many steps, where the oscillation is over three steps or more.
-TURNS = 2
 #: Increments below this part of the largest one tell no gain.
 LEADING = 0.1
 
@@ -60,20 +58,23 @@ def suspected(turning: Array) -> Array:
 def alternating(values: Array) -> bool:
     """Return whether relative values (n, m) of known steps come to oscillate without end.
 
-    Either their increments turn in `STUBBORN` steps in a row and hardly decay, or they turn every
-    few steps, by swings that hardly decay from as many steps to the next.
+    Either their increments turn in `STUBBORN` steps in a row and hardly decay; or they turn in half
+    of three times as many and come back to about where they were, by swings of which each third is
+    hardly less than the one before: periods of two, three, four or six steps.
     """
     moved = np.diff(values, axis=0)
     size = np.abs(moved)
     turned = (moved[1:] * moved[:-1] < 0.0) & (size[1:] > GAIN * size[:-1]) & (size[1:] > LEAST)
-    if len(turned) < STUBBORN:
-        return False
-    if _windows(turned, STUBBORN).all(axis=-1).any():
+    if len(turned) >= STUBBORN and _windows(turned, STUBBORN).all(axis=-1).any():
         return True
+    if len(moved) < 3 * STUBBORN:
+        return False
     swing = np.ptp(_windows(values, STUBBORN + 1), axis=-1)
-    often = _windows(_turned(moved), STUBBORN - 1).sum(axis=-1) >= TURNS
     lasts = swing[STUBBORN:] > GAIN**STUBBORN * swing[:-STUBBORN]
-    return bool((often[STUBBORN:] & often[:-STUBBORN] & lasts).any())
+    often = _windows(_turned(moved), 3 * STUBBORN - 1).sum(axis=-1) >= 3 * STUBBORN // 2 - 1
+    moved_on = np.abs(values[2 * STUBBORN :] - values[: -2 * STUBBORN])
+    back = _windows(moved_on, STUBBORN + 1).max(axis=-1) < 0.5 * swing[: -2 * STUBBORN]
+    return bool((often & back & lasts[STUBBORN:] & lasts[:-STUBBORN]).any())
 
 
 def _turned(moved: Array) -> Flags:

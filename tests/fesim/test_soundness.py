@@ -203,7 +203,7 @@ def test_steps_that_alternate_are_iterated_and_it_is_said(tmp_path, data, therma
 @pytest.mark.parametrize(("step_s", "rise_K"), [(120.0, -20.0), (240.0, -60.0)], ids=["2", "3"])
 def test_known_inputs_are_marched_by_halves_where_steps_oscillate(tmp_path, data, step_s, rise_K):
     """The joint-aware model's march, against the simulator; periods of two and of three steps."""
-    rod = cooled_rod(data, thermal="reduced", step_s=step_s, duration_min=15.0 * step_s / 60.0)
+    rod = cooled_rod(data, thermal="reduced", step_s=step_s, duration_min=24.0 * step_s / 60.0)
     data["held_temperatures"]["high.z1"]["rise_K"] = rise_K
     write_structure(rod, tmp_path / "boxes.vtu")
     case = case_from_data(data, "case", tmp_path)
