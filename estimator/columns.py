@@ -5,14 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 
+import numpy as np
+
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
+from thermojoint.artefacts.quantities import place_of
 
 Sample = tuple[float, ...]
 
 
-def samples_of(names: Sequence[str], pieces: Iterable[Log]) -> Iterator[Sample]:
-    """Yield (time, columns in SI) of a log.
+def samples_of(
+    names: Sequence[str], pieces: Iterable[Log], optional: Sequence[str] = ()
+) -> Iterator[Sample]:
+    """Yield (time, columns in SI) of a log; NaN for optional ones that it does not have.
 
     Raises
     ------
@@ -25,5 +30,10 @@ def samples_of(names: Sequence[str], pieces: Iterable[Log]) -> Iterator[Sample]:
             raise InputError("log: time restarts; estimate each run by itself")
         last = float(piece.times[-1])
         at = [piece.index(name) for name in names]
-        for time, values in zip(piece.times.tolist(), piece.values[:, at].tolist(), strict=True):
-            yield (time, *values)
+        values = piece.values[:, at]
+        for name in optional:
+            known = place_of(name, piece.names)
+            one = piece.values[:, known.at] if known else np.full(len(values), np.nan)
+            values = np.column_stack((values, one))
+        for time, row in zip(piece.times.tolist(), values.tolist(), strict=True):
+            yield (time, *row)

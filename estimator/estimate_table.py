@@ -23,6 +23,8 @@ from thermojoint.artefacts.tables.layout import HEAD
 from thermojoint.artefacts.units import MEGA, MICRO
 
 _VALUE, _BAND = "_um", "_band_um"
+#: Units of details that are shown in millionths, and the ending of their columns.
+_MICRO = {"m": _VALUE, "m/m": "_um_per_m"}
 
 
 class Row(NamedTuple):
@@ -62,7 +64,7 @@ def header(estimator: Estimator, more: Sequence[str] = ()) -> list[str]:
 
 def row(estimator: Estimator, estimate: Estimate, more: Sequence[str] = ()) -> list[str]:
     """Return one estimate as text, in the order of `header`; empty where there is no band."""
-    scales = (MEGA if channel.unit == "m" else 1.0 for channel in estimator.details)
+    scales = map(detail_scale, estimator.details)
     values = [
         *(scale * value for scale, value in zip(scales, estimate.details, strict=True)),
         *(MEGA * estimate.displacement),
@@ -142,8 +144,13 @@ def read_estimate(lines: Iterable[str], where: str) -> tuple[tuple[str, ...], li
 
 def detail_name(channel: Channel) -> str:
     """Return the column of a detail: ``heat_spindle_W``, ``linear_x_um``, ``heat_input``."""
-    suffix = {"m": _VALUE, "1": ""}.get(channel.unit, f"_{channel.unit}")
+    suffix = {"1": "", **_MICRO}.get(channel.unit, f"_{channel.unit}")
     return f"{channel.name}{suffix}"
+
+
+def detail_scale(channel: Channel) -> float:
+    """Return the factor from a detail to its column: displacements and slopes are in millionths."""
+    return MEGA if channel.unit in _MICRO else 1.0
 
 
 def _dialect(table: Sequence[str], where: str) -> Dialect | None:

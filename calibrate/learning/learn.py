@@ -10,13 +10,22 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import nnls
 
 from calibrate.learning import baselines
 from calibrate.learning.blocks import blocks_of
-from calibrate.learning.cleaning import Cleaned, clean
+from calibrate.learning.cleaning import Cleaned, clean, read_time
+from calibrate.learning.positions import Along, checked, sorted_out
 from calibrate.learning.rules import Judging, Rules
 from calibrate.learning.selection import Fitted, choose, fit
-from calibrate.learning.structures import candidates, design, sizes, structures
+from calibrate.learning.structures import (
+    candidates,
+    design,
+    sizes,
+    slope_sizes,
+    structures,
+    with_slope,
+)
 from calibrate.learning.thinning import Table, thinned
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
@@ -28,6 +37,7 @@ from thermojoint.models.learned import (
     LearnedChannel,
     LearnedFrom,
     LearnedModel,
+    LearnedSlope,
     LogEnd,
     features_of,
 )
@@ -49,6 +59,7 @@ class _Rows:
     inputs: Array
     outputs: Array
     margin: int
+    along: Along | None
     fit: Callable[[Array, Array], Fitted]
 
 
@@ -94,9 +105,12 @@ def learn_and_judge(
     pieces : iterable of Log
         The log, in time order; a list of whole logs also works.
     displacements : sequence of str
-        Names of the columns to learn, with or without their units.
+        Names of the columns to learn, with or without their units. ``x_um@y_pos_mm`` was read at
+        the position in another column, ``x_um`` at fixed ones where the log has ``x@0mm_um`` and
+        ``x@400mm_um``: K0 and slope are learned jointly.
     max_sensors : int
-        Most temperatures that the model may use; a baseline uses all.
+        Most temperatures that the model may use for the displacements read at one place together,
+        and for each of the others; a baseline uses all.
     kind : str
         ``learned``, or a baseline: ``linear``, ``ridge``, ``arx``.
     ignored : sequence of str
@@ -110,13 +124,43 @@ def learn_and_judge(
     if max_sensors < 1:
         raise InputError(f"--max-sensors {max_sensors}: give one or more")
     rules = Rules()
+    pieces, still, moving = sorted_out(pieces, displacements, rules.thinning)
     table = thinned(pieces, (), rules.thinning)
-    cleaned = _cleaned(table, displacements, ignored, rules)
+    if not displacements:
+        length = next(
+            (one.name for one in table.columns if one.quantity == "length" and not one.is_position),
+            "x_um",
+        )
+        raise InputError(f"log: name what to learn, e.g. --displacement {length}")
+    cleaned = _cleaned(table, still, ignored, rules)
+    own: list[tuple[Cleaned, Along | None]] = [(cleaned, None)] if still else []
+    for one in moving:
+        along, warnings = checked(one, table, rules.cleaning, rules.moving)
+        of_one = replace(
+            cleaned, displacements=(one.name,), warnings=(*cleaned.warnings, *warnings)
+        )
+        own.append((of_one, along))
+    models, held_out = zip(
+        *(_learned(part, along, max_sensors, kind, rules) for part, along in own), strict=True
+    )
+    return _together(models, cleaned), _beside(held_out)
+
+
+def _learned(
+    cleaned: Cleaned, along: Along | None, max_sensors: int, kind: Kind, rules: Rules
+) -> tuple[LearnedModel, HeldOut]:
+    """Learn displacements that were read at one place, or one along an axis."""
     judged = {
-        name: _rows(cleaned, name, max_sensors, rules) for name in KINDS if _possible(cleaned, name)
+        name: _rows(cleaned, along, name, max_sensors, rules)
+        for name in KINDS
+        if _possible(cleaned, along, name)
     }
     if kind not in judged:
-        raise InputError(f"kind {kind}: needs temperatures, and the log has none that is usable")
+        raise InputError(
+            f"kind {kind}: needs temperatures, and the log has none that is usable"
+            if not cleaned.sensors
+            else f"kind {kind}: not for a displacement along an axis; take {', '.join(judged)}"
+        )
     errors = {name: _judge(own, rules.judging) for name, own in judged.items()}
     rows = judged[kind]
     mean = _judge_mean(rows, rules.judging)
@@ -142,6 +186,79 @@ def _held_out(rows: _Rows, judged: _Judged) -> HeldOut:
     return HeldOut(rows.times, *(values / MEGA for values in (truth, estimate, band)))
 
 
+def _beside(parts: Sequence[HeldOut]) -> HeldOut:
+    """Return what was held out of several models, NaN at the times of the others."""
+    return HeldOut(
+        np.concatenate([part.times for part in parts]),
+        *(_diagonal(values) for values in zip(*(part[1:] for part in parts), strict=True)),
+    )
+
+
+def _diagonal(parts: Sequence[Array]) -> Array:
+    whole = np.full(np.sum([part.shape for part in parts], axis=0), np.nan)
+    row = column = 0
+    for part in parts:
+        whole[row : row + part.shape[0], column : column + part.shape[1]] = part
+        row, column = row + part.shape[0], column + part.shape[1]
+    return whole
+
+
+def _together(models: Sequence[LearnedModel], cleaned: Cleaned) -> LearnedModel:
+    """Return one model of the channels of several, on the features of all."""
+    if len(models) == 1:
+        return models[0]
+    features = tuple(dict.fromkeys(one for model in models for one in model.features))
+    origins = [model.learned_from for model in models]
+
+    def texts(name: str) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(text for one in origins for text in getattr(one, name)))
+
+    def errors(name: str) -> dict[str, tuple[float, ...]]:
+        every = [getattr(one, name) for one in origins]
+        kinds = [kind for kind in every[0] if all(kind in one for one in every)]
+        return {kind: tuple(value for one in every for value in one[kind]) for kind in kinds}
+
+    return replace(
+        models[0],
+        features=features,
+        channels=tuple(
+            _on(channel, [features.index(one) for one in model.features], len(features))
+            for model in models
+            for channel in model.channels
+        ),
+        spans={name: span for model in models for name, span in model.spans.items()},
+        learned_from=replace(
+            origins[0],
+            faults=texts("faults"),
+            warnings=texts("warnings"),
+            errors_um=errors("errors_um"),
+            worst_um=errors("worst_um"),
+        ),
+        log_end=_end_of(cleaned, features),
+    )
+
+
+def _on(channel: LearnedChannel, at: Sequence[int], count: int) -> LearnedChannel:
+    """Return a channel on more features: `at` are the places of its own among them."""
+
+    def weights(own: Sequence[float]) -> tuple[float, ...]:
+        spread = np.zeros(count)
+        spread[list(at)] = own
+        return tuple(map(float, spread))
+
+    slope = channel.slope
+    index = with_slope(at, count) if slope else list(at)
+    size = 2 * count + 1 if slope else count
+    covariance = np.zeros((size, size))
+    covariance[np.ix_(index, index)] = channel.covariance
+    return replace(
+        channel,
+        weights=weights(channel.weights),
+        covariance=tuple(tuple(map(float, row)) for row in covariance),
+        slope=slope and replace(slope, weights=weights(slope.weights)),
+    )
+
+
 def with_origin(
     model: LearnedModel, files: Sequence[str], renamed: Mapping[str, str] | None = None
 ) -> LearnedModel:
@@ -154,10 +271,6 @@ def _cleaned(
     table: Table, displacements: Sequence[str], ignored: Sequence[str], rules: Rules
 ) -> Cleaned:
     whole = Log(table.times, table.columns, table.values, table.starts)
-    if not displacements:
-        raise InputError(
-            f"log: name what to learn, e.g. --displacement {next(iter(whole.of('length')), 'x_um')}"
-        )
     names = tuple(dict.fromkeys(table.columns[whole.index(name)].name for name in displacements))
     for name in names:
         if table.columns[whole.index(name)].quantity != "length":
@@ -177,11 +290,12 @@ def _cleaned(
     )
 
 
-def _possible(cleaned: Cleaned, kind: Kind) -> bool:
-    return bool(cleaned.sensors) or kind == "learned"
+def _possible(cleaned: Cleaned, along: Along | None, kind: Kind) -> bool:
+    # One-step predictions need one place.
+    return kind == "learned" or (bool(cleaned.sensors) and not (kind == "arx" and along))
 
 
-def _rows(cleaned: Cleaned, kind: Kind, most: int, rules: Rules) -> _Rows:
+def _rows(cleaned: Cleaned, along: Along | None, kind: Kind, most: int, rules: Rules) -> _Rows:
     """Return the rows for a kind of model, and how it is fitted."""
     features = candidates(cleaned, rules.features)
     if kind in ("linear", "arx"):
@@ -190,8 +304,10 @@ def _rows(cleaned: Cleaned, kind: Kind, most: int, rules: Rules) -> _Rows:
         )
     elif kind == "ridge":
         features = tuple(feature for feature in features if not feature.exponent)
-    times, inputs, outputs = design(cleaned, features, rules.features)
+    times, inputs, outputs = design(cleaned, features, rules.features, along)
     interval = cleaned.table.interval
+    if along:
+        interval = float(read_time(cleaned.table)[-1]) / len(times)
     if kind == "arx":
         now, slowest = list(range(len(features))), rules.features.slow[-1]
         tau = baselines.autoregressive_tau(
@@ -201,12 +317,12 @@ def _rows(cleaned: Cleaned, kind: Kind, most: int, rules: Rules) -> _Rows:
             Feature(feature.column, tau, reference=feature.reference) for feature in features
         )
         times, inputs, outputs = design(cleaned, features, rules.features)
-    every = list(range(len(features)))
+    every = list(range(inputs.shape[1]))
     length = float(np.ptp(cleaned.table.times))
     kinds = structures(bool(cleaned.drives), length, rules.features)
 
     def fitted(some: Array, outputs: Array) -> Fitted:
-        blocks = blocks_of(np.hstack((some, outputs)), len(features), interval, rules.fitting)
+        blocks = blocks_of(np.hstack((some, outputs)), some.shape[1], interval, rules.fitting)
         if kind == "linear":
             return baselines.linear(blocks, every)
         if kind != "learned":
@@ -215,7 +331,10 @@ def _rows(cleaned: Cleaned, kind: Kind, most: int, rules: Rules) -> _Rows:
         return fit(blocks, features, sensors, kinds)
 
     margin = int(np.ceil(rules.fitting.margin / interval))
-    return _Rows(features, sizes(features, rules.features), times, inputs, outputs, margin, fitted)
+    size = sizes(features, rules.features)
+    if along:
+        size = slope_sizes(size, along.lever, rules.features)
+    return _Rows(features, size, times, inputs, outputs, margin, along, fitted)
 
 
 class _Judged(NamedTuple):
@@ -322,26 +441,33 @@ def _model(
     rules: Judging,
 ) -> LearnedModel:
     """Return the model of a fit, without unused features."""
-    used = np.flatnonzero(np.abs(fitted.weights).sum(axis=1))
-    size = rows.sizes[used] / MEGA
-    weights = size[:, None] * fitted.weights[used]
+    along, count = rows.along, len(rows.features)
+    sums = np.abs(fitted.weights).sum(axis=1)
+    used = np.flatnonzero(sums[:count] + (sums[count + 1 :] if along else 0.0))
+    index = np.array(with_slope(used.tolist(), count) if along else used)
+    size = rows.sizes[index] / MEGA
+    weights = size[:, None] * fitted.weights[index]
     features = tuple(rows.features[k] for k in used)
+    drifts, slope = fitted.errors, None
+    if along:
+        drifts, slope = _slope(along, rows, weights, errors[kind].errors[:, 0])
     columns = {feature.column for feature in features}
     widening = errors[kind].widening
     channels = []
     for c, name in enumerate(cleaned.displacements):
-        spread = rules.open * fitted.covariance[c][np.ix_(used, used)] * np.outer(size, size)
-        values = cleaned.at(name)
+        spread = rules.open * fitted.covariance[c][np.ix_(index, index)] * np.outer(size, size)
+        values = rows.outputs[:, 0] / MEGA if along else cleaned.at(name)
         values = values[np.isfinite(values)]
         channels.append(
             LearnedChannel(
                 name,
                 float(fitted.offset[c]) / MEGA,
-                tuple(map(float, weights[:, c])),
+                tuple(map(float, weights[: len(used), c])),
                 tuple(tuple(map(float, row)) for row in 0.5 * (spread + spread.T)),
-                max(float(fitted.errors[c]), rules.least_drift) / MEGA,
+                max(float(drifts[c]), rules.least_drift) / MEGA,
                 (float(values.min()), float(values.max())),
                 float(widening[c]),
+                slope and replace(slope, drift=max(slope.drift, rules.least_drift / MEGA)),
             )
         )
     table = cleaned.table
@@ -370,6 +496,25 @@ def _model(
             {name: version(name) for name in ("thermojoint", "numpy")},
         ),
         log_end=_end_of(cleaned, features),
+    )
+
+
+def _slope(along: Along, rows: _Rows, weights: Array, errors: Array) -> tuple[Array, LearnedSlope]:
+    """Return the unexplained displacement at P0, µm, shape (1,), and the slope of a fit.
+
+    The squares of the held-out errors (µm) are those of K0 and of a slope, times the lever squared.
+    """
+    lever = rows.inputs[:, len(rows.features)]
+    lever = lever / np.abs(lever).max()
+    parts, _ = nnls(np.column_stack((np.ones_like(lever), lever**2)), errors**2)
+    own = weights[(len(weights) - 1) // 2 :, 0]
+    return np.sqrt(parts[:1]), LearnedSlope(
+        along.position,
+        along.reference,
+        along.stroke,
+        float(own[0]),
+        tuple(map(float, own[1:])),
+        float(np.sqrt(parts[1])) / MEGA / along.lever,
     )
 
 

@@ -130,6 +130,8 @@ class Features:
     gain, heat_gain : float
         A priori size of a weight, um: per kelvin (steel over half a metre), and of the largest
         heat.
+    slope_gain : float
+        A priori size of the constant part of a slope, um at the end of the stroke: hardly any.
     before, given_up : float
         Time for which heat from before a run has an effect, s (twice the slowest relaxation of a
         heat), and the largest fraction of the run discarded for it.
@@ -143,6 +145,7 @@ class Features:
     slowest_share: float = 1.0 / 3.0
     gain: float = 5.0
     heat_gain: float = 20.0
+    slope_gain: float = 200.0
     before: float = 10800.0
     given_up: float = 0.2
     standstill: float = 0.02
@@ -209,6 +212,28 @@ class Judging:
 
 
 @dataclass(frozen=True)
+class Moving:
+    """What a log must have read along an axis for a slope.
+
+    Attributes
+    ----------
+    shortest : float
+        Distance between the outermost positions, m.
+    half : float
+        An hour shows the slope if it was read over this fraction of that distance.
+    hours : float
+        Number of such hours needed.
+    share : float
+        Share of all hours with readings; with fewer the model is flagged.
+    """
+
+    shortest: float = 0.02
+    half: float = 0.5
+    hours: int = 3
+    share: float = 0.5
+
+
+@dataclass(frozen=True)
 class Rules:
     """All rules of learning."""
 
@@ -217,3 +242,4 @@ class Rules:
     features: Features = field(default_factory=Features)
     fitting: Fitting = field(default_factory=Fitting)
     judging: Judging = field(default_factory=Judging)
+    moving: Moving = field(default_factory=Moving)

@@ -84,7 +84,7 @@ def fit(
     n = blocks.features
     weights, errors, spreads = [], [], []
     for kind in kinds:
-        index = np.array(index_of(features, sensors, kind), dtype=np.int64)
+        index = np.array(index_of(features, sensors, kind, n), dtype=np.int64)
         fits = weights_of(blocks, index, blocks.rules.priors)
         inner = blocks.whole.centred[np.ix_(index, index)] / blocks.penalty
         for own in fits:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibrate.learning.cleaning import Cleaned
+from calibrate.learning.positions import Along
 from calibrate.learning.rules import Features
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
@@ -58,9 +60,9 @@ def candidates(cleaned: Cleaned, rules: Features) -> tuple[Feature, ...]:
 
 
 def index_of(
-    features: tuple[Feature, ...], sensors: tuple[str, ...], structure: Structure
+    features: tuple[Feature, ...], sensors: tuple[str, ...], structure: Structure, inputs: int
 ) -> list[int]:
-    """Return the indices of a structure's features on some sensors."""
+    """Return the indices of a structure's features on some sensors among the inputs of a fit."""
     taus = (0.0, *structure.slow)
     loads = {
         feature.column
@@ -68,7 +70,7 @@ def index_of(
         if feature.exponent == 1.0
         and not any(o.column == feature.column and o.exponent not in (0.0, 1.0) for o in features)
     }
-    return [
+    index = [
         k
         for k, feature in enumerate(features)
         if (not feature.exponent and feature.column in sensors and feature.tau_s in taus)
@@ -78,6 +80,12 @@ def index_of(
             and (feature.exponent == structure.exponent or feature.column in loads)
         )
     ]
+    return index if inputs == len(features) else with_slope(index, len(features))
+
+
+def with_slope(index: Sequence[int], features: int) -> list[int]:
+    """Return the inputs of K0, of the constant slope and of the slope for indices of features."""
+    return [*index, features, *(features + 1 + k for k in index)]
 
 
 class Design(NamedTuple):
@@ -88,28 +96,46 @@ class Design(NamedTuple):
     outputs: Array
 
 
-def design(cleaned: Cleaned, features: tuple[Feature, ...], rules: Features) -> Design:
+def design(
+    cleaned: Cleaned,
+    features: tuple[Feature, ...],
+    rules: Features,
+    along: Along | None = None,
+) -> Design:
     """Return times (k,), features (k, n) and displacements (k, axes).
 
     Rows without a displacement are left out; of several runs, each of which has its own zero, only
-    the variations within each are used.
+    the variations within each are used. Along an axis there is a row for every reading, and the
+    inputs are the features, the lever, and the features times the lever.
     """
     table = cleaned.table
     names = [column.name for column in table.columns]
     size = sizes(features, rules)
-    at = [names.index(name) for name in cleaned.displacements]
+    wanted = along.displacements if along else cleaned.displacements
+    at = [names.index(name) for name in wanted]
+    levers = along.levers(cleaned.table) if along else np.zeros((len(table.times), 0))
     ends = [*table.starts[1:], len(table.times)]
     times, inputs, outputs = [], [], []
     for first, end in zip(table.starts, ends, strict=True):
         run = table.times[first:end], table.values[first:end]
-        values = size * features_of(features, names, run)
+        values = size[: len(features)] * features_of(features, names, run)
         measured = MEGA * table.values[first:end][:, at]
-        full = np.isfinite(measured).all(axis=1) & _known(cleaned, slice(first, end), rules)
-        if not full.any():
+        known = _known(cleaned, slice(first, end), rules)
+        if along:
+            read = np.isfinite(measured + levers[first:end]) & known[:, None]
+            # In the order of time, several readings of one row side by side.
+            full, column = np.nonzero(read)
+            lever = levers[first:end][full, column][:, None]
+            measured = measured[full, column][:, None]
+            values = np.hstack((values[full], rules.slope_gain * lever, lever * values[full]))
+        else:
+            full = np.flatnonzero(np.isfinite(measured).all(axis=1) & known)
+            values, measured = values[full], measured[full]
+        if not full.size:
             continue
         times.append(table.times[first:end][full])
-        inputs.append(values[full])
-        outputs.append(measured[full])
+        inputs.append(values)
+        outputs.append(measured)
     if not inputs:
         raise InputError("log: no row has every displacement; record them together")
     return Design(np.concatenate(times), _within_runs(inputs), _within_runs(outputs))
@@ -140,3 +166,11 @@ def _within_runs(runs: list[Array]) -> Array:
 def sizes(features: tuple[Feature, ...], rules: Features) -> Array:
     """Return the a priori size of each weight, µm, shape (n,)."""
     return np.array([rules.heat_gain if one.exponent else rules.gain for one in features])
+
+
+def slope_sizes(size: Array, lever: float, rules: Features) -> Array:
+    """Return the a priori sizes of K0's weights, µm, of the constant slope and the slope's, µm/m.
+
+    `lever` is the longest distance from the reference position, m.
+    """
+    return np.concatenate((size, [rules.slope_gain / lever], size / lever))

@@ -4,6 +4,8 @@ For each displacement a small Kalman filter whose state is (zero, drift, weights
 
     δ = zero + drift + Σ w_f φ_f.
 
+Along an axis it has the same again for the slope, and a reading at p observes K0 + (p - P0) slope.
+
 The zero is constant, the drift decays within hours and takes up what no feature explains, and the
 weights are the learned ones, with their covariance. Without readings only the features move δ,
 which is therefore bounded by the measurements, however long the run. A reading corrects the
@@ -19,8 +21,9 @@ from functools import cached_property
 
 import numpy as np
 
+from estimator.intake import axis_name
 from estimator.interface import READING_NOISE, Channel, Estimate, Status
-from estimator.learned.state import DRIFT, WEIGHTS, ZERO, State, flat, state_in
+from estimator.learned.state import DRIFT, WEIGHTS, ZERO, State, flat, state_in, width_of
 from estimator.learned.unread import Unread, at_start, later
 from estimator.span import SLACK, with_slack
 from thermojoint.artefacts.arrays import Array, Flags
@@ -37,6 +40,7 @@ _UNITS = {
     "power": "W",
     "current": "A",
     "torque": "N m",
+    "length": "m",
 }
 
 
@@ -135,27 +139,63 @@ class Learned(Described):
 
     @cached_property
     def channels(self) -> tuple[Channel, ...]:
-        """Columns of the log in SI, then a reading of each displacement; NaN where missing."""
+        """Columns of the log in SI, positions, a reading of each displacement, where it was read.
+
+        NaN where missing; a reading without a position of its own was made at the present one.
+        """
+        positions = self.model.positions
         return (
-            *(Channel(name, _unit(name)) for name in self.model.columns),
-            *(Channel(f"reading {name}", "m") for name in self.axes),
+            *(Channel(name, _unit(name)) for name in (*self.model.columns, *positions)),
+            *(Channel(f"reading {name}", "m") for name in (*self.axes, *positions)),
         )
 
     @property
     def details(self) -> tuple[Channel, ...]:
-        """None."""
-        return ()
+        """Slope, its band, P0, and displacement at the position, for those along an axis."""
+        return tuple(
+            Channel(f"{axis_name(channel.name)}_{name}", unit)
+            for channel in self.model.channels
+            if channel.slope
+            for name, unit in (
+                ("slope", "m/m"),
+                ("slope_band", "m/m"),
+                ("P0", "mm"),
+                ("here", "m"),
+                ("here_band", "m"),
+            )
+        )
 
     @cached_property
     def _prior(self) -> Array:
         """Covariance of (zero, drift, weights) of each displacement before any reading, m2."""
-        size = 2 + len(self.model.features)
+        half, size = 2 + len(self.model.features), width_of(self.model)
         prior = np.zeros((len(self.axes), size, size))
         for own, channel in zip(prior, self.model.channels, strict=True):
-            own[ZERO, ZERO] = channel.drift**2
-            own[DRIFT, DRIFT] = (self.following.drift_size * channel.drift) ** 2
-            own[WEIGHTS, WEIGHTS] = channel.covariance
+            index, drifts = list(range(2, half)), [channel.drift]
+            if channel.slope:
+                index += [half + ZERO, *range(half + 2, size)]
+                drifts.append(channel.slope.drift)
+            own[np.ix_(index, index)] = channel.covariance
+            for first, drift in zip((0, half), drifts, strict=False):
+                own[first + ZERO, first + ZERO] += drift**2
+                own[first + DRIFT, first + DRIFT] = (self.following.drift_size * drift) ** 2
         return prior
+
+    def _learned(self) -> Array:
+        """Zero, drift and weights of each displacement, and of its slope, as learned."""
+        mean = np.zeros((len(self.axes), width_of(self.model)))
+        half = 2 + len(self.model.features)
+        for own, channel in zip(mean, self.model.channels, strict=True):
+            own[:half] = channel.zero, 0.0, *channel.weights
+            if channel.slope:
+                own[half:] = channel.slope.zero, 0.0, *channel.slope.weights
+        return mean
+
+    def _levers(self, positions: Array) -> Array:
+        """Distance of each displacement from its P0, m; 0 without a slope. Positions (p,), m."""
+        at = dict(zip(self.model.positions, positions.tolist(), strict=True))
+        slopes = [channel.slope for channel in self.model.channels]
+        return np.array([at[one.position] - one.reference if one else 0.0 for one in slopes])
 
     def initial_state(self) -> Array:
         """Return the state before any sample."""
@@ -166,7 +206,7 @@ class Learned(Described):
                 begun=np.nan,
                 values=np.full(len(model.columns), np.nan),
                 relaxations=np.full(len(model.features), np.nan),
-                mean=np.array([(c.zero, 0.0, *c.weights) for c in model.channels]),
+                mean=self._learned(),
                 refused=np.zeros(len(model.channels)),
                 covariance=self._prior,
                 unread=Unread(*np.zeros((2, len(model.features)))),
@@ -183,22 +223,24 @@ class Learned(Described):
         time : float
             s; later than that of the previous sample.
         values : sequence of float
-            As in `channels`; NaN where missing. It may end before the displacement readings.
+            As in `channels`; NaN where missing. It may end before the positions, the displacement
+            readings, or where they were read.
         """
         last = state_in(state, self.model)
         if not np.isfinite(time) or time <= last.time:
             raise InputError(
                 f"time {time:g} s does not come after {last.time:g} s; drop or re-order the sample"
             )
-        columns = len(self.model.columns)
-        unread = [math.nan] * len(self.axes) if len(values) == columns else []
-        sample = np.array([*values, *unread], dtype=float)
-        if sample.shape != (columns + len(self.axes),) or np.isinf(sample).any():
+        places = len(self.model.positions)
+        parts = np.cumsum([len(self.model.columns), places, len(self.axes), places])
+        unread = parts[-1] - len(values) if len(values) in parts else 0
+        sample = np.array([*values, *[math.nan] * unread], dtype=float)
+        if sample.shape != (parts[-1],) or np.isinf(sample).any():
             raise InputError(
-                f"{sample.size} values, or one that is infinite; give {columns + len(self.axes)}, "
+                f"{len(values)} values, or one that is infinite; give {parts[-1]}, "
                 "NaN where a reading is missing"
             )
-        now, readings = sample[:columns], sample[columns:]
+        now, here, readings, there = np.split(sample, parts[:-1])
         lowest, highest = self._possible
         now = np.where((now > lowest) & (now < highest), now, np.nan)
         missing = np.isnan(now)
@@ -208,21 +250,59 @@ class Learned(Described):
         if not last.fresh:
             last = self._forgotten(last, time - last.time)
         row = np.concatenate(([1.0, 1.0], low))
-        unknown = np.abs(last.mean[:, WEIGHTS]) @ last.unread.relaxed
         status = Status.OK
+        at = self._levers(np.where(np.isnan(there), here, there))
+        shares = self._shares(1.0, at)
+        unknown = self._seen(last, row, shares)[2]
         for c in np.flatnonzero(~np.isnan(readings)):
             noise = self.reading_noise**2 + unknown[c] ** 2
-            if self._correct(last, int(c), row, float(readings[c]), noise):
+            own = np.outer(shares[c], row).ravel()
+            # Without its position a reading along an axis says nothing.
+            if np.isnan(at[c]) or self._correct(last, int(c), own, float(readings[c]), noise):
                 status |= Status.READING_REFUSED
-        estimate = last.mean @ row
-        variance = np.einsum("i,cij,j->c", row, last.covariance, row)
-        band = self.following.within * self._widening * np.sqrt(variance)
+        estimate, band, unknown = self._seen(last, row, self._shares(1.0, np.zeros_like(at)))
+        details = self._details(last, row, self._levers(here))
         begun = time if last.fresh else last.begun
         status |= self._status(now, estimate, time - begun)
         status |= self._status_unread(last, missing, unknown)
         after = last._replace(time=time, begun=begun, values=now, relaxations=low)
         return flat(after), Estimate(
-            time, estimate, band + unknown, status, np.empty(0), self._names(missing)
+            time, estimate, band + unknown, status, details, self._names(missing)
+        )
+
+    def _shares(self, k0: float, levers: Array) -> Array:
+        """Shares of K0 and of slope (m) that make up a displacement, shape (axes, 1 or 2)."""
+        whole = np.stack((np.full_like(levers, k0), levers), axis=1)
+        return whole if self.model.positions else whole[:, :1]
+
+    def _seen(self, state: State, row: Array, shares: Array) -> tuple[Array, Array, Array]:
+        """Value, band and bound on what is unread, of shares of K0 and slope; each (axes,)."""
+        filters = np.einsum("cp,cpi->ci", shares, state.mean.reshape(*shares.shape, len(row)))
+        rows = (shares[:, :, None] * row).reshape(state.mean.shape)
+        variance = np.einsum("ci,cij,cj->c", rows, state.covariance, rows)
+        band = self.following.within * self._widening * np.sqrt(variance)
+        return filters @ row, band, np.abs(filters[:, WEIGHTS]) @ state.unread.relaxed
+
+    def _details(self, state: State, row: Array, levers: Array) -> Array:
+        """Return `details`."""
+        if not self.model.positions:
+            return np.empty(0)
+        one = self._shares(0.0, np.ones_like(levers))
+        slope, slope_band, slope_unknown = self._seen(state, row, one)
+        here, band, unknown = self._seen(state, row, self._shares(1.0, levers))
+        return np.array(
+            [
+                value
+                for c, channel in enumerate(self.model.channels)
+                if channel.slope
+                for value in (
+                    slope[c],
+                    slope_band[c] + slope_unknown[c],
+                    1e3 * channel.slope.reference,
+                    here[c],
+                    band[c] + unknown[c],
+                )
+            ]
         )
 
     def _names(self, missing: Flags) -> tuple[str, ...]:
@@ -247,7 +327,8 @@ class Learned(Described):
     def _status_unread(self, last: State, missing: Flags, unknown: Array) -> Status:
         """Status bits for missing readings and an unknown past."""
         status = Status.READING_MISSING if missing.any() else Status.OK
-        whole = np.abs(last.mean[:, WEIGHTS]) @ self.model.signal_ranges
+        k0 = last.mean[:, : 2 + len(self.model.features)]
+        whole = np.abs(k0[:, WEIGHTS]) @ self.model.signal_ranges
         if (unknown > self.following.unsettled * whole).any():
             status |= Status.UNSETTLED
         if missing.any() and (unknown > self.following.lost * whole).any():
@@ -282,10 +363,11 @@ class Learned(Described):
 
     def _forgotten(self, state: State, dt: float) -> State:
         """Return the filters one interval later: each part relaxes towards its prior."""
+        half = 2 + len(self.model.features)
         keep = np.full(state.mean.shape[1], np.exp(-dt / self.following.memory))
-        keep[ZERO], keep[DRIFT] = 1.0, np.exp(-dt / self.following.drift_time)
+        keep[ZERO::half], keep[DRIFT::half] = 1.0, np.exp(-dt / self.following.drift_time)
         mean, both = state.mean.copy(), np.outer(keep, keep)
-        mean[:, DRIFT] *= keep[DRIFT]
+        mean[:, DRIFT::half] *= keep[DRIFT]
         covariance = both * state.covariance + (1.0 - both) * self._prior
         return state._replace(mean=mean, covariance=covariance)
 

@@ -2,72 +2,99 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from estimator.columns import samples_of
+from estimator.intake import axis_name
 from estimator.interface import follow
 from estimator.learned.estimator import Learned
 from estimator.probe_readings import with_probe_readings
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
+from thermojoint.artefacts.quantities import Column, fixed_positions, place_of
 from thermojoint.artefacts.units import MEGA
 
 
 def run(estimator: Learned, log: Log, every: float | None = None) -> tuple[Array, Array, list[str]]:
     """Return estimate and band, (k, axes) m, and status for every sample of a run.
 
-    With `every` (s) displacements are read at this interval, the first one at the start.
+    With `every` (s) displacements are read at this interval, the first one at the start. Along an
+    axis they are those at the position of the log.
     """
-    samples = samples_of(estimator.model.columns, [log])
+    model = estimator.model
+    samples = samples_of(model.columns, [log], model.positions)
     if every is not None:
         due = np.arange(log.times[0], log.times[-1] + 1.0, every)
         at = np.minimum(np.searchsorted(log.times, due), len(log.times) - 1)
         readings = np.stack([log.at(name)[at] for name in estimator.axes], axis=1)
         samples = with_probe_readings(samples, log.times[at], readings)
     estimates = [estimate for _, estimate in follow(estimator, samples, estimator.initial_state())]
-    return (
-        np.array([estimate.displacement for estimate in estimates]),
-        np.array([estimate.band for estimate in estimates]),
-        [estimate.status.words for estimate in estimates],
-    )
+    displacement = np.array([estimate.displacement for estimate in estimates])
+    band = np.array([estimate.band for estimate in estimates])
+    along = [c for c, channel in enumerate(model.channels) if channel.slope]
+    if along:
+        details = np.array([estimate.details for estimate in estimates])
+        places = [channel.name for channel in estimator.details]
+        names = [axis_name(estimator.axes[c]) for c in along]
+        displacement[:, along] = details[:, [places.index(f"{name}_here") for name in names]]
+        band[:, along] = details[:, [places.index(f"{name}_here_band") for name in names]]
+    return displacement, band, [estimate.status.words for estimate in estimates]
 
 
 def judge(case: str, estimator: Learned, log: Log) -> list[dict[str, str | float]]:
     """Return errors of every displacement of every run, free-running.
 
     ``rms_error_um`` uses the zero of the learning log; for ``rms_error_zeroed_um`` the estimate at
-    the first sample is the day's zero, also for the uncompensated error.
+    the first sample is the day's zero, also for the uncompensated error. Along an axis every
+    reading is compared at its position, and so is every column of a fixed one.
 
     Raises
     ------
     InputError
-        None of the model's displacements is in the log.
+        None of the model's displacements is in the log, or one along an axis without its position.
     """
-    axes = [name for name in estimator.axes if name in log.names]
-    if not axes:
+    model = estimator.model
+    same = [(name, name) for name in estimator.axes if name in log.names]
+    judged = [(log, same)] if same else []
+    for channel in model.channels:
+        if (slope := channel.slope) is None:
+            continue
+        if channel.name in log.names and place_of(slope.position, log.names) is None:
+            raise InputError(
+                f"{case}: {channel.name} without {slope.position}, where it was read; record it"
+            )
+        place = Column(slope.position, slope.position, "m")
+        for fixed, at in fixed_positions(log.columns, channel.name):
+            values = np.column_stack((log.values, np.full(len(log.times), at)))
+            there = replace(log, columns=(*log.columns, place), values=values)
+            judged.append((there, [(channel.name, fixed.name)]))
+    if not judged:
         raise InputError(f"{case}: no column of {', '.join(estimator.axes)} to judge by")
     rows: list[dict[str, str | float]] = []
-    runs = list(log.runs())
-    for number, part in enumerate(runs):
-        estimate, band, words = run(estimator, part)
-        beyond = float(np.mean([status != "ok" for status in words]))
-        name = case if len(runs) == 1 else f"{case}, run {number + 1}"
-        rows += [
-            _row(name, estimator, axis, estimate, band, part) | {"flagged": beyond} for axis in axes
-        ]
+    for whole, pairs in judged:
+        runs = list(whole.runs())
+        for number, part in enumerate(runs):
+            estimate, band, words = run(estimator, part)
+            beyond = float(np.mean([status != "ok" for status in words]))
+            name = case if len(runs) == 1 else f"{case}, run {number + 1}"
+            for axis, column in pairs:
+                c = estimator.axes.index(axis)
+                own = _row(name, estimator, column, estimate[:, c], band[:, c], part)
+                rows.append(own | {"flagged": beyond})
     return rows
 
 
 def _row(
     case: str, estimator: Learned, axis: str, estimate: Array, band: Array, log: Log
 ) -> dict[str, str | float]:
-    c = estimator.axes.index(axis)
-    there = np.isfinite(log.at(axis))
+    there = np.isfinite(log.at(axis)) & np.isfinite(estimate)
     if not there.any():
         raise InputError(f"{case}: {axis} has no value; record it, or leave the column out")
     actual = log.at(axis)[there]
-    error = estimate[there, c] - actual
+    error = estimate[there] - actual
 
     def rms(values: Array) -> float:
         return float(MEGA * np.sqrt(np.mean(values**2)))
@@ -81,5 +108,5 @@ def _row(
         "rms_uncompensated_um": rms(actual),
         "rms_error_zeroed_um": rms(error - error[0]),
         "rms_uncompensated_zeroed_um": rms(actual - actual[0]),
-        "band_cover": float(np.mean(np.abs(error) <= band[there, c])),
+        "band_cover": float(np.mean(np.abs(error) <= band[there])),
     }

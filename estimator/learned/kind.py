@@ -35,13 +35,14 @@ def _intake(model: LearnedModel, above_ambient: bool) -> Intake:
             'reads = "above-ambient": a learned model reads what its log had; leave the key out'
         )
     axes = [channel.name for channel in model.channels]
-    return of_columns([*model.columns, *axes], len(model.columns))
+    names = [*model.columns, *model.positions, *axes]
+    return of_columns(names, len(names) - len(axes))
 
 
 def _log(
     model: LearnedModel, pieces: Iterable[Log], where: str, on_first: OnFirst | None
 ) -> Iterator[tuple[float, ...]]:
-    return samples_of(model.columns, pieces)
+    return samples_of(model.columns, pieces, model.positions)
 
 
 def _response(model: LearnedModel, response: xr.Dataset) -> Iterator[tuple[float, ...]]:
@@ -82,7 +83,7 @@ KIND: Kind[LearnedModel, Learned] = Kind(
     start=_start,
     options=frozenset({"reading_noise"}),
     intake=_intake,
-    renamed=lambda model: model.renamed_in(model.columns),
+    renamed=lambda model: model.renamed_in((*model.columns, *model.positions)),
     log=_log,
     response=_response,
     ranges=_ranges,

@@ -67,6 +67,10 @@ def contents(estimator: Learned, interval: float) -> Contents:
     if not 0.0 < interval < np.inf:
         raise InputError(f"export: an interval of {interval:g} s; give a positive one")
     model, own = estimator.model, estimator.following
+    if model.positions:
+        raise InputError(
+            "export: a model with slopes along an axis; export one of a single position"
+        )
     columns, count, axes = len(model.columns), len(model.features), len(model.channels)
     features = [
         Filtered(

@@ -10,7 +10,8 @@ from estimator.learned.unread import Unread
 from thermojoint.artefacts.arrays import Array
 from thermojoint.models.learned import LearnedModel
 
-#: Entries of a filter's mean and of its covariance: (zero, drift, weights).
+#: Entries of a filter's mean and of its covariance: (zero, drift, weights); where a displacement
+#: has a slope, those of K0, then those of the slope.
 ZERO, DRIFT, WEIGHTS = 0, 1, slice(2, None)
 
 
@@ -25,11 +26,11 @@ class State(NamedTuple):
         Last values of the columns, SI.
     relaxations : ndarray, shape (n,)
         Of the features.
-    mean : ndarray, shape (a, 2 + n)
-        Zero, drift and weights of each displacement, m.
+    mean : ndarray, shape (a, m)
+        Zero, drift and weights of each displacement, m, and of its slope (`width_of`).
     refused : ndarray, shape (a,)
         Innovation of the last refused reading of each displacement, m; 0 after an accepted one.
-    covariance : ndarray, shape (a, 2 + n, 2 + n)
+    covariance : ndarray, shape (a, m, m)
         Of `mean`, m2.
     unread : Unread
         Bounds on the errors of missing readings.
@@ -50,6 +51,11 @@ class State(NamedTuple):
         return bool(np.isnan(self.time))
 
 
+def width_of(model: LearnedModel) -> int:
+    """Return the entries of one filter: 2 + n, twice as many where any displacement has a slope."""
+    return (2 + len(model.features)) * (2 if model.positions else 1)
+
+
 def flat(state: State) -> Array:
     """Return a state as one array: each mean is followed by its refused innovation."""
     filters = np.column_stack((state.mean, state.refused))
@@ -60,7 +66,7 @@ def flat(state: State) -> Array:
 def state_in(array: Array, model: LearnedModel) -> State:
     """Return the state of a model in an array of `flat`; nothing in it is shared with the array."""
     columns, features, axes = len(model.columns), len(model.features), len(model.channels)
-    size = 2 + features
+    size = width_of(model)
     ends = np.cumsum([2, columns, features, axes * (size + 1), axes * size**2, features])
     clock, values, relaxations, filters, covariance, *unread = np.split(array.copy(), ends)
     filters = filters.reshape(axes, size + 1)

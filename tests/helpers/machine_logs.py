@@ -49,6 +49,23 @@ def made(times, names, values):
     return Log(times, columns, np.stack(si, axis=1))
 
 
+def along_log(hours=14.0, seed=0, start=0.0, every=10, reach_mm=200.0, moved_hours=1e9):
+    """`machine_log` with x read every so many samples at y_pos_mm; its K0 at 50 mm, µm, and slope.
+
+    The slope, µm/m, grows with z; after `moved_hours` the axis stands.
+    """
+    log = machine_log(hours, seed=seed, start=start)
+    draw = np.random.default_rng(seed + 7)
+    k0, slope = 1e6 * log.at("x_um"), 80.0 + 10e6 * log.at("z_um")
+    position = 50.0 + draw.uniform(-reach_mm, reach_mm, len(k0))
+    position[log.times - start > 3600.0 * moved_hours] = 50.0
+    read = k0 + 1e-3 * slope * (position - 50.0) + 0.3 * draw.standard_normal(len(k0))
+    read[np.arange(len(read)) % every != 0] = np.nan
+    columns = [own.from_si(log.at(own.name)) for own in log.columns]
+    columns[1] = read
+    return made(log.times, (*NAMES, "y_pos_mm"), np.column_stack((*columns, position))), k0, slope
+
+
 def as_csv(log, path, names=None):
     """Write a log as a logger would."""
     kept = [k for k, name in enumerate(log.names) if names is None or name in names]

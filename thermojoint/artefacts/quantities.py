@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -88,6 +88,10 @@ _ENDING = re.compile(
     r"^(?P<base>.*?)(?:_|\s+in\s+|,?\s+|\s*/\s*|\s*[\[(]\s*)"
     rf"(?P<unit>{'|'.join(map(re.escape, _LONGEST_FIRST))})\s*[\])]?$"
 )
+#: The position of an axis; ``x_at_mm`` is that of displacements at stated ones.
+_POSITION = re.compile(r"(?:pos|position|_at)$", re.IGNORECASE)
+#: A displacement at a stated position.
+_FIXED = re.compile(r"^(?P<base>.+)@(?P<at>-?\d+(?:\.\d+)?)(?P<unit>mm|m|um)$")
 #: Words to the unit that is assumed where none is given, as on a machine's own display.
 _USUAL = re.compile(
     r"^(?:(?P<rpm>drehzahl|spindeldrehzahl)|(?P<degC>temperatur|temperature))\W*\d*$"
@@ -116,6 +120,11 @@ class Column:
     def quantity(self) -> str:
         """``temperature``, ``length``, ``speed``, ``feed``, ``power`` ...: of `UNITS`."""
         return UNITS[self.unit].quantity
+
+    @property
+    def is_position(self) -> bool:
+        """Whether it is where an axis stands, not a displacement: its name ends in ``pos``."""
+        return self.quantity == "length" and bool(_POSITION.search(self.base))
 
     def to_si(self, values: Array) -> Array:
         """Return values in the column's unit as SI values, of the same shape."""
@@ -146,6 +155,23 @@ def column_named(name: str) -> Column | None:
         return None
     unit = match["unit"]
     return Column(name, match["base"].strip(), _ALIASES.get(unit, unit))
+
+
+def fixed_positions(columns: Iterable[Column], name: str) -> list[tuple[Column, float]]:
+    """Return the columns of a displacement at stated positions, and these in m.
+
+    Parameters
+    ----------
+    columns : iterable of Column
+    name : str
+        With or without its unit: ``x`` and ``x_um`` are read at 400 mm in ``x@400mm_um``.
+    """
+    base = column.base if (column := column_named(name)) else name
+    return [
+        (column, UNITS[match["unit"]].scale * float(match["at"]))
+        for column in columns
+        if (match := _FIXED.match(column.base)) and match["base"] == base
+    ]
 
 
 def column_assumed(name: str) -> Column | None:

@@ -29,7 +29,11 @@ class LearnedKind(StrEnum):
 def learn(  # noqa: PLR0913 - the options of a command
     logs: Annotated[list[Path], typer.Argument(help="Logs (CSV), in the order of time.")],
     displacement: Annotated[
-        list[str], typer.Option(help="A column to learn, e.g. x_um; give one or more.")
+        list[str],
+        typer.Option(
+            help="A column to learn, e.g. x_um, or x_um@y_pos_mm if read along an axis; give one "
+            "or more."
+        ),
     ],
     out: Annotated[Path, typer.Option(help="Model file to write (JSON).")],
     max_sensors: Annotated[int, typer.Option(help="Largest number of temperatures used.")] = 4,
@@ -64,6 +68,11 @@ def learn(  # noqa: PLR0913 - the options of a command
 
     Example: [bold]thermojoint learn monday.csv tuesday.csv --displacement z_um --column
     'Zeit=time_s' --out model.json[/bold]
+
+    Read along an axis, a displacement is learned as K0 and slope: its position is another column,
+    or in the names of its columns (x@0mm_um, x@400mm_um; --displacement x).
+
+    Example: [bold]thermojoint learn log.csv --displacement x_um@y_pos_mm --out model.json[/bold]
 
     With a mesh, a joint-aware model learns from the same log: temperatures named after the
     probes, the heat as heat_W, every run from rest.
@@ -128,6 +137,13 @@ def _show(model: LearnedModel) -> None:
         f"{model.kind}: {', '.join(model.sensors) or 'no sensor'}"
         + (f"; heat from {', '.join(heats)}" if heats else "")
     )
+    for channel in model.channels:
+        if channel.slope:
+            low, high = (1e3 * end for end in channel.slope.stroke)
+            printer.print(
+                f"{channel.name}: K0 at {channel.slope.position} {1e3 * channel.slope.reference:g}"
+                f" and a slope, read from {low:g} to {high:g} mm"
+            )
     columns = console.numeric(*(channel.name for channel in model.channels))
     table = Table("kind", *columns, title="rms error on blocks of time held out, um")
     for kind, errors in origin.errors_um.items():

@@ -56,9 +56,11 @@ def suggested(log: Log, logs: Iterable[Path], column: Iterable[str], mapping: Pa
     files = [str(path) for path in logs]
     names = [part for text in column for part in ("--column", text)]
     names += ["--mapping", str(mapping)] if mapping else []
-    lengths = log.of("length")
+    positions = [column.name for column in log.columns if column.is_position]
+    lengths = [name for name in log.of("length") if name not in positions]
     if lengths and (log.of("temperature") or log.of("speed") or log.of("power")):
-        learned = [part for name in lengths for part in ("--displacement", name)]
+        along = "".join(f"@{name}" for name in positions) if len(positions) == 1 else ""
+        learned = [part for name in lengths for part in ("--displacement", name + along)]
         return shlex.join(["thermojoint", "learn", *files, *learned, *names, "--out", "model.json"])
     if log.of("temperature") and len(files) == 1:
         return shlex.join(["thermojoint", "estimate", "MODEL", *files, "--out", "estimate.csv"])

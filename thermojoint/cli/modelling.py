@@ -297,7 +297,9 @@ def estimate(  # noqa: PLR0913 - the options of a command
                 return ask(estimator, state, limit)
 
         if readings is not None:
-            samples = with_probe_readings(samples, *read_probe_readings(readings, estimator.axes))
+            # Along an axis, the position that belongs to a reading is beside it.
+            read = (*estimator.axes, *getattr(given, "positions", ()))
+            samples = with_probe_readings(samples, *read_probe_readings(readings, read))
         keep = partial(save_state, estimator, path=save) if save else None
         _write_estimates(estimator, state, samples, out, keep, asks)
     console.wrote(out, save)
@@ -472,6 +474,7 @@ def _draw_judged(estimator: OpenedEstimator, logs: Mapping[str, Log], path: Path
     """Draw measured and estimated displacements, free-running, for every run of some logs."""
     import numpy as np
 
+    from estimator.intake import axis_name
     from estimator.interface import follow
     from estimator.registry import kind_of
     from thermojoint.pictures.judged import Judged, write_judged
@@ -484,11 +487,17 @@ def _draw_judged(estimator: OpenedEstimator, logs: Mapping[str, Log], path: Path
             results = [result for _, result in followed]
             values = np.array([result.displacement for result in results])
             bands = np.array([result.band for result in results])
-            panels += [
-                Judged(f"{name}: {axis}", run.times, run.at(axis), values[:, c], bands[:, c])
-                for c, axis in enumerate(estimator.axes)
-                if axis in run.names
-            ]
+            details = np.array([result.details for result in results])
+            at = {channel.name: k for k, channel in enumerate(estimator.details)}
+            for c, axis in enumerate(estimator.axes):
+                # Along an axis a reading is compared at its position.
+                if (k := at.get(f"{axis_name(axis)}_here")) is not None:
+                    values[:, c], bands[:, c] = details[:, k], details[:, k + 1]
+                if axis in run.names:
+                    own = Judged(
+                        f"{name}: {axis}", run.times, run.at(axis), values[:, c], bands[:, c]
+                    )
+                    panels.append(own)
     write_judged(panels, path)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from asyncua import ua
 
-from estimator.estimate_table import detail_name
+from estimator.estimate_table import detail_name, detail_scale
 from estimator.quality import Quality, reasons_of
 from thermojoint.artefacts.units import MEGA
 from thermojoint.compensation.offsets.output import Mode
@@ -133,7 +133,7 @@ def variables_of(layout: Layout, readings: bool, wanted: int) -> Iterator[Variab
         yield Variable("Offset", name, "µm", double, _offset(k))
     for k, channel in enumerate(layout.details):
         unit = _SHOWN.get(channel.unit, channel.unit)
-        scale = MEGA if channel.unit == "m" else 1.0
+        scale = detail_scale(channel)
         yield Variable("Detail", detail_name(channel), unit, double, _scaled("details", k, scale))
     for k, name in enumerate(layout.readings[:wanted]):
         if readings:

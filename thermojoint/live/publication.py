@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from estimator.estimate_table import detail_name
+from estimator.estimate_table import detail_name, detail_scale
 from estimator.interface import Channel
 from estimator.quality import Quality
 from thermojoint.artefacts.arrays import Array
@@ -158,7 +158,7 @@ def as_json(publication: Publication) -> dict[str, Any]:
         "handshake": publication.handshake or None,
         "next_reading": publication.asked.content,
         "details": {
-            detail_name(channel): _number(_shown(channel, value))
+            detail_name(channel): _number(detail_scale(channel) * value)
             for channel, value in zip(layout.details, publication.details.tolist(), strict=True)
         },
         "readings": {
@@ -168,10 +168,6 @@ def as_json(publication: Publication) -> dict[str, Any]:
         "missing": list(publication.missing),
         "distrusted": list(publication.distrusted),
     }
-
-
-def _shown(channel: Channel, value: float) -> float:
-    return MEGA * value if channel.unit == "m" else value
 
 
 def micrometres(names: Iterable[str], values: Array) -> dict[str, float | None]:

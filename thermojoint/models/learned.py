@@ -81,8 +81,38 @@ class Feature:
 
 
 @dataclass(frozen=True)
+class LearnedSlope:
+    """How a displacement changes with the position of an axis: slope = zero + Σ_f v_f φ_f.
+
+    Attributes
+    ----------
+    position : str
+        Column of the position, with its unit.
+    reference : float
+        P0, m: there the displacement is that of the channel, K0.
+    stroke : tuple of float
+        Smallest and largest position that was read, m.
+    zero : float
+        Slope with all features zero, m/m.
+    weights : tuple of float
+        Weight of each feature, m/m.
+    drift : float
+        Standard deviation of the unexplained slope, m/m.
+    """
+
+    __pydantic_config__ = STRICT
+
+    position: str
+    reference: float
+    stroke: tuple[float, float]
+    zero: float
+    weights: tuple[float, ...]
+    drift: PositiveFloat
+
+
+@dataclass(frozen=True)
 class LearnedChannel:
-    """One displacement.
+    """One displacement; with a slope, that at the reference position.
 
     Attributes
     ----------
@@ -93,13 +123,15 @@ class LearnedChannel:
     weights : tuple of float
         Weight of each feature, m.
     covariance : tuple of tuple of float
-        Covariance of the weights, m2.
+        Covariance of the weights, m2; with a slope, of (weights, its zero, its weights).
     drift : float
         Standard deviation of the unexplained displacement, m: the error on held-out blocks.
     span : tuple of float
         Smallest and largest displacement of the log, m.
     widening : float
         Factor on the band so that it covers the held-out blocks.
+    slope : LearnedSlope, optional
+        If it was read at several positions of an axis.
     """
 
     __pydantic_config__ = STRICT
@@ -111,6 +143,7 @@ class LearnedChannel:
     drift: PositiveFloat
     span: tuple[float, float]
     widening: PositiveFloat = 1.0
+    slope: LearnedSlope | None = None
 
 
 @dataclass(frozen=True)
@@ -246,6 +279,12 @@ class LearnedModel(Described):
         return tuple(dict.fromkeys(feature.column for feature in self.features))
 
     @cached_property
+    def positions(self) -> tuple[str, ...]:
+        """Columns of positions that the slopes refer to."""
+        slopes = (channel.slope for channel in self.channels)
+        return tuple(dict.fromkeys(slope.position for slope in slopes if slope))
+
+    @cached_property
     def sensors(self) -> tuple[str, ...]:
         """Temperatures among the columns."""
         heats = {feature.column for feature in self.features if feature.exponent}
@@ -361,8 +400,11 @@ def read_learned(path: Path | str) -> LearnedModel:
     model = validated(_MODEL, content, str(path), FILE.remedy)
     count = len(model.features)
     for channel in model.channels:
-        shape = {len(channel.weights), len(channel.covariance), *map(len, channel.covariance)}
-        if shape != {count}:
+        slope = channel.slope
+        size = 2 * count + 1 if slope else count
+        shape = {len(channel.covariance), *map(len, channel.covariance)}
+        weights = {len(channel.weights), len(slope.weights) if slope else count}
+        if shape != {size} or weights != {count}:
             raise InputError(f"{path}: {channel.name}: {count} weights and their covariance needed")
     missing = set(model.columns) - set(model.spans)
     end = model.log_end

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from in_process import undisturbed
-from machine_logs import as_csv, changed, machine_log
+from machine_logs import along_log, as_csv, changed, machine_log
 from repository import ROOT
 
 from thermojoint import console
@@ -278,3 +278,30 @@ def test_what_takes_long_says_so(here, command):
     estimated = command("estimate", "model.json", "day.csv", "--out", "e.csv", "-v")[1]
     assert "estimating: " in estimated
     assert signature(console.progress_lines).parameters["first_s"].default <= 2.0
+
+
+def test_a_displacement_along_an_axis_has_a_slope_in_every_table(command, tmp_path):
+    log, _, _ = along_log(every=5)
+    as_csv(log, tmp_path / "log.csv")
+    as_csv(along_log(hours=4.0, seed=5, start=500000.0)[0], tmp_path / "day.csv")
+    wanted = ["--displacement", "x_um@y_pos_mm", "--out", "model.json", "--figure", "held.svg"]
+    assert command("learn", "log.csv", *wanted)[0] == 0
+    code, told = command("validate", "model.json", "day.csv", "--json", "s.json", "--out", "v.png")
+    assert code == 0, told
+    [row] = json.loads((tmp_path / "s.json").read_text())["rows"]
+    assert row["rms_error_um"] < 0.2 * row["rms_uncompensated_um"]
+    as_csv(log.part(slice(0, 1)), tmp_path / "readings.csv", ["x_um", "y_pos_mm"])
+    for more in ([], ["--readings", "readings.csv"]):
+        assert command("estimate", "model.json", "log.csv", "--out", "e.csv", *more)[0] == 0
+        table = list(csv.DictReader((tmp_path / "e.csv").open()))
+        names = ["x_slope_um_per_m", "x_slope_band_um_per_m", "x_P0_mm", "x_here_um"]
+        assert set(names) <= table[0].keys()
+        last = {name: float(table[-1][name] or "nan") for name in [*names, "x_um"]}
+        assert 40.0 < last["x_P0_mm"] < 60.0
+        if not more:
+            lever = 1e3 * log.at("y_pos_mm")[-1] - last["x_P0_mm"]
+            there = last["x_um"] + 1e-3 * lever * last["x_slope_um_per_m"]
+            assert last["x_here_um"] == pytest.approx(there, abs=1e-3)
+    code, told = command("learn", "log.csv", "--displacement", "x_um@nowhere", "--out", "m.json")
+    assert code == 2
+    assert "nowhere" in told

@@ -45,6 +45,14 @@ def test_a_look_says_what_was_read_and_what_to_do_next(command, tmp_path):
     assert shlex.split(line)[1:3] == ["thermojoint", "learn"]
 
 
+def test_a_look_suggests_the_position_of_a_displacement_along_an_axis(command, tmp_path):
+    rows = "".join(f"{60 * t},{20 + 0.1 * t},{t % 7},{t % 5 * 100}\n" for t in range(200))
+    (tmp_path / "log.csv").write_text("time_s,T1_degC,x_um,y_pos_mm\n" + rows)
+    code, out, _ = command("look", "log.csv")
+    assert code == 0
+    assert "next: thermojoint learn log.csv --displacement x_um@y_pos_mm --out model.json" in out
+
+
 def test_a_look_at_no_log_ends_in_one_line_that_shows_the_value(command, tmp_path):
     (tmp_path / "log.csv").write_text("time,T1_degC\nnoon,20\n1 pm,21\n")
     code, out, err = command("look", "log.csv", "--out", "log.png")

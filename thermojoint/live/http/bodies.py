@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from estimator.estimate_table import detail_name
+from estimator.estimate_table import detail_name, detail_scale
 from estimator.quality import Quality
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.units import MEGA
@@ -91,7 +91,7 @@ def history_body(machine: str, history: History) -> dict[str, Any]:
     """Return a history as columns, by name."""
     layout, columns = history.layout, history.columns
     details = [detail_name(channel) for channel in layout.details]
-    in_micro = np.array([MEGA if channel.unit == "m" else 1.0 for channel in layout.details])
+    in_micro = np.array([detail_scale(channel) for channel in layout.details])
     return {
         "machine": machine,
         "every": history.every,
