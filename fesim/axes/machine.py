@@ -11,14 +11,13 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fesim.axes.condensation import between
-from fesim.axes.occupation import Shares, weights_at
+from fesim.axes.guideway import Guideway, standing
+from fesim.axes.occupation import Shares
 from fesim.march.contact import ContactProblem
 from fesim.march.machine import CondensedMachine
 from fesim.march.passing import Passing, Rows
-from fesim.solid.condensation import ElasticCondensation, ThermalCondensation
+from fesim.solid.condensation import ThermalCondensation
 from thermojoint.artefacts.arrays import Array
 
 #: Machines at positions asked for that are kept ready.
@@ -33,18 +32,10 @@ class MovingMachine:
     ----------
     machine : CondensedMachine
         At the first aligned position. Its last thermal input is the heat of running friction, W.
-    positions : ndarray, shape (k,)
-        Aligned positions of the axis, evenly spaced, ascending, m.
-    elastic : tuple of ElasticCondensation
-        At each of them.
+    guideway : Guideway
+        What its pads ride along.
     rows : Rows
-        Temperatures of m contact elements without their stations, then of n stations.
-    means : ndarray, shape (m, r)
-        Mean temperature of each contact element without its station, K.
-    place : ndarray of int, shape (k, m)
-        Station of each contact element; -1 for none.
-    running : ndarray, shape (m,)
-        Running friction coefficient times area of each contact element of the meshed part, m2.
+        Temperatures of the guideway, and what heat there does.
     copies : int
         Copies of the meshed part in the whole machine.
     free : int
@@ -52,12 +43,8 @@ class MovingMachine:
     """
 
     machine: CondensedMachine
-    positions: Array
-    elastic: tuple[ElasticCondensation, ...]
+    guideway: Guideway
     rows: Rows
-    means: Array
-    place: NDArray[np.int64]
-    running: Array
     copies: int
     free: int
 
@@ -71,9 +58,8 @@ class MovingMachine:
         return machine
 
     def _made(self, position: float) -> CondensedMachine:
-        weights = weights_at(self.positions, position)
-        shares = Shares(weights, weights**2, weights[1:] * weights[:-1])
-        return self.moving(shares, position, np.zeros_like(self.running))
+        shares = standing(self.guideway, position)
+        return self.moving(shares, position, np.zeros_like(self.guideway.running))
 
     def moving(self, shares: Shares, position: float, heat: Array) -> CondensedMachine:
         """Return the machine in a step.
@@ -89,7 +75,7 @@ class MovingMachine:
             are all zero.
         """
         contact = ContactProblem(
-            self._elastic_at(position),
+            self.guideway.elastic_at(position),
             self.machine.contact.laws,
             constraints=self.machine.contact.constraints,
         )
@@ -97,7 +83,7 @@ class MovingMachine:
             self.machine,
             thermal=self._thermal(shares.mean, heat),
             contact=contact,
-            passing=self._passing(shares),
+            passing=Passing(self.rows, self.guideway.touches(shares)),
         )
 
     def friction_heat(self, pressure: Array, way: float) -> Array:
@@ -110,50 +96,18 @@ class MovingMachine:
         way : float
             Travelled in the step, m.
         """
-        return self.running * pressure * way / self.machine.thermal.step
-
-    def _elastic_at(self, position: float) -> ElasticCondensation:
-        weights = weights_at(self.positions, position)
-        touched = np.flatnonzero(weights)
-        if touched.size == 1:
-            return self.elastic[touched[0]]
-        first, second = touched
-        return between(self.elastic[first], self.elastic[second], float(weights[second]))
-
-    def _passing(self, shares: Shares) -> Passing:
-        """Products of each contact element's own row and those of its stations."""
-        every = np.arange(self.running.size)
-        riding = np.flatnonzero(self.place[0] >= 0)
-        row = every.size + self.place[:, riding]
-        parts = [(every, every, every, 1.0)]
-        for k in np.flatnonzero(shares.mean):
-            parts.append((riding, riding, row[k], -shares.mean[k]))
-            parts.append((riding, row[k], riding, -shares.mean[k]))
-            parts.append((riding, row[k], row[k], shares.square[k]))
-        for k in np.flatnonzero(shares.product):
-            parts.append((riding, row[k], row[k + 1], shares.product[k]))
-            parts.append((riding, row[k + 1], row[k], shares.product[k]))
-        element, first, second = (np.concatenate([part[i] for part in parts]) for i in range(3))
-        mean = np.concatenate([np.full(part[0].size, part[3]) for part in parts])
-        return Passing(self.rows, element, first, second, mean)
+        return self.guideway.running * pressure * way / self.machine.thermal.step
 
     def _thermal(self, weights: Array, heat: Array) -> ThermalCondensation:
-        thermal, count = self.machine.thermal, self.running.size
-        riding = self.place[0] >= 0
-        under = np.zeros_like(self.means)
-        for k in np.flatnonzero(weights):
-            under[riding] += weights[k] * self.rows.temperature[count + self.place[k, riding]]
-        pads = self.rows.temperature[:count]
-        # Half of the heat of friction enters each side.
-        warmed = 0.5 * heat @ (pads + under) / self.copies
+        thermal, guideway = self.machine.thermal, self.guideway
         inputs = thermal.inputs.copy()
-        inputs[: self.free, -1] = warmed[: self.free]
+        inputs[: self.free, -1] = guideway.rubbed(heat, weights)[: self.free] / self.copies
         entering = thermal.balance.entering.copy()
         entering[-1] = heat.sum() / self.copies
         return replace(
             thermal,
             inputs=inputs,
-            jump=pads - under,
-            mean=self.means + 0.5 * under,
+            jump=guideway.jump(weights),
+            mean=guideway.mean(weights),
             balance=replace(thermal.balance, entering=entering),
         )

@@ -64,6 +64,6 @@ def _in_step(
         return moving.standing(position), 0.0
     heat = moving.friction_heat(state.pressure, way)
     total = float(heat.sum())
-    shares = shares_of(moving.positions, course, *ends)
+    shares = shares_of(moving.guideway.positions, course, *ends)
     spread = heat / total if total > 0.0 else heat
     return moving.moving(shares, position, spread), total * moving.copies

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.sparse import csr_array, vstack
 
 from fesim.axes.condensation import condense_aligned, condense_apart
+from fesim.axes.guideway import Guideway
 from fesim.axes.machine import MovingMachine
 from fesim.axes.operators import GuidedOperators, guided_operators
 from fesim.axes.rotation import rotation_rows
@@ -203,14 +204,19 @@ def _moving(
         np.full(joint.area.size, case.joints[joint.name].running_friction_coefficient)
         for joint in parts.joints
     ]
-    return MovingMachine(
-        machine,
+    rows = _rows(thermal, operators, modes)
+    guideway = Guideway(
         positions,
         elastic,
-        _rows(thermal, operators, modes),
+        rows.temperature,
         operators.pads.mean @ modes.basis,
         operators.place,
         np.concatenate(running) * operators.pads.area,
+    )
+    return MovingMachine(
+        machine,
+        guideway,
+        rows,
         parts.structure.symmetry_factor,
         modes.rates.size,
     ), modes

@@ -10,6 +10,7 @@ implicit Euler step is (1 + L S) q = L R y, T = y - A0^-1 R^T q, where y is the 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,14 +40,11 @@ class Rows:
     joint_influence: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Passing:
+class Touches(NamedTuple):
     """What contact elements touch in a step: l products of their combinations of rows.
 
     Attributes
     ----------
-    rows : Rows
-        Their temperatures.
     element : ndarray of int, shape (l,)
         Contact element of each product.
     first, second : ndarray of int, shape (l,)
@@ -55,11 +53,25 @@ class Passing:
         Mean of the product of their coefficients over the step.
     """
 
-    rows: Rows
     element: NDArray[np.int64]
     first: NDArray[np.int64]
     second: NDArray[np.int64]
     mean: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Passing:
+    """Rows, and what contact elements touch of them in a step."""
+
+    rows: Rows
+    touches: Touches
+
+
+def exchange(touches: Touches, joint: Array, size: int) -> Array:
+    """Return L (q, q), W/K, of contact elements with conductances times areas (m,), on q rows."""
+    at = touches.first * size + touches.second
+    weights = touches.mean * joint[touches.element]
+    return np.asarray(np.bincount(at, weights, size * size).reshape(size, size))
 
 
 def pass_heat(
@@ -80,11 +92,10 @@ def pass_heat(
     joint : ndarray, shape (m,)
         Conductance times area of each contact element, W/K.
     """
-    rows = passing.rows
-    used = np.union1d(np.arange(len(joint)), passing.first)
-    laplacian = np.zeros((used.size, used.size))
-    at = np.searchsorted(used, passing.first), np.searchsorted(used, passing.second)
-    np.add.at(laplacian, at, passing.mean * joint[passing.element])
+    rows, touches = passing.rows, passing.touches
+    used = np.union1d(np.arange(len(joint)), touches.first)
+    first, second = (np.searchsorted(used, at) for at in (touches.first, touches.second))
+    laplacian = exchange(touches._replace(first=first, second=second), joint, used.size)
     alone = thermal.factor.solve(thermal.capacity_rate @ temperature + thermal.inputs @ inputs)
     system = laplacian @ rows.joint_influence[np.ix_(used, used)]
     system.flat[:: used.size + 1] += 1.0
