@@ -85,7 +85,7 @@ def test_the_heat_of_the_nut_is_torque_times_angle_and_enters_where_it_passes(wa
     edges = screw.conduction.edges
     beside = (edges[1:] < min(way) - 0.04) | (edges[:-1] > max(way) + 0.04)
     assert np.abs(heat[beside]).max(initial=0.0) <= 1e-9 * (1.0 + heat.max())
-    assert heat.min() >= -1e-9 * heat.max()
+    assert heat.min() >= -1e-9 * (1.0 + heat.max())
 
 
 @given(places, st.floats(0.0, 40.0), st.floats(0.0, 5.0), st.floats(1.0, 1e4))
