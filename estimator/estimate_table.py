@@ -7,13 +7,14 @@ Its columns are ``time_s``, the estimator's details, ``NAME_um`` and ``NAME_band
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from estimator.intake import axis_name
 from estimator.interface import Channel, Estimate, Estimator, NextReading
+from estimator.lines import DETAILS, Lines, Stroke, as_lines, channels_of
 from estimator.quality import quality_of
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
@@ -38,12 +39,15 @@ class Row(NamedTuple):
         m; NaN where the cell is empty.
     status : str
         In words.
+    lines : Lines, optional
+        Of the displacements along an axis.
     """
 
     time: float
     displacement: Array
     band: Array
     status: str
+    lines: Lines | None = None
 
 
 def header(estimator: Estimator, more: Sequence[str] = ()) -> list[str]:
@@ -95,7 +99,8 @@ def read_estimate(lines: Iterable[str], where: str) -> tuple[tuple[str, ...], li
     ----------
     lines : iterable of str
         A table in any dialect, with the columns ``time_s``, ``NAME_um`` and ``NAME_band_um`` of
-        every axis, and ``status``; other columns are ignored.
+        every axis, and ``status``; and of displacements along an axis those of their lines
+        (`estimator.lines`). Other columns are ignored.
     where : str
         Name of the file, for error messages.
 
@@ -107,10 +112,13 @@ def read_estimate(lines: Iterable[str], where: str) -> tuple[tuple[str, ...], li
     table = list(lines)
     dialect = _dialect(table, where)
     names = list(dialect.names) if dialect else []
+    along = _along(names)
+    # What is estimated at the present position of an axis is no axis of its own.
+    here = {f"{axis}_here{_BAND}" for axis in along}
     axes = tuple(
         name.removesuffix(_BAND)
         for name in names
-        if name.endswith(_BAND) and name.removesuffix(_BAND) + _VALUE in names
+        if name.endswith(_BAND) and name.removesuffix(_BAND) + _VALUE in names and name not in here
     )
     if dialect is None or not axes or not {"time_s", "status"} <= {*names}:
         raise InputError(
@@ -136,10 +144,23 @@ def read_estimate(lines: Iterable[str], where: str) -> tuple[tuple[str, ...], li
             * np.array([_number(at[f"{axis}{ending}"], dialect.decimal, line) for axis in axes])
             for ending in (_VALUE, _BAND)
         )
-        rows.append(Row(time, values, bands, at["status"].strip()))
+        own = _lines(axes, along, at, dialect.decimal, line) if along else None
+        rows.append(Row(time, values, bands, at["status"].strip(), own))
     if not rows:
         raise InputError(f"{where}: holds no row; give an estimate of some length")
     return axes, rows
+
+
+def strokes_of(axes: Sequence[str], rows: Sequence[Row]) -> dict[str, Stroke]:
+    """Return the strokes of the displacements along an axis in a table, by axis."""
+    found = {}
+    for c, axis in enumerate(axes):
+        own = [[part[c] for part in one.lines[2:]] for one in rows if one.lines]
+        known = np.array([one for one in own if np.isfinite(one).all()])
+        if len(known):
+            reference, low, high = known.T
+            found[axis] = Stroke(float(reference[0]), float(low.min()), float(high.max()))
+    return found
 
 
 def detail_name(channel: Channel) -> str:
@@ -151,6 +172,32 @@ def detail_name(channel: Channel) -> str:
 def detail_scale(channel: Channel) -> float:
     """Return the factor from a detail to its column: displacements and slopes are in millionths."""
     return MEGA if channel.unit in _MICRO else 1.0
+
+
+def _along(names: Sequence[str]) -> dict[str, list[str]]:
+    """Return the columns of the lines in a table, by axis."""
+    found = {}
+    for axis in (name.removesuffix(_BAND) for name in names if name.endswith(_BAND)):
+        own = [detail_name(channel) for channel in channels_of(axis)]
+        if {*own} <= {*names}:
+            found[axis] = own
+    return found
+
+
+def _lines(
+    axes: Sequence[str],
+    along: Mapping[str, Sequence[str]],
+    cells: Mapping[str, str],
+    decimal: str,
+    line: str,
+) -> Lines | None:
+    """Return the lines in a row."""
+    values = np.full((len(DETAILS), len(axes)), np.nan)
+    for c, axis in enumerate(axes):
+        if axis in along:
+            values[:, c] = [_number(cells[name], decimal, line) for name in along[axis]]
+    values[:2] *= MICRO
+    return as_lines(values)
 
 
 def _dialect(table: Sequence[str], where: str) -> Dialect | None:

@@ -17,6 +17,7 @@ from estimator.columns import samples_of
 from estimator.intake import Intake, by_channels
 from estimator.interface import READING_NOISE, Estimator, NextReading
 from estimator.judging import Conditions, Figures, judge_responses
+from estimator.lines import Stroke
 from estimator.ranges import Range
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
@@ -132,6 +133,10 @@ def _no_ranges(model: Any) -> tuple[Range, ...]:  # noqa: ANN401
     return ()
 
 
+def _no_strokes(model: Any) -> Mapping[str, Stroke]:  # noqa: ANN401
+    return {}
+
+
 def _as_it_is(model: Any) -> Mapping[str, str]:  # noqa: ANN401
     return {}
 
@@ -170,6 +175,9 @@ class Kind(Generic[M, E]):
         (model, response) to samples, and to the names of their probes.
     ranges : callable
         Model to its calibrated ranges.
+    strokes : callable
+        Model to the strokes of its displacements along an axis, by their names without units; the
+        details of its estimates have their lines (`estimator.lines`).
     judge : callable, optional
         (kind, model, name to response, conditions) to errors; None for a kind judged by logs only.
     judge_logs : callable, optional
@@ -199,6 +207,7 @@ class Kind(Generic[M, E]):
     response: Callable[[M, xr.Dataset], Iterator[Sample]] = _response
     sensors: Callable[[M, xr.Dataset], Sequence[str]] = _sensors
     ranges: Callable[[M], tuple[Range, ...]] = _no_ranges
+    strokes: Callable[[M], Mapping[str, Stroke]] = _no_strokes
     judge: Callable[[Kind[M, E], M, Mapping[str, xr.Dataset], Conditions], Figures] | None = _judged
     judge_logs: Callable[[M, Mapping[str, Log]], Figures] | None = None
     residuals: Callable[[E, Array, Array], Array] | None = None

@@ -21,6 +21,7 @@ from functools import cached_property
 
 import numpy as np
 
+from estimator import lines
 from estimator.intake import axis_name
 from estimator.interface import READING_NOISE, Channel, Estimate, Status
 from estimator.learned.state import DRIFT, WEIGHTS, ZERO, State, flat, state_in, width_of
@@ -151,17 +152,15 @@ class Learned(Described):
 
     @property
     def details(self) -> tuple[Channel, ...]:
-        """Slope, its band, P0, and displacement at the position, for those along an axis."""
+        """The line, and the displacement at the position, for those along an axis."""
         return tuple(
-            Channel(f"{axis_name(channel.name)}_{name}", unit)
+            one
             for channel in self.model.channels
-            if channel.slope
-            for name, unit in (
-                ("slope", "m/m"),
-                ("slope_band", "m/m"),
-                ("P0", "mm"),
-                ("here", "m"),
-                ("here_band", "m"),
+            if channel.slope and (axis := axis_name(channel.name))
+            for one in (
+                *lines.channels_of(axis),
+                Channel(f"{axis}_here", "m"),
+                Channel(f"{axis}_here_band", "m"),
             )
         )
 
@@ -299,6 +298,7 @@ class Learned(Described):
                     slope[c],
                     slope_band[c] + slope_unknown[c],
                     1e3 * channel.slope.reference,
+                    *(1e3 * end for end in channel.slope.stroke),
                     here[c],
                     band[c] + unknown[c],
                 )

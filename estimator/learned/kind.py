@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from estimator.columns import samples_of
-from estimator.intake import Intake, of_columns
+from estimator.intake import Intake, axis_name, of_columns
 from estimator.judging import Figures
 from estimator.kind import Kind, OnFirst, Options
 from estimator.learned.estimator import Learned
+from estimator.lines import Stroke
 from estimator.ranges import Range, duration
 from estimator.rows import Row
 from thermojoint.artefacts.errors import InputError
@@ -53,6 +54,14 @@ def _ranges(model: LearnedModel) -> tuple[Range, ...]:
     return (duration(model.duration_s), *(_seen(*span) for span in model.spans.items()))
 
 
+def _strokes(model: LearnedModel) -> Mapping[str, Stroke]:
+    return {
+        axis_name(channel.name): Stroke(channel.slope.reference, *channel.slope.stroke)
+        for channel in model.channels
+        if channel.slope
+    }
+
+
 def _seen(name: str, span: tuple[float, float]) -> Range:
     """The range of a log column, in its own unit."""
     column = column_named(name)
@@ -87,6 +96,7 @@ KIND: Kind[LearnedModel, Learned] = Kind(
     log=_log,
     response=_response,
     ranges=_ranges,
+    strokes=_strokes,
     judge=None,
     judge_logs=_judge_logs,
     program=_program,

@@ -1,19 +1,17 @@
 """Time stepping of a machine with a moving axis.
 
 A step conducts heat between pads and the stations that they pass in it, by their shares of the
-time, and settles the joints at the position of its end. A drive warms up beside it.
+time, and settles the joints at the position of its end.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
 from fesim.axes.machine import MovingMachine
-from fesim.axes.occupation import distance, shares_of, stretches
-from fesim.axes.positioning import Around, Drive, after_step
+from fesim.axes.occupation import distance, shares_of
 from fesim.case.history import History
 from fesim.march.machine import CondensedMachine, State
 from fesim.march.stepping import Advance, advanced
@@ -22,12 +20,7 @@ from thermojoint.artefacts.arrays import Array
 
 
 def march_moving(
-    moving: MovingMachine,
-    course: History,
-    inputs: Array,
-    advance: Advance,
-    start: State,
-    drive: Drive | None = None,
+    moving: MovingMachine, course: History, inputs: Array, advance: Advance, start: State
 ) -> Iterator[Track]:
     """Yield the steps of a march, one by one.
 
@@ -43,8 +36,6 @@ def march_moving(
         `plainly_staggered` or `iterated` of `fesim.march.stepping`.
     start : State
         State to continue from.
-    drive : Drive, optional
-        What positions the axis; its state is part of the march's.
 
     Raises
     ------
@@ -60,10 +51,6 @@ def march_moving(
         driven = row.copy()
         driven[-1] = friction
         track = advanced(machine, advance(machine), state, driven[None])
-        if drive is not None:
-            felt = (state.temperature, track.temperature[-1])
-            around = Around(driven, felt, *stretches(course, *ends))
-            track = replace(track, drive=after_step(drive, state.drive, around)[None])
         state = track.step(-1).state
         yield track
 

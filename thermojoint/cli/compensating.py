@@ -29,15 +29,16 @@ def compensate(
     """Preview the axis offsets that a control will receive, for every cycle.
 
     The settings define axes and signs, resolution, rate, dead band, filter, limit, and the
-    behaviour without a usable estimate. Accepts the estimate of any estimator.
+    behaviour without a usable estimate. Accepts the estimate of any estimator. For an axis with a
+    slope in the settings, and an estimate along an axis, K0, slope and P0.
 
     Example: [bold]thermojoint compensate estimate.csv --settings offsets.toml --out
     offsets.csv[/bold]
     """
-    from estimator.estimate_table import read_estimate
+    from estimator.estimate_table import read_estimate, strokes_of
     from thermojoint import console
     from thermojoint.compensation.offsets.preview import header, preview, row_of
-    from thermojoint.compensation.offsets.settings import read_settings
+    from thermojoint.compensation.offsets.settings import read_settings, with_slopes
 
     arguments.check_outputs({"--out": (out, file_kinds.OFFSETS)}, [estimate, settings])
     wanted = read_settings(settings)
@@ -48,6 +49,7 @@ def compensate(
                     f"{estimate}: a response is not an estimate; run 'estimate' on it first"
                 )
             axes, rows = read_estimate(source, arguments.shown(estimate))
+        along = with_slopes(wanted, strokes_of(axes, rows), str(settings)).output
         counted = Counter[str]()
         with arguments.output(out) as target:
             writer = csv.writer(target, lineterminator="\n")
@@ -56,6 +58,12 @@ def compensate(
                 counted[cycle.state] += 1
                 writer.writerow(row_of(wanted, cycle))
     _report(arguments.shown(estimate), [row.time for row in rows], counted)
+    for own in along.slopes:
+        reference, low, high = (1e3 * at for at in (own.reference, own.low, own.high))
+        console.say(
+            f"  {own.axis}: K0 at P0 = {reference:g} mm and slope; from {low:g} to {high:g} mm at "
+            f"most {1e6 * along.largest:g} um, {1e6 * along.rate:g} um/s"
+        )
     console.wrote(out)
 
 

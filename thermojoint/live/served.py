@@ -19,7 +19,7 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError, ThermojointError, unknown_name
 from thermojoint.artefacts.units import MICRO
 from thermojoint.compensation.offsets.handshake import HandshakeSettings
-from thermojoint.compensation.offsets.settings import Settings, read_settings
+from thermojoint.compensation.offsets.settings import Settings, read_settings, with_slopes
 from thermojoint.live.next_reading import Asking
 from thermojoint.live.publication import Layout
 from thermojoint.live.samples import Rule
@@ -103,7 +103,9 @@ def served(section: ModelSection, kept: Path) -> Served:
     model = kind.read(path)
     intake = kind.intake(model, section.reads == "above-ambient")
     estimator, digest = _opened(kind, model, section, kept)
-    output = None if section.offsets is None else read_settings(section.offsets)
+    output = None
+    if section.offsets is not None:
+        output = with_slopes(read_settings(section.offsets), {}, str(section.offsets))
     axes = tuple(map(axis_name, estimator.axes))
     if output is not None:
         _check_axes(output, axes, section.offsets)

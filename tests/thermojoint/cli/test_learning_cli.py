@@ -302,6 +302,16 @@ def test_a_displacement_along_an_axis_has_a_slope_in_every_table(command, tmp_pa
             lever = 1e3 * log.at("y_pos_mm")[-1] - last["x_P0_mm"]
             there = last["x_um"] + 1e-3 * lever * last["x_slope_um_per_m"]
             assert last["x_here_um"] == pytest.approx(there, abs=1e-3)
+    line = '[axes.X]\nfollows = "x"\n[axes.X.slope]\nresolution_um_per_m = 1.0\n'
+    (tmp_path / "line.toml").write_text(f"oldest_s = 120.0\nwidest_band_um = 100.0\n{line}")
+    code, told = command("compensate", "e.csv", "--settings", "line.toml", "--out", "line.csv")
+    assert code == 0, told
+    sent = list(csv.DictReader((tmp_path / "line.csv").open()))[-1]
+    assert float(sent["P0_X_mm"]) == last["x_P0_mm"]
+    for lever in (-0.1, 0.0, 0.1):
+        wanted = last["x_um"] + lever * last["x_slope_um_per_m"]
+        line = float(sent["offset_X_um"]) + lever * float(sent["slope_X_um_per_m"])
+        assert line == pytest.approx(-wanted, abs=0.06 + 0.51 * abs(lever))
     code, told = command("learn", "log.csv", "--displacement", "x_um@nowhere", "--out", "m.json")
     assert code == 2
     assert "nowhere" in told

@@ -14,6 +14,7 @@ from repository import ROOT
 from typer.testing import CliRunner
 
 from estimator.estimate_table import Row, read_estimate
+from estimator.lines import Lines, Stroke
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.settings import toml
 from thermojoint.cli.app import app
@@ -21,15 +22,23 @@ from thermojoint.compensation.offsets.output import (
     Mode,
     OutputSettings,
     at_zero,
+    band_along,
     content_of,
     cycle,
     followed,
     mode_of,
     offsets_of,
     restored,
+    slopes_of,
 )
 from thermojoint.compensation.offsets.preview import preview
-from thermojoint.compensation.offsets.settings import read_settings, settings_from_data
+from thermojoint.compensation.offsets.settings import (
+    Settings,
+    SlopeSection,
+    read_settings,
+    settings_from_data,
+    with_slopes,
+)
 from thermojoint.compensation.offsets.usable import Trust, usable
 
 MICRO = 1e-6
@@ -77,6 +86,80 @@ def run(settings, course, state=None):
         time += length
         states.append(cycle(settings, states[-1], time, target))
     return states
+
+
+STROKE = Stroke(0.3, 0.1, 0.6)
+POSITIONS = np.linspace(STROKE.low, STROKE.high, 6)
+
+
+def lined_settings(stage, parts, reference, steps):
+    """X takes a slope, of which these are the parts of rate and limit at the far end."""
+    lever = max(abs(end - reference) for end in STROKE[1:])
+    whole = (stage.rate, stage.dead_band, stage.largest)
+    rate, dead_band, largest = (
+        part * one / lever / MICRO for part, one in zip(parts, whole, strict=True)
+    )
+    section = SlopeSection(
+        resolution_um_per_m=largest / steps,
+        rate_um_per_m_s=rate,
+        dead_band_um_per_m=dead_band,
+        largest_um_per_m=largest,
+        reference_mm=1e3 * reference,
+    )
+    given = Settings(stage, Trust((), math.inf, math.inf), 1.0, {"X": section})
+    return with_slopes(given, {"x": STROKE}, "test").output
+
+
+parts = st.floats(0.05, 0.9)
+#: Some seconds to the limit, in some hundred steps.
+lined = st.builds(
+    lined_settings,
+    st.builds(
+        replace,
+        st.just(replace(PLAIN, names=("X", "Y"), estimated=("x", "y"), signs=(-1, 1))),
+        resolution=st.floats(1e-8, 1e-6),
+        rate=st.floats(3e-6, 1e-4),
+        dead_band=st.sampled_from([0.0, 2e-6]),
+        filter_time=st.sampled_from([0.0, 5.0]),
+        largest=st.just(1e-4),
+        freeze_time=st.sampled_from([0.0, 10.0]),
+        decay_time=st.sampled_from([5.0, 100.0]),
+        recover_time=st.sampled_from([0.0, 5.0]),
+        longest_cycle=st.sampled_from([5.0, 100.0]),
+    ),
+    st.tuples(parts, parts, parts),
+    st.sampled_from([0.3, 0.0, 0.6, -1.0]),
+    st.floats(100.0, 1000.0),
+)
+#: Targets as parts of the largest correction, at the far end of the stroke for a slope.
+wanted = st.sampled_from([-2.0, -1.0, 0.0, 1.0, 2.0]) | st.floats(-1.0, 1.0) | st.just(math.nan)
+lined_courses = st.lists(
+    st.tuples(st.floats(0.01, 20.0), st.none() | st.tuples(wanted, wanted, wanted)),
+    min_size=5,
+    max_size=30,
+)
+
+
+def run_lined(settings, course, state=None):
+    """Every state, the first one before the course."""
+    scale = settings.largest / settings.channels.levers
+    scaled = [(one, None if parts is None else scale * parts) for one, parts in course]
+    return run(settings, scaled, state)
+
+
+def corrections(settings, state):
+    """Of X at every position, then of Y."""
+    (along,) = settings.slopes
+    k0, other = offsets_of(settings, state)
+    (slope,) = slopes_of(settings, state)
+    return np.append(k0 + slope * (POSITIONS - along.reference), other)
+
+
+def one_step(settings):
+    """Of X at every position, then of Y."""
+    (along,) = settings.slopes
+    of_slope = along.slope.resolution * np.abs(POSITIONS - along.reference)
+    return settings.resolution + np.append(of_slope, 0.0)
 
 
 def as_row(settings, state):
@@ -148,10 +231,70 @@ def test_no_change_of_the_settings_moves_an_offset_faster_than_the_rate(first, c
             moved = np.abs(as_row(used, state) - last)
             assert (moved <= allowed * (1.0 + 1e-6)).all()
             # A limit that was lowered is reached at the rate, and never passed from within.
-            most = np.maximum(np.abs(last), used.most_steps * used.resolution)
+            most = np.maximum(np.abs(last), used.limits.most_steps * used.resolution)
             assert (np.abs(as_row(used, state)) <= most * (1.0 + 1e-9)).all()
         before = dict(zip(used.names, as_row(used, state), strict=True))
         content = content_of(used, state)
+
+
+@given(lined, lined_courses)
+def test_a_correction_keeps_the_rate_and_the_limit_at_every_position(settings, course):
+    states = run_lined(settings, course)
+    found = np.array([corrections(settings, state) for state in states])
+    assert np.abs(found).max() <= settings.largest * (1.0 + 1e-8)
+    for first in range(1, len(states)):
+        passed = np.array([state.time for state in states[first:]]) - states[first].time
+        moved = np.abs(found[first:] - found[first])
+        allowed = settings.rate * passed[:, None] + one_step(settings)
+        assert (moved <= allowed * (1.0 + 1e-6)).all()
+
+
+@given(lined, lined_courses, st.integers(1, 20), st.floats(0.01, 100.0))
+def test_without_an_estimate_a_line_freezes_then_decays_to_zero(settings, course, count, length):
+    before = run_lined(settings, course)[-1]
+    after = run(settings, [(length, None)] * count, before)[1:]
+    rows = np.array([before.steps, *(state.steps for state in after)])
+    assert (np.diff(np.abs(rows), axis=0) <= 0).all()
+    assert (rows[1:] * rows[:-1] >= 0).all()
+    for state in after:
+        if mode_of(settings, state) is Mode.FREEZE and math.isnan(before.unusable_since):
+            assert (state.steps == before.steps).all()
+    # As many cycles as led there, each as long as may be.
+    long = settings.freeze_time + 50.0 * settings.decay_time + settings.longest_cycle + 100.0
+    assert not run(settings, [(long, None)] * (len(course) + 3), after[-1])[-1].steps.any()
+
+
+@given(lined, st.lists(st.tuples(lined, lined_courses), min_size=1, max_size=3), lined_courses)
+def test_no_change_of_the_settings_moves_a_line_faster_than_the_rate(first, changes, course):
+    """Whatever is changed between two cycles, P0 too; through JSON as it is kept."""
+    state, before = run_lined(first, course)[-1], first
+    for used, later in changes:
+        last = corrections(before, state)
+        content = json.loads(json.dumps(content_of(before, state)))
+        state = restored(used, content, content["time"], 0.0)
+        moved = np.abs(corrections(used, state) - last)
+        assert (moved <= 0.5 * one_step(used) * (1.0 + 1e-6)).all()
+        for length, target in later:
+            last = corrections(used, state)
+            state = run_lined(used, [(length, target)], state)[-1]
+            moved = np.abs(corrections(used, state) - last)
+            allowed = used.rate * min(length, used.longest_cycle) + one_step(used)
+            assert (moved <= allowed * (1.0 + 1e-6)).all()
+        before = used
+
+
+def test_a_line_is_followed_at_the_reference_of_the_control():
+    settings = lined_settings(replace(PLAIN, names=("X", "Y"), estimated=("x", "y"), signs=(-1, 1)),
+                              (0.5, 0.5, 0.5), 0.1, 1e4)  # fmt: skip
+    known = np.full(2, np.nan)
+    known[0] = 40.0 * MICRO
+    lines = Lines(known, 0.1 * known, np.array([0.3, np.nan]), *np.full((2, 2), np.nan))
+    targets = followed(settings, ("x", "y"), MICRO * np.array([20.0, 5.0]), lines)
+    assert targets / MICRO == pytest.approx([-12.0, 5.0, -40.0])
+    # A band that holds at 600 mm, 300 mm from P0.
+    band = band_along(settings, ("x", "y"), np.full(2, 2.0 * MICRO), lines)
+    assert band / MICRO == pytest.approx([2.0 + 0.3 * 4.0, 2.0])
+    assert np.isnan(followed(settings, ("x", "y"), np.zeros(2))[2])
 
 
 def test_an_axis_keeps_its_offset_by_its_name_and_a_new_one_begins_at_zero():
@@ -297,6 +440,82 @@ def test_a_night_between_two_days_is_said_and_nothing_follows_it(files):
     assert np.diff(times) == pytest.approx(5.0)
 
 
+ALONG = f"""{SETTINGS}
+[axes.X.slope]
+resolution_um_per_m = 1.0
+"""
+
+
+def along_text(slopes, p0=300.0):
+    """K0 of 20 um along x, and these slopes (um/m); y at one place."""
+    named = "x_slope_um_per_m,x_slope_band_um_per_m,x_P0_mm,x_stroke_from_mm,x_stroke_to_mm"
+    more = "x_here_um,x_here_band_um,x_um,y_um,x_band_um,y_band_um"
+    rows = [f"{k},{one},8,{p0},100,600,,,20,4,1,1,ok" for k, one in enumerate(slopes)]
+    return "\n".join([f"time_s,{named},{more},status", *rows, ""])
+
+
+def test_the_preview_of_an_axis_with_a_slope_has_k0_slope_and_p0(files):
+    (files / "estimate.csv").write_text(along_text([60.0] * 100), "utf-8")
+    (files / "offsets.toml").write_text(ALONG, "utf-8")
+    out = files / "offsets.csv"
+    command = ["compensate", str(files / "estimate.csv"), "--out", str(out)]
+    done = CliRunner().invoke(app, [*command, "--settings", str(files / "offsets.toml")])
+    assert done.exit_code == 0, done.output
+    assert (
+        "X: K0 at P0 = 300 mm and slope; from 100 to 600 mm at most 500 um, 2 um/s" in done.output
+    )
+    with out.open(encoding="utf-8", newline="") as file:
+        rows = [{key: row[key] for key in row} for row in csv.DictReader(file)]
+    named = ["offset_X_um", "offset_Z_um", "slope_X_um_per_m", "P0_X_mm"]
+    assert [*rows[0]] == ["time_s", *named, "state"]
+    assert [float(rows[-1][name]) for name in named] == pytest.approx([-20.0, 4.0, -60.0, 300.0])
+    k0, slope = (np.array([float(row[name]) for row in rows]) for name in (named[0], named[2]))
+    for position in np.linspace(0.1, 0.6, 11):
+        moved = np.abs(np.diff(k0 + (position - 0.3) * slope))
+        assert moved.max() <= 2.0 + 0.1 + 1.0 * abs(position - 0.3)
+
+
+def test_the_slopes_band_counts_at_the_far_end():
+    """Half-widths of 1 um and of 8 um/m: 3.4 um at 600 mm."""
+    axes, rows = read_estimate(along_text([60.0] * 3).splitlines(), "estimate.csv")
+    assert axes == ("x", "y")
+    for widest, state in ((3.5, "follow"), (3.3, "wait")):
+        given = toml.parse(ALONG, "s.toml") | {"widest_band_um": widest}
+        found = list(preview(settings_from_data(given, "s.toml"), axes, rows))
+        assert found[-1].state == state
+
+
+def test_without_a_slope_in_the_settings_the_offset_is_k0(files):
+    axes, rows = read_estimate(along_text([60.0] * 100).splitlines(), "estimate.csv")
+    (last,) = [*preview(read_settings(files / "offsets.toml"), axes, rows)][-1:]
+    assert last.offsets / MICRO == pytest.approx([-20.0, 4.0])
+    assert (last.slopes.size, last.references.size) == (0, 0)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("[axes.X.slope]", "[axes.Z.slope]", "axes.Z.slope: y is estimated at one place"),
+        ("_per_m = 1.0", "_per_m = 0.0", "axes.X.slope.resolution_um_per_m"),
+        ("resolution_um_per_m", "resolution_um_m", "did you mean 'resolution_um_per_m'?"),
+        ("_per_m = 1.0", "_per_m = 1.0\nrate_um_per_m_s = 7.0", "300 mm from P0 it is all of rate"),
+        ("_per_m = 1.0", "_per_m = 1.0\nlargest_um_per_m = 1700", "is all of largest_um 500"),
+        ("_per_m = 1.0", "_per_m = 900.0", "is not 1 to 1e+09 steps"),
+        ("_per_m = 1.0", "_per_m = 1.0\nreference_mm = 9e9", "is not 1 to 1e+09 steps"),
+    ],
+)  # fmt: skip
+def test_a_slope_that_cannot_be_is_refused_in_one_line(files, old, new, told):
+    (files / "estimate.csv").write_text(along_text([60.0] * 3), "utf-8")
+    (files / "offsets.toml").write_text(ALONG.replace(old, new), "utf-8")
+    out = files / "offsets.csv"
+    command = ["compensate", str(files / "estimate.csv"), "--out", str(out)]
+    done = CliRunner().invoke(app, [*command, "--settings", str(files / "offsets.toml")])
+    assert isinstance(done.exception, InputError)
+    assert told in str(done.exception)
+    assert "\n" not in str(done.exception)
+    assert not out.exists()
+
+
 def test_an_old_estimate_is_no_estimate():
     given = {"oldest_s": 5.0, "recover_s": 0.0, "axes": {"X": {"follows": "x"}}}
     settings = settings_from_data(given, "s.toml")
@@ -369,7 +588,10 @@ def test_the_command_refuses_a_response_and_leaves_nothing(files):
 
 def test_the_settings_of_the_page_are_settings():
     page = (ROOT / "docs" / "closing-the-loop.md").read_text("utf-8")
-    (block,) = re.findall(r"```toml\n(.*?)```", page, re.S)
+    block, slope = re.findall(r"```toml\n(.*?)```", page, re.S)
     settings = settings_from_data(toml.parse(block, "page"), "page")
     assert settings.output.signs == (-1, -1)
+    along = settings_from_data(toml.parse(block + slope, "page"), "page")
+    (own,) = with_slopes(along, {"x": STROKE}, "page").output.slopes
+    assert own.slope.resolution == pytest.approx(MICRO)
     assert settings.trust.widest_band == pytest.approx(5.0 * MICRO)

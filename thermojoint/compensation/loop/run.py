@@ -29,7 +29,7 @@ from thermojoint.compensation.loop.linear import (
 from thermojoint.compensation.loop.march import Acting, Course, Plant, run_loop
 from thermojoint.compensation.loop.schema import HeaterSection, Loop
 from thermojoint.compensation.loop.tuning import Requirements, Tuned, feed_forward_gain, tune
-from thermojoint.compensation.offsets.settings import Settings, read_settings
+from thermojoint.compensation.offsets.settings import Settings, read_settings, with_slopes
 
 #: Standard deviation of the noise assumed in tuning, relative to its peak-to-peak value.
 RMS = 1.0 / 6.0
@@ -228,6 +228,9 @@ def _noise(loop: Loop, case: Case, estimator: JointAware) -> Array:
 
 
 def _check_axes(settings: Settings | None, estimator: JointAware) -> None:
+    if settings is not None:
+        # A joint-aware model is of one place.
+        with_slopes(settings, {}, "offsets")
     for name in settings.output.estimated if settings is not None else ():
         if name not in estimator.axes:
             raise unknown_name("axis", name, estimator.axes, "offsets: the estimate has")

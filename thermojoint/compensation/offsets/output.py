@@ -1,4 +1,4 @@
-"""Axis offsets in one control cycle, from an estimate.
+"""Axis offsets in one control cycle, from an estimate; for axes with a slope their lines.
 
 The target is sign times the estimated displacement after a first-order low-pass, a dead band and a
 limit. The offset approaches it with a limited rate in whole steps of the control's resolution.
@@ -6,9 +6,13 @@ Without a usable estimate the offsets freeze, and later decay to zero; they foll
 estimates have been usable for some time, so that an intermittent status does not move an axis back
 and forth.
 
+An axis with a slope is corrected by offset + slope (position - reference). Offset and slope pass
+these stages with limits of their own, which leave the correction within the rate and the largest
+offset at every position of the stroke, whichever of the two is earlier.
+
 A state outlives its settings (`content_of`, `restored`): it is stored in metres by axis name, so
 after a change of the resolution, the limits or the axes each axis continues from the offset that
-the control received last.
+the control received last. With another reference the offset is another one, and the line the same.
 """
 
 from __future__ import annotations
@@ -17,12 +21,97 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.lines import Lines
 from thermojoint.artefacts.arrays import Array
+
+#: What is kept of a value beside itself.
+_KEPT = ("frozen", "filtered", "wanted")
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of an offset (m), or of a slope (m/m).
+
+    Attributes
+    ----------
+    resolution : float
+        Step.
+    rate : float
+        Largest rate, 1/s.
+    dead_band : float
+        The target changes only if the estimate has changed by more than this.
+    largest : float
+        Of either sign.
+    """
+
+    resolution: float
+    rate: float
+    dead_band: float
+    largest: float
+
+    @property
+    def most_steps(self) -> int:
+        """Largest value in whole steps."""
+        # Rounding must not reduce a limit of a whole number of steps.
+        return math.floor(self.largest / self.resolution + 1e-9)
+
+
+@dataclass(frozen=True)
+class AxisSlope:
+    """A slope that an axis of the control takes.
+
+    Attributes
+    ----------
+    axis : str
+        Of the control.
+    reference, low, high : float
+        Position at which the correction is the offset, and the ends of the stroke, m.
+    offset : Limits
+        Of this axis; in place of those of the axes without a slope.
+    slope : Limits
+    """
+
+    axis: str
+    reference: float
+    low: float
+    high: float
+    offset: Limits
+    slope: Limits
+
+    @property
+    def lever(self) -> float:
+        """Largest distance from the reference on the stroke, m."""
+        return max(abs(end - self.reference) for end in (self.low, self.high))
+
+
+class Channels(NamedTuple):
+    """Limits of all values that a control receives: the offsets, then the slopes.
+
+    Attributes
+    ----------
+    shares : ndarray of int, shape (channels,)
+        Which of the travels each one uses.
+    resolution, dead_band, most : ndarray, shape (channels,)
+        Steps (m, m/m), dead bands, and most steps.
+    levers : ndarray, shape (channels,)
+        Correction at the far end of the stroke per value: 1, and for slopes the lever, m.
+    rates, steps : ndarray, shape (travels,)
+        The offsets of all axes without a slope share a travel.
+    """
+
+    shares: NDArray[np.int64]
+    resolution: Array
+    dead_band: Array
+    most: NDArray[np.int64]
+    levers: Array
+    rates: Array
+    steps: Array
 
 
 @dataclass(frozen=True)
@@ -56,6 +145,8 @@ class OutputSettings:
     longest_cycle : float
         Upper limit of a cycle's duration in the rate limit, s, so that offsets do not jump after a
         pause.
+    slopes : tuple of AxisSlope
+        Of the axes that take one, in their order.
     """
 
     names: tuple[str, ...]
@@ -70,12 +161,35 @@ class OutputSettings:
     decay_time: float
     recover_time: float
     longest_cycle: float
+    slopes: tuple[AxisSlope, ...] = ()
 
     @property
-    def most_steps(self) -> int:
-        """Largest offset in whole steps."""
-        # Rounding must not reduce a limit of a whole number of steps.
-        return math.floor(self.largest / self.resolution + 1e-9)
+    def limits(self) -> Limits:
+        """Of the offsets of axes without a slope."""
+        return Limits(self.resolution, self.rate, self.dead_band, self.largest)
+
+    @cached_property
+    def along(self) -> tuple[int, ...]:
+        """Axes that take a slope, by their place."""
+        return tuple(self.names.index(one.axis) for one in self.slopes)
+
+    @cached_property
+    def channels(self) -> Channels:
+        """Limits of the offsets and of the slopes."""
+        travels = [self.limits, *(one for own in self.slopes for one in (own.offset, own.slope))]
+        shares = np.zeros(len(self.names) + len(self.slopes), dtype=np.int64)
+        shares[list(self.along)] = 1 + 2 * np.arange(len(self.slopes))
+        shares[len(self.names) :] = 2 + 2 * np.arange(len(self.slopes))
+        own = [travels[share] for share in shares.tolist()]
+        return Channels(
+            shares,
+            np.array([one.resolution for one in own]),
+            np.array([one.dead_band for one in own]),
+            np.array([one.most_steps for one in own]),
+            np.array([1.0] * len(self.names) + [one.lever for one in self.slopes]),
+            np.array([one.rate for one in travels]),
+            np.array([one.resolution for one in travels]),
+        )
 
 
 class Mode(Enum):
@@ -94,15 +208,16 @@ class OutputState(NamedTuple):
     ----------
     time : float
         Time of the last cycle, s; NaN before the first.
-    steps : ndarray of int, shape (axes,)
-        The offsets, in steps of the resolution.
-    filtered, wanted : ndarray, shape (axes,)
-        Target after the low-pass, and after the dead band, m; NaN before the first estimate.
-    credit : float
-        Unused travel carried over from previous cycles, m; at most one step.
+    steps : ndarray of int, shape (channels,)
+        The offsets, then the slopes, in steps of their resolution.
+    filtered, wanted : ndarray, shape (channels,)
+        Target after the low-pass, and after the dead band, m and m/m; NaN before the first
+        estimate.
+    credit : ndarray, shape (travels,)
+        Unused travel carried over from previous cycles, m and m/m; at most one step.
     unusable_since : float
         Time at which the offsets stopped following, s; NaN while they follow.
-    frozen : ndarray of int, shape (axes,)
+    frozen : ndarray of int, shape (channels,)
         The offsets at that time.
     usable_since : float
         Time at which estimates became usable again, s; NaN if they have not.
@@ -112,7 +227,7 @@ class OutputState(NamedTuple):
     steps: NDArray[np.int64]
     filtered: Array
     wanted: Array
-    credit: float
+    credit: Array
     unusable_since: float
     frozen: NDArray[np.int64]
     usable_since: float
@@ -125,18 +240,38 @@ class OutputState(NamedTuple):
 
 def at_zero(settings: OutputSettings) -> OutputState:
     """Return the state before the first cycle."""
-    count = len(settings.names)
+    count = len(settings.channels.shares)
     unseen, none = np.full(count, np.nan), np.zeros(count, dtype=np.int64)
-    return OutputState(math.nan, none, unseen, unseen, 0.0, math.nan, none, math.nan)
+    rested = np.zeros(len(settings.channels.rates))
+    return OutputState(math.nan, none, unseen, unseen, rested, math.nan, none, math.nan)
 
 
 def offsets_of(settings: OutputSettings, state: OutputState) -> Array:
     """Return the offsets of a state, m, shape (axes,)."""
-    return np.asarray(settings.resolution * state.steps)
+    return _values(settings, state.steps)[: len(settings.names)]
 
 
-def followed(settings: OutputSettings, axes: Sequence[str], displacement: Array) -> Array:
-    """Return the targets of the offsets, m, shape (control's axes,).
+def slopes_of(settings: OutputSettings, state: OutputState) -> Array:
+    """Return the slopes of a state, m/m, shape (slopes,)."""
+    return _values(settings, state.steps)[len(settings.names) :]
+
+
+def corrections_of(settings: OutputSettings, state: OutputState) -> Array:
+    """Return the offsets, and what each slope makes at the far end, m, shape (channels,)."""
+    return settings.channels.levers * _values(settings, state.steps)
+
+
+def _values(settings: OutputSettings, steps: NDArray[np.int64]) -> Array:
+    return np.asarray(settings.channels.resolution * steps)
+
+
+def followed(
+    settings: OutputSettings,
+    axes: Sequence[str],
+    displacement: Array,
+    lines: Lines | None = None,
+) -> Array:
+    """Return the targets of the offsets (m) and of the slopes (m/m), shape (channels,).
 
     Parameters
     ----------
@@ -145,9 +280,38 @@ def followed(settings: OutputSettings, axes: Sequence[str], displacement: Array)
         Axes of the estimate, including all that `settings` refers to.
     displacement : ndarray, shape (axes,)
         Estimated, m.
+    lines : Lines, optional
+        Estimated; without them slopes have no target (NaN).
     """
-    at = [list(axes).index(name) for name in settings.estimated]
-    return np.asarray(np.array(settings.signs) * displacement[at])
+    at, signs = [list(axes).index(name) for name in settings.estimated], np.array(settings.signs)
+    targets = np.asarray(signs * displacement[at])
+    if not settings.slopes:
+        return targets
+    along = list(settings.along)
+    slopes = np.full(len(along), np.nan)
+    if lines is not None:
+        own = [at[k] for k in along]
+        slopes = signs[along] * lines.slope[own]
+        references = np.array([one.reference for one in settings.slopes])
+        targets[along] += slopes * (references - lines.reference[own])
+    return np.concatenate((targets, slopes))
+
+
+def band_along(
+    settings: OutputSettings, axes: Sequence[str], band: Array, lines: Lines | None
+) -> Array:
+    """Return bands (m) that hold at every position of the stroke for the axes with a slope.
+
+    They are not wider than those of offset and slope together.
+    """
+    if not settings.slopes or lines is None:
+        return band
+    widest = band.copy()
+    for k, own in zip(settings.along, settings.slopes, strict=True):
+        at = list(axes).index(settings.estimated[k])
+        far = max(abs(end - lines.reference[at]) for end in (own.low, own.high))
+        widest[at] += far * lines.band[at]
+    return widest
 
 
 def cycle(
@@ -162,9 +326,11 @@ def cycle(
         State after the previous cycle; not modified.
     time : float
         s; later than that of the previous cycle.
-    target : ndarray, shape (axes,), or None
-        Targets of the offsets, m (`followed`); None or non-finite values without a usable estimate.
+    target : ndarray, shape (channels,), or None
+        Targets of offsets and slopes (`followed`); None or non-finite values without a usable
+        estimate.
     """
+    channels = settings.channels
     passed = 0.0 if math.isnan(state.time) else time - state.time
     usable = target is not None and bool(np.isfinite(target).all())
     usable_since = state.usable_since
@@ -175,7 +341,7 @@ def cycle(
         since = usable_since = math.nan
         filtered = _filtered(settings, state.filtered, target, passed)
         wanted = _beyond_dead_band(settings, state.wanted, filtered)
-        goal = np.rint(wanted / settings.resolution)
+        goal = np.rint(wanted / channels.resolution)
     else:
         if not usable:
             usable_since = math.nan
@@ -184,12 +350,13 @@ def cycle(
         left = _left(settings, time - since)
         # Rounded towards zero, so that a decaying offset never grows, even with a new resolution.
         goal = np.sign(state.steps) * np.minimum(np.trunc(left * np.abs(frozen)), abs(state.steps))
-        filtered = wanted = np.full(len(settings.names), np.nan)
-    most = settings.most_steps
-    allowed, credit = _allowed(settings, state.credit, min(passed, settings.longest_cycle))
-    way = np.clip(goal, -most, most).astype(np.int64) - state.steps
-    moved = np.clip(way, -allowed, allowed)
-    left_over = max(credit - int(np.abs(moved).max(initial=0)) * settings.resolution, 0.0)
+        filtered = wanted = np.full(len(channels.shares), np.nan)
+    allowed, credit = _allowed(channels, state.credit, min(passed, settings.longest_cycle))
+    way = np.clip(goal, -channels.most, channels.most).astype(np.int64) - state.steps
+    moved = np.clip(way, -allowed[channels.shares], allowed[channels.shares])
+    used = np.zeros_like(allowed)
+    np.maximum.at(used, channels.shares, np.abs(moved))
+    left_over = np.maximum(credit - used * channels.steps, 0.0)
     return OutputState(
         time, state.steps + moved, filtered, wanted, left_over, since, frozen, usable_since
     )
@@ -210,21 +377,31 @@ def content_of(settings: OutputSettings, state: OutputState) -> dict[str, Any]:
 
     Unknown values are None. Axes of other settings may be added.
     """
-    return {
+    offset, frozen = _values(settings, state.steps), _values(settings, state.frozen)
+    content: dict[str, Any] = {
         "time": _known(state.time),
         "unusable_since": _known(state.unusable_since),
         "axes": {
             name: {
                 "follows": settings.estimated[k],
                 "sign": settings.signs[k],
-                "offset": settings.resolution * int(state.steps[k]),
-                "frozen": settings.resolution * int(state.frozen[k]),
+                "offset": float(offset[k]),
+                "frozen": float(frozen[k]),
                 "filtered": _known(state.filtered[k]),
                 "wanted": _known(state.wanted[k]),
             }
             for k, name in enumerate(settings.names)
         },
     }
+    for k, own in enumerate(settings.slopes, len(settings.names)):
+        content["axes"][own.axis]["slope"] = {
+            "reference": own.reference,
+            "value": float(offset[k]),
+            "frozen": float(frozen[k]),
+            "filtered": _known(state.filtered[k]),
+            "wanted": _known(state.wanted[k]),
+        }
+    return content
 
 
 def restored(
@@ -232,8 +409,9 @@ def restored(
 ) -> OutputState:
     """Return the state under these settings that continues one stored under others.
 
-    An axis of the same name starts from its last offset, rounded to the resolution; a new axis from
-    zero. Filtered values are only used if the same estimate is followed. The elapsed time moves no
+    An axis of the same name starts from its last offset and slope, rounded to the resolution; a new
+    axis, or a new slope, from zero. With another reference the offset is that of the same line
+    there. Filtered values are only used if the same estimate is followed. The elapsed time moves no
     axis, since a control holds its last value.
 
     Parameters
@@ -247,32 +425,65 @@ def restored(
         Time since the last cycle, s, which counts for freezing and decay.
     """
     state, axes = at_zero(settings), content["axes"]
-    steps, frozen = state.steps.copy(), state.frozen.copy()
-    filtered, wanted = state.filtered.copy(), state.wanted.copy()
+    # By channel: value, frozen, filtered, wanted.
+    kept = np.tile([0.0, 0.0, np.nan, np.nan], (len(state.steps), 1))
     for k, name in enumerate(settings.names):
-        if (axis := axes.get(name)) is None:
-            continue
-        steps[k], frozen[k] = (
-            round(axis[key] / settings.resolution) for key in ("offset", "frozen")
-        )
-        if (axis["follows"], axis["sign"]) == (settings.estimated[k], settings.signs[k]):
-            filtered[k], wanted[k] = (_number(axis.get(key)) for key in ("filtered", "wanted"))
+        if (axis := axes.get(name)) is not None:
+            kept[k] = [_number(axis.get(key)) for key in ("offset", *_KEPT)]
+    for k, own in enumerate(settings.slopes, len(settings.names)):
+        slope = axes.get(own.axis, {}).get("slope")
+        if slope is not None:
+            kept[k] = [_number(slope.get(key)) for key in ("value", *_KEPT)]
+            kept[settings.names.index(own.axis)] += (own.reference - slope["reference"]) * kept[k]
+    for k, name in enumerate(settings.names):
+        axis = axes.get(name, {})
+        if (axis.get("follows"), axis.get("sign")) != (settings.estimated[k], settings.signs[k]):
+            kept[[k, *_slope_of(settings, k)], 2:] = np.nan
+    steps, frozen = (
+        np.rint(kept[:, part] / settings.channels.resolution).astype(np.int64) for part in (0, 1)
+    )
     before, unusable = (_number(content.get(key)) for key in ("time", "unusable_since"))
     unusable += time - silence - before
-    return OutputState(time, steps, filtered, wanted, 0.0, unusable, frozen, math.nan)
+    return state._replace(
+        time=time,
+        steps=steps,
+        filtered=kept[:, 2],
+        wanted=kept[:, 3],
+        unusable_since=unusable,
+        frozen=frozen,
+    )
+
+
+def _slope_of(settings: OutputSettings, axis: int) -> list[int]:
+    """Return the channel of the slope of an axis, by its place; none without one."""
+    return [len(settings.names) + j for j, k in enumerate(settings.along) if k == axis]
 
 
 def moved_to(
-    settings: OutputSettings, state: OutputState, offsets: Array, time: float
+    settings: OutputSettings, state: OutputState, corrections: Array, time: float
 ) -> OutputState:
-    """Return the state that goes on from offsets (m) that a control has, frozen there at a time.
+    """Return the state that goes on from what a control has, frozen there at a time.
 
-    They are not those that it was sent last; they follow again once estimates have been usable for
-    the time to recover.
+    It is not what it was sent last; offsets and slopes follow again once estimates have been usable
+    for the time to recover.
+
+    Parameters
+    ----------
+    settings : OutputSettings
+    state : OutputState
+    corrections : ndarray, shape (channels,)
+        As `corrections_of` has them, m.
+    time : float
+        s.
     """
-    steps = np.rint(offsets / settings.resolution).astype(np.int64)
+    channels = settings.channels
+    steps = np.rint(corrections / channels.levers / channels.resolution).astype(np.int64)
     return state._replace(
-        steps=steps, frozen=steps, credit=0.0, unusable_since=time, usable_since=math.nan
+        steps=steps,
+        frozen=steps,
+        credit=np.zeros_like(state.credit),
+        unusable_since=time,
+        usable_since=math.nan,
     )
 
 
@@ -303,16 +514,16 @@ def _filtered(settings: OutputSettings, before: Array, target: Array, passed: fl
 
 
 def _beyond_dead_band(settings: OutputSettings, before: Array, filtered: Array) -> Array:
-    inside = np.abs(filtered - before) <= settings.dead_band  # False for NaN
+    inside = np.abs(filtered - before) <= settings.channels.dead_band  # False for NaN
     return np.where(inside, before, filtered)
 
 
-def _allowed(settings: OutputSettings, credit: float, passed: float) -> tuple[int, float]:
-    """Number of steps that an offset may move in a cycle, and the available travel (m).
+def _allowed(channels: Channels, credit: Array, passed: float) -> tuple[NDArray[np.int64], Array]:
+    """Number of steps that a value may move in a cycle, and the available travel, by travels.
 
     Travel of less than a step is carried over to the next cycle, up to one step, so that within any
-    time an offset moves by at most the rate times this time plus one step.
+    time a value moves by at most the rate times this time plus one step.
     """
-    travel = settings.rate * passed
-    credit = min(credit + travel, max(travel, settings.resolution))
-    return math.floor(credit / settings.resolution + 1e-9), credit
+    travel = channels.rates * passed
+    credit = np.minimum(credit + travel, np.maximum(travel, channels.steps))
+    return np.floor(credit / channels.steps + 1e-9).astype(np.int64), credit

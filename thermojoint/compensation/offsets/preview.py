@@ -8,12 +8,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator.estimate_table import Row
+from estimator.estimate_table import Row, strokes_of
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import unknown_name
-from thermojoint.artefacts.units import MICRO
-from thermojoint.compensation.offsets.output import at_zero, cycle, followed, mode_of, offsets_of
-from thermojoint.compensation.offsets.settings import Settings
+from thermojoint.artefacts.units import MICRO, MILLI
+from thermojoint.compensation.offsets.output import (
+    at_zero,
+    band_along,
+    cycle,
+    followed,
+    mode_of,
+    offsets_of,
+    slopes_of,
+)
+from thermojoint.compensation.offsets.settings import Settings, with_slopes
 from thermojoint.compensation.offsets.usable import usable
 
 
@@ -26,12 +34,16 @@ class Cycle(NamedTuple):
         s.
     offsets : ndarray, shape (control's axes,)
         m.
+    slopes, references : ndarray, shape (slopes,)
+        Slopes (m/m) and their reference positions (m), of the axes that take them.
     state : str
         ``follow``, ``freeze``, or ``decay``; ``wait`` before the first usable estimate.
     """
 
     time: float
     offsets: Array
+    slopes: Array
+    references: Array
     state: str
 
 
@@ -50,32 +62,53 @@ def preview(settings: Settings, axes: Sequence[str], rows: Sequence[Row]) -> Ite
     Raises
     ------
     InputError
-        The estimate lacks an axis that is followed.
+        The estimate lacks an axis or a slope that is followed.
     """
     for name in settings.output.estimated:
         if name not in axes:
             raise unknown_name("axis", name, axes, "axes: the estimate has")
+    output = with_slopes(settings, strokes_of(axes, rows), "settings").output
+    references = np.array([one.reference for one in output.slopes])
     times = np.array([row.time for row in rows])
-    state = at_zero(settings.output)
+    state = at_zero(output)
     # Rounding must not drop the last cycle.
     count = math.floor((times[-1] - times[0]) / settings.cycle + 1e-9) + 1
     for index in range(count):
         time = float(times[0] + index * settings.cycle)
         row = rows[int(np.searchsorted(times, time * (1.0 + 1e-12), side="right")) - 1]
-        used = usable(settings.trust, time - row.time, row.band, row.status)
-        target = followed(settings.output, axes, row.displacement) if used else None
-        state = cycle(settings.output, state, time, target)
-        yield Cycle(time, offsets_of(settings.output, state), mode_of(settings.output, state).value)
+        band = band_along(output, axes, row.band, row.lines)
+        used = usable(settings.trust, time - row.time, band, row.status)
+        target = followed(output, axes, row.displacement, row.lines) if used else None
+        state = cycle(output, state, time, target)
+        offsets, slopes = offsets_of(output, state), slopes_of(output, state)
+        yield Cycle(time, offsets, slopes, references, mode_of(output, state).value)
 
 
 def header(settings: Settings) -> list[str]:
-    """Return the columns of a preview."""
-    return ["time_s", *(f"offset_{name}_um" for name in settings.output.names), "state"]
+    """Return the columns of a preview; with a slope the offset is K0."""
+    return [
+        "time_s",
+        *(f"offset_{name}_um" for name in settings.output.names),
+        *(f"slope_{name}_um_per_m" for name in settings.slopes),
+        *(f"P0_{name}_mm" for name in settings.slopes),
+        "state",
+    ]
 
 
 def row_of(settings: Settings, cycle: Cycle) -> list[str]:
     """Return one cycle as text, in the order of `header`."""
-    digits = max(0, -math.floor(math.log10(settings.output.resolution / MICRO) + 1e-9))
-    values = (f"{value / MICRO:.{digits + 2}f}" for value in cycle.offsets)
+    step = settings.output.resolution / MICRO
+    offsets = (_text(value / MICRO, step) for value in cycle.offsets)
+    slopes = (
+        _text(value / MICRO, section.resolution_um_per_m)
+        for value, section in zip(cycle.slopes, settings.slopes.values(), strict=True)
+    )
+    references = (f"{value / MILLI:.9g}" for value in cycle.references)
     # Fifteen digits, as in the table of estimates: seconds since 1970.
-    return [f"{cycle.time:.15g}", *values, cycle.state]
+    return [f"{cycle.time:.15g}", *offsets, *slopes, *references, cycle.state]
+
+
+def _text(value: float, step: float) -> str:
+    """Return a value with two digits more than its step."""
+    digits = max(0, -math.floor(math.log10(step) + 1e-9))
+    return f"{value:.{digits + 2}f}"

@@ -3,22 +3,34 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from estimator.lines import Stroke
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.settings import toml
 from thermojoint.artefacts.settings.read import settings_from
-from thermojoint.artefacts.settings.section import NotNegative, Positive, Section, Texts
-from thermojoint.artefacts.units import MICRO
-from thermojoint.compensation.offsets.output import OutputSettings
+from thermojoint.artefacts.settings.section import Finite, NotNegative, Positive, Section, Texts
+from thermojoint.artefacts.units import MICRO, MILLI
+from thermojoint.compensation.offsets.output import AxisSlope, Limits, OutputSettings
 from thermojoint.compensation.offsets.usable import UNUSABLE, Trust, known_reasons
 
 #: More steps than this in the range of an axis or a heater indicate a wrong unit.
 MOST_STEPS = 1e9
+
+
+class SlopeSection(Section):
+    """``[axes.NAME.slope]``: the axis takes K0 and a slope; the defaults depend on the stroke."""
+
+    resolution_um_per_m: Positive = 1.0
+    rate_um_per_m_s: Positive | None = None
+    dead_band_um_per_m: NotNegative | None = None
+    largest_um_per_m: Positive | None = None
+    reference_mm: Finite | None = None
 
 
 class AxisSection(Section):
@@ -26,6 +38,7 @@ class AxisSection(Section):
 
     follows: str
     sign: Literal[-1, 1] = -1
+    slope: SlopeSection | None = None
 
 
 class SettingsFile(Section):
@@ -58,11 +71,15 @@ class Settings:
         Conditions for using an estimate.
     cycle : float
         Cycle time of the control, s.
+    slopes : mapping
+        By axis: what is asked for of its slope. The rules for it are in `output` once the strokes
+        are known (`with_slopes`).
     """
 
     output: OutputSettings
     trust: Trust
     cycle: float
+    slopes: Mapping[str, SlopeSection] = field(default_factory=dict)
 
 
 def read_settings(path: Path | str) -> Settings:
@@ -111,4 +128,84 @@ def settings_from_data(data: dict[str, Any], where: Path | str) -> Settings:
         ),
         Trust(given.unusable, math.inf if widest is None else MICRO * widest, given.oldest_s),
         given.cycle_s,
+        {name: axis.slope for name, axis in given.axes.items() if axis.slope is not None},
     )
+
+
+def with_slopes(settings: Settings, strokes: Mapping[str, Stroke], where: str) -> Settings:
+    """Return settings with the rules for the slopes that they ask for.
+
+    Offset and slope of an axis share its rate, its largest offset and its dead band: at the far end
+    of the stroke, at a distance L from P0, what is left of each beside L times that of the slope is
+    the offset's. By the triangle inequality the correction, offset + slope (P - P0), keeps the
+    whole at every position of the stroke.
+
+    Parameters
+    ----------
+    settings : Settings
+    strokes : mapping of str to Stroke
+        Of the displacements that are known along an axis.
+    where : str
+        Name of the settings, for messages.
+
+    Raises
+    ------
+    InputError
+        A displacement is not known along an axis, or nothing is left for the offset.
+    """
+    output = settings.output
+    own = []
+    for axis, section in settings.slopes.items():
+        at, follows = f"{where}: axes.{axis}.slope", output.estimated[output.names.index(axis)]
+        if follows not in strokes:
+            raise InputError(
+                f"{at}: {follows} is estimated at one place; leave the slope out, or learn it "
+                f"along an axis: --displacement {follows}_um@y_pos_mm"
+            )
+        own.append(_axis_slope(axis, section, output.limits, strokes[follows], at))
+    return replace(settings, output=replace(output, slopes=tuple(own)))
+
+
+def _axis_slope(
+    axis: str, section: SlopeSection, whole: Limits, stroke: Stroke, at: str
+) -> AxisSlope:
+    reference = stroke.reference
+    if section.reference_mm is not None:
+        reference = MILLI * section.reference_mm
+    lever = max(abs(end - reference) for end in (stroke.low, stroke.high))
+    if lever <= 0.0:
+        raise InputError(f"{at}: the stroke is one position; leave the slope out")
+    slope = Limits(
+        MICRO * section.resolution_um_per_m,
+        _shared(section.rate_um_per_m_s, whole.rate, lever),
+        _shared(section.dead_band_um_per_m, whole.dead_band, lever),
+        _shared(section.largest_um_per_m, whole.largest, lever),
+    )
+    offset = Limits(
+        whole.resolution,
+        whole.rate - lever * slope.rate,
+        max(whole.dead_band - lever * slope.dead_band, 0.0),
+        whole.largest - lever * slope.largest,
+    )
+    far = f"{1e3 * lever:g} mm from P0"
+    if offset.rate <= 0.0:
+        raise InputError(
+            f"{at}.rate_um_per_m_s {slope.rate / MICRO:g}: {far} it is all of rate_um_s "
+            f"{whole.rate / MICRO:g}, and K0 would not move; make it smaller"
+        )
+    if offset.largest < offset.resolution:
+        raise InputError(
+            f"{at}.largest_um_per_m {slope.largest / MICRO:g}: {far} it is all of largest_um "
+            f"{whole.largest / MICRO:g}; make it smaller"
+        )
+    if not 1.0 <= slope.largest / slope.resolution <= MOST_STEPS:
+        raise InputError(
+            f"{at}.largest_um_per_m {slope.largest / MICRO:g} is not 1 to {MOST_STEPS:.0e} steps "
+            f"of resolution_um_per_m {slope.resolution / MICRO:g}; change one of them"
+        )
+    return AxisSlope(axis, reference, stroke.low, stroke.high, offset, slope)
+
+
+def _shared(given: float | None, whole: float, lever: float) -> float:
+    """Return a limit of a slope (SI) given in millionths; by default half of the whole."""
+    return 0.5 * whole / lever if given is None else MICRO * given

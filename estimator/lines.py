@@ -1,0 +1,90 @@
+"""Displacements along an axis, as estimators give them beside the displacement: its line.
+
+δ(P) = K0 + slope (P - P0), with the displacement itself as K0. An estimator with such displacements
+has the details of `DETAILS` for each of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.interface import Channel
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.units import MILLI
+
+#: Ends and units of the names of the details, in the order of `Lines`.
+DETAILS = (
+    ("slope", "m/m"),
+    ("slope_band", "m/m"),
+    ("P0", "mm"),
+    ("stroke_from", "mm"),
+    ("stroke_to", "mm"),
+)
+
+
+class Stroke(NamedTuple):
+    """Positions at which a displacement was read, m.
+
+    Attributes
+    ----------
+    reference : float
+        P0.
+    low, high : float
+        Smallest and largest position.
+    """
+
+    reference: float
+    low: float
+    high: float
+
+
+class Lines(NamedTuple):
+    """Lines of the displacements of an estimate; NaN for those that are known at one place.
+
+    Attributes
+    ----------
+    slope, band : ndarray, shape (axes,)
+        Slope and half-width of its 95 % interval, m/m.
+    reference, low, high : ndarray, shape (axes,)
+        P0 and the ends of the stroke, m.
+    """
+
+    slope: Array
+    band: Array
+    reference: Array
+    low: Array
+    high: Array
+
+
+def channels_of(axis: str) -> tuple[Channel, ...]:
+    """Return the details of the line of an axis."""
+    return tuple(Channel(f"{axis}_{name}", unit) for name, unit in DETAILS)
+
+
+def lines_of(axes: Sequence[str], channels: Sequence[Channel], details: Array) -> Lines | None:
+    """Return the lines among the details of an estimate; None if there are none.
+
+    Parameters
+    ----------
+    axes : sequence of str
+        Of the displacement, without units.
+    channels : sequence of Channel
+    details : ndarray, shape (channels,)
+    """
+    at = {channel: k for k, channel in enumerate(channels)}
+    values = np.full((len(DETAILS), len(axes)), np.nan)
+    for c, axis in enumerate(axes):
+        own = channels_of(axis)
+        if own[0] in at:
+            values[:, c] = details[[at[channel] for channel in own]]
+    return as_lines(values)
+
+
+def as_lines(values: Array) -> Lines | None:
+    """Return lines from values in the units of `DETAILS`, shape (5, axes); None if all are NaN."""
+    if np.isnan(values[2]).all():
+        return None
+    return Lines(*values[:2], *(MILLI * values[2:]))
