@@ -15,6 +15,7 @@ import numpy as np
 from fesim.accuracy.estimate import Accuracy, Marched, accuracy_of
 from fesim.axes.course import course_values, mapped
 from fesim.axes.march import march_moving
+from fesim.axes.positioning import cold
 from fesim.axes.setup import MovingSetup, axis_inputs, set_up_axis
 from fesim.case.history import entering_in_steps
 from fesim.case.schema import (
@@ -148,7 +149,10 @@ def simulate(
     inputs = march_inputs(case) if moving is None else axis_inputs(case)
     _check_forces(case, ready)
     (at_zero,) = inputs.at(np.zeros(1))
-    first = start if start is not None else initial_state(ready.machine, at_zero)
+    at_first = cold(moving.drive if moving is not None else None)
+    first = start
+    if first is None:
+        first = replace(initial_state(ready.machine, at_zero), drive=at_first)
     if first.model != ready.machine.thermal.model:
         raise InputError(
             "start: the state is of another reduced thermal model, built elsewhere; simulate from "
@@ -165,7 +169,7 @@ def simulate(
     ends = case.march.step_s * (first.index + 1.0 + np.arange(count, dtype=np.float64))
     parts = []
     if start is None:
-        rest = track_of(at_rest(ready.machine, at_zero))
+        rest = replace(track_of(at_rest(ready.machine, at_zero)), drive=at_first[None])
         parts.append(_kept(given, first.slip, rest))
     state, done, spent = first, 0, None
     with one_thread():
@@ -216,7 +220,8 @@ def _marching(
     """Yield the march up to the times of a response, and the effort of an adaptive one."""
     if isinstance(ready, MovingSetup):
         coupling, rows = MOVING_COUPLINGS[case.march.coupling], inputs.at(ends)
-        for track in march_moving(ready.moving, ready.course, rows, coupling, first):
+        moving, course = ready.moving, ready.course
+        for track in march_moving(moving, course, rows, coupling, first, ready.drive):
             yield track, None
         return
     machine, march = ready.machine, case.march

@@ -1,10 +1,17 @@
-"""What a response says of a moving axis: positions, displacements asked for, lines."""
+"""What a response says of a moving axis: positions, displacements asked for, lines, its drive."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from fesim.axes.mapping import displaced_at, line_over
+from fesim.axes.positioning import (
+    Screw,
+    positioning_error,
+    screw_temperature,
+    screw_tension,
+    station_positions,
+)
 from fesim.axes.setup import MovingSetup
 from fesim.march.track import Track
 from fesim.solid.elasticity import DIRECTIONS
@@ -36,12 +43,19 @@ def course_values(
         By `mapped`.
     """
     count = len(DIRECTIONS)
-    line = line_over(ready.asked, there[..., :count], ready.reference)
-    values = {
-        "axis_position": ready.course(times)[:, None],
+    position = ready.course(times)
+    values, coords = _drive_values(ready, track, position)
+    displaced, asked = track.displacement[:, :count], there[..., :count]
+    if "positioning_error" in values:
+        displaced = displaced + values["positioning_error"] * ready.carried
+        asked = asked + values["asked_positioning_error"][:, 0, :, None] * ready.carried
+    line = line_over(ready.asked, asked, ready.reference)
+    values |= {
+        "displacement": displaced,
+        "axis_position": position[:, None],
         "running_heat": track.inputs[:, -1:],
         "asked_position": ready.asked[None],
-        "asked_displacement": there[:, None, :, :count],
+        "asked_displacement": asked[:, None],
         "reference_position": np.array([ready.reference]),
         "line_offset": line.offset[:, None],
         "line_slope": line.slope[:, None],
@@ -50,4 +64,35 @@ def course_values(
     if there.shape[2] > count:
         values["rotation"] = track.displacement[:, count:]
         values["asked_rotation"] = there[:, None, :, count:]
-    return values, {"moving_axis": [ready.name]}
+    return values, coords | {"moving_axis": [ready.name]}
+
+
+def _drive_values(
+    ready: MovingSetup, track: Track, position: Array
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray | list[str]]]:
+    """Variables and coordinates of a drive, at positions (n,); none without one."""
+    drive = ready.drive
+    if drive is None:
+        return {}, {}
+    places = np.hstack(
+        [position[:, None], np.broadcast_to(ready.asked, (len(track), ready.asked.size))]
+    )
+    error = np.array(
+        [positioning_error(drive, *one) for one in zip(track.drive, places, strict=True)]
+    )
+    values = {"positioning_error": error[:, :1], "asked_positioning_error": error[:, None, 1:]}
+    if drive.scale is not None:
+        values["scale_temperature"] = track.drive[:, -1:]
+    if drive.screw is None:
+        return values, {}
+    return values | _screw_values(drive.screw, track.drive), {
+        "station": np.arange(1, station_positions(drive.screw).size + 1)
+    }
+
+
+def _screw_values(screw: Screw, states: Array) -> dict[str, np.ndarray]:
+    return {
+        "station_position": station_positions(screw)[None],
+        "screw_temperature": screw_temperature(screw, states)[:, None],
+        "screw_tension": np.array([[screw_tension(screw, state)] for state in states]),
+    }

@@ -1,17 +1,19 @@
 """Time stepping of a machine with a moving axis.
 
 A step conducts heat between pads and the stations that they pass in it, by their shares of the
-time, and settles the joints at the position of its end.
+time, and settles the joints at the position of its end. A drive warms up beside it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from fesim.axes.machine import MovingMachine
-from fesim.axes.occupation import distance, shares_of
+from fesim.axes.occupation import distance, shares_of, stretches
+from fesim.axes.positioning import Around, Drive, after_step
 from fesim.case.history import History
 from fesim.march.machine import CondensedMachine, State
 from fesim.march.stepping import Advance, advanced
@@ -20,7 +22,12 @@ from thermojoint.artefacts.arrays import Array
 
 
 def march_moving(
-    moving: MovingMachine, course: History, inputs: Array, advance: Advance, start: State
+    moving: MovingMachine,
+    course: History,
+    inputs: Array,
+    advance: Advance,
+    start: State,
+    drive: Drive | None = None,
 ) -> Iterator[Track]:
     """Yield the steps of a march, one by one.
 
@@ -36,6 +43,8 @@ def march_moving(
         `plainly_staggered` or `iterated` of `fesim.march.stepping`.
     start : State
         State to continue from.
+    drive : Drive, optional
+        What positions the axis; its state is part of the march's.
 
     Raises
     ------
@@ -51,6 +60,10 @@ def march_moving(
         driven = row.copy()
         driven[-1] = friction
         track = advanced(machine, advance(machine), state, driven[None])
+        if drive is not None:
+            felt = (state.temperature, track.temperature[-1])
+            around = Around(driven, felt, *stretches(course, *ends))
+            track = replace(track, drive=after_step(drive, state.drive, around)[None])
         state = track.step(-1).state
         yield track
 

@@ -57,7 +57,7 @@ def shares_of(positions: Array, course: History, start: float, end: float) -> Sh
     start, end : float
         s.
     """
-    times, at = _stretches(course, start, end)
+    times, at = stretches(course, start, end)
     places = np.array([_place(positions, place) for place in at])
     return _shares(len(positions), places, np.diff(times) / (end - start))
 
@@ -93,11 +93,11 @@ def _shares(count: int, places: Array, lengths: Array) -> Shares:
 
 def distance(course: History, start: float, end: float) -> float:
     """Return the length of the way from `start` to `end` (s), there and back counted, m."""
-    return float(np.abs(np.diff(_stretches(course, start, end)[1])).sum())
+    return float(np.abs(np.diff(stretches(course, start, end)[1])).sum())
 
 
-def _stretches(course: History, start: float, end: float) -> tuple[Array, Array]:
-    """Times and positions between which an axis moves evenly."""
+def stretches(course: History, start: float, end: float) -> tuple[Array, Array]:
+    """Return times, s, and positions, m, (k,) each, between which an axis moves evenly."""
     knots = course.times[(course.times > start) & (course.times < end)]
     times = np.concatenate([[start], knots, [end]])
     return times, course(times)

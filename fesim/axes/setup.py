@@ -14,6 +14,7 @@ from fesim.axes.condensation import condense_aligned, condense_apart
 from fesim.axes.guideway import Guideway
 from fesim.axes.machine import MovingMachine
 from fesim.axes.operators import GuidedOperators, guided_operators
+from fesim.axes.positioning import Drive, scale_of, screw_of
 from fesim.axes.rotation import rotation_rows
 from fesim.cache import remembered
 from fesim.case.axis_section import AxisSection
@@ -35,13 +36,14 @@ from fesim.march.reduced import (
 from fesim.march.start_field import start_field
 from fesim.setup.discretised import Discretised, discretised, relative_rows
 from fesim.setup.elastic import elastic_structure
-from fesim.setup.loads import MarchInputs, march_inputs
+from fesim.setup.loads import MarchInputs, input_layout, march_inputs
 from fesim.setup.machine import CacheKeys, Setup, cache_keys
 from fesim.setup.parts import Parts, make_parts, unit_direction
 from fesim.setup.soundness import explained_by_size, suspicions
-from fesim.setup.structure import measured_points
+from fesim.setup.structure import material_of, measured_points
 from fesim.setup.temperature_dependence import convecting_surfaces
 from fesim.solid.condensation import ThermalCondensation
+from fesim.solid.spaces import probe_cells
 from fesim.solid.substructures import UntiedCondensation
 from meshes.travel import stations_of
 from thermojoint.artefacts.arrays import Array
@@ -74,6 +76,10 @@ class MovingSetup:
         Positions at which displacements are wanted, m.
     reference : float
         P0 of the line through them, m.
+    drive : Drive or None
+        What positions the axis; None if it stands where its control believes.
+    carried : ndarray, shape (3,)
+        Displacement that is recorded, per m that the bodies on the axis move along it.
     """
 
     setup: Setup
@@ -82,6 +88,8 @@ class MovingSetup:
     course: History
     asked: Array
     reference: float
+    drive: Drive | None
+    carried: Array
 
 
 def set_up_axis(case: Case) -> MovingSetup:
@@ -122,7 +130,16 @@ def set_up_axis(case: Case) -> MovingSetup:
         make_thermal=_unavailable,
         make_mesh_errors=lambda: None,
     )
-    return MovingSetup(setup, moving, name, course, asked_positions(axis), reference_of(axis))
+    return MovingSetup(
+        setup,
+        moving,
+        name,
+        course,
+        asked_positions(axis),
+        reference_of(axis),
+        drive_of(case, setup),
+        _carried(case, axis, parts),
+    )
 
 
 def axis_inputs(case: Case) -> MarchInputs:
@@ -170,6 +187,39 @@ def reference_of(axis: AxisSection) -> float:
     """Return P0 of the line over the stroke, m: its middle if the case names none."""
     given = axis.reference_mm
     return MILLI * (0.5 * sum(axis.stroke_mm) if given is None else given)
+
+
+def drive_of(case: Case, setup: Setup) -> Drive | None:
+    """Return what positions the axis of a case; None if its bodies stand as the control believes.
+
+    Parameters
+    ----------
+    case : Case
+        With an axis.
+    setup : Setup
+        Of the same machine, whatever its drive.
+    """
+    (axis,) = case.axes.values()
+    if axis.ball_screw is None and axis.scale is None:
+        return None
+    screw = scale = followed = None
+    if (section := axis.ball_screw) is not None:
+        screw = screw_of(section, material_of(case.materials[section.material]))
+    if axis.scale is not None:
+        scale = scale_of(axis.scale)
+        if axis.scale.follows is not None:
+            followed = setup.probe_rows[list(setup.probes).index(axis.scale.follows)]
+    zero = None if axis.zero_mm is None else MILLI * axis.zero_mm
+    return Drive(screw, scale, followed, input_layout(case).ambient, zero)
+
+
+def _carried(case: Case, axis: AxisSection, parts: Parts) -> Array:
+    """Direction of an axis if it moves the point of `[displacement]`, less its origin's."""
+    moving = np.concatenate([parts.structure.bodies[name] for name in axis.bodies])
+    names = measured_points(case)
+    cells = probe_cells(parts.structure, {name: parts.structure.probes[name] for name in names})
+    moves = np.isin(cells, moving).astype(np.float64)
+    return float(moves[0] - moves[1:].sum()) * unit_direction(axis)
 
 
 def _moving(

@@ -7,6 +7,7 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
+from fesim.case.drive_sections import BallScrewSection, ScaleSection
 from thermojoint.artefacts.settings.section import File, Finite, Point, Positive, Section
 
 
@@ -15,6 +16,8 @@ class AxisSection(Section):
 
     The position is one value, or a CSV with ``time_s,position_mm``. The mesh shows the bodies at
     ``mesh_position_mm``. Stiffness and heat are exact at positions that are stations apart.
+    Without a ball screw and a scale the bodies stand where the control believes; with both, the
+    control reads the scale.
     """
 
     bodies: Annotated[list[str], Field(min_length=1)]
@@ -27,6 +30,9 @@ class AxisSection(Section):
     asked_mm: list[Finite] | None = None
     reference_mm: Finite | None = None
     rotation_within_mm: Positive | None = None
+    ball_screw: BallScrewSection | None = None
+    scale: ScaleSection | None = None
+    zero_mm: Finite | None = None
 
     @model_validator(mode="after")
     def _one_course(self) -> AxisSection:
@@ -40,6 +46,7 @@ class AxisSection(Section):
         for name, values in (
             ("position_mm", [] if self.position_mm is None else [self.position_mm]),
             ("asked_mm", self.asked_mm or []),
+            ("zero_mm", [] if self.zero_mm is None else [self.zero_mm]),
         ):
             for value in values:
                 if not low <= value <= high:
@@ -48,4 +55,24 @@ class AxisSection(Section):
                     )
         if self.asked_mm is not None and len(set(self.asked_mm)) < 2:
             raise ValueError("asked_mm: a line needs two positions or more; leave it out")
+        return self
+
+    @model_validator(mode="after")
+    def _driven(self) -> AxisSection:
+        if self.zero_mm is not None and self.ball_screw is None and self.scale is None:
+            raise ValueError(
+                "zero_mm: without a drive there is no error to set to zero; add [ball_screw] or "
+                "[scale], or leave it out"
+            )
+        if (screw := self.ball_screw) is not None:
+            low, high = screw.span_mm()
+            half = 0.5 * screw.nut_length_mm
+            for end in self.stroke_mm:
+                at = end + screw.nut_mm
+                if not (low <= at - half and at + half <= high):
+                    raise ValueError(
+                        f"ball_screw: at {end:g} mm the nut covers {at - half:g} to {at + half:g} "
+                        f"mm, but the screw goes from {low:g} to {high:g} mm; correct nut_mm, "
+                        "fixed_bearing_mm or far_end_mm"
+                    )
         return self

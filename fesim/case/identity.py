@@ -30,8 +30,16 @@ _LAW = {
     "tangential_stiffness_ratio",
     "running_friction_coefficient",
 }
-#: Where an axis stands, and what is read from it.
-_COURSE = {"position_mm", "file", "asked_mm", "reference_mm"}
+#: Where an axis stands, what positions it there, and what is read from it.
+_COURSE = {
+    "position_mm",
+    "file",
+    "asked_mm",
+    "reference_mm",
+    "ball_screw",
+    "scale",
+    "zero_mm",
+}
 _MARCH = {"duration_min", "coupling", "method", "tolerance_um", "tolerance_K"}
 _LOADS = {"title", "heat_input", "ambient", "output"}
 #: Sections, and keys of materials, that enter the heat equation only.

@@ -418,6 +418,8 @@ def not_movable(case: Case) -> str | None:
         return "axes: only one axis can move so far; leave out the others"
     if case.displacement is None:
         return "axes: joints on an axis need the deformation of the structure; add [displacement]"
+    if (reason := not_driven(case)) is not None:
+        return reason
     asked = case.output.snapshots_s or case.output.forces or case.output.stress_probes
     refused = [
         *(f"loads.{name}" for name in case.loads),
@@ -429,6 +431,22 @@ def not_movable(case: Case) -> str | None:
         *(['march.thermal = "full"'] if case.march.thermal == "full" else []),
     ]
     return f"{refused[0]}: not with [axes] so far; leave it out" if refused else None
+
+
+def not_driven(case: Case) -> str | None:
+    """Return what the drives of a case name that it does not have; None if nothing."""
+    for name, axis in case.axes.items():
+        if axis.ball_screw is not None and axis.ball_screw.material not in case.materials:
+            made = axis.ball_screw.material
+            return (
+                f"axes.{name}.ball_screw: no material {made!r}; add it to [materials], or name one "
+                "of those"
+            )
+        if axis.scale is not None and axis.scale.follows not in {None, *case.probes}:
+            return (
+                f"axes.{name}.scale: no probe {axis.scale.follows!r} to follow; add it to [probes]"
+            )
+    return None
 
 
 def read_case(path: Path | str) -> Case:

@@ -129,6 +129,9 @@ class State:
         Record of alternating increments of the last steps (`fesim.march.alternation`).
     taken_over : bool
         Whether this step and all later ones are iterated because the staggered ones alternated.
+    drive : ndarray, shape (d,)
+        Temperatures of the drive of a moving axis above the initial ambient, K
+        (`fesim.axes.positioning`); empty without one.
     """
 
     index: int
@@ -141,6 +144,7 @@ class State:
     frozen: Array
     turning: Array
     taken_over: bool
+    drive: Array
 
 
 @dataclass(frozen=True)

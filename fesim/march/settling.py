@@ -129,6 +129,7 @@ def _at_zero(machine: CondensedMachine, inputs: Array) -> tuple[State, Array | N
         frozen=np.zeros((7, count)),
         turning=np.zeros((2, count)),
         taken_over=False,
+        drive=np.zeros(0),
     )
     return state, None if lift is None else lift.probes
 

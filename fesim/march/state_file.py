@@ -21,10 +21,10 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import DAMAGED_ARCHIVE, whole_file
 
 SCHEMA = "thermojoint-march-state"
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 
 _RECORDING = {"title", "heat_input", "displacement", "probes", "candidates", "output"}
-_ARRAYS = ("temperature", "gap", "slip", "pressure", "change", "frozen", "turning")
+_ARRAYS = ("temperature", "gap", "slip", "pressure", "change", "frozen", "turning", "drive")
 
 
 def fingerprint(case: Case) -> str:
@@ -113,6 +113,7 @@ def load_state(path: Path, case: Case) -> State:
         "change": (3, count),
         "frozen": (7, count),
         "turning": (2, count),
+        "drive": (arrays["drive"].size if "drive" in arrays else 0,),
     }
     usable = (
         arrays.keys() == set(_ARRAYS)

@@ -408,6 +408,7 @@ def _step_heated(
             frozen=np.zeros_like(state.frozen),
             turning=state.turning,
             taken_over=state.taken_over,
+            drive=state.drive,
         ),
         inputs=inputs,
         conductance=conductance,

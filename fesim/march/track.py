@@ -37,7 +37,7 @@ class Track:
         As in `Step`.
     secant_residual : ndarray
         As in `Step`.
-    temperature, gap, slip, pressure, change, frozen, turning, taken_over : ndarray
+    temperature, gap, slip, pressure, change, frozen, turning, taken_over, drive : ndarray
         As in `State`.
     model : str
         As in `State`.
@@ -62,6 +62,7 @@ class Track:
     frozen: Array
     turning: Array
     taken_over: NDArray[np.bool_]
+    drive: Array
     model: str
 
     def __len__(self) -> int:
@@ -81,6 +82,7 @@ class Track:
             frozen=self.frozen[at],
             turning=self.turning[at],
             taken_over=bool(self.taken_over[at]),
+            drive=self.drive[at],
         )
         return Step(
             state=state,
@@ -172,6 +174,7 @@ def _kernel_track(
         frozen=record.frozen,
         turning=np.broadcast_to(state.turning, (taken, *state.turning.shape)),
         taken_over=np.broadcast_to(state.taken_over, taken),
+        drive=np.broadcast_to(state.drive, (taken, state.drive.size)),
         model=state.model,
     )
 

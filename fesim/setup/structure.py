@@ -8,6 +8,7 @@ from dataclasses import fields
 import numpy as np
 
 from fesim.case.schema import CandidatesSection, Case, MillingMachineSection
+from fesim.case.thermal_sections import MaterialSection
 from fesim.solid.materials import Material
 from fesim.solid.spaces import cells_at
 from meshes.exchange import read_structure
@@ -81,19 +82,21 @@ def _side(case: Case, name: str) -> str:
     return face_of(name) if name in case.walls else name
 
 
+def material_of(section: MaterialSection) -> Material:
+    """Return a material without its factors."""
+    return Material(
+        conductivity=section.conductivity_W_mK,
+        density=section.density_kg_m3,
+        heat_capacity=section.heat_capacity_J_kgK,
+        youngs_modulus=1e9 * section.youngs_modulus_GPa,
+        poisson_ratio=section.poisson_ratio,
+        expansion=section.expansion_1_K,
+    )
+
+
 def body_materials(case: Case, structure: Structure) -> dict[str, Material]:
     """Material of every body."""
-    made = {
-        name: Material(
-            conductivity=section.conductivity_W_mK,
-            density=section.density_kg_m3,
-            heat_capacity=section.heat_capacity_J_kgK,
-            youngs_modulus=1e9 * section.youngs_modulus_GPa,
-            poisson_ratio=section.poisson_ratio,
-            expansion=section.expansion_1_K,
-        )
-        for name, section in case.materials.items()
-    }
+    made = {name: material_of(section) for name, section in case.materials.items()}
     for body, material in case.bodies.items():
         structure.body(body, "bodies")
         if material not in made:

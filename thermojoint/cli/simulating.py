@@ -51,7 +51,13 @@ def simulate(
     from thermojoint.artefacts.settings.section import files_of
     from thermojoint.cli import results
     from thermojoint.paper import printing
-    from thermojoint.paper.summary import accuracy_line, axis_lines, convergence, covered_areas
+    from thermojoint.paper.summary import (
+        accuracy_line,
+        axis_lines,
+        convergence,
+        covered_areas,
+        drive_lines,
+    )
 
     given = read_case(case)
     # Without the state of --continue, which may be replaced by its successor.
@@ -97,7 +103,7 @@ def simulate(
     if "secant_residual" in finished.response:
         left = float(finished.response["secant_residual"].max())
         console.say(f"last secant step: temperatures changed by {left:.1e} K at most")
-    for line in axis_lines(finished.response):
+    for line in axis_lines(finished.response) + drive_lines(finished.response):
         console.say(line)
     if "error_total_um" in finished.response.attrs:
         console.say(accuracy_line(finished.response.attrs))

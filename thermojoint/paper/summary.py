@@ -199,6 +199,39 @@ def axis_lines(response: xr.Dataset) -> list[str]:
     return lines
 
 
+def drive_lines(response: xr.Dataset) -> list[str]:
+    """Return a line for the drive of each moving axis, and one for a screw that became slack."""
+    if "positioning_error" not in response:
+        return []
+    lines = []
+    for name in response["moving_axis"].to_numpy():
+        one = response.sel(moving_axis=name)
+        last = one.isel(time=-1)
+        over = MEGA * last["asked_positioning_error"].to_numpy()
+        parts = [
+            f"axis {str(name)!r} at the end: positioning error "
+            f"{MEGA * float(last['positioning_error']):.3g} µm at "
+            f"{float(last['axis_position']) / MILLI:g} mm, {over.min():.3g} to {over.max():.3g} µm "
+            "over the stroke"
+        ]
+        if "screw_temperature" in one:
+            warm = last["screw_temperature"].to_numpy()
+            parts.append(f"screw {warm.min():.3g} to {warm.max():.3g} K warmer")
+        if "scale_temperature" in one:
+            parts.append(f"scale {float(last['scale_temperature']):.3g} K warmer")
+        pulled = one["screw_tension"].to_numpy() if "screw_tension" in one else np.zeros(1)
+        if pulled.any():
+            parts.append(f"tension {1e-3 * pulled[-1]:.3g} kN")
+        lines.append("; ".join(parts))
+        slack = np.flatnonzero(pulled == 0.0)
+        if pulled.any() and slack.size:
+            lines.append(
+                f"axis {str(name)!r}: the screw is slack at {_lasting(response, int(slack[0]))}; "
+                "stretch it more, or take it as fixed-supported"
+            )
+    return lines
+
+
 def accuracy_line(attrs: Mapping[str, Any]) -> str:
     """Return how good a displacement is, from a response that says so."""
     by_joint = json.loads(attrs["error_by_joint_um"])

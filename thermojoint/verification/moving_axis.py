@@ -89,8 +89,8 @@ def slide_on_guide(lines: tuple[Array, Array, Array], slide: tuple[Array, Array]
     )
 
 
-def _data(folder: Path, shown: float) -> dict[str, Any]:
-    """Case with the slide where the mesh shows it, without heat and an axis."""
+def slide_data(folder: Path, shown: float) -> dict[str, Any]:
+    """Return a case with the slide where the mesh shows it, without an axis."""
     lines = tuple(
         np.linspace(low, high, round((high - low) / SIZE) + 1)
         for low, high in ((0.0, GUIDE), (-DEPTH, 0.0), (0.0, WIDTH))
@@ -144,7 +144,7 @@ def _joint(**keys: object) -> dict[str, Any]:
     return surface | sides | {"friction_coefficient": 0.0} | keys
 
 
-def _on_axis(data: dict[str, Any], stroke: tuple[float, float], **axis: object) -> dict[str, Any]:
+def on_axis(data: dict[str, Any], stroke: tuple[float, float], **axis: object) -> dict[str, Any]:
     """Let the slide of a case ride on an axis; lengths in mm."""
     joint = data["joints"]["joint"] | {"axis": "x"}
     given = {
@@ -158,12 +158,13 @@ def _on_axis(data: dict[str, Any], stroke: tuple[float, float], **axis: object) 
     return data | {"joints": {"joint": joint}, "axes": {"x": given | axis}}
 
 
-def _march(folder: Path, data: dict[str, Any]) -> xr.Dataset:
+def marched(folder: Path, data: dict[str, Any]) -> xr.Dataset:
+    """Return the response of a case whose files are in a folder."""
     return simulate(case_from_data(data, "slide", folder), accuracy=False).response
 
 
-def _course(folder: Path, times: Array, places: Array) -> str:
-    """Write a history, s and m; return its name."""
+def write_course(folder: Path, times: Array, places: Array) -> str:
+    """Write positions of an axis, s and m; return the file's name."""
     rows = (f"{t:.12g},{1e3 * p:.12g}\n" for t, p in zip(times, places, strict=True))
     (folder / "course.csv").write_text("time_s,position_mm\n" + "".join(rows))
     return "course.csv"
@@ -172,14 +173,14 @@ def _course(folder: Path, times: Array, places: Array) -> str:
 def _position_checks(folder: Path) -> Iterator[Check]:
     """The slide at positions of its axis against the structure meshed there."""
     stroke = (0.0, 1e3 * (GUIDE - SLIDE))
-    data = _data(folder, SHOWN)
+    data = slide_data(folder, SHOWN)
 
     def there(**axis: object) -> xr.Dataset:
-        return _march(folder, _on_axis(data, stroke, **axis))
+        return marched(folder, on_axis(data, stroke, **axis))
 
     for position in ALIGNED:
         on_axis = there(position_mm=1e3 * position)
-        meshed = _march(folder, _data(folder, position))
+        meshed = marched(folder, slide_data(folder, position))
         for name, unit, factor in (
             ("displacement", "µm", 1e6),
             ("temperature", "K", 1.0),
@@ -194,7 +195,7 @@ def _order(folder: Path, data: dict[str, Any]) -> Check:
 
     def compliance(station: float, low: float) -> Array:
         stroke = (1e3 * low, 1e3 * (GUIDE - SLIDE - low))
-        axis = _on_axis(data, stroke, position_mm=1e3 * OFF, station_mm=1e3 * station)
+        axis = on_axis(data, stroke, position_mm=1e3 * OFF, station_mm=1e3 * station)
         moving = set_up_axis(case_from_data(axis, "slide", folder)).moving
         return moving.standing(OFF).contact.elastic.compliance
 
@@ -228,12 +229,12 @@ def _error(meshed: xr.Dataset, on_axis: xr.Dataset, name: str) -> float:
 def _expansion_checks(folder: Path) -> Iterator[Check]:
     """Evenly warm bodies that expand freely: no pressure changes, wherever the slide moves."""
     times, places = np.array([0.0, 100.0, 160.0, 300.0]), np.array([0.0, 0.25, 0.25, 0.07])
-    data = _data(folder, SHOWN)
+    data = slide_data(folder, SHOWN)
     del data["sources"], data["heat_input"], data["convection_W_m2K"]
     data["supports"] |= {"fixed": [], "symmetry": {"x0": "x", "y0": "y", "z0": "z"}}
     data["initial_temperature"] = {"rise_K": RISE}
-    course = _course(folder, times, places)
-    response = _march(folder, _on_axis(data, (0.0, 320.0), file=course))
+    course = write_course(folder, times, places)
+    response = marched(folder, on_axis(data, (0.0, 320.0), file=course))
     change = np.abs(response["pressure"] - PRELOAD).max()
     yield Quantity("pressure", "MPa", 1e-6).check(
         "moving axis, free expansion",
@@ -258,12 +259,14 @@ def _energy_checks(folder: Path) -> Iterator[Check]:
     """Friction alone heats insulated bodies: they end at mu F way over their heat capacity."""
     times = np.array([0.0, 250.0, 400.0, 700.0])
     places = np.array([0.0, 0.3, 0.03, 0.21])
-    data = _data(folder, SHOWN)
+    data = slide_data(folder, SHOWN)
     data["convection_W_m2K"] = {}
     data["heat_input"]["level"] = 0.0
     data["joints"]["joint"]["running_friction_coefficient"] = RUNNING
     data["march"] = {"step_s": 200.0, "duration_min": 600.0}
-    response = _march(folder, _on_axis(data, (0.0, 320.0), file=_course(folder, times, places)))
+    response = marched(
+        folder, on_axis(data, (0.0, 320.0), file=write_course(folder, times, places))
+    )
     way = float(np.abs(np.diff(places)).sum())
     volume = WIDTH * (GUIDE * DEPTH + SLIDE * HEIGHT)
     heat = RUNNING * PRELOAD * SLIDE * WIDTH * way
@@ -291,12 +294,12 @@ def _oscillation_checks(folder: Path) -> Iterator[Check]:
     period, end = 0.5, 60.0
     turns = np.arange(0.0, end + 0.5 * period, 0.5 * period)
     places = np.where(np.arange(turns.size) % 2, 0.2, 0.12)
-    data = _on_axis(_data(folder, SHOWN), (0.12, 0.2), file=_course(folder, turns, places))
+    data = on_axis(slide_data(folder, SHOWN), (0.12, 0.2), file=write_course(folder, turns, places))
     data["axes"]["x"] |= {"stroke_mm": [120.0, 200.0], "asked_mm": [120.0, 200.0]}
     means = []
     for step in (period / 10.0, period):
         data["march"] = {"step_s": step, "duration_min": end / 60.0}
-        means.append(float(_march(folder, data)["temperature"].sel(probe="below")[-1]))
+        means.append(float(marched(folder, data)["temperature"].sel(probe="below")[-1]))
     yield Quantity("temperature", "K", 1e-2, "steps of a tenth of the period").check(
         "moving axis, oscillation, its time mean", *means
     )
@@ -326,14 +329,14 @@ def _band_check(folder: Path, peclet: float) -> Check:
     data["probes"] = {"on": {"position_mm": [1e3 * POINT, 0.0, 50.0], "body": "guide"}}
     data["displacement"] = {"point": "on"}
     taken = (WAY[1] - WAY[0]) / speed
-    course = _course(folder, np.array([0.0, taken]), np.array(WAY))
+    course = write_course(folder, np.array([0.0, taken]), np.array(WAY))
     stroke = (1e3 * WAY[0], 1e3 * WAY[1])
-    data = _on_axis(data, stroke, file=course, station_mm=1e3 * ALONG, mesh_position_mm=stroke[0])
+    data = on_axis(data, stroke, file=course, station_mm=1e3 * ALONG, mesh_position_mm=stroke[0])
     largest = []
     for part in (2.0, 4.0):
         step = ALONG / part / speed
         data["march"] = {"step_s": step, "duration_min": taken / 60.0}
-        largest.append(float(_march(folder, data)["temperature"].max()))
+        largest.append(float(marched(folder, data)["temperature"].max()))
     return JAEGER.check(
         f"moving axis, band on a half-space, Peclet {peclet:g}",
         band_temperature(speed, flux),

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from thermojoint.verification import (
     adaptive_march,
+    ball_screw,
     bearing,
     bistable,
     bolted,
@@ -77,6 +78,7 @@ GROUPS: tuple[Group, ...] = (
     Group("Errors in the time step", marching.splitting_checks),
     Group("Adaptive steps, pulses, units", adaptive_march.checks),
     Group("Moving axes", moving_axis.checks),
+    Group("Ball screws", ball_screw.checks),
 )
 
 

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from importlib.metadata import version
 
 HEAVY = {
     *(
@@ -90,3 +91,21 @@ def test_a_command_loads_what_it_works_with_and_nothing_else():
     for arguments, found in zip(commands, loaded(commands, ["numpy", "scipy.sparse"]), strict=True):
         assert not found & drawn_or_kept, arguments
         assert arguments not in without_elements or not found & elements, arguments
+
+
+def test_python_runs_the_package_as_the_command():
+    done = subprocess.run(
+        [sys.executable, "-m", "thermojoint", "--version"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert version("thermojoint") in done.stdout
+    wrong = subprocess.run(
+        [sys.executable, "-m", "thermojoint", "simulate", "no.toml", "--out", "no.nc"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert wrong.returncode == 2
+    assert wrong.stderr.startswith("thermojoint: no.toml: ")

@@ -1,0 +1,315 @@
+"""A ball screw: heat along it, elongation, tension between its bearings.
+
+Heat is conducted along the screw, given off by a film that is the same along it, and by the
+bearings at its ends. In finite volumes of equal width,
+
+    C dT/dt = -(K + G) (T - Ta) - h S (T - Ta) + q,
+
+and because C and S are the same in every cell, the modes of K + G are those of any film: it adds
+h S/C to each rate. They are found once; a step is exact for what is constant in it, the film and
+the heat of each cell, both means over the step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import eigh_tridiagonal
+
+from fesim.march.exponential import phi_functions
+from fesim.solid.materials import Material
+from thermojoint.artefacts.arrays import Array
+
+
+@dataclass(frozen=True)
+class Rod:
+    """A screw without thread.
+
+    Attributes
+    ----------
+    length, diameter : float
+        Between the bearings; of the cross-section, m.
+    material : Material
+        Its material.
+    """
+
+    length: float
+    diameter: float
+    material: Material
+
+    @property
+    def area(self) -> float:
+        """Cross-section, m2."""
+        return 0.25 * np.pi * self.diameter**2
+
+
+@dataclass(frozen=True, eq=False)
+class Conduction:
+    """Conduction along a rod in n cells of equal width, and its modes.
+
+    Attributes
+    ----------
+    edges : ndarray, shape (n + 1,)
+        Of the cells, from 0 to the length, m.
+    capacity, surface : float
+        Of a cell: heat capacity, J/K, and area to the air, m2.
+    sinks : ndarray, shape (n,)
+        Conductance to the ambient through the ends, W/K.
+    reaching : ndarray, shape (2,)
+        Share of heat at either end that reaches its cell; the rest goes straight to the ambient.
+    rates : ndarray, shape (n,)
+        Decay rates of the modes without a film, 1/s.
+    modes : ndarray, shape (n, n)
+        Orthonormal columns.
+    """
+
+    edges: Array
+    capacity: float
+    surface: float
+    sinks: Array
+    reaching: Array
+    rates: Array
+    modes: Array
+
+
+@dataclass(frozen=True)
+class Film:
+    """Film h = still + added (v/speed)^exponent at speed v of the nut.
+
+    Attributes
+    ----------
+    still, added : float
+        W/(m2 K).
+    speed : float
+        Speed of the nut at which `added` is added, m/s.
+    exponent : float
+        Positive.
+    """
+
+    still: float
+    added: float
+    speed: float
+    exponent: float
+
+
+@dataclass(frozen=True)
+class Heat:
+    """Heat that enters a screw.
+
+    Attributes
+    ----------
+    nut : float
+        At the nut, J per m of its way.
+    nut_length : float
+        m.
+    bearings : tuple of float
+        At the near and the far end, J per m of the nut's way.
+    motor : float
+        At the near end, always, W.
+    """
+
+    nut: float
+    nut_length: float
+    bearings: tuple[float, float]
+    motor: float
+
+
+@dataclass(frozen=True)
+class Hold:
+    """How a screw is held at its far end.
+
+    Attributes
+    ----------
+    tension : float
+        Of the cold screw, N; 0 if nothing pulls it.
+    compliance : tuple of float
+        Of the near and the far bearing, m/N.
+    """
+
+    tension: float
+    compliance: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class BallScrew:
+    """A screw from its fixed bearing, at 0, to its far end.
+
+    Attributes
+    ----------
+    rod : Rod
+        Its shape and material.
+    conduction : Conduction
+        Along it.
+    film : Film
+        To the ambient.
+    heat : Heat
+        Of nut, bearings and motor.
+    hold : Hold
+        At its ends.
+    """
+
+    rod: Rod
+    conduction: Conduction
+    film: Film
+    heat: Heat
+    hold: Hold
+
+
+@dataclass(frozen=True)
+class Warmed:
+    """A screw after a step, and the heat of the step.
+
+    Attributes
+    ----------
+    temperature : ndarray, shape (n,)
+        Of the cells at its end, K.
+    entered, stored, given : float
+        Mean heat that entered, stayed, and went to the ambient, W.
+    """
+
+    temperature: Array
+    entered: float
+    stored: float
+    given: float
+
+    @property
+    def balance(self) -> float:
+        """Return (entered - stored - given) / the largest of the three."""
+        largest = max(abs(self.entered), abs(self.stored), abs(self.given))
+        return (self.entered - self.stored - self.given) / largest if largest else 0.0
+
+
+def conduction_along(rod: Rod, cells: int, ends: tuple[float, float]) -> Conduction:
+    """Divide a rod into cells and find its modes.
+
+    Parameters
+    ----------
+    rod : Rod
+        The rod.
+    cells : int
+        Two or more.
+    ends : tuple of float
+        Conductance of the bearings at both ends to the ambient, W/K.
+    """
+    width = rod.length / cells
+    across = rod.material.conductivity * rod.area / width
+    capacity = rod.material.density * rod.material.heat_capacity * rod.area * width
+    # From the middle of a cell to its end is half a width.
+    reaching = 2.0 * across / (2.0 * across + np.array(ends))
+    sinks = np.zeros(cells)
+    sinks[[0, -1]] = reaching * ends
+    neighbours = np.full(cells, 2.0)
+    neighbours[[0, -1]] = 1.0
+    rates, modes = eigh_tridiagonal(
+        (across * neighbours + sinks) / capacity, np.full(cells - 1, -across / capacity)
+    )
+    return Conduction(
+        edges=np.linspace(0.0, rod.length, cells + 1),
+        capacity=capacity,
+        surface=np.pi * rod.diameter * width,
+        sinks=sinks,
+        reaching=reaching,
+        # Of an insulated rod the first is zero, up to rounding.
+        rates=np.maximum(rates, 0.0),
+        modes=modes,
+    )
+
+
+def warmed(
+    screw: BallScrew, temperature: Array, ambient: float, times: Array, places: Array
+) -> Warmed:
+    """Take a step.
+
+    Parameters
+    ----------
+    screw : BallScrew
+        The screw.
+    temperature : ndarray, shape (n,)
+        Of its cells at the start, K.
+    ambient : float
+        Mean over the step, K.
+    times, places : ndarray, shape (k,)
+        Times from the start to the end of the step, s, between which the nut moves evenly, and
+        positions of its middle, m from the fixed bearing.
+    """
+    along, step = screw.conduction, float(times[-1] - times[0])
+    film = film_over(screw.film, times, places)
+    at_ends = heat_at_ends(screw.heat, times, places)
+    heat = heat_of_nut(screw, times, places)
+    heat[[0, -1]] += along.reaching * at_ends
+    straight = float((1.0 - along.reaching) @ at_ends)
+    rates = along.rates + film * along.surface / along.capacity
+    one, two, _ = phi_functions(rates * step)
+    before = along.modes.T @ (temperature - ambient)
+    driven = along.modes.T @ (heat / along.capacity)
+    change = step * one * (driven - rates * before)
+    mean = one * before + step * two * driven
+    risen = along.modes @ change
+    given = (film * along.surface + along.sinks) @ (along.modes @ mean)
+    return Warmed(
+        temperature=temperature + risen,
+        entered=float(heat.sum()) + straight,
+        stored=float(along.capacity * risen.sum() / step),
+        given=float(given) + straight,
+    )
+
+
+def film_over(film: Film, times: Array, places: Array) -> float:
+    """Return the mean film over a step of times and places (k,), W/(m2 K)."""
+    lengths = np.diff(times)
+    speeds = np.abs(np.diff(places)) / lengths
+    share = (speeds / film.speed) ** film.exponent
+    return film.still + film.added * float(lengths @ share) / float(lengths.sum())
+
+
+def heat_at_ends(heat: Heat, times: Array, places: Array) -> Array:
+    """Return the mean heat at the near and the far end (2,) over a step, W."""
+    way = float(np.abs(np.diff(places)).sum())
+    return np.array([heat.motor, 0.0]) + np.array(heat.bearings) * way / (times[-1] - times[0])
+
+
+def heat_of_nut(screw: BallScrew, times: Array, places: Array) -> Array:
+    """Return the mean heat of the nut in each cell (n,) over a step of times and places (k,), W.
+
+    It is spread over the length of the nut wherever this passes, in proportion to its way.
+    """
+    edges, length = screw.conduction.edges, screw.heat.nut_length
+    low, high = np.minimum(places[:-1], places[1:]), np.maximum(places[:-1], places[1:])
+    passed = _below(edges[:, None] - low, length) - _below(edges[:, None] - high, length)
+    return np.asarray(screw.heat.nut / (times[-1] - times[0]) * np.diff(passed.sum(axis=1)))
+
+
+def _below(distance: Array, length: float) -> Array:
+    """Integral of the share of a nut that lies below a point, over the point's distance ahead."""
+    inside = np.clip(distance + 0.5 * length, 0.0, length)
+    return inside**2 / (2.0 * length) + np.maximum(distance - 0.5 * length, 0.0)
+
+
+def grown(screw: BallScrew, temperature: Array, at: Array) -> Array:
+    """Return the free thermal elongation (k,) from the fixed bearing to places `at` (k,), m."""
+    edges = screw.conduction.edges
+    strain = screw.rod.material.expansion * temperature * np.diff(edges)
+    return np.asarray(np.interp(at, edges, np.concatenate([np.zeros(1), np.cumsum(strain)])))
+
+
+def tension(screw: BallScrew, temperature: Array) -> float:
+    """Return the tension of a screw, N; bearings only pull, so at 0 it is slack."""
+    if not screw.hold.tension:
+        return 0.0
+    rod = screw.rod
+    compliance = rod.length / (rod.material.youngs_modulus * rod.area) + sum(screw.hold.compliance)
+    whole = float(grown(screw, temperature, np.array(rod.length)))
+    return max(screw.hold.tension - whole / compliance, 0.0)
+
+
+def moved(screw: BallScrew, temperature: Array, at: Array) -> Array:
+    """Return how far places `at` (k,) have moved away from the fixed bearing's seat, m.
+
+    From where they are in the cold screw under its own tension: what warms grows, and what loses
+    tension becomes shorter.
+    """
+    rod, hold = screw.rod, screw.hold
+    lost = tension(screw, temperature) - hold.tension
+    per_newton = hold.compliance[0] + at / (rod.material.youngs_modulus * rod.area)
+    return grown(screw, temperature, at) + lost * per_newton

@@ -1,0 +1,264 @@
+"""Where a moving axis is, beside where its control believes that it is.
+
+A control with a rotary encoder at the motor counts turns: the nut is where the screw has taken it,
+and moves on with the elongation between the fixed bearing and the nut. A control with a scale sees
+the graduation below the reading head, and moves on with the elongation of the scale between its
+fixed point and the head. The positioning error is body less control. It is zero in a machine at
+the initial ambient; at `zero`, if there is one, at all times.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from fesim.axes.ball_screw import (
+    BallScrew,
+    Film,
+    Heat,
+    Hold,
+    Rod,
+    conduction_along,
+    moved,
+    tension,
+    warmed,
+)
+from fesim.case.drive_sections import BallScrewSection, ScaleSection
+from fesim.solid.materials import Material
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.units import MICRO, MILLI
+
+#: Newtons per metre in N/µm; newtons in kN.
+PER_MICRON, KILO = 1e6, 1e3
+
+
+@dataclass(frozen=True, eq=False)
+class Screw:
+    """A ball screw on an axis.
+
+    Attributes
+    ----------
+    made : BallScrew
+        The screw.
+    start, towards : float
+        Position of its fixed bearing, m, and the direction of its far end, 1 or -1.
+    nut : float
+        Position of the nut while the axis is at zero, m.
+    """
+
+    made: BallScrew
+    start: float
+    towards: float
+    nut: float
+
+    def along(self, positions: Array) -> Array:
+        """Return how far from the fixed bearing the nut is at positions of the axis, m."""
+        return self.towards * (positions + self.nut - self.start)
+
+
+@dataclass(frozen=True)
+class Scale:
+    """A scale on an axis.
+
+    Attributes
+    ----------
+    expansion : float
+        1/K.
+    fixed, head : float
+        Position of its fixed point, and of the head while the axis is at zero, m.
+    lag : float
+        With which its temperature follows that around it, s.
+    """
+
+    expansion: float
+    fixed: float
+    head: float
+    lag: float
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """What positions an axis; its state has the temperatures of the screw, then of the scale.
+
+    Attributes
+    ----------
+    screw : Screw or None
+        If there is one.
+    scale : Scale or None
+        If there is one; the control then reads it.
+    followed : ndarray, shape (r,), or None
+        Row of the machine's temperature that the scale follows; None for the ambient.
+    ambient : int
+        Which input of a step is the ambient.
+    zero : float or None
+        Position at which the error is zero at all times, m.
+    """
+
+    screw: Screw | None
+    scale: Scale | None
+    followed: Array | None
+    ambient: int
+    zero: float | None
+
+
+@dataclass(frozen=True)
+class Around:
+    """What a drive feels in a step.
+
+    Attributes
+    ----------
+    inputs : ndarray, shape (k,)
+        Of the machine, in the step.
+    temperatures : tuple of ndarray, shape (r,)
+        Of the machine, at the start and at the end.
+    times, positions : ndarray, shape (j,)
+        Between which the axis moves evenly, from the start to the end, s and m.
+    """
+
+    inputs: Array
+    temperatures: tuple[Array, Array]
+    times: Array
+    positions: Array
+
+
+def screw_of(section: BallScrewSection, material: Material) -> Screw:
+    """Return the screw of a case."""
+    length = MILLI * abs(section.far_end_mm - section.fixed_bearing_mm)
+    rod = Rod(length, MILLI * section.diameter_mm, material)
+    lead = MILLI * section.lead_mm
+    sink = section.bearing_conductance_W_K
+    sinks = (sink, 0.0 if section.bearings == "fixed-free" else sink)
+    # J per m of way: torque times angle.
+    turned = 2.0 * math.pi / lead
+    bearings = section.bearing_share * turned
+    heat = Heat(
+        nut=section.nut_share * turned * section.nut_torque_Nm,
+        nut_length=MILLI * section.nut_length_mm,
+        bearings=(
+            bearings * section.bearing_torque_Nm,
+            bearings * section.far_bearing_torque_Nm,
+        ),
+        motor=section.motor_heat_W,
+    )
+    made = BallScrew(
+        rod, conduction_along(rod, section.cells, sinks), _film(section), heat, _hold(section, rod)
+    )
+    return Screw(
+        made,
+        start=MILLI * section.fixed_bearing_mm,
+        towards=math.copysign(1.0, section.far_end_mm - section.fixed_bearing_mm),
+        nut=MILLI * section.nut_mm,
+    )
+
+
+def _film(section: BallScrewSection) -> Film:
+    rotating = section.rotating_film
+    if rotating is None:
+        return Film(section.film_W_m2K, 0.0, 1.0, 1.0)
+    speed = MILLI * section.lead_mm * rotating.rotation_rpm / 60.0
+    return Film(section.film_W_m2K, rotating.added_W_m2K, speed, rotating.exponent)
+
+
+def _hold(section: BallScrewSection, rod: Rod) -> Hold:
+    if section.pretension_kN is not None:
+        pulled = KILO * section.pretension_kN
+    else:
+        stretch = MICRO * (section.stretch_um or 0.0)
+        pulled = rod.material.youngs_modulus * rod.area * stretch / rod.length
+    near, far = (
+        0.0 if stiffness is None else 1.0 / (PER_MICRON * stiffness)
+        for stiffness in (section.bearing_stiffness_N_um, section.far_bearing_stiffness_N_um)
+    )
+    return Hold(pulled, (near, far))
+
+
+def scale_of(section: ScaleSection) -> Scale:
+    """Return the scale of a case."""
+    return Scale(
+        section.expansion_1_K,
+        MILLI * section.fixed_mm,
+        MILLI * section.head_mm,
+        section.lag_s,
+    )
+
+
+def cold(drive: Drive | None) -> Array:
+    """Return the state of a drive (d,) at the initial ambient, K."""
+    if drive is None:
+        return np.zeros(0)
+    cells = 0 if drive.screw is None else len(drive.screw.made.conduction.rates)
+    return np.zeros(cells + (drive.scale is not None))
+
+
+def screw_temperature(screw: Screw, state: Array) -> Array:
+    """Return the temperatures (..., n) of a screw in the states (..., d) of its drive, K."""
+    return state[..., : len(screw.made.conduction.rates)]
+
+
+def after_step(drive: Drive, state: Array, around: Around) -> Array:
+    """Return the state (d,) of a drive after a step that starts from `state` (d,), K."""
+    parts = []
+    ambient = float(around.inputs[drive.ambient])
+    if drive.screw is not None:
+        before = screw_temperature(drive.screw, state)
+        places = drive.screw.along(around.positions)
+        step = warmed(drive.screw.made, before, ambient, around.times, places)
+        parts.append(step.temperature)
+    if drive.scale is not None:
+        beside = ambient
+        if drive.followed is not None:
+            beside = 0.5 * float(drive.followed @ sum(around.temperatures))
+        parts.append(np.array([_followed(drive.scale, float(state[-1]), beside, around.times)]))
+    return np.concatenate(parts)
+
+
+def _followed(scale: Scale, temperature: float, beside: float, times: Array) -> float:
+    """Temperature of a scale after a step beside a constant one, K."""
+    if not scale.lag:
+        return beside
+    return beside + (temperature - beside) * math.exp(-(times[-1] - times[0]) / scale.lag)
+
+
+def positioning_error(drive: Drive, state: Array, positions: Array) -> Array:
+    """Return the position of the bodies less that of the control.
+
+    Parameters
+    ----------
+    drive : Drive
+        The drive.
+    state : ndarray, shape (d,)
+        Its temperatures, K.
+    positions : ndarray, shape (k,)
+        Of the axis, m.
+
+    Returns
+    -------
+    ndarray, shape (k,)
+        Along the axis, m.
+    """
+    error = _error(drive, state, positions)
+    if drive.zero is not None:
+        error = error - _error(drive, state, np.array([drive.zero]))
+    return error
+
+
+def _error(drive: Drive, state: Array, positions: Array) -> Array:
+    if (scale := drive.scale) is not None:
+        return scale.expansion * state[-1] * (positions + scale.head - scale.fixed)
+    if (screw := drive.screw) is None:
+        return np.zeros_like(positions)
+    temperature = screw_temperature(screw, state)
+    return screw.towards * moved(screw.made, temperature, screw.along(positions))
+
+
+def screw_tension(screw: Screw, state: Array) -> float:
+    """Return the tension of a screw in the state (d,) of its drive, N."""
+    return tension(screw.made, screw_temperature(screw, state))
+
+
+def station_positions(screw: Screw) -> Array:
+    """Return the middles (n,) of the cells of a screw as positions of the axis's scale, m."""
+    edges = screw.made.conduction.edges
+    return screw.start + screw.towards * 0.5 * (edges[1:] + edges[:-1])

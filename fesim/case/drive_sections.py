@@ -1,0 +1,100 @@
+"""Sections of a case for what positions a moving axis: a ball screw, a scale."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from thermojoint.artefacts.settings.section import Finite, Fraction, NotNegative, Positive, Section
+
+
+class RotatingFilmSection(Section):
+    """``[axes.NAME.ball_screw.rotating_film]``: film that rotation adds.
+
+    ``added_W_m2K`` at ``rotation_rpm``, and in proportion to rotation to the power ``exponent``.
+    """
+
+    added_W_m2K: Positive
+    rotation_rpm: Positive
+    exponent: Annotated[float, Field(gt=0.0, le=2.0)] = 2.0 / 3.0
+
+
+class BallScrewSection(Section):
+    """``[axes.NAME.ball_screw]``: the screw that a motor with a rotary encoder turns.
+
+    Positions are those of the axis: the fixed bearing is at the motor, the far end has the other
+    bearing or none; the middle of the nut is at ``nut_mm`` while the axis is at zero.
+    """
+
+    bearings: Literal["fixed-free", "fixed-supported", "fixed-fixed"]
+    fixed_bearing_mm: Finite
+    far_end_mm: Finite
+    nut_mm: Finite = 0.0
+    nut_length_mm: Positive
+    diameter_mm: Positive
+    lead_mm: Positive
+    material: str
+    film_W_m2K: NotNegative
+    rotating_film: RotatingFilmSection | None = None
+    bearing_conductance_W_K: NotNegative = 0.0
+    nut_torque_Nm: NotNegative = 0.0
+    nut_share: Fraction = 1.0
+    bearing_torque_Nm: NotNegative = 0.0
+    far_bearing_torque_Nm: NotNegative = 0.0
+    bearing_share: Fraction = 1.0
+    motor_heat_W: NotNegative = 0.0
+    stretch_um: Positive | None = None
+    pretension_kN: Positive | None = None
+    bearing_stiffness_N_um: Positive | None = None
+    far_bearing_stiffness_N_um: Positive | None = None
+    cells: Annotated[int, Field(ge=10, le=1000)] = 100
+
+    @model_validator(mode="after")
+    def _held_as_it_says(self) -> BallScrewSection:
+        if self.fixed_bearing_mm == self.far_end_mm:
+            raise ValueError(
+                "fixed_bearing_mm and far_end_mm are the same; the screw has no length"
+            )
+        tension = (self.stretch_um, self.pretension_kN)
+        held = {
+            "stretch_um": self.stretch_um,
+            "pretension_kN": self.pretension_kN,
+            "bearing_stiffness_N_um": self.bearing_stiffness_N_um,
+            "far_bearing_stiffness_N_um": self.far_bearing_stiffness_N_um,
+        }
+        if self.bearings == "fixed-fixed":
+            if sum(value is not None for value in tension) != 1:
+                raise ValueError(
+                    "fixed-fixed bearings hold a stretched screw: give either 'stretch_um' or "
+                    "'pretension_kN'"
+                )
+        elif given := [name for name, value in held.items() if value is not None]:
+            raise ValueError(
+                f"{given[0]}: nothing pulls a {self.bearings} screw; leave it out, or take "
+                'bearings = "fixed-fixed"'
+            )
+        if self.bearings == "fixed-free" and self.far_bearing_torque_Nm:
+            raise ValueError(
+                "far_bearing_torque_Nm: a fixed-free screw has no far bearing; leave it out"
+            )
+        return self
+
+    def span_mm(self) -> tuple[float, float]:
+        """Return the lower and the upper end of the screw, positions of the axis."""
+        low, high = sorted((self.fixed_bearing_mm, self.far_end_mm))
+        return low, high
+
+
+class ScaleSection(Section):
+    """``[axes.NAME.scale]``: a linear scale that the control reads.
+
+    It stands, fixed at ``fixed_mm``; the reading head moves along, at ``head_mm`` while the axis is
+    at zero. Its temperature follows the ambient or a probe with a lag.
+    """
+
+    expansion_1_K: Finite
+    fixed_mm: Finite
+    head_mm: Finite = 0.0
+    follows: str | None = None
+    lag_s: NotNegative = 0.0

@@ -1,0 +1,6 @@
+"""`python -m thermojoint`."""
+
+from thermojoint.cli.main import main
+
+if __name__ == "__main__":
+    main()
