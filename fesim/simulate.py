@@ -43,7 +43,7 @@ from fesim.march.stepping import (
 from fesim.march.track import Track, joined, track_of
 from fesim.one_thread import one_thread
 from fesim.setup.bolts import first_forces
-from fesim.setup.loads import MarchInputs, march_inputs, source_power
+from fesim.setup.loads import MarchInputs, march_inputs, source_names, source_power
 from fesim.setup.machine import Setup, set_up
 from fesim.setup.structure import measured_points
 from fesim.setup.temperature_dependence import convecting_surfaces
@@ -380,7 +380,7 @@ def _response(
     layout = inputs.layout
     powers = track.inputs[:, layout.source_columns]
     values = {
-        "heat_input": _heat_input(case, inputs, times, powers),
+        "heat_input": _heat_input(case, inputs, times, powers[:, : len(case.sources)]),
         "source_power": powers,
         "ambient": track.inputs[:, layout.ambient],
         "temperature": course.probes,
@@ -412,7 +412,7 @@ def _response(
         values["secant_residual"] = track.secant_residual
     coords: dict[str, np.ndarray | list[str]] = {
         "time": times,
-        "source": list(case.sources),
+        "source": source_names(case),
         "probe": list(setup.probes),
         "axis": np.array(DIRECTIONS if case.displacement else (), dtype=str),
         "space": list(DIRECTIONS),

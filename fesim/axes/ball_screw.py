@@ -54,10 +54,10 @@ class Conduction:
         Of the cells, from 0 to the length, m.
     capacity, surface : float
         Of a cell: heat capacity, J/K, and area to the air, m2.
-    sinks : ndarray, shape (n,)
-        Conductance to the ambient through the ends, W/K.
+    sinks : ndarray, shape (2,)
+        Conductance of the first and the last cell to the seats of the bearings, W/K.
     reaching : ndarray, shape (2,)
-        Share of heat at either end that reaches its cell; the rest goes straight to the ambient.
+        Share of heat at either end that reaches its cell; the rest goes straight to the seat.
     rates : ndarray, shape (n,)
         Decay rates of the modes without a film, 1/s.
     modes : ndarray, shape (n, n)
@@ -165,19 +165,39 @@ class Warmed:
     temperature : ndarray, shape (n,)
         Of the cells at its end, K.
     entered, stored, given : float
-        Mean heat that entered, stayed, and went to the ambient, W.
+        Mean heat that entered, stayed, and went into the air, W.
+    seated : ndarray, shape (2,)
+        Mean heat that went to the seats of the bearings, W.
     """
 
     temperature: Array
     entered: float
     stored: float
     given: float
+    seated: Array
 
     @property
     def balance(self) -> float:
-        """Return (entered - stored - given) / the largest of the three."""
-        largest = max(abs(self.entered), abs(self.stored), abs(self.given))
-        return (self.entered - self.stored - self.given) / largest if largest else 0.0
+        """Return what is left of the heat, relative to the largest part of it."""
+        parts = np.array([self.entered, -self.stored, -self.given, *-self.seated])
+        largest = float(np.abs(parts).max())
+        return float(parts.sum()) / largest if largest else 0.0
+
+
+@dataclass(frozen=True)
+class Beside:
+    """Temperatures beside a screw, means over a step, K.
+
+    Attributes
+    ----------
+    air : float
+        Of the ambient.
+    seats : ndarray, shape (2,)
+        Of what the bearings at the near and the far end conduct to.
+    """
+
+    air: float
+    seats: Array
 
 
 def conduction_along(rod: Rod, cells: int, ends: tuple[float, float]) -> Conduction:
@@ -190,20 +210,19 @@ def conduction_along(rod: Rod, cells: int, ends: tuple[float, float]) -> Conduct
     cells : int
         Two or more.
     ends : tuple of float
-        Conductance of the bearings at both ends to the ambient, W/K.
+        Conductance of the bearings at both ends to their seats, W/K.
     """
     width = rod.length / cells
     across = rod.material.conductivity * rod.area / width
     capacity = rod.material.density * rod.material.heat_capacity * rod.area * width
     # From the middle of a cell to its end is half a width.
     reaching = 2.0 * across / (2.0 * across + np.array(ends))
-    sinks = np.zeros(cells)
-    sinks[[0, -1]] = reaching * ends
+    sinks = reaching * ends
     neighbours = np.full(cells, 2.0)
     neighbours[[0, -1]] = 1.0
-    rates, modes = eigh_tridiagonal(
-        (across * neighbours + sinks) / capacity, np.full(cells - 1, -across / capacity)
-    )
+    conducted = across * neighbours
+    conducted[[0, -1]] += sinks
+    rates, modes = eigh_tridiagonal(conducted / capacity, np.full(cells - 1, -across / capacity))
     return Conduction(
         edges=np.linspace(0.0, rod.length, cells + 1),
         capacity=capacity,
@@ -217,7 +236,7 @@ def conduction_along(rod: Rod, cells: int, ends: tuple[float, float]) -> Conduct
 
 
 def warmed(
-    screw: BallScrew, temperature: Array, ambient: float, times: Array, places: Array
+    screw: BallScrew, temperature: Array, beside: Beside, times: Array, places: Array
 ) -> Warmed:
     """Take a step.
 
@@ -227,8 +246,8 @@ def warmed(
         The screw.
     temperature : ndarray, shape (n,)
         Of its cells at the start, K.
-    ambient : float
-        Mean over the step, K.
+    beside : Beside
+        Temperatures around it.
     times, places : ndarray, shape (k,)
         Times from the start to the end of the step, s, between which the nut moves evenly, and
         positions of its middle, m from the fixed bearing.
@@ -237,21 +256,24 @@ def warmed(
     film = film_over(screw.film, times, places)
     at_ends = heat_at_ends(screw.heat, times, places)
     heat = heat_of_nut(screw, times, places)
-    heat[[0, -1]] += along.reaching * at_ends
-    straight = float((1.0 - along.reaching) @ at_ends)
+    entered = heat.sum() + at_ends.sum()
+    seats = beside.seats - beside.air
+    heat[[0, -1]] += along.reaching * at_ends + along.sinks * seats
+    straight = (1.0 - along.reaching) * at_ends
     rates = along.rates + film * along.surface / along.capacity
     one, two, _ = phi_functions(rates * step)
-    before = along.modes.T @ (temperature - ambient)
+    before = along.modes.T @ (temperature - beside.air)
     driven = along.modes.T @ (heat / along.capacity)
     change = step * one * (driven - rates * before)
-    mean = one * before + step * two * driven
+    mean = along.modes @ (one * before + step * two * driven)
     risen = along.modes @ change
-    given = (film * along.surface + along.sinks) @ (along.modes @ mean)
+    seated = along.sinks * (mean[[0, -1]] - seats) + straight
     return Warmed(
         temperature=temperature + risen,
-        entered=float(heat.sum()) + straight,
+        entered=float(entered),
         stored=float(along.capacity * risen.sum() / step),
-        given=float(given) + straight,
+        given=float(film * along.surface * mean.sum()),
+        seated=seated,
     )
 
 

@@ -1,7 +1,8 @@
 """Time stepping of a machine with a moving axis.
 
 A step conducts heat between pads and the stations that they pass in it, by their shares of the
-time, and settles the joints at the position of its end. A drive warms up beside it.
+time, and settles the joints at the position of its end. A screw warms up before it and gives its
+heat to the machine in the same step.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import numpy as np
 
 from fesim.axes.machine import MovingMachine
 from fesim.axes.occupation import distance, shares_of, stretches
-from fesim.axes.positioning import Around, Drive, after_step
+from fesim.axes.positioning import Drive, Way, warm_scale, warm_screw
 from fesim.case.history import History
 from fesim.march.machine import CondensedMachine, State
 from fesim.march.stepping import Advance, advanced
@@ -38,7 +39,8 @@ def march_moving(
     course : History
         Position of the axis, m.
     inputs : ndarray, shape (n, k)
-        Of each step; the last one, the heat of running friction, is filled in.
+        Of each step; the last one, the heat of running friction, and those of the drive are filled
+        in.
     advance : callable
         `plainly_staggered` or `iterated` of `fesim.march.stepping`.
     start : State
@@ -59,11 +61,13 @@ def march_moving(
         machine, friction = _in_step(moving, course, state, ends)
         driven = row.copy()
         driven[-1] = friction
+        if drive is not None:
+            way = Way(*stretches(course, *ends))
+            screw, driven = warm_screw(drive, state, driven, way)
         track = advanced(machine, advance(machine), state, driven[None])
         if drive is not None:
-            felt = (state.temperature, track.temperature[-1])
-            around = Around(driven, felt, *stretches(course, *ends))
-            track = replace(track, drive=after_step(drive, state.drive, around)[None])
+            scale = warm_scale(drive, state, track.step(-1), step)
+            track = replace(track, drive=np.concatenate([screw, scale])[None])
         state = track.step(-1).state
         yield track
 

@@ -13,9 +13,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fesim.axes.ball_screw import (
     BallScrew,
+    Beside,
     Film,
     Heat,
     Hold,
@@ -26,6 +28,8 @@ from fesim.axes.ball_screw import (
     warmed,
 )
 from fesim.case.drive_sections import BallScrewSection, ScaleSection
+from fesim.march.exponential import phi_functions
+from fesim.march.machine import State, Step
 from fesim.solid.materials import Material
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.units import MICRO, MILLI
@@ -46,12 +50,16 @@ class Screw:
         Position of its fixed bearing, m, and the direction of its far end, 1 or -1.
     nut : float
         Position of the nut while the axis is at zero, m.
+    spared : ndarray, shape (3,)
+        Heat of friction of the nut and of the near and the far bearing that the screw does not
+        take, J per m of way.
     """
 
     made: BallScrew
     start: float
     towards: float
     nut: float
+    spared: Array
 
     def along(self, positions: Array) -> Array:
         """Return how far from the fixed bearing the nut is at positions of the axis, m."""
@@ -79,6 +87,22 @@ class Scale:
 
 
 @dataclass(frozen=True, eq=False)
+class Surfaces:
+    """Surfaces of the machine at the nut, the near and the far bearing of a screw.
+
+    Attributes
+    ----------
+    column : ndarray of int, shape (3,)
+        Which input of a step is their heat, W; -1 where there is none.
+    temperature : ndarray, shape (3, r)
+        Rows of their mean temperatures; zero where there is none.
+    """
+
+    column: NDArray[np.int64]
+    temperature: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Drive:
     """What positions an axis; its state has the temperatures of the screw, then of the scale.
 
@@ -94,6 +118,8 @@ class Drive:
         Which input of a step is the ambient.
     zero : float or None
         Position at which the error is zero at all times, m.
+    surfaces : Surfaces
+        That the screw heats.
     """
 
     screw: Screw | None
@@ -101,26 +127,26 @@ class Drive:
     followed: Array | None
     ambient: int
     zero: float | None
+    surfaces: Surfaces
 
 
 @dataclass(frozen=True)
-class Around:
-    """What a drive feels in a step.
+class Way:
+    """Way of an axis in a step.
 
     Attributes
     ----------
-    inputs : ndarray, shape (k,)
-        Of the machine, in the step.
-    temperatures : tuple of ndarray, shape (r,)
-        Of the machine, at the start and at the end.
     times, positions : ndarray, shape (j,)
-        Between which the axis moves evenly, from the start to the end, s and m.
+        Between which it moves evenly, from the start to the end, s and m.
     """
 
-    inputs: Array
-    temperatures: tuple[Array, Array]
     times: Array
     positions: Array
+
+    @property
+    def speed(self) -> float:
+        """Mean speed, there and back counted, m/s."""
+        return float(np.abs(np.diff(self.positions)).sum() / (self.times[-1] - self.times[0]))
 
 
 def screw_of(section: BallScrewSection, material: Material) -> Screw:
@@ -132,16 +158,12 @@ def screw_of(section: BallScrewSection, material: Material) -> Screw:
     sinks = (sink, 0.0 if section.bearings == "fixed-free" else sink)
     # J per m of way: torque times angle.
     turned = 2.0 * math.pi / lead
-    bearings = section.bearing_share * turned
-    heat = Heat(
-        nut=section.nut_share * turned * section.nut_torque_Nm,
-        nut_length=MILLI * section.nut_length_mm,
-        bearings=(
-            bearings * section.bearing_torque_Nm,
-            bearings * section.far_bearing_torque_Nm,
-        ),
-        motor=section.motor_heat_W,
+    rubbed = turned * np.array(
+        [section.nut_torque_Nm, section.bearing_torque_Nm, section.far_bearing_torque_Nm]
     )
+    taken = rubbed * [section.nut_share, section.bearing_share, section.bearing_share]
+    nut, near, far = taken.tolist()
+    heat = Heat(nut, MILLI * section.nut_length_mm, (near, far), section.motor_heat_W)
     made = BallScrew(
         rod, conduction_along(rod, section.cells, sinks), _film(section), heat, _hold(section, rod)
     )
@@ -150,6 +172,7 @@ def screw_of(section: BallScrewSection, material: Material) -> Screw:
         start=MILLI * section.fixed_bearing_mm,
         towards=math.copysign(1.0, section.far_end_mm - section.fixed_bearing_mm),
         nut=MILLI * section.nut_mm,
+        spared=rubbed - taken,
     )
 
 
@@ -197,28 +220,88 @@ def screw_temperature(screw: Screw, state: Array) -> Array:
     return state[..., : len(screw.made.conduction.rates)]
 
 
-def after_step(drive: Drive, state: Array, around: Around) -> Array:
-    """Return the state (d,) of a drive after a step that starts from `state` (d,), K."""
-    parts = []
-    ambient = float(around.inputs[drive.ambient])
-    if drive.screw is not None:
-        before = screw_temperature(drive.screw, state)
-        places = drive.screw.along(around.positions)
-        step = warmed(drive.screw.made, before, ambient, around.times, places)
-        parts.append(step.temperature)
-    if drive.scale is not None:
-        beside = ambient
-        if drive.followed is not None:
-            beside = 0.5 * float(drive.followed @ sum(around.temperatures))
-        parts.append(np.array([_followed(drive.scale, float(state[-1]), beside, around.times)]))
-    return np.concatenate(parts)
+def warm_screw(drive: Drive, state: State, inputs: Array, way: Way) -> tuple[Array, Array]:
+    """Take a step of a screw, and find what heat it gives to the machine.
+
+    Parameters
+    ----------
+    drive : Drive
+        The drive.
+    state : State
+        Of the march, at the start of the step.
+    inputs : ndarray, shape (k,)
+        Of the machine in the step.
+    way : Way
+        Of the axis in the step.
+
+    Returns
+    -------
+    temperature : ndarray, shape (n,)
+        Of the screw at the end, K; empty without one.
+    inputs : ndarray, shape (k,)
+        With the heat of the surfaces that the screw heats.
+    """
+    screw, surfaces = drive.screw, drive.surfaces
+    if screw is None:
+        return np.zeros(0), inputs
+    air = float(inputs[drive.ambient])
+    felt = np.where(surfaces.column >= 0, surfaces.temperature @ state.temperature, air)
+    step = warmed(
+        screw.made,
+        screw_temperature(screw, state.drive),
+        Beside(air, felt[1:]),
+        way.times,
+        screw.along(way.positions),
+    )
+    heat = screw.spared * way.speed + np.concatenate([np.zeros(1), step.seated])
+    heated = surfaces.column >= 0
+    filled = inputs.copy()
+    filled[surfaces.column[heated]] = heat[heated]
+    return step.temperature, filled
 
 
-def _followed(scale: Scale, temperature: float, beside: float, times: Array) -> float:
-    """Temperature of a scale after a step beside a constant one, K."""
+def warm_scale(drive: Drive, state: State, step: Step, length: float) -> Array:
+    """Return the temperature of a scale, K, after a step of the machine; empty without one.
+
+    Parameters
+    ----------
+    drive : Drive
+        The drive.
+    state : State
+        Of the march, at the start of the step.
+    step : Step
+        Of the machine.
+    length : float
+        Of the step, s.
+    """
+    if drive.scale is None:
+        return np.zeros(0)
+    air = float(step.inputs[drive.ambient])
+    ends = air, air
+    if (row := drive.followed) is not None:
+        ends = float(row @ state.temperature), float(row @ step.state.temperature)
+    return np.array([followed(drive.scale, float(state.drive[-1]), ends, length)])
+
+
+def followed(scale: Scale, temperature: float, ends: tuple[float, float], length: float) -> float:
+    """Return the temperature of a scale after a step, K.
+
+    Parameters
+    ----------
+    scale : Scale
+        The scale.
+    temperature : float
+        At the start, K.
+    ends : tuple of float
+        What it follows, at the start and at the end, even in between, K.
+    length : float
+        Of the step, s.
+    """
+    start, end = ends
     if not scale.lag:
-        return beside
-    return beside + (temperature - beside) * math.exp(-(times[-1] - times[0]) / scale.lag)
+        return end
+    one = float(phi_functions(np.array([length / scale.lag]))[0][0])
+    return start + (temperature - start) * math.exp(-length / scale.lag) + (end - start) * (1 - one)
 
 
 def positioning_error(drive: Drive, state: Array, positions: Array) -> Array:

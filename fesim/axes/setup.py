@@ -14,10 +14,11 @@ from fesim.axes.condensation import condense_aligned, condense_apart
 from fesim.axes.guideway import Guideway
 from fesim.axes.machine import MovingMachine
 from fesim.axes.operators import GuidedOperators, guided_operators
-from fesim.axes.positioning import Drive, scale_of, screw_of
+from fesim.axes.positioning import Drive, Surfaces, scale_of, screw_of
 from fesim.axes.rotation import rotation_rows
 from fesim.cache import remembered
 from fesim.case.axis_section import AxisSection
+from fesim.case.drive_sections import HEATED
 from fesim.case.history import History, read_history, step_history
 from fesim.case.identity import thermal_key
 from fesim.case.schema import Case
@@ -137,7 +138,7 @@ def set_up_axis(case: Case) -> MovingSetup:
         course,
         asked_positions(axis),
         reference_of(axis),
-        drive_of(case, setup),
+        drive_of(case, setup, _surfaces(case, whole, modes)),
         _carried(case, axis, parts),
     )
 
@@ -189,7 +190,7 @@ def reference_of(axis: AxisSection) -> float:
     return MILLI * (0.5 * sum(axis.stroke_mm) if given is None else given)
 
 
-def drive_of(case: Case, setup: Setup) -> Drive | None:
+def drive_of(case: Case, setup: Setup, surfaces: Surfaces) -> Drive | None:
     """Return what positions the axis of a case; None if its bodies stand as the control believes.
 
     Parameters
@@ -198,6 +199,8 @@ def drive_of(case: Case, setup: Setup) -> Drive | None:
         With an axis.
     setup : Setup
         Of the same machine, whatever its drive.
+    surfaces : Surfaces
+        That its screw heats.
     """
     (axis,) = case.axes.values()
     if axis.ball_screw is None and axis.scale is None:
@@ -210,7 +213,19 @@ def drive_of(case: Case, setup: Setup) -> Drive | None:
         if axis.scale.follows is not None:
             followed = setup.probe_rows[list(setup.probes).index(axis.scale.follows)]
     zero = None if axis.zero_mm is None else MILLI * axis.zero_mm
-    return Drive(screw, scale, followed, input_layout(case).ambient, zero)
+    return Drive(screw, scale, followed, input_layout(case).ambient, zero, surfaces)
+
+
+def _surfaces(case: Case, whole: Discretised, modes: ThermalModes) -> Surfaces:
+    """Surfaces that a screw heats: a mean temperature weighs nodes as even heat does."""
+    (axis,) = case.axes.values()
+    named = axis.ball_screw.surfaces() if axis.ball_screw is not None else {}
+    columns = {part: len(case.sources) + k for k, part in enumerate(named)}
+    weights = np.zeros((len(HEATED), whole.heat.inputs.shape[0]))
+    for row, part in zip(weights, HEATED, strict=True):
+        if part in columns:
+            row[:] = whole.parts.structure.symmetry_factor * whole.heat.inputs[:, columns[part]]
+    return Surfaces(np.array([columns.get(part, -1) for part in HEATED]), weights @ modes.basis)
 
 
 def _carried(case: Case, axis: AxisSection, parts: Parts) -> Array:

@@ -8,6 +8,9 @@ from pydantic import Field, model_validator
 
 from thermojoint.artefacts.settings.section import Finite, Fraction, NotNegative, Positive, Section
 
+#: What of a screw heats the machine.
+HEATED = ("nut", "bearing", "far bearing")
+
 
 class RotatingFilmSection(Section):
     """``[axes.NAME.ball_screw.rotating_film]``: film that rotation adds.
@@ -24,9 +27,13 @@ class BallScrewSection(Section):
     """``[axes.NAME.ball_screw]``: the screw that a motor with a rotary encoder turns.
 
     Positions are those of the axis: the fixed bearing is at the motor, the far end has the other
-    bearing or none; the middle of the nut is at ``nut_mm`` while the axis is at zero.
+    bearing or none; the middle of the nut is at ``nut_mm`` while the axis is at zero. What heat of
+    friction the screw does not take enters the structure through the surfaces, if they are named.
     """
 
+    nut_surface: str | None = None
+    bearing_surface: str | None = None
+    far_bearing_surface: str | None = None
     bearings: Literal["fixed-free", "fixed-supported", "fixed-fixed"]
     fixed_bearing_mm: Finite
     far_end_mm: Finite
@@ -74,11 +81,20 @@ class BallScrewSection(Section):
                 f"{given[0]}: nothing pulls a {self.bearings} screw; leave it out, or take "
                 'bearings = "fixed-fixed"'
             )
-        if self.bearings == "fixed-free" and self.far_bearing_torque_Nm:
-            raise ValueError(
-                "far_bearing_torque_Nm: a fixed-free screw has no far bearing; leave it out"
-            )
+        if self.bearings == "fixed-free":
+            for name in ("far_bearing_torque_Nm", "far_bearing_surface"):
+                if getattr(self, name):
+                    raise ValueError(f"{name}: a fixed-free screw has no far bearing; leave it out")
         return self
+
+    def surfaces(self) -> dict[str, str]:
+        """Return the surfaces that take heat, by what they belong to, in the order of inputs."""
+        named = (self.nut_surface, self.bearing_surface, self.far_bearing_surface)
+        return {
+            part: surface
+            for part, surface in zip(HEATED, named, strict=True)
+            if surface is not None
+        }
 
     def span_mm(self) -> tuple[float, float]:
         """Return the lower and the upper end of the screw, positions of the axis."""

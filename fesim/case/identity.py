@@ -9,7 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from fesim.case.schema import Case
+from fesim.case.schema import Case, heated_by_drives
 from fesim.solid.linear_solver import default_solver
 from thermojoint.artefacts.errors import UnreadableError
 
@@ -49,6 +49,7 @@ _HEAT = {
     "radiation",
     "cavities",
     "sources",
+    "drives",
     "held_temperatures",
     "initial_temperature",
     "candidates",
@@ -200,6 +201,7 @@ def _condensed(case: Case) -> dict[str, Any]:
     data["joints"] = [(name, _without(joint, _LAW)) for name, joint in data["joints"].items()]
     sources = data["sources"].values()
     data["sources"] = {number: _without(source, _STRENGTH) for number, source in enumerate(sources)}
+    data["drives"] = list(heated_by_drives(case).values())
     data["held_temperatures"] = {
         name: {"profile": held["profile"]} for name, held in data["held_temperatures"].items()
     }

@@ -433,6 +433,16 @@ def not_movable(case: Case) -> str | None:
     return f"{refused[0]}: not with [axes] so far; leave it out" if refused else None
 
 
+def heated_by_drives(case: Case) -> dict[str, str]:
+    """Return the surfaces that drives heat, by names of sources: they come after the case's own."""
+    return {
+        f"{name} {part}": surface
+        for name, axis in case.axes.items()
+        if axis.ball_screw is not None
+        for part, surface in axis.ball_screw.surfaces().items()
+    }
+
+
 def not_driven(case: Case) -> str | None:
     """Return what the drives of a case name that it does not have; None if nothing."""
     for name, axis in case.axes.items():

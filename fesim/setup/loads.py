@@ -19,7 +19,7 @@ from fesim.case.history import (
     step_history,
     triangle_history,
 )
-from fesim.case.schema import Case
+from fesim.case.schema import Case, heated_by_drives
 from fesim.case.thermal_sections import (
     HeatInput,
     HeldTemperatureSection,
@@ -40,8 +40,12 @@ from thermojoint.artefacts.units import MEGA
 
 
 def heat_sources(case: Case, structure: Structure) -> list[HeatSource]:
-    """Return the sources of the meshed part, per W of the whole structure, in the case's order."""
+    """Return the sources of the meshed part, per W of the whole structure, in the case's order.
+
+    Those of drives come last.
+    """
     sources = []
+    part = 1.0 / structure.symmetry_factor
     for name, section in case.sources.items():
         if section.surface is not None:
             structure.surface(section.surface, f"sources.{name}.surface")
@@ -50,9 +54,16 @@ def heat_sources(case: Case, structure: Structure) -> list[HeatSource]:
         weight = None
         if section.profile is not None:
             weight = profile_of(section.profile, f"sources.{name}.profile", 0.0)
-        part = 1.0 / structure.symmetry_factor
         sources.append(HeatSource(part, section.surface, section.body, weight))
+    for name, surface in heated_by_drives(case).items():
+        structure.surface(surface, f"axes: heat of {name}")
+        sources.append(HeatSource(part, surface, None, None))
     return sources
+
+
+def source_names(case: Case) -> list[str]:
+    """Return the names of all sources, in the order of the inputs."""
+    return [*case.sources, *heated_by_drives(case)]
 
 
 def held_profiles(case: Case) -> dict[str, OfPosition | None]:
@@ -112,7 +123,7 @@ def source_power(source: SourceSection) -> float:
 
 def input_layout(case: Case) -> InputLayout:
     """Return the order of the inputs of a case's march."""
-    return InputLayout(len(case.sources), len(case.held_temperatures))
+    return InputLayout(len(source_names(case)), len(case.held_temperatures))
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +238,9 @@ def march_inputs(case: Case) -> MarchInputs:
         sources=[
             (source_power(source), heat_history(source.heat_input) if source.heat_input else heat)
             for source in case.sources.values()
-        ],
+        ]
+        # Their heat is known when the axis has moved: `fesim.axes.march`.
+        + [(0.0, step_history(0.0)) for _ in heated_by_drives(case)],
         ambient=read_history(case.ambient.file, "ambient_degC") if case.ambient else None,
         held=[held_history(section) for section in case.held_temperatures.values()],
         forces=[*factors, *tightening(case), *([step_history(1.0)] if case.bolts else [])],

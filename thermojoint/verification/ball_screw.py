@@ -20,14 +20,13 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import quad
 
-from fesim.axes.ball_screw import Warmed, moved, tension, warmed
+from fesim.axes.ball_screw import Beside, Warmed, moved, tension, warmed
 from fesim.axes.occupation import stretches
 from fesim.axes.positioning import (
-    Around,
     Drive,
     Screw,
-    after_step,
-    cold,
+    Surfaces,
+    followed,
     positioning_error,
     scale_of,
     screw_of,
@@ -68,6 +67,19 @@ SCREW_STIFFNESS, NEAR, FAR = STEEL.youngs_modulus * AREA / LENGTH, 4e8, 6e8
 STRETCH, RISE = 30e-6, 2.0
 #: Position of an axis at which errors are compared, m; until steady, s.
 PLACE, STEADY = 0.45, 1e8
+#: A screw that gives heat to the slide and to both ends of the guide, and none to the air.
+HEATING = {
+    "bearings": "fixed-supported",
+    "film_W_m2K": 0.0,
+    "bearing_conductance_W_K": 5.0,
+    "nut_share": 0.4,
+    "bearing_share": 0.3,
+    "far_bearing_torque_Nm": 0.3,
+    "nut_surface": "tail",
+    "bearing_surface": "x0",
+    "far_bearing_surface": "x1",
+}
+NO_SURFACES = Surfaces(np.full(3, -1), np.zeros((3, 0)))
 ELONGATION = Quantity("positioning error", "µm", 1e-9)
 
 
@@ -103,18 +115,18 @@ def steps_of(
     screw: Screw, course: History, step: float, count: int, ambient: float
 ) -> list[Warmed]:
     """Return the steps of a screw that starts cold, while its axis moves, under one ambient, K."""
-    taken = []
+    taken, beside = [], Beside(ambient, np.full(2, ambient))
     temperature = np.zeros_like(screw.made.conduction.rates)
     for k in range(count):
         times, positions = stretches(course, k * step, (k + 1) * step)
-        taken.append(warmed(screw.made, temperature, ambient, times, screw.along(positions)))
+        taken.append(warmed(screw.made, temperature, beside, times, screw.along(positions)))
         temperature = taken[-1].temperature
     return taken
 
 
 def error_at(screw: Screw, temperature: Array, position: float = PLACE) -> float:
     """Return the positioning error of an axis with a screw, µm."""
-    drive = Drive(screw, None, None, 0, None)
+    drive = Drive(screw, None, None, 0, None, NO_SURFACES)
     return 1e6 * float(positioning_error(drive, temperature, np.array([position]))[0])
 
 
@@ -175,7 +187,7 @@ def _tension_checks() -> Iterator[Check]:
 
 def _fin_checks() -> Iterator[Check]:
     """Heat at the motor: a steady fin, and one whose far bearing takes all of it."""
-    heat, sink = 20.0, 3.0
+    heat, sink, warm = 20.0, 3.0, 6.0
     below = PLACE - START
     along = STEEL.conductivity * AREA
     fin = heat / (along * DECAY**2 * math.sinh(DECAY * LENGTH))
@@ -193,14 +205,21 @@ def _fin_checks() -> Iterator[Check]:
     )
     keys = {"bearings": "fixed-supported", "film_W_m2K": 0.0, "bearing_conductance_W_K": sink}
     screw = screw_with(motor_heat_W=heat, **keys)
-    # By superposition: a share leaves through each bearing, and T is linear in between.
-    near = heat * (1.0 / sink + LENGTH / along) / (2.0 / sink + LENGTH / along)
-    far = heat - near
-    mean = near / sink - far * below / (2.0 * along)
+    # What goes to the far bearing passes the whole screw, in which T is linear.
+    far = (heat / sink + warm) / (2.0 / sink + LENGTH / along)
+    mean = far / sink + far * (LENGTH - 0.5 * below) / along
+    still = screw.along(np.full(2, PLACE))
+    steady = warmed(
+        screw.made,
+        np.zeros_like(screw.made.conduction.rates),
+        Beside(0.0, np.array([warm, 0.0])),
+        np.array([0.0, STEADY]),
+        still,
+    )
     yield ELONGATION.check(
         "screw, heat between two bearings",
         1e6 * STEEL.expansion * mean * below,
-        error_at(screw, _standing(screw, 0.0)),
+        error_at(screw, steady.temperature),
     )
 
 
@@ -310,18 +329,16 @@ def _lead_check() -> Check:
 
 
 def _scale_checks() -> Iterator[Check]:
-    """A scale whose temperature follows the air."""
+    """A scale beside something that warms by 5 K, evenly, within one time constant."""
     section = ScaleSection(expansion_1_K=8e-6, fixed_mm=-50.0, head_mm=120.0, lag_s=900.0)
     for name, zero, from_fixed in (("", None, 0.05 + 0.12 + PLACE), (", zeroed", 0.2, PLACE - 0.2)):
-        drive = Drive(None, scale_of(section), None, 0, zero)
-        state = cold(drive)
+        made = scale_of(section)
+        drive = Drive(None, made, None, 0, zero, NO_SURFACES)
+        warm = 0.0
         for k in range(30):
-            times = 30.0 * np.array([k, k + 1.0])
-            nothing = (np.zeros(0), np.zeros(0))
-            state = after_step(drive, state, Around(np.array([5.0]), nothing, times, times))
-        warm = 5.0 * -math.expm1(-1.0)
-        found = 1e6 * float(positioning_error(drive, state, np.array([PLACE]))[0])
-        yield ELONGATION.check(f"scale{name}", 8.0 * warm * from_fixed, found)
+            warm = followed(made, warm, (k / 6.0, (k + 1.0) / 6.0), 30.0)
+        found = 1e6 * float(positioning_error(drive, np.array([warm]), np.array([PLACE]))[0])
+        yield ELONGATION.check(f"scale{name}", 8.0 * 5.0 * math.exp(-1.0) * from_fixed, found)
 
 
 def _machine_checks(folder: Path) -> Iterator[Check]:
@@ -365,4 +382,14 @@ def _machine_checks(folder: Path) -> Iterator[Check]:
     )
     yield Quantity("tan β", "µm/m", 1e-9, "the screw by itself").check(
         "screw, slide on a screw", 1e9 * float(np.diff(ends)[0]) / (stroke[1] - stroke[0]), bending
+    )
+    heating = section | keys | HEATING
+    response = marched(folder, on_axis(data, stroke, file=course, ball_screw=heating))
+    along = screw_of(BallScrewSection.model_validate(heating), STEEL).made.conduction
+    way = float(np.abs(np.diff(places)).sum())
+    given = [name for name in response["source"].to_numpy() if str(name).startswith("x ")]
+    left = 20.0 * float(response["source_power"].sel(source=given).sum())
+    left += along.capacity * float(response["screw_temperature"][-1].sum())
+    yield Quantity("heat", "J", 1e-9, "torques times angle").check(
+        "screw, slide that its screw heats", 2.0 * math.pi / 0.01 * way * (1.0 + 0.5 + 0.3), left
     )

@@ -10,10 +10,11 @@ from hypothesis import strategies as st
 from in_process import run
 from moving_knee import PATH, coarse_data, moving
 
-from fesim.axes.ball_screw import heat_at_ends, heat_of_nut, moved, tension, warmed
-from fesim.axes.positioning import Drive, positioning_error, screw_of
+from fesim.axes.ball_screw import Beside, heat_at_ends, heat_of_nut, moved, tension, warmed
+from fesim.axes.positioning import Drive, Surfaces, positioning_error, screw_of
 from fesim.axes.setup import drive_of, set_up_axis
 from fesim.case.drive_sections import BallScrewSection
+from fesim.case.identity import condensation_key, thermal_key
 from fesim.case.schema import case_from_data
 from fesim.march.state_file import load_state, save_state
 from fesim.simulate import simulate
@@ -36,6 +37,7 @@ SCREW = {
     "bearing_torque_Nm": 0.5,
 }
 FIXED = SCREW | {"bearings": "fixed-fixed", "stretch_um": 30.0}
+NO_SURFACES = Surfaces(np.full(3, -1), np.zeros((3, 0)))
 SCALE = {"expansion_1_K": 8e-6, "fixed_mm": -100.0, "head_mm": 20.0}
 #: (s, mm): stands, moves within steps and across them, there and back.
 COURSE = [(0, 0), (45, 0), (70, 200), (80, 200), (130, -100), (150, 50), (400, 50)]
@@ -46,7 +48,7 @@ def screw_with(**keys):
 
 
 def error_of(screw, temperature, *positions):
-    drive = Drive(screw, None, None, 0, None)
+    drive = Drive(screw, None, None, 0, None, NO_SURFACES)
     return positioning_error(drive, temperature, np.array(positions))
 
 
@@ -94,7 +96,7 @@ def test_no_heat_is_lost(way, film, sink, length):
     screw = screw_with(film_W_m2K=film, bearing_conductance_W_K=sink, **keys).made
     start = np.linspace(5.0, -3.0, 100)
     times = np.linspace(0.0, length, len(way))
-    step = warmed(screw, start, -2.0, times, np.array(way))
+    step = warmed(screw, start, Beside(-2.0, np.array([1.0, 7.0])), times, np.array(way))
     assert abs(step.balance) < 1e-9
     kept = screw.conduction.capacity * (step.temperature - start).sum()
     assert step.stored * length == pytest.approx(kept, rel=1e-6, abs=1e-6 * step.entered * length)
@@ -103,10 +105,11 @@ def test_no_heat_is_lost(way, film, sink, length):
 def test_under_steady_heat_the_length_of_the_steps_does_not_matter():
     screw = screw_with(motor_heat_W=20.0).made
     still = np.array([0.3, 0.3])
-    whole = warmed(screw, np.zeros(100), 4.0, np.array([0.0, 600.0]), still).temperature
+    beside = Beside(4.0, np.zeros(2))
+    whole = warmed(screw, np.zeros(100), beside, np.array([0.0, 600.0]), still).temperature
     parts = np.zeros(100)
     for k in range(60):
-        parts = warmed(screw, parts, 4.0, 10.0 * np.array([k, k + 1.0]), still).temperature
+        parts = warmed(screw, parts, beside, 10.0 * np.array([k, k + 1.0]), still).temperature
     assert np.allclose(parts, whole, rtol=1e-10, atol=0)
 
 
@@ -143,7 +146,7 @@ def knee(course, **axis):
 
 @pytest.fixture(scope="module")
 def setup(case_with):
-    return set_up_axis(case_with())
+    return set_up_axis(case_with(ball_screw=SCREW))
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +154,7 @@ def march(setup):
     """March a case on the machine that all have in common."""
 
     def marched(case, **keys):
-        driven = replace(setup, drive=drive_of(case, setup.setup))
+        driven = replace(setup, drive=drive_of(case, setup.setup, setup.drive.surfaces))
         return simulate(case, setup=driven, **keys)
 
     return marched
@@ -220,11 +223,48 @@ def test_the_state_of_another_screw_is_refused(case_with, march, tmp_path):
 def test_a_scale_follows_a_probe_of_the_machine(case_with, march):
     response = march(case_with(scale=SCALE | {"follows": "guide"})).response
     beside = response["temperature"].sel(probe="guide").to_numpy()
-    mean = 0.5 * (beside[1:] + beside[:-1])
-    assert mean.max() > 0.1
-    assert np.allclose(response["scale_temperature"][1:, 0], mean, rtol=1e-12)
-    arm = response["axis_position"][1:, 0] + 0.12
-    assert np.allclose(response["positioning_error"][1:, 0], 8e-6 * mean * arm, rtol=1e-9)
+    assert beside.max() > 0.1
+    assert np.allclose(response["scale_temperature"][:, 0], beside, rtol=1e-9, atol=1e-15)
+    arm = response["axis_position"][:, 0] + 0.12
+    error = response["positioning_error"][:, 0]
+    assert np.allclose(error, 8e-6 * beside * arm, rtol=1e-9, atol=1e-20)
+    slow = march(case_with(scale=SCALE | {"follows": "guide", "lag_s": 300.0})).response
+    behind = slow["scale_temperature"][1:, 0]
+    assert (behind > 0.0).all()
+    assert (behind < 0.9 * beside[1:]).all()
+
+
+def test_what_heat_the_screw_does_not_take_warms_the_machine(case_with, alone):
+    shares = {"nut_share": 0.4, "bearing_share": 0.3, "bearing_conductance_W_K": 2.0}
+    surfaces = {"nut_surface": "screw_foot", "bearing_surface": "column_base"}
+    case = case_with(ball_screw=SCREW | shares | surfaces).replace(
+        probes={"nut": {"position_mm": [725.0, 270.0, 240.0], "body": "screw"}}
+    )
+    response = simulate(case).response
+    assert list(response["source"].to_numpy()) == ["bearings", "y nut", "y bearing"]
+    step = case.march.step_s
+    # 45 s to 60 s: 120 mm of the first way, with 3 N m at the nut.
+    heat = 0.6 * 3.0 * 2.0 * np.pi * 0.12 / 0.01 / step
+    assert float(response["source_power"].sel(source="y nut")[2]) == pytest.approx(heat, rel=1e-9)
+    # The bearing conducts on when the axis stands.
+    assert float(response["source_power"].sel(source="y bearing")[-1]) > 0.01
+    assert float(response["temperature"].sel(probe="nut")[-1]) > 0.1
+    assert float(np.abs(response["heat_balance"]).max()) < 1e-8
+    assert np.array_equal(response["heat_input"], alone["heat_input"])
+
+
+def test_only_the_surfaces_of_a_screw_belong_to_the_condensed_machine(case_with):
+    plain, warm = case_with(ball_screw=SCREW), case_with(ball_screw=FIXED, zero_mm=0.0)
+    heating = case_with(ball_screw=SCREW | {"nut_surface": "screw_foot"})
+    assert condensation_key(plain) == condensation_key(warm) == condensation_key(case_with())
+    assert thermal_key(heating) != thermal_key(plain)
+
+
+def test_a_surface_that_is_not_there_is_refused(case_with):
+    case = case_with(ball_screw=SCREW | {"nut_surface": "nut"})
+    with pytest.raises(InputError, match="axes: heat of y nut: no surface named 'nut'") as error:
+        set_up_axis(case)
+    assert "\n" not in str(error.value)
 
 
 def test_a_control_with_a_scale_does_not_see_the_screw(case_with, march, driven):
@@ -267,6 +307,7 @@ def refused(tmp_path, **axis):
         ({"ball_screw": FIXED | {"pretension_kN": 2.0}}, "either 'stretch_um' or"),
         ({"ball_screw": SCREW | {"stretch_um": 20.0}}, "nothing pulls a fixed-free screw"),
         ({"ball_screw": SCREW | {"far_bearing_torque_Nm": 0.1}}, "no far bearing"),
+        ({"ball_screw": SCREW | {"far_bearing_surface": "rear"}}, "no far bearing"),
         ({"ball_screw": SCREW | {"far_end_mm": -300.0}}, "no length"),
         ({"ball_screw": SCREW | {"far_end_mm": 220.0}}, "the nut covers 170 to 250 mm"),
         ({"ball_screw": SCREW | {"material": "brass"}}, "no material 'brass'"),
