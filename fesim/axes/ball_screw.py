@@ -1,9 +1,9 @@
 """A ball screw: heat along it, elongation, tension between its bearings.
 
-Heat is conducted along the screw, given off by a film that is the same along it, and by the
-bearings at its ends. In finite volumes of equal width,
+Heat is conducted along the screw, into the air by a film that is the same along it, and through
+the bearings at its ends to their seats. In finite volumes of equal width,
 
-    C dT/dt = -(K + G) (T - Ta) - h S (T - Ta) + q,
+    C dT/dt = -K T - G (T - Ts) - h S (T - Ta) + q,
 
 and because C and S are the same in every cell, the modes of K + G are those of any film: it adds
 h S/C to each rate. They are found once; a step is exact for what is constant in it, the film and
