@@ -1,5 +1,6 @@
 """A moving axis and its drive: what a warm screw or scale adds to where the bodies are."""
 
+import re
 from dataclasses import replace
 from functools import partial
 
@@ -9,13 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from in_process import run
 from moving_knee import PATH, coarse_data, moving
+from repository import ROOT
 
 from fesim.axes.ball_screw import Beside, heat_at_ends, heat_of_nut, moved, tension, warmed
 from fesim.axes.positioning import Drive, Surfaces, positioning_error, screw_of
 from fesim.axes.setup import drive_of, set_up_axis
 from fesim.case.drive_sections import BallScrewSection
 from fesim.case.identity import condensation_key, thermal_key
-from fesim.case.schema import case_from_data
+from fesim.case.schema import case_from_data, parse_case
 from fesim.march.state_file import load_state, save_state
 from fesim.simulate import simulate
 from fesim.solid.materials import Material
@@ -288,6 +290,16 @@ def test_the_summary_says_the_error_and_when_the_screw_is_slack(case_with, march
     loose = march(case_with(ball_screw=FIXED | {"stretch_um": 0.5})).response
     assert "slack" in drive_lines(loose)[1]
     assert len(axis_lines(loose)) == len(axis_lines(driven))
+
+
+def test_the_examples_of_the_page_drive_the_shipped_knee():
+    page = (ROOT / "docs" / "moving-axes.md").read_text("utf-8")
+    blocks = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    drives = [block for block in blocks if "[axes.y.ball_screw]" in block or "y.scale]" in block]
+    assert len(drives) == 2
+    for block in drives:
+        case = parse_case(PATH.read_text("utf-8") + block, "knee", PATH.parent)
+        assert (case.axes["y"].ball_screw is None) != (case.axes["y"].scale is None)
 
 
 def refused(tmp_path, **axis):
