@@ -179,14 +179,14 @@ def _position_checks(folder: Path) -> Iterator[Check]:
         return marched(folder, on_axis(data, stroke, **axis))
 
     for position in ALIGNED:
-        on_axis = there(position_mm=1e3 * position)
+        riding = there(position_mm=1e3 * position)
         meshed = marched(folder, slide_data(folder, position))
         for name, unit, factor in (
             ("displacement", "µm", 1e6),
             ("temperature", "K", 1.0),
             ("pressure", "MPa", 1e-6),
         ):
-            yield _field(f"at {1e3 * position:g} mm", name, unit, factor, (meshed, on_axis))
+            yield _field(f"at {1e3 * position:g} mm", name, unit, factor, (meshed, riding))
     yield _order(folder, data)
 
 
@@ -210,19 +210,19 @@ def _field(
     where: str, name: str, unit: str, factor: float, both: tuple[xr.Dataset, xr.Dataset]
 ) -> Check:
     """Largest difference over time and places, relative to the largest value."""
-    meshed, on_axis = (one[name].to_numpy() for one in both)
+    meshed, riding = (one[name].to_numpy() for one in both)
     at = np.unravel_index(np.abs(meshed).argmax(), meshed.shape)
     quantity = Quantity(name, unit, 1e-6, "structure meshed there")
     return quantity.check(
         f"moving axis, {where}",
         factor * float(meshed[at]),
-        factor * float(on_axis[at]),
+        factor * float(riding[at]),
         relative_error=_error(*both, name),
     )
 
 
-def _error(meshed: xr.Dataset, on_axis: xr.Dataset, name: str) -> float:
-    apart = np.abs(on_axis[name].to_numpy() - meshed[name].to_numpy())
+def _error(meshed: xr.Dataset, riding: xr.Dataset, name: str) -> float:
+    apart = np.abs(riding[name].to_numpy() - meshed[name].to_numpy())
     return float(apart.max() / np.abs(meshed[name]).max())
 
 
