@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.response import probes_of
@@ -52,6 +51,9 @@ def sensor_noise(
     InputError
         There are too few samples for the filter, or they are too far apart.
     """
+    # It loads scipy.stats and takes longer than all else that an estimator's start loads.
+    from scipy.signal import butter, sosfiltfilt
+
     interval = float(times[-1] - times[0]) / (len(times) - 1)
     white = np.random.default_rng(seed).standard_normal((len(times), channels))
     edge = 2.0 * interval / NOISE_PERIOD_S

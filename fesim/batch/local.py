@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from fesim.batch.crew import Report
 from fesim.batch.worker import Outcome, Task, run
-from thermojoint.artefacts.processes import CONTEXT, end_with_parent
+from thermojoint.artefacts.processes import CONTEXT, begin_child
 
 #: Time for a worker to end on request, s.
 _PATIENCE = 5.0
@@ -134,7 +134,7 @@ def _ending(worker: _Worker) -> str:
 
 def _serve(pipe: Connection, threads: int) -> None:
     """Main loop of a worker process: run cases until the other end of the pipe is closed."""
-    end_with_parent()
+    begin_child()
     limit = None
     if "OMP_NUM_THREADS" not in os.environ:
         # For libraries that are still to be loaded; the limit below is for those that are.

@@ -14,6 +14,7 @@ from multiprocessing import active_children, parent_process, resource_tracker
 from multiprocessing.context import SpawnContext, SpawnProcess
 from threading import Thread
 
+from thermojoint.artefacts.dask_unloaded import leave_dask_unloaded
 from thermojoint.artefacts.unfinished import cleared_at_stop
 
 
@@ -59,13 +60,14 @@ def process_pool(count: int) -> Iterator[ProcessPoolExecutor]:
     _start_tracker()
     with (
         cleared_at_stop(_kill_children),
-        ProcessPoolExecutor(count, CONTEXT, end_with_parent) as pool,
+        ProcessPoolExecutor(count, CONTEXT, begin_child) as pool,
     ):
         yield pool
 
 
-def end_with_parent() -> None:
-    """End this process as soon as its parent has ended."""
+def begin_child() -> None:
+    """Begin a child process: without what it never needs; it ends as soon as its parent has."""
+    leave_dask_unloaded()
 
     def watch() -> None:
         if (parent := parent_process()) is not None:

@@ -24,6 +24,7 @@ from rich.text import Text
 
 from fesim.batch.study import Study, StudyCase, brief, shown
 from thermojoint import console as terminal
+from thermojoint.artefacts.dask_unloaded import let_dask_load
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.extras import require
 from thermojoint.plausibility import of_cases
@@ -78,6 +79,7 @@ def crew_of(workers: int, scheduler: str | None, say: Say) -> Recruit:
         from fesim.batch.local import local_crew
 
         return lambda: local_crew(workers)
+    let_dask_load()
     # Here, not above: Dask is an extra.
     from fesim.batch.cluster import dask_crew
 

@@ -74,8 +74,8 @@ def _kernel(x: np.ndarray, a: float, r: float, r0: float) -> np.ndarray:
     return np.exp(-a * x - (r - r0) ** 2 / (4.0 * x)) * i0e(r * r0 / (2.0 * x))
 
 
-def _kernel_slope(x: np.ndarray, a: float, r: float, r0: float) -> np.ndarray:
-    """Return df/dr in 1/m.
+def _kernel_slopes(x: np.ndarray, a: float, r: float, r0: float) -> tuple[np.ndarray, ...]:
+    """Return f, df/da in m2 and df/dr in 1/m.
 
     I0e - I1e cancels for large arguments; its asymptotic series takes over there.
     """
@@ -86,13 +86,14 @@ def _kernel_slope(x: np.ndarray, a: float, r: float, r0: float) -> np.ndarray:
     series = first * y * (0.5 + y * (0.125 + y * (0.125 + y * (25 / 128 + y * 13 / 32))))
     difference = np.where(far, series, first - i1e(z))
     exponential = np.exp(-a * x - (r - r0) ** 2 / (4.0 * x))
-    return exponential * ((r0 - r) * first - r0 * difference) / (2.0 * x)
+    kernel = exponential * first
+    return kernel, -x * kernel, exponential * ((r0 - r) * first - r0 * difference) / (2.0 * x)
 
 
 def _cumulative(
-    x: np.ndarray, r: float, r0: float, integrands: list[Callable[[np.ndarray], np.ndarray]]
+    x: np.ndarray, r: float, r0: float, integrands: Callable[[np.ndarray], tuple[np.ndarray, ...]]
 ) -> list[np.ndarray]:
-    """Return ∫ g(x') dx'/x' from 0 to each x for each g in `integrands`.
+    """Return ∫ g(x') dx'/x' from 0 to each x for each g that `integrands` gives.
 
     Parameters
     ----------
@@ -102,11 +103,10 @@ def _cumulative(
         m; below x = (r - r0)²/(4·745) every integrand is zero.
     """
     flat = x.ravel()
-    out = [np.zeros(flat.size) for _ in integrands]
     dead = (r - r0) ** 2 / (4.0 * _UNDERFLOW)
     alive = flat > dead
     if not bool(alive.any()):
-        return [part.reshape(x.shape) for part in out]
+        return [np.zeros(x.shape) for _ in integrands(np.ones(0))]
     upper = np.log(flat[alive])
     product = r * r0
     head = min(float(upper.min()), math.log(product)) - _HEAD if product > 0.0 else -math.inf
@@ -118,12 +118,15 @@ def _cumulative(
     position = (upper - start) / width if width > 0.0 else np.zeros_like(upper)
     panel = np.minimum(position.astype(int), panels - 1)
     vander = legendre.legvander(2.0 * (position - panel) - 1.0, _NODES)
-    for part, integrand in zip(out, integrands, strict=True):
-        series = (width / 2.0) * (integrand(nodes) @ _TO_INTEGRAL.T)
+    out = []
+    for values in integrands(nodes):
+        series = (width / 2.0) * (values @ _TO_INTEGRAL.T)
         whole = series.sum(axis=1)
         before = np.concatenate(([0.0], np.cumsum(whole)[:-1]))
+        part = np.zeros(flat.size)
         part[alive] = before[panel] + np.einsum("ij,ij->i", series[panel], vander)
-    return [part.reshape(x.shape) for part in out]
+        out.append(part.reshape(x.shape))
+    return out
 
 
 def step_response(
@@ -150,7 +153,7 @@ def step_response(
     """
     check_parameters(K, a, alpha, r, r0)
     x = alpha * _times(t)
-    (integral,) = _cumulative(x, r, r0, [lambda at: _kernel(at, a, r, r0)])
+    (integral,) = _cumulative(x, r, r0, lambda at: (_kernel(at, a, r, r0),))
     return 0.5 * K * integral
 
 
@@ -170,16 +173,7 @@ def step_response_gradient(
     """
     check_parameters(K, a, alpha, r, r0)
     x = alpha * _times(t)
-    unit, by_a, by_r = _cumulative(
-        x,
-        r,
-        r0,
-        [
-            lambda at: _kernel(at, a, r, r0),
-            lambda at: -at * _kernel(at, a, r, r0),
-            lambda at: _kernel_slope(at, a, r, r0),
-        ],
-    )
+    unit, by_a, by_r = _cumulative(x, r, r0, lambda at: _kernel_slopes(at, a, r, r0))
     by_alpha = np.zeros_like(x)
     by_alpha[x > 0.0] = _kernel(x[x > 0.0], a, r, r0) / alpha
     gradient = 0.5 * np.stack([unit, K * by_a, K * by_alpha, K * by_r], axis=-1)

@@ -5,6 +5,8 @@ import subprocess
 import sys
 from importlib.metadata import version
 
+import pytest
+
 HEAVY = {
     *(
         "control",
@@ -35,7 +37,8 @@ for arguments in json.loads(sys.argv[2]):
             cli.main()
         except SystemExit:
             pass
-        os.write(2, json.dumps(sorted({name.split(".")[0] for name in sys.modules})).encode())
+        names = [name for name, module in sys.modules.items() if module]
+        os.write(2, json.dumps(names).encode())
         os.write(2, b"\\n")
         os._exit(0)
     os.wait()
@@ -43,7 +46,7 @@ for arguments in json.loads(sys.argv[2]):
 
 
 def loaded(commands, before=()):
-    """What has been loaded by the end of each command."""
+    """What has been loaded by the end of each command: modules and their packages."""
     done = subprocess.run(
         [sys.executable, "-c", LOADED, json.dumps(before), json.dumps(commands)],
         capture_output=True,
@@ -109,3 +112,40 @@ def test_python_runs_the_package_as_the_command():
     )
     assert wrong.returncode == 2
     assert wrong.stderr.startswith("thermojoint: no.toml: ")
+
+
+def test_an_estimate_and_a_service_begin_without_statistics_and_signals():
+    """Noise alone needs them; they take longer to load than all else that an estimator needs."""
+    commands = [
+        ["estimate", "no.json", "no.csv", "--out", "no.csv"],
+        ["serve", "no.toml"],
+    ]
+    before = ["numpy", "scipy.sparse", "estimator.registry", "thermojoint.live.service"]
+    for arguments, found in zip(commands, loaded(commands, before), strict=True):
+        assert not found & {"scipy.signal", "scipy.stats"}, arguments
+
+
+#: A command that ends at once, then what every response needs, then what a cluster needs.
+VARIABLE = """
+import sys
+from thermojoint.artefacts.dask_unloaded import let_dask_load
+from thermojoint.cli import main as cli
+
+try:
+    cli.main()
+except SystemExit:
+    pass
+import xarray
+xarray.Variable("time", [0.0])
+print(*(name for name, module in sys.modules.items() if module and name.startswith("dask")))
+let_dask_load()
+import dask.array
+print(xarray.Variable("time", dask.array.zeros(1)).sizes["time"])
+"""
+
+
+def test_responses_load_no_dask_and_a_cluster_finds_it_nevertheless():
+    pytest.importorskip("dask")
+    command = [sys.executable, "-c", VARIABLE, "--version"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[1:] == ["", "1"]
