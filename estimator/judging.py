@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from estimator.interface import Estimate, Estimator, follow
+from estimator.lines import here
 from estimator.noise import with_noise
 from estimator.rows import Row, figures_of
 from thermojoint.artefacts.arrays import Array
@@ -125,8 +126,8 @@ def judge(
     times = response["time"].to_numpy()
     counted = times >= times[0] + settled_s
     actual = columns_of(response, "displacement", estimator.axes)[counted]
-    error = np.array([estimate.displacement for estimate in run])[counted] - actual
-    band = np.array([estimate.band for estimate in run])[counted]
+    moved, bands = here(estimator.axes, estimator.details, run)
+    error, band = moved[counted] - actual, bands[counted]
     known = None if np.isnan(band).all() else band
     figures = {"peak_total_um": np.abs(actual).max(axis=0) * MEGA} | figures_of(error, known)
     rows: list[dict[str, str | float]] = [

@@ -1,7 +1,7 @@
 """Displacements along an axis, as estimators give them beside the displacement: its line.
 
 δ(P) = K0 + slope (P - P0), with the displacement itself as K0. An estimator with such displacements
-has the details of `DETAILS` for each of them.
+has the details of `DETAILS` for each of them, and those of `HERE` for the present position.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator.interface import Channel
+from estimator.intake import axis_name
+from estimator.interface import Channel, Estimate
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.units import MILLI
 
@@ -23,6 +24,8 @@ DETAILS = (
     ("stroke_from", "mm"),
     ("stroke_to", "mm"),
 )
+#: Ends and units of the details of the displacement at the present position, and its band.
+HERE = (("here", "m"), ("here_band", "m"))
 
 
 class Stroke(NamedTuple):
@@ -62,6 +65,37 @@ class Lines(NamedTuple):
 def channels_of(axis: str) -> tuple[Channel, ...]:
     """Return the details of the line of an axis."""
     return tuple(Channel(f"{axis}_{name}", unit) for name, unit in DETAILS)
+
+
+def channels_here(axis: str) -> tuple[Channel, ...]:
+    """Return the details of a displacement at the present position."""
+    return tuple(Channel(f"{axis}_{name}", unit) for name, unit in HERE)
+
+
+def here(
+    axes: Sequence[str], channels: Sequence[Channel], estimates: Sequence[Estimate]
+) -> tuple[Array, Array]:
+    """Return displacements where the machine is, and their half-bands, m, (n, axes) each.
+
+    Along an axis that is not what the estimate itself says, K0 at P0.
+
+    Parameters
+    ----------
+    axes : sequence of str
+        Of the displacement, with or without units.
+    channels : sequence of Channel
+        Details of the estimator.
+    estimates : sequence of Estimate
+    """
+    moved = np.array([estimate.displacement for estimate in estimates])
+    band = np.array([estimate.band for estimate in estimates])
+    at = {channel: k for k, channel in enumerate(channels)}
+    for c, axis in enumerate(axes):
+        own = channels_here(axis_name(axis))
+        if own[0] in at:
+            there = np.array([estimate.details[[at[one] for one in own]] for estimate in estimates])
+            moved[:, c], band[:, c] = there.T
+    return moved, band
 
 
 def lines_of(axes: Sequence[str], channels: Sequence[Channel], details: Array) -> Lines | None:

@@ -16,9 +16,9 @@ from estimator.joint_aware.filter_design import (
     design_filter,
     linear_system,
 )
-from estimator.joint_aware.observer_model import Band, Calibrated, ObserverModel
+from estimator.joint_aware.observer_model import Band, Calibrated, ObserverModel, Stroke
 from thermojoint.artefacts.arrays import Array
-from thermojoint.reduced.machine import Modes, ReducedMachine, diagonal_modes
+from thermojoint.reduced.machine import Modes, ReducedMachine, diagonal_modes, placed
 from thermojoint.reduced.parameters import factors_of, with_factors
 
 
@@ -105,13 +105,9 @@ def make_observer(
         ]
     )
     steady = replace(design, scale=scale)
-    moved = np.hstack(
-        [
-            sticking_tangent(modes, fitted.laws),
-            fit.discrepancy.displacement,
-            np.zeros((len(machine.axes), walk.size)),
-        ]
-    )
+    others = [fit.discrepancy.displacement, np.zeros((len(machine.axes), walk.size))]
+    everywhere = [np.hstack([own, *others]) for own in _tangents(modes, fitted)]
+    moved = everywhere[len(everywhere) // 2]
     nothing = np.zeros((len(machine.axes), fit.discrepancy.rates.size))
     spread = np.sqrt(np.diag(fit.covariance))
     return ObserverModel(
@@ -122,7 +118,9 @@ def make_observer(
         filter=steady,
         band=Band(
             tangent=moved,
-            steady=np.maximum(np.einsum("an,nm,am->a", moved, after, moved), 0.0),
+            steady=np.max(
+                [np.einsum("an,nm,am->a", own, after, own) for own in everywhere], axis=0
+            ).clip(0.0),
             constant=fit.residual_displacement**2,
             history=np.zeros(len(machine.axes)),
             open=np.zeros((len(machine.axes), 1, 2 * fit.discrepancy.displacement.shape[1])),
@@ -145,6 +143,9 @@ def make_observer(
         axes=machine.axes,
         sources=machine.source_names,
         calibrated=calibrated,
+        stroke=None
+        if machine.guide is None
+        else Stroke(machine.guide.axis, machine.guide.asked, machine.guide.reference),
         factors={
             parameter.name: (parameter.factor(float(value)), float(deviation))
             for parameter, value, deviation in zip(
@@ -152,6 +153,16 @@ def make_observer(
             )
         },
     )
+
+
+def _tangents(modes: Modes, machine: ReducedMachine) -> list[Array]:
+    """Displacement per amplitude, (axes, r), the joints sticking; at every aligned position."""
+    if modes.way is None:
+        return [sticking_tangent(modes, machine.laws)]
+    return [
+        sticking_tangent(placed(modes, float(position)), machine.laws)
+        for position in modes.way.positions
+    ]
 
 
 def warm_columns(

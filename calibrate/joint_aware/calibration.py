@@ -18,6 +18,7 @@ from calibrate.joint_aware.readings import run_in
 from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.observer_model import Calibrated, ObserverModel
 from estimator.joint_aware.readings import temperatures_in
+from fesim.axes.setup import set_up_axis
 from fesim.case.schema import Case
 from fesim.setup.machine import set_up
 from thermojoint.artefacts.arrays import Array
@@ -25,7 +26,7 @@ from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import columns_of, probes_of
 from thermojoint.artefacts.units import MEGA
-from thermojoint.reduced.machine import ReducedMachine, along, reduce_machine
+from thermojoint.reduced.machine import Guide, ReducedMachine, along, reduce_machine
 
 #: A singular value above this is determined by the data: the prior contributes less than a tenth.
 DECIDED = 3.0
@@ -136,8 +137,39 @@ def calibrate_joint_aware(
     if not responses:
         raise InputError("joint-aware: no response to calibrate with; give one or more")
     names = tuple(sensors) if sensors is not None else sensors_of(case, responses)
-    machine = reduce_machine(case, set_up(case), names)
+    machine = machine_of(case, names)
     return calibrate_machine(machine, responses, noise, fitted, effort)
+
+
+def machine_of(case: Case, sensors: Sequence[str]) -> ReducedMachine:
+    """Return the machine of a case, which may have an axis, with its `sensors`.
+
+    Raises
+    ------
+    InputError
+        As `fesim.setup.machine.set_up` and `reduce_machine`; or the axis has a drive.
+    """
+    if not case.axes:
+        return reduce_machine(case, set_up(case), sensors)
+    for name, axis in case.axes.items():
+        drive = "ball_screw" if axis.ball_screw is not None else "scale"
+        if getattr(axis, drive) is not None:
+            raise InputError(
+                f"joint-aware: axes.{name}.{drive}: it knows no drive so far; leave the section "
+                "out of the model's case, and record where the body is"
+            )
+    ready = set_up_axis(case)
+    first = float(ready.course(np.zeros(1))[0])
+    guide = Guide(ready.name, ready.moving.guideway, first, ready.asked, ready.reference)
+    machine = reduce_machine(case, ready.setup, sensors, guide)
+    rows = range(len(machine.axes))  # without those of a rotation
+    return machine.with_elastic(
+        lambda elastic: replace(
+            elastic,
+            probe_compliance=elastic.probe_compliance[rows],
+            probe_thermal=elastic.probe_thermal[rows],
+        )
+    )
 
 
 def calibrate_machine(

@@ -29,6 +29,7 @@ from estimator.interface import follow
 from estimator.joint_aware.estimator import WIDTH, JointAware
 from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.observer_model import Band, ObserverModel
+from estimator.lines import here
 from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.artefacts.errors import ConvergenceError
 from thermojoint.reduced.discrepancy import told_by
@@ -129,10 +130,11 @@ def _unseen(
     fit = others.fit
     filtered = make_observer(machine, fit, model.calibrated, others.noise)
     observer, sources = JointAware(filtered), machine.power.size
+    moving = len(machine.axis_names)
     estimates = follow(
         observer, _samples(run, sources + len(machine.held.names)), observer.initial_state()
     )
-    found = np.array([estimate.displacement for _, estimate in estimates])
+    found, _ = here(observer.axes, observer.details, [estimate for _, estimate in estimates])
     # What the posterior expects, on the longer steps of the band.
     slow = on_longer_steps(machine, others.runs, model.calibrated, fit, others.noise, drawing)
     step = slow.machine.step
@@ -140,7 +142,8 @@ def _unseen(
     grid = steps.length * np.arange(1.0, len(steps.inputs) + 1.0)
     # Means over these steps: the noise of the displacement's readings is no error.
     errors, read = _means(found - run.displacement, run.times, grid)
-    history = history_of(steps.inputs[:, :sources] / machine.power, fit.discrepancy.rates, step)
+    driven, course = steps.inputs[:, :sources], steps.inputs[:, steps.inputs.shape[1] - moving :]
+    history = history_of(driven / machine.power, fit.discrepancy.rates, step, course)
     drawn = drawn_errors(np.random.default_rng(drawing.seed), slow, [history], drawing)
     expected = filtered.band.steady + filtered.band.constant + np.mean(np.square(drawn), axis=0)
     expected = expected + history.squares @ unlike_its_case(slow).T

@@ -34,8 +34,10 @@ def with_linear_joint(machine: ReducedMachine) -> ReducedMachine:
     Raises
     ------
     InputError
-        More than heat acts on it, or it starts warm.
+        It has a moving axis, more than heat acts on it, or it starts warm.
     """
+    if machine.guide is not None:
+        raise InputError("kalman-linear: knows no moving axis; take joint-aware")
     if machine.acting is not None or machine.start.any():
         raise InputError(
             "kalman-linear: knows no loads, bolts or initial temperatures; take joint-aware"

@@ -31,7 +31,8 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
     ----------
     log : Log
         With a temperature for each probe of the case that is a sensor, one power, W, for all
-        sources together, and the displacements; ``ambient_degC`` if it was measured.
+        sources together, and the displacements; ``ambient_degC`` if it was measured; of a case with
+        an axis its position, ``y_pos_mm``.
     case : Case
         The machine.
     displacement : sequence of str
@@ -52,8 +53,15 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
         known = ", ".join(f"{name}_degC" for name in case.probes) or "none"
         raise InputError(f"log: no temperature of a probe of the case; these would be {known}")
     power = _power(log)
+    places = {name: log.at(f"{name}_pos") for name in case.axes}
     room = next((log.at(name) for name in log.of("temperature") if name == "ambient_degC"), None)
-    every = [*moved.values(), *sensed.values(), power, *([] if room is None else [room])]
+    every = [
+        *moved.values(),
+        *sensed.values(),
+        power,
+        *places.values(),
+        *([] if room is None else [room]),
+    ]
     whole = np.asarray(np.isfinite(np.column_stack(every)).all(axis=1))
     ends = (*log.starts[1:], len(log.times))
     heat = power / sum(source_power(source) for source in case.sources.values())
@@ -73,6 +81,13 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
             heat[kept],
             None if room is None else room[kept],
         )
+        if places:
+            at = np.column_stack([read[kept] for read in places.values()])
+            runs[where] = (
+                runs[where]
+                .assign(axis_position=(("time", "moving_axis"), at, {"units": "m"}))
+                .assign_coords(moving_axis=list(places))
+            )
     return runs
 
 

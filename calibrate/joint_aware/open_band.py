@@ -28,19 +28,20 @@ from calibrate.joint_aware.misfit import (
     physics_with,
 )
 from calibrate.joint_aware.physics_fit import SEARCH, Fit, problem_of
-from calibrate.joint_aware.random_heat import random_levels
+from calibrate.joint_aware.random_heat import random_course, random_levels
 from estimator import sensor_faults
 from estimator.interface import follow
 from estimator.joint_aware.estimator import WIDTH, JointAware
 from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.observer_model import Band, Calibrated, ObserverModel
 from estimator.joint_aware.thresholds import Thresholds
+from estimator.lines import here
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
 from thermojoint.reduced.discrepancy import COUNT, Discrepancy, make_ridge, relaxed
 from thermojoint.reduced.machine import ReducedMachine
 from thermojoint.reduced.parameters import LAG_UNIT, factors_of
-from thermojoint.reduced.physics import at_start, conduct, settle_joint, simulate_known
+from thermojoint.reduced.physics import at_start, conduct, settle_joint, simulate_known, way_of
 
 
 @dataclass(frozen=True)
@@ -118,8 +119,10 @@ def open_band(
     # The day contains hardly any machine that has just started to warm up.
     shortest = min(run.length * len(run.inputs) for run in runs)
     begun = np.full((round(shortest / step), sources), highest)
+    moves = np.random.default_rng(drawing.seed)
     histories = [
-        history_of(heat, fit.discrepancy.rates, step) for heat in (day, begun, 0.5 * begun)
+        history_of(heat, fit.discrepancy.rates, step, _course(moves, len(heat), slow.machine))
+        for heat in (day, begun, 0.5 * begun)
     ]
     errors_of_draws = drawn_errors(rng, slow, histories, drawing)
     every = errors_of_draws.transpose(2, 0, 1)
@@ -135,7 +138,7 @@ def open_band(
     more = [shortfall(squares, *axis, drawing.floor) for axis in zip(claimed, every, strict=True)]
     return replace(
         model.band,
-        history=_history(slow.observer, slow.machine, day),
+        history=_history(slow.observer, slow.machine, histories[0]),
         open=weights,
         square=unlike_its_case(slow) + np.array(more),
     )
@@ -209,19 +212,42 @@ def drawn_errors(
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """Heat (n, s), its relaxations (n, s q), features of errors (n, f), and mean squares (n, q)."""
+    """Heat (n, s), its relaxations (n, s q), features of errors (n, f), and mean squares (n, q).
+
+    And the positions of x moving axes, m, (n, x).
+    """
 
     heat: Array
     states: Array
     features: Array
     squares: Array
+    course: Array
 
 
-def history_of(heat: Array, rates: Array, step: float) -> History:
-    """Return a history from heat (n, s), relative to the reference, on steps of `step` (s)."""
+def history_of(heat: Array, rates: Array, step: float, course: Array) -> History:
+    """Return a history on steps of `step` (s).
+
+    Parameters
+    ----------
+    heat : ndarray, shape (n, s)
+        Relative to the reference.
+    rates : ndarray, shape (q,)
+        Of the discrepancy, 1/s.
+    step : float
+        s.
+    course : ndarray, shape (n, x)
+        Positions of the x moving axes, m.
+    """
     states = relaxed(heat, rates, step)
     squares = np.square(states.reshape(len(heat), heat.shape[1], -1)).mean(axis=1)
-    return History(heat, states, np.hstack([states, states**2]), squares)
+    return History(heat, states, np.hstack([states, states**2]), squares, course)
+
+
+def _course(rng: np.random.Generator, steps: int, machine: ReducedMachine) -> Array:
+    """Random positions of the axis that a machine may have, (n, x)."""
+    if machine.guide is None:
+        return np.zeros((steps, 0))
+    return random_course(rng, steps, machine.step, machine.guide.way)
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,14 +259,18 @@ class Drawn:
     offset: Array
 
 
-def _history(observer: JointAware, machine: ReducedMachine, heat: Array) -> Array:
+def _history(observer: JointAware, machine: ReducedMachine, history: History) -> Array:
     """Mean square change of the displacement by slips of the past, m2, shape (axes,)."""
     physics = observer.observer.physics
     amplitudes, joint = physics.modes.start, physics.at_rest()
-    loads, slips = physics.modes.factors, physics.rest.slip
+    last, slips = physics.modes.factors, physics.rest.slip
     differences = []
-    for inputs in machine.inputs(heat * machine.power):
-        amplitudes = conduct(physics, amplitudes, inputs, joint, machine.step)
+    for inputs, at in zip(
+        machine.inputs(history.heat * machine.power), history.course, strict=True
+    ):
+        loads = np.append(last[: last.size - at.size], at)
+        way = way_of(physics.modes, last, loads)
+        amplitudes, last = conduct(physics, amplitudes, inputs, joint, machine.step, way), loads
         _, without = settle_joint(physics, joint._replace(slip=slips), amplitudes, loads)
         joint, moved = settle_joint(physics, joint, amplitudes, loads)
         differences.append(moved - without)
@@ -339,19 +369,19 @@ def errors_on(fitted: Fitted, drawn: Drawn, history: History) -> Array:
     machine, observer = fitted.machine, fitted.observer
     physics = physics_with(machine, drawn.factors)
     count = len(history.heat)
-    inputs = machine.inputs(history.heat * machine.power)
+    inputs = machine.inputs(history.heat * machine.power, history.course)
     temperature, displacement = simulate_known(physics, inputs, machine.step)
     temperature = drawn.offset + temperature + history.states @ drawn.discrepancy.temperature.T
     displacement = displacement + history.states @ drawn.discrepancy.displacement.T
     readings = np.vstack([drawn.offset + at_start(physics)[0], temperature])
     times = machine.step * np.arange(count + 1)
     # An ambient of 0 K, loads as at the start.
-    others = 0.0, *physics.modes.factors[: len(machine.load_names)].tolist()
-    samples = ((time, *row, *others) for time, row in zip(times, readings, strict=True))
-    estimates = [
-        estimate.displacement for _, estimate in follow(observer, samples, observer.initial_state())
-    ]
-    return np.array(estimates[1:]) - displacement
+    first = physics.modes.factors
+    others = np.tile(np.append(0.0, first[: len(machine.load_names)]), (count + 1, 1))
+    course = np.vstack([first[first.size - history.course.shape[1] :], history.course])
+    samples = map(tuple, np.column_stack([times, readings, others, course]).tolist())
+    estimates = [estimate for _, estimate in follow(observer, samples, observer.initial_state())]
+    return here(observer.axes, observer.details, estimates[1:])[0] - displacement
 
 
 def _explained(features: Array, error: Array, ends: Array, drawing: Drawing) -> Array:

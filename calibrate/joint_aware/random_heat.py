@@ -1,9 +1,10 @@
-"""Random heat of a working day: levels that last some minutes each."""
+"""Random heat and positions of a working day: levels that last some minutes each."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from fesim.axes.guideway import Guideway
 from thermojoint.artefacts.arrays import Array
 
 #: Duration of a level, s.
@@ -35,3 +36,29 @@ def random_levels(
             levels[at : at + lasts, source] = rng.uniform(0.0, highest)
             at += lasts
     return levels
+
+
+def random_course(rng: np.random.Generator, steps: int, step: float, way: Guideway) -> Array:
+    """Return positions of an axis at the end of each step, m, shape (n, 1).
+
+    Half of the time it stands anywhere on the stroke; else it goes to another place in every step.
+
+    Parameters
+    ----------
+    rng : Generator
+        Draws them.
+    steps : int
+        n.
+    step : float
+        s.
+    way : Guideway
+        Its stroke.
+    """
+    low, high = way.positions[[0, -1]]
+    course, at = np.empty(steps), 0
+    while at < steps:
+        lasts = max(1, round(rng.uniform(*LASTS) / step))
+        part = course[at : at + lasts]
+        part[:] = rng.uniform(low, high, 1 if rng.uniform() < 0.5 else part.size)
+        at += lasts
+    return course[:, None]

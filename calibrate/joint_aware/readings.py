@@ -6,7 +6,12 @@ import numpy as np
 import xarray as xr
 
 from calibrate.joint_aware.misfit import Run, physics_with
-from estimator.joint_aware.readings import ambient_in, loads_in, temperatures_in
+from estimator.joint_aware.readings import (
+    ambient_in,
+    loads_in,
+    positions_in,
+    temperatures_in,
+)
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import columns_of
@@ -46,7 +51,8 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     ambient = np.interp(grid, times, ambient_in(response))
     held = held_in(response, machine)[at]
     loads = loads_in(response, machine.load_names)
-    factors = [np.interp(grid, times, column) for column in loads.T]
+    positions = positions_in(response, machine.axis_names)
+    factors = [np.interp(grid, times, column) for column in (*loads.T, *positions.T)]
     displacement = columns_of(response, "displacement", machine.axes)
     if not displacement[0].any():
         # A log counts from its beginning, a machine under loads from where nothing acts.

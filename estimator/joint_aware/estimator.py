@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator import sensor_faults
+from estimator import lines, sensor_faults
 from estimator.interface import READING_NOISE, Channel, Estimate, Status
 from estimator.joint_aware import compiled_sample, displacement_readings, fault_isolation
 from estimator.joint_aware.displacement_readings import (
@@ -31,13 +31,18 @@ from estimator.joint_aware.observer_state import (
 from estimator.joint_aware.thresholds import USUAL, Thresholds
 from estimator.joint_aware.trust import Moment, Trusted, channels_of, trusted
 from estimator.span import SLACK
+from fesim.axes.line import line_over
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.units import MILLI
 from thermojoint.reduced.physics import heat_step
 
 #: Half-width of the 95 % interval, in standard deviations.
 WIDTH = 1.96
+
+#: A position this far beyond the stroke, m, is still its end: a millimetre of overtravel.
+OVERTRAVEL = MILLI
 
 Names = tuple[str, ...]
 
@@ -111,24 +116,35 @@ class JointAware(Described):
     def channels(self) -> tuple[Channel, ...]:
         """Sensors and the ambient, above the ambient at which the machine was cold, K.
 
-        Then factors of the loads that change. Displacement readings come last, m; a sample may end
-        before them.
+        Then factors of the loads that change, and the position of a moving axis, m. Displacement
+        readings come last, m; a sample may end before them.
         """
         return (
             *(Channel(name, "K") for name in (*self.model.sensors, "ambient")),
             *(Channel(name, "1") for name in self.model.loads),
+            *(Channel(name, "m") for name in self.model.positions),
             *(Channel(f"displacement_{axis}", "m") for axis in self.axes),
         )
 
     @property
     def details(self) -> tuple[Channel, ...]:
-        """Heat of every source, the ambient, and the lowest and highest pressure in the joints."""
+        """Heat of every source, the ambient, and the lowest and highest pressure in the joints.
+
+        With a moving axis the line of each displacement over its stroke, and the displacement at
+        the present position.
+        """
         return (
             *(Channel(f"heat_{name}", "W") for name in self.model.sources),
             *(Channel(f"held_{name}", "K") for name in self.model.surfaces),
             Channel("ambient", "K"),
             Channel("lowest_pressure", "Pa"),
             Channel("highest_pressure", "Pa"),
+            *(
+                one
+                for axis in self.axes
+                if self.model.stroke is not None
+                for one in (*lines.channels_of(axis), *lines.channels_here(axis))
+            ),
         )
 
     @property
@@ -254,7 +270,7 @@ class JointAware(Described):
         taken = self._usual(after, moment, readings, probed)
         if taken is None:
             before = unpacked(state, self.parts)
-            taken = self._taken(before, after.loads, moment, readings, probed)
+            taken = self._taken(before, replace(moment, loads=after.loads), readings, probed)
             flat = taken.after.flat()
         return flat, self._estimate(taken, time, readings, factors)
 
@@ -277,13 +293,13 @@ class JointAware(Described):
     def _taken(
         self,
         before: ObserverState,
-        loads: Array,
         moment: Moment,
         readings: Array,
         probed: Array,
     ) -> Taken:
-        """Process any sample, under loads (l,)."""
-        expected = self.observer.expected(before, moment.length, moment.steps)
+        """Process any sample."""
+        loads = moment.loads
+        expected = self.observer.expected(before, moment.length, moment.steps, loads)
         used = trusted(self.observer, before, expected, moment, readings, self._readable)
         linear, factor = self._corrected(used, moment, readings)
         expected = used.expected
@@ -318,8 +334,9 @@ class JointAware(Described):
         inputs = after.linear[dynamic:]
         pressure = after.pressure if after.pressure.size else np.array([np.nan])
         missing, distrusted = self._left_out(readings, taken.believed)
-        unread = zip(self.model.loads, np.isnan(factors), strict=True)
-        missing += tuple(name for name, gone in unread if gone)
+        given = self.channels[readings.size :][: factors.size]
+        unread = zip(given, np.isnan(factors), strict=True)
+        missing += tuple(channel.name for channel, gone in unread if gone)
         status = self._beyond(time - float(after.begun), inputs, readings, taken.believed)
         for holds, flag in (
             (missing, Status.READING_MISSING),
@@ -330,15 +347,41 @@ class JointAware(Described):
         ):
             if holds:
                 status |= flag
+        known = parts @ mean_of(after.model_error)
+        band = self.half_band(parts, after.model_error, factor) + self._undecided(after)
+        moved, line = taken.displacement + known, np.empty(0)
+        if self.model.stroke is not None:
+            moved, line = self._line(taken, known, band)
         return Estimate(
             time=time,
-            displacement=taken.displacement + parts @ mean_of(after.model_error),
-            band=self.half_band(parts, after.model_error, factor) + self._undecided(after),
+            displacement=moved,
+            band=band,
             status=status,
-            details=np.concatenate([inputs, [pressure.min(), pressure.max()]]),
+            details=np.concatenate([inputs, [pressure.min(), pressure.max()], line]),
             missing=missing,
             distrusted=distrusted,
         )
+
+    def _line(self, taken: Taken, known: Array, band: Array) -> tuple[Array, Array]:
+        """K0 (axes,) and the details of the lines; the model is off by `known` (axes,), m.
+
+        The band (axes,) holds at every position: a slope is not off by more than both ends are.
+        """
+        after, stroke = taken.after, self.model.stroke
+        assert stroke is not None  # asked for on an axis only
+        joint = after.joint._replace(change=np.zeros_like(after.change))
+        there = [
+            self.observer.read(after.linear, joint, taken.memory, np.array([at])).displacement
+            for at in stroke.asked
+        ]
+        line = line_over(stroke.asked, np.array(there) + known, stroke.reference)
+        ends = stroke.asked.min(), stroke.asked.max()
+        places = np.array([stroke.reference, *ends]) / MILLI
+        details = [
+            np.array([slope, 2.0 * half / (ends[1] - ends[0]), *places, at, half])
+            for slope, at, half in zip(line.slope, taken.displacement + known, band, strict=True)
+        ]
+        return line.offset, np.concatenate(details)
 
     def _lost(self, after: ObserverState, time: float) -> bool:
         """Whether every thermometer has been missing or distrusted for too long."""
@@ -363,7 +406,7 @@ class JointAware(Described):
             The number of values is wrong.
         """
         thermal = len(self.observer.system.rows)
-        wanted = thermal + len(self.model.loads)
+        wanted = thermal + len(self.model.loads) + len(self.model.positions)
         if len(values) not in (wanted, len(self.channels)):
             names = ", ".join(channel.name for channel in self.channels[:wanted])
             raise InputError(
@@ -374,6 +417,10 @@ class JointAware(Described):
         given[: len(values)] = values
         given[~np.isfinite(given)] = np.nan
         given[: thermal - 1] -= self.model.offset
+        if self.model.modes.way is not None:
+            # Where an axis cannot stand, its position was not read.
+            low, high = self.model.modes.way.positions[[0, -1]] + (-OVERTRAVEL, OVERTRAVEL)
+            given[wanted - 1] = given[wanted - 1] if low <= given[wanted - 1] <= high else np.nan
         return given[:thermal], given[thermal:wanted], given[wanted:]
 
     def _moment(self, last: float, time: float) -> Moment:

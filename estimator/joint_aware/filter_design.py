@@ -172,11 +172,17 @@ def design_filter(
         No solution exists: the readings do not determine the inputs.
     """
     size, dynamic = system.size, system.decay.size
-    source = np.zeros((size, walk.size + len(modes.jump)))
+    # On an axis, heat flows between pads and what they are above on average.
+    entry = (
+        modes.entry
+        if modes.way is None
+        else modes.entry @ modes.way.stations.everywhere.coefficients.T
+    )
+    source = np.zeros((size, walk.size + entry.shape[1]))
     source[dynamic:, : walk.size] = np.diag(walk)
     source[:dynamic, : walk.size] = system.drive * walk
     count = modes.rates.size
-    source[:count, walk.size :] = noise.joint_flow * step * system.decay[:count, None] * modes.entry
+    source[:count, walk.size :] = noise.joint_flow * step * system.decay[:count, None] * entry
     readings = np.append(
         np.broadcast_to(np.square(noise.sensor), len(system.rows) - 1), noise.ambient_sensor**2
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from estimator.intake import Intake, intake
@@ -17,11 +17,12 @@ from estimator.joint_aware.observer_model import ObserverModel
 from estimator.joint_aware.readings import samples_in
 from estimator.joint_aware.residuals import residuals
 from estimator.kind import Kind, OnFirst, Options
+from estimator.lines import Stroke
 from estimator.ranges import Range, calibrated_ranges
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
-from thermojoint.artefacts.units import MICRO
+from thermojoint.artefacts.units import MICRO, MILLI
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -33,6 +34,8 @@ JointAwareEstimator = JointAware | AgeingJointAware
 
 
 def _start(model: ObserverModel, options: Options) -> JointAwareEstimator:
+    if options.ageing and model.stroke is not None:
+        raise InputError("ageing: not of a machine with a moving axis; leave it out")
     observer = JointAware(model, options.noise)
     return AgeingJointAware(observer, options.ageing) if options.ageing else observer
 
@@ -63,17 +66,21 @@ def _intake(model: ObserverModel, above_ambient: bool) -> Intake:
     unit = "K" if above_ambient else "degC"
     thermal = [f"{name}_{unit}" for name in (*model.sensors, "ambient")]
     loads = [f"{name}_percent" for name in model.loads]
-    count, wanted = len(thermal), len(thermal) + len(loads)
+    positions = [f"{name}_mm" for name in model.positions]
+    count, moved = len(thermal), len(thermal) + len(loads)
+    wanted = moved + len(positions)
 
     def convert(readings: Sequence[float], cold: float) -> tuple[list[float], float]:
         # The machine was cold at the first ambient temperature on record.
         if math.isnan(cold):
             cold = 0.0 if above_ambient else readings[count - 1]
         temperatures = [value - cold for value in readings[:count]]
-        factors = [0.01 * value for value in readings[count:wanted]]
-        return [*temperatures, *factors, *(MICRO * value for value in readings[wanted:])], cold
+        factors = [0.01 * value for value in readings[count:moved]]
+        places = [MILLI * value for value in readings[moved:wanted]]
+        probed = [MICRO * value for value in readings[wanted:]]
+        return [*temperatures, *factors, *places, *probed], cold
 
-    names = [*thermal, *loads, *(f"{axis}_um" for axis in model.axes)]
+    names = [*thermal, *loads, *positions, *(f"{axis}_um" for axis in model.axes)]
     return intake(names, wanted, convert)
 
 
@@ -83,11 +90,12 @@ def _log(
     where: str,
     on_first: OnFirst | None,
 ) -> Iterator[tuple[float, ...]]:
-    return log_samples(pieces, model.sensors, where, model.loads)
+    return log_samples(pieces, model.sensors, where, (*model.loads, *model.positions))
 
 
 def _response(model: ObserverModel, response: xr.Dataset) -> Iterator[tuple[float, ...]]:
-    return samples_in(response, model.sensors, model.loads)
+    axes = () if model.stroke is None else (model.stroke.axis,)
+    return samples_in(response, model.sensors, model.loads, axes)
 
 
 def _sensors(model: ObserverModel, response: xr.Dataset) -> Sequence[str]:
@@ -131,6 +139,14 @@ def _program(
     return contents(estimator, precision)
 
 
+def _strokes(model: ObserverModel) -> Mapping[str, Stroke]:
+    along = model.stroke
+    if along is None:
+        return {}
+    own = Stroke(along.reference, float(along.asked.min()), float(along.asked.max()))
+    return dict.fromkeys(model.axes, own)
+
+
 KIND: Kind[ObserverModel, JointAwareEstimator] = Kind(
     name="a joint-aware model",
     read=read_observer,
@@ -149,4 +165,5 @@ KIND: Kind[ObserverModel, JointAwareEstimator] = Kind(
     next_reading=_next_reading,
     narrowest_band=_narrowest_band,
     program=_program,
+    strokes=_strokes,
 )

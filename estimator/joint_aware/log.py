@@ -8,7 +8,8 @@ ignored, missing readings are NaN:
 - time, ``NAME_degC``, ..., ``ambient_degC``, or °F: as thermometers read. The machine was cold at
   the first ambient temperature in the log.
 
-Loads that change have columns ``NAME_percent``, of the load in the case.
+Loads that change have columns ``NAME_percent``, of the load in the case; the position of a moving
+axis is ``NAME_pos_mm``.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ from thermojoint.artefacts.log import Log
 
 
 def log_samples(
-    pieces: Iterable[Log], sensors: Sequence[str], where: str, loads: Sequence[str] = ()
+    pieces: Iterable[Log], sensors: Sequence[str], where: str, others: Sequence[str] = ()
 ) -> Iterator[tuple[float, ...]]:
-    """Yield (time s, temperature of every sensor K, ambient K, loads); NaN for a missing reading.
+    """Yield (time s, temperature of every sensor K, ambient K, others); NaN for a missing reading.
 
     Parameters
     ----------
@@ -35,13 +36,13 @@ def log_samples(
         Names of the sensors.
     where : str
         Name of the file, for error messages.
-    loads : sequence of str, optional
-        Names of the loads that change.
+    others : sequence of str, optional
+        Names of the loads that change, and of positions.
 
     Raises
     ------
     InputError
-        A sensor or a load has no column, or time restarts.
+        A sensor, a load or a position has no column, or time restarts.
     """
     cold = math.nan
     last = -math.inf
@@ -53,13 +54,13 @@ def log_samples(
         values = piece.values[:, [k for k in at if k >= 0]]
         if at[-1] < 0:
             values = np.column_stack((values, np.zeros(len(values))))
-        factors = np.array([piece.at(name) for name in loads]).reshape(len(loads), len(values)).T
-        for time, row, others in zip(piece.times.tolist(), values, factors, strict=True):
+        given = np.array([piece.at(name) for name in others]).reshape(len(others), len(values)).T
+        for time, row, rest in zip(piece.times.tolist(), values, given, strict=True):
             if above:
                 cold = 0.0
             elif math.isnan(cold):
                 cold = float(row[-1])
-            yield (time, *(row - cold).tolist(), *others.tolist())
+            yield (time, *(row - cold).tolist(), *rest.tolist())
 
 
 def _columns(log: Log, sensors: Sequence[str], where: str) -> tuple[list[int], bool]:

@@ -18,7 +18,15 @@ import numpy as np
 import pydantic
 
 from estimator.joint_aware.filter_design import SteadyFilter
-from estimator.joint_aware.observer_model import SCHEMA, Band, Calibrated, Kind, ObserverModel
+from estimator.joint_aware.observer_model import (
+    SCHEMA,
+    Band,
+    Calibrated,
+    Kind,
+    ObserverModel,
+    Stroke,
+)
+from fesim.axes.guideway import GuideStations, Guideway
 from fesim.case.joint_sections import JointSection
 from fesim.joint.conductance import ConductanceTable
 from fesim.solid.condensation import ElasticCondensation, LoadInfluence
@@ -46,6 +54,8 @@ _ELASTIC = (
     "area",
 )
 _LOADS = ("gap", "probes")
+_WAY = ("temperature", "means", "running")
+_STATIONS = ("positions", "place")
 _TABLE = ("pressures", "rises", "values")
 _REMAINDER = ("rates", "temperature", "displacement")
 _FILTER = ("cross", "innovation", "noise", "lasting", "scale", "walk")
@@ -156,6 +166,14 @@ def _arrays(model: ObserverModel) -> dict[str, Array]:
         "offset": model.offset,
         "first": model.first,
     }
+    way = model.modes.way
+    if way is not None and model.stroke is not None:
+        arrays |= {f"way/{name}": getattr(way, name) for name in _WAY}
+        arrays |= {f"way/{name}": getattr(way.stations, name) for name in _STATIONS}
+        for name in _ELASTIC:
+            every = [getattr(elastic, name) for elastic in way.elastic]
+            arrays[f"way/elastic/{name}"] = np.array(every)
+        arrays["stroke/asked"] = model.stroke.asked
     for k, joint in enumerate(model.joints):
         arrays[f"joints/{k}"] = joint.conductivity
         if joint.opening is not None:
@@ -164,7 +182,8 @@ def _arrays(model: ObserverModel) -> dict[str, Array]:
 
 
 def _header(model: ObserverModel) -> str:
-    known = model.calibrated
+    known, stroke = model.calibrated, model.stroke
+    moving = {"axis": stroke.axis, "reference_m": stroke.reference} if stroke else None
     return json.dumps(
         {
             "schema": SCHEMA,
@@ -183,13 +202,14 @@ def _header(model: ObserverModel) -> str:
                 "temperatures": known.temperatures,
             },
             "factors": model.factors,
+            **({"stroke": moving} if moving else {}),
         },
         allow_nan=False,
     )
 
 
 def _model(header: dict[str, Any], arrays: Mapping[str, Array]) -> ObserverModel:
-    def part(name: str, names: tuple[str, ...]) -> dict[str, Array]:
+    def part(name: str, names: tuple[str, ...]) -> dict[str, Any]:
         return {attribute: arrays[f"{name}/{attribute}"] for attribute in names}
 
     def table(k: int) -> ConductanceTable | None:
@@ -202,6 +222,7 @@ def _model(header: dict[str, Any], arrays: Mapping[str, Array]) -> ObserverModel
             **part("modes", _MODES),
             elastic=ElasticCondensation(**part("elastic", _ELASTIC)),
             loads=LoadInfluence(**part("loads", _LOADS)),
+            way=_way(arrays) if "stroke" in header else None,
         ),
         held=arrays["held"],
         joints=tuple(
@@ -233,4 +254,23 @@ def _model(header: dict[str, Any], arrays: Mapping[str, Array]) -> ObserverModel
         ),
         factors={name: (value, spread) for name, (value, spread) in header["factors"].items()},
         kind=KIND.validate_python(header["kind"]),
+        stroke=Stroke(
+            str(header["stroke"]["axis"]),
+            arrays["stroke/asked"],
+            float(header["stroke"]["reference_m"]),
+        )
+        if "stroke" in header
+        else None,
+    )
+
+
+def _way(arrays: Mapping[str, Array]) -> Guideway:
+    every = {name: arrays[f"way/elastic/{name}"] for name in _ELASTIC}
+    return Guideway(
+        **{name: arrays[f"way/{name}"] for name in _WAY},
+        stations=GuideStations(arrays["way/positions"], arrays["way/place"].astype(np.int64)),
+        elastic=tuple(
+            ElasticCondensation(**{name: array[k] for name, array in every.items()})
+            for k in range(len(arrays["way/positions"]))
+        ),
     )

@@ -21,6 +21,7 @@ from thermojoint.reduced.physics import (
     conduct,
     make_physics,
     settle_joint,
+    way_of,
 )
 
 #: Number of steps for which the response of the readings to heat is stored.
@@ -124,18 +125,33 @@ class Observer:
         after = np.minimum(np.arange(ANSWER) + self._largest[best, None], ANSWER - 1)
         return np.asarray(self.onset[after, np.arange(best.size)[:, None], best[:, None]])
 
-    def expected(self, before: ObserverState, length: float, steps: int) -> Expected:
-        """Prediction `steps` of `length` (s) after the previous sample."""
+    def expected(self, before: ObserverState, length: float, steps: int, loads: Array) -> Expected:
+        """Prediction `steps` of `length` (s) after the previous sample.
+
+        Loads are those before until they are read again (`loads`); an axis moves evenly meanwhile.
+        """
         linear, joint, factor = before.linear, before.joint, before.covariance_factor
-        memory = float(before.memory)
+        memory, last = float(before.memory), before.loads
         for k in range(steps):
-            linear = self._later(linear, joint, length)
+            now = self._meanwhile(before.loads, loads, (k + 1) / steps)
+            linear = self._later(linear, joint, length, way_of(self.model.modes, last, now))
+            last = now
             if k + 1 < steps:
-                joint, _ = self._settled(joint, linear, memory, before.loads)
+                joint, _ = self._settled(joint, linear, memory, now)
                 factor = self._forgetting(factor, length)
         return Expected(linear, joint, factor, memory)
 
-    def _later(self, linear: Array, joint: JointState, length: float) -> Array:
+    def _meanwhile(self, before: Array, after: Array, share: float) -> Array:
+        """Loads (l,) between two samples: as before, but for the position of an axis."""
+        if self.model.modes.way is None:
+            return before
+        now = before.copy()
+        now[-1] += share * (after[-1] - before[-1])
+        return now
+
+    def _later(
+        self, linear: Array, joint: JointState, length: float, way: tuple[float, float] | None
+    ) -> Array:
         """The linear state one step later, with the joint unchanged."""
         count, dynamic = self.model.modes.rates.size, self.system.decay.size
         inputs = linear[dynamic:]
@@ -144,7 +160,7 @@ class Observer:
         relaxed = linear[count:dynamic].reshape(sources, -1)
         heat = inputs[:sources] / self.model.power
         after = np.empty_like(linear)
-        after[:count] = conduct(self.physics, linear[:count], inputs, joint, length)
+        after[:count] = conduct(self.physics, linear[:count], inputs, joint, length, way)
         after[count:dynamic] = (decay * relaxed + (1.0 - decay) * heat[:, None]).ravel()
         after[dynamic:] = inputs
         return after

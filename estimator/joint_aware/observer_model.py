@@ -65,6 +65,25 @@ class Calibrated:
     temperatures: dict[str, tuple[float, float]]
 
 
+@dataclass(frozen=True, eq=False)
+class Stroke:
+    """Of a moving axis: where displacements are asked for, and what its control counts from.
+
+    Attributes
+    ----------
+    axis : str
+        Its name.
+    asked : ndarray, shape (k,)
+        Positions, m.
+    reference : float
+        P0, m.
+    """
+
+    axis: str
+    asked: Array
+    reference: float
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class ObserverModel(Described):
     """The observer of one machine.
@@ -102,6 +121,8 @@ class ObserverModel(Described):
         logarithm.
     kind : str
         Name of the kind of estimator.
+    stroke : Stroke, optional
+        Of a machine with a moving axis.
     """
 
     modes: Modes
@@ -133,3 +154,9 @@ class ObserverModel(Described):
         }
 
     kind: Kind = "joint-aware"
+    stroke: Stroke | None = None
+
+    @property
+    def positions(self) -> tuple[str, ...]:
+        """Names of the positions that are read, after the loads: ``y_pos``."""
+        return () if self.stroke is None else (f"{self.stroke.axis}_pos",)

@@ -82,8 +82,10 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
     Raises
     ------
     InputError
-        The joints have no compiled law, or there are none.
+        It has a moving axis; the joints have no compiled law, or there are none.
     """
+    if estimator.model.stroke is not None:
+        raise InputError("export: not for a moving axis so far; run it with 'thermojoint estimate'")
     kernel = estimator.observer.physics.kernel
     if kernel is None:
         raise InputError(

@@ -57,17 +57,35 @@ def loads_in(response: xr.Dataset, loads: Sequence[str]) -> Array:
     return columns_of(response, "load_factor", loads)
 
 
-def samples_in(
-    response: xr.Dataset, sensors: Sequence[str], loads: Sequence[str] = ()
-) -> Iterator[tuple[float, ...]]:
-    """Yield (time, temperature of every sensor, ambient, loads) for every sample of a response.
+def positions_in(response: xr.Dataset, axes: Sequence[str]) -> Array:
+    """Return the positions of some moving axes, m, shape (n, x).
 
     Raises
     ------
     InputError
-        A probe or a load is missing.
+        One is missing.
     """
-    sensed = temperatures_in(response, sensors)
-    values = np.column_stack([sensed, ambient_in(response), loads_in(response, loads)])
+    if not axes:
+        return np.zeros((response.sizes["time"], 0))
+    if "axis_position" not in response:
+        raise InputError(f"response: no 'axis_position', needed for {', '.join(axes)}; record it")
+    return columns_of(response, "axis_position", axes)
+
+
+def samples_in(
+    response: xr.Dataset,
+    sensors: Sequence[str],
+    loads: Sequence[str] = (),
+    axes: Sequence[str] = (),
+) -> Iterator[tuple[float, ...]]:
+    """Yield (time, temperature of every sensor, ambient, loads, positions) for every sample.
+
+    Raises
+    ------
+    InputError
+        A probe, a load or a position is missing.
+    """
+    sensed, given = temperatures_in(response, sensors), loads_in(response, loads)
+    values = np.column_stack([sensed, ambient_in(response), given, positions_in(response, axes)])
     for time, row in zip(response["time"].to_numpy(), values, strict=True):
         yield (float(time), *map(float, row))

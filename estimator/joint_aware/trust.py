@@ -17,7 +17,7 @@ machine.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -56,7 +56,7 @@ class Trusted:
 
 @dataclass(frozen=True)
 class Moment:
-    """Time of a sample.
+    """Time of a sample, and what acts on the machine then.
 
     Attributes
     ----------
@@ -66,11 +66,14 @@ class Moment:
         Step length since the previous sample, s.
     steps : int
         Number of these steps; 0 at the first sample.
+    loads : ndarray, shape (l,)
+        Factors of the loads, and the position of an axis, m, at the sample.
     """
 
     time: float
     length: float
     steps: int
+    loads: Array = field(default_factory=lambda: np.zeros(0))
 
 
 def trusted(
@@ -158,7 +161,9 @@ def _followed(
     if not np.isfinite(known.channel):
         return known, Judgement.OPEN
     channel = int(known.channel)
-    alone = observer.expected(before._replace(linear=known.linear), moment.length, moment.steps)
+    alone = observer.expected(
+        before._replace(linear=known.linear), moment.length, moment.steps, moment.loads
+    )
     known = known._replace(linear=alone.linear, samples=known.samples + 1.0)
     if readings[channel] == before.watch.last[channel] and before.watch.repeats[channel] > 0.0:
         # It may be stuck, which takes longer to detect.

@@ -157,11 +157,7 @@ class Learned(Described):
             one
             for channel in self.model.channels
             if channel.slope and (axis := axis_name(channel.name))
-            for one in (
-                *lines.channels_of(axis),
-                Channel(f"{axis}_here", "m"),
-                Channel(f"{axis}_here_band", "m"),
-            )
+            for one in (*lines.channels_of(axis), *lines.channels_here(axis))
         )
 
     @cached_property

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from estimator.columns import samples_of
-from estimator.intake import axis_name
 from estimator.interface import follow
 from estimator.learned.estimator import Learned
+from estimator.lines import here
 from estimator.probe_readings import with_probe_readings
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
@@ -32,15 +32,7 @@ def run(estimator: Learned, log: Log, every: float | None = None) -> tuple[Array
         readings = np.stack([log.at(name)[at] for name in estimator.axes], axis=1)
         samples = with_probe_readings(samples, log.times[at], readings)
     estimates = [estimate for _, estimate in follow(estimator, samples, estimator.initial_state())]
-    displacement = np.array([estimate.displacement for estimate in estimates])
-    band = np.array([estimate.band for estimate in estimates])
-    along = [c for c, channel in enumerate(model.channels) if channel.slope]
-    if along:
-        details = np.array([estimate.details for estimate in estimates])
-        places = [channel.name for channel in estimator.details]
-        names = [axis_name(estimator.axes[c]) for c in along]
-        displacement[:, along] = details[:, [places.index(f"{name}_here") for name in names]]
-        band[:, along] = details[:, [places.index(f"{name}_here_band") for name in names]]
+    displacement, band = here(estimator.axes, estimator.details, estimates)
     return displacement, band, [estimate.status.words for estimate in estimates]
 
 

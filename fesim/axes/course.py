@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fesim.axes.mapping import displaced_at, line_over
+from fesim.axes.line import line_over
+from fesim.axes.mapping import displaced_at
 from fesim.axes.positioning import (
     Screw,
     positioning_error,

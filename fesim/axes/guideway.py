@@ -9,91 +9,95 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fesim.axes.condensation import between
-from fesim.axes.occupation import Shares, weights_at
+from fesim.axes.occupation import Shares, even, weights_at
 from fesim.march.passing import Touches
 from fesim.solid.condensation import ElasticCondensation
-from thermojoint.artefacts.arrays import Array, Flags
+from thermojoint.artefacts.arrays import Array
+
+#: Ways whose passages are kept ready: those of the steps of some runs.
+KEPT = 1024
+
+
+class Passage(NamedTuple):
+    """What contact elements pass on an even way.
+
+    Attributes
+    ----------
+    touches : Touches
+        Products of rows that exchange heat.
+    coefficients : ndarray, shape (m, m + n)
+        Mean b of each contact element: one on its own row, minus a share on each of its stations.
+    """
+
+    touches: Touches
+    coefficients: Array
 
 
 @dataclass(frozen=True, eq=False)
-class Guideway:
-    """Pads of m contact elements at k aligned positions, on n stations; r temperatures.
+class GuideStations:
+    """Places on a guide that m contact elements cover at k aligned positions.
 
     Attributes
     ----------
     positions : ndarray, shape (k,)
         Aligned positions of the axis, evenly spaced, ascending, m.
-    elastic : tuple of ElasticCondensation
-        At each of them.
-    temperature : ndarray, shape (m + n, r)
-        Mean temperature of each contact element without its station, K, then of each station. Of
-        one that rides on nothing, the jump across its joint.
-    means : ndarray, shape (m, r)
-        Mean of the sides of each contact element, K, a station's part left out.
     place : ndarray of int, shape (k, m)
         Station of each contact element; -1 for none.
-    running : ndarray, shape (m,)
-        Running friction coefficient times area of each contact element of the meshed part, m2.
     """
 
     positions: Array
-    elastic: tuple[ElasticCondensation, ...]
-    temperature: Array
-    means: Array
     place: NDArray[np.int64]
-    running: Array
+
+    def __post_init__(self) -> None:
+        """Keep what is passed on some ways."""
+        object.__setattr__(self, "_passages", lru_cache(maxsize=KEPT)(self._passed))
 
     @property
     def count(self) -> int:
         """Number of contact elements."""
         return self.place.shape[1]
 
+    @cached_property
+    def size(self) -> int:
+        """Number of contact elements and of stations."""
+        return self.count + 1 + int(self.place.max(initial=-1))
+
+    @cached_property
+    def riding(self) -> NDArray[np.int64]:
+        """Contact elements that pass stations."""
+        return np.flatnonzero(self.place[0] >= 0)
+
+    def passage(self, start: float, end: float) -> Passage:
+        """Return what is passed while the axis moves evenly between two positions, m."""
+        found: Passage = vars(self)["_passages"](start, end)
+        return found
+
     @property
-    def riding(self) -> Flags:
-        """Which contact elements pass stations, (m,)."""
-        return np.asarray(self.place[0] >= 0)
+    def everywhere(self) -> Passage:
+        """What is passed by an axis that is everywhere equally often."""
+        return self.passage(float(self.positions[0]), float(self.positions[-1]))
 
-    def elastic_at(self, position: float) -> ElasticCondensation:
-        """Return the elastic condensation at a position, m."""
-        weights = weights_at(self.positions, position)
-        touched = np.flatnonzero(weights)
-        if touched.size == 1:
-            return self.elastic[touched[0]]
-        first, second = touched
-        return between(self.elastic[first], self.elastic[second], float(weights[second]))
+    def _passed(self, start: float, end: float) -> Passage:
+        shares = even(self.positions, start, end)
+        return Passage(self.touches(shares), self.coefficients(shares.mean))
 
-    def below(self, weights: Array) -> Array:
-        """Return the mean temperature below each contact element, (m, r), by weights (k,)."""
-        under = np.zeros_like(self.means)
+    def coefficients(self, weights: Array) -> Array:
+        """Return b (m, m + n) by weights (k,) of the aligned positions, which add up to one."""
+        own = np.eye(self.count, self.size)
         for k in np.flatnonzero(weights):
-            under[self.riding] += (
-                weights[k] * self.temperature[self.count + self.place[k, self.riding]]
-            )
-        return under
-
-    def jump(self, weights: Array) -> Array:
-        """Return the temperature jump of each contact element, K, (m, r), by weights (k,)."""
-        return np.asarray(self.temperature[: self.count] - self.below(weights))
-
-    def mean(self, weights: Array) -> Array:
-        """Return the mean temperature of its sides likewise."""
-        return np.asarray(self.means + 0.5 * self.below(weights))
-
-    def rubbed(self, heat: Array, weights: Array) -> Array:
-        """Return what heat of friction (m,), W, gives to the temperatures, (r,).
-
-        One half enters each side.
-        """
-        return np.asarray(0.5 * heat @ (self.temperature[: self.count] + self.below(weights)))
+            own[self.riding, self.count + self.place[k, self.riding]] -= weights[k]
+        return own
 
     def touches(self, shares: Shares) -> Touches:
         """Return the products of rows whose means over a step are those of `shares`."""
-        every, riding = np.arange(self.count), np.flatnonzero(self.riding)
+        every, riding = np.arange(self.count), self.riding
         row = self.count + self.place[:, riding]
         parts = [(every, every, every, 1.0)]
         for k in np.flatnonzero(shares.mean):
@@ -107,12 +111,61 @@ class Guideway:
         mean = np.concatenate([np.full(part[0].size, part[3]) for part in parts])
         return Touches(element, first, second, mean)
 
+
+@dataclass(frozen=True, eq=False)
+class Guideway:
+    """Pads of m contact elements on n stations; r temperatures.
+
+    Attributes
+    ----------
+    stations : GuideStations
+        What the contact elements cover.
+    elastic : tuple of ElasticCondensation
+        At each aligned position.
+    temperature : ndarray, shape (m + n, r)
+        Mean temperature of each contact element without its station, K, then of each station. Of
+        one that rides on nothing, the jump across its joint.
+    means : ndarray, shape (m, r)
+        Mean of the sides of each contact element, K, a station's part left out.
+    running : ndarray, shape (m,)
+        Running friction coefficient times area of each contact element of the meshed part, m2.
+    """
+
+    stations: GuideStations
+    elastic: tuple[ElasticCondensation, ...]
+    temperature: Array
+    means: Array
+    running: Array
+
+    @property
+    def positions(self) -> Array:
+        """Aligned positions of the axis, m, (k,)."""
+        return self.stations.positions
+
+    def elastic_at(self, position: float) -> ElasticCondensation:
+        """Return the elastic condensation at a position, m."""
+        weights = weights_at(self.positions, position)
+        touched = np.flatnonzero(weights)
+        if touched.size == 1:
+            return self.elastic[touched[0]]
+        first, second = touched
+        return between(self.elastic[first], self.elastic[second], float(weights[second]))
+
+    def jump(self, coefficients: Array) -> Array:
+        """Return the temperature jump of each contact element, K, (m, r), by b (m, m + n)."""
+        return np.asarray(coefficients @ self.temperature)
+
+    def mean(self, coefficients: Array) -> Array:
+        """Return the mean temperature of its sides likewise, K, (m, r)."""
+        count = self.stations.count
+        return np.asarray(self.means - 0.5 * coefficients[:, count:] @ self.temperature[count:])
+
     def turned(
         self,
         rows: Callable[[Array], Array],
         elastic: Callable[[ElasticCondensation], ElasticCondensation],
     ) -> Guideway:
-        """Return it with changed rows (…, r) of temperatures, and changed elasticity."""
+        """Return it with changed rows (..., r) of temperatures, and changed elasticity."""
         return replace(
             self,
             elastic=tuple(map(elastic, self.elastic)),
@@ -121,7 +174,6 @@ class Guideway:
         )
 
 
-def standing(guideway: Guideway, position: float) -> Shares:
-    """Return the shares of aligned positions while an axis stands at a position, m."""
-    weights = weights_at(guideway.positions, position)
-    return Shares(weights, weights**2, weights[1:] * weights[:-1])
+def rubbed(heat: Array, coefficients: Array) -> Array:
+    """Return the heat (m + n,), W, that friction of (m,), W, gives to each row: half a side."""
+    return np.asarray(0.5 * heat @ np.abs(coefficients))

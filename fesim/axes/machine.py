@@ -12,8 +12,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from fesim.axes.guideway import Guideway, standing
-from fesim.axes.occupation import Shares
+from fesim.axes.guideway import Guideway, rubbed
+from fesim.axes.occupation import Shares, even
 from fesim.march.contact import ContactProblem
 from fesim.march.machine import CondensedMachine
 from fesim.march.passing import Passing, Rows
@@ -58,7 +58,7 @@ class MovingMachine:
         return machine
 
     def _made(self, position: float) -> CondensedMachine:
-        shares = standing(self.guideway, position)
+        shares = even(self.guideway.positions, position, position)
         return self.moving(shares, position, np.zeros_like(self.guideway.running))
 
     def moving(self, shares: Shares, position: float, heat: Array) -> CondensedMachine:
@@ -83,7 +83,7 @@ class MovingMachine:
             self.machine,
             thermal=self._thermal(shares.mean, heat),
             contact=contact,
-            passing=Passing(self.rows, self.guideway.touches(shares)),
+            passing=Passing(self.rows, self.guideway.stations.touches(shares)),
         )
 
     def friction_heat(self, pressure: Array, way: float) -> Array:
@@ -101,13 +101,15 @@ class MovingMachine:
     def _thermal(self, weights: Array, heat: Array) -> ThermalCondensation:
         thermal, guideway = self.machine.thermal, self.guideway
         inputs = thermal.inputs.copy()
-        inputs[: self.free, -1] = guideway.rubbed(heat, weights)[: self.free] / self.copies
+        coefficients = guideway.stations.coefficients(weights)
+        warmed = rubbed(heat, coefficients) @ guideway.temperature / self.copies
+        inputs[: self.free, -1] = warmed[: self.free]
         entering = thermal.balance.entering.copy()
         entering[-1] = heat.sum() / self.copies
         return replace(
             thermal,
             inputs=inputs,
-            jump=guideway.jump(weights),
-            mean=guideway.mean(weights),
+            jump=guideway.jump(coefficients),
+            mean=guideway.mean(coefficients),
             balance=replace(thermal.balance, entering=entering),
         )

@@ -1,8 +1,8 @@
-"""Displacements at positions where the axis does not stand, and the line through them."""
+"""Displacements at positions where the axis does not stand."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,25 +10,6 @@ from fesim.axes.machine import MovingMachine
 from fesim.march.machine import Step
 from fesim.march.settling import displaced, settle_along
 from thermojoint.artefacts.arrays import Array
-
-
-@dataclass(frozen=True)
-class Line:
-    """Least-squares line delta = K0 + tan(beta) (P - P0) of each component of a displacement.
-
-    Attributes
-    ----------
-    offset : ndarray, shape (..., c)
-        K0, m.
-    slope : ndarray, shape (..., c)
-        tan beta.
-    left : ndarray, shape (..., c)
-        Largest magnitude of what the line leaves, m.
-    """
-
-    offset: Array
-    slope: Array
-    left: Array
 
 
 def displaced_at(moving: MovingMachine, step: Step, position: float) -> Array:
@@ -56,23 +37,3 @@ def displaced_at(moving: MovingMachine, step: Step, position: float) -> Array:
     there = replace(step.state, change=np.zeros_like(step.state.change))
     settled, _ = settle_along(machine.contact, there, grown)
     return displaced(machine, strained, settled, step.inputs)[1]
-
-
-def line_over(positions: Array, displacements: Array, reference: float) -> Line:
-    """Fit the line of a control's axis to displacements over its positions.
-
-    Parameters
-    ----------
-    positions : ndarray, shape (k,)
-        Two different ones or more, m.
-    displacements : ndarray, shape (..., k, c)
-        m.
-    reference : float
-        P0, m.
-    """
-    arm = positions - positions.mean()
-    mean = displacements.mean(axis=-2)
-    slope = np.einsum("k,...kc->...c", arm, displacements) / (arm @ arm)
-    rest = displacements - mean[..., None, :] - arm[:, None] * slope[..., None, :]
-    offset = mean + (reference - positions.mean()) * slope
-    return Line(offset, slope, np.abs(rest).max(axis=-2))

@@ -42,7 +42,13 @@ def weights_at(positions: Array, at: float) -> Array:
 
     One of them is one at an aligned position.
     """
-    return _shares(len(positions), np.array([_place(positions, at)] * 2), np.ones(1)).mean
+    return even(positions, at, at).mean
+
+
+def even(positions: Array, start: float, end: float) -> Shares:
+    """Return the shares of positions (k,), m, of an axis that moves evenly between two, m."""
+    places = np.array([_place(positions, start), _place(positions, end)])
+    return _shares(len(positions), places, np.ones(1))
 
 
 def shares_of(positions: Array, course: History, start: float, end: float) -> Shares:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.sparse import csr_array, vstack
 
 from fesim.axes.condensation import condense_aligned, condense_apart
-from fesim.axes.guideway import Guideway
+from fesim.axes.guideway import GuideStations, Guideway
 from fesim.axes.machine import MovingMachine
 from fesim.axes.operators import GuidedOperators, guided_operators
 from fesim.axes.positioning import Drive, Surfaces, scale_of, screw_of
@@ -271,11 +271,10 @@ def _moving(
     ]
     rows = _rows(thermal, operators, modes)
     guideway = Guideway(
-        positions,
+        GuideStations(positions, operators.place),
         elastic,
         rows.temperature,
         operators.pads.mean @ modes.basis,
-        operators.place,
         np.concatenate(running) * operators.pads.area,
     )
     return MovingMachine(

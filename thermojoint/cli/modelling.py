@@ -472,10 +472,8 @@ def validate(  # noqa: PLR0913 - the options of a command
 
 def _draw_judged(estimator: OpenedEstimator, logs: Mapping[str, Log], path: Path) -> None:
     """Draw measured and estimated displacements, free-running, for every run of some logs."""
-    import numpy as np
-
-    from estimator.intake import axis_name
     from estimator.interface import follow
+    from estimator.lines import here
     from estimator.registry import kind_of
     from thermojoint.pictures.judged import Judged, write_judged
 
@@ -485,14 +483,9 @@ def _draw_judged(estimator: OpenedEstimator, logs: Mapping[str, Log], path: Path
             samples = kind_of(estimator).log(estimator.model, [run], name, None)
             followed = follow(estimator, samples, estimator.initial_state())
             results = [result for _, result in followed]
-            values = np.array([result.displacement for result in results])
-            bands = np.array([result.band for result in results])
-            details = np.array([result.details for result in results])
-            at = {channel.name: k for k, channel in enumerate(estimator.details)}
+            # Along an axis a reading is compared at its position.
+            values, bands = here(estimator.axes, estimator.details, results)
             for c, axis in enumerate(estimator.axes):
-                # Along an axis a reading is compared at its position.
-                if (k := at.get(f"{axis_name(axis)}_here")) is not None:
-                    values[:, c], bands[:, c] = details[:, k], details[:, k + 1]
                 if axis in run.names:
                     own = Judged(
                         f"{name}: {axis}", run.times, run.at(axis), values[:, c], bands[:, c]

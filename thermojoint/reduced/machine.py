@@ -6,12 +6,13 @@ parameters cost a small eigenvalue problem and no finite element (`parameters`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
+from fesim.axes.guideway import Guideway
 from fesim.case.joint_sections import JointSection
 from fesim.case.schema import Case
 from fesim.joint.conductance import ConductanceTable
@@ -19,6 +20,7 @@ from fesim.joint.law import JointLaw
 from fesim.march.assembly import tightened_contact
 from fesim.march.contact import ContactProblem, Laws
 from fesim.march.machine import CondensedMachine
+from fesim.march.passing import exchange
 from fesim.march.settling import Rest, first_equilibrium
 from fesim.setup.bolts import first_forces
 from fesim.setup.laws import as_walled, initial_opening, joint_conductivity, law_of, table_of
@@ -115,6 +117,31 @@ class Held:
 
 
 @dataclass(frozen=True, eq=False)
+class Guide:
+    """What a machine with a moving axis has beside one that stands.
+
+    Attributes
+    ----------
+    axis : str
+        Name of the axis.
+    way : Guideway
+        On the machine's modes.
+    first : float
+        Position at time zero, m.
+    asked : ndarray, shape (k,)
+        Positions at which displacements are wanted, m.
+    reference : float
+        P0 of the line through them, m.
+    """
+
+    axis: str
+    way: Guideway
+    first: float
+    asked: Array
+    reference: float
+
+
+@dataclass(frozen=True, eq=False)
 class ReducedMachine:
     """M da/dt + (K + H) a = P u + h T_amb - B^T j on r modes, and what the joint needs.
 
@@ -129,13 +156,15 @@ class ReducedMachine:
     ambient : ndarray, shape (r,)
         V^T h, W/K.
     jump, mean : ndarray, shape (m, r)
-        Temperature jump at every contact element, and the mean of its sides, K.
+        Temperature jump at every contact element, and the mean of its sides, K. On an axis, `jump`
+        has the temperatures of the guideway's q rows, and `mean` holds at the first position.
     sensors : ndarray, shape (p, r)
         Temperature at every sensor, K.
     start : ndarray, shape (r,)
         Amplitudes at time zero.
     elastic : ElasticCondensation
         Gaps and displacement on the modes; before the bolts are tightened, with their ends behind.
+        On an axis, at the first position.
     joints : tuple of Joint
         In the order of the contact elements.
     sensor_names, axes, source_names : tuple of str
@@ -152,6 +181,8 @@ class ReducedMachine:
         Held surfaces.
     lags : tuple of float
         Time constant of each sensor in its mounting, s; empty if none lags.
+    guide : Guide, optional
+        Of a machine with a moving axis.
     """
 
     capacity: Array
@@ -174,21 +205,35 @@ class ReducedMachine:
     acting: Acting | None = None
     held: Held = field(default_factory=Held)
     lags: tuple[float, ...] = ()
+    guide: Guide | None = None
 
     @property
     def free(self) -> int:
         """Number of modes whose amplitudes are not given."""
         return len(self.start) - len(self.held.names)
 
-    def inputs(self, power: Array) -> Array:
-        """Return inputs (n, s + h + 1) at the ambient, with the power of the sources (n, s), W."""
-        held = np.tile(self.held.first, (len(power), 1))
-        return np.hstack([power, held, np.zeros((len(power), 1))])
+    def inputs(self, power: Array, course: Array | None = None) -> Array:
+        """Return inputs (n, s + h + 1 + x) of steps at the ambient.
+
+        Parameters
+        ----------
+        power : ndarray, shape (n, s)
+            Of the sources, W.
+        course : ndarray, shape (n, x), optional
+            Positions of the axis, m. Default: loads and axis are as at time zero.
+        """
+        held, ambient = np.tile(self.held.first, (len(power), 1)), np.zeros((len(power), 1))
+        return np.hstack([power, held, ambient, ambient[:, :0] if course is None else course])
 
     @property
     def load_names(self) -> tuple[str, ...]:
         """Loads whose factors are inputs."""
         return () if self.acting is None else self.acting.names
+
+    @property
+    def axis_names(self) -> tuple[str, ...]:
+        """Axes whose positions are inputs, after the loads."""
+        return () if self.guide is None else (self.guide.axis,)
 
     @property
     def laws(self) -> list[tuple[JointLaw, int]]:
@@ -199,8 +244,25 @@ class ReducedMachine:
     def at_preload(self) -> Array:
         """Conductance times area of every contact element before the first step, W/K."""
         modes = own_modes(self)
+        if self.guide is not None:
+            modes = placed(modes, self.guide.first)
         rest = rest_of(contact_of(modes, self.laws), modes)
         return conducted(self.laws, modes, rest, modes.start)
+
+    def with_elastic(
+        self, change: Callable[[ElasticCondensation], ElasticCondensation]
+    ) -> ReducedMachine:
+        """Return the machine with another elasticity, at every position of its axis."""
+        return replace(self, elastic=change(self.elastic), guide=_guided(self.guide, change))
+
+
+def _guided(
+    guide: Guide | None,
+    change: Callable[[ElasticCondensation], ElasticCondensation],
+    rows: Callable[[Array], Array] = np.asarray,
+) -> Guide | None:
+    """A guide with changed elasticity, and changed rows of temperatures."""
+    return None if guide is None else replace(guide, way=guide.way.turned(rows, change))
 
 
 def conducted(laws: Laws, modes: Modes, joint: Rest, amplitudes: Array) -> Array:
@@ -217,7 +279,12 @@ def conducted(laws: Laws, modes: Modes, joint: Rest, amplitudes: Array) -> Array
     amplitudes : ndarray, shape (r,)
         Of the modes.
     """
-    rise, jump, area = modes.mean @ amplitudes, modes.jump @ amplitudes, modes.elastic.area
+    rise, jump = modes.mean @ amplitudes, modes.jump @ amplitudes
+    return conductances(laws, joint, rise, jump, modes.elastic.area)
+
+
+def conductances(laws: Laws, joint: Rest, rise: Array, jump: Array, area: Array) -> Array:
+    """Return conductance times area (m,), W/K, at temperatures and jumps (m,), K, of contacts."""
     parts, start = [np.empty(0)], 0
     for law, count in laws:
         at = slice(start, start + count)
@@ -252,7 +319,9 @@ def _acting(case: Case, setup: Setup) -> Acting | None:
     )
 
 
-def reduce_machine(case: Case, setup: Setup, sensors: Sequence[str]) -> ReducedMachine:
+def reduce_machine(
+    case: Case, setup: Setup, sensors: Sequence[str], guide: Guide | None = None
+) -> ReducedMachine:
     """Return the machine of a case on the modes that its set-up has found.
 
     Parameters
@@ -263,6 +332,8 @@ def reduce_machine(case: Case, setup: Setup, sensors: Sequence[str]) -> ReducedM
         Of this case.
     sensors : sequence of str
         Temperature probes and held surfaces that will be read, in the order of the channels.
+    guide : Guide, optional
+        Of a case with an axis, whose set-up stands at the first position.
 
     Raises
     ------
@@ -305,7 +376,9 @@ def reduce_machine(case: Case, setup: Setup, sensors: Sequence[str]) -> ReducedM
         convection=basis.T @ (heat.convection @ basis),
         sources=driven[:, :count],
         ambient=driven[:, count],
-        jump=each[:, None] * np.asarray(ready.thermal.jump),
+        jump=each[:, None] * np.asarray(ready.thermal.jump)
+        if guide is None
+        else guide.way.temperature,
         mean=np.asarray(ready.thermal.mean),
         sensors=np.array([rows[name] for name in sensors]).reshape(-1, basis.shape[1]),
         start=_start(case, ready),
@@ -319,6 +392,7 @@ def reduce_machine(case: Case, setup: Setup, sensors: Sequence[str]) -> ReducedM
         films=films_of(case, setup),
         acting=_acting(case, setup),
         held=held,
+        guide=guide,
     )
 
 
@@ -347,18 +421,21 @@ def _joint(case: Case, setup: Setup, at: int) -> Joint:
 
 def along(machine: ReducedMachine, axes: Sequence[str]) -> ReducedMachine:
     """Return the machine with the displacement along some of its axes only."""
-    elastic, acting = machine.elastic, machine.acting
-    ends = range(len(machine.axes), len(elastic.probe_thermal))
+    acting = machine.acting
+    ends = range(len(machine.axes), len(machine.elastic.probe_thermal))
     rows = [*(machine.axes.index(axis) for axis in axes), *ends]
-    kept = replace(
-        elastic,
-        probe_compliance=elastic.probe_compliance[rows],
-        probe_thermal=elastic.probe_thermal[rows],
-    )
+
+    def kept(elastic: ElasticCondensation) -> ElasticCondensation:
+        return replace(
+            elastic,
+            probe_compliance=elastic.probe_compliance[rows],
+            probe_thermal=elastic.probe_thermal[rows],
+        )
+
     if acting is not None:
         probes = acting.influence.probes[rows]
         acting = replace(acting, influence=replace(acting.influence, probes=probes))
-    return replace(machine, elastic=kept, acting=acting, axes=tuple(axes))
+    return replace(machine.with_elastic(kept), acting=acting, axes=tuple(axes))
 
 
 @dataclass(frozen=True, eq=False)
@@ -375,7 +452,7 @@ class Modes:
         As in `ReducedMachine`.
     entry : ndarray, shape (r, m)
         What a heat flow across each contact element takes, per W: the jump's transpose, but for
-        modes of sensors that lag (`lagging`).
+        modes of sensors that lag (`lagging`). On an axis, what leaves each row.
     elastic : ElasticCondensation
         On these modes; bolts are part of it.
     film : ndarray, shape (r, r)
@@ -384,10 +461,12 @@ class Modes:
         Of l factors on gaps and displacement: loads, forces of the bolts, and what bolts count
         from (`fesim.solid.bolts.fastened`).
     factors : ndarray, shape (l,)
-        At time zero.
+        At time zero; of a machine on an axis its position, m, is the last.
     tight : ndarray, shape (6, m)
         Gap (m), slip (m) and pressure (Pa) of the joints after the bolts have been tightened; zero
         without bolts.
+    way : Guideway, optional
+        Of a machine with a moving axis.
     """
 
     rates: Array
@@ -402,6 +481,23 @@ class Modes:
     loads: LoadInfluence
     factors: Array
     tight: Array
+    way: Guideway | None = None
+
+
+def placed(modes: Modes, position: float) -> Modes:
+    """Return the modes of a machine with an axis as one that stands at a position, m."""
+    way = modes.way
+    if way is None:
+        return modes
+    coefficients = way.stations.passage(position, position).coefficients
+    return replace(
+        modes,
+        jump=way.jump(coefficients),
+        entry=modes.entry @ coefficients.T,
+        mean=way.mean(coefficients),
+        elastic=way.elastic_at(position),
+        way=None,
+    )
 
 
 def contact_of(modes: Modes, laws: Laws) -> ContactProblem:
@@ -462,7 +558,16 @@ def _conducting(machine: ReducedMachine, held: Array | None) -> Array:
     conduction = machine.conduction + machine.convection
     if held is None:
         return conduction
+    if machine.guide is not None:
+        return np.asarray(
+            conduction + machine.jump.T @ evenly_exchanged(machine.guide.way, held) @ machine.jump
+        )
     return np.asarray(conduction + machine.jump.T @ (held[:, None] * machine.jump))
+
+
+def evenly_exchanged(way: Guideway, held: Array) -> Array:
+    """Return L (q, q), W/K, of an axis that is everywhere equally often, at conductances (m,)."""
+    return exchange(way.stations.everywhere.touches, held, way.stations.size)
 
 
 def own_modes(machine: ReducedMachine) -> Modes:
@@ -486,7 +591,7 @@ def on_basis(
     turned = coupled_in(machine, basis)
     elastic, acting, axes = turned.elastic, turned.acting, len(machine.axes)
     loads = LoadInfluence(np.zeros((len(elastic.reference), 0)), np.zeros((axes, 0)))
-    factors, tight = np.zeros(0), np.zeros((6, len(machine.jump)))
+    factors, tight = np.zeros(0), np.zeros((6, elastic.area.size))
     if acting is not None:
         loads, factors = acting.influence, acting.factors
     if acting is not None and acting.springs.flexibility.size:
@@ -496,6 +601,12 @@ def on_basis(
         assert bolted.loads is not None  # tightened_contact makes them
         elastic, loads, factors = bolted.elastic, bolted.loads, np.append(factors, 1.0)
         tight = np.vstack([assembly.gap, assembly.slip, assembly.pressure])
+    if machine.guide is not None:
+        # A position displaces nothing by itself.
+        loads = LoadInfluence(
+            np.pad(loads.gap, ((0, 0), (0, 1))), np.pad(loads.probes, ((0, 0), (0, 1)))
+        )
+        factors = np.append(factors, machine.guide.first)
     modes = Modes(
         rates=rates,
         drive=_drive(machine, turned, rates, basis, held),
@@ -509,6 +620,7 @@ def on_basis(
         loads=loads,
         factors=factors,
         tight=tight,
+        way=None if turned.guide is None else turned.guide.way,
     )
     return lagging(modes, np.array(machine.lags)) if machine.lags else modes
 
@@ -540,6 +652,13 @@ def lagging(modes: Modes, lags: Array) -> Modes:
     def none(rows: Array) -> Array:
         return np.pad(rows, ((0, 0), (0, slow.size)))
 
+    def widened(elastic: ElasticCondensation) -> ElasticCondensation:
+        return replace(
+            elastic,
+            thermal_gap=none(elastic.thermal_gap),
+            probe_thermal=none(elastic.probe_thermal),
+        )
+
     return replace(
         modes,
         rates=np.append(modes.rates, 1.0 / lag),
@@ -549,12 +668,9 @@ def lagging(modes: Modes, lags: Array) -> Modes:
         mean=none(modes.mean),
         sensors=sensors,
         start=np.append(modes.start, (seen - followed) @ modes.start),
-        elastic=replace(
-            modes.elastic,
-            thermal_gap=none(modes.elastic.thermal_gap),
-            probe_thermal=none(modes.elastic.probe_thermal),
-        ),
+        elastic=widened(modes.elastic),
         film=np.pad(modes.film, (0, slow.size)),
+        way=None if modes.way is None else modes.way.turned(none, widened),
     )
 
 
@@ -575,7 +691,7 @@ def _drive(
 
 def coupled_in(machine: ReducedMachine, basis: Array) -> ReducedMachine:
     """Return a machine on other modes, columns of `basis` (r, k), but for its r x r matrices."""
-    elastic, acting = machine.elastic, machine.acting
+    acting = machine.acting
     start: Array = np.zeros(basis.shape[1])
     if machine.start.any():
         capacity = basis.T @ machine.capacity
@@ -583,6 +699,14 @@ def coupled_in(machine: ReducedMachine, basis: Array) -> ReducedMachine:
     if acting is not None:
         springs = replace(acting.springs, growth=acting.springs.growth @ basis)
         acting = replace(acting, springs=springs)
+
+    def turned(elastic: ElasticCondensation) -> ElasticCondensation:
+        return replace(
+            elastic,
+            thermal_gap=elastic.thermal_gap @ basis,
+            probe_thermal=elastic.probe_thermal @ basis,
+        )
+
     return replace(
         machine,
         sources=basis.T @ machine.sources,
@@ -591,10 +715,7 @@ def coupled_in(machine: ReducedMachine, basis: Array) -> ReducedMachine:
         mean=machine.mean @ basis,
         sensors=machine.sensors @ basis,
         start=start,
-        elastic=replace(
-            elastic,
-            thermal_gap=elastic.thermal_gap @ basis,
-            probe_thermal=elastic.probe_thermal @ basis,
-        ),
+        elastic=turned(machine.elastic),
+        guide=_guided(machine.guide, turned, lambda rows: rows @ basis),
         acting=acting,
     )

@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from fesim.solid.bolts import BoltSprings
-from fesim.solid.condensation import LoadInfluence
+from fesim.solid.condensation import ElasticCondensation, LoadInfluence
 from thermojoint.artefacts.arrays import Array
 from thermojoint.reduced.films import Film
 from thermojoint.reduced.machine import Joint, ReducedMachine
@@ -154,7 +154,7 @@ def shown(name: str, factor: float, deviation: float) -> tuple[str, str]:
 def with_factors(machine: ReducedMachine, factors: dict[str, float]) -> ReducedMachine:
     """Return the machine with `factors` (name to `Parameter.factor`) on its parameters."""
     by = {parameter.name: 1.0 for parameter in PARAMETERS} | factors
-    elastic, acting = machine.elastic, machine.acting
+    acting = machine.acting
     if acting is not None:
         influence, springs, strengths = acting.influence, acting.springs, acting.factors.copy()
         strengths[strengths.size - springs.flexibility.size :] *= by["preload"]
@@ -173,23 +173,26 @@ def with_factors(machine: ReducedMachine, factors: dict[str, float]) -> ReducedM
         more = by.get(film_parameter(film).name, film.nominal) - film.nominal
         more *= by["film"] if film.nominal else 1.0
         convection, ambient = convection + more * film.convection, ambient + more * film.ambient
-    lags = [by.get(lag_name(sensor), 0.0) for sensor in machine.sensor_names]
-    return replace(
-        machine,
-        lags=tuple(lags) if any(lags) else (),
-        capacity=by["capacity"] * machine.capacity,
-        conduction=by["conduction"] * machine.conduction,
-        convection=convection,
-        ambient=ambient,
-        sources=by["heat"] * machine.sources,
-        elastic=replace(
+
+    def strained(elastic: ElasticCondensation) -> ElasticCondensation:
+        return replace(
             elastic,
             compliance=elastic.compliance / by["modulus"],
             thermal_gap=by["expansion"] * elastic.thermal_gap,
             probe_compliance=elastic.probe_compliance / by["modulus"],
             probe_thermal=by["expansion"] * elastic.probe_thermal,
             reference=by["modulus"] * elastic.reference,
-        ),
+        )
+
+    lags = [by.get(lag_name(sensor), 0.0) for sensor in machine.sensor_names]
+    return replace(
+        machine.with_elastic(strained),
+        lags=tuple(lags) if any(lags) else (),
+        capacity=by["capacity"] * machine.capacity,
+        conduction=by["conduction"] * machine.conduction,
+        convection=convection,
+        ambient=ambient,
+        sources=by["heat"] * machine.sources,
         joints=tuple(joint_with_factors(joint, by) for joint in machine.joints),
         acting=acting,
     )

@@ -14,6 +14,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
+from fesim.axes.guideway import rubbed
 from fesim.joint.blocks import one_block
 from fesim.joint.law import JointLaw
 from fesim.joint.loosening import UNWATCHED
@@ -30,12 +31,24 @@ from fesim.march.compiled_step import (
 )
 from fesim.march.contact import ContactProblem
 from fesim.march.kernel import joint_kernel, new_kept, new_record
+from fesim.march.passing import exchange
 from fesim.march.settling import Rest, settle_along
 from thermojoint.artefacts.arrays import Array
-from thermojoint.reduced.machine import Joint, Modes, conducted, contact_of, rest_of
+from thermojoint.reduced.machine import (
+    Joint,
+    Modes,
+    conductances,
+    conducted,
+    contact_of,
+    evenly_exchanged,
+    placed,
+    rest_of,
+)
 
 #: Steps that alternate are halved down to this length, s.
 SHORTEST = 0.05
+#: Positions of an axis at which the joints are kept ready.
+KEPT = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,13 +64,34 @@ class Physics:
     held : ndarray, shape (m,)
         Conductance times area that belongs to the modes, W/K.
     contact : ContactProblem
-        Its gap equations: they do not see the heat.
+        Its gap equations: they do not see the heat. On an axis, those at the first position.
     """
 
     modes: Modes
     laws: Sequence[tuple[JointLaw, int]]
     held: Array
     contact: ContactProblem
+
+    def __post_init__(self) -> None:
+        """Keep the joints at some positions ready."""
+        object.__setattr__(self, "_standing", lru_cache(maxsize=KEPT)(self._placed))
+
+    def standing(self, loads: Array) -> Physics:
+        """Return the physics where the axis stands, the last of the factors (l,), m."""
+        if self.modes.way is None:
+            return self
+        found: Physics = vars(self)["_standing"](float(loads[-1]))
+        return found
+
+    def _placed(self, position: float) -> Physics:
+        modes = placed(self.modes, position)
+        return Physics(modes, self.laws, np.zeros_like(self.held), contact_of(modes, self.laws))
+
+    @cached_property
+    def held_exchange(self) -> Array:
+        """Exchange between the rows of a guideway that the modes have already, W/K, (q, q)."""
+        assert self.modes.way is not None  # asked for on an axis only
+        return evenly_exchanged(self.modes.way, self.held)
 
     @property
     def preload(self) -> Array:
@@ -71,13 +105,16 @@ class Physics:
 
     @cached_property
     def kernel(self) -> JointKernel | None:
-        """Data of its compiled steps; None for laws that are not compiled."""
-        return joint_kernel(self.contact, self.modes.jump, self.held) if self.contacts else None
+        """Data of its compiled steps; None for laws that are not compiled, and on an axis."""
+        if not self.contacts or self.modes.way is not None:
+            return None
+        return joint_kernel(self.contact, self.modes.jump, self.held)
 
     @cached_property
     def rest(self) -> JointState:
         """The joints before the first step; not to be written to."""
-        return JointState(*rest_of(self.contact, self.modes))
+        here = self.standing(self.modes.factors)
+        return JointState(*rest_of(here.contact, here.modes))
 
     def at_rest(self) -> JointState:
         """The joints before the first step, to go on from."""
@@ -106,7 +143,12 @@ def heat_step(modes: Modes, length: float) -> HeatStep:
 
 
 def conduct(
-    physics: Physics, amplitudes: Array, inputs: Array, joint: JointState, length: float
+    physics: Physics,
+    amplitudes: Array,
+    inputs: Array,
+    joint: JointState,
+    length: float,
+    way: tuple[float, float] | None = None,
 ) -> Array:
     """Return the amplitudes (r,) after `length` (s) at the joint's conductance of before.
 
@@ -122,8 +164,13 @@ def conduct(
         After the last step.
     length : float
         s.
+    way : (float, float), optional
+        Positions of the axis at the start and at the end, between which it moves evenly, m.
     """
     step = heat_step(physics.modes, length)
+    if way is not None:
+        alone = step.decay * amplitudes + step.drive @ inputs
+        return _conduct_passing(physics, amplitudes, alone, joint, length, way)
     kernel = physics.kernel
     if kernel is not None:
         after = np.array(amplitudes)
@@ -136,6 +183,41 @@ def conduct(
     system = beyond[:, None] * step.joint_influence
     system.flat[:: len(beyond) + 1] += 1.0
     flow = np.linalg.solve(system, beyond * (physics.modes.jump @ alone))
+    return np.asarray(alone - step.influence @ flow)
+
+
+def way_of(modes: Modes, before: Array, loads: Array) -> tuple[float, float] | None:
+    """Return the way of an axis between two samples, m, by their factors (l,); None without one."""
+    return None if modes.way is None else (float(before[-1]), float(loads[-1]))
+
+
+def _conduct_passing(
+    physics: Physics,
+    amplitudes: Array,
+    alone: Array,
+    joint: JointState,
+    length: float,
+    way: tuple[float, float],
+) -> Array:
+    """As `conduct` where pads and the stations that they pass exchange heat, and rub.
+
+    That is the step of `fesim.march.passing`, of which the modes have a part (`held_exchange`);
+    `alone` (r,) are the amplitudes without the rest.
+    """
+    modes, step = physics.modes, heat_step(physics.modes, length)
+    assert modes.way is not None  # there is a way on an axis only
+    stations, temperature = modes.way.stations, modes.jump @ amplitudes
+    passage = stations.passage(*way)
+    under = passage.coefficients[:, stations.count :] @ temperature[stations.count :]
+    rise, jump = modes.way.means @ amplitudes - 0.5 * under, passage.coefficients @ temperature
+    each = conductances(physics.laws, Rest(*joint), rise, jump, modes.elastic.area)
+    beyond = exchange(passage.touches, each, stations.size) - physics.held_exchange
+    if way[0] != way[1]:
+        rubbing = modes.way.running * joint.pressure * abs(way[1] - way[0]) / length
+        alone = alone + step.influence @ rubbed(rubbing, passage.coefficients)
+    system = beyond @ step.joint_influence
+    system.flat[:: stations.size + 1] += 1.0
+    flow = np.linalg.solve(system, beyond @ (modes.jump @ alone))
     return np.asarray(alone - step.influence @ flow)
 
 
@@ -160,6 +242,7 @@ def settle_joint(
     ConvergenceError
         The gap equations have no solution that Newton's method finds.
     """
+    physics = physics.standing(loads)
     kernel = physics.kernel
     if kernel is not None:
         after = JointState(*map(np.array, joint))
@@ -174,6 +257,7 @@ def settle_plainly(
     physics: Physics, joint: JointState, amplitudes: Array, loads: Array
 ) -> tuple[JointState, Array]:
     """As `settle_joint`, for laws that are not compiled, and where the joint snaps."""
+    physics = physics.standing(loads)
     modes = physics.modes
     if not physics.contacts:
         return joint, moved_by(physics, joint, amplitudes, loads)
@@ -190,6 +274,7 @@ def settle_plainly(
 
 def moved_by(physics: Physics, joint: JointState, amplitudes: Array, loads: Array) -> Array:
     """Return the displacement (axes,), m, with a joint in equilibrium; as `settle_joint`."""
+    physics = physics.standing(loads)
     elastic, influence = physics.modes.elastic, physics.modes.loads
     moved = elastic.probe_thermal @ amplitudes + influence.probes @ loads
     if not physics.contacts:
@@ -215,7 +300,8 @@ def simulate_known(physics: Physics, inputs: Array, length: float) -> tuple[Arra
         The machine.
     inputs : ndarray, shape (n, s + h + 1 + v)
         Heat of each source, W, the held surfaces and the ambient, K, at the end of each step;
-        factors of the first loads, where they are not those of time zero.
+        factors of the first loads, where they are not those of time zero; the position of an axis,
+        m, stands behind them.
     length : float
         Of a step, s.
 
@@ -226,6 +312,8 @@ def simulate_known(physics: Physics, inputs: Array, length: float) -> tuple[Arra
     """
     modes = physics.modes
     known, varying = modes.drive.shape[1], inputs.shape[1] - modes.drive.shape[1]
+    if modes.way is not None:
+        return _simulate_moving(physics, inputs, length)
     constant = np.tile(modes.factors[varying:], (len(inputs), 1))
     inputs = np.ascontiguousarray(np.hstack([inputs, constant]), dtype=np.float64)
     amplitudes, joint = modes.start.copy(), physics.at_rest()
@@ -263,3 +351,22 @@ def simulate_known(physics: Physics, inputs: Array, length: float) -> tuple[Arra
         sensed, moved = simulate_known(physics, halves, 0.5 * length)
         return sensed[1::2], moved[1::2]
     return history @ modes.sensors.T, displacement
+
+
+def _simulate_moving(physics: Physics, inputs: Array, length: float) -> tuple[Array, Array]:
+    """As `simulate_known` of a machine with an axis, step by step."""
+    modes = physics.modes
+    known, before = modes.drive.shape[1], modes.factors
+    amplitudes, joint = modes.start, physics.at_rest()
+    sensed, moved = [], []
+    for row in inputs:
+        loads = modes.factors.copy()
+        # A position, and what else changes; without any, the axis stands.
+        loads[loads.size - (row.size - known) :] = row[known:]
+        way = way_of(modes, before, loads)
+        amplitudes = conduct(physics, amplitudes, row[:known], joint, length, way)
+        joint, displacement = settle_joint(physics, joint, amplitudes, loads)
+        sensed.append(modes.sensors @ amplitudes)
+        moved.append(displacement)
+        before = loads
+    return np.array(sensed), np.array(moved)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fesim.axes.mapping import line_over
+from fesim.axes.line import line_over
 from fesim.axes.occupation import distance, shares_of, weights_at
 from fesim.axes.rotation import rotation_rows
 from fesim.case.history import History, sampled_history

@@ -1,0 +1,187 @@
+"""The joint-aware estimator of a machine with a moving axis: told its position, it follows it."""
+
+import numpy as np
+import pytest
+from moving_knee import moving
+from observed import estimates, observer
+
+from calibrate.joint_aware.calibration import Effort, calibrate_joint_aware, machine_of
+from calibrate.joint_aware.linear_joint import with_linear_joint
+from calibrate.joint_aware.misfit import physics_with
+from calibrate.joint_aware.open_band import Drawing
+from calibrate.joint_aware.physics_fit import Search
+from calibrate.joint_aware.readings import run_in
+from estimator.interface import Status
+from estimator.joint_aware.estimator import JointAware
+from estimator.joint_aware.kind import KIND
+from estimator.joint_aware.model_file import fingerprint, read_observer, write_observer
+from estimator.joint_aware.readings import samples_in
+from estimator.kind import Options
+from estimator.lines import Stroke, here
+from fesim.simulate import simulate
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.log import Log
+from thermojoint.artefacts.quantities import column_named
+from thermojoint.reduced.machine import along
+from thermojoint.reduced.physics import simulate_known
+
+#: (s, mm): stands, passes several stations in a step, stands between stations.
+COURSE = [(0, 0), (60, 0), (90, 200), (240, 200), (270, -100), (480, 30), (510, 85), (1200, 85)]
+SENSORS = ("bearing", "guide", "table")
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory):
+    knee = moving(tmp_path_factory.mktemp("course"), COURSE)
+    return knee.replace(march={"duration_min": 20.0, "step_s": 10.0})
+
+
+@pytest.fixture(scope="module")
+def response(case):
+    return simulate(case, accuracy=False).response
+
+
+@pytest.fixture(scope="module")
+def machine(case):
+    return along(machine_of(case, SENSORS), ["x", "y"])
+
+
+@pytest.fixture(scope="module")
+def estimator(machine, response):
+    return observer(machine, {"run": response})
+
+
+@pytest.fixture(scope="module")
+def samples(response):
+    return list(samples_in(response, SENSORS, axes=["y"]))
+
+
+def actual(response, name="displacement"):
+    return response[name].sel(axis=["x", "y"]).to_numpy()
+
+
+def detail(estimator, found, name):
+    at = [channel.name for channel in estimator.details].index(name)
+    return np.array([estimate.details[at] for estimate in found])
+
+
+def test_the_reduced_machine_marches_as_the_simulator(machine, response):
+    physics = physics_with(machine, {})
+    sensed, moved = simulate_known(physics, run_in(response, machine, "run").inputs, machine.step)
+    temperature = response["temperature"].sel(probe=list(SENSORS))[1:]
+    np.testing.assert_allclose(sensed, temperature, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(moved, actual(response)[1:], rtol=0.0, atol=1e-12)
+
+
+def test_without_thermometers_it_is_the_simulator_at_every_position(
+    estimator, response, samples, tmp_path
+):
+    """It is told heat and position; its model goes through a file."""
+    write_observer(estimator.model, tmp_path / "model.h5")
+    told = JointAware(read_observer(tmp_path / "model.h5"))
+    assert fingerprint(told.model) == fingerprint(estimator.model)
+    state, found = told.initial_state(), []
+    for (time, *_, place), power in zip(samples, response["source_power"].to_numpy(), strict=True):
+        told.parts.views(state)["linear"][-2:] = *power, 0.0
+        state, estimate = told.sample(state, time, [np.nan] * 4 + [place])
+        found.append(estimate)
+    moved, _ = here(told.axes, told.details, found)
+    np.testing.assert_allclose(moved, actual(response), rtol=0.0, atol=1e-9)
+    for k, axis in enumerate("xy"):
+        offset = actual(response, "line_offset")[:, 0, k]
+        of_line = [estimate.displacement[k] for estimate in found]
+        np.testing.assert_allclose(of_line, offset, rtol=0.0, atol=1e-9)
+        slope = actual(response, "line_slope")[:, 0, k]
+        np.testing.assert_allclose(detail(told, found, f"{axis}_slope"), slope, rtol=0.0, atol=1e-8)
+        assert (detail(told, found, f"{axis}_P0") == 50.0).all()
+
+
+def test_thermometers_tell_the_displacement_wherever_the_axis_stands(estimator, response, samples):
+    _, found = estimates(estimator, samples)
+    moved, _ = here(estimator.axes, estimator.details, found)
+    error, size = np.abs(moved - actual(response)), np.abs(actual(response)).max(axis=0)
+    # The heat is found within some samples from its onset.
+    assert (error[30:].max(axis=0) < 0.02 * size).all()
+    # A model that is told that the axis stands in the middle is off by the error of its place.
+    standing = [(*sample[:-1], 0.05) for sample in samples]
+    there, _ = here(estimator.axes, estimator.details, estimates(estimator, standing)[1])
+    wrong = np.abs(there - actual(response))
+    assert (wrong[30:].max(axis=0) > 5.0 * error[30:].max(axis=0)).all()
+
+
+def test_a_continued_run_is_the_uninterrupted_one(estimator, samples):
+    _, whole = estimates(estimator, samples)
+    state, _ = estimates(estimator, samples[:40])
+    _, rest = estimates(estimator, samples[40:], state)
+    for one, other in zip(whole[40:], rest, strict=True):
+        assert np.array_equal(one.displacement, other.displacement)
+        assert np.array_equal(one.details, other.details)
+
+
+@pytest.mark.parametrize("place", [np.nan, 0.3, -5.0], ids=["none", "beyond", "far"])
+def test_a_position_that_is_none_is_missing_and_stays_what_it_was(estimator, samples, place):
+    state, _ = estimates(estimator, samples[:20])
+    time, *values, _ = samples[20]
+    _, without = estimator.sample(state, time, [*values, place])
+    _, stays = estimator.sample(state, time, [*values, samples[19][-1]])
+    assert without.missing == ("y_pos",)
+    assert Status.READING_MISSING in without.status
+    assert np.array_equal(without.displacement, stays.displacement)
+
+
+def test_a_log_and_a_service_name_the_position(estimator, samples):
+    names = ("bearing_K", "guide_K", "table_K", "ambient_K", "y_pos_mm")
+    values = np.array(samples)[:, 1:]
+    log = Log(
+        times=np.array(samples)[:, 0],
+        starts=(0,),
+        columns=tuple(column_named(name) for name in names),
+        values=values,
+    )
+    read = list(KIND.log(estimator.model, [log], "log", None))
+    np.testing.assert_allclose(read, samples, rtol=1e-12)
+    intake = KIND.intake(estimator.model, True)
+    assert intake.names == (*names, "x_um", "y_um")
+    given, _ = intake.convert([1.0, 2.0, 3.0, 0.5, 120.0, np.nan, np.nan], 0.0)
+    assert given[:5] == pytest.approx([1.0, 2.0, 3.0, 0.5, 0.12])
+
+
+def test_a_calibration_finds_what_differs_and_its_band_holds_along_the_stroke(case, tmp_path):
+    """The plant convects twice as much as the case says, and rests on other positions."""
+    plant = case.replace(convection_W_m2K={"exterior": 12.0}, march={"duration_min": 60.0})
+    runs = {}
+    for level, places in ((1.0, (200, -100, 50)), (2.0, (0, 150, -50))):
+        path = tmp_path / f"course{level:g}.csv"
+        rows = [(1000.0 * k, at) for k, at in enumerate(places)]
+        path.write_text("time_s,position_mm\n" + "".join(f"{t:g},{at}\n" for t, at in rows))
+        one = plant.replace(heat_input={"level": level}, axes={"y": {"file": str(path)}})
+        runs[f"{level:g}"] = simulate(one, accuracy=False).response
+    effort = Effort(Search(starts=0, steps=40, evaluations=6), Drawing(draws=4, duration=3600.0))
+    found = calibrate_joint_aware(
+        case, runs, SENSORS, fitted=["film", "heat", "expansion"], effort=effort
+    )
+    film = dict(zip((one.name for one in found.fit.parameters), found.fit.coordinates, strict=True))
+    assert np.exp(film["film"]) > 1.5
+    response = simulate(plant.replace(heat_input={"level": 1.5}), accuracy=False).response
+    estimator = JointAware(found.model)
+    _, made = estimates(estimator, samples_in(response, SENSORS, axes=["y"]))
+    moved, band = here(estimator.axes, estimator.details, made)
+    error = np.abs(moved - actual(response))
+    assert (error[30:].max(axis=0) < 0.02 * np.abs(actual(response)).max(axis=0)).all()
+    assert (error <= band).mean() > 0.8
+
+
+def test_what_knows_no_axis_says_so_in_one_line(machine, estimator):
+    with pytest.raises(InputError, match="no moving axis"):
+        with_linear_joint(machine)
+    with pytest.raises(InputError, match="moving axis"):
+        KIND.program(estimator, "double", 10.0)
+    with pytest.raises(InputError, match="moving axis"):
+        KIND.start(estimator.model, Options(ageing=("film",)))
+
+
+def test_the_control_is_given_the_line_over_the_whole_stroke(estimator):
+    assert KIND.strokes(estimator.model) == {
+        "x": Stroke(0.05, -0.1, 0.2),
+        "y": Stroke(0.05, -0.1, 0.2),
+    }
