@@ -114,15 +114,13 @@ def positive(option: str, value: float) -> float:
 
 
 def level_and_file(text: str) -> tuple[float, Path]:
-    """Split ``0.5=r05.nc`` into the heat input, finite and not zero, and the file."""
+    """Split ``0.5=r05.nc`` into the heat input, finite, and the file."""
     level, _, name = text.partition("=")
     if name:
         with suppress(ValueError):
-            if 0.0 < abs(float(level)) < math.inf:
+            if math.isfinite(float(level)):
                 return float(level), Path(name)
-    raise InputError(
-        f"--input {text}: write LEVEL=RESPONSE with a level other than 0, e.g. 0.5=step-0.5.nc"
-    )
+    raise InputError(f"--input {text}: write LEVEL=RESPONSE, e.g. 0.5=step-0.5.nc")
 
 
 def distances(text: str) -> list[list[float]]:

@@ -84,7 +84,7 @@ def calibrate(  # noqa: PLR0913 - the options of a command
     --input 2=measured-2.nc --distances-mm 50,125,110,60 --out model.json[/bold]
 
     Example: [bold]thermojoint calibrate --kind joint-aware --case machine.toml --reference r1.nc
-    --input 0.5=r05.nc --input 2=r2.nc --out model.h5[/bold]
+    --input 0.5=r05.nc --input 2=r2.nc --input 0=cool-down.nc --out model.h5[/bold]
     """
     from calibrate import chain
     from calibrate.baselines import baselines_of
@@ -102,6 +102,11 @@ def calibrate(  # noqa: PLR0913 - the options of a command
         arguments.only_for("--kind fchs", {"--distances-mm": distances, "--baselines": baselines})
         joint_aware.calibrate(case, inputs, out, report_file)
         return
+    if any(level == 0.0 for level, _ in pairs):
+        raise InputError(
+            "--input 0=…: the paper's models need steps with a level other than 0; a cool-down is "
+            "for --kind joint-aware"
+        )
     if not pairs:
         raise InputError("--input: the paper's models need two steps beside the reference; give it")
     arguments.only_for("--kind joint-aware", {"--case": case, "--json": report_file})

@@ -16,7 +16,7 @@ from estimator.fchs import judging as judge
 from fesim.case.schema import CandidatesSection, Case, case_from_data
 from thermojoint.artefacts.errors import ConvergenceError, InputError
 from thermojoint.artefacts.response import make_response, read_response
-from thermojoint.cli import arguments
+from thermojoint.cli import arguments, modelling
 from thermojoint.cli.app import app
 from thermojoint.models import deformation, ring_source
 from thermojoint.models.model_file import read_model, read_provenance
@@ -414,11 +414,25 @@ def test_a_case_without_a_joint_is_refused_before_it_is_set_up(coarse_case, tmp_
 # The command line
 
 
-@pytest.mark.parametrize("level", ["nan", "inf", "-inf", "0", "0.0", "two"])
-def test_a_heat_input_is_a_finite_number_other_than_0(level):
+@pytest.mark.parametrize("level", ["nan", "inf", "-inf", "two"])
+def test_a_heat_input_is_a_finite_number(level):
     with pytest.raises(InputError, match="LEVEL=RESPONSE"):
         arguments.level_and_file(f"{level}=r2.nc")
     assert arguments.level_and_file("-0.5=r2.nc") == (-0.5, Path("r2.nc"))
+
+
+def test_a_cool_down_is_for_the_joint_aware_model_only(tmp_path):
+    with pytest.raises(InputError, match="other than 0"):
+        modelling.calibrate(
+            reference=tmp_path / "r1.nc", out=tmp_path / "m.json", given=["0=cool-down.nc"]
+        )
+    with pytest.raises(InputError, match="--case"):
+        modelling.calibrate(
+            reference=tmp_path / "r1.nc",
+            out=tmp_path / "m.h5",
+            given=["0=cool-down.nc"],
+            kind=modelling.Kind.JOINT_AWARE,
+        )
 
 
 @pytest.mark.parametrize("text", ["1,2,3", "1,2,3,4,5", "1,2,3,0", "1,2,3,nan", "1,2,3,four", ""])
