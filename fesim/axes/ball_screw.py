@@ -315,23 +315,40 @@ def grown(screw: BallScrew, temperature: Array, at: Array) -> Array:
     return np.asarray(np.interp(at, edges, np.concatenate([np.zeros(1), np.cumsum(strain)])))
 
 
-def tension(screw: BallScrew, temperature: Array) -> float:
-    """Return the tension of a screw, N; bearings only pull, so at 0 it is slack."""
+def tension(screw: BallScrew, temperature: Array, apart: float = 0.0) -> float:
+    """Return the tension of a screw, N; bearings only pull, so at 0 it is slack.
+
+    Parameters
+    ----------
+    screw : BallScrew
+        The screw.
+    temperature : ndarray, shape (n,)
+        Of its cells, K.
+    apart : float
+        How far the seats of its bearings have moved apart, m.
+    """
     if not screw.hold.tension:
         return 0.0
     rod = screw.rod
     compliance = rod.length / (rod.material.youngs_modulus * rod.area) + sum(screw.hold.compliance)
     whole = float(grown(screw, temperature, np.array(rod.length)))
-    return max(screw.hold.tension - whole / compliance, 0.0)
+    return max(screw.hold.tension - (whole - apart) / compliance, 0.0)
 
 
-def moved(screw: BallScrew, temperature: Array, at: Array) -> Array:
-    """Return how far places `at` (k,) have moved away from the fixed bearing's seat, m.
+def moved(screw: BallScrew, temperature: Array, at: Array, apart: float = 0.0) -> Array:
+    """Return how far places have moved away from the fixed bearing's seat, m.
 
     From where they are in the cold screw under its own tension: what warms grows, and what loses
     tension becomes shorter.
+
+    Parameters
+    ----------
+    screw, temperature, apart
+        As for `tension`.
+    at : ndarray, shape (k,)
+        Places, m from the fixed bearing.
     """
     rod, hold = screw.rod, screw.hold
-    lost = tension(screw, temperature) - hold.tension
+    lost = tension(screw, temperature, apart) - hold.tension
     per_newton = hold.compliance[0] + at / (rod.material.youngs_modulus * rod.area)
     return grown(screw, temperature, at) + lost * per_newton

@@ -1,10 +1,10 @@
 """Where a moving axis is, beside where its control believes that it is.
 
 A control with a rotary encoder at the motor counts turns: the nut is where the screw has taken it,
-and moves on with the elongation between the fixed bearing and the nut. A control with a scale sees
-the graduation below the reading head, and moves on with the elongation of the scale between its
-fixed point and the head. The positioning error is body less control. It is zero in a machine at
-the initial ambient; at `zero`, if there is one, at all times.
+and moves on with the seat of the fixed bearing and with the elongation between that and the nut. A
+control with a scale sees the graduation below the reading head, and moves on with the fixed point
+of the scale and with the elongation between that and the head. The positioning error is body less
+control. It is zero in a machine at the initial ambient; at `zero`, if there is one, at all times.
 """
 
 from __future__ import annotations
@@ -65,6 +65,10 @@ class Screw:
         """Return how far from the fixed bearing the nut is at positions of the axis, m."""
         return self.towards * (positions + self.nut - self.start)
 
+    def apart(self, seats: Array) -> float:
+        """Return how far seats (3,) have moved apart, m."""
+        return self.towards * float(seats[1] - seats[0])
+
 
 @dataclass(frozen=True)
 class Scale:
@@ -120,6 +124,9 @@ class Drive:
         Position at which the error is zero at all times, m.
     surfaces : Surfaces
         That the screw heats.
+    seat : ndarray of int, shape (3,)
+        Which displacement probe of the machine is that of the near and the far bearing and of the
+        scale, along the axis; -1 for none.
     """
 
     screw: Screw | None
@@ -128,6 +135,7 @@ class Drive:
     ambient: int
     zero: float | None
     surfaces: Surfaces
+    seat: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -304,7 +312,20 @@ def followed(scale: Scale, temperature: float, ends: tuple[float, float], length
     return start + (temperature - start) * math.exp(-length / scale.lag) + (end - start) * (1 - one)
 
 
-def positioning_error(drive: Drive, state: Array, positions: Array) -> Array:
+def seated(drive: Drive, probes: Array) -> Array:
+    """Return the displacement (..., 3) of both bearings and of the scale, m, along the axis.
+
+    Parameters
+    ----------
+    drive : Drive
+        The drive.
+    probes : ndarray, shape (..., p)
+        Displacement probes of the machine, m.
+    """
+    return np.where(drive.seat >= 0, probes[..., drive.seat], 0.0)
+
+
+def positioning_error(drive: Drive, state: Array, positions: Array, seats: Array) -> Array:
     """Return the position of the bodies less that of the control.
 
     Parameters
@@ -315,30 +336,30 @@ def positioning_error(drive: Drive, state: Array, positions: Array) -> Array:
         Its temperatures, K.
     positions : ndarray, shape (k,)
         Of the axis, m.
+    seats : ndarray, shape (k, 3)
+        At these positions, by `seated`.
 
     Returns
     -------
     ndarray, shape (k,)
-        Along the axis, m.
+        Along the axis, m; not yet less that at `zero`.
     """
-    error = _error(drive, state, positions)
-    if drive.zero is not None:
-        error = error - _error(drive, state, np.array([drive.zero]))
-    return error
-
-
-def _error(drive: Drive, state: Array, positions: Array) -> Array:
     if (scale := drive.scale) is not None:
-        return scale.expansion * state[-1] * (positions + scale.head - scale.fixed)
+        from_fixed = positions + scale.head - scale.fixed
+        return np.asarray(seats[:, 2] + scale.expansion * state[-1] * from_fixed)
     if (screw := drive.screw) is None:
         return np.zeros_like(positions)
-    temperature = screw_temperature(screw, state)
-    return screw.towards * moved(screw.made, temperature, screw.along(positions))
+    temperature, places = screw_temperature(screw, state), screw.along(positions)
+    grown = [
+        moved(screw.made, temperature, places[[k]], screw.apart(one))[0]
+        for k, one in enumerate(seats)
+    ]
+    return seats[:, 0] + screw.towards * np.array(grown)
 
 
-def screw_tension(screw: Screw, state: Array) -> float:
-    """Return the tension of a screw in the state (d,) of its drive, N."""
-    return tension(screw.made, screw_temperature(screw, state))
+def screw_tension(screw: Screw, state: Array, seats: Array) -> float:
+    """Return the tension of a screw in the state (d,) of its drive, with seats (3,), N."""
+    return tension(screw.made, screw_temperature(screw, state), screw.apart(seats))
 
 
 def station_positions(screw: Screw) -> Array:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NoReturn
 
 import numpy as np
-from scipy.sparse import csr_array, vstack
+from numpy.typing import NDArray
+from scipy.sparse import csr_array, kron, vstack
 
 from fesim.axes.condensation import condense_aligned, condense_apart
 from fesim.axes.guideway import GuideStations, Guideway
@@ -17,7 +19,7 @@ from fesim.axes.operators import GuidedOperators, guided_operators
 from fesim.axes.positioning import Drive, Surfaces, scale_of, screw_of
 from fesim.axes.rotation import rotation_rows
 from fesim.cache import remembered
-from fesim.case.axis_section import AxisSection
+from fesim.case.axis_section import AxisSection, seats_of
 from fesim.case.drive_sections import HEATED
 from fesim.case.history import History, read_history, step_history
 from fesim.case.identity import thermal_key
@@ -44,7 +46,7 @@ from fesim.setup.soundness import explained_by_size, suspicions
 from fesim.setup.structure import material_of, measured_points
 from fesim.setup.temperature_dependence import convecting_surfaces
 from fesim.solid.condensation import ThermalCondensation
-from fesim.solid.spaces import probe_cells
+from fesim.solid.spaces import probe_cells, probe_rows
 from fesim.solid.substructures import UntiedCondensation
 from meshes.travel import stations_of
 from thermojoint.artefacts.arrays import Array
@@ -53,6 +55,8 @@ from thermojoint.artefacts.units import MILLI
 
 #: A rotation counts as its displacement at this distance, m.
 LEVER = 0.1
+#: Displacement probes that are rotations, if they are asked for.
+_TURNED = slice(3, 6)
 #: Positions along the stroke at which displacements are given if the case names none.
 USUAL = 5
 #: Numbers in the matrices of all aligned positions: 3.2 GB.
@@ -77,6 +81,8 @@ class MovingSetup:
         Positions at which displacements are wanted, m.
     reference : float
         P0 of the line through them, m.
+    turned : bool
+        Whether the displacement probes include rotations.
     drive : Drive or None
         What positions the axis; None if it stands where its control believes.
     carried : ndarray, shape (3,)
@@ -89,6 +95,7 @@ class MovingSetup:
     course: History
     asked: Array
     reference: float
+    turned: bool
     drive: Drive | None
     carried: Array
 
@@ -109,6 +116,7 @@ def set_up_axis(case: Case) -> MovingSetup:
     for line in suspicions(parts.structure, parts.joints):
         warnings.warn(line, stacklevel=2)
     _check_guides(case, parts)
+    _check_seats(case, parts)
     positions = aligned_positions(axis)
     with explained_by_size(parts.structure):
         whole = discretised(case, parts)
@@ -138,6 +146,7 @@ def set_up_axis(case: Case) -> MovingSetup:
         course,
         asked_positions(axis),
         reference_of(axis),
+        axis.rotation_within_mm is not None,
         drive_of(case, setup, _surfaces(case, whole, modes)),
         _carried(case, axis, parts),
     )
@@ -213,7 +222,10 @@ def drive_of(case: Case, setup: Setup, surfaces: Surfaces) -> Drive | None:
         if axis.scale.follows is not None:
             followed = setup.probe_rows[list(setup.probes).index(axis.scale.follows)]
     zero = None if axis.zero_mm is None else MILLI * axis.zero_mm
-    return Drive(screw, scale, followed, input_layout(case).ambient, zero, surfaces)
+    first = _TURNED.stop if axis.rotation_within_mm is not None else _TURNED.start
+    seats = {name: first + k for k, name in enumerate(_seats(axis))}
+    seat = np.array([-1 if name is None else seats[name] for name in seats_of(axis)])
+    return Drive(screw, scale, followed, input_layout(case).ambient, zero, surfaces, seat)
 
 
 def _surfaces(case: Case, whole: Discretised, modes: ThermalModes) -> Surfaces:
@@ -230,11 +242,17 @@ def _surfaces(case: Case, whole: Discretised, modes: ThermalModes) -> Surfaces:
 
 def _carried(case: Case, axis: AxisSection, parts: Parts) -> Array:
     """Direction of an axis if it moves the point of `[displacement]`, less its origin's."""
-    moving = np.concatenate([parts.structure.bodies[name] for name in axis.bodies])
-    names = measured_points(case)
-    cells = probe_cells(parts.structure, {name: parts.structure.probes[name] for name in names})
-    moves = np.isin(cells, moving).astype(np.float64)
+    moves = _moving_points(parts, axis, measured_points(case)).astype(np.float64)
     return float(moves[0] - moves[1:].sum()) * unit_direction(axis)
+
+
+def _moving_points(parts: Parts, axis: AxisSection, names: Sequence[str]) -> NDArray[np.bool_]:
+    """Which probes are on bodies that move along an axis."""
+    if not names:
+        return np.zeros(0, dtype=bool)
+    moving = np.concatenate([parts.structure.bodies[name] for name in axis.bodies])
+    probes = {name: parts.structure.probes[name] for name in names}
+    return np.isin(probe_cells(parts.structure, probes), moving)
 
 
 def _moving(
@@ -287,17 +305,28 @@ def _moving(
 
 
 def _probes(whole: Discretised, axis: AxisSection) -> csr_array:
-    """Rows of the displacement between tool and workpiece, then of the rotation if asked for."""
-    rows = relative_rows(whole)
-    if axis.rotation_within_mm is None:
-        return rows
-    radius = MILLI * axis.rotation_within_mm
-    point, *origin = (
-        rotation_rows(whole.parts.structure, whole.spaces, name, radius)
-        for name in measured_points(whole.case)
-    )
-    turned = point - origin[0] if origin else point
-    return csr_array(vstack([rows, turned], format="csr"))
+    """Rows of the displacement between tool and workpiece, then of the rotation if asked for.
+
+    Then of the seats of a drive, along the axis.
+    """
+    rows, structure = [relative_rows(whole)], whole.parts.structure
+    if axis.rotation_within_mm is not None:
+        radius = MILLI * axis.rotation_within_mm
+        point, *origin = (
+            rotation_rows(structure, whole.spaces, name, radius)
+            for name in measured_points(whole.case)
+        )
+        rows.append(point - origin[0] if origin else point)
+    if seats := _seats(axis):
+        at = {name: structure.probes[name] for name in seats}
+        along = csr_array(unit_direction(axis)[None])
+        rows.append(kron(probe_rows(whole.spaces.displacement, structure, at), along))
+    return csr_array(vstack(rows, format="csr"))
+
+
+def _seats(axis: AxisSection) -> list[str]:
+    """Probes that the parts of a drive move with, each once."""
+    return list(dict.fromkeys(name for name in seats_of(axis) if name is not None))
 
 
 def _apart(
@@ -326,7 +355,9 @@ def _modes(
     every = replace(pads, jump=csr_array(vstack([pads.jump, operators.heat], format="csr")))
     ties = pads.gap.shape[0] + operators.gap.shape[0]
     moved = apart.thermal[apart.springs.size :] / DISPLACEMENT_ERROR
-    moved[3:] *= LEVER
+    (axis,) = whole.case.axes.values()
+    if axis.rotation_within_mm is not None:
+        moved[_TURNED] *= LEVER
     outputs = np.vstack(
         [whole.rows.toarray() / TEMPERATURE_ERROR, apart.thermal[:ties] / GAP_ERROR, moved]
     )
@@ -374,6 +405,19 @@ def _check_guides(case: Case, parts: Parts) -> None:
                 raise InputError(
                     f"convection_W_m2K.{surface}: contains the guide of joint {name!r}, of which "
                     "the pads cover another part at every position; leave the guide out"
+                )
+
+
+def _check_seats(case: Case, parts: Parts) -> None:
+    """Refuse seats of a drive that move along the axis."""
+    for name, axis in case.axes.items():
+        for seat, moves in zip(
+            _seats(axis), _moving_points(parts, axis, _seats(axis)), strict=True
+        ):
+            if moves:
+                raise InputError(
+                    f"axes.{name}: the seat {seat!r} is on a body that moves; bearings and scales "
+                    "stand, so name a probe of another body"
                 )
 
 

@@ -76,3 +76,14 @@ class AxisSection(Section):
                         "fixed_bearing_mm or far_end_mm"
                     )
         return self
+
+
+def seats_of(axis: AxisSection) -> tuple[str | None, str | None, str | None]:
+    """Return the probes that the near and the far bearing and the scale of an axis move with."""
+    near = far = on_scale = None
+    if (screw := axis.ball_screw) is not None:
+        # Without a seat of its own the far bearing moves with the near one.
+        near, far = screw.seat, screw.far_seat or screw.seat
+    if axis.scale is not None:
+        on_scale = axis.scale.seat
+    return near, far, on_scale

@@ -29,6 +29,7 @@ class BallScrewSection(Section):
     Positions are those of the axis: the fixed bearing is at the motor, the far end has the other
     bearing or none; the middle of the nut is at ``nut_mm`` while the axis is at zero. What heat of
     friction the screw does not take enters the structure through the surfaces, if they are named.
+    ``seat`` and ``far_seat`` are probes that the bearings move with.
     """
 
     nut_surface: str | None = None
@@ -53,6 +54,8 @@ class BallScrewSection(Section):
     motor_heat_W: NotNegative = 0.0
     stretch_um: Positive | None = None
     pretension_kN: Positive | None = None
+    seat: str | None = None
+    far_seat: str | None = None
     bearing_stiffness_N_um: Positive | None = None
     far_bearing_stiffness_N_um: Positive | None = None
     cells: Annotated[int, Field(ge=10, le=1000)] = 100
@@ -67,6 +70,7 @@ class BallScrewSection(Section):
         held = {
             "stretch_um": self.stretch_um,
             "pretension_kN": self.pretension_kN,
+            "far_seat": self.far_seat,
             "bearing_stiffness_N_um": self.bearing_stiffness_N_um,
             "far_bearing_stiffness_N_um": self.far_bearing_stiffness_N_um,
         }
@@ -105,12 +109,14 @@ class BallScrewSection(Section):
 class ScaleSection(Section):
     """``[axes.NAME.scale]``: a linear scale that the control reads.
 
-    It stands, fixed at ``fixed_mm``; the reading head moves along, at ``head_mm`` while the axis is
-    at zero. Its temperature follows the ambient or a probe with a lag.
+    It stands, fixed at ``fixed_mm``, there moving with the probe ``seat``; the reading head moves
+    along, at ``head_mm`` while the axis is at zero. Its temperature follows the ambient, or the
+    probe ``follows``, with a lag.
     """
 
     expansion_1_K: Finite
     fixed_mm: Finite
     head_mm: Finite = 0.0
+    seat: str | None = None
     follows: str | None = None
     lag_s: NotNegative = 0.0

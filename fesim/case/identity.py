@@ -9,6 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from fesim.case.axis_section import seats_of
 from fesim.case.schema import Case, heated_by_drives
 from fesim.solid.linear_solver import default_solver
 from thermojoint.artefacts.errors import UnreadableError
@@ -202,6 +203,11 @@ def _condensed(case: Case) -> dict[str, Any]:
     sources = data["sources"].values()
     data["sources"] = {number: _without(source, _STRENGTH) for number, source in enumerate(sources)}
     data["drives"] = list(heated_by_drives(case).values())
+    data["seats"] = [
+        (name, None if name is None else data["probes"][name])
+        for axis in case.axes.values()
+        for name in seats_of(axis)
+    ]
     data["held_temperatures"] = {
         name: {"profile": held["profile"]} for name, held in data["held_temperatures"].items()
     }

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from fesim.case.axis_section import AxisSection
+from fesim.case.axis_section import AxisSection, seats_of
 from fesim.case.bolts import BoltSection
 from fesim.case.joint_sections import JointSection, WallSection
 from fesim.case.thermal_sections import (
@@ -456,6 +456,9 @@ def not_driven(case: Case) -> str | None:
             return (
                 f"axes.{name}.scale: no probe {axis.scale.follows!r} to follow; add it to [probes]"
             )
+        for seat in seats_of(axis):
+            if seat not in {None, *case.probes}:
+                return f"axes.{name}: no probe {seat!r} to sit at; add it to [probes]"
     return None
 
 

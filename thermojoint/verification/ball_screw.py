@@ -16,6 +16,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.integrate import quad
@@ -67,6 +68,15 @@ SCREW_STIFFNESS, NEAR, FAR = STEEL.youngs_modulus * AREA / LENGTH, 4e8, 6e8
 STRETCH, RISE = 30e-6, 2.0
 #: Position of an axis at which errors are compared, m; until steady, s.
 PLACE, STEADY = 0.45, 1e8
+#: A screw without heat; its ends are missing.
+SECTION = {
+    "bearings": "fixed-free",
+    "nut_length_mm": 80.0,
+    "diameter_mm": 1e3 * DIAMETER,
+    "lead_mm": 10.0,
+    "material": "steel",
+    "film_W_m2K": FILM,
+}
 #: A screw that gives heat to the slide and to both ends of the guide, and none to the air.
 HEATING = {
     "bearings": "fixed-supported",
@@ -79,7 +89,8 @@ HEATING = {
     "bearing_surface": "x0",
     "far_bearing_surface": "x1",
 }
-NO_SURFACES = Surfaces(np.full(3, -1), np.zeros((3, 0)))
+NO_SEATS = np.full(3, -1)
+NO_SURFACES = Surfaces(NO_SEATS, np.zeros((3, 0)))
 ELONGATION = Quantity("positioning error", "µm", 1e-9)
 
 
@@ -91,24 +102,15 @@ def checks() -> Iterator[Check]:
     yield from _nut_checks()
     yield _rotation_check()
     yield _lead_check()
-    yield from _scale_checks()
+    yield _scale_check()
     with temporary_folder() as folder:
         yield from _machine_checks(folder)
 
 
 def screw_with(**keys: object) -> Screw:
     """Return a fixed-free screw with a film and without heat; keys of its section change it."""
-    data = {
-        "bearings": "fixed-free",
-        "fixed_bearing_mm": 1e3 * START,
-        "far_end_mm": 1e3 * (START + LENGTH),
-        "nut_length_mm": 80.0,
-        "diameter_mm": 1e3 * DIAMETER,
-        "lead_mm": 10.0,
-        "material": "steel",
-        "film_W_m2K": FILM,
-    }
-    return screw_of(BallScrewSection.model_validate(data | keys), STEEL)
+    ends = {"fixed_bearing_mm": 1e3 * START, "far_end_mm": 1e3 * (START + LENGTH)}
+    return screw_of(BallScrewSection.model_validate(SECTION | ends | keys), STEEL)
 
 
 def steps_of(
@@ -126,8 +128,9 @@ def steps_of(
 
 def error_at(screw: Screw, temperature: Array, position: float = PLACE) -> float:
     """Return the positioning error of an axis with a screw, µm."""
-    drive = Drive(screw, None, None, 0, None, NO_SURFACES)
-    return 1e6 * float(positioning_error(drive, temperature, np.array([position]))[0])
+    drive = Drive(screw, None, None, 0, None, NO_SURFACES, NO_SEATS)
+    still = np.zeros((1, 3))
+    return 1e6 * float(positioning_error(drive, temperature, np.array([position]), still)[0])
 
 
 def _standing(screw: Screw, ambient: float, time: float = STEADY, count: int = 1) -> Array:
@@ -328,17 +331,18 @@ def _lead_check() -> Check:
     )
 
 
-def _scale_checks() -> Iterator[Check]:
+def _scale_check() -> Check:
     """A scale beside something that warms by 5 K, evenly, within one time constant."""
     section = ScaleSection(expansion_1_K=8e-6, fixed_mm=-50.0, head_mm=120.0, lag_s=900.0)
-    for name, zero, from_fixed in (("", None, 0.05 + 0.12 + PLACE), (", zeroed", 0.2, PLACE - 0.2)):
-        made = scale_of(section)
-        drive = Drive(None, made, None, 0, zero, NO_SURFACES)
-        warm = 0.0
-        for k in range(30):
-            warm = followed(made, warm, (k / 6.0, (k + 1.0) / 6.0), 30.0)
-        found = 1e6 * float(positioning_error(drive, np.array([warm]), np.array([PLACE]))[0])
-        yield ELONGATION.check(f"scale{name}", 8.0 * 5.0 * math.exp(-1.0) * from_fixed, found)
+    made = scale_of(section)
+    drive = Drive(None, made, None, 0, None, NO_SURFACES, NO_SEATS)
+    warm = 0.0
+    for k in range(30):
+        warm = followed(made, warm, (k / 6.0, (k + 1.0) / 6.0), 30.0)
+    at, still = np.array([PLACE]), np.zeros((1, 3))
+    found = 1e6 * float(positioning_error(drive, np.array([warm]), at, still)[0])
+    reference = 8.0 * 5.0 * math.exp(-1.0) * (0.05 + 0.12 + PLACE)
+    return ELONGATION.check("scale that follows with a lag", reference, found)
 
 
 def _machine_checks(folder: Path) -> Iterator[Check]:
@@ -359,19 +363,11 @@ def _machine_checks(folder: Path) -> Iterator[Check]:
         "bearing_torque_Nm": 0.5,
     }
     screw = screw_with(**keys)
-    section = {
-        "bearings": "fixed-free",
-        "nut_length_mm": 80.0,
-        "diameter_mm": 1e3 * DIAMETER,
-        "lead_mm": 10.0,
-        "material": "steel",
-        "film_W_m2K": FILM,
-    }
     times, places = np.array([0.0, 100.0, 250.0, 300.0]), np.array([0.0, 0.3, 0.02, 0.2])
     stroke = (0.0, 1e3 * (GUIDE - SLIDE))
     course = write_course(folder, times, places)
     alone = marched(folder, on_axis(data, stroke, file=course))
-    driven = marched(folder, on_axis(data, stroke, file=course, ball_screw=section | keys))
+    driven = marched(folder, on_axis(data, stroke, file=course, ball_screw=SECTION | keys))
     taken = steps_of(screw, History(times, places), 20.0, 15, 0.0)[-1].temperature
     made = screw.made
     moves = 1e6 * float((driven["displacement"] - alone["displacement"])[-1, 0])
@@ -383,7 +379,8 @@ def _machine_checks(folder: Path) -> Iterator[Check]:
     yield Quantity("tan β", "µm/m", 1e-9, "the screw by itself").check(
         "screw, slide on a screw", 1e9 * float(np.diff(ends)[0]) / (stroke[1] - stroke[0]), bending
     )
-    heating = section | keys | HEATING
+    yield from _seat_checks(folder, data, course)
+    heating = SECTION | keys | HEATING
     response = marched(folder, on_axis(data, stroke, file=course, ball_screw=heating))
     along = screw_of(BallScrewSection.model_validate(heating), STEEL).made.conduction
     way = float(np.abs(np.diff(places)).sum())
@@ -392,4 +389,39 @@ def _machine_checks(folder: Path) -> Iterator[Check]:
     left += along.capacity * float(response["screw_temperature"][-1].sum())
     yield Quantity("heat", "J", 1e-9, "torques times angle").check(
         "screw, slide that its screw heats", 2.0 * math.pi / 0.01 * way * (1.0 + 0.5 + 0.3), left
+    )
+
+
+def _seat_checks(folder: Path, data: dict[str, Any], course: str) -> Iterator[Check]:
+    """Seats that the guide moves, against their displacement when that is what is recorded."""
+    stroke = (0.0, 1e3 * (GUIDE - SLIDE))
+    seats = {"near": [100.0, -20.0, 0.0], "far": [320.0, -20.0, 0.0]}
+    probes = {name: {"position_mm": at, "body": "guide"} for name, at in seats.items()}
+    data = data | {"probes": data["probes"] | probes}
+    near, far = (
+        marched(folder, on_axis(data | {"displacement": {"point": name}}, stroke, file=course))
+        for name in seats
+    )
+    scale = {"expansion_1_K": 0.0, "fixed_mm": 0.0, "seat": "near"}
+    scaled = marched(folder, on_axis(data, stroke, file=course, scale=scale))
+    source = "displacement of the seat"
+    yield replace(ELONGATION, source=source).check(
+        "scale, seat that moves",
+        1e6 * float(near["displacement"][-1, 0]),
+        1e6 * float(scaled["positioning_error"][-1, 0]),
+    )
+    screw = SECTION | {
+        "bearings": "fixed-fixed",
+        "fixed_bearing_mm": -200.0,
+        "far_end_mm": 600.0,
+        "pretension_kN": 5.0,
+        "seat": "near",
+        "far_seat": "far",
+    }
+    held = marched(folder, on_axis(data, stroke, file=course, ball_screw=screw))
+    apart = float((far["displacement"] - near["displacement"])[-1, 0])
+    yield Quantity("tension", "N", 1e-9, source).check(
+        "screw, seats that move apart",
+        5e3 + STEEL.youngs_modulus * AREA * apart / 0.8,
+        float(held["screw_tension"][-1, 0]),
     )

@@ -13,7 +13,7 @@ from moving_knee import PATH, coarse_data, moving
 from repository import ROOT
 
 from fesim.axes.ball_screw import Beside, heat_at_ends, heat_of_nut, moved, tension, warmed
-from fesim.axes.positioning import Drive, Surfaces, positioning_error, screw_of
+from fesim.axes.positioning import Drive, Surfaces, positioning_error, screw_of, screw_tension
 from fesim.axes.setup import drive_of, set_up_axis
 from fesim.case.drive_sections import BallScrewSection
 from fesim.case.identity import condensation_key, thermal_key
@@ -39,7 +39,8 @@ SCREW = {
     "bearing_torque_Nm": 0.5,
 }
 FIXED = SCREW | {"bearings": "fixed-fixed", "stretch_um": 30.0}
-NO_SURFACES = Surfaces(np.full(3, -1), np.zeros((3, 0)))
+NO_SEATS = np.full(3, -1)
+NO_SURFACES = Surfaces(NO_SEATS, np.zeros((3, 0)))
 SCALE = {"expansion_1_K": 8e-6, "fixed_mm": -100.0, "head_mm": 20.0}
 #: (s, mm): stands, moves within steps and across them, there and back.
 COURSE = [(0, 0), (45, 0), (70, 200), (80, 200), (130, -100), (150, 50), (400, 50)]
@@ -50,8 +51,9 @@ def screw_with(**keys):
 
 
 def error_of(screw, temperature, *positions):
-    drive = Drive(screw, None, None, 0, None, NO_SURFACES)
-    return positioning_error(drive, temperature, np.array(positions))
+    drive = Drive(screw, None, None, 0, None, NO_SURFACES, NO_SEATS)
+    seats = np.zeros((len(positions), 3))
+    return positioning_error(drive, temperature, np.array(positions), seats)
 
 
 def test_only_what_lies_between_bearing_and_nut_moves_the_nut():
@@ -255,6 +257,44 @@ def test_what_heat_the_screw_does_not_take_warms_the_machine(case_with, alone):
     assert np.array_equal(response["heat_input"], alone["heat_input"])
 
 
+def test_a_seat_that_the_structure_moves_moves_the_bodies(case_with, alone):
+    still = {"expansion_1_K": 0.0, "fixed_mm": 0.0, "seat": "guide"}
+    response = simulate(case_with(scale=still)).response
+    recorded = case_with().model_dump(mode="json", exclude_unset=True)
+    recorded["displacement"] = {"point": "guide"}
+    del recorded["axes"]["y"]["rotation_within_mm"]
+    seat = simulate(case_from_data(recorded, "knee", PATH.parent)).response
+    moved_y = seat["displacement"].sel(axis="y")
+    size = float(np.abs(moved_y).max())
+    assert size > 1e-6
+    # Each has thermal modes of its own.
+    assert np.allclose(response["positioning_error"][:, 0], moved_y, rtol=0.0, atol=1e-4 * size)
+    asked = response["asked_positioning_error"][:, 0]
+    there = seat["asked_displacement"][:, 0].sel(axis="y")
+    assert np.allclose(asked, there, rtol=0.0, atol=1e-4 * size)
+    assert np.allclose(response["rotation"], alone["rotation"], rtol=0.0, atol=1e-9)
+    zeroed = simulate(case_with(scale=still, zero_mm=50.0)).response
+    errors = zeroed["asked_positioning_error"][:, 0]
+    assert np.allclose(errors, asked - asked[:, 2], rtol=0.0, atol=1e-4 * size)
+    assert not errors[:, 2].any()
+
+
+def test_seats_that_move_apart_stretch_the_screw():
+    held = screw_of(BallScrewSection.model_validate(FIXED), STEEL)
+    cool, seats = np.zeros(100), np.array([[2e-6, 9e-6, 0.0]] * 3)
+    pulled = [screw_tension(held, cool, one) for one in (np.zeros(3), seats[0])]
+    assert pulled[1] - pulled[0] == pytest.approx(206e9 * np.pi * 0.02**2 * 7e-6 / 0.7)
+    drive = Drive(held, None, None, 0, None, NO_SURFACES, NO_SEATS)
+    # At the near bearing, in the middle, at the far one.
+    errors = positioning_error(drive, cool, np.array([-0.31, 0.04, 0.39]), seats)
+    assert np.allclose(errors, [2e-6, 5.5e-6, 9e-6])
+
+
+def test_a_seat_on_a_body_that_moves_is_refused(case_with):
+    with pytest.raises(InputError, match="the seat 'table' is on a body that moves"):
+        set_up_axis(case_with(scale=SCALE | {"seat": "table"}))
+
+
 def test_only_the_surfaces_of_a_screw_belong_to_the_condensed_machine(case_with):
     plain, warm = case_with(ball_screw=SCREW), case_with(ball_screw=FIXED, zero_mm=0.0)
     heating = case_with(ball_screw=SCREW | {"nut_surface": "screw_foot"})
@@ -325,6 +365,8 @@ def refused(tmp_path, **axis):
         ({"ball_screw": SCREW | {"material": "brass"}}, "no material 'brass'"),
         ({"ball_screw": SCREW | {"nut_share": 1.2}}, "nut_share"),
         ({"scale": SCALE | {"follows": "bed"}}, "no probe 'bed'"),
+        ({"scale": SCALE | {"seat": "bed"}}, "no probe 'bed' to sit at"),
+        ({"ball_screw": SCREW | {"far_seat": "guide"}}, "nothing pulls a fixed-free screw"),
         ({"scale": SCALE, "zero_mm": 300.0}, "outside stroke_mm"),
         ({"zero_mm": 0.0}, "no error to set to zero"),
     ],
