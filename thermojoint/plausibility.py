@@ -82,6 +82,9 @@ HEAT_INPUT = Quantity("times the reference step", -10.0, 10.0, 1.0, (_PERCENT,))
 POWER = Quantity("W", 0.5, 1e5, 200.0, _units({"kW": 1e3, "mW": 1e-3, "µW": 1e-6, "MW": 1e6}))
 PRESSURE = Quantity("MPa", 0.005, 2000.0, 4.0, _units({"Pa": 1e-6, "kPa": 1e-3, "GPa": 1e3}))
 LENGTH = Quantity("mm", 1.0, 5e4, 300.0, _units({"m": 1e3, "µm": 1e-3}))
+DIAMETER = Quantity("mm", 1.0, 300.0, 12.0, _units({"m": 1e3, "cm": 10.0}))
+TORQUE = Quantity("N m", 1e-3, 200.0, 1.0, _units({"N mm": 1e-3, "N cm": 1e-2}))
+EXPANSION = Quantity("1/K", -1e-4, 5e-4, 12e-6, _units({"1e-6/K": 1e-6, "mm/(m K)": 1e-3}))
 #: Temperature of the air in a workshop.
 AMBIENT = Quantity("°C", -40.0, 50.0, 20.0, (_KELVIN, Slip("°F", 5.0 / 9.0, -160.0 / 9.0)))
 READING = Quantity("°C", -60.0, 250.0, 30.0, (_KELVIN,))
@@ -133,9 +136,7 @@ CASE = {
     "materials.*.youngs_modulus_GPa": Quantity(
         "GPa", 0.2, 5000.0, 150.0, _units({"Pa": 1e-9, "MPa": 1e-3, "TPa": 1e3, "psi": 6.894757e-6})
     ),
-    "materials.*.expansion_1_K": Quantity(
-        "1/K", -1e-4, 5e-4, 12e-6, _units({"1e-6/K": 1e-6, "mm/(m K)": 1e-3})
-    ),
+    "materials.*.expansion_1_K": EXPANSION,
     "joints.*.preload_MPa": PRESSURE,
     "joints.*.reference_pressure_MPa": PRESSURE,
     "joints.*.initial_opening_um": Quantity("µm", 0.05, 2000.0, 20.0, _MICROMETRES),
@@ -179,11 +180,24 @@ CASE = {
     "loads.*.pressure_MPa": Quantity("MPa", -1000.0, 1000.0, 1.0, PRESSURE.slips[:2]),
     "loads.*.acceleration_m_s2.*": Quantity("m/s2", -1000.0, 1000.0, 9.81, (Slip("mm/s2", 1e-3),)),
     "bolts.*.force_kN": Quantity("kN", 0.01, 1e4, 20.0, _units({"N": 1e-3, "MN": 1e3})),
-    "bolts.*.diameter_mm": Quantity("mm", 1.0, 300.0, 12.0, _units({"m": 1e3, "cm": 10.0})),
+    "bolts.*.diameter_mm": DIAMETER,
     "bolts.*.clamped_length_mm": LENGTH,
     "bolts.*.stiffness_N_um": Quantity(
         "N/µm", 1.0, 1e5, 300.0, _units({"N/mm": 1e-3, "N/m": 1e-6})
     ),
+    "axes.*.ball_screw.diameter_mm": DIAMETER,
+    "axes.*.ball_screw.lead_mm": Quantity("mm", 0.5, 200.0, 10.0, _units({"m": 1e3, "µm": 1e-3})),
+    "axes.*.ball_screw.film_W_m2K": FILM,
+    "axes.*.ball_screw.rotating_film.added_W_m2K": FILM,
+    "axes.*.ball_screw.rotating_film.rotation_rpm": Quantity(
+        "1/min", 1.0, 2e4, 1000.0, _units({"1/s": 60.0, "rad/s": 30.0 / math.pi})
+    ),
+    "axes.*.ball_screw.nut_torque_Nm": TORQUE,
+    "axes.*.ball_screw.bearing_torque_Nm": TORQUE,
+    "axes.*.ball_screw.far_bearing_torque_Nm": TORQUE,
+    "axes.*.ball_screw.stretch_um": Quantity("µm", 0.5, 1000.0, 30.0, _MICROMETRES),
+    "axes.*.ball_screw.pretension_kN": Quantity("kN", 0.01, 500.0, 5.0, _units({"N": 1e-3})),
+    "axes.*.scale.expansion_1_K": EXPANSION,
     "march.step_s": Quantity("s", 1e-3, 3600.0, 2.0, _units({"ms": 1e-3, "µs": 1e-6})),
     "march.duration_min": Quantity("min", 0.01, 2e4, 35.0, (Slip("s", 1.0 / 60.0),)),
     "structure.element_size_mm": LENGTH,

@@ -16,7 +16,7 @@ from fesim.axes.condensation import condense_aligned, condense_apart
 from fesim.axes.guideway import GuideStations, Guideway
 from fesim.axes.machine import MovingMachine
 from fesim.axes.operators import GuidedOperators, guided_operators
-from fesim.axes.positioning import Drive, Surfaces, scale_of, screw_of
+from fesim.axes.positioning import Drive, Screw, Surfaces, scale_of, screw_of
 from fesim.axes.rotation import rotation_rows
 from fesim.cache import remembered
 from fesim.case.axis_section import AxisSection, seats_of
@@ -217,6 +217,7 @@ def drive_of(case: Case, setup: Setup, surfaces: Surfaces) -> Drive | None:
     screw = scale = followed = None
     if (section := axis.ball_screw) is not None:
         screw = screw_of(section, material_of(case.materials[section.material]))
+        _check_bearings(screw, surfaces, setup.machine.thermal)
     if axis.scale is not None:
         scale = scale_of(axis.scale)
         if axis.scale.follows is not None:
@@ -226,6 +227,21 @@ def drive_of(case: Case, setup: Setup, surfaces: Surfaces) -> Drive | None:
     seats = {name: first + k for k, name in enumerate(_seats(axis))}
     seat = np.array([-1 if name is None else seats[name] for name in seats_of(axis)])
     return Drive(screw, scale, followed, input_layout(case).ambient, zero, surfaces, seat)
+
+
+def _check_bearings(screw: Screw, surfaces: Surfaces, thermal: ThermalCondensation) -> None:
+    """Refuse bearings that would make a surface swing, whose temperature is that before a step."""
+    for end, sink in enumerate(screw.made.conduction.sinks):
+        column = surfaces.column[1 + end]
+        if column < 0:
+            continue
+        warmed = surfaces.temperature[1 + end] @ thermal.factor.solve(thermal.inputs[:, column])
+        if sink * warmed > 1.0:
+            raise InputError(
+                f"axes: bearing_conductance_W_K: one step of {thermal.step:g} s would bring the "
+                f"surface of the {HEATED[1 + end]} past the temperature of the screw; take a "
+                "shorter march.step_s, or name a larger surface"
+            )
 
 
 def _surfaces(case: Case, whole: Discretised, modes: ThermalModes) -> Surfaces:

@@ -206,6 +206,16 @@ def _fin_checks() -> Iterator[Check]:
     yield Quantity("order in space", "1", 0.02, "second order").check(
         "screw, fin heated at its end", 2.0, math.log2(errors[1] / errors[2])
     )
+    time, near = 1000.0, 0.15
+    screw = screw_with(motor_heat_W=heat, film_W_m2K=0.0)
+    share = near / math.sqrt(4.0 * DIFFUSIVITY * time)
+    beyond = (1.0 + 2.0 * share**2) * math.erfc(share)
+    beyond -= 2.0 * share * math.exp(-(share**2)) / math.sqrt(math.pi)
+    yield replace(ELONGATION, tolerance=1e-3, source="half-space under a flux, closed form").check(
+        "screw, heat on its way along it",
+        1e6 * STEEL.expansion * heat * DIFFUSIVITY * time / along * (1.0 - beyond),
+        error_at(screw, _standing(screw, 0.0, time, 50), START + near),
+    )
     keys = {"bearings": "fixed-supported", "film_W_m2K": 0.0, "bearing_conductance_W_K": sink}
     screw = screw_with(motor_heat_W=heat, **keys)
     # What goes to the far bearing passes the whole screw, in which T is linear.

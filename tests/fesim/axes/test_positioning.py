@@ -23,6 +23,7 @@ from fesim.simulate import simulate
 from fesim.solid.materials import Material
 from thermojoint.artefacts.errors import InputError
 from thermojoint.paper.summary import axis_lines, drive_lines
+from thermojoint.plausibility import of_case
 
 STEEL = Material(50.0, 7850.0, 470.0, 206e9, 0.3, 11.5e-6)
 SCREW = {
@@ -290,6 +291,13 @@ def test_seats_that_move_apart_stretch_the_screw():
     assert np.allclose(errors, [2e-6, 5.5e-6, 9e-6])
 
 
+def test_bearings_that_would_make_a_surface_swing_are_refused(case_with):
+    hot = {"bearing_conductance_W_K": 1e4, "bearing_surface": "bearings", "diameter_mm": 100.0}
+    case = case_with(ball_screw=SCREW | hot | {"cells": 1000})
+    with pytest.raises(InputError, match="past the temperature of the screw; take a shorter"):
+        set_up_axis(case)
+
+
 def test_a_seat_on_a_body_that_moves_is_refused(case_with):
     with pytest.raises(InputError, match="the seat 'table' is on a body that moves"):
         set_up_axis(case_with(scale=SCALE | {"seat": "table"}))
@@ -393,3 +401,17 @@ film_W_m2K = 15.0
     (line,) = capsys.readouterr().err.splitlines()
     assert "give either 'stretch_um' or 'pretension_kN'" in line
     assert not (tmp_path / "no.nc").exists()
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "meant"),
+    [
+        ("lead_mm", 0.01, "0.01 m would be 10 mm"),
+        ("nut_torque_Nm", 1500.0, "1500 N mm would be 1.5 N m"),
+        ("stretch_um", 30e-6, "3e-05 m would be 30 µm"),
+    ],
+)
+def test_a_wrong_unit_is_warned_of(case_with, key, value, meant):
+    (line,) = of_case(case_with(ball_screw=FIXED | {key: value}), "knee.toml")
+    assert line.startswith(f"knee.toml: axes.y.ball_screw.{key}")
+    assert meant in line
