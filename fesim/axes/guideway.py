@@ -58,6 +58,7 @@ class GuideStations:
     def __post_init__(self) -> None:
         """Keep what is passed on some ways."""
         object.__setattr__(self, "_passages", lru_cache(maxsize=KEPT)(self._passed))
+        object.__setattr__(self, "_weights", lru_cache(maxsize=KEPT)(self._weighted))
 
     @property
     def count(self) -> int:
@@ -78,6 +79,14 @@ class GuideStations:
         """Return what is passed while the axis moves evenly between two positions, m."""
         found: Passage = vars(self)["_passages"](start, end)
         return found
+
+    def weights(self, position: float) -> Array:
+        """Return the weights (k,) of the aligned positions at a position, m; not to be changed."""
+        found: Array = vars(self)["_weights"](position)
+        return found
+
+    def _weighted(self, position: float) -> Array:
+        return weights_at(self.positions, position)
 
     @property
     def everywhere(self) -> Passage:
@@ -144,12 +153,56 @@ class Guideway:
 
     def elastic_at(self, position: float) -> ElasticCondensation:
         """Return the elastic condensation at a position, m."""
-        weights = weights_at(self.positions, position)
+        weights = self.stations.weights(position)
         touched = np.flatnonzero(weights)
         if touched.size == 1:
             return self.elastic[touched[0]]
         first, second = touched
         return between(self.elastic[first], self.elastic[second], float(weights[second]))
+
+    def free_at(self, position: float, temperatures: Array) -> Array:
+        """Return gaps without contact (3 m,), then displacements (p,), m, at a position, m.
+
+        Parameters
+        ----------
+        position : float
+            m.
+        temperatures : ndarray, shape (r,)
+            As the guideway's.
+        """
+        weights = self.stations.weights(position)
+        return np.asarray(
+            sum(
+                weights[k]
+                * np.concatenate(
+                    [
+                        self.elastic[k].thermal_gap @ temperatures,
+                        self.elastic[k].probe_thermal @ temperatures,
+                    ]
+                )
+                for k in np.flatnonzero(weights)
+            )
+        )
+
+    def contact_at(self, position: float) -> ElasticCondensation:
+        """Return the elastic condensation at a position, m, on what is free there (`free_at`)."""
+        weights = self.stations.weights(position)
+        touched = np.flatnonzero(weights)
+
+        def mixed(name: str) -> Array:
+            return np.asarray(sum(weights[k] * getattr(self.elastic[k], name) for k in touched))
+
+        first = self.elastic[0]
+        gaps, probes = first.reference.size, len(first.probe_compliance)
+        every = np.eye(gaps + probes)
+        return ElasticCondensation(
+            compliance=mixed("compliance"),
+            thermal_gap=every[:gaps],
+            probe_compliance=mixed("probe_compliance"),
+            probe_thermal=every[gaps:],
+            reference=first.reference,
+            area=first.area,
+        )
 
     def jump(self, coefficients: Array) -> Array:
         """Return the temperature jump of each contact element, K, (m, r), by b (m, m + n)."""

@@ -9,7 +9,7 @@ here.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -41,7 +41,6 @@ from thermojoint.reduced.machine import (
     conducted,
     contact_of,
     evenly_exchanged,
-    placed,
     rest_of,
 )
 
@@ -77,15 +76,26 @@ class Physics:
         object.__setattr__(self, "_standing", lru_cache(maxsize=KEPT)(self._placed))
 
     def standing(self, loads: Array) -> Physics:
-        """Return the physics where the axis stands, the last of the factors (l,), m."""
+        """Return the joints where the axis stands, the last of the factors (l,), m.
+
+        Their amplitudes are those of `felt`; they conduct nothing.
+        """
         if self.modes.way is None:
             return self
         found: Physics = vars(self)["_standing"](float(loads[-1]))
         return found
 
     def _placed(self, position: float) -> Physics:
-        modes = placed(self.modes, position)
+        assert self.modes.way is not None  # asked for on an axis only
+        elastic = self.modes.way.contact_at(position)
+        unused = np.zeros((self.contacts, elastic.thermal_gap.shape[1]))
+        modes = replace(self.modes, elastic=elastic, jump=unused, mean=unused, way=None)
         return Physics(modes, self.laws, np.zeros_like(self.held), contact_of(modes, self.laws))
+
+    def felt(self, amplitudes: Array, loads: Array) -> Array:
+        """Return what the joints feel where the axis stands: of `standing`, its amplitudes."""
+        way = self.modes.way
+        return amplitudes if way is None else way.free_at(float(loads[-1]), amplitudes)
 
     @cached_property
     def held_exchange(self) -> Array:
@@ -113,8 +123,9 @@ class Physics:
     @cached_property
     def rest(self) -> JointState:
         """The joints before the first step; not to be written to."""
-        here = self.standing(self.modes.factors)
-        return JointState(*rest_of(here.contact, here.modes))
+        first = self.modes.factors
+        here, start = self.standing(first), self.felt(self.modes.start, first)
+        return JointState(*rest_of(here.contact, replace(here.modes, start=start)))
 
     def at_rest(self) -> JointState:
         """The joints before the first step, to go on from."""
@@ -242,7 +253,7 @@ def settle_joint(
     ConvergenceError
         The gap equations have no solution that Newton's method finds.
     """
-    physics = physics.standing(loads)
+    physics, amplitudes = physics.standing(loads), physics.felt(amplitudes, loads)
     kernel = physics.kernel
     if kernel is not None:
         after = JointState(*map(np.array, joint))
@@ -257,7 +268,7 @@ def settle_plainly(
     physics: Physics, joint: JointState, amplitudes: Array, loads: Array
 ) -> tuple[JointState, Array]:
     """As `settle_joint`, for laws that are not compiled, and where the joint snaps."""
-    physics = physics.standing(loads)
+    physics, amplitudes = physics.standing(loads), physics.felt(amplitudes, loads)
     modes = physics.modes
     if not physics.contacts:
         return joint, moved_by(physics, joint, amplitudes, loads)
@@ -274,7 +285,7 @@ def settle_plainly(
 
 def moved_by(physics: Physics, joint: JointState, amplitudes: Array, loads: Array) -> Array:
     """Return the displacement (axes,), m, with a joint in equilibrium; as `settle_joint`."""
-    physics = physics.standing(loads)
+    physics, amplitudes = physics.standing(loads), physics.felt(amplitudes, loads)
     elastic, influence = physics.modes.elastic, physics.modes.loads
     moved = elastic.probe_thermal @ amplitudes + influence.probes @ loads
     if not physics.contacts:

@@ -1,0 +1,181 @@
+"""A joint-aware model of a machine with a moving axis on plants that are not its model: a day.
+
+    python -m benchmarks.moving_axis --out moving-axis.json [--count 3] [--seed 2]
+
+The plants are the shipped machine with a moving knee on a finer mesh, with other parameters from
+the second one on, noise of 0.12 K peak to peak on every thermometer. The table moves at random for
+two fifths of the time. Calibrated from steps of 0.5, 1 and 2 for 35 min and a cool-down of 4 h;
+judged, free-running, at step 3.0 and in a day of 8 h with random heat. Tables in
+docs/moving-axes.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from importlib.resources import files
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import process_time
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from calibrate.joint_aware.calibration import calibrate_joint_aware
+from calibrate.joint_aware.random_heat import random_levels
+from estimator.interface import Estimate, follow
+from estimator.joint_aware.estimator import JointAware
+from estimator.joint_aware.readings import samples_in
+from estimator.lines import here, lines_of
+from fesim.case.schema import Case, read_case
+from fesim.simulate import simulate
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.files import write_text
+from thermojoint.artefacts.response import columns_of
+from thermojoint.artefacts.units import MEGA
+
+#: Mesh of the plants, mm, and their steps, s.
+MESH, STEP = {"element_size_mm": 40.0, "joint_element_size_mm": 25.0}, 5.0
+#: Speed of the table, m/s, and the share of the time that it moves.
+SPEED, MOVES = 0.02, 0.4
+#: Rectangular noise of a thermometer, K, to both sides.
+NOISE = 0.06
+#: Minutes of the runs; levels of those with a step.
+LEVELS = {"0.5": 0.5, "1": 1.0, "2": 2.0, "3": 3.0}
+STEPS, COOLING, DAY = 35.0, 240.0, 480.0
+
+
+def course(rng: np.random.Generator, minutes: float, stroke: Sequence[float]) -> str:
+    """Return a history of positions: stands for 1 to 15 min, then goes to and fro."""
+    time, place, rows = 0.0, 0.0, ["time_s,position_mm", "0,0"]
+    while time < 60.0 * minutes:
+        stands = rng.uniform(60.0, 900.0)
+        time += stands
+        rows.append(f"{time:.1f},{place:.1f}")
+        until = time + stands * MOVES / (1.0 - MOVES)
+        while time < until:
+            there = rng.uniform(*stroke)
+            time += max(STEP, 1e-3 * abs(there - place) / SPEED)
+            place = there
+            rows.append(f"{time:.1f},{place:.1f}")
+    return "\n".join(rows) + "\n"
+
+
+def heats(rng: np.random.Generator) -> dict[str, tuple[float, Any]]:
+    """Return minutes and heat input of every run."""
+    found: dict[str, tuple[float, Any]] = {
+        name: (STEPS, {"kind": "step", "level": level}) for name, level in LEVELS.items()
+    }
+    times = STEP * np.arange(60.0 * DAY / STEP)
+    levels = random_levels(rng, 60.0 * DAY, STEP, 2.5, 1)[:, 0]
+    cooling = np.where(times < 60.0 * STEPS, 2.0, 0.0)[: round(60.0 * COOLING / STEP)]
+    for name, minutes, values in (("cool-down", COOLING, cooling), ("day", DAY, levels)):
+        lines = [f"{at:g},{value:.4f}" for at, value in zip(times, values, strict=False)]
+        found[name] = minutes, "\n".join(["time_s,heat_input", *lines]) + "\n"
+    return found
+
+
+def plant_of(case: Case, rng: np.random.Generator, number: int) -> Case:
+    """Return a plant: on a finer mesh, from number 1 on with other parameters."""
+    plant = case.replace(structure=MESH, march={"step_s": STEP})
+    if number == 0:
+        return plant
+    joint, (body,) = case.joints["knee"], case.materials
+    material, source = case.materials[body], case.sources["bearings"]
+    conductivity = float(material.conductivity_W_mK)  # type: ignore[arg-type]
+    return plant.replace(
+        convection_W_m2K={"exterior": rng.uniform(4.0, 10.0)},
+        joints={
+            "knee": {
+                "preload_MPa": joint.preload_MPa * rng.uniform(0.8, 1.2),
+                "roughness_um": joint.roughness_um * rng.uniform(0.7, 1.3),
+            }
+        },
+        materials={body: {"conductivity_W_mK": conductivity * rng.uniform(0.92, 1.08)}},
+        sources={
+            "bearings": {"reference_power_W": source.reference_power_W * rng.uniform(0.9, 1.1)}
+        },
+    )
+
+
+def responses_of(plant: Case, rng: np.random.Generator, folder: Path) -> dict[str, xr.Dataset]:
+    """Return the noisy responses of a plant to all runs."""
+    (axis,) = plant.axes
+    found = {}
+    for name, (minutes, heat) in heats(rng).items():
+        moves = folder / f"{name}-course.csv"
+        moves.write_text(course(rng, minutes, plant.axes[axis].stroke_mm))
+        if isinstance(heat, str):
+            (folder / f"{name}-heat.csv").write_text(heat)
+            heat = {"kind": "sampled", "file": str(folder / f"{name}-heat.csv")}
+        given = plant.replace(axes={axis: {"file": str(moves)}}, march={"duration_min": minutes})
+        response = simulate(given.replace(heat_input=heat), accuracy=False).response
+        read = response["temperature"]
+        found[name] = response.assign(temperature=read + rng.uniform(-NOISE, NOISE, read.shape))
+    return found
+
+
+def figures(estimator: JointAware, response: xr.Dataset) -> dict[str, Any]:
+    """Return errors at the present position, of the line there, and of a model that stands."""
+    stroke = estimator.model.stroke
+    assert stroke is not None  # of a machine with an axis
+    samples = np.array(list(samples_in(response, estimator.model.sensors, axes=[stroke.axis])))
+    actual = columns_of(response, "displacement", estimator.axes)
+    made = _estimates(estimator, samples)
+    moved, band = here(estimator.axes, estimator.details, made)
+    place = response["axis_position"].to_numpy()
+    lines = [lines_of(estimator.axes, estimator.details, one.details) for one in made]
+    slope = np.array([one.slope for one in lines if one is not None])
+    line = np.array([one.displacement for one in made]) + slope * (place - stroke.reference)
+    still = samples.copy()
+    still[:, -1] = stroke.reference
+    middle, _ = here(estimator.axes, estimator.details, _estimates(estimator, still))
+    error = np.abs(moved - actual)
+    return {
+        "size_um": _um(np.abs(actual).max(axis=0)),
+        "max_um": _um(error.max(axis=0)),
+        "rms_um": _um(np.sqrt(np.mean(error**2, axis=0))),
+        "inside_percent": (100.0 * np.mean(error <= band, axis=0)).round(1).tolist(),
+        "half_band_um": _um(band.mean(axis=0)),
+        "line_max_um": _um(np.abs(line - actual).max(axis=0)),
+        "one_position_max_um": _um(np.abs(middle - actual).max(axis=0)),
+    }
+
+
+def _estimates(estimator: JointAware, samples: Array) -> list[Estimate]:
+    return [one for _, one in follow(estimator, samples.tolist(), estimator.initial_state())]
+
+
+def _um(values: Array) -> list[float]:
+    return [round(float(value), 2) for value in MEGA * values]
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the study and write its rows."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--count", type=int, default=3)
+    parser.add_argument("--seed", type=int, default=2)
+    parser.add_argument("--out", type=Path, default=Path("moving-axis.json"))
+    options = parser.parse_args(arguments)
+    case = read_case(Path(str(files("thermojoint").joinpath("cases/moving_knee.toml"))))
+    case = case.replace(march={"step_s": STEP})
+    rows = []
+    for number in range(options.count):
+        rng = np.random.default_rng((options.seed, number))
+        with TemporaryDirectory() as folder:
+            responses = responses_of(plant_of(case, rng, number), rng, Path(folder))
+        began = process_time()
+        runs = {name: responses[name] for name in ("0.5", "1", "2", "cool-down")}
+        model = calibrate_joint_aware(case, runs).model
+        spent = process_time() - began
+        for name in ("3", "day"):
+            row = {"plant": number, "run": name} | figures(JointAware(model), responses[name])
+            rows.append(row | {"calibration_s": round(spent, 1)})
+            print(json.dumps(rows[-1]), flush=True)
+        write_text(options.out, json.dumps(rows, indent=1, allow_nan=False) + "\n")
+
+
+if __name__ == "__main__":
+    main()
