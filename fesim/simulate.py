@@ -158,6 +158,11 @@ def simulate(
             "start: the state is of another reduced thermal model, built elsewhere; simulate from "
             'the start, or use thermal = "full" in [march] for both'
         )
+    if first.drive.shape != at_first.shape:
+        raise InputError(
+            "start: the state is of a machine with another drive; simulate from the start, or take "
+            "the case that it was saved with"
+        )
     if start is not None:
         check_resumable(case)
     count = step_count(case.march) - first.index

@@ -259,6 +259,7 @@ class Case(Described, Section):
             self.initial_temperature,
             self.loads,
             self.bolts,
+            heated_by_drives(self),
         )
         if not any(acting):
             raise ValueError("nothing heats the structure: add [sources.NAME]")

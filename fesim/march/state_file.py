@@ -33,6 +33,9 @@ def fingerprint(case: Case) -> str:
     del data["march"]["duration_min"]
     for source in data["sources"].values():
         del source["heat_input"]
+    # Probes are only recorded, except those that a scale follows.
+    follows = [axis.scale.follows for axis in case.axes.values() if axis.scale is not None]
+    data["followed"] = [case.probes[name].model_dump() for name in follows if name is not None]
     # Contact elements are numbered joint by joint, so the order of the joints matters.
     data["joints"] = list(data["joints"].items())
     data["version"] = version("thermojoint")

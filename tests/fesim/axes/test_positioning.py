@@ -18,7 +18,7 @@ from fesim.axes.setup import drive_of, set_up_axis
 from fesim.case.drive_sections import BallScrewSection
 from fesim.case.identity import condensation_key, thermal_key
 from fesim.case.schema import case_from_data, parse_case
-from fesim.march.state_file import load_state, save_state
+from fesim.march.state_file import fingerprint, load_state, save_state
 from fesim.simulate import simulate
 from fesim.solid.materials import Material
 from thermojoint.artefacts.errors import InputError
@@ -223,6 +223,31 @@ def test_the_state_of_another_screw_is_refused(case_with, march, tmp_path):
     save_state(march(short).state, short, tmp_path / "state.npz")
     with pytest.raises(InputError, match="state of another structure"):
         load_state(tmp_path / "state.npz", case_with(ball_screw=SCREW))
+
+
+def test_a_state_without_the_screw_does_not_start_one(case_with, march):
+    short = case_with().replace(march={"duration_min": 1.0})
+    with pytest.raises(InputError, match="another drive"):
+        march(case_with(ball_screw=SCREW), start=march(short).state)
+
+
+def test_the_state_beside_another_probe_is_refused(case_with):
+    case = case_with(scale=SCALE | {"follows": "guide"})
+    there = {"guide": {"position_mm": [650.0, 700.0, 87.5], "body": "column"}}
+    assert fingerprint(case.replace(probes=there)) != fingerprint(case)
+    free = case_with(scale=SCALE)
+    assert fingerprint(free.replace(probes=there)) == fingerprint(free)
+
+
+def test_a_machine_may_be_heated_by_its_drive_alone(case_with):
+    data = case_with(ball_screw=SCREW | {"nut_surface": "screw_foot", "nut_share": 0.5}).model_dump(
+        mode="json", exclude_unset=True
+    )
+    del data["sources"], data["heat_input"]
+    response = simulate(case_from_data(data, "knee", PATH.parent)).response
+    assert list(response["source"].to_numpy()) == ["y nut"]
+    assert float(response["source_power"].max()) > 1.0
+    assert float(np.abs(response["displacement"]).max()) > 1e-8
 
 
 def test_a_scale_follows_a_probe_of_the_machine(case_with, march):
