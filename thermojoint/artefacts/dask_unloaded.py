@@ -15,7 +15,12 @@ _NAMES = ("dask", "dask.array")
 
 
 def leave_dask_unloaded() -> None:
-    """Let later imports of Dask fail, which tells xarray that there are no such arrays."""
+    """Let later imports of Dask fail, which tells xarray that there are no such arrays.
+
+    Where xarray is loaded, Dask stays: xarray may have found it already, and would miss it.
+    """
+    if "xarray" in sys.modules:
+        return
     for name in _NAMES:
         # None in place of a module is Python's own way to say that it cannot be imported.
         sys.modules.setdefault(name, cast(ModuleType, None))

@@ -149,3 +149,25 @@ def test_responses_load_no_dask_and_a_cluster_finds_it_nevertheless():
     command = [sys.executable, "-c", VARIABLE, "--version"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[1:] == ["", "1"]
+
+
+#: A script that has used xarray before it runs a command.
+AFTERWARDS = """
+import sys
+import xarray
+xarray.Variable("time", [0.0])
+from thermojoint.cli import main as cli
+
+try:
+    cli.main()
+except SystemExit:
+    pass
+print(xarray.Variable("time", [0.0, 1.0]).sizes["time"])
+"""
+
+
+def test_where_xarray_was_used_before_it_goes_on_with_dask():
+    pytest.importorskip("dask")
+    command = [sys.executable, "-c", AFTERWARDS, "--version"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "2"
