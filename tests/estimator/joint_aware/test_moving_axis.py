@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from in_process import run
 from moving_knee import moving
 from observed import estimates, observer
 
@@ -28,6 +29,16 @@ from thermojoint.reduced.physics import simulate_known
 #: (s, mm): stands, passes several stations in a step, stands between stations.
 COURSE = [(0, 0), (60, 0), (90, 200), (240, 200), (270, -100), (480, 30), (510, 85), (1200, 85)]
 SENSORS = ("bearing", "guide", "table")
+#: The axis of the control that moves the knee.
+SLOPED = """
+rate_um_s = 5.0
+largest_um = 500.0
+[axes.Y]
+follows = "y"
+sign = -1
+[axes.Y.slope]
+resolution_um_per_m = 1.0
+"""
 
 
 @pytest.fixture(scope="module")
@@ -185,3 +196,28 @@ def test_the_control_is_given_the_line_over_the_whole_stroke(estimator):
         "x": Stroke(0.05, -0.1, 0.2),
         "y": Stroke(0.05, -0.1, 0.2),
     }
+
+
+def test_commands_take_a_log_to_lines_for_the_control(estimator, response, samples, tmp_path):
+    """`estimate`, `validate` and `compensate`, which takes K0, slope and P0 from the table."""
+    write_observer(estimator.model, tmp_path / "model.h5")
+    rows = [[time, *values, 1e3 * place] for time, *values, place in samples]
+    lines = [",".join(f"{value:.9g}" for value in row) for row in rows]
+    head = "time_s,bearing_K,guide_K,table_K,ambient_K,y_pos_mm"
+    (tmp_path / "log.csv").write_text("\n".join([head, *lines]) + "\n")
+    response.to_netcdf(tmp_path / "run.nc")
+    (tmp_path / "offsets.toml").write_text(SLOPED)
+    model, log, table = (tmp_path / name for name in ("model.h5", "log.csv", "estimate.csv"))
+    assert run("estimate", model, log, "--out", table) == 0
+    read = np.genfromtxt(table, delimiter=",", names=True)
+    _, found = estimates(estimator, samples)
+    moved, _ = here(estimator.axes, estimator.details, found)
+    np.testing.assert_allclose(read["x_here_um"], 1e6 * moved[:, 0], atol=1e-3)
+    line = read["x_um"] + read["x_slope_um_per_m"] * 1e-3 * (200.0 - read["x_P0_mm"])
+    assert np.abs(line - read["x_here_um"])[10:20].max() < 5.0  # it stands at 200 mm then
+    assert run("validate", model, tmp_path / "run.nc") == 0
+    settings, offsets = tmp_path / "offsets.toml", tmp_path / "offsets.csv"
+    assert run("compensate", table, "--settings", settings, "--out", offsets) == 0
+    given = np.genfromtxt(offsets, delimiter=",", names=True)
+    assert given["slope_Y_um_per_m"][-1] == pytest.approx(-read["y_slope_um_per_m"][-1], abs=2.0)
+    assert (given["P0_Y_mm"] == 50.0).all()
