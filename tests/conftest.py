@@ -1,6 +1,7 @@
 """Fixtures that several test files share."""
 
 import copy
+import fcntl
 import gc
 import os
 import signal
@@ -154,6 +155,19 @@ def coarse_case(coarse_data):
 def coarse_setup(coarse_case):
     """Condensed once for all tests."""
     return set_up(coarse_case)
+
+
+@pytest.fixture(scope="session")
+def machine_code(coarse_data):
+    """The simulator's machine code, made by one process; another that needs it waits.
+
+    For what begins first: all processes would make the same.
+    """
+    data = copy.deepcopy(coarse_data)
+    data["march"] |= {"thermal": "reduced"}
+    with (Path(os.environ["THERMOJOINT_CACHE"]) / "machine-code.lock").open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        simulate(case_from_data(data, "coarse case", Path()))
 
 
 @pytest.fixture(scope="session")

@@ -45,6 +45,7 @@ from fesim.joint.law import (
     SurfaceNormalLaw,
     Traction,
 )
+from fesim.joint.linear_system import solve
 from fesim.joint.opening import OpenLaw
 from thermojoint.artefacts.arrays import Array
 
@@ -345,7 +346,7 @@ def _newton_step(kernel: GapKernel, tangent: Array, work: NewtonWork) -> None:
         normal, along, across = lacking(springs, tangent, rows[k])
         e = rows[k] % count
         right_side[k] = normal * step[e] + along * step[count + e] + across * step[2 * count + e]
-    solved = np.linalg.solve(matrix, right_side)
+    solved = solve(matrix, right_side)
     for i in range(3 * count):
         total = 0.0
         for k in range(size):

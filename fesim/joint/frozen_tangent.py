@@ -24,6 +24,7 @@ from fesim.joint.blocks import Block, Blocks
 from fesim.joint.compiled_gap import lacking, lacking_rows, lacking_system
 from fesim.joint.in_place import fill, put
 from fesim.joint.law import ALONG
+from fesim.joint.linear_system import solve
 from thermojoint.artefacts.arrays import Array
 
 #: A contact element is corrected exactly if its tangent differs from the frozen one by this
@@ -419,7 +420,7 @@ def correct(frozen: FrozenTangent, block: Block, now: Lacking, correction: Corre
                         first * moved[e] + second * moved[count + e] + third * moved[2 * count + e]
                     )
             system[3 * k + i, 3 * k + i] += 1.0
-    put(np.linalg.solve(system, factors), factors)
+    put(solve(system, factors), factors)
     _combine(frozen, changed, factors, correction)
     return True
 

@@ -21,6 +21,7 @@ from fesim.joint.compiled_gap import (
     trial_at,
 )
 from fesim.joint.in_place import add, put
+from fesim.joint.linear_system import solve
 from thermojoint.artefacts.arrays import Array
 
 
@@ -215,7 +216,7 @@ def conduct_step(
         beyond[e] -= joint.held[e]
         driving[e] *= beyond[e]
     flow_system(heat.joint_influence, beyond, work.system)
-    np.dot(heat.influence, np.linalg.solve(work.system, driving), work.drawn)
+    np.dot(heat.influence, solve(work.system, driving), work.drawn)
     for k in range(amplitudes.size):
         amplitudes[k] -= work.drawn[k]
 

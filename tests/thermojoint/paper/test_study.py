@@ -55,7 +55,7 @@ def case(case_file):
 
 
 @pytest.fixture(scope="module")
-def results(case_file):
+def results(case_file, machine_code):
     """The folder that `reproduce` leaves."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(reproduce, "reproduce", partial(reproduce.reproduce, long=SHORT))

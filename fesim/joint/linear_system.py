@@ -1,0 +1,23 @@
+"""Solution of a dense linear system in JIT-compiled code."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fesim.jit import compiled
+from thermojoint.artefacts.arrays import Array
+
+
+@compiled
+def solve(matrix: Array, right_side: Array) -> Array:
+    """Solve a system (n, n) for a right side (n,) by LAPACK.
+
+    Every process that compiles a caller of ``np.linalg.solve`` compiles that as well, which takes
+    seconds; this function is kept on the disk.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        The matrix is singular.
+    """
+    return np.linalg.solve(matrix, right_side)
