@@ -179,9 +179,13 @@ def _elastic(
     moved = np.diag(elastic.reference) - spread @ (reference[:, None] * over)
     forced = elastic.compliance * elastic.area
     tangent = np.eye(len(forced)) - forced @ moved
-    if not np.linalg.cond(tangent) < FREE:
+    try:
+        exchange = np.linalg.inv(tangent)
+    except np.linalg.LinAlgError as error:
+        raise singular() from error
+    # In the 1-norm, to which the inverse is at hand: that in the 2-norm takes a decomposition more.
+    if not np.linalg.norm(tangent, 1) * np.linalg.norm(exchange, 1) < FREE:
         raise singular()
-    exchange = np.linalg.inv(tangent)
     returned = (elastic.probe_compliance * elastic.area) @ moved @ exchange
     by_force = (exchange @ forced) @ spread / area
     probed = (elastic.probe_compliance * elastic.area) @ spread / area

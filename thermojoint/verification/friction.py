@@ -245,7 +245,7 @@ def heat_checks() -> Iterator[Check]:
         data["materials"]["iron"]["youngs_modulus_GPa"] = 1e-9 * STIFF
         case = case_from_data(data, "column", folder)
         setup = set_up(case)
-        response = simulate(case, setup=setup).response
+        response = simulate(case, setup=setup, accuracy=False).response
     law, _ = setup.machine.contact.laws[0]
     limit = law.friction.coefficient * loaded.PRELOAD
     sliding = (PUSH - limit * loaded.AREA) / AGAINST - limit / law.friction.stiffness
