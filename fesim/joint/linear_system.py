@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fesim.jit import compiled
 from thermojoint.artefacts.arrays import Array
 
 
 @compiled
-def solve(matrix: Array, right_side: Array) -> Array:
+def solve(matrix: Array, right_side: Array) -> NDArray[np.floating]:
     """Solve a system (n, n) for a right side (n,) by LAPACK.
 
     Every process that compiles a caller of ``np.linalg.solve`` compiles that as well, which takes
