@@ -10,8 +10,12 @@ they are, with a time that is made up. After each publication:
 - every offset has moved from what the control received last by no more than the rate times the time
   since then, and a step (and half a step where a restart changed the resolution);
 - it is not beyond the largest offset, unless a limit that was lowered is still on its way;
+- both hold at every position of the stroke where an axis receives a slope, too;
 - its status is Good only if the last sample gave a usable estimate, which is not too old, and the
   control, where a handshake is asked for, has enabled it and given a sign of life.
+
+A control that is sent another P0 takes it over with its offset and slope; where a handshake is
+asked for, it does so before it answers, while its machine stands.
 
 A control that was away takes over offsets again when the handshake stands; what counts as received
 last is then what it acknowledged.
@@ -27,8 +31,9 @@ import sqlite3
 import tempfile
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from asyncua import ua
@@ -38,10 +43,12 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_sta
 
 from estimator.intake import of_columns
 from estimator.interface import Channel, Estimate, Status
+from estimator.lines import Stroke, channels_of
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.compensation.offsets.handshake import STANDS, Answer, HandshakeSettings
-from thermojoint.compensation.offsets.settings import Settings, settings_from_data
+from thermojoint.compensation.offsets.output import Limits
+from thermojoint.compensation.offsets.settings import Settings, settings_from_data, with_slopes
 from thermojoint.live import floor as floors
 from thermojoint.live.arrivals import Arrival
 from thermojoint.live.floor import Floor
@@ -52,7 +59,7 @@ from thermojoint.live.opcua_values import offset_status_of
 from thermojoint.live.publication import Layout, Publication
 from thermojoint.live.running import restored_floor
 from thermojoint.live.samples import Rule
-from thermojoint.live.served import Served
+from thermojoint.live.served import Served, lines_in
 from thermojoint.live.settings import Service, service_from_data
 from thermojoint.live.store import Batch, commit, open_store
 
@@ -62,6 +69,10 @@ INTERVAL = 1.0
 #: Readings of a sample: a temperature, and what the estimator makes of it.
 SOUND, REFUSED, UNSETTLED, WIDE, LOST = range(5)
 _METRICS = fresh_metrics()
+#: Where the displacement x is known.
+STROKE = Stroke(0.3, 0.1, 0.6)
+#: Of the slope of an axis that takes none.
+ZERO = Limits(1.0, 0.0, 0.0, 0.0)
 #: With a control that answers every second.
 _SECTION = {"by": "mqtt", "differs_um": 1.0}
 HANDSHAKE = HandshakeSettings(oldest=5.0, differs=1e-6, differs_time=5.0)
@@ -73,7 +84,7 @@ class Gauge:
     kind = "gauge"
     axes = ("x", "y")
     channels = (Channel("T1", "K"), Channel("T2", "K"))
-    details = ()
+    details = channels_of("x")
 
     def __init__(self, gain: float) -> None:
         self.gain = gain
@@ -92,15 +103,23 @@ class Gauge:
         band = np.full(2, 1e-3 if what == WIDE else 1e-7)
         if what == LOST:
             reached = np.array([math.nan, 0.0])
-        return np.array([time]), Estimate(time, reached, band, status, np.empty(0))
+        # The slope has nothing to do with the displacement, but both are often large.
+        slope = 1e-6 * self.gain * 600.0 * math.sin(7.0 * value)
+        line = np.array([slope, 1e-7, *(1e3 * at for at in STROKE)])
+        return np.array([time]), Estimate(time, reached, band, status, line)
 
 
-def settings_of(given: dict[str, Any], two: bool) -> Settings:
-    """Return settings with one axis of the control, or two."""
+def settings_of(
+    given: dict[str, Any], two: bool, slope: dict[str, float] | None = None
+) -> Settings:
+    """Return settings with one axis of the control, or two; the first one may take a slope."""
     axes: dict[str, Any] = {"X": {"follows": "x", "sign": -1}}
+    if slope is not None:
+        axes["X"]["slope"] = slope
     if two:
         axes["Z"] = {"follows": "y", "sign": 1}
-    return settings_from_data(given | {"axes": axes, "widest_band_um": 10.0}, "offsets.toml")
+    found = settings_from_data(given | {"axes": axes, "widest_band_um": 10.0}, "offsets.toml")
+    return with_slopes(found, {"x": STROKE}, "offsets.toml")
 
 
 def served_with(
@@ -117,7 +136,7 @@ def served_with(
         (),
         None,
         Rule(INTERVAL, 0.0, 0.0, 2),
-        Layout(found.axes, controls, found.details, ("T1_K", "T2_K")),
+        Layout(found.axes, controls, found.details, ("T1_K", "T2_K"), lines_in(output)),
         output,
         handshake,
     )
@@ -136,9 +155,73 @@ choices = st.fixed_dictionaries(
         "recover_s": st.sampled_from([0.0, 5.0]),
     }
 )
-outputs = st.builds(settings_of, choices, st.booleans()) | st.none()
+slopes = st.fixed_dictionaries(
+    {
+        "resolution_um_per_m": st.sampled_from([1.0, 5.0]),
+        "reference_mm": st.sampled_from([300.0, 300.0, 100.0]),
+    }
+)
+outputs = st.builds(settings_of, choices, st.booleans(), slopes | st.none()) | st.none()
 sizes = st.floats(-300.0, 300.0)
 kinds = st.sampled_from([SOUND, SOUND, SOUND, REFUSED, UNSETTLED, WIDE, LOST])
+
+
+class Line(NamedTuple):
+    """What a control applies to an axis: offset (m) and slope at a reference position (m)."""
+
+    offset: float = 0.0
+    slope: float = 0.0
+    reference: float = STROKE.reference
+
+    def at(self, position: float) -> float:
+        """Return the correction at a position, m."""
+        return self.offset + self.slope * (position - self.reference)
+
+
+class Allowed(NamedTuple):
+    """How fast (m/s) a correction may move, and how far and in which steps its parts."""
+
+    rate: float
+    offset: Limits
+    slope: Limits
+
+    def and_those_of(self, other: Allowed) -> Allowed:
+        """Return what either allows."""
+        return Allowed(
+            max(self.rate, other.rate),
+            *(
+                replace(
+                    mine,
+                    largest=max(mine.largest, its.largest),
+                    resolution=max(mine.resolution, its.resolution),
+                )
+                for mine, its in zip(self[1:], other[1:], strict=True)
+            ),
+        )
+
+    def at_least(self, line: Line) -> Allowed:
+        """Return the same, and no less than a line: a lowered limit may be on its way."""
+        offset, slope = (
+            replace(limits, largest=max(limits.largest, abs(value)))
+            for limits, value in zip(self[1:], line[:2], strict=True)
+        )
+        return Allowed(self.rate, offset, slope)
+
+    def check(self, name: str, last: Line, line: Line, passed: float, steps: float) -> None:
+        """Hold a line against the one before, so many seconds and steps away."""
+        for position in np.linspace(STROKE.low, STROKE.high, 6).tolist():
+            lever = abs(position - line.reference)
+            one_step = self.offset.resolution + lever * self.slope.resolution
+            moved = abs(line.at(position) - last.at(position))
+            assert moved <= (self.rate * passed + steps * one_step) * (1.0 + 1e-6) + 1e-12, (
+                f"{name}: {1e6 * last.at(position):.2f} to {1e6 * line.at(position):.2f} um at "
+                f"{1e3 * position:g} mm in {passed:.2f} s"
+            )
+        # At another reference the same line has another offset.
+        first = int(line.reference != last.reference)
+        for value, before, limits in list(zip(line[:2], last[:2], self[1:], strict=True))[first:]:
+            most = max(limits.largest, abs(before)) + (steps - 1.0) * limits.resolution
+            assert abs(value) <= most * (1.0 + 1e-6), f"{name}: {1e6 * value:.2f} um"
 
 
 class Offsets(RuleBasedStateMachine):
@@ -157,8 +240,8 @@ class Offsets(RuleBasedStateMachine):
         # By axis: what the control received last, and when; how fast, how far and in which steps it
         # may have moved since, by all settings in force; and the axes of which nothing was received
         # since a kill.
-        self.control: dict[str, tuple[float, float]] = {}
-        self.allowed: dict[str, tuple[float, float, float]] = {}
+        self.control: dict[str, tuple[Line, float]] = {}
+        self.allowed: dict[str, Allowed] = {}
         self.unheard: set[str] = set()
         # When the last sample was taken, by both clocks, and by which model; whether an offset may
         # follow it, and how late it was, s.
@@ -272,11 +355,13 @@ class Offsets(RuleBasedStateMachine):
         if self.true - self.told[0] > HANDSHAKE.oldest:
             # Who returns says the truth: nobody could tell.
             self.lie = 0.0
-        has = []
-        for name in self.model.layout.controls:
-            value, at = self.control.get(name, (0.0, -math.inf))
-            self.control[name] = value, self.true if self.away else at
-            has.append(value + self.lie)
+        layout, has = self.model.layout, []
+        for name in layout.controls:
+            line, at = self.control.get(name, (Line(), -math.inf))
+            self.control[name] = line, self.true if self.away else at
+            has.append(line.offset + self.lie)
+        for one in layout.lines:
+            has.append(one.lever * self.control[one.axis][0].slope + self.lie)
         self.counter += 1
         self.told = self.true, self.enabled
         floors.answer(
@@ -297,31 +382,26 @@ class Offsets(RuleBasedStateMachine):
         if self.model.output is None:
             return
         stage = self.model.output.output
-        for name in {*self.control, *said.layout.controls}:
-            rate, largest, step = self.allowed.get(name, (0.0, 0.0, 0.0))
-            self.allowed[name] = (
-                max(rate, stage.rate),
-                max(largest, stage.largest),
-                max(step, stage.resolution),
-            )
+        now = {name: Allowed(stage.rate, stage.limits, ZERO) for name in stage.names}
+        now |= {own.axis: Allowed(stage.rate, own.offset, own.slope) for own in stage.slopes}
+        for name in {*self.control, *now}:
+            allowed = now.get(name, Allowed(stage.rate, stage.limits, ZERO))
+            self.allowed[name] = allowed.and_those_of(self.allowed.get(name, allowed))
         returned = self.away
         if not self.takes(said):
             return
+        lines = zip(said.layout.lines, said.slopes.tolist(), strict=True)
+        along = {one.axis: (slope, one.reference) for one, slope in lines}
         for name, offset in zip(said.layout.controls, said.offsets.tolist(), strict=True):
-            last, at = self.control.get(name, (0.0, -math.inf))
-            rate, largest, step = self.allowed[name]
-            steps, most = 1.0, max(stage.largest, abs(last))
-            if name in self.unheard or returned:
-                # What a kill left in the store may never have been received; what is acknowledged
-                # lies between two steps.
-                steps, most = 1.5, largest + 0.5 * step
-            reach = rate * (self.true - at) + steps * step
-            assert abs(offset - last) <= reach * (1.0 + 1e-6) + 1e-12, (
-                f"{name}: {1e6 * last:.2f} to {1e6 * offset:.2f} um in {self.true - at:.2f} s"
-            )
-            assert abs(offset) <= most * (1.0 + 1e-6), f"{name}: {1e6 * offset:.2f} um"
-            self.control[name] = offset, self.true
-            self.allowed[name] = stage.rate, max(stage.largest, abs(offset)), stage.resolution
+            last, at = self.control.get(name, (Line(), -math.inf))
+            # A slope that is no longer sent stays as it was.
+            line = Line(offset, *along.get(name, last[1:]))
+            # What a kill left in the store may never have been received; what is acknowledged
+            # lies between two steps.
+            steps = 1.5 if name in self.unheard or returned else 1.0
+            self.allowed[name].check(name, last, line, self.true - at, steps)
+            self.control[name] = line, self.true
+            self.allowed[name] = now[name].at_least(line)
             self.unheard.discard(name)
         if offset_status_of(said) == int(ua.StatusCodes.Good):
             oldest = self.oldest
@@ -354,7 +434,10 @@ class Offsets(RuleBasedStateMachine):
         if not (linked and enabled):
             self.away, self.seen = True, False
         if clears and self.away:
-            self.control = dict.fromkeys(self.control, (0.0, self.true))
+            self.control = {
+                name: (last._replace(offset=0.0, slope=0.0), self.true)
+                for name, (last, _) in self.control.items()
+            }
 
     @rule(
         linked=st.booleans(),
@@ -450,6 +533,9 @@ class Offsets(RuleBasedStateMachine):
         self.lie, self.told = 0.0, (-math.inf, False)
         self.model = served_with(before.output if output is None else output[0], gain, handshake)
         self.unheard = {"X", "Z"}
+        for one in self.model.layout.lines if handshake is not None else ():
+            last, at = self.control.get(one.axis, (Line(), -math.inf))
+            self.control[one.axis] = last._replace(reference=one.reference), at
         self.start()
 
 

@@ -19,10 +19,11 @@ PAGES = {
 class Played:
     """A control whose file of a target, that of its page, is written to a path.
 
-    `record` is what was written: times (s) and offsets (um).
+    `record` is what was written: times (s) and offsets (um); `slopes` the same of slopes (um/m),
+    where `more`, the end of the file, says that it takes one.
     """
 
-    def __init__(self, path, kind, step_um, enable=True):
+    def __init__(self, path, kind, step_um, enable=True, more=""):
         text = re.search(r"^```toml target[^\n]*\n(.*?)^```", PAGES[kind], re.M | re.S)[1]
         self.port = free_port()
         for old, new in (
@@ -32,9 +33,9 @@ class Played:
             ("(server_certificate|user|password) = .*\n", ""),
         ):
             text = re.sub(old, new, text)
-        path.write_text(f'security = "none"\n{text}')
+        path.write_text(f'security = "none"\n{text}{more}')
         self.given = read_target(path)
-        self.server, self.nodes, self.record = None, {}, []
+        self.server, self.nodes, self.record, self.slopes = None, {}, [], []
 
     async def open(self, **values):
         """Start it with values by the short names of quantities."""
@@ -58,6 +59,11 @@ class Played:
         self.server.iserver.aspace.add_datachange_callback(
             self.offset.nodeid, ua.AttributeIds.Value, self.written
         )
+        if self.given.slopes:
+            slope = self.nodes[self.given.control.slope.name.split()[0]]
+            self.server.iserver.aspace.add_datachange_callback(
+                slope.nodeid, ua.AttributeIds.Value, self.slope_written
+            )
         await self.server.start()
 
     async def returns(self, cold):
@@ -75,6 +81,10 @@ class Played:
 
     async def written(self, handle, value):
         self.record.append((time.monotonic(), self.um(value.Value.Value)))
+
+    async def slope_written(self, handle, value):
+        metres = self.given.control.slope.metres
+        self.slopes.append((time.monotonic(), 1e6 * metres * value.Value.Value))
 
     @staticmethod
     def variant(quantity, value):

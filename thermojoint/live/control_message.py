@@ -1,6 +1,7 @@
 """Message of a control, by MQTT or HTTP: enable, heartbeat, acknowledged offsets (the handshake).
 
-``{"enable": true, "heartbeat": 17, "offsets_um": {"X": -12.3}}``
+``{"enable": true, "heartbeat": 17, "offsets_um": {"X": -12.3}}``, and of axes with a slope
+``"slopes_um_per_m": {"X": 40.0}``.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from pydantic import BaseModel
 
 from thermojoint.artefacts.units import MICRO
 from thermojoint.compensation.offsets.handshake import Answer
+from thermojoint.live.publication import Layout
 
 
 class ControlMessage(BaseModel):
@@ -19,9 +21,10 @@ class ControlMessage(BaseModel):
     enable: bool
     heartbeat: int
     offsets_um: dict[str, float | None] = {}
+    slopes_um_per_m: dict[str, float | None] = {}
 
 
-def answer_of(payload: bytes, axes: tuple[str, ...]) -> Answer:
+def answer_of(payload: bytes, layout: Layout) -> Answer:
     """Return what a control says.
 
     Raises
@@ -30,6 +33,10 @@ def answer_of(payload: bytes, axes: tuple[str, ...]) -> Answer:
         It is no answer.
     """
     message = ControlMessage.model_validate_json(payload, strict=True)
-    offsets = (message.offsets_um.get(axis) for axis in axes)
-    metres = tuple(math.nan if one is None else MICRO * one for one in offsets)
+    said = [message.offsets_um.get(axis) for axis in layout.controls]
+    said += [message.slopes_um_per_m.get(line.axis) for line in layout.lines]
+    metres = tuple(
+        math.nan if one is None else MICRO * lever * one
+        for one, lever in zip(said, layout.levers.tolist(), strict=True)
+    )
     return Answer(message.enable, message.heartbeat, metres)

@@ -158,7 +158,9 @@ def _residuals_of(place: Place) -> dict[str, float | None] | None:
 def _handshake_of(place: Place) -> dict[str, Any]:
     """Return what the control of a machine has said."""
     handshake, clock = place.machine.handshake, time.monotonic()
-    controls = place.served.layout.controls
+    layout = place.served.layout
+    acts, axes = handshake.acknowledged / layout.levers, [one.axis for one in layout.lines]
+    slopes = micrometres(axes, acts[len(layout.controls) :])
     return {
         "state": handshake.state,
         "enabled": handshake.enabled,
@@ -166,7 +168,8 @@ def _handshake_of(place: Place) -> dict[str, Any]:
         "heartbeat_age_s": round(clock - handshake.beaten, 1)
         if math.isfinite(handshake.beaten)
         else None,
-        "acknowledged_um": micrometres(controls, handshake.acknowledged),
+        "acknowledged_um": micrometres(layout.controls, acts[: len(layout.controls)]),
+        **({"acknowledged_slopes_um_per_m": slopes} if axes else {}),
     }
 
 
@@ -194,7 +197,7 @@ async def _opcua_server(running: Running, section: OpcuaServer) -> list[Coroutin
     server, nodes = await open_server(
         section, entry, running.hub, machines, given, _identities(running)
     )
-    controls = {name: machines[name][0].controls for name in handshakes}
+    controls = {name: machines[name][0] for name in handshakes}
     heartbeat = await add_controls(server, controls, partial(_answer, running.floor))
     return [
         serve_nodes(server, nodes, running.hub),
@@ -225,7 +228,7 @@ def _handshakes(service: Service, by: str) -> dict[str, HandshakeSection]:
 
 def _read_answer(floor: Floor, machine: str, body: bytes) -> None:
     """Take an answer as a control sends it; raises ValueError for what is none."""
-    _answer(floor, machine, answer_of(body, floor.places[machine].served.layout.controls))
+    _answer(floor, machine, answer_of(body, floor.places[machine].served.layout))
 
 
 def _answer(floor: Floor, machine: str, given: Answer) -> None:

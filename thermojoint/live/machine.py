@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from estimator.interface import Status
+from estimator.interface import Estimate, Status
+from estimator.lines import Lines, lines_of
 from estimator.quality import Quality, quality_of
 from estimator.states import as_bytes, completed, from_bytes
 from thermojoint.artefacts.arrays import Array
@@ -26,12 +27,15 @@ from thermojoint.compensation.offsets.handshake import (
 from thermojoint.compensation.offsets.output import (
     OutputState,
     at_zero,
+    band_along,
     content_of,
+    corrections_of,
     cycle,
     followed,
     mode_of,
     moved_to,
     offsets_of,
+    slopes_of,
 )
 from thermojoint.compensation.offsets.output import restored as output_restored
 from thermojoint.compensation.offsets.usable import usable
@@ -116,10 +120,11 @@ def at_rest(name: str, served: Served, now: float) -> Machine:
         details=unknown[2],
         readings=unknown[3],
         status="no-sample",
+        slopes=np.zeros(len(layout.lines)),
     )
     output = at_zero(served.output.output) if served.output else None
     start = served.estimator.initial_state()
-    handshake = begun(nothing.offsets, -math.inf)
+    handshake = begun(_corrections(served, output), -math.inf)
     return Machine(name, start, math.nan, output, handshake, Waiting(), nothing, nothing)
 
 
@@ -173,14 +178,13 @@ def taken(
             offset_mode=_mode(served, machine.output),
             handshake=_handshake(served, machine),
             asked=machine.asked,
+            slopes=_slopes(served, machine.output),
         )
         return replace(machine, cold=cold, latest=nothing), str(error)
     words, reached = estimate.words, estimate.displacement
-    trust = served.output.trust if served.output else None
-    used = _finite(reached) and trust is not None and usable(trust, age, estimate.band, words)
     target = None
-    if used and served.output is not None:
-        target = followed(served.output.output, served.layout.axes, reached)
+    if _finite(reached) and _usable(served, age, estimate):
+        target = _followed(served, estimate)
     machine = _cycled(served, machine, times.clock, target)
     asked = machine.asked
     if served.asking is not None:
@@ -204,6 +208,7 @@ def taken(
         _mode(served, machine.output),
         _handshake(served, machine),
         asked,
+        _slopes(served, machine.output),
     )
     output, handshake = machine.output, machine.handshake
     return Machine(
@@ -276,6 +281,7 @@ def silent(
         published=times.now,
         quality=max(before.quality, quality),
         offsets=_offsets(served, machine.output),
+        slopes=_slopes(served, machine.output),
         offset_mode=_mode(served, machine.output),
         handshake=_handshake(served, machine),
         status=silenced(before.status, quality) if before.number else before.status,
@@ -291,12 +297,10 @@ def shaken(served: Served, machine: Machine, clock: float) -> Machine:
     if served.handshake is None or served.output is None or machine.output is None:
         return machine
     handshake, output = judged(served.handshake, machine.handshake, clock), machine.output
-    offsets = continued_from(machine.handshake, handshake, served.handshake)
-    if offsets is not None:
-        output = moved_to(served.output.output, output, offsets, clock)
-        handshake = sent(
-            served.handshake, handshake, offsets_of(served.output.output, output), clock
-        )
+    acts = continued_from(machine.handshake, handshake, served.handshake)
+    if acts is not None:
+        output = moved_to(served.output.output, output, acts, clock)
+        handshake = sent(served.handshake, handshake, _corrections(served, output), clock)
     return replace(machine, output=output, handshake=handshake)
 
 
@@ -315,7 +319,7 @@ def _cycled(served: Served, machine: Machine, clock: float, target: Array | None
         target = None
     output = cycle(settings, machine.output, clock, target)
     if served.handshake is not None:
-        handshake = sent(served.handshake, handshake, offsets_of(settings, output), clock)
+        handshake = sent(served.handshake, handshake, _corrections(served, output), clock)
     return replace(machine, output=output, handshake=handshake)
 
 
@@ -328,6 +332,43 @@ def _offsets(served: Served, output: OutputState | None) -> Array:
     if served.output is None or output is None:
         return np.empty(0)
     return offsets_of(served.output.output, output)
+
+
+def _slopes(served: Served, output: OutputState | None) -> Array:
+    if served.output is None or output is None:
+        return np.empty(0)
+    return slopes_of(served.output.output, output)
+
+
+def _corrections(served: Served, output: OutputState | None) -> Array:
+    """Return what a handshake is about: offsets, and slopes by what they make at the far end, m."""
+    if served.output is None or output is None:
+        return np.empty(0)
+    return corrections_of(served.output.output, output)
+
+
+def _usable(served: Served, age: float, last: Estimate | Publication) -> bool:
+    """Whether what is estimated may move an axis at an age (s)."""
+    if served.output is None:
+        return False
+    band = band_along(served.output.output, served.layout.axes, last.band, _lines(served, last))
+    words = last.status if isinstance(last, Publication) else last.words
+    return usable(served.output.trust, age, band, words)
+
+
+def _followed(served: Served, estimate: Estimate) -> Array | None:
+    """Return what the offsets and slopes are to become."""
+    if served.output is None:
+        return None
+    lines = _lines(served, estimate)
+    return followed(served.output.output, served.layout.axes, estimate.displacement, lines)
+
+
+def _lines(served: Served, last: Estimate | Publication) -> Lines | None:
+    """Return the lines of an estimate, where the control receives any."""
+    if not served.layout.lines:
+        return None
+    return lines_of(served.layout.axes, served.layout.details, last.details)
 
 
 def _mode(served: Served, output: OutputState | None) -> str:
@@ -352,9 +393,12 @@ def received_of(served: Served, machine: Machine, now: float) -> Received | None
         return None
     content = content_of(served.output.output, machine.output)
     if served.handshake is not None:
-        handshake = machine.handshake
-        for k, axis in enumerate(content["axes"].values()):
-            axis["sent"] = [float(handshake.low[k]), float(handshake.high[k])]
+        levers = served.output.output.channels.levers
+        low, high = machine.handshake.low / levers, machine.handshake.high / levers
+        axes = content["axes"]
+        slopes = [axes[one.axis]["slope"] for one in served.output.output.slopes]
+        for k, value in enumerate([*axes.values(), *slopes]):
+            value["sent"] = [float(low[k]), float(high[k])]
     return Received(machine.name, now, json.dumps(content))
 
 
@@ -422,6 +466,7 @@ def restored(
     latest = replace(
         machine.latest,
         offsets=_offsets(served, output),
+        slopes=_slopes(served, output),
         offset_mode=_mode(served, output),
         handshake=_handshake(served, machine),
         asked=machine.asked,
@@ -436,13 +481,16 @@ def _handshake_begun(
 
     The control may still have what it was sent before it last agreed.
     """
-    handshake = begun(_offsets(served, output), clock)
+    handshake = begun(_corrections(served, output), clock)
     if served.output is None or received is None:
         return handshake
     axes = json.loads(received.content)["axes"]
-    names = served.output.output.names
+    settings = served.output.output
+    kept = [axes.get(name, {}) for name in settings.names]
+    kept += [axes.get(one.axis, {}).get("slope", {}) for one in settings.slopes]
     # Axes of other settings, and stores of earlier versions, have no range.
-    ranges = np.array([axes.get(name, {}).get("sent", [np.nan, np.nan]) for name in names])
+    ranges = np.array([one.get("sent", [np.nan, np.nan]) for one in kept])
+    ranges *= settings.channels.levers[:, None]
     low, high = np.fmin(handshake.low, ranges[:, 0]), np.fmax(handshake.high, ranges[:, 1])
     return handshake._replace(low=low, high=high)
 
@@ -451,7 +499,8 @@ def _laid_out(last: Publication, layout: Layout) -> Publication:
     """Return a publication for axes of the control that are others since; they have no offset."""
     if last.layout == layout:
         return last
-    return replace(last, layout=layout, offsets=np.zeros(len(layout.controls)))
+    offsets, slopes = np.zeros(len(layout.controls)), np.zeros(len(layout.lines))
+    return replace(last, layout=layout, offsets=offsets, slopes=slopes)
 
 
 def _waiting(content: list[Any] | None) -> Waiting:
@@ -489,7 +538,7 @@ def _output(
         return output
     age = times.now - last.published
     # One from the future was made before the clock was set back, nobody knows when.
-    if age >= 0.0 and _finite(last.displacement) and usable(trust, age, last.band, last.status):
+    if age >= 0.0 and _finite(last.displacement) and _usable(served, age, last):
         return output
     frozen = cycle(settings, output, times.clock, None)
     return frozen._replace(unusable_since=times.clock - max(0.0, silence - trust.oldest))

@@ -12,13 +12,13 @@ from asyncua import ua
 
 from estimator.estimate_table import detail_name, detail_scale
 from estimator.quality import Quality, reasons_of
-from thermojoint.artefacts.units import MEGA
+from thermojoint.artefacts.units import MEGA, MILLI
 from thermojoint.compensation.offsets.output import Mode
 from thermojoint.live.publication import Layout, Publication
 from thermojoint.live.watchdog import REFUSED, SILENT
 
 _CODES = ua.StatusCodes
-_SHOWN = {"um": "µm", "degC": "°C", "m": "µm"}
+_SHOWN = {"um": "µm", "degC": "°C", "m": "µm", "m/m": "µm/m"}
 
 #: From a publication to a value and its status code.
 Value = Callable[[Publication], tuple[Any, int]]
@@ -131,6 +131,9 @@ def variables_of(layout: Layout, readings: bool, wanted: int) -> Iterator[Variab
         yield Variable("Band", name, "µm", double, _scaled("band", k, MEGA))
     for k, name in enumerate(layout.controls):
         yield Variable("Offset", name, "µm", double, _offset(k))
+    for k, line in enumerate(layout.lines):
+        yield Variable("Slope", line.axis, "µm/m", double, _slope(k))
+        yield Variable("Reference", line.axis, "mm", double, _always(line.reference / MILLI))
     for k, channel in enumerate(layout.details):
         unit = _SHOWN.get(channel.unit, channel.unit)
         scale = detail_scale(channel)
@@ -155,6 +158,14 @@ def _scaled(part: str, k: int, scale: float) -> Value:
 
 def _offset(k: int) -> Value:
     return lambda p: (MEGA * float(p.offsets[k]), offset_status_of(p))
+
+
+def _slope(k: int) -> Value:
+    return lambda p: (MEGA * float(p.slopes[k]), offset_status_of(p))
+
+
+def _always(value: float) -> Value:
+    return lambda p: (value, int(_CODES.Good))
 
 
 def _reading(k: int) -> Value:

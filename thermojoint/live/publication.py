@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,12 +14,29 @@ from estimator.estimate_table import detail_name, detail_scale
 from estimator.interface import Channel
 from estimator.quality import Quality
 from thermojoint.artefacts.arrays import Array
-from thermojoint.artefacts.units import MEGA
+from thermojoint.artefacts.units import MEGA, MILLI
 from thermojoint.live.next_reading import Request
 
 NOTHING_ASKED = Request()
 #: Numbers of a row before the arrays: time, published, quality.
 _LEADING = 3
+
+
+class AxisLine(NamedTuple):
+    """An axis of the control that receives a line: K0, its offset, and a slope.
+
+    Attributes
+    ----------
+    axis : str
+    reference : float
+        P0, m.
+    lever : float
+        Largest distance from it on the stroke, m.
+    """
+
+    axis: str
+    reference: float
+    lever: float
 
 
 @dataclass(frozen=True)
@@ -36,12 +53,20 @@ class Layout:
         Internal signals of the estimator, in SI.
     readings : tuple of str
         Readings of the machine, with units in the names: ``T1_degC``.
+    lines : tuple of AxisLine
+        Axes among `controls` that receive a slope as well.
     """
 
     axes: tuple[str, ...]
     controls: tuple[str, ...]
     details: tuple[Channel, ...]
     readings: tuple[str, ...]
+    lines: tuple[AxisLine, ...] = ()
+
+    @property
+    def levers(self) -> Array:
+        """Correction (m) per value that the control receives: 1, for slopes the lever (m)."""
+        return np.array([1.0] * len(self.controls) + [one.lever for one in self.lines])
 
     @property
     def width(self) -> int:
@@ -50,6 +75,7 @@ class Layout:
             _LEADING
             + 2 * len(self.axes)
             + len(self.controls)
+            + len(self.lines)
             + len(self.details)
             + len(self.readings)
         )
@@ -76,7 +102,7 @@ class Publication:
     displacement, band : ndarray, shape (axes,)
         m; NaN where unknown.
     offsets : ndarray, shape (controls,)
-        Offsets that the control receives, m.
+        Offsets that the control receives, m; K0 of an axis that receives a slope as well.
     details : ndarray, shape (details,)
         In SI.
     readings : ndarray, shape (readings,)
@@ -91,6 +117,8 @@ class Publication:
         (`thermojoint.compensation.offsets.handshake.Handshake`); empty where there is none.
     asked : Request
         The displacement reading that is asked for; none in the history.
+    slopes : ndarray, shape (lines,)
+        Slopes that the control receives, m/m.
     """
 
     machine: str
@@ -108,6 +136,7 @@ class Publication:
     offset_mode: str = ""
     handshake: str = ""
     asked: Request = NOTHING_ASKED
+    slopes: Array = field(default_factory=lambda: np.empty(0))
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -138,8 +167,8 @@ def iso_time(time: float) -> str | None:
 def as_json(publication: Publication) -> dict[str, Any]:
     """Return a publication for JSON: units in the keys, null for unknown values.
 
-    Displacement, band and offsets are in µm, rounded to a tenth of a nanometre; details in SI with
-    the unit in the name, readings in the unit of their name.
+    Displacement, band and offsets are in µm, rounded to a tenth of a nanometre, slopes in µm/m;
+    details in SI with the unit in the name, readings in the unit of their name.
     """
     layout = publication.layout
     return {
@@ -154,6 +183,7 @@ def as_json(publication: Publication) -> dict[str, Any]:
         "displacement_um": micrometres(layout.axes, publication.displacement),
         "band_um": micrometres(layout.axes, publication.band),
         "offsets_um": micrometres(layout.controls, publication.offsets),
+        **_lines(layout, publication.slopes),
         "offset_mode": publication.offset_mode or None,
         "handshake": publication.handshake or None,
         "next_reading": publication.asked.content,
@@ -170,8 +200,22 @@ def as_json(publication: Publication) -> dict[str, Any]:
     }
 
 
+def _lines(layout: Layout, slopes: Array) -> dict[str, Any]:
+    """Return the slopes and reference positions of the axes that have them, for JSON."""
+    if not layout.lines:
+        return {}
+    axes = [one.axis for one in layout.lines]
+    return {
+        "slopes_um_per_m": micrometres(axes, slopes),
+        "P0_mm": {one.axis: round(one.reference / MILLI, 6) for one in layout.lines},
+    }
+
+
 def micrometres(names: Iterable[str], values: Array) -> dict[str, float | None]:
-    """Return lengths (m) in µm by name, to a tenth of a nanometre; None for unknown ones."""
+    """Return lengths (m) in µm by name, to a tenth of a nanometre; None for unknown ones.
+
+    And slopes (m/m) in µm/m.
+    """
     numbers = (MEGA * values).tolist()
     return {
         name: round(value, 4) if math.isfinite(value) else None
@@ -191,6 +235,7 @@ def as_row(publication: Publication) -> Array:
             publication.displacement,
             publication.band,
             publication.offsets,
+            publication.slopes,
             publication.details,
             publication.readings,
         )
@@ -211,6 +256,8 @@ class Columns:
         m.
     offsets : ndarray, shape (n, controls)
         m.
+    slopes : ndarray, shape (n, lines)
+        m/m.
     details : ndarray, shape (n, details)
         SI.
     readings : ndarray, shape (n, readings)
@@ -223,6 +270,7 @@ class Columns:
     displacement: Array
     band: Array
     offsets: Array
+    slopes: Array
     details: Array
     readings: Array
 
@@ -232,6 +280,7 @@ def columns_of(layout: Layout, rows: Array) -> Columns:
     sizes = (
         *(len(layout.axes),) * 2,
         len(layout.controls),
+        len(layout.lines),
         len(layout.details),
         len(layout.readings),
     )
@@ -257,4 +306,5 @@ def from_row(
         columns.details[0],
         columns.readings[0],
         status,
+        slopes=columns.slopes[0],
     )

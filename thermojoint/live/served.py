@@ -21,7 +21,7 @@ from thermojoint.artefacts.units import MICRO
 from thermojoint.compensation.offsets.handshake import HandshakeSettings
 from thermojoint.compensation.offsets.settings import Settings, read_settings, with_slopes
 from thermojoint.live.next_reading import Asking
-from thermojoint.live.publication import Layout
+from thermojoint.live.publication import AxisLine, Layout
 from thermojoint.live.samples import Rule
 from thermojoint.live.settings import HandshakeSection, ModelSection, Service
 
@@ -105,7 +105,8 @@ def served(section: ModelSection, kept: Path) -> Served:
     estimator, digest = _opened(kind, model, section, kept)
     output = None
     if section.offsets is not None:
-        output = with_slopes(read_settings(section.offsets), {}, str(section.offsets))
+        strokes = kind.strokes(model)
+        output = with_slopes(read_settings(section.offsets), strokes, str(section.offsets))
     axes = tuple(map(axis_name, estimator.axes))
     if output is not None:
         _check_axes(output, axes, section.offsets)
@@ -115,6 +116,7 @@ def served(section: ModelSection, kept: Path) -> Served:
         controls=output.output.names if output else (),
         details=estimator.details,
         readings=intake.names,
+        lines=lines_in(output),
     )
     _warm_up(estimator, section.interval_s)
     rule = Rule(section.interval_s, section.lateness_s, section.hold_s, intake.wanted)
@@ -130,6 +132,12 @@ def served(section: ModelSection, kept: Path) -> Served:
         output,
         asking=_asking(kind, estimator, section),
     )
+
+
+def lines_in(output: Settings | None) -> tuple[AxisLine, ...]:
+    """Return the lines that a control receives by some settings."""
+    slopes = () if output is None else output.output.slopes
+    return tuple(AxisLine(one.axis, one.reference, one.lever) for one in slopes)
 
 
 def _warm_up(estimator: Estimator, interval: float) -> None:

@@ -28,7 +28,7 @@ import numpy as np
 from estimator.interface import Channel
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
-from thermojoint.live.publication import Layout
+from thermojoint.live.publication import AxisLine, Layout
 from thermojoint.live.reserve import RESERVE, is_full, stay_within
 
 SCHEMA_VERSION = 2
@@ -374,7 +374,9 @@ def era_before(store: sqlite3.Connection, era: int) -> tuple[int | None, bool]:
     if last is None:
         return None, False
     before, now = layout_from(last[2]), layout_from(content)
-    return int(last[0]), last[1] == model and replace(before, controls=now.controls) == now
+    return int(last[0]), last[1] == model and replace(
+        before, controls=now.controls, lines=now.lines
+    ) == now
 
 
 def kept_of(store: sqlite3.Connection, eras: Iterable[int]) -> dict[int, Kept]:
@@ -562,6 +564,9 @@ def move_log(path: Path) -> None:
 def layout_text(layout: Layout) -> str:
     """Return a layout as JSON."""
     content = asdict(layout) | {"details": [list(channel) for channel in layout.details]}
+    # As in stores of earlier versions.
+    lines = content.pop("lines")
+    content |= {"lines": [list(line) for line in lines]} if lines else {}
     return json.dumps(content, sort_keys=True)
 
 
@@ -573,4 +578,5 @@ def layout_from(text: str) -> Layout:
         controls=tuple(content["controls"]),
         details=tuple(Channel(*channel) for channel in content["details"]),
         readings=tuple(content["readings"]),
+        lines=tuple(AxisLine(*line) for line in content.get("lines", ())),
     )

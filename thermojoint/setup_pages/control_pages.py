@@ -33,6 +33,8 @@ from thermojoint.live.tokens import add_token, revoke_token, tokens_in
 from thermojoint.setup_pages.place import ExistsError, Given, Place, chosen, one
 from thermojoint.setup_pages.settings_files import (
     ENABLE,
+    ESTIMATE,
+    HEAD,
     OFFSETS,
     SERVICE,
     TARGET,
@@ -41,7 +43,6 @@ from thermojoint.setup_pages.settings_files import (
 )
 from thermojoint.setup_pages.toml_form import changed, fields_of
 
-ESTIMATE = "estimate.csv"
 SOURCES = ("csv", "mqtt", "opcua", "mtconnect")
 PLAIN, LINUXCNC = "plain", "linuxcnc"
 #: What applies the offsets, and how the pages call it.
@@ -66,7 +67,7 @@ def _estimated(place: Place) -> tuple[tuple[str, ...], float]:
     """Return the axes of the estimate, and its interval, s."""
     place.existing(ESTIMATE)
     with place.path(ESTIMATE).open(encoding="utf-8") as file:
-        axes, rows = read_estimate(islice(file, 200), ESTIMATE)
+        axes, rows = read_estimate(islice(file, HEAD), ESTIMATE)
     steps = np.diff([row.time for row in rows])
     return axes, float(np.median(steps)) if len(steps) else 1.0
 

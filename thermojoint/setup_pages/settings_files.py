@@ -4,18 +4,28 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
+from itertools import islice
 from typing import Any
 
+from estimator.estimate_table import read_estimate, strokes_of
 from fesim.case.schema import case_from_data
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.settings import toml
-from thermojoint.compensation.offsets.settings import read_settings, settings_from_data
+from thermojoint.compensation.offsets.output import OutputSettings
+from thermojoint.compensation.offsets.settings import (
+    read_settings,
+    settings_from_data,
+    with_slopes,
+)
 from thermojoint.live.settings import service_from_data
 from thermojoint.live.targets.settings import target_from_data
 from thermojoint.setup_pages.place import Given, Place, one
 from thermojoint.setup_pages.toml_form import Field, by_field, changed, fields_of
 
+ESTIMATE = "estimate.csv"
+#: Rows of the estimate that tell its axes.
+HEAD = 200
 OFFSETS, TARGET, SERVICE, CASE = "offsets.toml", "target.toml", "service.toml", "machine.toml"
 #: Switched on by the page of the dry run alone.
 ENABLE = "enable"
@@ -41,8 +51,21 @@ def _check_offsets(place: Place, data: Data) -> None:
 
 
 def _check_target(place: Place, data: Data) -> None:
-    output = read_settings(place.path(OFFSETS)).output if place.has(OFFSETS) else None
-    target_from_data(data, place.path(TARGET), output)
+    target_from_data(data, place.path(TARGET), _output(place))
+
+
+def _output(place: Place) -> OutputSettings | None:
+    """Return the offsets, with the strokes of their slopes; None while either is unknown."""
+    if not place.has(OFFSETS):
+        return None
+    settings = read_settings(place.path(OFFSETS))
+    if settings.slopes:
+        if not place.has(ESTIMATE):
+            return None
+        with place.path(ESTIMATE).open(encoding="utf-8") as file:
+            strokes = strokes_of(*read_estimate(islice(file, HEAD), ESTIMATE))
+        settings = with_slopes(settings, strokes, OFFSETS)
+    return settings.output
 
 
 def _check_service(place: Place, data: Data) -> None:

@@ -14,7 +14,7 @@ from estimator.joint_aware.readings import samples_in
 from estimator.quality import Quality
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
-from thermojoint.live.publication import as_json
+from thermojoint.live.publication import AxisLine, as_json
 from thermojoint.live.scene import scene_of
 from thermojoint.live.surface import surface_of, write_surface
 from thermojoint.reduced.machine import reduce_machine
@@ -39,9 +39,10 @@ def floor(tmp_path_factory, coarse_data):
     surface = surface_of(case, setup, estimator.model, np.array([0.0, 1.0, 0.0]))
     write_surface(surface, folder / "scene.h5")
     scenes = {"mill-1": scene_of(folder / "scene.h5", estimator, lambda: state)}
-    layout = layout_of(estimator, ("X", "Y"))
+    layout = replace(layout_of(estimator, ("X", "Y")), lines=(AxisLine("X", 0.25, 0.3),))
     differ = {"mill-10": lambda: {"T1_K": 5.25, "T2_K": None}}
     told = published("mill-1", layout, found, samples, time.time() - samples[-1][0])
+    told = [replace(one, slopes=np.array([40e-6])) for one in told]
     silent = replace(told[-1], machine="mill-2", quality=Quality.BAD, status="silent")
     partial = replace(
         told[-1],
@@ -55,7 +56,8 @@ def floor(tmp_path_factory, coarse_data):
     machines = {run[-1].machine: about(estimator, layout, told[0].time) for run in runs}
     newest = [one[-1] for one in runs]
     said = {"state": "differs", "enabled": True, "heartbeat": 17, "heartbeat_age_s": 0.4}
-    handshakes = {"mill-1": lambda: said | {"acknowledged_um": {"X": -12.3, "Y": None}}}
+    said |= {"acknowledged_um": {"X": -12.3, "Y": None}, "acknowledged_slopes_um_per_m": {"X": 38}}
+    handshakes = {"mill-1": lambda: said}
     given = {"handshakes": handshakes, "requests_per_s": 1e3}
     with serving(folder, archive, machines, newest, scenes, differ, **given) as server:
         yield server
@@ -152,7 +154,11 @@ def test_the_page_of_a_machine_says_what_the_service_says(page, floor):
     assert number(page.inner_text("#offset-X .number")) == pytest.approx(
         told["offsets_um"]["X"], abs=0.051
     )
+    assert page.inner_text("#offset-X .band") == "K0 sent, at P0 = 250.0 mm; tan β +40.0 µm/m"
+    assert page.inner_text("#offset-Y .band") == "offset sent"
+    assert page.locator("h2", has_text="Slope sent to the control, µm/m").count() == 1
     past = page.request.get(f"{floor.url}/api/machines/mill-1/history?points=720").json()
+    assert set(past["slopes_um_per_m"]["X"]) == {40.0}
     drawn = curve(page, "#c-displacement", "δx")
     assert len(drawn) > 100
     assert drawn[: len(past["time_s"])] == past["displacement_um"]["x"][: len(drawn)]

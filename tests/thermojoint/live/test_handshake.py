@@ -35,8 +35,10 @@ from thermojoint.live.floor import Floor, Place
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine import at_rest
 from thermojoint.live.metrics import fresh_metrics
+from thermojoint.live.publication import AxisLine, Layout
 from thermojoint.live.settings import WatchdogSection
 from thermojoint.live.users import add_user
+from thermojoint.live.writers import opcua_control
 from thermojoint.models.assembly import assemble
 from thermojoint.models.assembly_file import write_assembly
 
@@ -164,15 +166,25 @@ def test_an_offset_that_decays_does_not_meet_a_wrong_acknowledgement():
 )  # fmt: skip
 def test_what_is_no_answer_is_refused_as_a_whole(payload):
     with pytest.raises(ValidationError):
-        answer_of(payload, ("X",))
+        answer_of(payload, Layout(("x",), ("X",), (), ()))
 
 
 def test_an_answer_says_some_of_the_axes():
-    said = answer_of(
-        b'{"enable": true, "heartbeat": 3, "offsets_um": {"X": 2}, "a": 1}', ("X", "Z")
-    )
+    layout = Layout(("x",), ("X", "Z"), (), ())
+    said = answer_of(b'{"enable": true, "heartbeat": 3, "offsets_um": {"X": 2}, "a": 1}', layout)
     assert said[:2] == (True, 3)
     np.testing.assert_array_equal(said.acknowledged, [2e-6, math.nan])
+
+
+def test_an_answer_says_a_slope_by_what_it_makes_at_the_far_end():
+    layout = Layout(("x",), ("X", "Z"), (), (), (AxisLine("Z", 0.3, 0.5),))
+    said = answer_of(
+        b'{"enable": true, "heartbeat": 3, "offsets_um": {"Z": 2}, "slopes_um_per_m": {"Z": 40}}',
+        layout,
+    )
+    assert said.acknowledged == pytest.approx([math.nan, 2e-6, 20e-6], nan_ok=True)
+    by_opcua = opcua_control.answer_of("AcknowledgedSlope.Z", layout, 40.0)
+    assert by_opcua.acknowledged == pytest.approx([math.nan, math.nan, 20e-6], nan_ok=True)
 
 
 def test_offsets_freeze_and_fade_without_the_control_and_go_on_from_what_it_cleared():

@@ -4,6 +4,9 @@ The control enables the offsets, counts a heartbeat on, and acknowledges the off
 taken over. While the handshake is broken the offsets freeze and decay as without a usable
 estimate. A control that was away (disabled, or without a heartbeat) may have held, faded or cleared
 its offsets meanwhile; it continues from those that it acknowledges when it returns.
+
+For an axis with a slope the slope stands behind the offsets, by the correction that it makes at the
+far end of the stroke, m.
 """
 
 from __future__ import annotations
@@ -52,7 +55,7 @@ class Answer(NamedTuple):
     heartbeat : int or None
         A counter; any change is a sign of life.
     acknowledged : sequence of float
-        The offsets that it has taken over, m, shape (axes,); NaN, or empty: not said now.
+        The offsets that it has taken over, m, shape (channels,); NaN, or empty: not said now.
     """
 
     enabled: bool | None = None
@@ -70,11 +73,11 @@ class Handshake(NamedTuple):
         The last one; None before the first.
     beaten : float
         When it changed last, s; -inf for never. A first one may be years old.
-    acknowledged : ndarray, shape (axes,)
+    acknowledged : ndarray, shape (channels,)
         m; NaN where the control has not acknowledged since it was away.
     sent : tuple of (float, ndarray)
         Time (s) and offsets (m) of what was sent in the last `differs_time`, oldest first.
-    low, high : ndarray, shape (axes,)
+    low, high : ndarray, shape (channels,)
         Range of what was sent since the control last agreed, m.
     agreed : float
         When it did, s.

@@ -193,7 +193,7 @@ def _axis_slope(
             f"{at}.rate_um_per_m_s {slope.rate / MICRO:g}: {far} it is all of rate_um_s "
             f"{whole.rate / MICRO:g}, and K0 would not move; make it smaller"
         )
-    if offset.largest < offset.resolution:
+    if offset.most_steps < 1:
         raise InputError(
             f"{at}.largest_um_per_m {slope.largest / MICRO:g}: {far} it is all of largest_um "
             f"{whole.largest / MICRO:g}; make it smaller"

@@ -13,7 +13,7 @@ import numpy as np
 from estimator.estimate_table import detail_name, detail_scale
 from estimator.quality import Quality
 from thermojoint.artefacts.arrays import Array
-from thermojoint.artefacts.units import MEGA
+from thermojoint.artefacts.units import MEGA, MILLI
 from thermojoint.live.archive import History
 from thermojoint.live.http.sources import About
 from thermojoint.live.publication import Publication, iso_time
@@ -77,6 +77,11 @@ def about_body(machine: str, about: About, offers: Collection[str]) -> dict[str,
         "since_s": about.since,
         "axes": list(layout.axes),
         "controls": list(layout.controls),
+        **(
+            {"P0_mm": {one.axis: one.reference / MILLI for one in layout.lines}}
+            if layout.lines
+            else {}
+        ),
         "details": [detail_name(channel) for channel in layout.details],
         "readings": list(layout.readings),
         "valid": [
@@ -91,6 +96,7 @@ def history_body(machine: str, history: History) -> dict[str, Any]:
     """Return a history as columns, by name."""
     layout, columns = history.layout, history.columns
     details = [detail_name(channel) for channel in layout.details]
+    lines = [line.axis for line in layout.lines]
     in_micro = np.array([detail_scale(channel) for channel in layout.details])
     return {
         "machine": machine,
@@ -104,6 +110,7 @@ def history_body(machine: str, history: History) -> dict[str, Any]:
         "displacement_um": _named(layout.axes, MEGA * columns.displacement),
         "band_um": _named(layout.axes, MEGA * columns.band),
         "offsets_um": _named(layout.controls, MEGA * columns.offsets),
+        **({"slopes_um_per_m": _named(lines, MEGA * columns.slopes)} if lines else {}),
         "details": _named(details, columns.details * in_micro),
         "readings": _named(layout.readings, columns.readings),
     }

@@ -28,11 +28,10 @@ def _parameter(number: int, name: str, unit: str, metres: float, largest: float)
 BECKHOFF = Control(
     title="Beckhoff TwinCAT CNC",
     offset=_parameter(273, "temp_comp_offset_0", "0.1 µm", 1e-7, _LARGEST),
-    zeros=(
-        _parameter(274, "temp_comp_coefficient", "µm/m", 1.0, _LARGEST),
-        _parameter(272, "temp_comp_position_0", "0.1 µm", 1e-7, _LARGEST),
-    ),
+    slope=_parameter(274, "temp_comp_coefficient", "µm/m", 1e-6, _LARGEST),
+    reference=_parameter(272, "temp_comp_position_0", "0.1 µm", 1e-7, _LARGEST),
     switch=_parameter(271, "temp_comp", "", 1.0, 1.0),
+    with_slope=1.0,
     comment="#",
     heading="kopf.achs_nr {axis}",
 )

@@ -18,7 +18,7 @@ class Quantity:
         As in the manual of the control.
     unit : str
     metres : float
-        Of one unit; 1 for what is no length.
+        One unit in SI: of a length, m; of a slope, m/m.
     step, largest : float
         The step of a value that is written, and the largest of either sign, in the unit.
     whole : bool
@@ -48,10 +48,14 @@ class Control:
     title : str
     offset : Quantity
         What is written.
-    zeros : tuple of Quantity
-        Slope and reference position: they must be 0, since an offset is the same at every position.
+    slope : Quantity
+        What is written for an axis with a slope; of the others it must be 0.
+    reference : Quantity
+        The position at which the compensation is the offset: P0 of the slope, or 0.
     switch : Quantity
-        What activates the compensation by the offset alone; it must be 1.
+        What activates the compensation: 1 by the offset alone.
+    with_slope : float
+        And by offset and slope.
     comment : str
         What begins a comment in a file for the control.
     heading : str
@@ -62,8 +66,10 @@ class Control:
 
     title: str
     offset: Quantity
-    zeros: tuple[Quantity, ...]
+    slope: Quantity
+    reference: Quantity
     switch: Quantity
+    with_slope: float
     comment: str
     heading: str = ""
     ending: tuple[str, ...] = ()
@@ -71,11 +77,11 @@ class Control:
     @property
     def quantities(self) -> tuple[Quantity, ...]:
         """All of them; those that are only checked come last."""
-        return (self.offset, *self.zeros, self.switch)
+        return (self.offset, self.slope, self.reference, self.switch)
 
 
 def in_units(quantity: Quantity, metres: float) -> float:
-    """Return a length (m) in the control's unit, rounded to its step.
+    """Return a length (m) or a slope (m/m) in the control's unit, rounded to its step.
 
     Raises
     ------
@@ -86,7 +92,7 @@ def in_units(quantity: Quantity, metres: float) -> float:
     if not abs(value) <= quantity.largest:
         raise InputError(
             f"{quantity.name}: {value:.6g} {quantity.unit} is beyond ±{quantity.largest:g}; "
-            "reduce largest_um"
+            "make it smaller in the settings of the offsets"
         )
     return _on_grid(quantity, value)
 
@@ -100,9 +106,9 @@ def next_value(quantity: Quantity, now: float, metres: float, most: float) -> fl
     now : float
         In the control's unit.
     metres : float
-        Where it should go, m; raises as `in_units`.
+        Where it should go, m or m/m; raises as `in_units`.
     most : float
-        Largest change by one write, m.
+        Largest change by one write, m or m/m.
     """
     goal, step = in_units(quantity, metres), most / quantity.metres
     if abs(goal - now) <= step:

@@ -100,7 +100,13 @@ def _settings_of(service: Service, machine: str) -> tuple[HttpServer, Settings]:
         raise InputError(
             f'machines.{machine}: LinuxCNC answers by HTTP; add [http] and handshake.by = "http"'
         )
-    return http, read_settings(offsets)
+    settings = read_settings(offsets)
+    for axis in settings.slopes:
+        raise InputError(
+            f"{offsets}: axes.{axis}.slope: LinuxCNC takes one offset for all positions; leave the "
+            "slope out"
+        )
+    return http, settings
 
 
 def _host(http: HttpServer) -> str:

@@ -2,24 +2,60 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
 
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.settings import toml
 from thermojoint.artefacts.settings.read import settings_from
-from thermojoint.artefacts.settings.section import Count, Positive
-from thermojoint.artefacts.units import MICRO
+from thermojoint.artefacts.settings.section import Count, Finite, Positive, Section
+from thermojoint.artefacts.units import MICRO, MILLI
 from thermojoint.compensation.offsets.output import OutputSettings
 from thermojoint.live.settings import OpcuaAddress, check_protected_url
 from thermojoint.live.targets.beckhoff import BECKHOFF
 from thermojoint.live.targets.control import Control, Quantity, in_units
 from thermojoint.live.targets.sinumerik import SINUMERIK
 
+#: Of a position that is written down in mm, m.
+_ROUNDING = 1e-9
 CONTROLS: Mapping[str, Control] = {"sinumerik": SINUMERIK, "beckhoff": BECKHOFF}
+
+
+class SlopeSection(Section):
+    """``[slopes.NAME]``: the control takes a slope for this axis; P0 and its stroke there."""
+
+    reference_mm: Finite
+    stroke_mm: Annotated[tuple[Finite, Finite], Field(strict=False)]
+
+    @property
+    def reference(self) -> float:
+        """P0, m."""
+        return MILLI * self.reference_mm
+
+    @property
+    def lever(self) -> float:
+        """Largest distance from P0 on the stroke, m."""
+        return MILLI * max(abs(end - self.reference_mm) for end in self.stroke_mm)
+
+
+class Write(NamedTuple):
+    """A value that is written into a control.
+
+    Attributes
+    ----------
+    quantity : Quantity
+    axis : str
+        Of the offsets.
+    most : float
+        Largest change by one write, m or m/m.
+    """
+
+    quantity: Quantity
+    axis: str
+    most: float
 
 
 class TargetFile(OpcuaAddress):
@@ -35,6 +71,7 @@ class TargetFile(OpcuaAddress):
     largest_step_um: Positive = 5.0
     axes: Annotated[dict[str, Count], Field(min_length=1)]
     nodes: dict[str, str] = Field(default_factory=dict)
+    slopes: dict[str, SlopeSection] = Field(default_factory=dict)
 
     @property
     def control(self) -> Control:
@@ -45,6 +82,22 @@ class TargetFile(OpcuaAddress):
         """Return the node id of a quantity of an axis of the offsets."""
         short = quantity.name.split()[0]
         return self.nodes.get(short, quantity.node).replace("{axis}", str(self.axes[axis]))
+
+
+def writes_of(given: TargetFile, names: Iterable[str]) -> list[Write]:
+    """Return what is written for some axes of the offsets: all offsets, then the slopes.
+
+    One write of each changes the compensation at the far end of the stroke by half the step.
+    """
+    step, control, names = MICRO * given.largest_step_um, given.control, list(names)
+    along = [(name, given.slopes[name]) for name in names if name in given.slopes]
+    return [
+        *(
+            Write(control.offset, name, 0.5 * step if name in given.slopes else step)
+            for name in names
+        ),
+        *(Write(control.slope, name, 0.5 * step / section.lever) for name, section in along),
+    ]
 
 
 def read_target(path: Path, output: OutputSettings | None = None) -> TargetFile:
@@ -80,12 +133,56 @@ def target_from_data(
     for name in output.names if output else ():
         if name not in given.axes:
             raise unknown_name("axis", name, given.axes, f"{path}: axes")
-    if output and MICRO * given.largest_step_um < output.rate * given.every_s:
-        raise InputError(
-            f"{path}: largest_step_um {given.largest_step_um:g} every_s {given.every_s:g} is "
-            f"slower than rate_um_s {output.rate / MICRO:g} of the offsets; change one of them"
-        )
+    for name, section in given.slopes.items():
+        if name not in given.axes:
+            raise unknown_name("axis", name, given.axes, f"{path}: slopes")
+        if not section.stroke_mm[0] < section.stroke_mm[1] or section.lever <= 0.0:
+            raise InputError(f"{path}: slopes.{name}.stroke_mm: give its two ends in order")
+    if output:
+        _check_output(given, path, output)
     return given
+
+
+def _check_output(given: TargetFile, path: Path, output: OutputSettings) -> None:
+    """Refuse slopes that only one of control and offsets has, and writes that do not keep up."""
+    own = {one.axis: one for one in output.slopes}
+    for name in output.names:
+        section, slope = given.slopes.get(name), own.get(name)
+        if section is None and slope is not None:
+            raise InputError(
+                f"{path}: axis {name} takes no slope here, and has one in the offsets; add "
+                f"[slopes.{name}] here, or leave it out there"
+            )
+        if section is not None and slope is None:
+            raise InputError(
+                f"{path}: slopes.{name}: axis {name} has no slope in the offsets; leave it out, or "
+                f"add [axes.{name}.slope] there"
+            )
+        if section is None or slope is None:
+            continue
+        reference = given.control.reference
+        if abs(section.reference - slope.reference) > reference.metres * reference.step:
+            raise InputError(
+                f"{path}: slopes.{name}.reference_mm {section.reference_mm:.9g} is not P0 of the "
+                f"offsets, {slope.reference / MILLI:.9g} mm; change one of them"
+            )
+        low, high = (MILLI * end for end in section.stroke_mm)
+        if low > slope.low + _ROUNDING or high < slope.high - _ROUNDING:
+            raise InputError(
+                f"{path}: slopes.{name}.stroke_mm is not all of the model's, "
+                f"{slope.low / MILLI:.9g} to {slope.high / MILLI:.9g} mm; make it longer"
+            )
+    rates = dict.fromkeys(output.names, output.rate)
+    for write in writes_of(given, output.names):
+        rate, slope = rates[write.axis], own.get(write.axis)
+        if slope is not None:
+            parts = slope.slope if write.quantity is given.control.slope else slope.offset
+            rate = parts.rate
+        if write.most < rate * given.every_s * (1.0 - 1e-9):
+            raise InputError(
+                f"{path}: largest_step_um {given.largest_step_um:g} every_s {given.every_s:g} is "
+                f"slower than rate_um_s {output.rate / MICRO:g} of the offsets; change one of them"
+            )
 
 
 def lines_of(given: TargetFile, metres: Mapping[str, float]) -> Iterator[str]:
@@ -96,7 +193,10 @@ def lines_of(given: TargetFile, metres: Mapping[str, float]) -> Iterator[str]:
         if control.heading:
             yield control.heading.format(axis=number)
         values = {control.switch: 1.0, control.offset: in_units(control.offset, metres[axis])}
-        for quantity in (control.switch, control.offset, *control.zeros):
+        if section := given.slopes.get(axis):
+            values[control.switch] = control.with_slope
+            values[control.reference] = in_units(control.reference, section.reference)
+        for quantity in (control.switch, control.offset, control.slope, control.reference):
             value = f"{values.get(quantity, 0.0):.10g}"
             unit = f" {control.comment} {quantity.unit}" if quantity.unit else ""
             yield quantity.line.format(axis=number, value=value) + unit

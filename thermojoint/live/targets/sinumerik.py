@@ -7,6 +7,8 @@ Quantities, and the effect of MD32750 and MD32760: Function Manual Extended Func
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from thermojoint.live.targets.control import Control, Quantity
 
 
@@ -26,10 +28,8 @@ def _setting(number: int, name: str, unit: str, metres: float) -> Quantity:
 SINUMERIK = Control(
     title="Siemens SINUMERIK 840D sl, 828D (metric)",
     offset=_setting(43900, "TEMP_COMP_ABS_VALUE", "mm", 1e-3),
-    zeros=(
-        _setting(43910, "TEMP_COMP_SLOPE", "mm/mm", 1.0),
-        _setting(43920, "TEMP_COMP_REF_POSITION", "mm", 1e-3),
-    ),
+    slope=_setting(43910, "TEMP_COMP_SLOPE", "mm/mm", 1.0),
+    reference=replace(_setting(43920, "TEMP_COMP_REF_POSITION", "mm", 1e-3), largest=1e6),
     switch=Quantity(
         name="MD32750 $MA_TEMP_COMP_TYPE",
         unit="",
@@ -40,6 +40,8 @@ SINUMERIK = Control(
         node="ns=2;s=/NC/_N_AX_TEA_ACX/$MA_TEMP_COMP_TYPE[u{axis}]",
         line="$MA_TEMP_COMP_TYPE[AX{axis}]={value}",
     ),
+    # Bit 0: the same value at every position; bit 1: along the axis.
+    with_slope=3.0,
     comment=";",
     ending=("M17",),
 )

@@ -1,4 +1,4 @@
-"""The offsets of a machine written into its control by OPC UA; the control's side of the handshake.
+"""Offsets and slopes of a machine written into its control by OPC UA; its side of the handshake.
 
 Every cycle reads what acts in the control and tells the service so. Nothing is written unless the
 file of the target enables it, the handshake stands, and the control still has what was written
@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from asyncua import Client, ua
 
 from thermojoint.artefacts.errors import InputError
-from thermojoint.artefacts.units import MICRO
 from thermojoint.compensation.offsets.handshake import DIFFERS, STANDS, Answer
 from thermojoint.live.audit import Audit
 from thermojoint.live.floor import Floor, answer
@@ -27,8 +26,8 @@ from thermojoint.live.opcua_session import LOST, TIMEOUT_S, Reached, client_of, 
 from thermojoint.live.reconnecting import FIRST_S, next_delay
 from thermojoint.live.served import Served
 from thermojoint.live.settings import Service
-from thermojoint.live.targets.control import Quantity, next_value
-from thermojoint.live.targets.settings import TargetFile, read_target
+from thermojoint.live.targets.control import in_units, next_value
+from thermojoint.live.targets.settings import TargetFile, Write, read_target, writes_of
 
 #: After somebody else has changed a value, or the service cannot agree with it, the control counts
 #: as away for this long, s; on its return the service continues from what it has.
@@ -96,73 +95,80 @@ class Writer:
     async def _check(self, client: Client) -> None:
         """Refuse a control that compensates otherwise: no value of somebody else is overwritten."""
         control = self.given.control
-        wanted = {control.switch: 1.0} | dict.fromkeys(control.zeros, 0.0)
         for name in self.names:
+            wanted = {control.switch: 1.0, control.slope: 0.0, control.reference: 0.0}
+            if section := self.given.slopes.get(name):
+                reference = in_units(control.reference, section.reference)
+                wanted = {control.switch: control.with_slope, control.reference: reference}
             for quantity, value in wanted.items():
-                (found,) = await self._read(client, quantity, [name])
-                if found != value:
+                (found,) = await self._read(client, [Write(quantity, name, 0.0)])
+                if abs(found - value) > 1e-3 * quantity.step:
                     raise InputError(
                         f"{quantity.name} of axis {name} is {found:g}; set it to {value:g} while "
                         "the machine stands"
                     )
 
     async def _follow(self, client: Client) -> None:
-        offset = self.given.control.offset
+        writes = writes_of(self.given, self.names)
+        levers = self.hub.newest[self.machine].layout.levers.tolist()
         last: list[float] | None = None
         changed = -math.inf
         for beats in itertools.count():
-            found = await self._read(client, offset, self.names)
+            found = await self._read(client, writes)
             clock = time.monotonic()
             said = self.hub.newest[self.machine]
             if (
                 last is None
                 or said.handshake == DIFFERS
                 or any(
-                    abs(one - other) > 0.5 * offset.step
-                    for one, other in zip(found, last, strict=True)
+                    abs(one - other) > 0.5 * write.quantity.step
+                    for write, one, other in zip(writes, found, last, strict=True)
                 )
             ):
                 changed = clock
             enabled = self.given.enable and clock - changed > AWAY_S
-            acts = tuple(offset.metres * value for value in found)
+            acts = tuple(
+                lever * write.quantity.metres * value
+                for write, lever, value in zip(writes, levers, found, strict=True)
+            )
             answer(self.floor, self.machine, Answer(enabled, beats, acts), clock)
-            most = MICRO * self.given.largest_step_um
+            wanted = [*said.offsets.tolist(), *said.slopes.tolist()]
             goals = [
-                next_value(offset, now, float(metres), most)
-                for now, metres in zip(found, said.offsets, strict=True)
+                next_value(write.quantity, now, value, write.most)
+                for write, now, value in zip(writes, found, wanted, strict=True)
             ]
             last = found
             if not self.given.enable:
-                self._show(found, goals)
+                self._show(writes, found, goals)
             elif enabled and said.handshake == STANDS and goals != found:
-                await self._write(client, goals)
+                await self._write(client, writes, goals)
                 last = goals
             await asyncio.sleep(self.given.every_s)
 
-    async def _read(self, client: Client, quantity: Quantity, names: Sequence[str]) -> list[float]:
-        nodes = [client.get_node(self.given.node(quantity, name)) for name in names]
+    async def _read(self, client: Client, values: Sequence[Write]) -> list[float]:
+        nodes = [client.get_node(self.given.node(one.quantity, one.axis)) for one in values]
         found = await asyncio.wait_for(client.read_values(nodes), TIMEOUT_S)
-        for name, value in zip(names, found, strict=True):
+        for one, value in zip(values, found, strict=True):
             if not isinstance(value, int | float) or not math.isfinite(value):
-                raise InputError(f"{quantity.name} of axis {name} is {value!r}, no number")
+                raise InputError(f"{one.quantity.name} of axis {one.axis} is {value!r}, no number")
         return [float(value) for value in found]
 
-    async def _write(self, client: Client, goals: Sequence[float]) -> None:
-        offset = self.given.control.offset
-        for name, goal in zip(self.names, goals, strict=True):
-            node = self.given.node(offset, name)
+    async def _write(self, client: Client, writes: Sequence[Write], goals: Sequence[float]) -> None:
+        for (quantity, name, _), goal in zip(writes, goals, strict=True):
+            node = self.given.node(quantity, name)
             self.audit.written("service", self.given.url, f"write {node} = {goal:g}", self.machine)
-            kind = ua.VariantType.Int32 if offset.whole else ua.VariantType.Double
-            value = ua.Variant(int(goal) if offset.whole else goal, kind)
+            kind = ua.VariantType.Int32 if quantity.whole else ua.VariantType.Double
+            value = ua.Variant(int(goal) if quantity.whole else goal, kind)
             write = client.get_node(node).write_value(ua.DataValue(value))
             await asyncio.wait_for(write, TIMEOUT_S)
 
-    def _show(self, found: Sequence[float], goals: Sequence[float]) -> None:
+    def _show(
+        self, writes: Sequence[Write], found: Sequence[float], goals: Sequence[float]
+    ) -> None:
         """Say what would be written, at the rate of the log."""
-        offset = self.given.control.offset
-        for name, now, goal in zip(self.names, found, goals, strict=True):
-            node = self.given.node(offset, name)
-            self._say("dry-run", f"would write {node} = {goal:g} {offset.unit}, is {now:g}")
+        for (quantity, name, _), now, goal in zip(writes, found, goals, strict=True):
+            node = self.given.node(quantity, name)
+            self._say("dry-run", f"would write {node} = {goal:g} {quantity.unit}, is {now:g}")
 
     def _say(self, kind: str, text: str) -> None:
         self.floor.log.say(time.time(), kind, text, self.machine)

@@ -49,9 +49,9 @@ async def attend(
         machine = machines.get(str(message.topic))
         if machine is None or message.retain:
             continue
-        axes = floor.places[machine].served.layout.controls
+        layout = floor.places[machine].served.layout
         try:
-            given = answer_of(message.payload[:_LARGEST], axes)
+            given = answer_of(message.payload[:_LARGEST], layout)
             written(f"write {message.topic} ({'enable' if given.enabled else 'disable'})", machine)
         except ValidationError as error:
             text = f"what the control says is no answer: {error.errors()[0]['msg']}"

@@ -1,8 +1,8 @@
 """The service's own OPC UA server: an object for each machine, values with their status codes.
 
 ``Objects/Machines/NAME/Monitoring/ThermalDisplacement`` and below it Displacement, Band, Offset,
-Detail, Reading and Probe, a variable for each axis or channel. Values are made when they are read
-or subscribed to, so machines without readers cost nothing.
+Slope, Reference (P0), Detail, Reading and Probe, a variable for each axis or channel. Values are
+made when they are read or subscribed to, so machines without readers cost nothing.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ from thermojoint.live.writers.opcua_history import add_history, is_kept
 #: The service's namespace; its nodes are ``ns=2;s=NAME.Displacement.x``.
 NAMESPACE = "urn:thermojoint:live:machines"
 #: UNECE Recommendation 20: unit to its common code.
-_UNITS = {"µm": "4H", "°C": "CEL", "K": "KEL", "W": "WTT", "Pa": "PAL", "1": "C62"}
-_FOLDERS = ("Displacement", "Band", "Offset", "Detail", "Reading", "Probe")
+_UNITS = {"µm": "4H", "°C": "CEL", "K": "KEL", "W": "WTT", "Pa": "PAL", "1": "C62", "mm": "MMT"}
+_FOLDERS = ("Displacement", "Band", "Offset", "Slope", "Reference", "Detail", "Reading", "Probe")
 
 
 @dataclass(frozen=True, eq=False)

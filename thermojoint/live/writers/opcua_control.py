@@ -1,7 +1,8 @@
 """Values that a control writes by OPC UA: enable, heartbeat, acknowledged offsets (the handshake).
 
-``NAME.Control.Enable``, ``NAME.Control.Heartbeat`` and ``NAME.Control.Acknowledged.AXIS`` below the
-machine's ThermalDisplacement; and the service's own ``Heartbeat`` beside the machines.
+``NAME.Control.Enable``, ``NAME.Control.Heartbeat``, ``NAME.Control.Acknowledged.AXIS`` and, of axes
+with a slope, ``NAME.Control.AcknowledgedSlope.AXIS`` below the machine's ThermalDisplacement; and
+the service's own ``Heartbeat`` beside the machines.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from asyncua.server import Server
 from thermojoint.artefacts.units import MICRO
 from thermojoint.compensation.offsets.handshake import Answer
 from thermojoint.live.hub import Hub
+from thermojoint.live.publication import Layout
 from thermojoint.live.writers.opcua import NAMESPACE
 
 #: Between two looks at the service's heartbeat, s.
@@ -27,17 +29,15 @@ _WRAP = 1 << 32
 Take = Callable[[str, Answer], None]
 
 
-async def add_controls(
-    server: Server, controls: Mapping[str, tuple[str, ...]], take: Take
-) -> ua.NodeId:
+async def add_controls(server: Server, controls: Mapping[str, Layout], take: Take) -> ua.NodeId:
     """Add the variables that controls write; return that of the service's heartbeat.
 
     Parameters
     ----------
     server : Server
         Has the machines already.
-    controls : mapping of str to tuple of str
-        By machine: the axes of its control that receive an offset.
+    controls : mapping of str to Layout
+        By machine: what its control receives.
     take : callable
     """
     index = await server.get_namespace_index(NAMESPACE)
@@ -45,44 +45,52 @@ async def add_controls(
     await server.nodes.objects.add_variable(
         heartbeat, f"{index}:Heartbeat", 0, ua.VariantType.UInt32
     )
-    for machine, axes in controls.items():
+    for machine, layout in controls.items():
         parent = server.get_node(ua.NodeId(f"{machine}.ThermalDisplacement", index))
         at = ua.NodeId(f"{machine}.Control", index)
         folder = await parent.add_folder(at, f"{index}:Control")
         starts: dict[str, tuple[Any, ua.VariantType]] = {
             "Enable": (False, ua.VariantType.Boolean),
             "Heartbeat": (0, ua.VariantType.UInt32),
-            **{f"Acknowledged.{axis}": (math.nan, ua.VariantType.Double) for axis in axes},
+            **dict.fromkeys(acknowledged(layout), (math.nan, ua.VariantType.Double)),
         }
         for name, start in starts.items():
             at = ua.NodeId(f"{machine}.Control.{name}", index)
             node = await folder.add_variable(at, f"{index}:{name}", *start)
             await node.set_writable()
             server.iserver.aspace.add_datachange_callback(
-                at, ua.AttributeIds.Value, _written_by(machine, name, axes, take)
+                at, ua.AttributeIds.Value, _written_by(machine, name, layout, take)
             )
     return heartbeat
 
 
 def _written_by(
-    machine: str, name: str, axes: tuple[str, ...], take: Take
+    machine: str, name: str, layout: Layout, take: Take
 ) -> Callable[[Any, ua.DataValue], Awaitable[None]]:
     async def on_write(handle: Any, written: ua.DataValue) -> None:  # noqa: ANN401
         # A value that is marked as bad arrives as None.
-        take(machine, answer_of(name, axes, written.Value.Value if written.Value else None))
+        take(machine, answer_of(name, layout, written.Value.Value if written.Value else None))
 
     return on_write
 
 
-def answer_of(name: str, axes: tuple[str, ...], value: Any) -> Answer:  # noqa: ANN401
+def acknowledged(layout: Layout) -> list[str]:
+    """Return the names of what a control acknowledges, in the order of an answer."""
+    return [
+        *(f"Acknowledged.{axis}" for axis in layout.controls),
+        *(f"AcknowledgedSlope.{line.axis}" for line in layout.lines),
+    ]
+
+
+def answer_of(name: str, layout: Layout, value: Any) -> Answer:  # noqa: ANN401
     """Return what a control says by a value of one of its variables; None for a bad one."""
     if name == "Enable":
         return Answer(enabled=bool(value))
     if name == "Heartbeat":
         return Answer(heartbeat=value)
-    axis = name.partition(".")[2]
-    offset = math.nan if value is None else MICRO * value
-    return Answer(acknowledged=tuple(offset if axis == one else math.nan for one in axes))
+    said = math.nan if value is None else MICRO * value
+    levers = zip(acknowledged(layout), layout.levers.tolist(), strict=True)
+    return Answer(acknowledged=[lever * said if name == one else math.nan for one, lever in levers])
 
 
 async def tell_heartbeat(server: Server, node: ua.NodeId, hub: Hub) -> None:

@@ -50,6 +50,12 @@ def lines_of(latest: Publication) -> Iterator[str]:
             (f"{machine}:{axis}_offset", _millimetres(latest.offsets, k))
             for k, axis in enumerate(layout.controls)
         ]
+        for k, line in enumerate(layout.lines):
+            slope, reference = _MILLI * latest.slopes[k], _MILLI * line.reference
+            offsets += [
+                (f"{machine}:{line.axis}_slope", f"{slope:.7f}"),
+                (f"{machine}:{line.axis}_reference", f"{reference:.7f}"),
+            ]
         yield _line(now, [*offsets, (f"{machine}:offset_mode", _word(latest.offset_mode))])
     level = _LEVELS[latest.quality] if latest.number else _NONE
     text = "" if level in ("NORMAL", _NONE) else re.sub(r"[|\r\n]+", " ", latest.status)

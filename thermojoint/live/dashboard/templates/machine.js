@@ -5,18 +5,19 @@ const name = document.getElementById("machine").textContent;
 const base = `/api/machines/${encodeURIComponent(name)}`;
 const SPANS = [["15 min", 900], ["1 h", 3600], ["8 h", 28800], ["24 h", 86400], ["7 d", 604800]];
 const POINTS = 720;
-const COLUMNS = ["displacement_um", "band_um", "offsets_um", "details", "readings"];
+const COLUMNS = ["displacement_um", "band_um", "offsets_um", "slopes_um_per_m", "details", "readings"];
 //: What a unit at the end of a name is called, in what it is shown, and over which heading.
 const UNITS = {
   W: ["Heat", "W", 1], K: ["Estimated temperatures", "K", 1], Pa: ["Pressure in the joints", "MPa", 1e-6],
   um: ["Parts of the displacement", "µm", 1], "": ["Relative", "1", 1], degC: ["Temperatures", "°C", 1],
   rpm: ["Speed", "1/min", 1], kW: ["Power", "kW", 1], A: ["Current", "A", 1], Nm: ["Torque", "Nm", 1],
-  percent: ["Load", "%", 1], degF: ["Temperatures", "°F", 1],
+  percent: ["Load", "%", 1], degF: ["Temperatures", "°F", 1], um_per_m: ["Slopes", "µm/m", 1], mm: ["Positions", "mm", 1],
 };
 
 const page = { about: null, span: 3600, past: null, newest: null, charts: [], revision: 0, drawn: 0, line: "opening" };
 
 function unitOf(key) {
+  if (key.endsWith("_um_per_m")) return "um_per_m";
   const unit = key.includes("_") ? key.slice(key.lastIndexOf("_") + 1) : "";
   return unit in UNITS ? unit : "";
 }
@@ -31,6 +32,9 @@ function plan(about) {
   const found = [];
   if (about.controls.length) {
     found.push({ title: "Sent to the control", unit: "µm", group: "offsets_um", keys: about.controls, factor: 1 });
+  }
+  if (about.P0_mm) {
+    found.push({ title: "Slope sent to the control", unit: "µm/m", group: "slopes_um_per_m", keys: Object.keys(about.P0_mm), factor: 1 });
   }
   for (const group of ["details", "readings"]) {
     for (const unit of Object.keys(UNITS)) {
@@ -104,12 +108,17 @@ async function load() {
   await drawAll();
 }
 
+// Slopes are there only where the control receives any.
+function columns(past) {
+  return COLUMNS.filter((group) => group in past);
+}
+
 // No line across a time without samples.
 function interrupt(past, hole) {
   const at = past.time_s.findIndex((time) => time > hole.since_s);
   if (at <= 0) return;
   past.time_s.splice(at, 0, (past.time_s[at - 1] + past.time_s[at]) / 2);
-  for (const group of COLUMNS) for (const column of Object.values(past[group])) column.splice(at, 0, null);
+  for (const group of columns(past)) for (const column of Object.values(past[group])) column.splice(at, 0, null);
 }
 
 // The newest sample behind the curves; what is older than the span goes, and the rest stays bounded.
@@ -117,13 +126,13 @@ function append(one) {
   const past = page.past, times = past.time_s;
   if (one.time_s === null || (times.length && one.time_s <= times[times.length - 1])) return;
   times.push(one.time_s);
-  for (const group of COLUMNS) {
+  for (const group of columns(past)) {
     for (const [key, column] of Object.entries(past[group])) column.push(one[group][key] ?? null);
   }
   const gone = times.findIndex((time) => time >= clock.now() - page.span);
   if (gone > 0) {
     times.splice(0, gone);
-    for (const group of COLUMNS) for (const column of Object.values(past[group])) column.splice(0, gone);
+    for (const group of columns(past)) for (const column of Object.values(past[group])) column.splice(0, gone);
   }
 }
 
@@ -170,6 +179,9 @@ function axes() {
       list.append(item);
     }
     write(item.querySelector(".number"), shown(one.offsets_um[control], 1, true));
+    const slope = one.slopes_um_per_m && one.slopes_um_per_m[control];
+    if (slope === undefined) continue;
+    write(item.querySelector(".band"), `K0 sent, at P0 = ${shown(one.P0_mm[control], 1)} mm; tan β ${shown(slope, 1, true)} µm/m`);
   }
 }
 
@@ -228,6 +240,9 @@ async function handshake() {
     ["Heartbeat of the control", said.heartbeat === null ? "none" : `${said.heartbeat}, changed ${age(said.heartbeat_age_s ?? NaN)}`]];
   for (const [axis, value] of Object.entries(said.acknowledged_um)) {
     facts.push([`Acknowledged ${axis}`, value === null ? "–" : `${shown(value, 1, true)} µm`]);
+  }
+  for (const [axis, value] of Object.entries(said.acknowledged_slopes_um_per_m || {})) {
+    facts.push([`Acknowledged slope ${axis}`, value === null ? "–" : `${shown(value, 1, true)} µm/m`]);
   }
   if (!list.children.length) for (const [term] of facts) list.append(el("dt", "", term), el("dd"));
   facts.forEach(([, text], k) => write(list.children[2 * k + 1], text));
