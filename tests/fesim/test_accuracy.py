@@ -1,15 +1,20 @@
 """The estimated error of a displacement is as large as the true one, part by part."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from boxes import boxes
+from scipy.sparse import csr_array
 
+from fesim.accuracy.coarse_joints import _elastic
 from fesim.case.schema import case_from_data
 from fesim.simulate import simulate
+from fesim.solid.condensation import ElasticCondensation
 from fesim.solid.round_faces import bulges
 from meshes.exchange import write_structure
+from thermojoint.artefacts.errors import ConvergenceError
 from thermojoint.paper.summary import accuracy_line
 from thermojoint.verification.thermal_bar import CONDUCTIVITY, EXPANSION, LENGTH, WIDTH, bar_case
 
@@ -194,3 +199,22 @@ def test_a_single_element_across_a_wall_hides_no_error(tmp_path, acting):
     fine = layer(tmp_path, (16, 3, 3), ACTING[acting])["displacement"]
     error = 1e6 * float(np.abs(coarse["displacement"] - fine).max())
     assert 0.5 < error / parts_of(coarse)["mesh"] < 2.0
+
+
+@pytest.mark.parametrize("share", [0.5, 0.1])
+def test_elements_that_only_their_own_springs_hold_cannot_be_merged(share):
+    """Exactly singular, and singular but for rounding; held as stiffly again, they can."""
+    area, springs = np.tile([share, 1.0 - share], 3), np.full(6, 2.0)
+    nothing, means = np.zeros((6, 1)), csr_array(area[None, :2])
+    alone = ElasticCondensation(
+        compliance=np.diag(1.0 / (springs * area)),
+        thermal_gap=nothing,
+        probe_compliance=nothing.T,
+        probe_thermal=nothing[:1],
+        reference=springs,
+        area=area,
+    )
+    with pytest.raises(ConvergenceError, match="singular"):
+        _elastic(alone, None, means)
+    merged, _ = _elastic(replace(alone, compliance=0.5 * alone.compliance), None, means)
+    assert merged.compliance.shape == (3, 3)
