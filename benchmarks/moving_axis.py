@@ -23,7 +23,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from calibrate.joint_aware.calibration import calibrate_joint_aware
+from calibrate.joint_aware.calibration import Effort, calibrate_joint_aware
+from calibrate.joint_aware.physics_fit import Search
 from calibrate.joint_aware.random_heat import random_levels
 from estimator.interface import Estimate, follow
 from estimator.joint_aware.estimator import JointAware
@@ -45,6 +46,8 @@ NOISE = 0.06
 #: Minutes of the runs; levels of those with a step.
 LEVELS = {"0.5": 0.5, "1": 1.0, "2": 2.0, "3": 3.0}
 STEPS, COOLING, DAY = 35.0, 240.0, 480.0
+#: A machine with an axis has hundreds of modes: one search, with coarser steps than usual.
+EFFORT = Effort(Search(starts=0, steps=60, rounds=3, evaluations=8))
 
 
 def course(rng: np.random.Generator, minutes: float, stroke: Sequence[float]) -> str:
@@ -168,7 +171,7 @@ def main(arguments: list[str] | None = None) -> None:
             responses = responses_of(plant_of(case, rng, number), rng, Path(folder))
         began = process_time()
         runs = {name: responses[name] for name in ("0.5", "1", "2", "cool-down")}
-        model = calibrate_joint_aware(case, runs).model
+        model = calibrate_joint_aware(case, runs, effort=EFFORT).model
         spent = process_time() - began
         for name in ("3", "day"):
             row = {"plant": number, "run": name} | figures(JointAware(model), responses[name])
