@@ -55,11 +55,6 @@ class GuideStations:
     positions: Array
     place: NDArray[np.int64]
 
-    def __post_init__(self) -> None:
-        """Keep what is passed on some ways."""
-        object.__setattr__(self, "_passages", lru_cache(maxsize=KEPT)(self._passed))
-        object.__setattr__(self, "_weights", lru_cache(maxsize=KEPT)(self._weighted))
-
     @property
     def count(self) -> int:
         """Number of contact elements."""
@@ -77,25 +72,16 @@ class GuideStations:
 
     def passage(self, start: float, end: float) -> Passage:
         """Return what is passed while the axis moves evenly between two positions, m."""
-        found: Passage = vars(self)["_passages"](start, end)
-        return found
+        return _passage(self, start, end)
 
     def weights(self, position: float) -> Array:
         """Return the weights (k,) of the aligned positions at a position, m; not to be changed."""
-        found: Array = vars(self)["_weights"](position)
-        return found
-
-    def _weighted(self, position: float) -> Array:
-        return weights_at(self.positions, position)
+        return _weights(self, position)
 
     @property
     def everywhere(self) -> Passage:
         """What is passed by an axis that is everywhere equally often."""
         return self.passage(float(self.positions[0]), float(self.positions[-1]))
-
-    def _passed(self, start: float, end: float) -> Passage:
-        shares = even(self.positions, start, end)
-        return Passage(self.touches(shares), self.coefficients(shares.mean))
 
     def coefficients(self, weights: Array) -> Array:
         """Return b (m, m + n) by weights (k,) of the aligned positions, which add up to one."""
@@ -119,6 +105,17 @@ class GuideStations:
         element, first, second = (np.concatenate([part[i] for part in parts]) for i in range(3))
         mean = np.concatenate([np.full(part[0].size, part[3]) for part in parts])
         return Touches(element, first, second, mean)
+
+
+@lru_cache(maxsize=KEPT)
+def _passage(stations: GuideStations, start: float, end: float) -> Passage:
+    shares = even(stations.positions, start, end)
+    return Passage(stations.touches(shares), stations.coefficients(shares.mean))
+
+
+@lru_cache(maxsize=KEPT)
+def _weights(stations: GuideStations, position: float) -> Array:
+    return weights_at(stations.positions, position)
 
 
 @dataclass(frozen=True, eq=False)

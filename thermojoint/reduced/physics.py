@@ -71,26 +71,12 @@ class Physics:
     held: Array
     contact: ContactProblem
 
-    def __post_init__(self) -> None:
-        """Keep the joints at some positions ready."""
-        object.__setattr__(self, "_standing", lru_cache(maxsize=KEPT)(self._placed))
-
     def standing(self, loads: Array) -> Physics:
         """Return the joints where the axis stands, the last of the factors (l,), m.
 
         Their amplitudes are those of `felt`; they conduct nothing.
         """
-        if self.modes.way is None:
-            return self
-        found: Physics = vars(self)["_standing"](float(loads[-1]))
-        return found
-
-    def _placed(self, position: float) -> Physics:
-        assert self.modes.way is not None  # asked for on an axis only
-        elastic = self.modes.way.contact_at(position)
-        unused = np.zeros((self.contacts, elastic.thermal_gap.shape[1]))
-        modes = replace(self.modes, elastic=elastic, jump=unused, mean=unused, way=None)
-        return Physics(modes, self.laws, np.zeros_like(self.held), contact_of(modes, self.laws))
+        return self if self.modes.way is None else _standing(self, float(loads[-1]))
 
     def felt(self, amplitudes: Array, loads: Array) -> Array:
         """Return what the joints feel where the axis stands: of `standing`, its amplitudes."""
@@ -134,6 +120,17 @@ class Physics:
     def beyond_held(self, joint: JointState, amplitudes: Array) -> Array:
         """Conductance times area that the modes do not have yet, W/K, shape (m,)."""
         return conducted(self.laws, self.modes, Rest(*joint), amplitudes) - self.held
+
+
+@lru_cache(maxsize=KEPT)
+def _standing(physics: Physics, position: float) -> Physics:
+    way = physics.modes.way
+    assert way is not None  # asked for on an axis only
+    elastic = way.contact_at(position)
+    unused = np.zeros((physics.contacts, elastic.thermal_gap.shape[1]))
+    modes = replace(physics.modes, elastic=elastic, jump=unused, mean=unused, way=None)
+    held, contact = np.zeros_like(physics.held), contact_of(modes, physics.laws)
+    return Physics(modes, physics.laws, held, contact)
 
 
 def make_physics(modes: Modes, joints: Sequence[Joint], held: Array) -> Physics:

@@ -1,5 +1,7 @@
 """The joint-aware estimator of a machine with a moving axis: told its position, it follows it."""
 
+import pickle
+
 import numpy as np
 import pytest
 from in_process import run
@@ -221,3 +223,12 @@ def test_commands_take_a_log_to_lines_for_the_control(estimator, response, sampl
     given = np.genfromtxt(offsets, delimiter=",", names=True)
     assert given["slope_Y_um_per_m"][-1] == pytest.approx(-read["y_slope_um_per_m"][-1], abs=2.0)
     assert (given["P0_Y_mm"] == 50.0).all()
+
+
+def test_a_machine_goes_to_other_processes(machine):
+    """A batch of validations marches in several of them, also after a march in the first."""
+    inputs = machine.inputs(np.tile(machine.power, (3, 1)), np.array([[0.0], [0.1], [0.2]]))
+    physics = physics_with(machine, {})
+    here_marched = simulate_known(physics, inputs, machine.step)
+    there = simulate_known(pickle.loads(pickle.dumps(physics)), inputs, machine.step)
+    assert all(map(np.array_equal, here_marched, there))
