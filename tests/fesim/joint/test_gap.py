@@ -41,7 +41,7 @@ def test_an_equilibrium_is_found_however_hard_the_problem(seed, count, size, fri
     problem, thermal_gap = random_problem(seed, count, 30.0 * size, friction, floating=floating)
     slip = np.random.default_rng(seed).uniform(-1e-6, 1e-6, (2, count))
     guess = np.random.default_rng(seed).uniform(-5e-6, 20e-6, (3, count))
-    found = solved(partial(solve_gap, problem), problem, thermal_gap, slip, guess)
+    found = solved(partial(solve_gap, problem), problem, thermal_gap, slip, guess, floating)
     law = problem.law(found.gap, slip)
     assert np.abs(problem.residual(found.gap, law, thermal_gap)).max() <= TOLERANCE
     np.testing.assert_array_equal(found.traction.value, law.value)
