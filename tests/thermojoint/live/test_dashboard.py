@@ -208,9 +208,10 @@ def test_a_sensor_that_is_missing_or_distrusted_is_named(page, floor):
 
 def test_the_handshake_shows_whether_the_control_takes_part(page, floor):
     opened(page, floor, "/machines/mill-1")
-    until(page, "document.querySelectorAll('#handshake dd').length === 5")
+    until(page, "document.querySelectorAll('#handshake dd').length === 6")
     assert page.locator("#handshake dd").all_inner_texts() == [
-        "▲ the control acknowledges other offsets", "yes", "17, changed now", "−12.3 µm", "–"
+        "▲ the control acknowledges other offsets", "yes", "17, changed now", "−12.3 µm", "–",
+        "+38.0 µm/m",
     ]  # fmt: skip
     opened(page, floor, "/machines/mill-2")
     assert not page.is_visible("#handshake-card")
