@@ -122,18 +122,18 @@ def responses_of(plant: Case, rng: np.random.Generator, folder: Path) -> dict[st
 
 def figures(estimator: JointAware, response: xr.Dataset) -> dict[str, Any]:
     """Return errors at the present position, of the line there, and of a model that stands."""
-    stroke = estimator.model.stroke
-    assert stroke is not None  # of a machine with an axis
-    samples = np.array(list(samples_in(response, estimator.model.sensors, axes=[stroke.axis])))
+    axis = estimator.model.moving_axis
+    assert axis is not None  # of a machine that has one
+    samples = np.array(list(samples_in(response, estimator.model.sensors, axes=[axis.name])))
     actual = columns_of(response, "displacement", estimator.axes)
     made = _estimates(estimator, samples)
     moved, band = here(estimator.axes, estimator.details, made)
     place = response["axis_position"].to_numpy()
     lines = [lines_of(estimator.axes, estimator.details, one.details) for one in made]
     slope = np.array([one.slope for one in lines if one is not None])
-    line = np.array([one.displacement for one in made]) + slope * (place - stroke.reference)
+    line = np.array([one.displacement for one in made]) + slope * (place - axis.reference)
     still = samples.copy()
-    still[:, -1] = stroke.reference
+    still[:, -1] = axis.reference
     middle, _ = here(estimator.axes, estimator.details, _estimates(estimator, still))
     error = np.abs(moved - actual)
     return {

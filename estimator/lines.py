@@ -44,6 +44,11 @@ class Stroke(NamedTuple):
     high: float
 
 
+def lever(reference: float, low: float, high: float) -> float:
+    """Return the largest distance from a reference on a stroke, m."""
+    return max(abs(end - reference) for end in (low, high))
+
+
 class Lines(NamedTuple):
     """Lines of the displacements of an estimate; NaN for those that are known at one place.
 

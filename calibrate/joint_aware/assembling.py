@@ -16,7 +16,7 @@ from estimator.joint_aware.filter_design import (
     design_filter,
     linear_system,
 )
-from estimator.joint_aware.observer_model import Band, Calibrated, ObserverModel, Stroke
+from estimator.joint_aware.observer_model import Band, Calibrated, ObserverModel
 from thermojoint.artefacts.arrays import Array
 from thermojoint.reduced.machine import Modes, ReducedMachine, diagonal_modes, placed
 from thermojoint.reduced.parameters import factors_of, with_factors
@@ -143,9 +143,7 @@ def make_observer(
         axes=machine.axes,
         sources=machine.source_names,
         calibrated=calibrated,
-        stroke=None
-        if machine.guide is None
-        else Stroke(machine.guide.axis, machine.guide.asked, machine.guide.reference),
+        moving_axis=None if machine.guide is None else machine.guide.axis,
         factors={
             parameter.name: (parameter.factor(float(value)), float(deviation))
             for parameter, value, deviation in zip(

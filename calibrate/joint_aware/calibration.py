@@ -26,7 +26,7 @@ from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import columns_of, probes_of
 from thermojoint.artefacts.units import MEGA
-from thermojoint.reduced.machine import Guide, ReducedMachine, along, reduce_machine
+from thermojoint.reduced.machine import Guide, MovingAxis, ReducedMachine, along, reduce_machine
 
 #: A singular value above this is determined by the data: the prior contributes less than a tenth.
 DECIDED = 3.0
@@ -160,16 +160,12 @@ def machine_of(case: Case, sensors: Sequence[str]) -> ReducedMachine:
             )
     ready = set_up_axis(case)
     first = float(ready.course(np.zeros(1))[0])
-    guide = Guide(ready.name, ready.moving.guideway, first, ready.asked, ready.reference)
-    machine = reduce_machine(case, ready.setup, sensors, guide)
-    rows = range(len(machine.axes))  # without those of a rotation
-    return machine.with_elastic(
-        lambda elastic: replace(
-            elastic,
-            probe_compliance=elastic.probe_compliance[rows],
-            probe_thermal=elastic.probe_thermal[rows],
-        )
+    moving = MovingAxis(ready.name, ready.asked, ready.reference)
+    machine = reduce_machine(
+        case, ready.setup, sensors, Guide(moving, ready.moving.guideway, first)
     )
+    # Without those of a rotation.
+    return machine.with_probes(range(len(machine.axes)))
 
 
 def calibrate_machine(

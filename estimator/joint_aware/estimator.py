@@ -367,18 +367,18 @@ class JointAware(Described):
 
         The band (axes,) holds at every position: a slope is not off by more than both ends are.
         """
-        after, stroke = taken.after, self.model.stroke
+        after, stroke, axis = taken.after, self.model.stroke, self.model.moving_axis
         assert stroke is not None  # asked for on an axis only
+        assert axis is not None  # the same
         joint = after.joint._replace(change=np.zeros_like(after.change))
         there = [
             self.observer.read(after.linear, joint, taken.memory, np.array([at])).displacement
-            for at in stroke.asked
+            for at in axis.asked
         ]
-        line = line_over(stroke.asked, np.array(there) + known, stroke.reference)
-        ends = stroke.asked.min(), stroke.asked.max()
-        places = np.array([stroke.reference, *ends]) / MILLI
+        line = line_over(axis.asked, np.array(there) + known, axis.reference)
+        places = np.array(stroke) / MILLI
         details = [
-            np.array([slope, 2.0 * half / (ends[1] - ends[0]), *places, at, half])
+            np.array([slope, 2.0 * half / (stroke.high - stroke.low), *places, at, half])
             for slope, at, half in zip(line.slope, taken.displacement + known, band, strict=True)
         ]
         return line.offset, np.concatenate(details)

@@ -34,7 +34,7 @@ JointAwareEstimator = JointAware | AgeingJointAware
 
 
 def _start(model: ObserverModel, options: Options) -> JointAwareEstimator:
-    if options.ageing and model.stroke is not None:
+    if options.ageing and model.moving_axis is not None:
         raise InputError("ageing: not of a machine with a moving axis; leave it out")
     observer = JointAware(model, options.noise)
     return AgeingJointAware(observer, options.ageing) if options.ageing else observer
@@ -94,7 +94,7 @@ def _log(
 
 
 def _response(model: ObserverModel, response: xr.Dataset) -> Iterator[tuple[float, ...]]:
-    axes = () if model.stroke is None else (model.stroke.axis,)
+    axes = () if model.moving_axis is None else (model.moving_axis.name,)
     return samples_in(response, model.sensors, model.loads, axes)
 
 
@@ -140,11 +140,7 @@ def _program(
 
 
 def _strokes(model: ObserverModel) -> Mapping[str, Stroke]:
-    along = model.stroke
-    if along is None:
-        return {}
-    own = Stroke(along.reference, float(along.asked.min()), float(along.asked.max()))
-    return dict.fromkeys(model.axes, own)
+    return {} if model.stroke is None else dict.fromkeys(model.axes, model.stroke)
 
 
 KIND: Kind[ObserverModel, JointAwareEstimator] = Kind(

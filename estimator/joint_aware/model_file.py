@@ -24,7 +24,6 @@ from estimator.joint_aware.observer_model import (
     Calibrated,
     Kind,
     ObserverModel,
-    Stroke,
 )
 from fesim.axes.guideway import GuideStations, Guideway
 from fesim.case.joint_sections import JointSection
@@ -34,7 +33,7 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import write_bytes
 from thermojoint.reduced.discrepancy import Discrepancy
-from thermojoint.reduced.machine import Joint, Modes
+from thermojoint.reduced.machine import Joint, Modes, MovingAxis
 
 SCHEMA_VERSION = 4
 
@@ -167,13 +166,13 @@ def _arrays(model: ObserverModel) -> dict[str, Array]:
         "first": model.first,
     }
     way = model.modes.way
-    if way is not None and model.stroke is not None:
+    if way is not None and model.moving_axis is not None:
         arrays |= {f"way/{name}": getattr(way, name) for name in _WAY}
         arrays |= {f"way/{name}": getattr(way.stations, name) for name in _STATIONS}
         for name in _ELASTIC:
             every = [getattr(elastic, name) for elastic in way.elastic]
             arrays[f"way/elastic/{name}"] = np.array(every)
-        arrays["stroke/asked"] = model.stroke.asked
+        arrays["stroke/asked"] = model.moving_axis.asked
     for k, joint in enumerate(model.joints):
         arrays[f"joints/{k}"] = joint.conductivity
         if joint.opening is not None:
@@ -182,8 +181,8 @@ def _arrays(model: ObserverModel) -> dict[str, Array]:
 
 
 def _header(model: ObserverModel) -> str:
-    known, stroke = model.calibrated, model.stroke
-    moving = {"axis": stroke.axis, "reference_m": stroke.reference} if stroke else None
+    known, axis = model.calibrated, model.moving_axis
+    moving = {"axis": axis.name, "reference_m": axis.reference} if axis else None
     return json.dumps(
         {
             "schema": SCHEMA,
@@ -254,7 +253,7 @@ def _model(header: dict[str, Any], arrays: Mapping[str, Array]) -> ObserverModel
         ),
         factors={name: (value, spread) for name, (value, spread) in header["factors"].items()},
         kind=KIND.validate_python(header["kind"]),
-        stroke=Stroke(
+        moving_axis=MovingAxis(
             str(header["stroke"]["axis"]),
             arrays["stroke/asked"],
             float(header["stroke"]["reference_m"]),

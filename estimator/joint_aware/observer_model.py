@@ -6,10 +6,11 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from estimator.joint_aware.filter_design import SteadyFilter
+from estimator.lines import Stroke
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.display import Described
 from thermojoint.reduced.discrepancy import Discrepancy
-from thermojoint.reduced.machine import Joint, Modes
+from thermojoint.reduced.machine import Joint, Modes, MovingAxis
 
 #: Version of the model file.
 SCHEMA = "thermojoint-joint-aware-model"
@@ -65,25 +66,6 @@ class Calibrated:
     temperatures: dict[str, tuple[float, float]]
 
 
-@dataclass(frozen=True, eq=False)
-class Stroke:
-    """Of a moving axis: where displacements are asked for, and what its control counts from.
-
-    Attributes
-    ----------
-    axis : str
-        Its name.
-    asked : ndarray, shape (k,)
-        Positions, m.
-    reference : float
-        P0, m.
-    """
-
-    axis: str
-    asked: Array
-    reference: float
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class ObserverModel(Described):
     """The observer of one machine.
@@ -121,8 +103,8 @@ class ObserverModel(Described):
         logarithm.
     kind : str
         Name of the kind of estimator.
-    stroke : Stroke, optional
-        Of a machine with a moving axis.
+    moving_axis : MovingAxis, optional
+        Of a machine that has one.
     """
 
     modes: Modes
@@ -154,9 +136,17 @@ class ObserverModel(Described):
         }
 
     kind: Kind = "joint-aware"
-    stroke: Stroke | None = None
+    moving_axis: MovingAxis | None = None
 
     @property
     def positions(self) -> tuple[str, ...]:
         """Names of the positions that are read, after the loads: ``y_pos``."""
-        return () if self.stroke is None else (f"{self.stroke.axis}_pos",)
+        return () if self.moving_axis is None else (f"{self.moving_axis.name}_pos",)
+
+    @property
+    def stroke(self) -> Stroke | None:
+        """Of the lines of its displacements; None without a moving axis."""
+        along = self.moving_axis
+        if along is None:
+            return None
+        return Stroke(along.reference, float(along.asked.min()), float(along.asked.max()))

@@ -3,7 +3,7 @@
 Every piece is factorised once and solved for its own rows: pads, stations of the guide, anchors,
 probes. At an aligned position each contact element is tied to its station, which is a small dense
 system (`fesim.solid.substructures.tied`), as in a machine that is meshed there.
-Between two aligned positions the tied matrices are interpolated.
+Between two aligned positions the tied matrices are interpolated (`fesim.axes.guideway`).
 """
 
 from __future__ import annotations
@@ -73,14 +73,3 @@ def condense_aligned(
         )
     )
     return elastic_condensation(condensed, operators.pads, reference)
-
-
-def between(
-    first: ElasticCondensation, second: ElasticCondensation, share: float
-) -> ElasticCondensation:
-    """Interpolate between two aligned positions; `share` (0 to 1) is that of the second."""
-    mixed = {
-        name: (1.0 - share) * getattr(first, name) + share * getattr(second, name)
-        for name in ("compliance", "thermal_gap", "probe_compliance", "probe_thermal")
-    }
-    return ElasticCondensation(**mixed, reference=first.reference, area=first.area)

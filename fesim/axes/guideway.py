@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fesim.axes.condensation import between
 from fesim.axes.occupation import Shares, even, weights_at
 from fesim.march.passing import Touches
 from fesim.solid.condensation import ElasticCondensation
@@ -150,12 +149,9 @@ class Guideway:
 
     def elastic_at(self, position: float) -> ElasticCondensation:
         """Return the elastic condensation at a position, m."""
-        weights = self.stations.weights(position)
-        touched = np.flatnonzero(weights)
-        if touched.size == 1:
-            return self.elastic[touched[0]]
-        first, second = touched
-        return between(self.elastic[first], self.elastic[second], float(weights[second]))
+        names = ("compliance", "thermal_gap", "probe_compliance", "probe_thermal")
+        mixed = {name: self._mixed(name, position) for name in names}
+        return replace(self.elastic[0], **mixed)
 
     def free_at(self, position: float, temperatures: Array) -> Array:
         """Return gaps without contact (3 m,), then displacements (p,), m, at a position, m.
@@ -168,47 +164,52 @@ class Guideway:
             As the guideway's.
         """
         weights = self.stations.weights(position)
-        return np.asarray(
-            sum(
-                weights[k]
-                * np.concatenate(
-                    [
-                        self.elastic[k].thermal_gap @ temperatures,
-                        self.elastic[k].probe_thermal @ temperatures,
-                    ]
-                )
-                for k in np.flatnonzero(weights)
-            )
+        touched = [(weights[k], self.elastic[k]) for k in np.flatnonzero(weights)]
+        return np.concatenate(
+            [
+                sum(weight * (of.thermal_gap @ temperatures) for weight, of in touched),
+                sum(weight * (of.probe_thermal @ temperatures) for weight, of in touched),
+            ]
         )
 
     def contact_at(self, position: float) -> ElasticCondensation:
         """Return the elastic condensation at a position, m, on what is free there (`free_at`)."""
-        weights = self.stations.weights(position)
-        touched = np.flatnonzero(weights)
-
-        def mixed(name: str) -> Array:
-            return np.asarray(sum(weights[k] * getattr(self.elastic[k], name) for k in touched))
-
         first = self.elastic[0]
         gaps, probes = first.reference.size, len(first.probe_compliance)
         every = np.eye(gaps + probes)
-        return ElasticCondensation(
-            compliance=mixed("compliance"),
+        return replace(
+            first,
+            compliance=self._mixed("compliance", position),
             thermal_gap=every[:gaps],
-            probe_compliance=mixed("probe_compliance"),
+            probe_compliance=self._mixed("probe_compliance", position),
             probe_thermal=every[gaps:],
-            reference=first.reference,
-            area=first.area,
         )
 
-    def jump(self, coefficients: Array) -> Array:
-        """Return the temperature jump of each contact element, K, (m, r), by b (m, m + n)."""
-        return np.asarray(coefficients @ self.temperature)
+    def _mixed(self, name: str, position: float) -> Array:
+        """A matrix of the condensation, interpolated linearly between aligned positions."""
+        weights = self.stations.weights(position)
+        touched = np.flatnonzero(weights)
+        if touched.size == 1:
+            return np.asarray(getattr(self.elastic[touched[0]], name))
+        return np.asarray(sum(weights[k] * getattr(self.elastic[k], name) for k in touched))
 
-    def mean(self, coefficients: Array) -> Array:
-        """Return the mean temperature of its sides likewise, K, (m, r)."""
-        count = self.stations.count
-        return np.asarray(self.means - 0.5 * coefficients[:, count:] @ self.temperature[count:])
+    def sides(self, coefficients: Array) -> tuple[Array, Array]:
+        """Return `sides` per temperature, (m, r), by b (m, m + n)."""
+        return sides(coefficients, self.temperature, self.means)
+
+    def friction_heat(self, pressure: Array, way: float, length: float) -> Array:
+        """Return the heat (m,), W, of running friction: mu p A v.
+
+        Parameters
+        ----------
+        pressure : ndarray, shape (m,)
+            Pa.
+        way : float
+            Travelled in the step, m.
+        length : float
+            Of the step, s.
+        """
+        return self.running * pressure * way / length
 
     def turned(
         self,
@@ -222,6 +223,22 @@ class Guideway:
             temperature=rows(self.temperature),
             means=rows(self.means),
         )
+
+
+def sides(coefficients: Array, temperature: Array, means: Array) -> tuple[Array, Array]:
+    """Return the temperature jump of each contact element, and the mean of its sides, K, (m, ...).
+
+    Parameters
+    ----------
+    coefficients : ndarray, shape (m, m + n)
+        b.
+    temperature : ndarray, shape (m + n, ...)
+        Of the rows, K.
+    means : ndarray, shape (m, ...)
+        As `Guideway.means`, K.
+    """
+    count = len(coefficients)
+    return coefficients @ temperature, means - 0.5 * coefficients[:, count:] @ temperature[count:]
 
 
 def rubbed(heat: Array, coefficients: Array) -> Array:

@@ -86,18 +86,6 @@ class MovingMachine:
             passing=Passing(self.rows, self.guideway.stations.touches(shares)),
         )
 
-    def friction_heat(self, pressure: Array, way: float) -> Array:
-        """Return the heat (m,), W, of running friction at pressures (m,), Pa: mu p A v.
-
-        Parameters
-        ----------
-        pressure : ndarray, shape (m,)
-            Pa.
-        way : float
-            Travelled in the step, m.
-        """
-        return self.guideway.running * pressure * way / self.machine.thermal.step
-
     def _thermal(self, weights: Array, heat: Array) -> ThermalCondensation:
         thermal, guideway = self.machine.thermal, self.guideway
         inputs = thermal.inputs.copy()
@@ -106,10 +94,11 @@ class MovingMachine:
         inputs[: self.free, -1] = warmed[: self.free]
         entering = thermal.balance.entering.copy()
         entering[-1] = heat.sum() / self.copies
+        jump, mean = guideway.sides(coefficients)
         return replace(
             thermal,
             inputs=inputs,
-            jump=guideway.jump(coefficients),
-            mean=guideway.mean(coefficients),
+            jump=jump,
+            mean=mean,
             balance=replace(thermal.balance, entering=entering),
         )

@@ -79,7 +79,7 @@ def _in_step(
     position, way = float(course(np.array(ends[1]))), distance(course, *ends)
     if way == 0.0:
         return moving.standing(position), 0.0
-    heat = moving.friction_heat(state.pressure, way)
+    heat = moving.guideway.friction_heat(state.pressure, way, moving.machine.thermal.step)
     total = float(heat.sum())
     shares = shares_of(moving.guideway.positions, course, *ends)
     spread = heat / total if total > 0.0 else heat

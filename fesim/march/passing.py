@@ -74,6 +74,23 @@ def exchange(touches: Touches, joint: Array, size: int) -> Array:
     return np.asarray(np.bincount(at, weights, size * size).reshape(size, size))
 
 
+def leaving(exchanged: Array, influence: Array, alone: Array) -> Array:
+    """Return the heat q that leaves the rows, W, (q,): (1 + L S) q = L R y.
+
+    Parameters
+    ----------
+    exchanged : ndarray, shape (q, q)
+        L, W/K; as from `exchange`, or what of it is not part of y yet.
+    influence : ndarray, shape (q, q)
+        S, K/W.
+    alone : ndarray, shape (q,)
+        R y: the rows after the step without joints, K.
+    """
+    system = exchanged @ influence
+    system.flat[:: len(system) + 1] += 1.0
+    return np.asarray(np.linalg.solve(system, exchanged @ alone))
+
+
 def pass_heat(
     thermal: ThermalCondensation, passing: Passing, temperature: Array, inputs: Array, joint: Array
 ) -> HeatTaken:
@@ -97,9 +114,8 @@ def pass_heat(
     first, second = (np.searchsorted(used, at) for at in (touches.first, touches.second))
     laplacian = exchange(touches._replace(first=first, second=second), joint, used.size)
     alone = thermal.factor.solve(thermal.capacity_rate @ temperature + thermal.inputs @ inputs)
-    system = laplacian @ rows.joint_influence[np.ix_(used, used)]
-    system.flat[:: used.size + 1] += 1.0
-    leaving = np.linalg.solve(system, laplacian @ (rows.temperature[used] @ alone))
-    after: Array = alone - rows.influence[:, used] @ leaving
-    flow = np.asarray(leaving[: len(joint)])
+    influence = rows.joint_influence[np.ix_(used, used)]
+    left = leaving(laplacian, influence, rows.temperature[used] @ alone)
+    after: Array = alone - rows.influence[:, used] @ left
+    flow = np.asarray(left[: len(joint)])
     return HeatTaken(after, flow, heat_balance(thermal, temperature, after, inputs, flow), 0.0)

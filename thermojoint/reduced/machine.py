@@ -117,28 +117,41 @@ class Held:
 
 
 @dataclass(frozen=True, eq=False)
+class MovingAxis:
+    """A moving axis: where displacements are wanted, and what its control counts from.
+
+    Attributes
+    ----------
+    name : str
+        Of the axis.
+    asked : ndarray, shape (k,)
+        Positions, m.
+    reference : float
+        P0 of the line through them, m.
+    """
+
+    name: str
+    asked: Array
+    reference: float
+
+
+@dataclass(frozen=True, eq=False)
 class Guide:
     """What a machine with a moving axis has beside one that stands.
 
     Attributes
     ----------
-    axis : str
-        Name of the axis.
+    axis : MovingAxis
+        The axis.
     way : Guideway
         On the machine's modes.
     first : float
         Position at time zero, m.
-    asked : ndarray, shape (k,)
-        Positions at which displacements are wanted, m.
-    reference : float
-        P0 of the line through them, m.
     """
 
-    axis: str
+    axis: MovingAxis
     way: Guideway
     first: float
-    asked: Array
-    reference: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,7 +246,7 @@ class ReducedMachine:
     @property
     def axis_names(self) -> tuple[str, ...]:
         """Axes whose positions are inputs, after the loads."""
-        return () if self.guide is None else (self.guide.axis,)
+        return () if self.guide is None else (self.guide.axis.name,)
 
     @property
     def laws(self) -> list[tuple[JointLaw, int]]:
@@ -254,6 +267,16 @@ class ReducedMachine:
     ) -> ReducedMachine:
         """Return the machine with another elasticity, at every position of its axis."""
         return replace(self, elastic=change(self.elastic), guide=_guided(self.guide, change))
+
+    def with_probes(self, rows: Sequence[int]) -> ReducedMachine:
+        """Return the machine with some displacement probes, by their places."""
+        return self.with_elastic(
+            lambda elastic: replace(
+                elastic,
+                probe_compliance=elastic.probe_compliance[rows],
+                probe_thermal=elastic.probe_thermal[rows],
+            )
+        )
 
 
 def _guided(
@@ -424,18 +447,10 @@ def along(machine: ReducedMachine, axes: Sequence[str]) -> ReducedMachine:
     acting = machine.acting
     ends = range(len(machine.axes), len(machine.elastic.probe_thermal))
     rows = [*(machine.axes.index(axis) for axis in axes), *ends]
-
-    def kept(elastic: ElasticCondensation) -> ElasticCondensation:
-        return replace(
-            elastic,
-            probe_compliance=elastic.probe_compliance[rows],
-            probe_thermal=elastic.probe_thermal[rows],
-        )
-
     if acting is not None:
         probes = acting.influence.probes[rows]
         acting = replace(acting, influence=replace(acting.influence, probes=probes))
-    return replace(machine.with_elastic(kept), acting=acting, axes=tuple(axes))
+    return replace(machine.with_probes(rows), acting=acting, axes=tuple(axes))
 
 
 @dataclass(frozen=True, eq=False)
@@ -490,11 +505,12 @@ def placed(modes: Modes, position: float) -> Modes:
     if way is None:
         return modes
     coefficients = way.stations.passage(position, position).coefficients
+    jump, mean = way.sides(coefficients)
     return replace(
         modes,
-        jump=way.jump(coefficients),
+        jump=jump,
         entry=modes.entry @ coefficients.T,
-        mean=way.mean(coefficients),
+        mean=mean,
         elastic=way.elastic_at(position),
         way=None,
     )

@@ -14,7 +14,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from fesim.axes.guideway import rubbed
+from fesim.axes.guideway import rubbed, sides
 from fesim.joint.blocks import one_block
 from fesim.joint.law import JointLaw
 from fesim.joint.loosening import UNWATCHED
@@ -31,7 +31,7 @@ from fesim.march.compiled_step import (
 )
 from fesim.march.contact import ContactProblem
 from fesim.march.kernel import joint_kernel, new_kept, new_record
-from fesim.march.passing import exchange
+from fesim.march.passing import exchange, leaving
 from fesim.march.settling import Rest, settle_along
 from thermojoint.artefacts.arrays import Array
 from thermojoint.reduced.machine import (
@@ -216,17 +216,14 @@ def _conduct_passing(
     assert modes.way is not None  # there is a way on an axis only
     stations, temperature = modes.way.stations, modes.jump @ amplitudes
     passage = stations.passage(*way)
-    under = passage.coefficients[:, stations.count :] @ temperature[stations.count :]
-    rise, jump = modes.way.means @ amplitudes - 0.5 * under, passage.coefficients @ temperature
+    jump, rise = sides(passage.coefficients, temperature, modes.way.means @ amplitudes)
     each = conductances(physics.laws, Rest(*joint), rise, jump, modes.elastic.area)
     beyond = exchange(passage.touches, each, stations.size) - physics.held_exchange
     if way[0] != way[1]:
-        rubbing = modes.way.running * joint.pressure * abs(way[1] - way[0]) / length
+        rubbing = modes.way.friction_heat(joint.pressure, abs(way[1] - way[0]), length)
         alone = alone + step.influence @ rubbed(rubbing, passage.coefficients)
-    system = beyond @ step.joint_influence
-    system.flat[:: stations.size + 1] += 1.0
-    flow = np.linalg.solve(system, beyond @ (modes.jump @ alone))
-    return np.asarray(alone - step.influence @ flow)
+    left = leaving(beyond, step.joint_influence, modes.jump @ alone)
+    return np.asarray(alone - step.influence @ left)
 
 
 def settle_joint(

@@ -229,7 +229,7 @@ def _noise(loop: Loop, case: Case, estimator: JointAware) -> Array:
 
 def _check_axes(settings: Settings | None, estimator: JointAware) -> None:
     if settings is not None:
-        # A joint-aware model is of one place.
+        # The machine of a loop stands, and so does that of its model.
         with_slopes(settings, {}, "offsets")
     for name in settings.output.estimated if settings is not None else ():
         if name not in estimator.axes:

@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.lines import Lines
+from estimator.lines import Lines, lever
 from thermojoint.artefacts.arrays import Array
 
 #: What is kept of a value beside itself.
@@ -87,7 +87,7 @@ class AxisSlope:
     @property
     def lever(self) -> float:
         """Largest distance from the reference on the stroke, m."""
-        return max(abs(end - self.reference) for end in (self.low, self.high))
+        return lever(self.reference, self.low, self.high)
 
 
 class Channels(NamedTuple):
@@ -309,8 +309,7 @@ def band_along(
     widest = band.copy()
     for k, own in zip(settings.along, settings.slopes, strict=True):
         at = list(axes).index(settings.estimated[k])
-        far = max(abs(end - lines.reference[at]) for end in (own.low, own.high))
-        widest[at] += far * lines.band[at]
+        widest[at] += lever(lines.reference[at], own.low, own.high) * lines.band[at]
     return widest
 
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from estimator.lines import Stroke
+from estimator.lines import Stroke, lever
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.settings import toml
 from thermojoint.artefacts.settings.read import settings_from
@@ -172,30 +172,30 @@ def _axis_slope(
     reference = stroke.reference
     if section.reference_mm is not None:
         reference = MILLI * section.reference_mm
-    lever = max(abs(end - reference) for end in (stroke.low, stroke.high))
-    if lever <= 0.0:
+    far = lever(reference, stroke.low, stroke.high)
+    if far <= 0.0:
         raise InputError(f"{at}: the stroke is one position; leave the slope out")
     slope = Limits(
         MICRO * section.resolution_um_per_m,
-        _shared(section.rate_um_per_m_s, whole.rate, lever),
-        _shared(section.dead_band_um_per_m, whole.dead_band, lever),
-        _shared(section.largest_um_per_m, whole.largest, lever),
+        _shared(section.rate_um_per_m_s, whole.rate, far),
+        _shared(section.dead_band_um_per_m, whole.dead_band, far),
+        _shared(section.largest_um_per_m, whole.largest, far),
     )
     offset = Limits(
         whole.resolution,
-        whole.rate - lever * slope.rate,
-        max(whole.dead_band - lever * slope.dead_band, 0.0),
-        whole.largest - lever * slope.largest,
+        whole.rate - far * slope.rate,
+        max(whole.dead_band - far * slope.dead_band, 0.0),
+        whole.largest - far * slope.largest,
     )
-    far = f"{1e3 * lever:g} mm from P0"
+    at_end = f"{1e3 * far:g} mm from P0"
     if offset.rate <= 0.0:
         raise InputError(
-            f"{at}.rate_um_per_m_s {slope.rate / MICRO:g}: {far} it is all of rate_um_s "
+            f"{at}.rate_um_per_m_s {slope.rate / MICRO:g}: {at_end} it is all of rate_um_s "
             f"{whole.rate / MICRO:g}, and K0 would not move; make it smaller"
         )
     if offset.most_steps < 1:
         raise InputError(
-            f"{at}.largest_um_per_m {slope.largest / MICRO:g}: {far} it is all of largest_um "
+            f"{at}.largest_um_per_m {slope.largest / MICRO:g}: {at_end} it is all of largest_um "
             f"{whole.largest / MICRO:g}; make it smaller"
         )
     if not 1.0 <= slope.largest / slope.resolution <= MOST_STEPS:
