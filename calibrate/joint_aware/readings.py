@@ -34,8 +34,14 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     Raises
     ------
     InputError
-        Time starts before 0, the run is too short, or a probe, an axis or a load is missing.
+        Time starts before 0, the run is too short, a drive moves the axis, or a probe, an axis or a
+        load is missing.
     """
+    if "positioning_error" in response:
+        raise InputError(
+            f"{where}: its displacement has the error of a ball screw or a scale, which the model "
+            "does not know; record where the body is"
+        )
     times = response["time"].to_numpy().astype(float)
     if times[0] < 0.0:
         raise InputError(f"{where}: time starts at {times[0]:g} s; it must start at rest, at 0")
