@@ -14,10 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve, solve_discrete_are
+from scipy.linalg import cho_factor, cho_solve
 
+from estimator.joint_aware.riccati import predicted_covariance
 from thermojoint.artefacts.arrays import Array
-from thermojoint.artefacts.errors import ConvergenceError
 from thermojoint.reduced.discrepancy import Discrepancy
 from thermojoint.reduced.machine import Modes
 
@@ -193,18 +193,10 @@ def design_filter(
     # What is known and constant has no covariance.
     open_ = np.flatnonzero(np.append(np.ones(dynamic, dtype=bool), walk > 0.0))
     before = np.zeros((size, size))
-    try:
-        before[np.ix_(open_, open_)] = solve_discrete_are(
-            matrix[np.ix_(open_, open_)].T,
-            rows[:, open_].T,
-            source[open_] @ source[open_].T,
-            np.diag(readings),
-        )
-    except (np.linalg.LinAlgError, ValueError) as error:
-        raise ConvergenceError(
-            "filter: the Riccati equation has no solution; place a sensor near every source"
-        ) from error
-    before = unit[:, None] * (0.5 * (before + before.T)) * unit
+    before[np.ix_(open_, open_)] = predicted_covariance(
+        matrix[np.ix_(open_, open_)], rows[:, open_], source[open_], readings
+    )
+    before = unit[:, None] * before * unit
     cross = before @ system.rows.T
     innovation = system.rows @ cross
     factor = cho_factor(innovation + np.diag(readings))

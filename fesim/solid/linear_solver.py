@@ -8,9 +8,12 @@ of a solve is checked by `checked_solve`.
 from __future__ import annotations
 
 import os
+import site
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
+from pathlib import Path
 from weakref import finalize
 
 import numpy as np
@@ -224,7 +227,18 @@ def _superlu(what: str) -> Callable[[csr_array], Callable[[Array], Array]]:
     return factorised
 
 
+def _tell_where_mkl_is() -> None:
+    """Name MKL's library, for which pypardiso would otherwise search the whole installation.
+
+    That takes up to a second of every process. MKL's wheels put it into ``lib`` of an installation.
+    """
+    for prefix in (sys.prefix, site.USER_BASE):
+        for library in sorted(Path(prefix or "", "lib").glob("libmkl_rt.so*")):
+            os.environ.setdefault("PYPARDISO_MKL_RT", str(library))
+
+
 def _pardiso(upper: csr_array, what: str) -> Callable[[csr_array], Callable[[Array], Array]]:
+    _tell_where_mkl_is()
     try:
         from pypardiso import PyPardisoSolver
         from pypardiso.pardiso_wrapper import PyPardisoError
@@ -239,7 +253,7 @@ def _pardiso(upper: csr_array, what: str) -> Callable[[csr_array], Callable[[Arr
     solver = PyPardisoSolver(mtype=2)
     for number, value in PARAMETERS.items():
         solver.set_iparm(number, value)
-    # Otherwise each solver searches the whole installation for MKL, which takes 0.3 s.
+    # Where it had to be searched for, it is not searched for again.
     os.environ.setdefault("PYPARDISO_MKL_RT", solver.libmkl._name)
 
     def run(phase: int, matrix: csr_array, right_side: Array) -> Array:

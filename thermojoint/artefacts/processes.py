@@ -14,7 +14,7 @@ from multiprocessing import active_children, parent_process, resource_tracker
 from multiprocessing.context import SpawnContext, SpawnProcess
 from threading import Thread
 
-from thermojoint.artefacts.dask_unloaded import leave_dask_unloaded
+from thermojoint.artefacts.process_start import prepare_process
 from thermojoint.artefacts.unfinished import cleared_at_stop
 
 
@@ -67,7 +67,7 @@ def process_pool(count: int) -> Iterator[ProcessPoolExecutor]:
 
 def begin_child() -> None:
     """Begin a child process: without what it never needs; it ends as soon as its parent has."""
-    leave_dask_unloaded()
+    prepare_process()
 
     def watch() -> None:
         if (parent := parent_process()) is not None:

@@ -24,9 +24,9 @@ from rich.text import Text
 
 from fesim.batch.study import Study, StudyCase, brief, shown
 from thermojoint import console as terminal
-from thermojoint.artefacts.dask_unloaded import let_dask_load
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.extras import require
+from thermojoint.artefacts.process_start import let_dask_load
 from thermojoint.plausibility import of_cases
 
 if TYPE_CHECKING:

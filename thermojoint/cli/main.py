@@ -31,10 +31,10 @@ def main() -> None:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _stop)
     try:
-        from thermojoint.artefacts.dask_unloaded import leave_dask_unloaded
+        from thermojoint.artefacts.process_start import prepare_process
         from thermojoint.cli.app import app
 
-        leave_dask_unloaded()
+        prepare_process()
         with warnings.catch_warnings():
             warnings.showwarning = lambda message, *_: _warn(message)
             app(prog_name="thermojoint")

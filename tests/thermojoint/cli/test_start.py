@@ -128,7 +128,7 @@ def test_an_estimate_and_a_service_begin_without_statistics_and_signals():
 #: A command that ends at once, then what every response needs, then what a cluster needs.
 VARIABLE = """
 import sys
-from thermojoint.artefacts.dask_unloaded import let_dask_load
+from thermojoint.artefacts.process_start import let_dask_load
 from thermojoint.cli import main as cli
 
 try:
