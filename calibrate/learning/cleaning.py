@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calibrate.learning.rules import Cleaning
+from calibrate.learning.speed_levels import held_levels
 from calibrate.learning.thinning import Table
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
@@ -140,20 +141,14 @@ def _drives(table: Table, rules: Cleaning) -> tuple[list[str], list[str]]:
             warnings.append(f"{column.name} is constant: its effect is not identifiable; left out")
             continue
         drives.append(column.name)
-        if column.quantity in ("speed", "feed") and _levels(np.abs(values) / largest, rules) == 1:
+        levels = held_levels(np.abs(values) / largest, rules)[1]
+        if column.quantity in ("speed", "feed") and len(levels) == 1:
             warnings.append(
                 f"{column.name} has one level only: the effect of other speeds is extrapolated"
             )
     if not drives:
         warnings.append("no speed, power or load varies: only temperatures show the heat")
     return drives, warnings
-
-
-def _levels(speeds: Array, rules: Cleaning) -> int:
-    """Return the number of non-zero levels of a relative speed."""
-    held = np.round(speeds[speeds > rules.stopped] / rules.level)
-    values, counts = np.unique(held, return_counts=True)
-    return int((counts > rules.seldom * len(speeds)).sum()) if len(values) else 0
 
 
 def _changes_of(table: Table, drives: list[str], rules: Cleaning) -> Array:

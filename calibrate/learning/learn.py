@@ -18,6 +18,7 @@ from calibrate.learning.cleaning import Cleaned, clean, read_time
 from calibrate.learning.positions import Along, checked, sorted_out
 from calibrate.learning.rules import Judging, Rules
 from calibrate.learning.selection import Fitted, choose, fit
+from calibrate.learning.speed_levels import cost_of_unseen, held_levels
 from calibrate.learning.structures import (
     candidates,
     design,
@@ -51,11 +52,11 @@ _QUANTILE = 1.96
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """Rows of a log as used by a kind of model, µm."""
+    """Rows of a log's table, which `at` numbers, as used by a kind of model, µm."""
 
     features: tuple[Feature, ...]
     sizes: Array
-    times: Array
+    at: NDArray[np.int64]
     inputs: Array
     outputs: Array
     margin: int
@@ -174,16 +175,17 @@ def _learned(
     warnings = [*cleaned.warnings, *(f"no better than the mean: {text}" for text in useless)]
     fitted = rows.fit(rows.inputs, rows.outputs)
     warnings += _wide(cleaned, rows, fitted, errors[kind], rules.judging)
+    warnings += _unseen_speeds(cleaned, rows, errors[kind], rules)
     cleaned = replace(cleaned, warnings=tuple(warnings))
     model = _model(kind, cleaned, rows, fitted, errors | {MEAN: mean}, rules.judging)
-    return model, _held_out(rows, errors[kind])
+    return model, _held_out(cleaned.table.times[rows.at], rows, errors[kind])
 
 
-def _held_out(rows: _Rows, judged: _Judged) -> HeldOut:
+def _held_out(times: Array, rows: _Rows, judged: _Judged) -> HeldOut:
     """Estimates of the model of a kind for each block, learned without it, m."""
     truth, band = rows.outputs, _QUANTILE * judged.widening * judged.deviations
     estimate = truth - judged.errors
-    return HeldOut(rows.times, *(values / MEGA for values in (truth, estimate, band)))
+    return HeldOut(times, *(values / MEGA for values in (truth, estimate, band)))
 
 
 def _beside(parts: Sequence[HeldOut]) -> HeldOut:
@@ -304,10 +306,10 @@ def _rows(cleaned: Cleaned, along: Along | None, kind: Kind, most: int, rules: R
         )
     elif kind == "ridge":
         features = tuple(feature for feature in features if not feature.exponent)
-    times, inputs, outputs = design(cleaned, features, rules.features, along)
+    at, inputs, outputs = design(cleaned, features, rules.features, along)
     interval = cleaned.table.interval
     if along:
-        interval = float(read_time(cleaned.table)[-1]) / len(times)
+        interval = float(read_time(cleaned.table)[-1]) / len(at)
     if kind == "arx":
         now, slowest = list(range(len(features))), rules.features.slow[-1]
         tau = baselines.autoregressive_tau(
@@ -316,7 +318,7 @@ def _rows(cleaned: Cleaned, along: Along | None, kind: Kind, most: int, rules: R
         features += tuple(
             Feature(feature.column, tau, reference=feature.reference) for feature in features
         )
-        times, inputs, outputs = design(cleaned, features, rules.features)
+        at, inputs, outputs = design(cleaned, features, rules.features)
     every = list(range(inputs.shape[1]))
     length = float(np.ptp(cleaned.table.times))
     kinds = structures(bool(cleaned.drives), length, rules.features)
@@ -334,7 +336,7 @@ def _rows(cleaned: Cleaned, along: Along | None, kind: Kind, most: int, rules: R
     size = sizes(features, rules.features)
     if along:
         size = slope_sizes(size, along.lever, rules.features)
-    return _Rows(features, size, times, inputs, outputs, margin, along, fitted)
+    return _Rows(features, size, at, inputs, outputs, margin, along, fitted)
 
 
 class _Judged(NamedTuple):
@@ -405,6 +407,34 @@ def _wide(
         )
         if 2.0 * half > range_
     ]
+
+
+def _unseen_speeds(cleaned: Cleaned, rows: _Rows, judged: _Judged, rules: Rules) -> list[str]:
+    """Return, for each speed, what one that was never run may cost, where that is much."""
+
+    def without(own: NDArray[np.bool_], away: NDArray[np.bool_]) -> Array:
+        fitted = rows.fit(rows.inputs[away], rows.outputs[away])
+        return np.asarray(rows.outputs[own] - fitted.offset - rows.inputs[own] @ fitted.weights)
+
+    said = []
+    for column in cleaned.table.columns:
+        if column.name not in cleaned.drives or column.quantity not in ("speed", "feed"):
+            continue
+        speeds = np.abs(cleaned.at(column.name))
+        level, held = held_levels(speeds[rows.at] / speeds.max(), rules.cleaning)
+        cost = cost_of_unseen(level, held.tolist(), rows.margin, judged.errors, without)
+        if cost is None or not (cost.unseen > rules.judging.costly * cost.usual).any():
+            continue
+        each = ", ".join(
+            f"{name} {unseen:.2g} (otherwise {usual:.2g}) um"
+            for name, unseen, usual in zip(cleaned.displacements, *cost, strict=True)
+        )
+        said.append(
+            f"{column.name}: expect larger errors at speeds that the log lacks: learned without "
+            f"its lowest or highest one, the errors there are {each}; record an hour of every "
+            f"speed in use, also above {column.from_si(speeds.max()):.4g}"
+        )
+    return said
 
 
 def _deviation(fitted: Fitted, about: Array, rules: Judging) -> Array:

@@ -202,6 +202,8 @@ class Judging:
         A model must have less than this fraction of the mean's error.
     least_drift : float
         A displacement drifts at least as much as a probe resolves, um.
+    costly : float
+        A speed that was left out is worth a warning if the error there grows by this factor.
     """
 
     blocks: int = 4
@@ -209,6 +211,7 @@ class Judging:
     within: float = 0.95
     useful: float = 0.9
     least_drift: float = 0.05
+    costly: float = 1.5
 
 
 @dataclass(frozen=True)

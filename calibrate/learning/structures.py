@@ -89,9 +89,9 @@ def with_slope(index: Sequence[int], features: int) -> list[int]:
 
 
 class Design(NamedTuple):
-    """Rows of a log: times (k,), s, features (k, n) in units of their prior, displacements, µm."""
+    """Rows of a log: which (k,), features (k, n) in units of their prior, displacements, µm."""
 
-    times: Array
+    rows: NDArray[np.int64]
     inputs: Array
     outputs: Array
 
@@ -102,7 +102,7 @@ def design(
     rules: Features,
     along: Along | None = None,
 ) -> Design:
-    """Return times (k,), features (k, n) and displacements (k, axes).
+    """Return the rows (k,) of the table, features (k, n) and displacements (k, axes).
 
     Rows without a displacement are left out; of several runs, each of which has its own zero, only
     the variations within each are used. Along an axis there is a row for every reading, and the
@@ -115,7 +115,7 @@ def design(
     at = [names.index(name) for name in wanted]
     levers = along.levers(cleaned.table) if along else np.zeros((len(table.times), 0))
     ends = [*table.starts[1:], len(table.times)]
-    times, inputs, outputs = [], [], []
+    rows, inputs, outputs = [], [], []
     for first, end in zip(table.starts, ends, strict=True):
         run = table.times[first:end], table.values[first:end]
         values = size[: len(features)] * features_of(features, names, run)
@@ -133,12 +133,12 @@ def design(
             values, measured = values[full], measured[full]
         if not full.size:
             continue
-        times.append(table.times[first:end][full])
+        rows.append(first + full)
         inputs.append(values)
         outputs.append(measured)
     if not inputs:
         raise InputError("log: no row has every displacement; record them together")
-    return Design(np.concatenate(times), _within_runs(inputs), _within_runs(outputs))
+    return Design(np.concatenate(rows), _within_runs(inputs), _within_runs(outputs))
 
 
 def _known(cleaned: Cleaned, run: slice, rules: Features) -> NDArray[np.bool_]:

@@ -1,0 +1,82 @@
+"""Levels of a speed: which were held in a log, and how well a model does without one of them.
+
+What a speed that was never run will cost cannot be read off the blocks of time that are held out,
+because the other blocks contain the same speeds. Leaving out a whole level shows it: its rows, and
+those so near that they still feel its heat.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibrate.learning.rules import Cleaning
+from thermojoint.artefacts.arrays import Array
+
+
+class Cost(NamedTuple):
+    """Rms error, µm, (axes,), at a level: of a model that never saw it, and as usual."""
+
+    unseen: Array
+    usual: Array
+
+
+def held_levels(speeds: Array, rules: Cleaning) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the level of every row (k,), and the levels but standstill that are held (l,).
+
+    Parameters
+    ----------
+    speeds : ndarray, shape (k,)
+        Relative to the largest. A level is a number of steps of `Cleaning.level`.
+    rules : Cleaning
+        What counts as standing, and as held.
+    """
+    running = speeds > rules.stopped
+    level = np.where(running, np.maximum(np.round(speeds / rules.level), 1.0), 0.0).astype(np.int64)
+    values, counts = np.unique(level[running], return_counts=True)
+    return level, values[counts > rules.seldom * len(speeds)]
+
+
+def cost_of_unseen(
+    level: NDArray[np.int64],
+    held: Sequence[int],
+    margin: int,
+    errors: Array,
+    without: Callable[[NDArray[np.bool_], NDArray[np.bool_]], Array],
+) -> Cost | None:
+    """Return the larger cost of not having seen the lowest or the highest level.
+
+    Parameters
+    ----------
+    level : ndarray of int, shape (k,)
+        Of every row.
+    held : sequence of int
+        Levels that may be left out, ascending.
+    margin : int
+        Rows on either side of a level that are left out with it.
+    errors : ndarray, shape (k, axes)
+        On blocks of time that were held out, µm.
+    without : callable
+        Takes the rows of a level and those to be fitted, (k,) of bool; gives the errors of the
+        former, µm, (n, axes).
+
+    Returns
+    -------
+    Cost or None
+        None if fewer than two levels are held, or one of them fills the log.
+    """
+    costs = []
+    for one in {held[0], held[-1]} if len(held) > 1 else ():
+        own = level == one
+        near = np.convolve(own, np.ones(2 * margin + 1), "same") > 0.5
+        if near.all():
+            return None
+        costs.append([_rms(without(own, ~near)), _rms(errors[own])])
+    return Cost(*np.max(costs, axis=0)) if costs else None
+
+
+def _rms(errors: Array) -> Array:
+    return np.asarray(np.sqrt((errors**2).mean(axis=0)))
