@@ -210,7 +210,7 @@ def convection_matrix(
     free = np.flatnonzero(cover.share < 1.0)
     if not free.size:
         return csr_array((basis.N, basis.N))
-    on = FacetBasis(structure.mesh, basis.elem, facets=facets[free], intorder=2 * basis.elem.maxdeg)
+    on = _facet_basis(structure, basis, facets[free])
     matrix = csr_array(convection_form.assemble(on))
     partly = cover.share[cover.facet] < 1.0
     if not partly.any():
@@ -256,7 +256,13 @@ def _heated(structure: Structure, basis: CellBasis, source: HeatSource) -> Abstr
     if source.surface is not None:
         return surface_basis(structure, basis, source.surface)
     cells = structure.body(source.body or "", "heat operators")
-    return CellBasis(structure.mesh, basis.elem, elements=cells, intorder=2 * basis.elem.maxdeg)
+    return CellBasis(
+        structure.mesh,
+        basis.elem,
+        basis.mapping,
+        elements=cells,
+        intorder=2 * basis.elem.maxdeg,
+    )
 
 
 def _held_unknowns(
@@ -272,5 +278,9 @@ def _held_unknowns(
 
 def surface_basis(structure: Structure, basis: CellBasis, surface: str) -> FacetBasis:
     """Return the basis of the same element on the facets of a named surface."""
-    facets = structure.surface(surface, "heat operators")
-    return FacetBasis(structure.mesh, basis.elem, facets=facets, intorder=2 * basis.elem.maxdeg)
+    return _facet_basis(structure, basis, structure.surface(surface, "heat operators"))
+
+
+def _facet_basis(structure: Structure, basis: CellBasis, facets: NDArray[np.int64]) -> FacetBasis:
+    order = 2 * basis.elem.maxdeg
+    return FacetBasis(structure.mesh, basis.elem, basis.mapping, facets=facets, intorder=order)

@@ -31,6 +31,7 @@ from skfem.element import Element
 from skfem.mapping import Mapping as CellMaps
 from skfem.quadrature import get_quadrature
 
+from fesim.solid.cell_maps import cell_maps
 from meshes.structure import Probe, Structure
 from thermojoint.artefacts.errors import InputError, shown_point
 
@@ -72,7 +73,11 @@ class Spaces:
         """
         displacement = self.displacement
         return CellBasis(
-            displacement.mesh, displacement.elem, intorder=self.order, dofs=displacement.dofs
+            displacement.mesh,
+            displacement.elem,
+            displacement.mapping,
+            intorder=self.order,
+            dofs=displacement.dofs,
         )
 
     @property
@@ -102,8 +107,9 @@ def make_spaces(mesh: Mesh) -> Spaces:
     else:
         low, high = ElementTetP1(), ElementTetP2()
         heat_order, elastic_order = (4, 4) if curved else (2, 2)
-    heat = CellBasis(mesh, low, intorder=heat_order)
-    return Spaces(heat, CellBasis(mesh, high, intorder=1), elastic_order)
+    maps = cell_maps(mesh)
+    heat = CellBasis(mesh, low, maps, intorder=heat_order)
+    return Spaces(heat, CellBasis(mesh, high, maps, intorder=1), elastic_order)
 
 
 def interpolation(
@@ -135,7 +141,7 @@ def interpolation(
     rows = np.arange(count) if rows is None else rows
     weights = np.ones(count) if weights is None else weights
     local = local_coordinates(basis.mesh, points, cells)[:, :, None]
-    values = shape_values(basis.elem, basis, local, cells)
+    values = shape_values(basis, local)
     dofs = basis.element_dofs[:, cells]
     shape = (int(rows.max()) + 1 if row_count is None else row_count, int(basis.N))
     entries = (values * weights).ravel()
@@ -150,7 +156,7 @@ def local_coordinates(
     Newton's method, not kept inside the cell, as `cells_at` asks how far outside a point lies.
     Where it does not settle (a point far outside a distorted cell) the result is not finite.
     """
-    mapping = mesh.mapping()
+    mapping = cell_maps(mesh)
     local = np.full((3, points.shape[1], 1), 0.5)
     moving = np.arange(points.shape[1])
     for _ in range(_NEWTON_STEPS):
@@ -177,17 +183,10 @@ def _inverse_gradient(
         return np.moveaxis(np.linalg.inv(gradient), (2, 3), (0, 1))
 
 
-def shape_values(
-    element: Element, basis: CellBasis, local: NDArray[np.float64], cells: NDArray[np.int64]
-) -> NDArray[np.float64]:
-    """Shape functions at local points (3, n, 1) of cells (n,), shape (functions, n)."""
-    mapping = basis.mesh.mapping()
-    return np.stack(
-        [
-            np.asarray(element.gbasis(mapping, local, i, tind=cells)[0]).reshape(-1)
-            for i in range(basis.Nbfun)
-        ]
-    )
+def shape_values(basis: CellBasis, local: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Shape functions at local points (3, n, 1), shape (functions, n)."""
+    each = [basis.elem.lbasis(local, i)[0] for i in range(basis.Nbfun)]
+    return np.stack([np.broadcast_to(value, local.shape[1:]).reshape(-1) for value in each])
 
 
 def cells_at(

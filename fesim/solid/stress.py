@@ -76,7 +76,7 @@ def stress_rows(
     count, points_count = slopes.shape[0], len(cells)
     moved = np.zeros((points_count, 6, count, 3))
     heated = np.zeros((points_count, 6, heat.element_dofs.shape[0]))
-    shapes = shape_values(heat.elem, heat, local, cells)
+    shapes = shape_values(heat, local)
     for row, (i, j) in enumerate(COMPONENTS):
         moved[:, row, :, i] += (mu * slopes[:, j]).T
         moved[:, row, :, j] += (mu * slopes[:, i]).T
@@ -157,7 +157,7 @@ def _stress_in(
     own = displacement.reshape(-1, 3)[spaces.displacement.element_dofs[:, cells]]
     gradient = np.einsum("fki,fjk->kij", own, slopes)
     heated = temperature[spaces.heat.element_dofs[:, cells]]
-    rise = (shape_values(spaces.heat.elem, spaces.heat, local, cells) * heated).sum(axis=0)
+    rise = (shape_values(spaces.heat, local) * heated).sum(axis=0)
     lam, mu, alpha = _constants(structure, materials, cells)
     pressed = lam * np.trace(gradient, axis1=1, axis2=2) - (3.0 * lam + 2.0 * mu) * alpha * rise
     return np.stack(
@@ -206,10 +206,9 @@ def principal(components: Array) -> Array:
 
 def _shape_gradients(basis: CellBasis, local: Array, cells: NDArray[np.int64]) -> Array:
     """Gradients of the shape functions at local points (3, k, 1), shape (functions, 3, k)."""
-    mapping = basis.mesh.mapping()
     return np.stack(
         [
-            basis.elem.gbasis(mapping, local, i, tind=cells)[0].grad[:, :, 0]
+            basis.elem.gbasis(basis.mapping, local, i, tind=cells)[0].grad[:, :, 0]
             for i in range(basis.Nbfun)
         ]
     )
