@@ -35,6 +35,8 @@ ROUND = np.deg2rad(45.0)
 #: The grid excludes what side b does not reach, if that is more than this fraction of side a. Less
 #: is the height of an arc between two meshes of the same round edge.
 UNREACHED = 0.02
+#: Sides of a rectangle whose lengths differ by less than this share are equal.
+SQUARE = 1e-9
 #: Overlaps smaller than this fraction of a facet are rounding, not contact.
 SLIVER = 1e-9
 #: A facet may be covered by this fraction more than its area, due to rounding.
@@ -316,7 +318,8 @@ def _long_direction(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Direction of the longer side of the smallest rectangle around plane points (n, 2).
 
     That rectangle has a side along an edge of the convex hull (Freeman & Shapira 1975). Unlike the
-    principal axes, it does not depend on how a rectangular patch is meshed.
+    principal axes, it does not depend on how a rectangular patch is meshed. Of a square it is the
+    side nearest to the first direction, wherever it lies.
     """
     hull = points[ConvexHull(points).vertices]
     edges = np.roll(hull, -1, axis=0) - hull
@@ -324,7 +327,9 @@ def _long_direction(points: NDArray[np.float64]) -> NDArray[np.float64]:
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
     length, width = (np.ptp(hull @ direction.T, axis=0) for direction in (along, across))
     best = int(np.argmin(length * width))
-    return along[best] if length[best] >= width[best] else across[best]
+    if abs(length[best] - width[best]) <= SQUARE * length[best]:
+        return max(along[best], across[best], key=lambda side: abs(float(side[0])))
+    return along[best] if length[best] > width[best] else across[best]
 
 
 def _parts(mesh: Mesh, side: _Side) -> list[NDArray[np.int64]]:
