@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fesim.accuracy.estimate import Accuracy, Marched, accuracy_of
-from fesim.axes.course import course_values, mapped
+from fesim.axes.axis import cold_drives
+from fesim.axes.course import Mapped, course_values, mapped
 from fesim.axes.march import march_moving
-from fesim.axes.positioning import cold
-from fesim.axes.setup import MovingSetup, axis_inputs, set_up_axis
+from fesim.axes.setup import MovingSetup, axis_inputs, set_up_axes
 from fesim.case.history import entering_in_steps
 from fesim.case.schema import (
     TOLERANCE_K,
@@ -60,7 +60,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 COUPLINGS: dict[str, Advance] = {"staggered": staggered, "iterated": iterated}
-#: With a moving axis the machine is another one in every step, which nothing is compiled for.
+#: With moving axes the machine is another one in every step, which nothing is compiled for.
 MOVING_COUPLINGS: dict[str, Advance] = {"staggered": plainly_staggered, "iterated": iterated}
 
 Progress = Callable[[int, int], None]
@@ -149,7 +149,7 @@ def simulate(
     inputs = march_inputs(case) if moving is None else axis_inputs(case)
     _check_forces(case, ready)
     (at_zero,) = inputs.at(np.zeros(1))
-    at_first = cold(moving.drive if moving is not None else None)
+    at_first = cold_drives(moving.axes if moving is not None else ())
     first = start
     if first is None:
         first = replace(initial_state(ready.machine, at_zero), drive=at_first)
@@ -204,18 +204,18 @@ def simulate(
 
 
 def prepared(case: Case) -> Setup | MovingSetup:
-    """Set up a case, with or without a moving axis, for `simulate`.
+    """Set up a case, with or without moving axes, for `simulate`.
 
     Raises
     ------
     InputError
-        As `fesim.setup.machine.set_up` and `fesim.axes.setup.set_up_axis`.
+        As `fesim.setup.machine.set_up` and `fesim.axes.setup.set_up_axes`.
     """
-    return set_up_axis(case) if case.axes else set_up(case)
+    return set_up_axes(case) if case.axes else set_up(case)
 
 
 def standing(given: Setup | MovingSetup) -> Setup:
-    """Return the setup of a machine, of one with a moving axis as it stands at time zero."""
+    """Return the setup of a machine, of one with moving axes as it stands at time zero."""
     return given.setup if isinstance(given, MovingSetup) else given
 
 
@@ -225,8 +225,7 @@ def _marching(
     """Yield the march up to the times of a response, and the effort of an adaptive one."""
     if isinstance(ready, MovingSetup):
         coupling, rows = MOVING_COUPLINGS[case.march.coupling], inputs.at(ends)
-        moving, course = ready.moving, ready.course
-        for track in march_moving(moving, course, rows, coupling, first, ready.drive):
+        for track in march_moving(ready.moving, ready.axes, rows, coupling, first):
             yield track, None
         return
     machine, march = ready.machine, case.march
@@ -284,15 +283,15 @@ class _Course:
         `outputs_of` each step.
     friction_heat : ndarray, shape (n, m)
         W; of joints whose friction heats.
-    mapped : ndarray, shape (n, k, p)
-        Displacement probes at each of k positions that an axis is asked about.
+    mapped : Mapped
+        Displacement probes where moving axes do not stand.
     """
 
     track: Track
     probes: np.ndarray
     outputs: np.ndarray
     friction_heat: np.ndarray
-    mapped: np.ndarray
+    mapped: Mapped
 
 
 def _kept(given: Setup | MovingSetup, slip: np.ndarray, track: Track) -> _Course:
@@ -310,7 +309,7 @@ def _kept(given: Setup | MovingSetup, slip: np.ndarray, track: Track) -> _Course
         elastic, counted = setup.machine.contact.elastic, setup.machine.friction.counted
         work = friction_work(elastic, track.remainder, track.gap, moved)
         rubbed = counted * work / setup.machine.thermal.step
-    there = np.empty((len(track), 0, 0))
+    there = Mapped(np.empty((len(track), 0, 0)), np.empty((0, 0, 0)))
     if isinstance(given, MovingSetup):
         there = mapped(given, track)
     return _Course(small, probes, outputs, rubbed, there)
@@ -322,7 +321,10 @@ def _joined(parts: Sequence[_Course]) -> _Course:
         np.concatenate([part.probes for part in parts]),
         np.concatenate([part.outputs for part in parts]),
         np.concatenate([part.friction_heat for part in parts]),
-        np.concatenate([part.mapped for part in parts]),
+        Mapped(
+            np.concatenate([part.mapped.asked for part in parts]),
+            np.concatenate([part.mapped.volume for part in parts]),
+        ),
     )
 
 

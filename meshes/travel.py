@@ -40,9 +40,9 @@ class Stations:
         Area weights; they add up to one at every station.
     element : ndarray of int, shape (n,)
         A contact element that covers the station, with its normal and tangents.
-    place : ndarray of int, shape (k, m)
-        Station of each of m contact elements at each of k positions; -1 if it does not move along
-        a guide.
+    place : tuple of ndarray of int, shape (k, m)
+        For every axis: station of each of m contact elements at each of its k positions; -1 if it
+        rides on another axis, or on none.
     """
 
     points: Array
@@ -50,7 +50,29 @@ class Stations:
     station: NDArray[np.int64]
     share: Array
     element: NDArray[np.int64]
-    place: NDArray[np.int64]
+    place: tuple[NDArray[np.int64], ...]
+
+
+@dataclass(frozen=True)
+class Travel:
+    """What moves along an axis.
+
+    Attributes
+    ----------
+    axis : str
+        Its name.
+    bodies : sequence of str
+        The bodies that move, those included that are carried along.
+    divided : dict
+        Joints that ride on the axis to `along` and `across` of `pair_joint`.
+    shifts : ndarray, shape (k, 3)
+        From where the mesh shows the bodies, m.
+    """
+
+    axis: str
+    bodies: Sequence[str]
+    divided: dict[str, tuple[int | None, int | None]]
+    shifts: Array
 
 
 def sliding(joint: PairedJoint, direction: Array) -> PairedJoint:
@@ -101,13 +123,12 @@ def shifted(structure: Structure, bodies: Sequence[str], shift: Array) -> Struct
 
 
 def stations_of(
-    structure: Structure,
-    joints: Sequence[PairedJoint],
-    divided: dict[str, tuple[int | None, int | None]],
-    bodies: Sequence[str],
-    shifts: Array,
+    structure: Structure, joints: Sequence[PairedJoint], travels: Sequence[Travel]
 ) -> Stations:
-    """Find the stations that contact elements cover at some positions.
+    """Find the stations that contact elements cover at some positions of each axis.
+
+    What a contact element covers depends on its own axis alone: the other axes move both of its
+    sides, or none.
 
     Parameters
     ----------
@@ -115,52 +136,52 @@ def stations_of(
         As meshed.
     joints : sequence of PairedJoint
         All joints as meshed, in the order of the contact elements.
-    divided : dict
-        Joints that move along a guide to `along` and `across` of `pair_joint`.
-    bodies : sequence of str
-        The bodies that move.
-    shifts : ndarray, shape (k, 3)
-        From where the mesh shows them, m.
+    travels : sequence of Travel
+        Of each axis.
 
     Raises
     ------
     InputError
-        Pads leave the guide, or side a of a joint does not move or its side b does.
+        Pads leave the guide; side a of a joint does not move or its side b does; or an axis moves
+        one side of a joint that does not ride on it.
     """
-    moving = np.concatenate([structure.body(name, "axes") for name in bodies])
     starts = np.cumsum([0, *(joint.area.size for joint in joints)])
-    place = np.full((len(shifts), starts[-1]), -1)
     known: dict[tuple[object, ...], int] = {}
     points, cells, stations, shares = [], [], [], []
     elements: list[int] = []
-    for joint in joints:
-        _check_sides(joint, moving, joint.name in divided)
-    for row, shift in zip(place, shifts, strict=True):
-        there = shifted(structure, bodies, shift)
-        for joint, start in zip(joints, starts, strict=False):
-            if joint.name not in divided:
-                continue
-            now = _same_elements(there, joint, divided[joint.name], shift)
-            low, high = _extent(now)
-            size = np.sqrt(now.area.min())
-            for e in range(now.area.size):
-                ends = np.concatenate([low[e], high[e]])
-                key = (joint.name, *np.round(ends / (SAME * size)), *np.round(now.normal[e], 4))
-                row[start + e] = known.setdefault(key, len(known))
-                if row[start + e] == len(elements):
-                    own = now.element == e
-                    points.append(now.points_b[:, own])
-                    cells.append(now.cells_b[own])
-                    stations.append(np.full(int(own.sum()), len(elements)))
-                    shares.append(now.weights[own] / now.area[e])
-                    elements.append(start + e)
+    places = []
+    for travel in travels:
+        moving = np.concatenate([structure.body(name, "axes") for name in travel.bodies])
+        for joint in joints:
+            _check_sides(joint, moving, travel)
+        place = np.full((len(travel.shifts), starts[-1]), -1)
+        places.append(place)
+        for row, shift in zip(place, travel.shifts, strict=True):
+            there = shifted(structure, travel.bodies, shift)
+            for joint, start in zip(joints, starts, strict=False):
+                if joint.name not in travel.divided:
+                    continue
+                now = _same_elements(there, joint, travel.divided[joint.name], shift)
+                low, high = _extent(now)
+                size = np.sqrt(now.area.min())
+                for e in range(now.area.size):
+                    ends = np.concatenate([low[e], high[e]])
+                    key = (joint.name, *np.round(ends / (SAME * size)), *np.round(now.normal[e], 4))
+                    row[start + e] = known.setdefault(key, len(known))
+                    if row[start + e] == len(elements):
+                        own = now.element == e
+                        points.append(now.points_b[:, own])
+                        cells.append(now.cells_b[own])
+                        stations.append(np.full(int(own.sum()), len(elements)))
+                        shares.append(now.weights[own] / now.area[e])
+                        elements.append(start + e)
     return Stations(
         np.hstack(points),
         np.concatenate(cells),
         np.concatenate(stations),
         np.concatenate(shares),
         np.array(elements),
-        place,
+        tuple(places),
     )
 
 
@@ -189,7 +210,8 @@ def _left(joint: PairedJoint, shift: Array) -> InputError:
     )
 
 
-def _check_sides(joint: PairedJoint, moving: NDArray[np.int64], rides: bool) -> None:
+def _check_sides(joint: PairedJoint, moving: NDArray[np.int64], travel: Travel) -> None:
+    rides = joint.name in travel.divided
     pads, guide = (np.isin(cells, moving) for cells in (joint.cells_a, joint.cells_b))
     if rides and (not pads.all() or guide.any()):
         raise InputError(
@@ -199,8 +221,8 @@ def _check_sides(joint: PairedJoint, moving: NDArray[np.int64], rides: bool) -> 
         )
     if not rides and (pads != guide).any():
         raise InputError(
-            f"joints.{joint.name}: one of its sides moves and the other does not; let it ride on "
-            "the axis, or correct axes.bodies"
+            f"joints.{joint.name}: axis {travel.axis!r} moves one of its sides and not the other; "
+            f"let it ride on the axis, or add what is carried to axes.{travel.axis}.bodies"
         )
 
 

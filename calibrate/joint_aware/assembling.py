@@ -159,7 +159,7 @@ def _tangents(modes: Modes, machine: ReducedMachine) -> list[Array]:
         return [sticking_tangent(modes, machine.laws)]
     return [
         sticking_tangent(placed(modes, float(position)), machine.laws)
-        for position in modes.way.positions
+        for position in modes.way.stations.positions[0]
     ]
 
 

@@ -18,7 +18,8 @@ from calibrate.joint_aware.readings import run_in
 from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.observer_model import Calibrated, ObserverModel
 from estimator.joint_aware.readings import temperatures_in
-from fesim.axes.setup import set_up_axis
+from fesim.axes.axis import place_of
+from fesim.axes.setup import set_up_axes
 from fesim.case.schema import Case
 from fesim.setup.machine import set_up
 from thermojoint.artefacts.arrays import Array
@@ -151,6 +152,11 @@ def machine_of(case: Case, sensors: Sequence[str]) -> ReducedMachine:
     """
     if not case.axes:
         return reduce_machine(case, set_up(case), sensors)
+    if len(case.axes) > 1:
+        raise InputError(
+            f"joint-aware: axes {', '.join(case.axes)}: it knows one axis so far; leave out the "
+            "others, with what rides on them, in the model's case"
+        )
     for name, axis in case.axes.items():
         drive = "ball_screw" if axis.ball_screw is not None else "scale"
         if getattr(axis, drive) is not None:
@@ -158,9 +164,10 @@ def machine_of(case: Case, sensors: Sequence[str]) -> ReducedMachine:
                 f"joint-aware: axes.{name}.{drive}: it knows no drive so far; leave the section "
                 "out of the model's case, and record where the body is"
             )
-    ready = set_up_axis(case)
-    first = float(ready.course(np.zeros(1))[0])
-    moving = MovingAxis(ready.name, ready.asked, ready.reference)
+    ready = set_up_axes(case)
+    (moved,) = ready.axes
+    (first,) = place_of(ready.axes, 0.0)
+    moving = MovingAxis(moved.name, moved.asked, moved.reference)
     machine = reduce_machine(
         case, ready.setup, sensors, Guide(moving, ready.moving.guideway, first)
     )

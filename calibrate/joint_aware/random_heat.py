@@ -54,7 +54,7 @@ def random_course(rng: np.random.Generator, steps: int, step: float, way: Guidew
     way : Guideway
         Its stroke.
     """
-    low, high = way.positions[[0, -1]]
+    low, high = way.stations.positions[0][[0, -1]]
     course, at = np.empty(steps), 0
     while at < steps:
         lasts = max(1, round(rng.uniform(*LASTS) / step))

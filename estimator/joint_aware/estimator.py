@@ -419,7 +419,10 @@ class JointAware(Described):
         given[: thermal - 1] -= self.model.offset
         if self.model.modes.way is not None:
             # Where an axis cannot stand, its position was not read.
-            low, high = self.model.modes.way.positions[[0, -1]] + (-OVERTRAVEL, OVERTRAVEL)
+            low, high = self.model.modes.way.stations.positions[0][[0, -1]] + (
+                -OVERTRAVEL,
+                OVERTRAVEL,
+            )
             given[wanted - 1] = given[wanted - 1] if low <= given[wanted - 1] <= high else np.nan
         return given[:thermal], given[thermal:wanted], given[wanted:]
 

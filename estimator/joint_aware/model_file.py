@@ -168,9 +168,9 @@ def _arrays(model: ObserverModel) -> dict[str, Array]:
     way = model.modes.way
     if way is not None and model.moving_axis is not None:
         arrays |= {f"way/{name}": getattr(way, name) for name in _WAY}
-        arrays |= {f"way/{name}": getattr(way.stations, name) for name in _STATIONS}
+        arrays |= {f"way/{name}": getattr(way.stations, name)[0] for name in _STATIONS}
         for name in _ELASTIC:
-            every = [getattr(elastic, name) for elastic in way.elastic]
+            every = [getattr(elastic, name) for elastic in way.elastic.values()]
             arrays[f"way/elastic/{name}"] = np.array(every)
         arrays["stroke/asked"] = model.moving_axis.asked
     for k, joint in enumerate(model.joints):
@@ -267,9 +267,9 @@ def _way(arrays: Mapping[str, Array]) -> Guideway:
     every = {name: arrays[f"way/elastic/{name}"] for name in _ELASTIC}
     return Guideway(
         **{name: arrays[f"way/{name}"] for name in _WAY},
-        stations=GuideStations(arrays["way/positions"], arrays["way/place"].astype(np.int64)),
-        elastic=tuple(
-            ElasticCondensation(**{name: array[k] for name, array in every.items()})
+        stations=GuideStations((arrays["way/positions"],), (arrays["way/place"].astype(np.int64),)),
+        elastic={
+            (k,): ElasticCondensation(**{name: array[k] for name, array in every.items()})
             for k in range(len(arrays["way/positions"]))
-        ),
+        },
     )

@@ -1,13 +1,18 @@
-"""What a response says of a moving axis: positions, displacements asked for, lines, its drive."""
+"""What a response says of moving axes: positions, displacements asked for, lines, drives."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
+from fesim.axes.axis import parts_of, place_of
+from fesim.axes.guideway import Place
 from fesim.axes.line import line_over
 from fesim.axes.mapping import displaced_at
 from fesim.axes.positioning import (
-    Screw,
+    Drive,
     positioning_error,
     screw_temperature,
     screw_tension,
@@ -15,32 +20,80 @@ from fesim.axes.positioning import (
     station_positions,
 )
 from fesim.axes.setup import MovingSetup
+from fesim.march.machine import Step
 from fesim.march.track import Track
 from fesim.solid.elasticity import DIRECTIONS
 from thermojoint.artefacts.arrays import Array
 
+Values = dict[str, np.ndarray]
 
-def mapped(ready: MovingSetup, track: Track) -> Array:
-    """Return the displacement probes (n, k, p) of each step at each position asked for.
 
-    Last at that where a drive is set right, if there is one.
+@dataclass(frozen=True)
+class Mapped:
+    """Displacement probes where the axes do not stand, at the end of steps.
+
+    Attributes
+    ----------
+    asked : ndarray, shape (n, c, p)
+        Of n steps, at the c positions of `elsewhere`.
+    volume : ndarray, shape (t, v, p)
+        At the points of the volume, at the t times asked for among the steps.
     """
+
+    asked: Array
+    volume: Array
+
+
+def mapped(ready: MovingSetup, track: Track) -> Mapped:
+    """Return the displacement probes of each step where the axes do not stand."""
     steps = [track.step(at) for at in range(len(track))]
-    positions = [*ready.asked, *_zero(ready)]
-    return np.array(
-        [[displaced_at(ready.moving, step, float(at)) for at in positions] for step in steps]
-    )
+    stands = [_stands(ready, step.state.index) for step in steps]
+    asked = [
+        _there(ready, step, elsewhere(ready, at)) for step, at in zip(steps, stands, strict=True)
+    ]
+    points, surveyed = _points(ready), _surveyed(ready, track)
+    volume = [_there(ready, steps[at], points) for at in surveyed]
+    shape = (surveyed.size, len(points), track.displacement.shape[1])
+    return Mapped(np.array(asked), np.reshape(volume, shape))
 
 
-def _zero(ready: MovingSetup) -> list[float]:
-    """Position at which a drive is set right, m, if there is one."""
-    drive = ready.drive
-    return [] if drive is None or drive.zero is None else [drive.zero]
+def _there(ready: MovingSetup, step: Step, places: Sequence[Place]) -> Array:
+    """Displacement probes (c, p) at some positions."""
+    return np.array([displaced_at(ready.moving, step, at) for at in places])
+
+
+def _stands(ready: MovingSetup, index: int) -> Place:
+    """Where the axes stand after some steps, m."""
+    return place_of(ready.axes, index * ready.moving.machine.thermal.step)
+
+
+def _points(ready: MovingSetup) -> list[Place]:
+    return [tuple(at) for at in ready.volume.places.tolist()]
+
+
+def _surveyed(ready: MovingSetup, track: Track) -> np.ndarray:
+    """Which steps of a track are asked about the volume."""
+    return np.flatnonzero(np.isin(track.index, ready.volume.steps))
+
+
+def elsewhere(ready: MovingSetup, stands: Place) -> list[Place]:
+    """Return the positions that a step is asked about, where the axes stand at some, m.
+
+    One axis after the other is at those asked for, then one after the other where its drive is set
+    right; the others stand.
+    """
+    asked = [(a, float(at)) for a, axis in enumerate(ready.axes) for at in axis.asked]
+    zeros = [
+        (a, axis.drive.zero)
+        for a, axis in enumerate(ready.axes)
+        if axis.drive is not None and axis.drive.zero is not None
+    ]
+    return [(*stands[:a], at, *stands[a + 1 :]) for a, at in [*asked, *zeros]]
 
 
 def course_values(
-    ready: MovingSetup, times: np.ndarray, track: Track, there: Array
-) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray | list[str]]]:
+    ready: MovingSetup, times: np.ndarray, track: Track, there: Mapped
+) -> tuple[Values, dict[str, np.ndarray | list[str]]]:
     """Return variables and coordinates of a response.
 
     Parameters
@@ -51,67 +104,130 @@ def course_values(
         s.
     track : Track
         Steps that end at these times.
-    there : ndarray, shape (n, k, p)
+    there : Mapped
         By `mapped`.
     """
-    count = len(DIRECTIONS)
-    position = ready.course(times)
-    values, coords = _drive_values(ready, track, position, there)
-    there = there[:, : ready.asked.size]
-    displaced, asked = track.displacement[:, :count], there[..., :count]
-    if "positioning_error" in values:
-        displaced = displaced + values["positioning_error"] * ready.carried
-        asked = asked + values["asked_positioning_error"][:, 0, :, None] * ready.carried
-    line = line_over(ready.asked, asked, ready.reference)
-    values |= {
-        "displacement": displaced,
-        "axis_position": position[:, None],
-        "running_heat": track.inputs[:, -1:],
-        "asked_position": ready.asked[None],
-        "asked_displacement": asked[:, None],
-        "reference_position": np.array([ready.reference]),
-        "line_offset": line.offset[:, None],
-        "line_slope": line.slope[:, None],
-        "line_left": line.left[:, None],
+    count, axes = len(DIRECTIONS), ready.axes
+    stands = [_stands(ready, index) for index in track.index]
+    positions = np.array(stands)
+    places = np.array([[at, *elsewhere(ready, at)] for at in stands])
+    probes = np.concatenate([track.displacement[:, None], there.asked], axis=1)
+    errors = _errors(ready, track.drive, places, probes)
+    zeros = _zeros(ready, errors)
+    errors = errors - zeros
+    carried = np.array([axis.carried for axis in axes])
+    displaced = probes[..., :count] + errors @ carried
+    asked = _by_axis(ready, displaced)
+    lines = [
+        line_over(axis.asked, one[:, : axis.asked.size], axis.reference)
+        for axis, one in zip(axes, asked, strict=True)
+    ]
+    values: Values = {
+        "displacement": displaced[:, 0],
+        "axis_position": positions,
+        "running_heat": track.inputs[:, -len(axes) :],
+        "asked_position": np.array(_even([axis.asked for axis in axes])),
+        "asked_displacement": np.stack(asked, axis=1),
+        "reference_position": np.array([axis.reference for axis in axes]),
+        "line_offset": np.stack([line.offset for line in lines], axis=1),
+        "line_slope": np.stack([line.slope for line in lines], axis=1),
+        "line_left": np.stack([line.left for line in lines], axis=1),
     }
+    coords: dict[str, np.ndarray | list[str]] = {"moving_axis": [axis.name for axis in axes]}
+    if any(axis.drive is not None for axis in axes):
+        own = [one[..., a] for a, one in enumerate(_by_axis(ready, errors))]
+        values["positioning_error"] = errors[:, 0]
+        values["asked_positioning_error"] = np.stack(own, axis=1)
+        driven, stations = _drive_values(ready, track.drive, probes[:, 0])
+        values, coords = values | driven, coords | stations
+    turned = slice(count, 2 * count)
     if ready.turned:
-        turned = slice(count, 2 * count)
         values["rotation"] = track.displacement[:, turned]
-        values["asked_rotation"] = there[:, None, :, turned]
-    return values, coords | {"moving_axis": [ready.name]}
+        values["asked_rotation"] = np.stack(_by_axis(ready, probes[..., turned]), axis=1)
+    at = _surveyed(ready, track)
+    if at.size:
+        points = np.broadcast_to(ready.volume.places, (at.size, *ready.volume.places.shape))
+        amiss = _errors(ready, track.drive[at], points, there.volume) - zeros[at]
+        values["volume_position"] = ready.volume.places
+        values["volume_displacement"] = there.volume[..., :count] + amiss @ carried
+        if ready.turned:
+            values["volume_rotation"] = there.volume[..., turned]
+        coords["survey"] = times[at]
+    return values, coords
+
+
+def _by_axis(ready: MovingSetup, values: Array) -> list[Array]:
+    """Of values (n, 1 + c, ...) where axes stand and `elsewhere`, those asked for of each axis."""
+    ends = 1 + np.cumsum([axis.asked.size for axis in ready.axes])
+    return _even(np.split(values, [1, *ends], axis=1)[1:-1], axis=1)
+
+
+def _even(parts: Sequence[Array], axis: int = 0) -> list[Array]:
+    """Make arrays equally long along an axis: shorter ones repeat their last values."""
+    most = max(part.shape[axis] for part in parts)
+    return [
+        np.take(part, np.minimum(np.arange(most), part.shape[axis] - 1), axis) for part in parts
+    ]
+
+
+def _errors(ready: MovingSetup, states: Array, places: Array, probes: Array) -> Array:
+    """Positioning errors (n, c, a) in states (n, d) at places (n, c, a) with probes (n, c, p).
+
+    Not yet less those where drives are set right.
+    """
+    errors = np.zeros(places.shape)
+    for a, (axis, part) in enumerate(zip(ready.axes, parts_of(ready.axes), strict=True)):
+        if (drive := axis.drive) is not None:
+            each = zip(states[:, part], places[..., a], seated(drive, probes), strict=True)
+            errors[..., a] = [positioning_error(drive, *one) for one in each]
+    return errors
+
+
+def _zeros(ready: MovingSetup, errors: Array) -> Array:
+    """Errors (n, 1, a) of each axis where its drive is set right, of those (n, 1 + c, a) there."""
+    zeros = np.zeros((len(errors), 1, len(ready.axes)))
+    set_right = [
+        a
+        for a, axis in enumerate(ready.axes)
+        if axis.drive is not None and axis.drive.zero is not None
+    ]
+    first = errors.shape[1] - len(set_right)
+    for k, a in enumerate(set_right):
+        zeros[:, 0, a] = errors[:, first + k, a]
+    return zeros
 
 
 def _drive_values(
-    ready: MovingSetup, track: Track, position: Array, there: Array
-) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray | list[str]]]:
-    """Variables and coordinates of a drive, at positions (n,); none without one."""
-    drive = ready.drive
-    if drive is None:
-        return {}, {}
-    elsewhere = np.array([*ready.asked, *_zero(ready)])
-    places = np.hstack([position[:, None], np.tile(elsewhere, (len(track), 1))])
-    probes = np.concatenate([track.displacement[:, None], there], axis=1)
-    seats = seated(drive, probes)
-    error = np.array(
-        [positioning_error(drive, *one) for one in zip(track.drive, places, seats, strict=True)]
-    )
-    if drive.zero is not None:
-        error = error[:, :-1] - error[:, -1:]
-    values = {"positioning_error": error[:, :1], "asked_positioning_error": error[:, None, 1:]}
-    if drive.scale is not None:
-        values["scale_temperature"] = track.drive[:, -1:]
-    if drive.screw is None:
+    ready: MovingSetup, states: Array, probes: Array
+) -> tuple[Values, dict[str, np.ndarray | list[str]]]:
+    """Variables and coordinates of drives in states (n, d), with probes (n, p); 0 without one."""
+    drives = [axis.drive for axis in ready.axes]
+    own = [states[:, part] for part in parts_of(ready.axes)]
+    values: Values = {}
+    if any(drive is not None and drive.scale is not None for drive in drives):
+        values["scale_temperature"] = np.stack(
+            [
+                state[:, -1]
+                if drive is not None and drive.scale is not None
+                else np.zeros(len(state))
+                for drive, state in zip(drives, own, strict=True)
+            ],
+            axis=1,
+        )
+    if not any(drive is not None and drive.screw is not None for drive in drives):
         return values, {}
-    return values | _screw_values(drive.screw, track.drive, seats[:, 0]), {
-        "station": np.arange(1, station_positions(drive.screw).size + 1)
-    }
+    each = [_screw_values(drive, state, probes) for drive, state in zip(drives, own, strict=True)]
+    places, warm, pulled = zip(*each, strict=True)
+    values["station_position"] = np.stack(_even(places))
+    values["screw_temperature"] = np.stack(_even(warm, axis=1), axis=1)
+    values["screw_tension"] = np.stack(pulled, axis=1)
+    return values, {"station": np.arange(1, values["station_position"].shape[1] + 1)}
 
 
-def _screw_values(screw: Screw, states: Array, seats: Array) -> dict[str, np.ndarray]:
-    """Variables of a screw in states (n, d) with seats (n, 3)."""
-    pulled = [screw_tension(screw, *one) for one in zip(states, seats, strict=True)]
-    return {
-        "station_position": station_positions(screw)[None],
-        "screw_temperature": screw_temperature(screw, states)[:, None],
-        "screw_tension": np.array(pulled)[:, None],
-    }
+def _screw_values(drive: Drive | None, states: Array, probes: Array) -> tuple[Array, Array, Array]:
+    """Cells (k,), m, their temperatures (n, k), K, and the tension (n,), N, of an axis's screw."""
+    count = len(states)
+    if drive is None or (screw := drive.screw) is None:
+        return np.zeros(1), np.zeros((count, 1)), np.zeros(count)
+    pulled = [screw_tension(screw, *one) for one in zip(states, seated(drive, probes), strict=True)]
+    return station_positions(screw), screw_temperature(screw, states), np.array(pulled)

@@ -1,25 +1,30 @@
-"""What the pads of an axis ride along: elasticity at aligned positions, temperatures of stations.
+"""What the pads of axes ride along: elasticity at aligned positions, temperatures of stations.
 
-At an aligned position the machine is that condensed there; between two of them its elasticity is
-interpolated. In a step a contact element touches the stations that it passes, each for its share of
-the time (docs/moving-axes.md).
+Where all axes are aligned the machine is that condensed there; between aligned positions its
+elasticity is interpolated, linearly along each axis. In a step a contact element touches the
+stations that it passes, each for its share of the time (docs/moving-axes.md).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fesim.axes.condensation import Corner
 from fesim.axes.occupation import Shares, even, weights_at
 from fesim.march.passing import Touches
 from fesim.solid.condensation import ElasticCondensation
 from thermojoint.artefacts.arrays import Array
 
+#: Position of every axis, m.
+Place = tuple[float, ...]
 #: Ways whose passages are kept ready: those of the steps of some runs.
 KEPT = 1024
 
@@ -41,80 +46,90 @@ class Passage(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class GuideStations:
-    """Places on a guide that m contact elements cover at k aligned positions.
+    """Places on guides that m contact elements cover at aligned positions of each axis.
 
     Attributes
     ----------
-    positions : ndarray, shape (k,)
-        Aligned positions of the axis, evenly spaced, ascending, m.
-    place : ndarray of int, shape (k, m)
-        Station of each contact element; -1 for none.
+    positions : tuple of ndarray, shape (k,)
+        Aligned positions of every axis, evenly spaced, ascending, m.
+    place : tuple of ndarray of int, shape (k, m)
+        Of every axis: station of each contact element at each position; -1 for none.
     """
 
-    positions: Array
-    place: NDArray[np.int64]
+    positions: tuple[Array, ...]
+    place: tuple[NDArray[np.int64], ...]
 
     @property
     def count(self) -> int:
         """Number of contact elements."""
-        return self.place.shape[1]
+        return self.place[0].shape[1]
 
     @cached_property
     def size(self) -> int:
         """Number of contact elements and of stations."""
-        return self.count + 1 + int(self.place.max(initial=-1))
+        return self.count + 1 + max(int(place.max(initial=-1)) for place in self.place)
 
     @cached_property
-    def riding(self) -> NDArray[np.int64]:
-        """Contact elements that pass stations."""
-        return np.flatnonzero(self.place[0] >= 0)
+    def riding(self) -> tuple[NDArray[np.int64], ...]:
+        """Contact elements that pass stations, of every axis."""
+        return tuple(np.flatnonzero(place[0] >= 0) for place in self.place)
 
-    def passage(self, start: float, end: float) -> Passage:
-        """Return what is passed while the axis moves evenly between two positions, m."""
+    def passage(self, start: Place, end: Place) -> Passage:
+        """Return what is passed while axes move evenly between two positions, m."""
         return _passage(self, start, end)
 
-    def weights(self, position: float) -> Array:
-        """Return the weights (k,) of the aligned positions at a position, m; not to be changed."""
-        return _weights(self, position)
+    def corners(self, at: Place) -> Sequence[tuple[Corner, float]]:
+        """Return the aligned positions around positions, m, with their weights; not zero."""
+        return _corners(self, at)
 
     @property
     def everywhere(self) -> Passage:
-        """What is passed by an axis that is everywhere equally often."""
-        return self.passage(float(self.positions[0]), float(self.positions[-1]))
+        """What is passed by axes that are everywhere equally often."""
+        first, last = (tuple(float(one[end]) for one in self.positions) for end in (0, -1))
+        return self.passage(first, last)
 
-    def coefficients(self, weights: Array) -> Array:
-        """Return b (m, m + n) by weights (k,) of the aligned positions, which add up to one."""
+    def coefficients(self, weights: Sequence[Array]) -> Array:
+        """Return b (m, m + n) by weights (k,) of each axis's positions, which add up to one."""
         own = np.eye(self.count, self.size)
-        for k in np.flatnonzero(weights):
-            own[self.riding, self.count + self.place[k, self.riding]] -= weights[k]
+        for riding, place, of_axis in zip(self.riding, self.place, weights, strict=True):
+            for k in np.flatnonzero(of_axis):
+                own[riding, self.count + place[k, riding]] -= of_axis[k]
         return own
 
-    def touches(self, shares: Shares) -> Touches:
-        """Return the products of rows whose means over a step are those of `shares`."""
-        every, riding = np.arange(self.count), self.riding
-        row = self.count + self.place[:, riding]
+    def touches(self, shares: Sequence[Shares]) -> Touches:
+        """Return the products of rows whose means over a step are those of each axis's shares."""
+        every = np.arange(self.count)
         parts = [(every, every, every, 1.0)]
-        for k in np.flatnonzero(shares.mean):
-            parts.append((riding, riding, row[k], -shares.mean[k]))
-            parts.append((riding, row[k], riding, -shares.mean[k]))
-            parts.append((riding, row[k], row[k], shares.square[k]))
-        for k in np.flatnonzero(shares.product):
-            parts.append((riding, row[k], row[k + 1], shares.product[k]))
-            parts.append((riding, row[k + 1], row[k], shares.product[k]))
+        for riding, place, of_axis in zip(self.riding, self.place, shares, strict=True):
+            row = self.count + place[:, riding]
+            for k in np.flatnonzero(of_axis.mean):
+                parts.append((riding, riding, row[k], -of_axis.mean[k]))
+                parts.append((riding, row[k], riding, -of_axis.mean[k]))
+                parts.append((riding, row[k], row[k], of_axis.square[k]))
+            for k in np.flatnonzero(of_axis.product):
+                parts.append((riding, row[k], row[k + 1], of_axis.product[k]))
+                parts.append((riding, row[k + 1], row[k], of_axis.product[k]))
         element, first, second = (np.concatenate([part[i] for part in parts]) for i in range(3))
         mean = np.concatenate([np.full(part[0].size, part[3]) for part in parts])
         return Touches(element, first, second, mean)
 
 
 @lru_cache(maxsize=KEPT)
-def _passage(stations: GuideStations, start: float, end: float) -> Passage:
-    shares = even(stations.positions, start, end)
-    return Passage(stations.touches(shares), stations.coefficients(shares.mean))
+def _passage(stations: GuideStations, start: Place, end: Place) -> Passage:
+    ways = zip(stations.positions, start, end, strict=True)
+    shares = [even(*way) for way in ways]
+    means = [of_axis.mean for of_axis in shares]
+    return Passage(stations.touches(shares), stations.coefficients(means))
 
 
 @lru_cache(maxsize=KEPT)
-def _weights(stations: GuideStations, position: float) -> Array:
-    return weights_at(stations.positions, position)
+def _corners(stations: GuideStations, at: Place) -> tuple[tuple[Corner, float], ...]:
+    weights = [weights_at(*one) for one in zip(stations.positions, at, strict=True)]
+    touched = product(*(np.flatnonzero(of_axis).tolist() for of_axis in weights))
+    return tuple(
+        (corner, math.prod(float(of_axis[k]) for of_axis, k in zip(weights, corner, strict=True)))
+        for corner in touched
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,8 +140,8 @@ class Guideway:
     ----------
     stations : GuideStations
         What the contact elements cover.
-    elastic : tuple of ElasticCondensation
-        At each aligned position.
+    elastic : mapping of tuple of int to ElasticCondensation
+        Where all axes are aligned, by which position of each axis.
     temperature : ndarray, shape (m + n, r)
         Mean temperature of each contact element without its station, K, then of each station. Of
         one that rides on nothing, the jump across its joint.
@@ -137,34 +152,33 @@ class Guideway:
     """
 
     stations: GuideStations
-    elastic: tuple[ElasticCondensation, ...]
+    elastic: Mapping[Corner, ElasticCondensation]
     temperature: Array
     means: Array
     running: Array
 
     @property
-    def positions(self) -> Array:
-        """Aligned positions of the axis, m, (k,)."""
-        return self.stations.positions
+    def first(self) -> ElasticCondensation:
+        """The elastic condensation at the first aligned position of every axis."""
+        return self.elastic[(0,) * len(self.stations.positions)]
 
-    def elastic_at(self, position: float) -> ElasticCondensation:
-        """Return the elastic condensation at a position, m."""
+    def elastic_at(self, at: Place) -> ElasticCondensation:
+        """Return the elastic condensation at positions, m."""
         names = ("compliance", "thermal_gap", "probe_compliance", "probe_thermal")
-        mixed = {name: self._mixed(name, position) for name in names}
-        return replace(self.elastic[0], **mixed)
+        mixed = {name: self._mixed(name, at) for name in names}
+        return replace(self.first, **mixed)
 
-    def free_at(self, position: float, temperatures: Array) -> Array:
-        """Return gaps without contact (3 m,), then displacements (p,), m, at a position, m.
+    def free_at(self, at: Place, temperatures: Array) -> Array:
+        """Return gaps without contact (3 m,), then displacements (p,), m, at positions, m.
 
         Parameters
         ----------
-        position : float
+        at : tuple of float
             m.
         temperatures : ndarray, shape (r,)
             As the guideway's.
         """
-        weights = self.stations.weights(position)
-        touched = [(weights[k], self.elastic[k]) for k in np.flatnonzero(weights)]
+        touched = [(weight, self.elastic[corner]) for corner, weight in self.stations.corners(at)]
         return np.concatenate(
             [
                 sum(weight * (of.thermal_gap @ temperatures) for weight, of in touched),
@@ -172,44 +186,44 @@ class Guideway:
             ]
         )
 
-    def contact_at(self, position: float) -> ElasticCondensation:
-        """Return the elastic condensation at a position, m, on what is free there (`free_at`)."""
-        first = self.elastic[0]
+    def contact_at(self, at: Place) -> ElasticCondensation:
+        """Return the elastic condensation at positions, m, on what is free there (`free_at`)."""
+        first = self.first
         gaps, probes = first.reference.size, len(first.probe_compliance)
         every = np.eye(gaps + probes)
         return replace(
             first,
-            compliance=self._mixed("compliance", position),
+            compliance=self._mixed("compliance", at),
             thermal_gap=every[:gaps],
-            probe_compliance=self._mixed("probe_compliance", position),
+            probe_compliance=self._mixed("probe_compliance", at),
             probe_thermal=every[gaps:],
         )
 
-    def _mixed(self, name: str, position: float) -> Array:
-        """A matrix of the condensation, interpolated linearly between aligned positions."""
-        weights = self.stations.weights(position)
-        touched = np.flatnonzero(weights)
-        if touched.size == 1:
-            return np.asarray(getattr(self.elastic[touched[0]], name))
-        return np.asarray(sum(weights[k] * getattr(self.elastic[k], name) for k in touched))
+    def _mixed(self, name: str, at: Place) -> Array:
+        """A matrix of the condensation, interpolated linearly along each axis."""
+        touched = self.stations.corners(at)
+        if len(touched) == 1:
+            return np.asarray(getattr(self.elastic[touched[0][0]], name))
+        parts = (weight * getattr(self.elastic[corner], name) for corner, weight in touched)
+        return np.asarray(sum(parts))
 
     def sides(self, coefficients: Array) -> tuple[Array, Array]:
         """Return `sides` per temperature, (m, r), by b (m, m + n)."""
         return sides(coefficients, self.temperature, self.means)
 
-    def friction_heat(self, pressure: Array, way: float, length: float) -> Array:
-        """Return the heat (m,), W, of running friction: mu p A v.
+    def friction_heat(self, pressure: Array, way: Array | float, length: float) -> Array:
+        """Return the heat (..., m), W, of running friction: mu p A v.
 
         Parameters
         ----------
         pressure : ndarray, shape (m,)
             Pa.
-        way : float
-            Travelled in the step, m.
+        way : float or ndarray, shape (..., m)
+            Of each contact element along its guide in the step, m.
         length : float
             Of the step, s.
         """
-        return self.running * pressure * way / length
+        return np.asarray(self.running * pressure * way / length)
 
     def turned(
         self,
@@ -219,7 +233,7 @@ class Guideway:
         """Return it with changed rows (..., r) of temperatures, and changed elasticity."""
         return replace(
             self,
-            elastic=tuple(map(elastic, self.elastic)),
+            elastic={corner: elastic(of) for corner, of in self.elastic.items()},
             temperature=rows(self.temperature),
             means=rows(self.means),
         )
@@ -242,5 +256,5 @@ def sides(coefficients: Array, temperature: Array, means: Array) -> tuple[Array,
 
 
 def rubbed(heat: Array, coefficients: Array) -> Array:
-    """Return the heat (m + n,), W, that friction of (m,), W, gives to each row: half a side."""
+    """Return the heat (..., m + n), W, that friction of (..., m), W, gives to each row: half."""
     return np.asarray(0.5 * heat @ np.abs(coefficients))

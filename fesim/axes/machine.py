@@ -1,37 +1,39 @@
-"""A machine with a moving axis: the condensed machine at any position, made of few products.
+"""A machine with moving axes: the condensed machine at any positions, made of few products.
 
-At an aligned position it is the machine condensed there. Elsewhere the elastic condensation is
-interpolated between two neighbours. In the heat step a contact element touches the stations that it
+Where all axes are aligned it is the machine condensed there. Elsewhere the elastic condensation is
+interpolated between the neighbours. In the heat step a contact element touches the stations that it
 passes, each for its share of the time.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
-from fesim.axes.guideway import Guideway, rubbed
+from fesim.axes.guideway import Guideway, Place, rubbed
 from fesim.axes.occupation import Shares, even
 from fesim.march.contact import ContactProblem
 from fesim.march.machine import CondensedMachine
 from fesim.march.passing import Passing, Rows
-from fesim.solid.condensation import ThermalCondensation
+from fesim.solid.condensation import ElasticCondensation, ThermalCondensation
 from thermojoint.artefacts.arrays import Array
 
-#: Machines at positions asked for that are kept ready.
-KEPT = 64
+#: Machines and joints at positions asked for that are kept ready.
+KEPT = 128
 
 
 @dataclass(frozen=True, eq=False)
 class MovingMachine:
-    """A condensed structure on a linear axis; the temperatures are r amplitudes of modes.
+    """A condensed structure on linear axes; the temperatures are r amplitudes of modes.
 
     Attributes
     ----------
     machine : CondensedMachine
-        At the first aligned position. Its last thermal input is the heat of running friction, W.
+        At the first aligned positions. Its last thermal inputs are the heat of running friction of
+        each axis, W.
     guideway : Guideway
         What its pads ride along.
     rows : Rows
@@ -50,50 +52,64 @@ class MovingMachine:
 
     def __post_init__(self) -> None:
         """Keep machines at some positions ready."""
-        object.__setattr__(self, "_standing", lru_cache(maxsize=KEPT)(self._made))
+        for name, made in (("_standing", self._made), ("_settling", self._joined)):
+            object.__setattr__(self, name, lru_cache(maxsize=KEPT)(made))
 
-    def standing(self, position: float) -> CondensedMachine:
-        """Return the machine that stands at a position, m."""
-        machine: CondensedMachine = vars(self)["_standing"](position)
+    @property
+    def axes(self) -> int:
+        """Number of axes."""
+        return len(self.guideway.stations.positions)
+
+    def standing(self, at: Place) -> CondensedMachine:
+        """Return the machine that stands at positions, m."""
+        machine: CondensedMachine = vars(self)["_standing"](at)
         return machine
 
-    def _made(self, position: float) -> CondensedMachine:
-        shares = even(self.guideway.positions, position, position)
-        return self.moving(shares, position, np.zeros_like(self.guideway.running))
+    def _made(self, at: Place) -> CondensedMachine:
+        positions = self.guideway.stations.positions
+        shares = [even(one, here, here) for one, here in zip(positions, at, strict=True)]
+        return self.moving(shares, at, np.zeros((self.axes, self.guideway.running.size)))
 
-    def moving(self, shares: Shares, position: float, heat: Array) -> CondensedMachine:
+    def settling(self, at: Place) -> ContactProblem:
+        """Return the joints at positions, m, on what is free there (`Guideway.free_at`)."""
+        contact: ContactProblem = vars(self)["_settling"](at)
+        return contact
+
+    def _joined(self, at: Place) -> ContactProblem:
+        return self._contact(self.guideway.contact_at(at))
+
+    def _contact(self, elastic: ElasticCondensation) -> ContactProblem:
+        contact = self.machine.contact
+        return ContactProblem(elastic, contact.laws, constraints=contact.constraints)
+
+    def moving(self, shares: Sequence[Shares], at: Place, heat: Array) -> CondensedMachine:
         """Return the machine in a step.
 
         Parameters
         ----------
-        shares : Shares
-            Of the aligned positions in the step.
-        position : float
-            At the end of the step, m.
-        heat : ndarray, shape (m,)
-            Share of each contact element in the heat of running friction; they add up to one, or
-            are all zero.
+        shares : sequence of Shares
+            Of each axis's aligned positions in the step.
+        at : tuple of float
+            Positions at the end of the step, m.
+        heat : ndarray, shape (axes, m)
+            Share of each contact element in the heat of running friction of each axis; they add up
+            to one, or are all zero.
         """
-        contact = ContactProblem(
-            self.guideway.elastic_at(position),
-            self.machine.contact.laws,
-            constraints=self.machine.contact.constraints,
-        )
         return replace(
             self.machine,
-            thermal=self._thermal(shares.mean, heat),
-            contact=contact,
+            thermal=self._thermal([of_axis.mean for of_axis in shares], heat),
+            contact=self._contact(self.guideway.elastic_at(at)),
             passing=Passing(self.rows, self.guideway.stations.touches(shares)),
         )
 
-    def _thermal(self, weights: Array, heat: Array) -> ThermalCondensation:
+    def _thermal(self, weights: Sequence[Array], heat: Array) -> ThermalCondensation:
         thermal, guideway = self.machine.thermal, self.guideway
         inputs = thermal.inputs.copy()
         coefficients = guideway.stations.coefficients(weights)
         warmed = rubbed(heat, coefficients) @ guideway.temperature / self.copies
-        inputs[: self.free, -1] = warmed[: self.free]
+        inputs[: self.free, -self.axes :] = warmed[:, : self.free].T
         entering = thermal.balance.entering.copy()
-        entering[-1] = heat.sum() / self.copies
+        entering[-self.axes :] = heat.sum(axis=1) / self.copies
         jump, mean = guideway.sides(coefficients)
         return replace(
             thermal,

@@ -1,21 +1,21 @@
-"""Time stepping of a machine with a moving axis.
+"""Time stepping of a machine with moving axes.
 
 A step conducts heat between pads and the stations that they pass in it, by their shares of the
-time, and settles the joints at the position of its end. A screw warms up before it and gives its
+time, and settles the joints at the positions of its end. Screws warm up before it and give their
 heat to the machine in the same step.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from fesim.axes.axis import Axis, parts_of, place_of
 from fesim.axes.machine import MovingMachine
 from fesim.axes.occupation import distance, shares_of, stretches
-from fesim.axes.positioning import Drive, Way, warm_scale, warm_screw
-from fesim.case.history import History
+from fesim.axes.positioning import Way, warm_scale, warm_screw
 from fesim.march.machine import CondensedMachine, State
 from fesim.march.stepping import Advance, advanced
 from fesim.march.track import Track
@@ -23,12 +23,7 @@ from thermojoint.artefacts.arrays import Array
 
 
 def march_moving(
-    moving: MovingMachine,
-    course: History,
-    inputs: Array,
-    advance: Advance,
-    start: State,
-    drive: Drive | None = None,
+    moving: MovingMachine, axes: Sequence[Axis], inputs: Array, advance: Advance, start: State
 ) -> Iterator[Track]:
     """Yield the steps of a march, one by one.
 
@@ -36,17 +31,15 @@ def march_moving(
     ----------
     moving : MovingMachine
         The machine.
-    course : History
-        Position of the axis, m.
+    axes : sequence of Axis
+        Its axes; the states of their drives are part of the march's.
     inputs : ndarray, shape (n, k)
-        Of each step; the last one, the heat of running friction, and those of the drive are filled
-        in.
+        Of each step; the last ones, the heat of running friction of each axis, and those of the
+        drives are filled in.
     advance : callable
         `plainly_staggered` or `iterated` of `fesim.march.stepping`.
     start : State
         State to continue from.
-    drive : Drive, optional
-        What positions the axis; its state is part of the march's.
 
     Raises
     ------
@@ -55,32 +48,46 @@ def march_moving(
     InputError
         A pressure is beyond the conductance law.
     """
-    state, step = start, moving.machine.thermal.step
+    state, step, parts = start, moving.machine.thermal.step, parts_of(axes)
     for row in inputs:
         ends = state.index * step, (state.index + 1) * step
-        machine, friction = _in_step(moving, course, state, ends)
-        driven = row.copy()
-        driven[-1] = friction
-        if drive is not None:
-            way = Way(*stretches(course, *ends))
-            screw, driven = warm_screw(drive, state, driven, way)
+        machine, friction = _in_step(moving, axes, state, ends)
+        driven, screws = row.copy(), []
+        driven[-len(axes) :] = friction
+        before = [replace(state, drive=state.drive[part]) for part in parts]
+        for axis, own in zip(axes, before, strict=True):
+            if axis.drive is not None:
+                way = Way(*stretches(axis.course, *ends))
+                screw, driven = warm_screw(axis.drive, own, driven, way)
+                screws.append(screw)
         track = advanced(machine, advance(machine), state, driven[None])
-        if drive is not None:
-            scale = warm_scale(drive, state, track.step(-1), step)
-            track = replace(track, drive=np.concatenate([screw, scale])[None])
+        if screws:
+            taken = track.step(-1)
+            driving = [(axis.drive, own) for axis, own in zip(axes, before, strict=True)]
+            scales = [warm_scale(drive, own, taken, step) for drive, own in driving if drive]
+            each = (part for pair in zip(screws, scales, strict=True) for part in pair)
+            track = replace(track, drive=np.concatenate(list(each))[None])
         state = track.step(-1).state
         yield track
 
 
 def _in_step(
-    moving: MovingMachine, course: History, state: State, ends: tuple[float, float]
-) -> tuple[CondensedMachine, float]:
-    """The machine in the step between two times (s), and its heat of running friction, W."""
-    position, way = float(course(np.array(ends[1]))), distance(course, *ends)
-    if way == 0.0:
-        return moving.standing(position), 0.0
-    heat = moving.guideway.friction_heat(state.pressure, way, moving.machine.thermal.step)
-    total = float(heat.sum())
-    shares = shares_of(moving.guideway.positions, course, *ends)
-    spread = heat / total if total > 0.0 else heat
-    return moving.moving(shares, position, spread), total * moving.copies
+    moving: MovingMachine, axes: Sequence[Axis], state: State, ends: tuple[float, float]
+) -> tuple[CondensedMachine, Array]:
+    """The machine in the step between two times (s), and its heat (axes,) of running friction."""
+    at = place_of(axes, ends[1])
+    ways = [distance(axis.course, *ends) for axis in axes]
+    if not any(ways):
+        return moving.standing(at), np.zeros(len(axes))
+    stations, step = moving.guideway.stations, moving.machine.thermal.step
+    along = np.zeros((len(axes), stations.count))
+    for row, riding, way in zip(along, stations.riding, ways, strict=True):
+        row[riding] = way
+    heat = moving.guideway.friction_heat(state.pressure, along, step)
+    total = heat.sum(axis=1)
+    shares = [
+        shares_of(positions, axis.course, *ends)
+        for positions, axis in zip(stations.positions, axes, strict=True)
+    ]
+    spread = heat / np.where(total > 0.0, total, 1.0)[:, None]
+    return moving.moving(shares, at, spread), total * moving.copies

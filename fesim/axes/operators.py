@@ -29,14 +29,14 @@ class GuidedOperators:
         Mean temperature of each station.
     gap : scipy.sparse.csr_array, shape (3 n, n_displacement)
         Mean displacement of each station along the normal and the tangents of a contact element.
-    place : ndarray of int, shape (k, m)
-        Station of each contact element at each aligned position; -1 for none.
+    place : tuple of ndarray of int, shape (k, m)
+        Of every axis: station of each contact element at each aligned position; -1 for none.
     """
 
     pads: JointOperators
     heat: csr_array
     gap: csr_array
-    place: NDArray[np.int64]
+    place: tuple[NDArray[np.int64], ...]
 
 
 def guided_operators(
@@ -46,7 +46,7 @@ def guided_operators(
     gap = directed(_means(stations, spaces.displacement), frames_of(joints)[stations.element])
     gap.eliminate_zeros()
     return GuidedOperators(
-        _pads(joints, stations.place[0] >= 0, spaces),
+        _pads(joints, places_at(stations.place, (0,) * len(stations.place)) >= 0, spaces),
         _means(stations, spaces.heat),
         gap,
         stations.place,
@@ -84,15 +84,29 @@ def _means(stations: Stations, basis: CellBasis) -> csr_array:
     )
 
 
-def coupled(operators: GuidedOperators, position: int, others: int) -> csr_array:
-    """Return the ties at an aligned position as combinations of the rows condensed apart.
+def places_at(place: Sequence[NDArray[np.int64]], corner: Sequence[int]) -> NDArray[np.int64]:
+    """Return the station (m,) of each contact element, -1 for none, at aligned positions.
+
+    Parameters
+    ----------
+    place : sequence of ndarray of int, shape (k, m)
+        As in `GuidedOperators`: a contact element rides on one axis at most.
+    corner : sequence of int
+        Which aligned position of each axis.
+    """
+    rows = [one[at] for one, at in zip(place, corner, strict=True)]
+    return np.asarray(np.maximum.reduce(rows))
+
+
+def coupled(operators: GuidedOperators, corner: Sequence[int], others: int) -> csr_array:
+    """Return the ties at aligned positions as combinations of the rows condensed apart.
 
     Parameters
     ----------
     operators : GuidedOperators
         With m contact elements and n stations.
-    position : int
-        Which aligned position.
+    corner : sequence of int
+        Which aligned position of each axis.
     others : int
         Number of further rows, which remain as they are.
 
@@ -101,7 +115,7 @@ def coupled(operators: GuidedOperators, position: int, others: int) -> csr_array
     scipy.sparse.csr_array, shape (3 m + others, 3 m + 3 n + others)
         On the rows of the pads, then those of the stations, then the others.
     """
-    place = operators.place[position]
+    place = places_at(operators.place, corner)
     count, stations = place.size, operators.heat.shape[0]
     own = np.concatenate([np.arange(3 * count), 3 * count + np.arange(others)])
     columns = np.concatenate([np.arange(3 * count), 3 * (count + stations) + np.arange(others)])

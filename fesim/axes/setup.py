@@ -1,4 +1,4 @@
-"""Set-up of a case with a moving axis: every body is factorised and reduced once."""
+"""Set-up of a case with moving axes: every body is factorised and reduced once."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, kron, vstack
 
-from fesim.axes.condensation import condense_aligned, condense_apart
+from fesim.axes.axis import Axis, Volume
+from fesim.axes.condensation import TiedCondensations, condense_apart
 from fesim.axes.guideway import GuideStations, Guideway
 from fesim.axes.machine import MovingMachine
-from fesim.axes.operators import GuidedOperators, guided_operators
+from fesim.axes.operators import GuidedOperators, guided_operators, places_at
 from fesim.axes.positioning import Drive, Screw, Surfaces, scale_of, screw_of
 from fesim.axes.rotation import rotation_rows
 from fesim.cache import remembered
@@ -23,7 +24,7 @@ from fesim.case.axis_section import AxisSection, seats_of
 from fesim.case.drive_sections import HEATED
 from fesim.case.history import History, read_history, step_history
 from fesim.case.identity import thermal_key
-from fesim.case.schema import Case
+from fesim.case.schema import Case, heated_by_drives, step_count
 from fesim.march.contact import ContactProblem
 from fesim.march.machine import CondensedMachine
 from fesim.march.passing import Rows
@@ -48,7 +49,7 @@ from fesim.setup.temperature_dependence import convecting_surfaces
 from fesim.solid.condensation import ThermalCondensation
 from fesim.solid.spaces import probe_cells, probe_rows
 from fesim.solid.substructures import UntiedCondensation
-from meshes.travel import stations_of
+from meshes.travel import Travel, stations_of
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.units import MILLI
@@ -59,49 +60,37 @@ LEVER = 0.1
 _TURNED = slice(3, 6)
 #: Positions along the stroke at which displacements are given if the case names none.
 USUAL = 5
-#: Numbers in the matrices of all aligned positions: 3.2 GB.
+#: Numbers in the matrices of pads and stations, condensed apart: 3.2 GB.
 MOST_NUMBERS = 400_000_000
 
 
 @dataclass(frozen=True)
 class MovingSetup:
-    """A condensed case with a moving axis.
+    """A condensed case with moving axes.
 
     Attributes
     ----------
     setup : Setup
         Of the machine as it stands at time zero; nothing draws or factorises it.
     moving : MovingMachine
-        The machine at every position.
-    name : str
-        Of the axis.
-    course : History
-        Its position, m.
-    asked : ndarray, shape (k,)
-        Positions at which displacements are wanted, m.
-    reference : float
-        P0 of the line through them, m.
+        The machine at all positions.
+    axes : tuple of Axis
+        In the case's order.
     turned : bool
         Whether the displacement probes include rotations.
-    drive : Drive or None
-        What positions the axis; None if it stands where its control believes.
-    carried : ndarray, shape (3,)
-        Displacement that is recorded, per m that the bodies on the axis move along it.
+    volume : Volume
+        Combinations of positions that are asked about.
     """
 
     setup: Setup
     moving: MovingMachine
-    name: str
-    course: History
-    asked: Array
-    reference: float
+    axes: tuple[Axis, ...]
     turned: bool
-    drive: Drive | None
-    carried: Array
+    volume: Volume
 
 
-def set_up_axis(case: Case) -> MovingSetup:
-    """Build, check and condense a case with an axis.
+def set_up_axes(case: Case) -> MovingSetup:
+    """Build, check and condense a case with axes.
 
     Raises
     ------
@@ -110,18 +99,16 @@ def set_up_axis(case: Case) -> MovingSetup:
         guide.
     """
     before = thermal_key(case)
-    ((name, axis),) = case.axes.items()
-    course = course_of(axis, name)
+    courses = [course_of(axis, name) for name, axis in case.axes.items()]
     parts = make_parts(case)
     for line in suspicions(parts.structure, parts.joints):
         warnings.warn(line, stacklevel=2)
     _check_guides(case, parts)
     _check_seats(case, parts)
-    positions = aligned_positions(axis)
     with explained_by_size(parts.structure):
         whole = discretised(case, parts)
-        moving, modes = _moving(whole, axis, positions, cache_keys(case, before))
-    at_zero = float(course(np.zeros(1))[0])
+        moving, modes = _moving(whole, cache_keys(case, before))
+    at_zero = tuple(float(course(np.zeros(1))[0]) for course in courses)
     setup = Setup(
         structure=parts.structure,
         spaces=whole.spaces,
@@ -139,22 +126,23 @@ def set_up_axis(case: Case) -> MovingSetup:
         make_thermal=_unavailable,
         make_mesh_errors=lambda: None,
     )
-    return MovingSetup(
-        setup,
-        moving,
-        name,
-        course,
-        asked_positions(axis),
-        reference_of(axis),
-        axis.rotation_within_mm is not None,
-        drive_of(case, setup, _surfaces(case, whole, modes)),
-        _carried(case, axis, parts),
+    axes = tuple(
+        Axis(
+            name,
+            course,
+            asked_positions(axis),
+            reference_of(axis),
+            drive_of(case, setup, name, surfaces_of(whole, modes, name)),
+            _carried(case, axis, parts),
+        )
+        for (name, axis), course in zip(case.axes.items(), courses, strict=True)
     )
+    return MovingSetup(setup, moving, axes, turned_within(case) is not None, volume_of(case))
 
 
 def axis_inputs(case: Case) -> MarchInputs:
-    """Return the inputs of a case with an axis; the last one is the heat of running friction."""
-    return replace(march_inputs(case), forces=[step_history(0.0)])
+    """Return the inputs of a case with axes; the last ones are the heat of running friction."""
+    return replace(march_inputs(case), forces=[step_history(0.0) for _ in case.axes])
 
 
 def course_of(axis: AxisSection, name: str) -> History:
@@ -199,19 +187,37 @@ def reference_of(axis: AxisSection) -> float:
     return MILLI * (0.5 * sum(axis.stroke_mm) if given is None else given)
 
 
-def drive_of(case: Case, setup: Setup, surfaces: Surfaces) -> Drive | None:
-    """Return what positions the axis of a case; None if its bodies stand as the control believes.
+def turned_within(case: Case) -> float | None:
+    """Return how near nodes show the rotation at a point, m; None if none is wanted."""
+    wanted = (axis.rotation_within_mm for axis in case.axes.values())
+    return next((MILLI * radius for radius in wanted if radius is not None), None)
+
+
+def volume_of(case: Case) -> Volume:
+    """Return the combinations of positions that a case asks about: none if it does not."""
+    if case.volume is None:
+        return Volume(np.zeros((0, len(case.axes))), np.zeros(0, dtype=np.int64))
+    step, end = case.march.step_s, step_count(case.march)
+    times = case.volume.at_s
+    steps = [end] if times is None else [max(0, round(time / step)) for time in times]
+    return Volume(MILLI * np.array(case.volume.places_mm(list(case.axes))), np.unique(steps))
+
+
+def drive_of(case: Case, setup: Setup, name: str, surfaces: Surfaces) -> Drive | None:
+    """Return what positions an axis of a case; None if its bodies stand as the control believes.
 
     Parameters
     ----------
     case : Case
-        With an axis.
+        With the axis.
     setup : Setup
-        Of the same machine, whatever its drive.
+        Of the same machine, whatever its drives.
+    name : str
+        Of the axis.
     surfaces : Surfaces
         That its screw heats.
     """
-    (axis,) = case.axes.values()
+    axis = case.axes[name]
     if axis.ball_screw is None and axis.scale is None:
         return None
     screw = scale = followed = None
@@ -223,9 +229,9 @@ def drive_of(case: Case, setup: Setup, surfaces: Surfaces) -> Drive | None:
         if axis.scale.follows is not None:
             followed = setup.probe_rows[list(setup.probes).index(axis.scale.follows)]
     zero = None if axis.zero_mm is None else MILLI * axis.zero_mm
-    first = _TURNED.stop if axis.rotation_within_mm is not None else _TURNED.start
-    seats = {name: first + k for k, name in enumerate(_seats(axis))}
-    seat = np.array([-1 if name is None else seats[name] for name in seats_of(axis)])
+    first = _TURNED.stop if turned_within(case) is not None else _TURNED.start
+    seats = {seat: first + k for k, seat in enumerate(_all_seats(case))}
+    seat = np.array([-1 if at is None else seats[name, at] for at in seats_of(axis)])
     return Drive(screw, scale, followed, input_layout(case).ambient, zero, surfaces, seat)
 
 
@@ -244,16 +250,16 @@ def _check_bearings(screw: Screw, surfaces: Surfaces, thermal: ThermalCondensati
             )
 
 
-def _surfaces(case: Case, whole: Discretised, modes: ThermalModes) -> Surfaces:
-    """Surfaces that a screw heats: a mean temperature weighs nodes as even heat does."""
-    (axis,) = case.axes.values()
-    named = axis.ball_screw.surfaces() if axis.ball_screw is not None else {}
-    columns = {part: len(case.sources) + k for k, part in enumerate(named)}
+def surfaces_of(whole: Discretised, modes: ThermalModes, name: str) -> Surfaces:
+    """Return what the screw of an axis heats: a mean temperature weighs nodes as even heat does."""
+    case = whole.case
+    columns = {heated: len(case.sources) + k for k, heated in enumerate(heated_by_drives(case))}
+    own = np.array([columns.get(f"{name} {part}", -1) for part in HEATED])
     weights = np.zeros((len(HEATED), whole.heat.inputs.shape[0]))
-    for row, part in zip(weights, HEATED, strict=True):
-        if part in columns:
-            row[:] = whole.parts.structure.symmetry_factor * whole.heat.inputs[:, columns[part]]
-    return Surfaces(np.array([columns.get(part, -1) for part in HEATED]), weights @ modes.basis)
+    for row, column in zip(weights, own, strict=True):
+        if column >= 0:
+            row[:] = whole.parts.structure.symmetry_factor * whole.heat.inputs[:, column]
+    return Surfaces(own, weights @ modes.basis)
 
 
 def _carried(case: Case, axis: AxisSection, parts: Parts) -> Array:
@@ -271,34 +277,34 @@ def _moving_points(parts: Parts, axis: AxisSection, names: Sequence[str]) -> NDA
     return np.isin(probe_cells(parts.structure, probes), moving)
 
 
-def _moving(
-    whole: Discretised, axis: AxisSection, positions: Array, keys: CacheKeys
-) -> tuple[MovingMachine, ThermalModes]:
-    """Condense pads, guides and modes once, and tie them at every aligned position."""
+def _moving(whole: Discretised, keys: CacheKeys) -> tuple[MovingMachine, ThermalModes]:
+    """Condense pads, guides and modes once; combinations of positions are tied when wanted."""
     case, parts = whole.case, whole.parts
-    shifts = (positions - MILLI * axis.mesh_position_mm)[:, None] * unit_direction(axis)
-    divided = {
-        name: (joint.along, joint.across)
-        for name, joint in case.joints.items()
-        if joint.axis is not None
-    }
-    stations = stations_of(parts.structure, parts.joints, divided, axis.bodies, shifts)
+    positions = tuple(map(aligned_positions, case.axes.values()))
+    travels = [
+        Travel(
+            name,
+            axis.bodies,
+            {
+                rides: (joint.along, joint.across)
+                for rides, joint in case.joints.items()
+                if joint.axis == name
+            },
+            (aligned - MILLI * axis.mesh_position_mm)[:, None] * unit_direction(axis),
+        )
+        for (name, axis), aligned in zip(case.axes.items(), positions, strict=True)
+    ]
+    stations = stations_of(parts.structure, parts.joints, travels)
     operators = guided_operators(parts.joints, stations, whole.spaces)
     _check_held(whole, operators)
-    probes = _probes(whole, axis)
-    apart = _apart(whole, operators, probes, keys.elasticity)
+    _check_size(whole, operators)
+    apart = _apart(whole, operators, _probes(whole), keys.elasticity)
     modes = _modes(whole, operators, apart, keys.heat)
-    _check_size(operators, modes)
-    apart = replace(apart, thermal=apart.thermal @ modes.basis)
-    elastic = tuple(
-        condense_aligned(apart, operators, whole.springs, k) for k in range(len(positions))
+    elastic = TiedCondensations(
+        replace(apart, thermal=apart.thermal @ modes.basis), operators, whole.springs
     )
-    thermal = _with_friction(project_heat(whole.heat, operators.pads, case.march.step_s, modes))
-    machine = CondensedMachine(
-        thermal,
-        ContactProblem(elastic[0], parts.laws, constraints=parts.constraints),
-        start=start_field(whole.heat, whole.warm, modes),
-    )
+    thermal = project_heat(whole.heat, operators.pads, case.march.step_s, modes)
+    thermal = _with_friction(thermal, len(positions))
     running = [
         np.full(joint.area.size, case.joints[joint.name].running_friction_coefficient)
         for joint in parts.joints
@@ -311,6 +317,11 @@ def _moving(
         operators.pads.mean @ modes.basis,
         np.concatenate(running) * operators.pads.area,
     )
+    machine = CondensedMachine(
+        thermal,
+        ContactProblem(guideway.first, parts.laws, constraints=parts.constraints),
+        start=start_field(whole.heat, whole.warm, modes),
+    )
     return MovingMachine(
         machine,
         guideway,
@@ -320,24 +331,28 @@ def _moving(
     ), modes
 
 
-def _probes(whole: Discretised, axis: AxisSection) -> csr_array:
+def _probes(whole: Discretised) -> csr_array:
     """Rows of the displacement between tool and workpiece, then of the rotation if asked for.
 
-    Then of the seats of a drive, along the axis.
+    Then of the seats of the drives, each along its axis.
     """
-    rows, structure = [relative_rows(whole)], whole.parts.structure
-    if axis.rotation_within_mm is not None:
-        radius = MILLI * axis.rotation_within_mm
+    case, structure = whole.case, whole.parts.structure
+    rows = [relative_rows(whole)]
+    if (radius := turned_within(case)) is not None:
         point, *origin = (
-            rotation_rows(structure, whole.spaces, name, radius)
-            for name in measured_points(whole.case)
+            rotation_rows(structure, whole.spaces, name, radius) for name in measured_points(case)
         )
         rows.append(point - origin[0] if origin else point)
-    if seats := _seats(axis):
-        at = {name: structure.probes[name] for name in seats}
-        along = csr_array(unit_direction(axis)[None])
+    for name, seat in _all_seats(case):
+        along = csr_array(unit_direction(case.axes[name])[None])
+        at = {seat: structure.probes[seat]}
         rows.append(kron(probe_rows(whole.spaces.displacement, structure, at), along))
     return csr_array(vstack(rows, format="csr"))
+
+
+def _all_seats(case: Case) -> list[tuple[str, str]]:
+    """Axes, and the probes that the parts of their drives move with, each once."""
+    return [(name, seat) for name, axis in case.axes.items() for seat in _seats(axis)]
 
 
 def _seats(axis: AxisSection) -> list[str]:
@@ -371,8 +386,7 @@ def _modes(
     every = replace(pads, jump=csr_array(vstack([pads.jump, operators.heat], format="csr")))
     ties = pads.gap.shape[0] + operators.gap.shape[0]
     moved = apart.thermal[apart.springs.size :] / DISPLACEMENT_ERROR
-    (axis,) = whole.case.axes.values()
-    if axis.rotation_within_mm is not None:
+    if turned_within(whole.case) is not None:
         moved[_TURNED] *= LEVER
     outputs = np.vstack(
         [whole.rows.toarray() / TEMPERATURE_ERROR, apart.thermal[:ties] / GAP_ERROR, moved]
@@ -392,22 +406,18 @@ def _rows(thermal: ThermalCondensation, operators: GuidedOperators, modes: Therm
     return Rows(temperature, influence, temperature @ influence)
 
 
-def _with_friction(thermal: ThermalCondensation) -> ThermalCondensation:
-    """One more input, which `MovingMachine` distributes: the heat of running friction, W."""
+def _with_friction(thermal: ThermalCondensation, axes: int) -> ThermalCondensation:
+    """Inputs that `MovingMachine` distributes: the heat of running friction of each axis, W."""
     balance = thermal.balance
     return replace(
         thermal,
-        inputs=_one_more(thermal.inputs),
+        inputs=np.pad(thermal.inputs, ((0, 0), (0, axes))),
         balance=replace(
             balance,
-            entering=np.append(balance.entering, 0.0),
-            drive=_one_more(balance.drive),
+            entering=np.pad(balance.entering, (0, axes)),
+            drive=np.pad(balance.drive, ((0, 0), (0, axes))),
         ),
     )
-
-
-def _one_more(columns: Array) -> Array:
-    return np.hstack([columns, np.zeros((len(columns), 1))])
 
 
 def _check_guides(case: Case, parts: Parts) -> None:
@@ -438,7 +448,7 @@ def _check_seats(case: Case, parts: Parts) -> None:
 
 
 def _check_held(whole: Discretised, operators: GuidedOperators) -> None:
-    riding = operators.place[0] >= 0
+    riding = places_at(operators.place, (0,) * len(operators.place)) >= 0
     held = whole.heat.held
     for rows in (operators.pads.jump[riding], operators.heat):
         if csr_array(rows[:, held]).count_nonzero():
@@ -448,22 +458,22 @@ def _check_held(whole: Discretised, operators: GuidedOperators) -> None:
             )
 
 
-def _check_size(operators: GuidedOperators, modes: ThermalModes) -> None:
-    size = operators.pads.gap.shape[0]
-    if len(operators.place) * size * (size + modes.basis.shape[1]) > MOST_NUMBERS:
+def _check_size(whole: Discretised, operators: GuidedOperators) -> None:
+    rows, stations = operators.pads.gap.shape[0] + operators.gap.shape[0], operators.heat.shape[0]
+    if rows * (rows + whole.heat.inputs.shape[0]) > MOST_NUMBERS:
         raise InputError(
-            f"axes: {len(operators.place)} positions with {size // 3} contact elements need "
-            "gigabytes; raise station_mm, or lower along or across of the joints"
+            f"axes: {stations} stations need gigabytes; raise station_mm, or lower along or across "
+            "of the joints"
         )
 
 
 def check_still(case: Case, where: str) -> None:
-    """Refuse a case with an axis where its fields are wanted; `where` names the place.
+    """Refuse a case with axes where its fields are wanted; `where` names the place.
 
     Raises
     ------
     InputError
-        It has one.
+        It has some.
     """
     if case.axes:
         raise InputError(

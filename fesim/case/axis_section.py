@@ -1,18 +1,29 @@
-"""Section of a case for bodies that move during the march."""
+"""Sections of a case for bodies that move during the march, and for the volume they reach."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import Annotated
 
 from pydantic import Field, model_validator
 
 from fesim.case.drive_sections import BallScrewSection, ScaleSection
-from thermojoint.artefacts.settings.section import File, Finite, Point, Positive, Section
+from thermojoint.artefacts.settings.section import (
+    File,
+    Finite,
+    NotNegative,
+    Point,
+    Positive,
+    Section,
+)
 
 
 class AxisSection(Section):
     """``[axes.NAME]``: bodies that move together along a straight line.
+
+    A body may move along several axes: ``bodies`` has what the axis carries as well.
 
     The position is one value, or a CSV with ``time_s,position_mm``. The mesh shows the bodies at
     ``mesh_position_mm``. Stiffness and heat are exact at positions that are stations apart.
@@ -76,6 +87,46 @@ class AxisSection(Section):
                         "fixed_bearing_mm or far_end_mm"
                     )
         return self
+
+
+class VolumeSection(Section):
+    """``[volume]``: combinations of positions of all axes that are asked about.
+
+    ``grid_mm`` has positions of each axis, and every combination of them counts; ``points_mm`` has
+    single points, a position of each axis. The temperatures are those at ``at_s``, by default at
+    the end.
+    """
+
+    grid_mm: dict[str, Annotated[list[Finite], Field(min_length=1)]] | None = None
+    points_mm: list[dict[str, Finite]] | None = None
+    at_s: Annotated[list[NotNegative], Field(min_length=1)] | None = None
+
+    def places_mm(self, axes: Sequence[str]) -> list[tuple[float, ...]]:
+        """Return the points, those of the grid first, as positions of some axes."""
+        grid = product(*(self.grid_mm[name] for name in axes)) if self.grid_mm else ()
+        points = self.points_mm or []
+        return [*grid, *(tuple(point[name] for name in axes) for point in points)]
+
+
+def not_asked(volume: VolumeSection, axes: Mapping[str, AxisSection], end: float) -> str | None:
+    """Return why a volume cannot be asked about in a march to `end`, s; None if it can."""
+    if not volume.grid_mm and not volume.points_mm:
+        return "volume: no point; give grid_mm or points_mm"
+    named_by = [set(point) for point in volume.points_mm or []]
+    for given in [*([set(volume.grid_mm)] if volume.grid_mm else []), *named_by]:
+        if given != set(axes):
+            named = ", ".join(axes) or "there is none"
+            return f"volume: give a position of every axis ({named}) and of no other"
+    for place in volume.places_mm(list(axes)):
+        for at, (name, axis) in zip(place, axes.items(), strict=True):
+            low, high = axis.stroke_mm
+            if not low <= at <= high:
+                return (
+                    f"volume: {name} = {at:g} mm is outside axes.{name}.stroke_mm, {low:g} to "
+                    f"{high:g} mm"
+                )
+    late = [time for time in volume.at_s or [] if time > end]
+    return f"volume.at_s: {late[0]:g} s is after the end at {end:g} s" if late else None
 
 
 def seats_of(axis: AxisSection) -> tuple[str | None, str | None, str | None]:

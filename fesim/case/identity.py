@@ -42,7 +42,7 @@ _COURSE = {
     "zero_mm",
 }
 _MARCH = {"duration_min", "coupling", "method", "tolerance_um", "tolerance_K"}
-_LOADS = {"title", "heat_input", "ambient", "output"}
+_LOADS = {"title", "heat_input", "ambient", "output", "volume"}
 #: Sections, and keys of materials, that enter the heat equation only.
 _HEAT = {
     "convection_W_m2K",

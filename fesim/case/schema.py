@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from fesim.case.axis_section import AxisSection, seats_of
+from fesim.case.axis_section import AxisSection, VolumeSection, not_asked, seats_of
 from fesim.case.bolts import BoltSection
 from fesim.case.joint_sections import JointSection, WallSection
 from fesim.case.thermal_sections import (
@@ -201,6 +201,7 @@ class Case(Described, Section):
     joints: dict[str, JointSection] = {}
     walls: dict[str, WallSection] = {}
     axes: dict[str, AxisSection] = {}
+    volume: VolumeSection | None = None
     supports: SupportsSection
     convection_W_m2K: dict[str, NotNegative] = {}
     convection_factor: dict[str, FactorSection] = {}
@@ -413,10 +414,15 @@ def not_movable(case: Case) -> str | None:
     for name in case.axes:
         if name not in riding:
             return f'axes.{name}: no joint rides on it; give one axis = "{name}"'
+    if case.volume is not None:
+        end = case.march.step_s * step_count(case.march)
+        if (reason := not_asked(case.volume, case.axes, end)) is not None:
+            return reason
     if not case.axes:
         return None
-    if len(case.axes) > 1:
-        return "axes: only one axis can move so far; leave out the others"
+    shown = {axis.rotation_within_mm for axis in case.axes.values()} - {None}
+    if len(shown) > 1:
+        return "axes: rotation_within_mm is that of the machine's points; give it once"
     if case.displacement is None:
         return "axes: joints on an axis need the deformation of the structure; add [displacement]"
     if (reason := not_driven(case)) is not None:

@@ -23,7 +23,7 @@ from thermojoint.artefacts.files import DAMAGED_ARCHIVE, whole_file
 SCHEMA = "thermojoint-march-state"
 SCHEMA_VERSION = 7
 
-_RECORDING = {"title", "heat_input", "displacement", "probes", "candidates", "output"}
+_RECORDING = {"title", "heat_input", "displacement", "probes", "candidates", "output", "volume"}
 _ARRAYS = ("temperature", "gap", "slip", "pressure", "change", "frozen", "turning", "drive")
 
 

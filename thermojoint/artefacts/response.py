@@ -59,6 +59,17 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
         "m",
         "largest displacement that the line leaves at an asked position",
     ),
+    "volume_position": (("place", "moving_axis"), "m", "points of the volume"),
+    "volume_displacement": (
+        ("survey", "place", "axis"),
+        "m",
+        "relative displacement if the axes stood there",
+    ),
+    "volume_rotation": (
+        ("survey", "place", "axis"),
+        "rad",
+        "relative rotation if the axes stood there",
+    ),
     "positioning_error": (
         ("time", "moving_axis"),
         "m",

@@ -214,10 +214,10 @@ def drive_lines(response: xr.Dataset) -> list[str]:
             f"{float(last['axis_position']) / MILLI:g} mm, {over.min():.3g} to {over.max():.3g} µm "
             "over the stroke"
         ]
-        if "screw_temperature" in one:
+        if "screw_temperature" in one and one["station_position"].any():
             warm = last["screw_temperature"].to_numpy()
             parts.append(f"screw {warm.min():.3g} to {warm.max():.3g} K warmer")
-        if "scale_temperature" in one:
+        if "scale_temperature" in one and one["scale_temperature"].any():
             parts.append(f"scale {float(last['scale_temperature']):.3g} K warmer")
         pulled = one["screw_tension"].to_numpy() if "screw_tension" in one else np.zeros(1)
         if pulled.any():

@@ -504,14 +504,14 @@ def placed(modes: Modes, position: float) -> Modes:
     way = modes.way
     if way is None:
         return modes
-    coefficients = way.stations.passage(position, position).coefficients
+    coefficients = way.stations.passage((position,), (position,)).coefficients
     jump, mean = way.sides(coefficients)
     return replace(
         modes,
         jump=jump,
         entry=modes.entry @ coefficients.T,
         mean=mean,
-        elastic=way.elastic_at(position),
+        elastic=way.elastic_at((position,)),
         way=None,
     )
 

@@ -81,7 +81,7 @@ class Physics:
     def felt(self, amplitudes: Array, loads: Array) -> Array:
         """Return what the joints feel where the axis stands: of `standing`, its amplitudes."""
         way = self.modes.way
-        return amplitudes if way is None else way.free_at(float(loads[-1]), amplitudes)
+        return amplitudes if way is None else way.free_at((float(loads[-1]),), amplitudes)
 
     @cached_property
     def held_exchange(self) -> Array:
@@ -126,7 +126,7 @@ class Physics:
 def _standing(physics: Physics, position: float) -> Physics:
     way = physics.modes.way
     assert way is not None  # asked for on an axis only
-    elastic = way.contact_at(position)
+    elastic = way.contact_at((position,))
     unused = np.zeros((physics.contacts, elastic.thermal_gap.shape[1]))
     modes = replace(physics.modes, elastic=elastic, jump=unused, mean=unused, way=None)
     held, contact = np.zeros_like(physics.held), contact_of(modes, physics.laws)
@@ -215,7 +215,7 @@ def _conduct_passing(
     modes, step = physics.modes, heat_step(physics.modes, length)
     assert modes.way is not None  # there is a way on an axis only
     stations, temperature = modes.way.stations, modes.jump @ amplitudes
-    passage = stations.passage(*way)
+    passage = stations.passage(way[:1], way[1:])
     jump, rise = sides(passage.coefficients, temperature, modes.way.means @ amplitudes)
     each = conductances(physics.laws, Rest(*joint), rise, jump, modes.elastic.area)
     beyond = exchange(passage.touches, each, stations.size) - physics.held_exchange

@@ -22,7 +22,7 @@ from scipy.optimize import minimize_scalar
 from scipy.special import k0
 from skfem import MeshHex
 
-from fesim.axes.setup import set_up_axis
+from fesim.axes.setup import set_up_axes
 from fesim.case.schema import case_from_data
 from fesim.simulate import simulate
 from meshes.box_grid import put_side_by_side
@@ -30,6 +30,7 @@ from meshes.exchange import write_structure
 from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.files import temporary_folder
+from thermojoint.verification import axis_chain
 from thermojoint.verification.check import Check, Quantity
 from thermojoint.verification.structures import IRON, box_surfaces, facing_sides
 
@@ -53,7 +54,7 @@ JAEGER = Quantity("temperature", "K", 1e-2, "Jaeger, closed form")
 
 
 def checks() -> Iterator[Check]:
-    """Slides on guides."""
+    """Slides on guides, and a machine with three axes."""
     with temporary_folder() as folder:
         yield from _position_checks(folder)
         yield from _expansion_checks(folder)
@@ -61,6 +62,7 @@ def checks() -> Iterator[Check]:
         yield from _oscillation_checks(folder)
         for peclet in PECLET:
             yield _band_check(folder, peclet)
+    yield from axis_chain.checks()
 
 
 def slide_on_guide(lines: tuple[Array, Array, Array], slide: tuple[Array, Array]) -> Structure:
@@ -196,8 +198,8 @@ def _order(folder: Path, data: dict[str, Any]) -> Check:
     def compliance(station: float, low: float) -> Array:
         stroke = (1e3 * low, 1e3 * (GUIDE - SLIDE - low))
         axis = on_axis(data, stroke, position_mm=1e3 * OFF, station_mm=1e3 * station)
-        moving = set_up_axis(case_from_data(axis, "slide", folder)).moving
-        return moving.standing(OFF).contact.elastic.compliance
+        moving = set_up_axes(case_from_data(axis, "slide", folder)).moving
+        return moving.standing((OFF,)).contact.elastic.compliance
 
     exact = compliance(ELEMENT, 0.0)
     coarse, finer = (float(np.abs(compliance(*between) - exact).max()) for between in BETWEEN)

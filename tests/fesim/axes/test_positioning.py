@@ -14,7 +14,7 @@ from repository import ROOT
 
 from fesim.axes.ball_screw import Beside, heat_at_ends, heat_of_nut, moved, tension, warmed
 from fesim.axes.positioning import Drive, Surfaces, positioning_error, screw_of, screw_tension
-from fesim.axes.setup import drive_of, set_up_axis
+from fesim.axes.setup import drive_of, set_up_axes
 from fesim.case.drive_sections import BallScrewSection
 from fesim.case.identity import condensation_key, thermal_key
 from fesim.case.schema import case_from_data, parse_case
@@ -151,7 +151,7 @@ def knee(course, **axis):
 
 @pytest.fixture(scope="module")
 def setup(case_with):
-    return set_up_axis(case_with(ball_screw=SCREW))
+    return set_up_axes(case_with(ball_screw=SCREW))
 
 
 @pytest.fixture(scope="module")
@@ -159,7 +159,9 @@ def march(setup):
     """March a case on the machine that all have in common."""
 
     def marched(case, **keys):
-        driven = replace(setup, drive=drive_of(case, setup.setup, setup.drive.surfaces))
+        (axis,) = setup.axes
+        drive = drive_of(case, setup.setup, axis.name, axis.drive.surfaces)
+        driven = replace(setup, axes=(replace(axis, drive=drive),))
         return simulate(case, setup=driven, **keys)
 
     return marched
@@ -320,12 +322,12 @@ def test_bearings_that_would_make_a_surface_swing_are_refused(case_with):
     hot = {"bearing_conductance_W_K": 1e4, "bearing_surface": "bearings", "diameter_mm": 100.0}
     case = case_with(ball_screw=SCREW | hot | {"cells": 1000})
     with pytest.raises(InputError, match="past the temperature of the screw; take a shorter"):
-        set_up_axis(case)
+        set_up_axes(case)
 
 
 def test_a_seat_on_a_body_that_moves_is_refused(case_with):
     with pytest.raises(InputError, match="the seat 'table' is on a body that moves"):
-        set_up_axis(case_with(scale=SCALE | {"seat": "table"}))
+        set_up_axes(case_with(scale=SCALE | {"seat": "table"}))
 
 
 def test_only_the_surfaces_of_a_screw_belong_to_the_condensed_machine(case_with):
@@ -338,7 +340,7 @@ def test_only_the_surfaces_of_a_screw_belong_to_the_condensed_machine(case_with)
 def test_a_surface_that_is_not_there_is_refused(case_with):
     case = case_with(ball_screw=SCREW | {"nut_surface": "nut"})
     with pytest.raises(InputError, match="axes: heat of y nut: no surface named 'nut'") as error:
-        set_up_axis(case)
+        set_up_axes(case)
     assert "\n" not in str(error.value)
 
 

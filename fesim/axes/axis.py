@@ -1,0 +1,75 @@
+"""Moving axes: where they are, what is asked about them, and what positions them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fesim.axes.guideway import Place
+from fesim.axes.positioning import Drive, cold
+from fesim.case.history import History
+from thermojoint.artefacts.arrays import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Axis:
+    """An axis of a machine.
+
+    Attributes
+    ----------
+    name : str
+        As in the case.
+    course : History
+        Its position, m.
+    asked : ndarray, shape (k,)
+        Positions at which displacements are wanted, m.
+    reference : float
+        P0 of the line through them, m.
+    drive : Drive or None
+        What positions it; None if the bodies stand where its control believes.
+    carried : ndarray, shape (3,)
+        Displacement that is recorded, per m that the bodies on the axis move along it.
+    """
+
+    name: str
+    course: History
+    asked: Array
+    reference: float
+    drive: Drive | None
+    carried: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Volume:
+    """Combinations of positions of a axes that are asked about.
+
+    Attributes
+    ----------
+    places : ndarray, shape (v, a)
+        m.
+    steps : ndarray of int, shape (t,)
+        After how many steps.
+    """
+
+    places: Array
+    steps: NDArray[np.int64]
+
+
+def place_of(axes: Sequence[Axis], time: float) -> Place:
+    """Return where axes are at a time (s), m."""
+    return tuple(float(axis.course(np.array(time))) for axis in axes)
+
+
+def cold_drives(axes: Sequence[Axis]) -> Array:
+    """Return the state (d,) of the drives of axes, one after the other, at the initial ambient."""
+    return np.concatenate([np.zeros(0), *(cold(axis.drive) for axis in axes)])
+
+
+def parts_of(axes: Sequence[Axis]) -> list[slice]:
+    """Return which part of the state of all drives is that of each axis."""
+    ends = np.cumsum([0, *(cold(axis.drive).size for axis in axes)]).tolist()
+    return [slice(*part) for part in pairwise(ends)]
