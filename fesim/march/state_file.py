@@ -36,8 +36,10 @@ def fingerprint(case: Case) -> str:
     # Probes are only recorded, except those that a scale follows.
     follows = [axis.scale.follows for axis in case.axes.values() if axis.scale is not None]
     data["followed"] = [case.probes[name].model_dump() for name in follows if name is not None]
-    # Contact elements are numbered joint by joint, so the order of the joints matters.
-    data["joints"] = list(data["joints"].items())
+    # Contact elements are numbered joint by joint, and drives follow each other axis by axis, so
+    # the order of both matters.
+    for section in ("joints", "axes"):
+        data[section] = list(data[section].items())
     data["version"] = version("thermojoint")
     # Paths are the only values of a case that JSON does not support.
     text = json.dumps(data, sort_keys=True, default=file_digest)

@@ -12,7 +12,7 @@ from calibrate.joint_aware.calibration import machine_of
 from fesim.axes.setup import set_up_axes
 from fesim.case.identity import thermal_key
 from fesim.case.schema import case_from_data, read_case
-from fesim.march.state_file import load_state, save_state
+from fesim.march.state_file import fingerprint, load_state, save_state
 from fesim.simulate import simulate
 from meshes.exchange import read_structure
 from meshes.three_axes import three_axis_machine
@@ -187,6 +187,12 @@ def test_a_continued_march_is_the_uninterrupted_one(driven, tmp_path):
     for name in ("displacement", "temperature", "positioning_error", "asked_displacement"):
         assert np.array_equal(rest[name], response[name].sel(time=rest["time"])), name
     assert np.array_equal(rest["volume_displacement"], response["volume_displacement"])
+
+
+def test_the_state_of_another_order_of_axes_is_refused(driven):
+    case, _, _ = driven
+    turned = case.model_copy(update={"axes": dict(reversed(case.axes.items()))})
+    assert fingerprint(turned) != fingerprint(case)
 
 
 def test_what_is_asked_about_is_no_part_of_the_machine(folder, driven):
