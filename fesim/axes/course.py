@@ -83,12 +83,13 @@ def elsewhere(ready: MovingSetup, stands: Place) -> list[Place]:
     right; the others stand.
     """
     asked = [(a, float(at)) for a, axis in enumerate(ready.axes) for at in axis.asked]
-    zeros = [
-        (a, axis.drive.zero)
-        for a, axis in enumerate(ready.axes)
-        if axis.drive is not None and axis.drive.zero is not None
-    ]
-    return [(*stands[:a], at, *stands[a + 1 :]) for a, at in [*asked, *zeros]]
+    return [(*stands[:a], at, *stands[a + 1 :]) for a, at in [*asked, *_set_right(ready)]]
+
+
+def _set_right(ready: MovingSetup) -> list[tuple[int, float]]:
+    """Which axes have a drive that is set right somewhere, and where, m."""
+    drives = [(a, axis.drive) for a, axis in enumerate(ready.axes)]
+    return [(a, drive.zero) for a, drive in drives if drive is not None and drive.zero is not None]
 
 
 def course_values(
@@ -140,20 +141,28 @@ def course_values(
         values["asked_positioning_error"] = np.stack(own, axis=1)
         driven, stations = _drive_values(ready, track.drive, probes[:, 0])
         values, coords = values | driven, coords | stations
-    turned = slice(count, 2 * count)
     if ready.turned:
+        turned = slice(count, 2 * count)
         values["rotation"] = track.displacement[:, turned]
         values["asked_rotation"] = np.stack(_by_axis(ready, probes[..., turned]), axis=1)
     at = _surveyed(ready, track)
     if at.size:
-        points = np.broadcast_to(ready.volume.places, (at.size, *ready.volume.places.shape))
-        amiss = _errors(ready, track.drive[at], points, there.volume) - zeros[at]
-        values["volume_position"] = ready.volume.places
-        values["volume_displacement"] = there.volume[..., :count] + amiss @ carried
-        if ready.turned:
-            values["volume_rotation"] = there.volume[..., turned]
+        values |= _volume_values(ready, track.drive[at], zeros[at], there.volume)
         coords["survey"] = times[at]
     return values, coords
+
+
+def _volume_values(ready: MovingSetup, states: Array, zeros: Array, probes: Array) -> Values:
+    """Variables at the points of the volume (v, a), by probes (t, v, p) in states (t, d)."""
+    count, places = len(DIRECTIONS), ready.volume.places
+    at = np.broadcast_to(places, (len(states), *places.shape))
+    errors = _errors(ready, states, at, probes) - zeros
+    carried = np.array([axis.carried for axis in ready.axes])
+    values = {
+        "volume_position": places,
+        "volume_displacement": probes[..., :count] + errors @ carried,
+    }
+    return values | ({"volume_rotation": probes[..., count : 2 * count]} if ready.turned else {})
 
 
 def _by_axis(ready: MovingSetup, values: Array) -> list[Array]:
@@ -185,15 +194,9 @@ def _errors(ready: MovingSetup, states: Array, places: Array, probes: Array) -> 
 
 def _zeros(ready: MovingSetup, errors: Array) -> Array:
     """Errors (n, 1, a) of each axis where its drive is set right, of those (n, 1 + c, a) there."""
-    zeros = np.zeros((len(errors), 1, len(ready.axes)))
-    set_right = [
-        a
-        for a, axis in enumerate(ready.axes)
-        if axis.drive is not None and axis.drive.zero is not None
-    ]
-    first = errors.shape[1] - len(set_right)
-    for k, a in enumerate(set_right):
-        zeros[:, 0, a] = errors[:, first + k, a]
+    zeros, there = np.zeros((len(errors), 1, len(ready.axes))), _set_right(ready)
+    for k, (a, _) in enumerate(there, errors.shape[1] - len(there)):
+        zeros[:, 0, a] = errors[:, k, a]
     return zeros
 
 

@@ -20,6 +20,8 @@ from meshes.milling_machine import box_milling_machine
 from meshes.pairing import pair_joint
 from meshes.polygons import anticlockwise, clip, quadrature, signed_area
 from meshes.structure import Structure
+from meshes.three_axes import three_axis_machine
+from meshes.travel import shifted
 from thermojoint.artefacts.errors import InputError
 
 
@@ -189,6 +191,16 @@ def test_only_the_overlap_of_the_sides_is_joint():
     points[1, np.unique(bars.mesh.t[:, bars.bodies["right"]])] += WIDTH / 4
     joint = pair_joint(replace(bars, mesh=type(bars.mesh)(points, bars.mesh.t)), "joint", 4, 1)
     assert joint.area == pytest.approx(np.full(4, 0.75 * AREA / 4))
+
+
+def test_the_long_side_of_a_square_is_the_same_wherever_it_lies():
+    machine = replace(
+        three_axis_machine(0.1), joints={"foot": ("column_foot", "bed_top")}, probes={}
+    )
+    for way in np.linspace(-0.3, 0.3, 13):
+        there = shifted(machine, ["column", "ram"], np.array([way, 0.0, 0.0]))
+        along = pair_joint(there, "foot", 2, 2).tangents[:, 0]
+        assert np.allclose(np.abs(along), [0.0, 0.0, 1.0])
 
 
 def test_the_grid_spans_what_the_sides_share_whichever_is_longer():
