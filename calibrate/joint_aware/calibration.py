@@ -169,7 +169,7 @@ def machine_of(case: Case, sensors: Sequence[str]) -> ReducedMachine:
     (first,) = place_of(ready.axes, 0.0)
     moving = MovingAxis(moved.name, moved.asked, moved.reference)
     machine = reduce_machine(
-        case, ready.setup, sensors, Guide(moving, ready.moving.guideway, first)
+        case, ready.setup, sensors, Guide(moving, ready.moving.guideway.whole(), first)
     )
     # Without those of a rotation.
     return machine.with_probes(range(len(machine.axes)))

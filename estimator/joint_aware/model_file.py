@@ -25,6 +25,7 @@ from estimator.joint_aware.observer_model import (
     Kind,
     ObserverModel,
 )
+from fesim.axes.condensation import WholeCondensations
 from fesim.axes.guideway import GuideStations, Guideway
 from fesim.case.joint_sections import JointSection
 from fesim.joint.conductance import ConductanceTable
@@ -170,7 +171,7 @@ def _arrays(model: ObserverModel) -> dict[str, Array]:
         arrays |= {f"way/{name}": getattr(way, name) for name in _WAY}
         arrays |= {f"way/{name}": getattr(way.stations, name)[0] for name in _STATIONS}
         for name in _ELASTIC:
-            every = [getattr(elastic, name) for elastic in way.elastic.values()]
+            every = [getattr(elastic, name) for _, elastic in way.elastic.items()]
             arrays[f"way/elastic/{name}"] = np.array(every)
         arrays["stroke/asked"] = model.moving_axis.asked
     for k, joint in enumerate(model.joints):
@@ -268,8 +269,8 @@ def _way(arrays: Mapping[str, Array]) -> Guideway:
     return Guideway(
         **{name: arrays[f"way/{name}"] for name in _WAY},
         stations=GuideStations((arrays["way/positions"],), (arrays["way/place"].astype(np.int64),)),
-        elastic={
-            (k,): ElasticCondensation(**{name: array[k] for name, array in every.items()})
+        elastic=WholeCondensations(
+            ((k,), ElasticCondensation(**{name: array[k] for name, array in every.items()}))
             for k in range(len(arrays["way/positions"]))
-        },
+        ),
     )

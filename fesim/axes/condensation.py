@@ -9,13 +9,13 @@ Between aligned positions the tied matrices are interpolated (`fesim.axes.guidew
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from functools import lru_cache, partial
 from itertools import product
+from typing import Protocol
 
 import numpy as np
-from scipy.sparse import csr_array, vstack
+from scipy.sparse import block_diag, csr_array, eye_array, vstack
 
 from fesim.axes.operators import GuidedOperators, coupled, untied_springs
 from fesim.solid.condensation import ElasticCondensation, elastic_condensation
@@ -28,8 +28,39 @@ Corner = tuple[int, ...]
 KEPT_NUMBERS, KEPT = 100_000_000, 64
 
 
-class TiedCondensations(Mapping[Corner, ElasticCondensation]):
-    """The condensation at every combination of aligned positions, tied when it is first wanted.
+class Condensations(Protocol):
+    """Condensations where all axes are aligned, on what is `felt` there of the temperatures."""
+
+    def __getitem__(self, corner: Corner, /) -> ElasticCondensation:
+        """Return the condensation at aligned positions."""
+
+    def items(self) -> Iterable[tuple[Corner, ElasticCondensation]]:
+        """Return all of them."""
+
+    def alone(self, temperatures: Array, /) -> Array:
+        """Return what temperatures (r, ...) do before anything is tied."""
+
+    def felt(self, corner: Corner, alone: Array, /) -> Array:
+        """Return the part of what is `alone` that counts at aligned positions."""
+
+
+class WholeCondensations(dict[Corner, ElasticCondensation]):
+    """Condensations on the temperatures themselves."""
+
+    def alone(self, temperatures: Array, /) -> Array:
+        """Return the temperatures."""
+        return temperatures
+
+    def felt(self, corner: Corner, alone: Array, /) -> Array:
+        """Return the temperatures."""
+        return alone
+
+
+class TiedCondensations:
+    """Condensations that are tied when they are first wanted.
+
+    They are small, because each is on its own rows and the probes as the temperatures displace them
+    untied, not on the temperatures.
 
     Parameters
     ----------
@@ -44,19 +75,38 @@ class TiedCondensations(Mapping[Corner, ElasticCondensation]):
     def __init__(
         self, apart: UntiedCondensation, operators: GuidedOperators, reference: Array
     ) -> None:
-        each = reference.size * (reference.size + apart.thermal.shape[1])
-        tie = partial(condense_aligned, apart, operators, reference)
-        self._tied = lru_cache(maxsize=max(KEPT, KEPT_NUMBERS // each))(tie)
-        self._counts = tuple(map(len, operators.place))
+        self._apart, self._place = apart, operators.place
+        ties = reference.size + apart.springs.size - untied_springs(operators).size
+        probes = len(apart.compliance) - apart.springs.size
+        each = (reference.size + probes) * (reference.size + ties + probes)
+        kept = max(KEPT, KEPT_NUMBERS // each)
+        self._own = lru_cache(maxsize=kept)(partial(_own_rows, operators, apart))
+        self._tied = lru_cache(maxsize=kept)(
+            lambda corner: condense_aligned(apart, self._own(corner), operators, reference)
+        )
 
-    def __getitem__(self, corner: Corner) -> ElasticCondensation:
+    def __getitem__(self, corner: Corner, /) -> ElasticCondensation:
         return self._tied(corner)
 
-    def __iter__(self) -> Iterator[Corner]:
-        return product(*map(range, self._counts))
+    def items(self) -> Iterator[tuple[Corner, ElasticCondensation]]:
+        """Yield all condensations; each is tied if it has not been."""
+        corners = product(*(range(len(place)) for place in self._place))
+        return ((corner, self[corner]) for corner in corners)
 
-    def __len__(self) -> int:
-        return math.prod(self._counts)
+    def alone(self, temperatures: Array, /) -> Array:
+        """Return displacements of all rows, pads, stations, anchors and probes, untied."""
+        return np.asarray(self._apart.thermal @ temperatures)
+
+    def felt(self, corner: Corner, alone: Array, /) -> Array:
+        """Return the displacements of the ties at aligned positions and of the probes."""
+        return np.asarray(self._own(corner) @ alone)
+
+
+def _own_rows(operators: GuidedOperators, apart: UntiedCondensation, corner: Corner) -> csr_array:
+    """Ties where all axes are aligned, then probes, on the rows condensed apart."""
+    springs = apart.springs.size
+    ties = coupled(operators, corner, springs - untied_springs(operators).size)
+    return csr_array(block_diag([ties, eye_array(len(apart.compliance) - springs)], format="csr"))
 
 
 def condense_apart(
@@ -80,36 +130,35 @@ def condense_apart(
 
 
 def condense_aligned(
-    apart: UntiedCondensation, operators: GuidedOperators, reference: Array, corner: Corner
+    apart: UntiedCondensation, own: csr_array, operators: GuidedOperators, reference: Array
 ) -> ElasticCondensation:
-    """Return the condensation where all axes are aligned.
+    """Return the condensation where all axes are aligned, on what ties and probes do untied.
 
     Parameters
     ----------
     apart : UntiedCondensation
-        By `condense_apart`; its temperatures may be the amplitudes of modes.
+        By `condense_apart`.
+    own : scipy.sparse.csr_array, shape (q + p, rows + p)
+        The q ties there, and the p probes, on the rows condensed apart and the probes.
     operators : GuidedOperators
         Pads and stations.
     reference : ndarray, shape (3 m,)
         Stiffness of the reference springs, Pa/m.
-    corner : tuple of int
-        Which aligned position of each axis.
 
     Raises
     ------
     InputError
         Neither supports nor joints constrain the structure there.
     """
+    springs = apart.springs
+    ties = own[: own.shape[0] - len(apart.compliance) + springs.size, : springs.size]
     area = np.tile(operators.pads.area, 3)
     free = untied_springs(operators).size
-    ties = coupled(operators, corner, apart.springs.size - free)
-    within = apart.springs.size
-    probed = apart.compliance[within:] @ ties.T
     condensed = tied(
         UntiedCondensation(
-            np.concatenate([area * reference, apart.springs[free:]]),
-            np.vstack([ties @ (ties @ apart.compliance[:within].T).T, probed]),
-            np.vstack([ties @ apart.thermal[:within], apart.thermal[within:]]),
+            np.concatenate([area * reference, springs[free:]]),
+            np.asarray(own @ (ties @ apart.compliance.T).T),
+            np.eye(own.shape[0]),
         )
     )
     return elastic_condensation(condensed, operators.pads, reference)

@@ -20,7 +20,6 @@ from fesim.axes.positioning import (
     station_positions,
 )
 from fesim.axes.setup import MovingSetup
-from fesim.march.machine import Step
 from fesim.march.track import Track
 from fesim.solid.elasticity import DIRECTIONS
 from thermojoint.artefacts.arrays import Array
@@ -49,17 +48,13 @@ def mapped(ready: MovingSetup, track: Track) -> Mapped:
     steps = [track.step(at) for at in range(len(track))]
     stands = [_stands(ready, step.state.index) for step in steps]
     asked = [
-        _there(ready, step, elsewhere(ready, at)) for step, at in zip(steps, stands, strict=True)
+        displaced_at(ready.moving, step, elsewhere(ready, at))
+        for step, at in zip(steps, stands, strict=True)
     ]
     points, surveyed = _points(ready), _surveyed(ready, track)
-    volume = [_there(ready, steps[at], points) for at in surveyed]
+    volume = [displaced_at(ready.moving, steps[at], points) for at in surveyed]
     shape = (surveyed.size, len(points), track.displacement.shape[1])
     return Mapped(np.array(asked), np.reshape(volume, shape))
-
-
-def _there(ready: MovingSetup, step: Step, places: Sequence[Place]) -> Array:
-    """Displacement probes (c, p) at some positions."""
-    return np.array([displaced_at(ready.moving, step, at) for at in places])
 
 
 def _stands(ready: MovingSetup, index: int) -> Place:

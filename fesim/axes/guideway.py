@@ -8,7 +8,7 @@ stations that it passes, each for its share of the time (docs/moving-axes.md).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import product
@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fesim.axes.condensation import Corner
+from fesim.axes.condensation import Condensations, Corner, WholeCondensations
 from fesim.axes.occupation import Shares, even, weights_at
 from fesim.march.passing import Touches
 from fesim.solid.condensation import ElasticCondensation
@@ -140,7 +140,7 @@ class Guideway:
     ----------
     stations : GuideStations
         What the contact elements cover.
-    elastic : mapping of tuple of int to ElasticCondensation
+    elastic : Condensations
         Where all axes are aligned, by which position of each axis.
     temperature : ndarray, shape (m + n, r)
         Mean temperature of each contact element without its station, K, then of each station. Of
@@ -152,7 +152,7 @@ class Guideway:
     """
 
     stations: GuideStations
-    elastic: Mapping[Corner, ElasticCondensation]
+    elastic: Condensations
     temperature: Array
     means: Array
     running: Array
@@ -162,35 +162,48 @@ class Guideway:
         """The elastic condensation at the first aligned position of every axis."""
         return self.elastic[(0,) * len(self.stations.positions)]
 
+    def whole(self) -> Guideway:
+        """Return it with every condensation on the temperatures, as estimators have it."""
+        alone = self.elastic.alone(np.eye(self.temperature.shape[1]))
+        return replace(
+            self,
+            elastic=WholeCondensations(
+                (corner, _on(of, self.elastic.felt(corner, alone)))
+                for corner, of in self.elastic.items()
+            ),
+        )
+
     def elastic_at(self, at: Place) -> ElasticCondensation:
-        """Return the elastic condensation at positions, m."""
+        """Return the elastic condensation at positions, m, of a guideway that is `whole`."""
         names = ("compliance", "thermal_gap", "probe_compliance", "probe_thermal")
         mixed = {name: self._mixed(name, at) for name in names}
         return replace(self.first, **mixed)
 
-    def free_at(self, at: Place, temperatures: Array) -> Array:
+    def free_at(self, at: Place, alone: Array) -> Array:
         """Return gaps without contact (3 m,), then displacements (p,), m, at positions, m.
 
         Parameters
         ----------
         at : tuple of float
             m.
-        temperatures : ndarray, shape (r,)
-            As the guideway's.
+        alone : ndarray
+            What the temperatures do untied, by `elastic.alone`.
         """
-        touched = [(weight, self.elastic[corner]) for corner, weight in self.stations.corners(at)]
+        touched = [
+            (weight, self.elastic[corner], self.elastic.felt(corner, alone))
+            for corner, weight in self.stations.corners(at)
+        ]
         return np.concatenate(
             [
-                sum(weight * (of.thermal_gap @ temperatures) for weight, of in touched),
-                sum(weight * (of.probe_thermal @ temperatures) for weight, of in touched),
+                sum(weight * (of.thermal_gap @ felt) for weight, of, felt in touched),
+                sum(weight * (of.probe_thermal @ felt) for weight, of, felt in touched),
             ]
         )
 
     def contact_at(self, at: Place) -> ElasticCondensation:
         """Return the elastic condensation at positions, m, on what is free there (`free_at`)."""
-        first = self.first
-        gaps, probes = first.reference.size, len(first.probe_compliance)
-        every = np.eye(gaps + probes)
+        first, every = self.first, self._every
+        gaps = first.reference.size
         return replace(
             first,
             compliance=self._mixed("compliance", at),
@@ -198,6 +211,11 @@ class Guideway:
             probe_compliance=self._mixed("probe_compliance", at),
             probe_thermal=every[gaps:],
         )
+
+    @cached_property
+    def _every(self) -> Array:
+        """Gaps, then displacements, of themselves."""
+        return np.eye(self.first.reference.size + len(self.first.probe_compliance))
 
     def _mixed(self, name: str, at: Place) -> Array:
         """A matrix of the condensation, interpolated linearly along each axis."""
@@ -230,13 +248,22 @@ class Guideway:
         rows: Callable[[Array], Array],
         elastic: Callable[[ElasticCondensation], ElasticCondensation],
     ) -> Guideway:
-        """Return it with changed rows (..., r) of temperatures, and changed elasticity."""
+        """Return a whole one with changed rows (..., r) of temperatures, and changed elasticity."""
         return replace(
             self,
-            elastic={corner: elastic(of) for corner, of in self.elastic.items()},
+            elastic=WholeCondensations((at, elastic(of)) for at, of in self.elastic.items()),
             temperature=rows(self.temperature),
             means=rows(self.means),
         )
+
+
+def _on(elastic: ElasticCondensation, temperatures: Array) -> ElasticCondensation:
+    """A condensation on temperatures (r,), given what each of them does to its own (q, r)."""
+    return replace(
+        elastic,
+        thermal_gap=elastic.thermal_gap @ temperatures,
+        probe_thermal=elastic.probe_thermal @ temperatures,
+    )
 
 
 def sides(coefficients: Array, temperature: Array, means: Array) -> tuple[Array, Array]:

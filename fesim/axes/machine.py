@@ -18,11 +18,23 @@ from fesim.axes.occupation import Shares, even
 from fesim.march.contact import ContactProblem
 from fesim.march.machine import CondensedMachine
 from fesim.march.passing import Passing, Rows
-from fesim.solid.condensation import ElasticCondensation, ThermalCondensation
+from fesim.solid.condensation import ThermalCondensation
 from thermojoint.artefacts.arrays import Array
 
-#: Machines and joints at positions asked for that are kept ready.
-KEPT = 128
+#: Machines and joints at positions asked for that are kept ready, and numbers in their compliances.
+KEPT, KEPT_NUMBERS = 128, 20_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class FreeGrowth:
+    """What temperatures do where axes stand, if nothing touches."""
+
+    guideway: Guideway
+    at: Place
+
+    def strained(self, temperature: Array) -> Array:
+        """Return `Guideway.free_at`, on which the joints there are (`MovingMachine.settling`)."""
+        return self.guideway.free_at(self.at, self.guideway.elastic.alone(temperature))
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +44,8 @@ class MovingMachine:
     Attributes
     ----------
     machine : CondensedMachine
-        At the first aligned positions. Its last thermal inputs are the heat of running friction of
-        each axis, W.
+        At the first aligned positions, on what its joints feel there. Its last thermal inputs are
+        the heat of running friction of each axis, W.
     guideway : Guideway
         What its pads ride along.
     rows : Rows
@@ -52,8 +64,9 @@ class MovingMachine:
 
     def __post_init__(self) -> None:
         """Keep machines at some positions ready."""
+        kept = max(2, min(KEPT, KEPT_NUMBERS // (1 + self.guideway.first.compliance.size)))
         for name, made in (("_standing", self._made), ("_settling", self._joined)):
-            object.__setattr__(self, name, lru_cache(maxsize=KEPT)(made))
+            object.__setattr__(self, name, lru_cache(maxsize=kept)(made))
 
     @property
     def axes(self) -> int:
@@ -76,10 +89,8 @@ class MovingMachine:
         return contact
 
     def _joined(self, at: Place) -> ContactProblem:
-        return self._contact(self.guideway.contact_at(at))
-
-    def _contact(self, elastic: ElasticCondensation) -> ContactProblem:
         contact = self.machine.contact
+        elastic = self.guideway.contact_at(at)
         return ContactProblem(elastic, contact.laws, constraints=contact.constraints)
 
     def moving(self, shares: Sequence[Shares], at: Place, heat: Array) -> CondensedMachine:
@@ -98,7 +109,8 @@ class MovingMachine:
         return replace(
             self.machine,
             thermal=self._thermal([of_axis.mean for of_axis in shares], heat),
-            contact=self._contact(self.guideway.elastic_at(at)),
+            contact=self.settling(at),
+            growth=FreeGrowth(self.guideway, at),
             passing=Passing(self.rows, self.guideway.stations.touches(shares)),
         )
 

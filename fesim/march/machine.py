@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -15,9 +15,15 @@ if TYPE_CHECKING:
     from fesim.march.passing import Passing
     from fesim.march.start_field import StartField
     from fesim.solid.friction_heat import FrictionHeat
-    from fesim.solid.temperature_factor import ThermalGrowth
     from fesim.solid.variable_heat import VariableHeat
     from fesim.solid.variable_stiffness import VariableStiffness
+
+
+class Straining(Protocol):
+    """What temperatures do to bodies."""
+
+    def strained(self, temperature: Array) -> Array:
+        """Return what the condensed elasticity takes of temperatures (n,)."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +67,9 @@ class CondensedMachine:
         Temperatures at time zero; default the ambient's.
     variable : VariableHeat, optional
         Temperature-dependent part of conduction, convection and radiation; full model only.
-    growth : ThermalGrowth, optional
-        Temperature-dependent expansion of the bodies; full model only.
+    growth : Straining, optional
+        Temperature-dependent expansion of the bodies, full model only; or what they do where axes
+        stand.
     friction : FrictionHeat, optional
         Heat of friction of the joints; default none.
     passing : Passing, optional
@@ -76,7 +83,7 @@ class CondensedMachine:
     assembly: Assembly | None = None
     start: StartField | None = None
     variable: VariableHeat | None = None
-    growth: ThermalGrowth | None = None
+    growth: Straining | None = None
     friction: FrictionHeat | None = None
     passing: Passing | None = None
     stiffness: VariableStiffness | None = None

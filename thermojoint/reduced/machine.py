@@ -405,7 +405,7 @@ def reduce_machine(
         mean=np.asarray(ready.thermal.mean),
         sensors=np.array([rows[name] for name in sensors]).reshape(-1, basis.shape[1]),
         start=_start(case, ready),
-        elastic=loose.contact.elastic,
+        elastic=loose.contact.elastic if guide is None else guide.way.elastic_at((guide.first,)),
         joints=joints,
         sensor_names=tuple(sensors),
         axes=DIRECTIONS,
