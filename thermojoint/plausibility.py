@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fesim.case.axis_section import seats_of
 from fesim.case.history import read_samples
 from fesim.case.schema import Case
 from fesim.case.thermal_sections import SampledInput
@@ -241,7 +242,7 @@ def of_case(case: Case, where: str) -> list[str]:
 
 
 def of_cases(cases: Iterable[Case], where: str) -> list[str]:
-    """Return the warnings for several cases, one for each key and each history."""
+    """Return the warnings for several cases, one for each key, history and axis adrift."""
     warnings: dict[str, list[str]] = {}
     histories: dict[tuple[Path, str, Quantity], None] = {}
     for case in cases:
@@ -250,10 +251,27 @@ def of_cases(cases: Iterable[Case], where: str) -> list[str]:
             for place, value in _values(data, pattern.split(".")):
                 if lines := implausible(f"{where}: {place}", value, quantity):
                     warnings.setdefault(place, lines)
+        for name in _adrift(case):
+            warnings.setdefault(
+                f"axes.{name}",
+                [
+                    f"{where}: axes.{name}: another axis carries it, but its drive has no seat, so "
+                    "it does not follow the growth of what carries it; name a probe there as the "
+                    "seat of its ball_screw or scale"
+                ],
+            )
         histories |= dict.fromkeys(_histories(case))
     return [line for lines in warnings.values() for line in lines] + [
         line for history in histories for line in of_history(*history)
     ]
+
+
+def _adrift(case: Case) -> Iterator[str]:
+    """Axes that others carry, whose drives stand nowhere."""
+    for name, axis in case.axes.items():
+        carried = any(set(axis.bodies) < set(other.bodies) for other in case.axes.values())
+        if carried and not any(seats_of(axis)):
+            yield name
 
 
 def _values(data: Any, pattern: Sequence[str]) -> Iterator[tuple[str, float]]:  # noqa: ANN401

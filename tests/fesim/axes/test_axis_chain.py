@@ -18,6 +18,7 @@ from fesim.simulate import simulate
 from meshes.exchange import read_structure
 from meshes.three_axes import three_axis_machine
 from thermojoint.artefacts.errors import InputError
+from thermojoint.plausibility import of_case
 from thermojoint.verification.axis_chain import chain_data, on_axes
 
 PATH = Path(str(files("thermojoint").joinpath("cases/three_axes.toml")))
@@ -228,6 +229,14 @@ def test_what_does_not_fit_together_is_refused_in_one_line(folder):
     assert "z = 300 mm is outside axes.z.stroke_mm" in refused(folder, at, volume=far)
     late = {"points_mm": [point | {"z": 0.0}], "at_s": [1e4]}
     assert "after the end" in refused(folder, at, volume=late)
+
+
+def test_a_carried_axis_without_a_seat_is_warned_of(folder):
+    (line,) = of_case(chain(folder), "chain.toml")
+    assert line.startswith("chain.toml: axes.y: another axis carries it")
+    scale = {"y": {"scale": {"expansion_1_K": 8e-6, "fixed_mm": 0.0, "seat": "guide"}}}
+    assert of_case(chain(folder, changes=scale), "chain.toml") == []
+    assert of_case(read_case(PATH), "three_axes.toml") == []
 
 
 def test_a_joint_aware_model_of_a_chain_is_refused_in_one_line(folder):
