@@ -279,7 +279,7 @@ def test_every_value_of_a_case_is_known_to_one_of_the_two_lists(data):
     above = {path.rsplit(".", n)[0] for path in [*CONDENSED, *NOT_CONDENSED] for n in range(5)}
     sections = {path.split(".")[0] for path in known_paths(made(data, {}))}
     joint = {p for p in known_paths(made(data, {})) if p.startswith("joints.knee.")}
-    assert sections - {p.split(".")[0] for p in above} == {"ambient", "axes"}
+    assert sections - {p.split(".")[0] for p in above} == {"ambient", "axes", "volume"}
     pair = {"joints.knee.side_b"}
     assert {p for p in joint if p.count(".") == 2} <= above | pair | OF_OPEN_JOINTS | OF_AXES
 
