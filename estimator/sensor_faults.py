@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fesim.jit import compiled
+from fesim.jit import compiled, compiled_part
 from thermojoint.artefacts.arrays import Array, Flags
 
 #: From the innovations (n,), K, and the indices of the channels that count: the part that no
@@ -277,7 +277,7 @@ def certainly_alike(innovation: Array, rules: Thresholds) -> bool:
     return math.sqrt(np.dot(innovation, innovation)) <= rules.gate * rules.model_error
 
 
-@compiled
+@compiled_part
 def _stuck(watch: Watch, channel: int, sample: Sample, noise: float, rules: Thresholds) -> bool:
     """Whether a channel repeats its last value although it should not."""
     repeats, finest = watch.repeats[channel], watch.finest[channel]
@@ -290,7 +290,7 @@ def _stuck(watch: Watch, channel: int, sample: Sample, noise: float, rules: Thre
     return abs(sample.predicted[channel] - watch.expected[channel]) > rules.steps * step
 
 
-@compiled
+@compiled_part
 def _silent(watch: Watch, channel: int, thermometers: int, rules: Thresholds) -> bool:
     """Whether a channel has never changed although others have noise."""
     if channel >= thermometers or watch.finest[channel] >= 0.0:

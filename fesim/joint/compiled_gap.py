@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fesim.jit import compiled
+from fesim.jit import compiled, compiled_part
 from fesim.joint.gap import (
     MAX_FULL_STEPS,
     MAX_ITERATIONS,
@@ -174,7 +174,7 @@ def trial_at(gap: Array) -> Trial:
     return Trial(np.array(gap), np.empty((3, count)), np.empty((2, count)), np.empty((6, count)))
 
 
-@compiled
+@compiled_part
 def _pressure(law: Array, opening: float) -> tuple[float, float]:
     """Pressure (Pa) and its slope (Pa/m), as `SurfaceNormalLaw` and `BackBurdekinLaw` say."""
     if law[_KIND] == _SURFACE:
@@ -221,7 +221,7 @@ def evaluate_in_place(laws: Array, slip: Array, trial: Trial) -> None:
         tangent[ACROSS, e] = -stiffness * ratio * (1.0 - across * across)
 
 
-@compiled
+@compiled_part
 def _residual(
     kernel: GapKernel, free_gap: Array, trial: Trial, remainder: Array, residual: Array
 ) -> None:
@@ -238,7 +238,7 @@ def _residual(
             residual[at] = gap[i, e] - free_gap[at] - residual[at]
 
 
-@compiled
+@compiled_part
 def lacking_rows(springs: Array, tangent: Array, rows: NDArray[np.int64]) -> int:
     """Put the nonzero rows of dT into `rows` (3 m,); return their number.
 
@@ -259,7 +259,7 @@ def lacking_rows(springs: Array, tangent: Array, rows: NDArray[np.int64]) -> int
     return size
 
 
-@compiled
+@compiled_part
 def lacking(springs: Array, tangent: Array, row: int) -> tuple[float, float, float]:
     """The entries of a row of dT: of the opening and both tangents of its contact element."""
     count = tangent.shape[1]
@@ -271,7 +271,7 @@ def lacking(springs: Array, tangent: Array, row: int) -> tuple[float, float, flo
     return tangent[SECOND, e], tangent[CROSS, e], tangent[ACROSS, e] + springs[2 * count + e]
 
 
-@compiled
+@compiled_part
 def lacking_system(
     springs: Array, compliance: Array, tangent: Array, rows: NDArray[np.int64], matrix: Array
 ) -> None:
@@ -328,7 +328,7 @@ def newton_work(count: int) -> NewtonWork:
     )
 
 
-@compiled
+@compiled_part
 def _newton_step(kernel: GapKernel, tangent: Array, work: NewtonWork) -> None:
     """-J^-1 r into the step.
 
@@ -354,7 +354,7 @@ def _newton_step(kernel: GapKernel, tangent: Array, work: NewtonWork) -> None:
         step[i] += total
 
 
-@compiled
+@compiled_part
 def largest(values: Array) -> float:
     """The largest magnitude; NaN if there is one, so that it does not look like convergence."""
     maximum = 0.0

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fesim.jit import compiled
+from fesim.jit import compiled, compiled_part
 from fesim.joint.blocks import Block, Blocks
 from fesim.joint.compiled_gap import lacking, lacking_rows, lacking_system
 from fesim.joint.in_place import fill, put
@@ -259,7 +259,7 @@ def freeze_tangent(frozen: FrozenTangent, block: Block) -> None:
     frozen.about[FROZEN] += 1
 
 
-@compiled
+@compiled_part
 def add_product(columns: Array, factors: Array, total: Array) -> None:
     """Add the sum of the rows of `columns`, each by its factor, to `total`; factors may be zero.
 
@@ -290,7 +290,7 @@ def add_product(columns: Array, factors: Array, total: Array) -> None:
             total[i] += factor * values[i]
 
 
-@compiled
+@compiled_part
 def _solve_frozen(frozen: FrozenTangent, right_side: Array, solution: Array) -> None:
     """The rows of the inverse times `right_side`, and zero elsewhere, into `solution` (3 m,)."""
     size = frozen.about[ROWS]
@@ -303,7 +303,7 @@ def _solve_frozen(frozen: FrozenTangent, right_side: Array, solution: Array) -> 
         solution[frozen.rows[k]] = solved[k]
 
 
-@compiled
+@compiled_part
 def _changed(
     frozen: FrozenTangent, springs: Array, now: Lacking, changed: NDArray[np.int64]
 ) -> int:
@@ -326,7 +326,7 @@ def _changed(
     return number
 
 
-@compiled
+@compiled_part
 def _keep_columns(
     frozen: FrozenTangent, block: Block, changed: NDArray[np.int64], number: int
 ) -> None:
@@ -374,7 +374,7 @@ def _keep_columns(
             add_product(columns, kept, moved)
 
 
-@compiled
+@compiled_part
 def correct(frozen: FrozenTangent, block: Block, now: Lacking, correction: Correction) -> bool:
     """Newton's step for what is lacking; False: too much changed.
 
@@ -425,7 +425,7 @@ def correct(frozen: FrozenTangent, block: Block, now: Lacking, correction: Corre
     return True
 
 
-@compiled
+@compiled_part
 def _combine(
     frozen: FrozenTangent, changed: NDArray[np.int64], factors: Array, correction: Correction
 ) -> None:

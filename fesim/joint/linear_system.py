@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fesim.jit import compiled
+from fesim.jit import compiled_part
 from thermojoint.artefacts.arrays import Array
 
 
-@compiled
+@compiled_part
 def solve(matrix: Array, right_side: Array) -> NDArray[np.floating]:
     """Solve a system (n, n) for a right side (n,) by LAPACK.
 

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fesim.jit import compiled
+from fesim.jit import compiled, compiled_part
 from fesim.joint.in_place import put
 from fesim.joint.law import ACROSS, ALONG, CROSS, JointLaw, Traction, tangent_matrix
 from fesim.solid.rigid_motions import Constraints, described
@@ -228,7 +228,7 @@ def _as_at_rest(watched: Watched, work: WatchWork, pressure: Array, tangent: Arr
     return held
 
 
-@compiled
+@compiled_part
 def _off_line(table: Array, a: int, b: int, c: int) -> bool:
     """Whether the centre of contact element c is clearly off the line through those of a and b."""
     x, y, z = table[b, 3] - table[a, 3], table[b, 4] - table[a, 4], table[b, 5] - table[a, 5]

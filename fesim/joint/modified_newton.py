@@ -17,7 +17,7 @@ import math
 
 import numpy as np
 
-from fesim.jit import compiled
+from fesim.jit import compiled, compiled_part
 from fesim.joint.blocks import Block, part_of
 from fesim.joint.compiled_gap import GapKernel, Trial, evaluate_in_place, lacking, largest
 from fesim.joint.frozen_tangent import (
@@ -49,7 +49,7 @@ LEFT = 0.01
 _FAILED, _CORRECTED, _MOVED = range(3)
 
 
-@compiled
+@compiled_part
 def _correct_or_move(
     frozen: FrozenTangent,
     block: Block,
@@ -73,7 +73,7 @@ def _correct_or_move(
         move = True
 
 
-@compiled
+@compiled_part
 def _sweep(
     tangents: FrozenTangents,
     columns: Array,
@@ -128,7 +128,7 @@ def _sweep(
     return outcome
 
 
-@compiled
+@compiled_part
 def _lack(springs: Array, trial: Trial, force: Array, lack: Array) -> float:
     """z(g) + k0 g - w into `lack`; return its largest entry in gaps, m."""
     gap, value = trial.gap, trial.value

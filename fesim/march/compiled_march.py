@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fesim.jit import compiled
+from fesim.jit import compiled, compiled_part
 from fesim.joint.frozen_tangent import FrozenTangents, forget, put_tangents
 from fesim.joint.in_place import add, put
 from fesim.joint.loosening import Watched, WatchWork, surely_held
@@ -23,6 +23,7 @@ from fesim.march.compiled_step import (
     JointWork,
     add_loads,
     conduct,
+    displace,
     drive,
     gap_kernel,
     settle_by_newton,
@@ -107,7 +108,7 @@ class Record(NamedTuple):
     iterations: NDArray[np.int64]
 
 
-@compiled
+@compiled_part
 def _settle(joint: JointKernel, kept: Kept, now: JointState) -> tuple[bool, float, int]:
     """By the stored inverse, else by Newton's method: whether solved, residual, iterations."""
     free_gap, trial = kept.work.free_gap, kept.work.trial
@@ -164,11 +165,8 @@ def march_steps(
             return k, SNAPS
         put(amplitudes, now.amplitudes)
         take(joint, kept.work.trial, now.joint, record.remainder[k])
-        displacement = record.displacement[k]
-        np.dot(joint.free, amplitudes, displacement)
-        np.dot(joint.moved, record.remainder[k], kept.work.moved)
-        add(kept.work.moved, displacement)
-        add_loads(joint.loaded, inputs[k, thermal:], displacement)
+        loads, remainder = inputs[k, thermal:], record.remainder[k]
+        displace(joint, kept.work.moved, amplitudes, loads, remainder, record.displacement[k])
         _note(record, k, now, kept, Solved(conducted, flow, residual, iterations))
         tangent = kept.work.trial.tangent
         if not surely_held(machine.watched, kept.check, now.joint.pressure, tangent):
@@ -176,7 +174,7 @@ def march_steps(
     return len(inputs), THROUGH
 
 
-@compiled
+@compiled_part
 def _note(record: Record, k: int, now: Moving, kept: Kept, solved: Solved) -> None:
     """Copy the results of a step into row k of the record."""
     put(now.amplitudes, record.amplitudes[k])

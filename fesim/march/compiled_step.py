@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fesim.jit import compiled
+from fesim.jit import compiled, compiled_part
 from fesim.joint.compiled_gap import (
     GapKernel,
     NewtonWork,
@@ -167,7 +167,7 @@ def joint_work(joint: JointKernel) -> JointWork:
     return JointWork(trial, newton, np.empty(size), np.empty(size), np.empty(axes))
 
 
-@compiled
+@compiled_part
 def drive(heat: HeatStep, amplitudes: Array, inputs: Array) -> None:
     """The amplitudes after a step without joint, in place."""
     for k in range(amplitudes.size):
@@ -177,7 +177,7 @@ def drive(heat: HeatStep, amplitudes: Array, inputs: Array) -> None:
         amplitudes[k] = total
 
 
-@compiled
+@compiled_part
 def conduct(joint: JointKernel, pressure: Array, conducted: Array) -> None:
     """Conductance times area (m,), W/K, at pressures (m,), Pa."""
     for e in range(pressure.size):
@@ -185,7 +185,7 @@ def conduct(joint: JointKernel, pressure: Array, conducted: Array) -> None:
         conducted[e] = factor * (pressure[e] / hardness) ** exponent
 
 
-@compiled
+@compiled_part
 def flow_system(joint_influence: Array, beyond: Array, system: Array) -> None:
     """I + diag(beyond) S into `system` (m, m), the matrix of the joint heat flows."""
     count = beyond.size
@@ -227,7 +227,7 @@ def gap_kernel(joint: JointKernel) -> GapKernel:
     return GapKernel(joint.springs, joint.compliance, joint.laws, joint.tolerance)
 
 
-@compiled
+@compiled_part
 def add_loads(influence: Array, loads: Array, total: Array) -> None:
     """Add what loads (l,) do by their influence (n, l) to a total (n,), in place."""
     for k in range(total.size):
@@ -256,14 +256,30 @@ def settle_step(
     if not solved:
         return 1
     take(joint, work.trial, now, work.remainder)
-    np.dot(joint.free, amplitudes, displacement)
-    np.dot(joint.moved, work.remainder, work.moved)
-    add(work.moved, displacement)
-    add_loads(joint.loaded, loads, displacement)
+    displace(joint, work.moved, amplitudes, loads, work.remainder, displacement)
     return 0
 
 
-@compiled
+@compiled_part
+def displace(
+    joint: JointKernel,
+    moved: Array,
+    amplitudes: Array,
+    loads: Array,
+    remainder: Array,
+    displacement: Array,
+) -> None:
+    """The displacement (axes,) by amplitudes (r,), loads (l,) and z + k g (3 m,), in place.
+
+    `moved` (axes,) is storage.
+    """
+    np.dot(joint.free, amplitudes, displacement)
+    np.dot(joint.moved, remainder, moved)
+    add(moved, displacement)
+    add_loads(joint.loaded, loads, displacement)
+
+
+@compiled_part
 def settle_by_newton(
     joint: JointKernel, free_gap: Array, now: JointState, trial: Trial, work: NewtonWork
 ) -> tuple[bool, float, int]:
@@ -285,7 +301,7 @@ def settle_by_newton(
     return False, np.nan, 0
 
 
-@compiled
+@compiled_part
 def take(joint: JointKernel, trial: Trial, now: JointState, remainder: Array) -> None:
     """Copy a converged trial into the state of the joint, and z + k g into `remainder`."""
     opening, value, gap, change = trial.gap, trial.value, now.gap, now.change

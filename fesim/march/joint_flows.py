@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fesim.jit import compiled
+from fesim.jit import compiled, compiled_part
 from fesim.joint.compiled_gap import largest
 from fesim.march.compiled_step import flow_system
 from thermojoint.artefacts.arrays import Array
@@ -120,7 +120,7 @@ def solve_flows(
             invert(joint_influence, beyond, flows)
 
 
-@compiled
+@compiled_part
 def _improve(equations: Equations, flows: Flows, flow: Array) -> bool:
     """Whether preconditioned GMRES finds the flows within the allowed iterations."""
     driving, lack = equations.driving, flows.krylov.basis[0]
@@ -139,7 +139,7 @@ def _improve(equations: Equations, flows: Flows, flow: Array) -> bool:
     return False
 
 
-@compiled
+@compiled_part
 def _apply(equations: Equations, flow: Array, into: Array) -> None:
     """(I + diag(c) S) j into `into` (m,)."""
     np.dot(equations.joint_influence, flow, into)
@@ -147,7 +147,7 @@ def _apply(equations: Equations, flow: Array, into: Array) -> None:
         into[e] = flow[e] + equations.beyond[e] * into[e]
 
 
-@compiled
+@compiled_part
 def _least(equations: Equations, flows: Flows, enough: float, flow: Array) -> int:
     """Minimise the residual, `basis[0]`; return the number of directions used (GMRES).
 
