@@ -27,11 +27,11 @@ from fesim.case.schema import (
     step_count,
 )
 from fesim.forces import mechanical_values, outputs_of
-from fesim.march.adaptive import Effort, march_adaptively
+from fesim.march.adaptive import march_adaptively
+from fesim.march.adaptive_state import Effort, Passed
 from fesim.march.heat_step import each
 from fesim.march.machine import State, Step
 from fesim.march.settling import at_rest, initial_state
-from fesim.march.state_file import check_resumable
 from fesim.march.step_control import Tolerance
 from fesim.march.stepping import (
     Advance,
@@ -163,8 +163,6 @@ def simulate(
             "start: the state is of a machine with another drive; simulate from the start, or take "
             "the case that it was saved with"
         )
-    if start is not None:
-        check_resumable(case)
     count = step_count(case.march) - first.index
     if count < (1 if start is None else 2):
         raise InputError(
@@ -176,10 +174,10 @@ def simulate(
     if start is None:
         rest = replace(track_of(at_rest(ready.machine, at_zero)), drive=at_first[None])
         parts.append(_kept(given, first.slip, rest))
-    state, done, spent = first, 0, None
+    state, done, passed = first, 0, None
     with one_thread():
-        for track, effort in _marching(case, given, inputs, ends, first):
-            spent = effort
+        for track, adaptive in _marching(case, given, inputs, ends, first):
+            passed = adaptive
             _check_pressures(ready, track)
             # The temperature field is the only large part of a step: store the probes only.
             parts.append(_kept(given, state.slip, track))
@@ -193,9 +191,10 @@ def simulate(
     course = _joined(parts)
     response = _response(case, given, inputs, course)
     known = None
-    if spent is not None:
-        response.attrs |= _spent(spent)
-        known = spent.displacement
+    if passed is not None:
+        response.attrs |= _spent(passed.effort)
+        known = passed.effort.displacement
+        state = replace(state, course=passed.now.packed())
     if accuracy and case.displacement is not None and moving is None:
         taken = course.track.displacement[-count:]
         marched = Marched(case, ready, COUPLINGS[case.march.coupling], start, taken)
@@ -221,8 +220,8 @@ def standing(given: Setup | MovingSetup) -> Setup:
 
 def _marching(
     case: Case, ready: Setup | MovingSetup, inputs: MarchInputs, ends: np.ndarray, first: State
-) -> Iterator[tuple[Track, Effort | None]]:
-    """Yield the march up to the times of a response, and the effort of an adaptive one."""
+) -> Iterator[tuple[Track, Passed | None]]:
+    """Yield the march up to the times of a response; an adaptive one says more of itself."""
     if isinstance(ready, MovingSetup):
         coupling, rows = MOVING_COUPLINGS[case.march.coupling], inputs.at(ends)
         for track in march_moving(ready.moving, ready.axes, rows, coupling, first):

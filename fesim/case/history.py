@@ -69,13 +69,13 @@ class Histories:
     times: Array
     values: Array
 
-    def __call__(self, time: float) -> Array:
-        """Return the values (k,) at a time, s."""
-        at = int(np.searchsorted(self.times, time, side="right")) - 1
-        if at + 1 == len(self.times):
-            return self.values[at]
-        share = (time - self.times[at]) / (self.times[at + 1] - self.times[at])
-        return np.asarray(self.values[at] + share * (self.values[at + 1] - self.values[at]))
+    def __call__(self, time: float | Array) -> Array:
+        """Return the values (k,) at a time, s, or (t, k) at times (t,)."""
+        at = np.searchsorted(self.times, time, side="right") - 1
+        after = np.minimum(at + 1, len(self.times) - 1)
+        span = np.where(after > at, self.times[after] - self.times[at], 1.0)
+        share = ((time - self.times[at]) / span)[..., None]
+        return np.asarray(self.values[at] + share * (self.values[after] - self.values[at]))
 
 
 def common_knots(histories: Sequence[History]) -> Array:

@@ -11,10 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fesim.case.history import Histories
+from fesim.march.adaptive_state import Asked, Now, Passed, Solving, no_effort, unpacked
 from fesim.march.exponential import Ends, ExponentialStep, exponential_step
 from fesim.march.machine import CondensedMachine, State, Step
 from fesim.march.settling import displaced
@@ -36,35 +38,13 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError, ThermojointError
 from thermojoint.artefacts.units import MEGA
 
+if TYPE_CHECKING:
+    from fesim.march.adaptive_kernel import FreeMarch
+
 #: Weights of so many lengths are kept.
 KEPT = 4
 #: Times that differ by less than this part are the same.
 ROUNDING = 1e-12
-
-
-@dataclass(frozen=True)
-class Effort:
-    """Steps of an adaptive march so far, and what they are estimated to be off by.
-
-    Attributes
-    ----------
-    steps, rejected : int
-        Steps that were taken, and tried in vain.
-    shortest, longest : float
-        Of the steps taken, s.
-    sum : StepError
-        Of the estimated errors of all steps: some cancel.
-    displacement, temperature : float
-        Largest magnitudes that this sum has had, m and K.
-    """
-
-    steps: int
-    rejected: int
-    shortest: float
-    longest: float
-    sum: StepError
-    displacement: float
-    temperature: float
 
 
 @dataclass(frozen=True)
@@ -81,41 +61,12 @@ class _March:
         The inputs.
     tolerance : Tolerance
         Of the whole march.
-    end : float
-        Of the march, s.
     """
 
     machine: CondensedMachine
     weights: Callable[[float], ExponentialStep]
     drive: Histories
     tolerance: Tolerance
-    end: float
-
-
-@dataclass(frozen=True)
-class _Now:
-    """The march between two steps.
-
-    Attributes
-    ----------
-    time : float
-        s.
-    state : State
-        Temperatures, and what friction has come to.
-    inputs, flow : ndarray, shapes (k + l,) and (m,)
-        Inputs and joint heat flows, W.
-    slope : ndarray, shape (m,)
-        Change of the flows in the last step, W/s.
-    length : float
-        Of the last step, s; zero if there is none that tells anything of the next.
-    """
-
-    time: float
-    state: State
-    inputs: Array
-    flow: Array
-    slope: Array
-    length: float
 
 
 @dataclass(frozen=True)
@@ -150,8 +101,8 @@ def march_adaptively(
     times: Array,
     tolerance: Tolerance,
     start: State,
-) -> Iterator[tuple[Track, Effort]]:
-    """Yield the machine at given times, some at a time, and the effort so far.
+) -> Iterator[tuple[Track, Passed]]:
+    """Yield the machine at given times, some at a time, and the march after them.
 
     Parameters
     ----------
@@ -162,12 +113,11 @@ def march_adaptively(
     drive : Histories
         Inputs (k + l,) in time, s.
     times : ndarray, shape (n,)
-        Ascending, s, above zero. The last one ends the march. State k of the track has the index of
-        `start` + k + 1.
+        Ascending, s. State k of the tracks has the index of `start` + k + 1.
     tolerance : Tolerance
         For the sum of the errors of all steps.
     start : State
-        At time zero: the march does not go on from a later one.
+        At time zero, or one that keeps the march before these times (`Now.packed`).
 
     Raises
     ------
@@ -177,29 +127,54 @@ def march_adaptively(
         A pressure is beyond the conductance law.
     """
     weights = lru_cache(maxsize=KEPT)(partial(exponential_step, machine, rates))
-    march = _March(machine, weights, drive, tolerance, float(times[-1]))
-    knots = np.append(drive.times[(drive.times > 0.0) & (drive.times < march.end)], march.end)
-    now, pace, effort = _begun(machine, drive, start), Pace(), _no_effort(machine)
-    unreported: list[Step] = []
-    given = 0
+    march = _March(machine, weights, drive, tolerance)
+    knots = np.append(drive.times[drive.times > 0.0], np.inf)
+    fast, usual, given = _compiled(machine, rates), True, 0
+    if start.course.size:
+        axes = len(machine.contact.elastic.probe_thermal)
+        now = unpacked(start, drive.values.shape[1], axes)
+    else:
+        now = _begun(machine, drive, start)
     while given < len(times):
-        knot = float(knots[np.searchsorted(knots, now.time, side="right")])
-        tried, pace, rejected = _accepted(march, now, pace, knot)
-        effort = _added(effort, tried, rejected)
-        length = tried.weights.length
-        end = knot if length == knot - now.time else now.time + length
-        unreported.append(tried.step)
-        due = times[given : np.searchsorted(times, end * (1.0 + ROUNDING), side="right")]
-        if due.size:
-            shares = np.where(due >= end * (1.0 - ROUNDING), 1.0, (due - now.time) / length)
-            steps = [_within(machine, now, tried, float(share)) for share in shares]
-            yield _reported(steps, unreported, start.index + given + 1), effort
-            given += due.size
-            unreported.clear()
-        now = _after(now, tried, end)
+        asked, index = Asked(drive, knots, times[given:], tolerance), start.index + given + 1
+        if fast is None or not usual:
+            (track, passed), usual = _plain_step(march, now, asked, index), True
+        else:
+            track, passed, usual = fast.run(now, asked, index)
+        now = passed.now
+        if track is not None:
+            yield track, passed
+            given += len(track)
 
 
-def _begun(machine: CondensedMachine, drive: Histories, start: State) -> _Now:
+def _compiled(machine: CondensedMachine, rates: Array) -> FreeMarch | None:
+    if not machine.contact.count:
+        return None
+    # Imported here because it loads a compiler, which structures without joints do not need.
+    from fesim.march.adaptive_kernel import free_march
+
+    return free_march(machine, rates)
+
+
+def _plain_step(march: _March, now: Now, asked: Asked, index: int) -> tuple[Track | None, Passed]:
+    """Take a step; the first of the times in it has an index."""
+    knot = float(asked.knots[np.searchsorted(asked.knots, now.time, side="right")])
+    tried, pace, rejected = _accepted(march, now, knot)
+    length, solving = tried.weights.length, now.solving.and_of(tried.step)
+    end = knot if length == knot - now.time else now.time + length
+    due = asked.times[: np.searchsorted(asked.times, end * (1.0 + ROUNDING), side="right")]
+    effort, track = now.effort.with_step(length, tried.error, rejected), None
+    if due.size:
+        shares = np.where(due >= end * (1.0 - ROUNDING), 1.0, (due - now.time) / length)
+        steps = [_within(march.machine, now, tried, float(share)) for share in shares]
+        track, solving = _reported(steps, solving, index), Solving()
+    if due.size == asked.times.size:
+        return track, Passed(effort, now)
+    after = replace(_after(now, tried, end), pace=pace, effort=effort, solving=solving)
+    return track, Passed(effort, after)
+
+
+def _begun(machine: CondensedMachine, drive: Histories, start: State) -> Now:
     """The march at time zero, settled at the held temperatures of the first instant after it."""
     thermal, inputs = machine.thermal, drive(0.0)
     held = thermal.capacity_rate.diagonal() == 0.0
@@ -211,10 +186,11 @@ def _begun(machine: CondensedMachine, drive: Histories, start: State) -> _Now:
     state = replace(state, slip=settled.traction.slip)
     area = machine.contact.elastic.area[: machine.contact.count]
     flow = machine.conductance_in(state) * area * (thermal.jump @ temperature)
-    return _Now(0.0, state, inputs, flow, np.zeros_like(flow), 0.0)
+    none = no_effort(len(machine.contact.elastic.probe_thermal), len(flow))
+    return Now(0.0, state, inputs, flow, np.zeros_like(flow), 0.0, Pace(), none)
 
 
-def _after(now: _Now, tried: _Tried, end: float) -> _Now:
+def _after(now: Now, tried: _Tried, end: float) -> Now:
     """The march after an accepted step."""
     step, length = tried.step, tried.weights.length
     after = replace(now, time=end, state=step.state, inputs=tried.ends.inputs[1])
@@ -227,9 +203,9 @@ def _after(now: _Now, tried: _Tried, end: float) -> _Now:
     return replace(after, slope=(after.flow - now.flow) / length, length=length)
 
 
-def _accepted(march: _March, now: _Now, pace: Pace, knot: float) -> tuple[_Tried, Pace, int]:
+def _accepted(march: _March, now: Now, knot: float) -> tuple[_Tried, Pace, int]:
     """The next step, the pace after it, and how many were tried in vain."""
-    rejected = 0
+    rejected, pace = 0, now.pace
     while True:
         length = until(pace.length, knot - now.time)
         last_chance = length <= SHORTEST
@@ -241,7 +217,7 @@ def _accepted(march: _March, now: _Now, pace: Pace, knot: float) -> tuple[_Tried
                 raise type(error)(f"{where}: {error}") from error
             pace = retreated(pace, length)
         else:
-            share = allowed(length, march.end)
+            share = allowed(length)
             part = tried.error.relative_to(march.tolerance)
             if part <= (1.0 if last_chance else share):
                 return tried, next_pace(pace, length, part / share), rejected
@@ -256,7 +232,7 @@ def _accepted(march: _March, now: _Now, pace: Pace, knot: float) -> tuple[_Tried
         rejected += 1
 
 
-def _tried(march: _March, now: _Now, length: float) -> _Tried:
+def _tried(march: _March, now: Now, length: float) -> _Tried:
     """Compute a step; the state before it is as it was."""
     machine, weights, before = march.machine, march.weights(length), now.state
     inputs = march.drive(now.time + length)
@@ -289,7 +265,7 @@ def _tried(march: _March, now: _Now, length: float) -> _Tried:
     return _Tried(step, weights, ends, bent, error)
 
 
-def _within(machine: CondensedMachine, now: _Now, tried: _Tried, share: float) -> Step:
+def _within(machine: CondensedMachine, now: Now, tried: _Tried, share: float) -> Step:
     """The machine after a share of an accepted step, settled from the slip at its start.
 
     What extrapolation adds to the slip grows with the square of the time.
@@ -335,41 +311,18 @@ def _settled_from(machine: CondensedMachine, step: Step, slip: Array, unknowns: 
     )
 
 
-def _reported(steps: Sequence[Step], unreported: Sequence[Step], index: int) -> Track:
+def _reported(steps: Sequence[Step], solving: Solving, index: int) -> Track:
     """Rows of a response, with what the solvers say of all steps since the row before."""
-    residual = max(step.residual for step in unreported)
-    balance = max((step.heat_balance for step in unreported), key=abs)
     rows = []
     for k, step in enumerate(steps):
         rows.append(
             replace(
                 step,
                 state=replace(step.state, index=index + k),
-                residual=max(step.residual, residual),
-                heat_balance=balance,
-                iterations=0 if k else sum(one.iterations for one in unreported),
-                cuts=0 if k else sum(one.cuts for one in unreported),
+                residual=max(step.residual, solving.residual),
+                heat_balance=solving.heat_balance,
+                iterations=0 if k else solving.iterations,
+                cuts=0 if k else solving.cuts,
             )
         )
     return joined([track_of(row) for row in rows])
-
-
-def _no_effort(machine: CondensedMachine) -> Effort:
-    axes = len(machine.contact.elastic.probe_thermal)
-    none = StepError(np.zeros(axes), np.zeros(2 * machine.contact.count))
-    return Effort(0, 0, np.inf, 0.0, none, 0.0, 0.0)
-
-
-def _added(effort: Effort, tried: _Tried, rejected: int) -> Effort:
-    """The effort with a step more."""
-    length, total = tried.weights.length, effort.sum + tried.error
-    moved, warmed = total.largest()
-    return Effort(
-        steps=effort.steps + 1,
-        rejected=effort.rejected + rejected,
-        shortest=min(effort.shortest, length),
-        longest=max(effort.longest, length),
-        sum=total,
-        displacement=max(effort.displacement, moved),
-        temperature=max(effort.temperature, warmed),
-    )

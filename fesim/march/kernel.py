@@ -22,7 +22,7 @@ from fesim.joint.frozen_tangent import (
     put_tangents,
 )
 from fesim.joint.law import JointLaw, PowerLawConductance
-from fesim.joint.loosening import UNWATCHED, watch_work
+from fesim.joint.loosening import UNWATCHED, Watched, watch_work
 from fesim.march.compiled_march import (
     FROZEN_CONDUCTED,
     FROZEN_TANGENT,
@@ -152,12 +152,17 @@ def step_kernel(machine: CondensedMachine) -> StepKernel | None:
     diagonal = thermal.factor.matrix.diagonal()
     heat = HeatStep(
         decay=thermal.capacity_rate.diagonal() / diagonal,
-        drive=_own(thermal.inputs / diagonal[:, None]),
-        influence=_own(thermal.influence),
-        joint_influence=_own(thermal.joint_influence),
+        drive=owned(thermal.inputs / diagonal[:, None]),
+        influence=owned(thermal.influence),
+        joint_influence=owned(thermal.joint_influence),
     )
-    watched = UNWATCHED if machine.contact.watch is None else machine.contact.watch.watched
+    watched = watched_in(machine.contact)
     return StepKernel(MarchKernel(heat, joint, watched), _blocks(machine.contact, joint))
+
+
+def watched_in(contact: ContactProblem) -> Watched:
+    """Return the data for the detection of loose bodies."""
+    return UNWATCHED if contact.watch is None else contact.watch.watched
 
 
 def joint_kernel(contact: ContactProblem, jump: Array, held: Array) -> JointKernel | None:
@@ -181,20 +186,20 @@ def joint_kernel(contact: ContactProblem, jump: Array, held: Array) -> JointKern
     unloaded = np.zeros((len(problem.springs), 0)), np.zeros((len(elastic.probe_thermal), 0))
     loaded_gap, loaded = unloaded if loads is None else (loads.gap, loads.probes)
     return JointKernel(
-        jump=_own(jump),
-        held=_own(held),
+        jump=owned(jump),
+        held=owned(held),
         conductance=conductance,
-        laws=_own(solver.laws),
-        springs=_own(problem.springs),
-        compliance=_own(problem.compliance),
-        columns=_own(problem.compliance.T),
-        gap=_own(problem.exchange @ elastic.thermal_gap),
-        loaded_gap=_own(problem.exchange @ loaded_gap),
-        preload=_own(contact.preload),
-        reference=_own(elastic.reference),
-        moved=_own(elastic.probe_compliance * elastic.area),
-        free=_own(elastic.probe_thermal),
-        loaded=_own(loaded),
+        laws=owned(solver.laws),
+        springs=owned(problem.springs),
+        compliance=owned(problem.compliance),
+        columns=owned(problem.compliance.T),
+        gap=owned(problem.exchange @ elastic.thermal_gap),
+        loaded_gap=owned(problem.exchange @ loaded_gap),
+        preload=owned(contact.preload),
+        reference=owned(elastic.reference),
+        moved=owned(elastic.probe_compliance * elastic.area),
+        free=owned(elastic.probe_thermal),
+        loaded=owned(loaded),
         tolerance=contact.tolerance,
     )
 
@@ -208,8 +213,8 @@ def _blocks(contact: ContactProblem, joint: JointKernel) -> Blocks:
     return blocks_of(*linear, counts, constraints.share, constraints.supports)
 
 
-def _own(values: Array) -> Array:
-    """A contiguous copy: kernels are compiled for that layout."""
+def owned(values: Array) -> Array:
+    """Return contiguous values, copied where they are not: kernels are compiled for that layout."""
     return np.ascontiguousarray(values, dtype=np.float64)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -139,6 +139,8 @@ class State:
     drive : ndarray, shape (d,)
         Temperatures of the drive of a moving axis above the initial ambient, K
         (`fesim.axes.positioning`); empty without one.
+    course : ndarray, shape (c,)
+        Where an adaptive march goes on (`fesim.march.adaptive_state.Now.packed`); else empty.
     """
 
     index: int
@@ -152,6 +154,7 @@ class State:
     turning: Array
     taken_over: bool
     drive: Array
+    course: Array = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True)

@@ -21,10 +21,20 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import DAMAGED_ARCHIVE, whole_file
 
 SCHEMA = "thermojoint-march-state"
-SCHEMA_VERSION = 7
+SCHEMA_VERSION = 8
 
 _RECORDING = {"title", "heat_input", "displacement", "probes", "candidates", "output", "volume"}
-_ARRAYS = ("temperature", "gap", "slip", "pressure", "change", "frozen", "turning", "drive")
+_ARRAYS = (
+    "temperature",
+    "gap",
+    "slip",
+    "pressure",
+    "change",
+    "frozen",
+    "turning",
+    "drive",
+    "course",
+)
 
 
 def fingerprint(case: Case) -> str:
@@ -44,21 +54,6 @@ def fingerprint(case: Case) -> str:
     # Paths are the only values of a case that JSON does not support.
     text = json.dumps(data, sort_keys=True, default=file_digest)
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def check_resumable(case: Case) -> None:
-    """Refuse a case whose march cannot be resumed.
-
-    Raises
-    ------
-    InputError
-        Its steps are adaptive.
-    """
-    if case.march.method == "adaptive":
-        raise InputError(
-            "march.method: an adaptive march neither saves a state nor goes on from one; simulate "
-            'from the start to the end, or take method = "fixed"'
-        )
 
 
 def save_state(state: State, case: Case, path: Path) -> None:
@@ -112,14 +107,14 @@ def load_state(path: Path, case: Case) -> State:
     model: Any = header.get("model")
     taken_over: Any = header.get("taken_over")
     count = arrays["pressure"].size if "pressure" in arrays else 0
-    shapes = {
+    shapes: dict[str, tuple[int, ...]] = {
         "gap": (3, count),
         "slip": (2, count),
         "change": (3, count),
         "frozen": (7, count),
         "turning": (2, count),
-        "drive": (arrays["drive"].size if "drive" in arrays else 0,),
     }
+    shapes |= {name: (arrays[name].size,) for name in ("drive", "course") if name in arrays}
     usable = (
         arrays.keys() == set(_ARRAYS)
         and isinstance(index, int)

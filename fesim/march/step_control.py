@@ -1,10 +1,13 @@
 """Step lengths from estimated errors: a PI controller (Gustafsson 1991) on a ladder of lengths.
 
-The error allowed in a step is in proportion to its length (error per unit step).
+The error allowed in a step is in proportion to its length (error per unit step), whatever the end
+of the march: a march that is continued goes on as if it had never stopped. Functions of
+numbers alone are compiled as well, by `fesim.march.compiled_adaptive`.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +18,9 @@ from thermojoint.artefacts.arrays import Array
 LONGEST = 3600.0
 OCTAVE, RUNGS = 4, 64
 SHORTEST = LONGEST * 2.0 ** (-RUNGS / OCTAVE)
-#: Errors of steps have either sign and decay: their magnitudes may add up to so many tolerances.
-TOGETHER = 2.0
+#: Errors of steps have either sign and decay: their magnitudes may add up to so many tolerances in
+#: so long a time, s.
+TOGETHER, SPAN = 2.0, 1800.0
 #: A step is wanted in which the error is this part of what is allowed, to the power of a length.
 SAFETY = 0.9
 #: Limits of the change of length from one step to the next.
@@ -92,9 +96,9 @@ class Pace:
     error: float = 1.0
 
 
-def allowed(length: float, end: float) -> float:
-    """Return the part of the tolerance that a step may use of a march that ends at `end` (s)."""
-    return TOGETHER * length / end
+def allowed(length: float) -> float:
+    """Return the part of the tolerance that a step of a length (s) may use."""
+    return TOGETHER * length / SPAN
 
 
 def next_pace(pace: Pace, taken: float, error: float) -> Pace:
@@ -110,17 +114,27 @@ def next_pace(pace: Pace, taken: float, error: float) -> Pace:
         Of the step, of what was allowed in it.
     """
     error = max(error, SMALL)
-    factor = SAFETY * error**-PROPORTIONAL * pace.error**LAST
-    length = taken * float(np.clip(factor, LEAST, MOST))
-    if taken < pace.length:
-        length = max(length, pace.length)
-    return Pace(rung(length), error)
+    return Pace(rung(next_length(pace.length, pace.error, taken, error)), error)
 
 
 def shorter(pace: Pace, taken: float, error: float) -> Pace:
     """Return the pace after a rejected step; arguments as for `next_pace`."""
-    factor = float(np.clip(SAFETY * error**-0.5, LEAST, 2.0**-0.5))
-    return Pace(rung(taken * factor), pace.error)
+    return Pace(rung(shorter_length(taken, error)), pace.error)
+
+
+def next_length(planned: float, last: float, taken: float, error: float) -> float:
+    """Return the length wanted after a step of length `taken` (s) instead of `planned` (s).
+
+    `error` and `last` are the errors of this step and of the one before, of what was allowed.
+    """
+    factor = SAFETY * error**-PROPORTIONAL * last**LAST
+    length = taken * min(max(factor, LEAST), MOST)
+    return max(length, planned) if taken < planned else length
+
+
+def shorter_length(taken: float, error: float) -> float:
+    """Return the length wanted after a step of length `taken` (s) that is rejected."""
+    return taken * min(max(SAFETY * error**-0.5, LEAST), 2.0**-0.5)
 
 
 def retreated(pace: Pace, taken: float) -> Pace:
@@ -130,8 +144,8 @@ def retreated(pace: Pace, taken: float) -> Pace:
 
 def rung(length: float) -> float:
     """Return the longest length of the ladder that is not above `length` (s)."""
-    below = np.ceil(OCTAVE * np.log2(LONGEST / length) - 1e-9)
-    return float(LONGEST * 2.0 ** (-np.clip(below, 0, RUNGS) / OCTAVE))
+    below = math.ceil(OCTAVE * math.log2(LONGEST / length) - 1e-9)
+    return LONGEST * 2.0 ** (-min(max(below, 0), RUNGS) / OCTAVE)
 
 
 def until(length: float, left: float) -> float:

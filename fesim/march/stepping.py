@@ -261,7 +261,7 @@ def iterated_step(
         after = carried.of(step.state)
         misfit = (after - value) / carried.scale
         change = float(np.abs(misfit).max(initial=0.0))
-        enough = PRESSURE_TOLERANCE if sweep < PATIENCE else _left_open(machine)
+        enough = PRESSURE_TOLERANCE if sweep < PATIENCE else left_open(machine)
         # Where the joint snaps, the pressure jumps: it cannot agree with the conductance before.
         if change <= enough or step.cuts > 0:
             return replace(step, iterations=iterations, cuts=cuts)
@@ -311,8 +311,8 @@ def _carried(machine: CondensedMachine, state: State) -> _Carried:
     return _Carried(machine.conductance_in, lambda values: values, scale)
 
 
-def _left_open(machine: CondensedMachine) -> float:
-    """Tolerance of a pressure, relative to the preload: ten times that of the gaps at rest."""
+def left_open(machine: CondensedMachine) -> float:
+    """Return ten times the tolerance of the gaps as one of pressures, relative to the preload."""
     stiffness = machine.contact.gap_problem.springs[: machine.contact.count]
     left = 10.0 * machine.contact.tolerance * stiffness / machine.contact.reference_pressure
     return float(left.max(initial=PRESSURE_TOLERANCE))

@@ -102,7 +102,9 @@ class Track:
 def track_of(step: Step) -> Track:
     """Return a track of one step."""
     own = {name: np.asarray(value)[None] for name, value in vars(step).items() if name != "state"}
-    state = {name: value for name, value in vars(step.state).items() if name != "model"}
+    state = {
+        name: value for name, value in vars(step.state).items() if name not in ("model", "course")
+    }
     return Track(
         **own,
         **{name: np.asarray(value)[None] for name, value in state.items()},

@@ -41,7 +41,7 @@ def simulate(
     """
     from fesim.axes.setup import check_still
     from fesim.case.schema import read_case
-    from fesim.march.state_file import check_resumable, load_state, save_state
+    from fesim.march.state_file import load_state, save_state
     from fesim.simulate import prepared, standing
     from fesim.simulate import simulate as run_case
     from fesim.snapshots import snapshot_writer
@@ -65,8 +65,6 @@ def simulate(
         {"--out": (out, file_kinds.RESPONSE), "--save-state": (save, file_kinds.MARCH_STATE)},
         [case, *files_of(given)],
     )
-    if save or resume:
-        check_resumable(given)
     times = given.output.snapshots_s
     folder = snapshots or (out.with_name(f"{out.stem}-snapshots") if times else None)
     if folder:

@@ -2,6 +2,7 @@
 
 from itertools import pairwise
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from fesim.case.schema import case_from_data
 from fesim.march.adaptive import march_adaptively
 from fesim.march.exponential import phi_functions as real_phi_functions
 from fesim.march.settling import initial_state
-from fesim.march.state_file import check_resumable
+from fesim.march.state_file import load_state, save_state
 from fesim.march.step_control import (
     LONGEST,
     SHORTEST,
@@ -57,7 +58,7 @@ def marched(bars, drive, times, tolerance):
     machine, rates = bars
     start = initial_state(machine, drive(0.0))
     parts = list(march_adaptively(machine, rates, drive, times, tolerance, start))
-    return joined([track for track, _ in parts]), parts[-1][1]
+    return joined([track for track, _ in parts]), parts[-1][1].effort
 
 
 def by_steps_of(bars, length):
@@ -117,7 +118,7 @@ def test_nothing_depends_on_the_times_that_are_asked_for(bars):
 def test_between_its_steps_the_march_is_as_good_as_at_their_ends(bars):
     times = np.linspace(0.0, END, 61)[1:]
     exact = marched(bars, driven(np.arange(0.0, END, 0.5)), times, LOOSE)[0].displacement
-    found, effort = marched(bars, driven(), times, Tolerance(1e-7, 1.0))
+    found, effort = marched(bars, driven(), times, Tolerance(1e-6, 1.0))
     assert effort.longest > 3.0 * times[0]
     assert np.abs(found.displacement - exact).max() < 1e-7
 
@@ -177,9 +178,34 @@ def test_a_case_is_marched_adaptively_and_says_so(adaptive_case):
     assert 1e-9 < off < 1e-6
 
 
-def test_a_state_is_neither_saved_nor_resumed(adaptive_case):
-    with pytest.raises(InputError, match="neither saves a state nor goes on"):
-        check_resumable(adaptive_case)
+def test_a_march_goes_on_from_a_saved_state_to_the_bit(adaptive_case, tmp_path):
+    """Its last step passes the time of the state, and is taken again."""
+    half, longer = (adaptive_case.replace(march={"duration_min": end}) for end in (1.0, 2.0))
+    setup = set_up(adaptive_case)
+    whole = simulate(longer, setup=setup, accuracy=False)
+    first = simulate(half, setup=setup, accuracy=False)
+    save_state(first.state, half, tmp_path / "half.npz")
+    start = load_state(tmp_path / "half.npz", longer)
+    rest = simulate(longer, setup=setup, start=start, accuracy=False)
+    together = whole.response.sel(time=rest.response["time"])
+    for name in ("temperature", "displacement", "slip", "opening", "pressure", "heat_flow"):
+        assert np.array_equal(rest.response[name], together[name])
+    assert rest.response.attrs["march_steps"] == whole.response.attrs["march_steps"]
+    assert np.array_equal(rest.state.course, whole.state.course)
+
+
+def test_both_marches_take_the_same_steps(bars):
+    """Friction turns, rows are asked for within steps, and nothing is left to the plain march."""
+    times, tolerance = np.linspace(0.0, END, 31)[1:], Tolerance(1e-7, 1.0)
+    found, effort = marched(bars, driven(), times, tolerance)
+    with patch("fesim.march.adaptive._compiled", return_value=None):
+        plain, other = marched(bars, driven(), times, tolerance)
+    assert (effort.steps, effort.rejected) == (other.steps, other.rejected)
+    for name in ("displacement", "gap"):
+        np.testing.assert_allclose(getattr(found, name), getattr(plain, name), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.slip, plain.slip, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(found.pressure, plain.pressure, rtol=1e-6)
+    assert found.residual.max() <= bars[0].contact.tolerance
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,196 @@
+"""An adaptive march between two steps."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from fesim.case.history import Histories
+from fesim.march.machine import State, Step
+from fesim.march.step_control import Pace, StepError, Tolerance
+from thermojoint.artefacts.arrays import Array
+
+#: Arrays of a state that belong to the time between two steps; numbers before the arrays.
+OF_STATE = ("temperature", "gap", "slip", "pressure", "change")
+NUMBERS = 14
+
+
+@dataclass(frozen=True)
+class Effort:
+    """Steps of an adaptive march so far, and what they are estimated to be off by.
+
+    Attributes
+    ----------
+    steps, rejected : int
+        Steps that were taken, and tried in vain.
+    shortest, longest : float
+        Of the steps taken, s.
+    sum : StepError
+        Of the estimated errors of all steps: some cancel.
+    displacement, temperature : float
+        Largest magnitudes that this sum has had, m and K.
+    """
+
+    steps: int
+    rejected: int
+    shortest: float
+    longest: float
+    sum: StepError
+    displacement: float
+    temperature: float
+
+    def with_step(self, length: float, error: StepError, rejected: int) -> Effort:
+        """Return the effort with a step more, of a length (s), after some that were rejected."""
+        total = self.sum + error
+        moved, warmed = total.largest()
+        return Effort(
+            steps=self.steps + 1,
+            rejected=self.rejected + rejected,
+            shortest=min(self.shortest, length),
+            longest=max(self.longest, length),
+            sum=total,
+            displacement=max(self.displacement, moved),
+            temperature=max(self.temperature, warmed),
+        )
+
+
+def no_effort(axes: int, count: int) -> Effort:
+    """Return the effort before the first step, for displacement probes and contact elements."""
+    none = StepError(np.zeros(axes), np.zeros(2 * count))
+    return Effort(0, 0, np.inf, 0.0, none, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a march is asked for.
+
+    Attributes
+    ----------
+    drive : Histories
+        Inputs in time, s.
+    knots : ndarray, shape (k,)
+        Ascending, s: where steps end; the last one is infinite.
+    times : ndarray, shape (t,)
+        Of the response, ascending, s.
+    tolerance : Tolerance
+        Of the whole march.
+    """
+
+    drive: Histories
+    knots: Array
+    times: Array
+    tolerance: Tolerance
+
+
+@dataclass(frozen=True)
+class Solving:
+    """What the solvers say of the steps since the last row of a response; fields as in `Step`."""
+
+    residual: float = 0.0
+    heat_balance: float = 0.0
+    iterations: int = 0
+    cuts: int = 0
+
+    def and_of(self, later: Solving | Step) -> Solving:
+        """Return this and that of a later step together."""
+        return Solving(
+            max(self.residual, later.residual),
+            max(self.heat_balance, later.heat_balance, key=abs),
+            self.iterations + later.iterations,
+            self.cuts + later.cuts,
+        )
+
+
+@dataclass(frozen=True)
+class Now:
+    """The march between two steps.
+
+    Attributes
+    ----------
+    time : float
+        s.
+    state : State
+        Temperatures, and what friction has come to.
+    inputs, flow : ndarray, shapes (k + l,) and (m,)
+        Inputs and joint heat flows, W.
+    slope : ndarray, shape (m,)
+        Change of the flows in the last step, W/s.
+    length : float
+        Of the last step, s; zero if there is none that tells anything of the next.
+    pace : Pace
+        Of the next step.
+    effort : Effort
+        So far.
+    solving : Solving
+        Since the last row of the response.
+    """
+
+    time: float
+    state: State
+    inputs: Array
+    flow: Array
+    slope: Array
+    length: float
+    pace: Pace
+    effort: Effort
+    solving: Solving = field(default_factory=Solving)
+
+    def packed(self) -> Array:
+        """Return all of it as one array, as `fesim.march.machine.State` keeps it."""
+        effort, solving, total = self.effort, self.solving, self.effort.sum
+        shortest = effort.shortest if effort.steps else 0.0
+        numbers = [self.time, self.length, self.pace.length, self.pace.error]
+        numbers += [effort.steps, effort.rejected, shortest, effort.longest]
+        numbers += [effort.displacement, effort.temperature]
+        numbers += [solving.residual, solving.heat_balance, solving.iterations, solving.cuts]
+        arrays = [self.inputs, self.flow, self.slope, total.displacement, total.temperature]
+        arrays += [getattr(self.state, name).ravel() for name in OF_STATE]
+        return np.concatenate([np.array(numbers, dtype=np.float64), *arrays])
+
+
+def unpacked(state: State, inputs: int, axes: int) -> Now:
+    """Return the march that a state keeps, with so many inputs and displacement probes."""
+    count, kept = state.pressure.size, state.course
+    numbers, at = kept[:NUMBERS].tolist(), NUMBERS
+    arrays = []
+    shapes = [(inputs,), (count,), (count,), (axes,), (2 * count,)]
+    for shape in [*shapes, *(getattr(state, name).shape for name in OF_STATE)]:
+        size = math.prod(shape)
+        arrays.append(kept[at : at + size].reshape(shape))
+        at += size
+    time, length, planned, error, steps, rejected, shortest, longest, *others = numbers
+    moved, warmed, residual, balance, iterations, cuts = others
+    temperature, gap, slip, pressure, change = arrays[5:]
+    total = StepError(arrays[3], arrays[4])
+    counts = int(steps), int(rejected), shortest if steps else np.inf, longest
+    return Now(
+        time=time,
+        state=replace(
+            state, temperature=temperature, gap=gap, slip=slip, pressure=pressure, change=change
+        ),
+        inputs=arrays[0],
+        flow=arrays[1],
+        slope=arrays[2],
+        length=length,
+        pace=Pace(planned, error),
+        effort=Effort(*counts, total, moved, warmed),
+        solving=Solving(residual, balance, int(iterations), int(cuts)),
+    )
+
+
+class Passed(NamedTuple):
+    """An adaptive march that has passed some times.
+
+    Attributes
+    ----------
+    effort : Effort
+        Up to the end of the last step.
+    now : Now
+        Where the march goes on: at the last time that is asked for at the start of its step.
+    """
+
+    effort: Effort
+    now: Now

@@ -1,0 +1,704 @@
+"""JIT-compiled adaptive march: the steps of `fesim.march.adaptive` for built-in laws.
+
+Line by line the same method; the gap equations are solved by Newton's method, as long steps leave
+no tangent to be used again. A step that does not go as usual (a joint snaps, a body may be loose,
+pressure and heat flow do not agree soon, no step is short enough) is left to the plain march.
+
+Start at `march_freely`; `tests/fesim/march/test_adaptive.py` compares both marches. Arrays of one
+shape are rows of one array: compiling takes time in proportion to the number of arrays.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fesim.jit import compiled, compiled_part
+from fesim.joint.compiled_gap import NewtonWork, Trial, evaluate_in_place, largest
+from fesim.joint.in_place import add, fill, put
+from fesim.joint.linear_system import solve
+from fesim.joint.loosening import Watched, WatchWork, surely_held
+from fesim.march.compiled_exponential import (
+    BENDS,
+    MEAN,
+    STARTS,
+    STAYS,
+    TURNS,
+    Lengths,
+    Modes,
+    place_of,
+    weigh,
+)
+from fesim.march.compiled_step import (
+    JointKernel,
+    JointState,
+    add_loads,
+    conduct,
+    displace,
+    flow_system,
+    settle_by_newton,
+    take,
+)
+from fesim.march.step_control import (
+    SHORTEST,
+    SMALL,
+    allowed,
+    next_length,
+    rung,
+    shorter_length,
+    until,
+)
+from thermojoint.artefacts.arrays import Array
+
+#: Sweeps of the in-step iteration, those with the first tolerance, which is relative to the
+#: preload, and the limits of their weights: as in `fesim.march.stepping`, which has more of them.
+SWEEPS, PATIENCE, PRESSURE_TOLERANCE = 60, 20, 1e-9
+LIGHTEST, HEAVIEST = 0.05, 10.0
+#: Times that differ by less than this part are the same.
+ROUNDING = 1e-12
+
+#: Rows of `Course`: start and end of a step.
+BEFORE, AFTER = range(2)
+#: Rows of its errors: of all steps, and of this one.
+ALL, THIS = range(2)
+#: Entries of its clock, s: start, end and length of the step, length of the last (zero: it tells
+#: nothing), planned length; the error of the last, of what was allowed in it; time asked for, s.
+START, STOP, LENGTH, LAST, PLANNED, ERROR, ASKED = range(7)
+#: Entries of its effort, as in `fesim.march.adaptive_state.Effort`.
+STEPS, REJECTED, SHORT, LONG, MOVED, WARMED = range(6)
+#: Rows of `Work`.
+AT, DRAWN, WEIGHTS = range(3)
+CONDUCTED, JUMP, FLOW, VALUE, MISFIT, MISFIT_BEFORE, PRESSURE = range(7)
+#: Entries of its sweeps: weight, and largest misfit of the one before.
+WEIGHT, LARGEST = range(2)
+SLIP, BENT, TWO, BETTER = range(4)
+GAP, CHANGE, GUESS = range(3)
+#: Rows of its tractions and displacements: of the step; of a piece or of a time within it.
+WHOLE, PART = range(2)
+#: Equilibria of the joint in a step, in their order: sweeps of the in-step iteration, the pieces of
+#: the step in two and in three, its end, its end with what it lacks; at a time within it, and there
+#: with the slip that extrapolation has added. Then it is done, or given up.
+SWEEP, HALVES, THIRDS, WHOLE_STEP, LACKING, MOMENT, BENT_MOMENT, DONE, GIVEN_UP = range(9)
+#: Entries of `Asked.limits`: displacement, m, and temperature, K.
+DISPLACEMENT, TEMPERATURE = range(2)
+
+_allowed, _rung, _until = compiled_part(allowed), compiled_part(rung), compiled_part(until)
+_next_length, _shorter_length = compiled_part(next_length), compiled_part(shorter_length)
+
+
+class AdaptiveKernel(NamedTuple):
+    """Data of a machine.
+
+    Attributes
+    ----------
+    modes : Modes
+        The heat equation.
+    joint : JointKernel
+        The joints.
+    watched : Watched
+        Detection of loose bodies.
+    mean : ndarray, shape (m, n)
+        Mean temperature of both sides of each contact element.
+    scale : ndarray, shape (m,)
+        Reference pressures, Pa.
+    left_open : float
+        Change of a pressure that the tolerance of the gap equations leaves open, relative.
+    """
+
+    modes: Modes
+    joint: JointKernel
+    watched: Watched
+    mean: Array
+    scale: Array
+    left_open: float
+
+
+class Asked(NamedTuple):
+    """What a march is asked for.
+
+    Attributes
+    ----------
+    times : ndarray, shape (t,)
+        Ascending, s.
+    knots : ndarray, shape (k,)
+        Ascending, s: where steps end; the last one is infinite.
+    drive_times, drive : ndarray, shapes (d,) and (d, k + l)
+        `fesim.case.history.Histories`.
+    limits : ndarray, shape (2,)
+        Tolerance.
+    """
+
+    times: Array
+    knots: Array
+    drive_times: Array
+    drive: Array
+    limits: Array
+
+
+class Course(NamedTuple):
+    """The march at the start of a step, and at the end of the one that is tried.
+
+    The first dimension of the first eight is `BEFORE` and `AFTER`.
+
+    Attributes
+    ----------
+    unknowns, acting : ndarray, shape (2, n)
+        Unknowns, and what acts on them: heat of modes, W; temperatures of held surfaces, K.
+    gap, slip, pressure, change : ndarray, shapes (2, 3, m), (2, 2, m), (2, m) and (2, 3, m)
+        As in `JointState`.
+    flow : ndarray, shape (2, m)
+        Joint heat flows, W.
+    inputs : ndarray, shape (2, k + l)
+        Inputs.
+    slope : ndarray, shape (m,)
+        Change of the flows in the last step, W/s.
+    clock, effort : ndarray, shapes (7,) and (6,)
+        See `START` and `STEPS`.
+    moved, warmed : ndarray, shapes (2, axes) and (2, 2 m)
+        Estimated errors of all steps together, and of this one, m and K.
+    """
+
+    unknowns: Array
+    acting: Array
+    gap: Array
+    slip: Array
+    pressure: Array
+    change: Array
+    flow: Array
+    inputs: Array
+    slope: Array
+    clock: Array
+    effort: Array
+    moved: Array
+    warmed: Array
+
+
+class Work(NamedTuple):
+    """Storage; its content is not used after a step.
+
+    Attributes
+    ----------
+    unknowns : ndarray, shape (5, n)
+        `AT` a time, `DRAWN` by the joints, and three `WEIGHTS` of that time.
+    contact : ndarray, shape (7, m)
+        See `CONDUCTED`; conductance times area, W/K, of the step.
+    slip, gap : ndarray, shapes (4, 2, m) and (3, 3, m)
+        Of a part of the step, and see `BENT`: what extrapolation adds, m.
+    remainder, displacement : ndarray, shapes (2, 3 m) and (2, axes)
+        `WHOLE` and `PART`.
+    inputs : ndarray, shape (k + l,)
+        At that time.
+    system : ndarray, shape (m, m)
+        `flow_system`.
+    moved, free_gap, sweeps : ndarray, shapes (axes,), (3 m,) and (2,)
+        Displacement by the joint, m; J0^-1 g_T, m; see `WEIGHT`.
+    turn : ndarray of int, shape (1,)
+        Equilibria of this stage so far.
+    """
+
+    unknowns: Array
+    contact: Array
+    slip: Array
+    gap: Array
+    remainder: Array
+    displacement: Array
+    inputs: Array
+    system: Array
+    moved: Array
+    free_gap: Array
+    sweeps: Array
+    turn: NDArray[np.int64]
+
+
+class Storage(NamedTuple):
+    """All storage of a march: for its steps, the gap equations, `surely_held`, and the weights."""
+
+    work: Work
+    trial: Trial
+    newton: NewtonWork
+    check: WatchWork
+    lengths: Lengths
+
+
+class Sweeping(NamedTuple):
+    """What a sweep needs of a machine; see `JointKernel` and `AdaptiveKernel`."""
+
+    preload: Array
+    scale: Array
+    left_open: float
+
+
+class Heat(NamedTuple):
+    """The heat equation in a step of one length; see `AdaptiveKernel`, `Modes` and `Lengths`."""
+
+    rates: Array
+    inputs: Array
+    drawn: Array
+    jump: Array
+    mean: Array
+    weights: Array
+    influence: Array
+
+
+class Rows(NamedTuple):
+    """Records at the times that are asked for; the first dimension is their number.
+
+    Attributes
+    ----------
+    unknowns, gap, slip, contact, remainder, displacement : ndarray
+        Of a state, (n,), (3, m), (2, m); pressure, conductance times area and heat flow (3, m);
+        (3 m,) and (axes,).
+    """
+
+    unknowns: Array
+    gap: Array
+    slip: Array
+    contact: Array
+    remainder: Array
+    displacement: Array
+
+
+class Taken(NamedTuple):
+    """Records of the steps; the first dimension is their number.
+
+    Attributes
+    ----------
+    unknowns, mean : ndarray, shape (s, n)
+        At the end, and over the step.
+    inputs, flow : ndarray, shapes (s, k + l) and (s, m)
+        In the middle of the step.
+    numbers : ndarray, shape (s, 4)
+        Length, s; residual of the gap equations, m; Newton iterations; rows up to its end.
+    """
+
+    unknowns: Array
+    mean: Array
+    inputs: Array
+    flow: Array
+    numbers: Array
+
+
+@compiled_part
+def _part(work: Work) -> JointState:
+    """The joint at a part of a step."""
+    return JointState(work.gap[GAP], work.slip[SLIP], work.contact[PRESSURE], work.gap[CHANGE])
+
+
+@compiled_part
+def _begun_at(gap: Array, slip: Array, part: JointState) -> None:
+    """Let the part begin with a gap and a slip."""
+    put(gap, part.gap)
+    put(slip, part.slip)
+    fill(part.change, 0.0)
+
+
+@compiled_part
+def _between(ends: Array, share: float, into: Array) -> None:
+    for k in range(into.size):
+        into[k] = ends[BEFORE, k] + share * (ends[AFTER, k] - ends[BEFORE, k])
+
+
+@compiled_part
+def _within(course: Course, weights: Array, into: Array) -> None:
+    """The unknowns after a share of a step, by its weights E, A, B."""
+    start, acting = course.unknowns[BEFORE], course.acting
+    for k in range(into.size):
+        turn = acting[AFTER, k] - acting[BEFORE, k]
+        into[k] = weights[STAYS, k] * start[k] + weights[STARTS, k] * acting[BEFORE, k]
+        into[k] += weights[TURNS, k] * turn
+
+
+@compiled_part
+def _flows(heat: Heat, work: Work, flow: Array) -> None:
+    """Joint heat flows at conductances and jumps, and what they draw from the unknowns."""
+    conducted, jump, at = work.contact[CONDUCTED], work.contact[JUMP], work.unknowns[AT]
+    for e in range(flow.size):
+        flow[e] = conducted[e] * jump[e]
+    flow_system(heat.influence, conducted, work.system)
+    put(solve(work.system, flow), flow)
+    drawn = work.unknowns[DRAWN]
+    np.dot(heat.drawn, flow, drawn)
+    for k in range(at.size):
+        at[k] -= heat.weights[TURNS, k] * drawn[k]
+
+
+@compiled_part
+def _first_guess(heat: Heat, joint: JointKernel, work: Work, trial: Trial, course: Course) -> None:
+    """Unknowns without joint heat flows, and pressures as the last step goes on."""
+    part, base, weights = _part(work), course.unknowns[AFTER], heat.weights
+    inputs, value = course.inputs[AFTER], work.contact[VALUE]
+    for k in range(base.size):
+        given = 0.0
+        for i in range(heat.inputs.shape[1]):
+            given += heat.inputs[k, i] * inputs[i]
+        course.acting[AFTER, k] = given
+        base[k] = weights[STAYS, k] * course.unknowns[BEFORE, k] + weights[TURNS, k] * given
+        base[k] += (weights[STARTS, k] - weights[TURNS, k]) * course.acting[BEFORE, k]
+    _begun_at(course.gap[BEFORE], course.slip[BEFORE], part)
+    if course.clock[LAST] > 0.0:
+        further = course.clock[LENGTH] / course.clock[LAST]
+        for k in range(part.change.size):
+            part.change.flat[k] = further * course.change[BEFORE].flat[k]
+    put(part.gap, trial.gap)
+    add(part.change, trial.gap)
+    evaluate_in_place(joint.laws, part.slip, trial)
+    for e in range(value.size):
+        value[e] = joint.preload[e] + trial.value[0, e]
+        work.contact[MISFIT_BEFORE, e] = 0.0
+    work.sweeps[WEIGHT], work.sweeps[LARGEST] = 1.0, 0.0
+
+
+@compiled_part
+def _lacking(heat: Heat, work: Work, course: Course) -> None:
+    """The unknowns with what they lack as the flows bend (`fesim.march.exponential`)."""
+    at, bend, jump = work.unknowns[AT], work.contact[VALUE], work.contact[JUMP]
+    length, last = course.clock[LENGTH], course.clock[LAST]
+    span = 2.0 * length if last == 0.0 else length + last
+    for e in range(bend.size):
+        slope = (course.flow[AFTER, e] - course.flow[BEFORE, e]) / length
+        bend[e] = (slope - course.slope[e]) / span
+    np.dot(heat.drawn, bend, at)
+    for k in range(at.size):
+        at[k] *= heat.weights[BENDS, k]
+    np.dot(heat.jump, at, jump)
+    _flows(heat, work, work.contact[FLOW])
+    np.dot(heat.mean, at, course.warmed[THIS, : bend.size])
+    np.dot(heat.jump, at, course.warmed[THIS, bend.size :])
+    add(course.unknowns[AFTER], at)
+
+
+@compiled_part
+def _prepare(heat: Heat, work: Work, course: Course, stage: int) -> None:
+    """Unknowns, inputs and start of the next equilibrium."""
+    part, at, gap, slip = _part(work), work.unknowns[AT], course.gap, course.slip
+    turn, clock = work.turn[0], course.clock
+    if stage == SWEEP:
+        put(course.unknowns[AFTER], at)
+        put(course.inputs[AFTER], work.inputs)
+        np.dot(heat.jump, at, work.contact[JUMP])
+        _flows(heat, work, course.flow[AFTER])
+    elif stage in (HALVES, THIRDS):
+        pieces = 2 if stage == HALVES else 3
+        if turn == 0:
+            _begun_at(gap[BEFORE], slip[BEFORE], part)
+            for k in range(part.change.size):
+                part.change.flat[k] = (gap[AFTER].flat[k] - gap[BEFORE].flat[k]) / pieces
+        # Shares 1, 1/2, 1/3 and 2/3 in the order of `fesim.march.compiled_exponential.SHARES`.
+        first = 0 if turn + 1 == pieces else 3 * (turn + pieces - 1)
+        _within(course, heat.weights[first : first + 3], at)
+        _between(course.inputs, (turn + 1.0) / pieces, work.inputs)
+    elif stage == WHOLE_STEP:
+        put(course.unknowns[AFTER], at)
+        put(course.inputs[AFTER], work.inputs)
+        _begun_at(gap[AFTER], slip[AFTER], part)
+    elif stage == LACKING:
+        _lacking(heat, work, course)
+        _begun_at(gap[AFTER], work.slip[BETTER], part)
+    elif stage == MOMENT:
+        share = (clock[ASKED] - clock[START]) / clock[LENGTH]
+        weights, guess = work.unknowns[WEIGHTS : WEIGHTS + 3], work.gap[GUESS]
+        weigh(heat.rates, clock[LENGTH], share, weights)
+        _within(course, weights, at)
+        _between(course.inputs, share, work.inputs)
+        for k in range(guess.size):
+            guess.flat[k] = gap[BEFORE].flat[k] + share * course.change[AFTER].flat[k]
+        _begun_at(guess, slip[BEFORE], part)
+    else:
+        _begun_at(work.gap[GUESS], work.slip[BETTER], part)
+
+
+@compiled_part
+def _swept(machine: Sweeping, work: Work, trial: Trial, gap: Array) -> int:
+    """The stage after a sweep: another, or the next with one pressure and conductance.
+
+    `gap` (3, m) is that at the start of the step, m.
+    """
+    value, misfit, last = work.contact[VALUE], work.contact[MISFIT], work.contact[MISFIT_BEFORE]
+    preload, scale, left_open = machine
+    change = along = across = 0.0
+    for e in range(value.size):
+        misfit[e] = (preload[e] + trial.value[0, e] - value[e]) / scale[e]
+        change, difference = max(change, abs(misfit[e])), misfit[e] - last[e]
+        along, across = along + last[e] * difference, across + difference * difference
+    if change <= (PRESSURE_TOLERANCE if work.turn[0] < PATIENCE else left_open):
+        return HALVES
+    for k in range(gap.size):
+        work.gap[CHANGE].flat[k] = trial.gap.flat[k] - gap.flat[k]
+    if change > 0.5 * work.sweeps[LARGEST]:
+        factor = 1.0
+        if along < 0.0:
+            factor = -work.sweeps[WEIGHT] * along / across
+            factor = min(max(factor, LIGHTEST), HEAVIEST)
+        work.sweeps[WEIGHT] = factor
+    work.sweeps[LARGEST] = change
+    for e in range(value.size):
+        after = value[e] + scale[e] * misfit[e]
+        least, most = 0.5 * min(value[e], after), 2.0 * max(value[e], after)
+        value[e] = min(max(value[e] + work.sweeps[WEIGHT] * (after - value[e]), least), most)
+        last[e] = misfit[e]
+    return SWEEP if work.turn[0] + 1 < SWEEPS else GIVEN_UP
+
+
+@compiled_part
+def _slid(work: Work, course: Course, stage: int) -> int:
+    """The stage after the last piece of a step (`fesim.march.slip_path`)."""
+    bent, two, better, slip = work.slip[BENT], work.slip[TWO], work.slip[BETTER], work.slip[SLIP]
+    whole, begun = course.slip[AFTER], course.slip[BEFORE]
+    slides = stage == THIRDS
+    for k in range(slip.size):
+        if stage == HALVES:
+            two.flat[k], bent.flat[k], better.flat[k] = slip.flat[k], 0.0, begun.flat[k]
+            slides = slides or two.flat[k] != begun.flat[k] or whole.flat[k] != begun.flat[k]
+        else:
+            path = 3.0 * slip.flat[k] - 2.0 * two.flat[k]
+            better.flat[k] = path + 0.5 * (path - (2.0 * two.flat[k] - whole.flat[k]))
+            bent.flat[k] = path - whole.flat[k]
+            whole.flat[k] = path
+    return THIRDS if slides and stage == HALVES else WHOLE_STEP
+
+
+@compiled_part
+def _conclude(work: Work, course: Course, stage: int) -> int:
+    """Take over an equilibrium, which the part has; return the next stage."""
+    part, remainder, moved = _part(work), work.remainder, work.displacement
+    gap, before = course.gap[AFTER], course.gap[BEFORE]
+    if stage == SWEEP:
+        put(part.gap, gap)
+        put(part.slip, course.slip[AFTER])
+        put(work.unknowns[AT], course.unknowns[AFTER])
+        for k in range(course.acting.shape[1]):
+            course.acting[AFTER, k] -= work.unknowns[DRAWN, k]
+        return HALVES
+    if stage in (HALVES, THIRDS):
+        last = work.turn[0] + 1 == (2 if stage == HALVES else 3)
+        return _slid(work, course, stage) if last else stage
+    if stage == WHOLE_STEP:
+        put(part.gap, gap)
+        put(part.slip, course.slip[AFTER])
+        put(part.pressure, course.pressure[AFTER])
+        put(remainder[PART], remainder[WHOLE])
+        put(moved[PART], moved[WHOLE])
+        for k in range(gap.size):
+            course.change[AFTER].flat[k] = gap.flat[k] - before.flat[k]
+        return LACKING
+    if stage == LACKING:
+        for k in range(course.moved.shape[1]):
+            course.moved[THIS, k] = moved[PART, k] - moved[WHOLE, k]
+    if stage == MOMENT:
+        begun, bent, better = course.slip[BEFORE], work.slip[BENT], work.slip[BETTER]
+        share = (course.clock[ASKED] - course.clock[START]) / course.clock[LENGTH]
+        further = False
+        for k in range(begun.size):
+            slides = part.slip.flat[k] != begun.flat[k] and bent.flat[k] != 0.0
+            better.flat[k] = part.slip.flat[k] + (share**2 * bent.flat[k] if slides else 0.0)
+            further = further or slides
+        if further:
+            put(part.gap, work.gap[GUESS])
+            return BENT_MOMENT
+    return DONE
+
+
+@compiled_part
+def _solved(
+    machine: AdaptiveKernel, storage: Storage, heat: Heat, course: Course, stage: int
+) -> tuple[bool, float, int]:
+    """Find all equilibria from a stage on: whether, largest residual and all iterations.
+
+    This is the one place where the gap equations are solved: what calls their solver takes seconds
+    to compile.
+    """
+    joint, work, trial, newton = machine.joint, storage.work, storage.trial, storage.newton
+    part, free_gap, at = _part(work), work.free_gap, work.unknowns[AT]
+    loads = work.inputs[heat.inputs.shape[1] :]
+    sweeping = Sweeping(joint.preload, machine.scale, machine.left_open)
+    largest_residual, all_iterations = 0.0, 0
+    work.turn[0] = 0
+    while stage < DONE:
+        if stage == SWEEP:
+            if work.turn[0] == 0:
+                _first_guess(heat, joint, work, trial, course)
+            conduct(joint, work.contact[VALUE], work.contact[CONDUCTED])
+        _prepare(heat, work, course, stage)
+        np.dot(joint.gap, at, free_gap)
+        add_loads(joint.loaded_gap, loads, free_gap)
+        put(part.gap, trial.gap)
+        add(part.change, trial.gap)
+        solved, residual, iterations = settle_by_newton(joint, free_gap, part, trial, newton)
+        if not solved:
+            return False, residual, all_iterations
+        largest_residual = max(largest_residual, residual)
+        all_iterations += iterations
+        after = SWEEP
+        if stage == SWEEP:
+            after = _swept(sweeping, work, trial, course.gap[BEFORE])
+        if after == GIVEN_UP:
+            return False, residual, all_iterations
+        if stage > SWEEP or after > SWEEP:
+            remainder = work.remainder[WHOLE if stage == SWEEP else PART]
+            take(joint, trial, part, remainder)
+            if stage > THIRDS:
+                displace(joint, work.moved, at, loads, remainder, work.displacement[PART])
+            after = _conclude(work, course, stage)
+            held = stage > SWEEP or surely_held(
+                machine.watched, storage.check, part.pressure, trial.tangent
+            )
+            if not held:
+                return False, residual, all_iterations
+        work.turn[0] = work.turn[0] + 1 if after == stage else 0
+        stage = after
+    return True, largest_residual, all_iterations
+
+
+@compiled_part
+def _driven(asked: Asked, time: float, inputs: Array) -> None:
+    """The inputs at a time (s): `fesim.case.history.Histories`."""
+    below, above = 0, asked.drive_times.size
+    while above - below > 1:
+        middle = (below + above) // 2
+        if asked.drive_times[middle] <= time:
+            below = middle
+        else:
+            above = middle
+    if above == asked.drive_times.size:
+        put(asked.drive[below], inputs)
+        return
+    start, end = asked.drive_times[below], asked.drive_times[above]
+    _between(asked.drive[below : above + 1], (time - start) / (end - start), inputs)
+
+
+@compiled_part
+def _note(joint: JointKernel, work: Work, course: Course, rows: Rows, row: int) -> None:
+    """Record the machine at a time that is asked for: the end of the step, or within it."""
+    part, clock, contact = _part(work), course.clock, rows.contact[row]
+    if clock[ASKED] < clock[STOP]:
+        share = (clock[ASKED] - clock[START]) / clock[LENGTH]
+        _between(course.flow, share, contact[2])
+    else:
+        put(course.unknowns[AFTER], work.unknowns[AT])
+        put(course.gap[AFTER], part.gap)
+        put(course.slip[AFTER], part.slip)
+        put(course.pressure[AFTER], part.pressure)
+        put(course.flow[AFTER], contact[2])
+        put(work.remainder[WHOLE], work.remainder[PART])
+        put(work.displacement[WHOLE], work.displacement[PART])
+    put(work.unknowns[AT], rows.unknowns[row])
+    put(part.gap, rows.gap[row])
+    put(part.slip, rows.slip[row])
+    put(part.pressure, contact[0])
+    conduct(joint, part.pressure, contact[1])
+    put(work.remainder[PART], rows.remainder[row])
+    put(work.displacement[PART], rows.displacement[row])
+
+
+@compiled_part
+def _record(weights: Array, course: Course, taken: Taken, step: int) -> None:
+    """Record the step that was tried."""
+    _within(course, weights[MEAN : MEAN + 3], taken.mean[step])
+    put(course.unknowns[AFTER], taken.unknowns[step])
+    _between(course.inputs, 0.5, taken.inputs[step])
+    _between(course.flow, 0.5, taken.flow[step])
+
+
+@compiled_part
+def _accept(course: Course) -> None:
+    """Take over the step that was tried."""
+    clock, effort, length = course.clock, course.effort, course.clock[LENGTH]
+    add(course.moved[THIS], course.moved[ALL])
+    add(course.warmed[THIS], course.warmed[ALL])
+    effort[STEPS] += 1.0
+    effort[SHORT], effort[LONG] = min(effort[SHORT], length), max(effort[LONG], length)
+    effort[MOVED] = max(effort[MOVED], largest(course.moved[ALL]))
+    effort[WARMED] = max(effort[WARMED], largest(course.warmed[ALL]))
+    # Between the two knots of an edge the flows change by less than the joints' tolerance.
+    if length >= SHORTEST:
+        for e in range(course.slope.size):
+            course.slope[e] = (course.flow[AFTER, e] - course.flow[BEFORE, e]) / length
+        clock[LAST] = length
+    clock[START] = clock[STOP]
+    put(course.unknowns[AFTER], course.unknowns[BEFORE])
+    put(course.acting[AFTER], course.acting[BEFORE])
+    put(course.gap[AFTER], course.gap[BEFORE])
+    put(course.slip[AFTER], course.slip[BEFORE])
+    put(course.pressure[AFTER], course.pressure[BEFORE])
+    put(course.change[AFTER], course.change[BEFORE])
+    put(course.flow[AFTER], course.flow[BEFORE])
+    put(course.inputs[AFTER], course.inputs[BEFORE])
+
+
+@compiled
+def march_freely(
+    machine: AdaptiveKernel,
+    storage: Storage,
+    course: Course,
+    asked: Asked,
+    rows: Rows,
+    taken: Taken,
+) -> tuple[int, int, bool]:
+    """March until all times are given or the records are full, in place.
+
+    The step with the last time is recorded, but the march stays at its start.
+
+    Returns
+    -------
+    step, row : int
+        Numbers of recorded steps, and of times.
+    usual : bool
+        False if the plain march must take the next step.
+    """
+    clock, limits, lengths = course.clock, asked.limits, storage.lengths
+    modes, jump, work = machine.modes, machine.joint.jump, storage.work
+    begun, step, row, knot = int(course.effort[STEPS]), 0, 0, 0
+    while row < asked.times.size and step < len(taken.numbers):
+        while asked.knots[knot] <= clock[START]:
+            knot += 1
+        left = asked.knots[knot] - clock[START]
+        length = _until(clock[PLANNED], left)
+        clock[LENGTH] = length
+        clock[STOP] = asked.knots[knot] if length == left else clock[START] + length
+        last = row
+        while last < asked.times.size and asked.times[last] <= clock[STOP] * (1.0 + ROUNDING):
+            last += 1
+        if last > len(rows.unknowns):
+            break
+        _driven(asked, clock[START] + length, course.inputs[AFTER])
+        place = place_of(modes, jump, lengths, length)
+        weights, influence = lengths.weights[place], lengths.influence[place]
+        heat = Heat(modes.rates, modes.inputs, modes.drawn, jump, machine.mean, weights, influence)
+        share, residual, iterations, stage = _allowed(length), 0.0, 0, SWEEP
+        for at in range(row - 1, last):
+            # The step itself, then the times within it.
+            if at >= row:
+                within = asked.times[at] < clock[STOP] * (1.0 - ROUNDING)
+                clock[ASKED] = asked.times[at] if within else clock[STOP]
+                stage = MOMENT if within else DONE
+            solved, most, more = _solved(machine, storage, heat, course, stage)
+            if not solved:
+                return step, row, False
+            residual, iterations = max(residual, most), iterations + more
+            if at >= row:
+                _note(machine.joint, work, course, rows, at)
+                continue
+            moved, warmed = largest(course.moved[THIS]), largest(course.warmed[THIS])
+            part = max(moved / limits[DISPLACEMENT], warmed / limits[TEMPERATURE])
+            if not part <= (1.0 if length <= SHORTEST else share):
+                break
+        if not part <= (1.0 if length <= SHORTEST else share):
+            if length <= SHORTEST:
+                return step, row, False
+            clock[PLANNED] = _rung(_shorter_length(length, part / share))
+            course.effort[REJECTED] += 1.0
+            continue
+        row = last
+        numbers = taken.numbers[step]
+        numbers[0], numbers[1], numbers[2], numbers[3] = length, residual, iterations, row
+        _record(weights, course, taken, int(course.effort[STEPS]) - begun)
+        if row == asked.times.size:
+            return step + 1, row, True
+        _accept(course)
+        error = max(part / share, SMALL)
+        wanted = _next_length(clock[PLANNED], clock[ERROR], length, error)
+        clock[PLANNED], clock[ERROR] = _rung(wanted), error
+        step += 1
+    return step, row, True

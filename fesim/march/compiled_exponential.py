@@ -1,0 +1,140 @@
+"""JIT-compiled weights of exponential steps (`fesim.march.exponential`).
+
+After a share of a step of length h the unknowns are E a + A f0 + B (f1 - f0), where a are those at
+its start, and f0 and f1 what acts on them at its start and end: on a mode its heat, on a held
+surface its temperature, which makes the weights of both alike. The weights of the last few lengths
+are kept.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fesim.jit import compiled_part
+from fesim.march.exponential import NEAR, TERMS
+from thermojoint.artefacts.arrays import Array
+
+#: Shares of a step at whose ends its pieces are: one, two and three of them.
+SHARES = (1.0, 1.0 / 2.0, 1.0 / 3.0, 2.0 / 3.0)
+#: Rows of the weights of a length: E, A, B of each share; of the mean over the step; of what a bend
+#: of the flows adds.
+STAYS, STARTS, TURNS = range(3)
+MEAN, BENDS = 3 * len(SHARES), 3 * len(SHARES) + 3
+#: Most lengths that are kept, fewest, and numbers that their weights may have together.
+MOST, FEWEST, NUMBERS = 68, 4, 4_000_000
+
+
+class Modes(NamedTuple):
+    """Heat equation on n unknowns: modes, then held surfaces.
+
+    Attributes
+    ----------
+    rates : ndarray, shape (n,)
+        Of the modes, 1/s; infinite for held surfaces.
+    inputs : ndarray, shape (n, k)
+        Heat of each mode per unit of each input, and temperature of each held surface.
+    drawn : ndarray, shape (n, m)
+        Heat that each joint heat flow takes from a mode; zero for held surfaces.
+    """
+
+    rates: Array
+    inputs: Array
+    drawn: Array
+
+
+class Lengths(NamedTuple):
+    """Weights of the lengths of the last steps; written in place.
+
+    Attributes
+    ----------
+    length : ndarray, shape (q,)
+        s; zero where there is none.
+    weights : ndarray, shape (q, 16, n)
+        Rows as above.
+    influence : ndarray, shape (q, m, m)
+        Temperature jumps per W across each contact element at the end of the step, K/W.
+    next : ndarray of int, shape (1,)
+        Place of the next one.
+    storage : ndarray, shape (n, m)
+        Its content is not used afterwards.
+    """
+
+    length: Array
+    weights: Array
+    influence: Array
+    next: NDArray[np.int64]
+    storage: Array
+
+
+def new_lengths(modes: Modes) -> Lengths:
+    """Return storage without any length."""
+    size, count = modes.drawn.shape
+    rows = BENDS + 1
+    kept = min(max(NUMBERS // (rows * size + count * count + 1), FEWEST), MOST)
+    return Lengths(
+        np.zeros(kept),
+        np.empty((kept, rows, size)),
+        np.empty((kept, count, count)),
+        np.zeros(1, dtype=np.int64),
+        np.empty((size, count)),
+    )
+
+
+@compiled_part
+def phi(decay: float) -> tuple[float, float, float]:
+    """phi_1, phi_2, phi_3 of -`decay`, as `fesim.march.exponential.phi_functions`."""
+    if decay >= NEAR:
+        first = -math.expm1(-decay) / decay
+        second = (1.0 - first) / decay
+        return first, second, (0.5 - second) / decay
+    series = 0.0
+    for k in range(TERMS, 0, -1):
+        series = (series + 1.0) * -decay / (k + 3.0)
+    third = (series + 1.0) / 6.0
+    second = 0.5 - decay * third
+    return 1.0 - decay * second, second, third
+
+
+@compiled_part
+def weigh(rates: Array, length: float, share: float, weights: Array) -> None:
+    """E, A, B of a share of a step of a length (s) into `weights` (3, n)."""
+    time = share * length
+    for k in range(rates.size):
+        if rates[k] == math.inf:
+            weights[STAYS, k], weights[STARTS, k], weights[TURNS, k] = 0.0, 1.0, share
+            continue
+        first, second, _ = phi(rates[k] * time)
+        weights[STAYS, k] = math.exp(-rates[k] * time)
+        weights[STARTS, k], weights[TURNS, k] = time * first, time * share * second
+
+
+@compiled_part
+def place_of(modes: Modes, jump: Array, lengths: Lengths, length: float) -> int:
+    """Place of a length (s), whose weights are made if they are not kept; `jump` is (m, n)."""
+    for place in range(lengths.length.size):
+        if lengths.length[place] == length:
+            return place
+    place = lengths.next[0]
+    lengths.next[0] = (place + 1) % lengths.length.size
+    lengths.length[place] = length
+    weights, rates = lengths.weights[place], modes.rates
+    for k in range(len(SHARES)):
+        weigh(rates, length, SHARES[k], weights[3 * k : 3 * k + 3])
+    for k in range(rates.size):
+        if rates[k] == math.inf:
+            weights[MEAN, k], weights[MEAN + 1, k], weights[MEAN + 2, k] = 0.0, 1.0, 0.5
+            weights[BENDS, k] = 0.0
+            continue
+        first, second, third = phi(rates[k] * length)
+        weights[MEAN, k] = first
+        weights[MEAN + 1, k], weights[MEAN + 2, k] = length * second, length * third
+        weights[BENDS, k] = -(length**3) * (2.0 * third - second)
+    for k in range(rates.size):
+        for e in range(modes.drawn.shape[1]):
+            lengths.storage[k, e] = weights[TURNS, k] * modes.drawn[k, e]
+    np.dot(jump, lengths.storage, lengths.influence[place])
+    return place
