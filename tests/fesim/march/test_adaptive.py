@@ -13,6 +13,7 @@ from reduced_bars import bars_of, modes_of, on_modes
 from fesim.batch.summary import figures_of
 from fesim.case.history import Histories, History, common_knots
 from fesim.case.schema import case_from_data
+from fesim.march import adaptive
 from fesim.march.adaptive import march_adaptively
 from fesim.march.exponential import phi_functions as real_phi_functions
 from fesim.march.settling import initial_state
@@ -178,15 +179,18 @@ def test_a_case_is_marched_adaptively_and_says_so(adaptive_case):
     assert 1e-9 < off < 1e-6
 
 
-def test_a_march_goes_on_from_a_saved_state_to_the_bit(adaptive_case, tmp_path):
+@pytest.mark.parametrize("plainly", [False, True])
+def test_a_march_goes_on_from_a_saved_state_to_the_bit(adaptive_case, tmp_path, plainly):
     """Its last step passes the time of the state, and is taken again."""
     half, longer = (adaptive_case.replace(march={"duration_min": end}) for end in (1.0, 2.0))
     setup = set_up(adaptive_case)
-    whole = simulate(longer, setup=setup, accuracy=False)
-    first = simulate(half, setup=setup, accuracy=False)
-    save_state(first.state, half, tmp_path / "half.npz")
-    start = load_state(tmp_path / "half.npz", longer)
-    rest = simulate(longer, setup=setup, start=start, accuracy=False)
+    by = {"return_value": None} if plainly else {"wraps": adaptive._compiled}
+    with patch.object(adaptive, "_compiled", **by):
+        whole = simulate(longer, setup=setup, accuracy=False)
+        first = simulate(half, setup=setup, accuracy=False)
+        save_state(first.state, half, tmp_path / "half.npz")
+        start = load_state(tmp_path / "half.npz", longer)
+        rest = simulate(longer, setup=setup, start=start, accuracy=False)
     together = whole.response.sel(time=rest.response["time"])
     for name in ("temperature", "displacement", "slip", "opening", "pressure", "heat_flow"):
         assert np.array_equal(rest.response[name], together[name])
@@ -198,7 +202,7 @@ def test_both_marches_take_the_same_steps(bars):
     """Friction turns, rows are asked for within steps, and nothing is left to the plain march."""
     times, tolerance = np.linspace(0.0, END, 31)[1:], Tolerance(1e-7, 1.0)
     found, effort = marched(bars, driven(), times, tolerance)
-    with patch("fesim.march.adaptive._compiled", return_value=None):
+    with patch.object(adaptive, "_compiled", return_value=None):
         plain, other = marched(bars, driven(), times, tolerance)
     assert (effort.steps, effort.rejected) == (other.steps, other.rejected)
     for name in ("displacement", "gap"):
