@@ -46,8 +46,9 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 def compiled_part(function: Callable[P, R]) -> Callable[P, R]:
     """Return a function that compiled functions call, and they alone.
 
-    It has no way in from Python. With a hundred arrays among the arguments, to make one takes six
-    times as long as to compile the function itself.
+    It has no way in from Python: a call from there ends the process, and `tests/fesim/test_jit.py`
+    looks for such calls. With a hundred arrays among the arguments, to make one takes six times as
+    long as to compile the function itself.
     """
     return _compiled(function, {**_OPTIONS, "no_cpython_wrapper": True})
 
