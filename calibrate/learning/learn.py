@@ -413,8 +413,7 @@ def _unseen_speeds(cleaned: Cleaned, rows: _Rows, judged: _Judged, rules: Rules)
     """Return, for each speed, what one that was never run may cost, where that is much."""
 
     def without(own: NDArray[np.bool_], away: NDArray[np.bool_]) -> Array:
-        fitted = rows.fit(rows.inputs[away], rows.outputs[away])
-        return np.asarray(rows.outputs[own] - fitted.offset - rows.inputs[own] @ fitted.weights)
+        return _fitted_without(rows, own, away)[1]
 
     said = []
     for column in cleaned.table.columns:
@@ -446,14 +445,21 @@ def _deviation(fitted: Fitted, about: Array, rules: Judging) -> Array:
     return np.asarray(np.sqrt(spread + fitted.errors**2))
 
 
+def _fitted_without(
+    rows: _Rows, held: slice | NDArray[np.bool_], away: NDArray[np.bool_]
+) -> tuple[Fitted, Array]:
+    """Return the fit of the rows `away`, and its errors on those held out, µm, (n, axes)."""
+    fitted = rows.fit(rows.inputs[away], rows.outputs[away])
+    error = rows.outputs[held] - fitted.offset - rows.inputs[held] @ fitted.weights
+    return fitted, np.asarray(error)
+
+
 def _judge(rows: _Rows, rules: Judging) -> _Judged:
     """Judge a kind of model: the whole fit is repeated without each block."""
     errors, deviations = [], []
     for held, away in _folds(rows, rules):
-        fitted = rows.fit(rows.inputs[away], rows.outputs[away])
-        own = rows.inputs[held]
-        error = rows.outputs[held] - fitted.offset - own @ fitted.weights
-        about = own - rows.inputs[away].mean(axis=0)
+        fitted, error = _fitted_without(rows, held, away)
+        about = rows.inputs[held] - rows.inputs[away].mean(axis=0)
         errors.append(error)
         deviations.append(_deviation(fitted, about, rules))
     whole = np.concatenate(deviations)

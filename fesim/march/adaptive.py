@@ -22,6 +22,7 @@ from fesim.march.machine import CondensedMachine, State, Step
 from fesim.march.settling import displaced
 from fesim.march.slip_path import settled_at, slip_path
 from fesim.march.step_control import (
+    ROUNDING,
     SHORTEST,
     Pace,
     StepError,
@@ -43,8 +44,6 @@ if TYPE_CHECKING:
 
 #: Weights of so many lengths are kept.
 KEPT = 4
-#: Times that differ by less than this part are the same.
-ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,7 @@ class _March:
     drive : Histories
         The inputs.
     tolerance : Tolerance
-        Of the whole march.
+        Of half an hour.
     """
 
     machine: CondensedMachine
@@ -115,7 +114,7 @@ def march_adaptively(
     times : ndarray, shape (n,)
         Ascending, s. State k of the tracks has the index of `start` + k + 1.
     tolerance : Tolerance
-        For the sum of the errors of all steps.
+        For the sum of the errors of the steps of half an hour.
     start : State
         At time zero, or one that keeps the march before these times (`Now.packed`).
 

@@ -76,7 +76,7 @@ class Asked:
     times : ndarray, shape (t,)
         Of the response, ascending, s.
     tolerance : Tolerance
-        Of the whole march.
+        Of half an hour.
     """
 
     drive: Histories

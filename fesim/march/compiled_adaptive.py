@@ -20,6 +20,7 @@ from fesim.joint.compiled_gap import NewtonWork, Trial, evaluate_in_place, large
 from fesim.joint.in_place import add, fill, put
 from fesim.joint.linear_system import solve
 from fesim.joint.loosening import Watched, WatchWork, surely_held
+from fesim.march import stepping
 from fesim.march.compiled_exponential import (
     BENDS,
     MEAN,
@@ -42,6 +43,7 @@ from fesim.march.compiled_step import (
     take,
 )
 from fesim.march.step_control import (
+    ROUNDING,
     SHORTEST,
     SMALL,
     allowed,
@@ -50,14 +52,12 @@ from fesim.march.step_control import (
     shorter_length,
     until,
 )
+from fesim.march.stepping import PATIENCE, PRESSURE_TOLERANCE
 from thermojoint.artefacts.arrays import Array
 
-#: Sweeps of the in-step iteration, those with the first tolerance, which is relative to the
-#: preload, and the limits of their weights: as in `fesim.march.stepping`, which has more of them.
-SWEEPS, PATIENCE, PRESSURE_TOLERANCE = 60, 20, 1e-9
-LIGHTEST, HEAVIEST = 0.05, 10.0
-#: Times that differ by less than this part are the same.
-ROUNDING = 1e-12
+#: Sweeps of the in-step iteration; `fesim.march.stepping` has more of them.
+SWEEPS = 60
+LIGHTEST, HEAVIEST = stepping.WEIGHTS
 
 #: Rows of `Course`: start and end of a step.
 BEFORE, AFTER = range(2)

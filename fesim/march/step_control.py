@@ -21,6 +21,8 @@ SHORTEST = LONGEST * 2.0 ** (-RUNGS / OCTAVE)
 #: Errors of steps have either sign and decay: their magnitudes may add up to so many tolerances in
 #: so long a time, s.
 TOGETHER, SPAN = 2.0, 1800.0
+#: Times that differ by less than this part are the same.
+ROUNDING = 1e-12
 #: A step is wanted in which the error is this part of what is allowed, to the power of a length.
 SAFETY = 0.9
 #: Limits of the change of length from one step to the next.
@@ -35,7 +37,7 @@ RETREAT = 0.25
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Error allowed in a whole march.
+    """Error allowed in half an hour (`SPAN`).
 
     Attributes
     ----------
@@ -75,7 +77,7 @@ class StepError:
         return float(moved.max(initial=0.0)), float(warmed.max(initial=0.0))
 
     def relative_to(self, tolerance: Tolerance) -> float:
-        """Return the larger of both, of what is allowed in the whole march."""
+        """Return the larger of both, of what is allowed in half an hour."""
         moved, warmed = self.largest()
         return max(moved / tolerance.displacement, warmed / tolerance.temperature)
 

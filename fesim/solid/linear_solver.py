@@ -232,6 +232,8 @@ def _tell_where_mkl_is() -> None:
 
     That takes up to a second of every process. MKL's wheels put it into ``lib`` of an installation.
     """
+    if "PYPARDISO_MKL_RT" in os.environ:
+        return
     for prefix in (sys.prefix, site.USER_BASE):
         for library in sorted(Path(prefix or "", "lib").glob("libmkl_rt.so*")):
             os.environ.setdefault("PYPARDISO_MKL_RT", str(library))

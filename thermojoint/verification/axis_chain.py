@@ -15,7 +15,7 @@ from meshes.exchange import write_structure
 from meshes.three_axes import three_axis_machine
 from thermojoint.artefacts.files import temporary_folder
 from thermojoint.verification.check import Check, Quantity
-from thermojoint.verification.structures import IRON
+from thermojoint.verification.structures import IRON, material_section
 
 #: Mesh size, and length of a contact element, m.
 SIZE = 0.1
@@ -70,16 +70,7 @@ def chain_data(folder: Path, shown: tuple[float, float, float]) -> dict[str, Any
     return {
         "title": "machine with three axes",
         "structure": {"kind": "mesh", "file": name},
-        "materials": {
-            "iron": {
-                "conductivity_W_mK": IRON.conductivity,
-                "density_kg_m3": IRON.density,
-                "heat_capacity_J_kgK": IRON.heat_capacity,
-                "youngs_modulus_GPa": 1e-9 * IRON.youngs_modulus,
-                "poisson_ratio": IRON.poisson_ratio,
-                "expansion_1_K": IRON.expansion,
-            }
-        },
+        "materials": {"iron": material_section(IRON)},
         "bodies": dict.fromkeys(("bed", "column", "ram", "table"), "iron"),
         "joints": {
             f"guide_{axis}": surface

@@ -47,6 +47,7 @@ from thermojoint.verification.moving_axis import (
     slide_data,
     write_course,
 )
+from thermojoint.verification.structures import material_section
 
 STEEL = Material(
     conductivity=50.0,
@@ -358,14 +359,7 @@ def _scale_check() -> Check:
 def _machine_checks(folder: Path) -> Iterator[Check]:
     """A slide on a screw: its displacement less that of the slide alone is the screw's."""
     data = slide_data(folder, SHOWN)
-    data["materials"]["steel"] = {
-        "conductivity_W_mK": STEEL.conductivity,
-        "density_kg_m3": STEEL.density,
-        "heat_capacity_J_kgK": STEEL.heat_capacity,
-        "youngs_modulus_GPa": 1e-9 * STEEL.youngs_modulus,
-        "poisson_ratio": STEEL.poisson_ratio,
-        "expansion_1_K": STEEL.expansion,
-    }
+    data["materials"]["steel"] = material_section(STEEL)
     keys = {
         "fixed_bearing_mm": -200.0,
         "far_end_mm": 600.0,

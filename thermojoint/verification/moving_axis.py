@@ -32,7 +32,7 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.files import temporary_folder
 from thermojoint.verification import axis_chain
 from thermojoint.verification.check import Check, Quantity
-from thermojoint.verification.structures import IRON, box_surfaces, facing_sides
+from thermojoint.verification.structures import IRON, box_surfaces, facing_sides, material_section
 
 #: Guide along x and slide on it: lengths, depth of the guide, height of the slide, width, m.
 GUIDE, SLIDE, DEPTH, HEIGHT, WIDTH = 0.4, 0.08, 0.04, 0.04, 0.04
@@ -115,16 +115,7 @@ def _case(mesh: str, joints: dict[str, Any]) -> dict[str, Any]:
     return {
         "title": "slide on a guide",
         "structure": {"kind": "mesh", "file": mesh},
-        "materials": {
-            "iron": {
-                "conductivity_W_mK": IRON.conductivity,
-                "density_kg_m3": IRON.density,
-                "heat_capacity_J_kgK": IRON.heat_capacity,
-                "youngs_modulus_GPa": 1e-9 * IRON.youngs_modulus,
-                "poisson_ratio": IRON.poisson_ratio,
-                "expansion_1_K": IRON.expansion,
-            }
-        },
+        "materials": {"iron": material_section(IRON)},
         "bodies": {"guide": "iron", "slide": "iron"},
         "joints": joints,
         "supports": {

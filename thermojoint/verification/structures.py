@@ -30,6 +30,19 @@ STEEL = Material(
     expansion=11.0e-6,
 )
 
+
+def material_section(material: Material) -> dict[str, float]:
+    """Return a material as a section of a case."""
+    return {
+        "conductivity_W_mK": material.conductivity,
+        "density_kg_m3": material.density,
+        "heat_capacity_J_kgK": material.heat_capacity,
+        "youngs_modulus_GPa": 1e-9 * material.youngs_modulus,
+        "poisson_ratio": material.poisson_ratio,
+        "expansion_1_K": material.expansion,
+    }
+
+
 #: Cells of verification cases, and their elements for temperature and displacement.
 KINDS: dict[str, type[Mesh]] = {"hexahedra": MeshHex, "tetrahedra": MeshTet}
 ELEMENTS = {"hexahedra": ("Hex1", "HexS2"), "tetrahedra": ("TetP1", "TetP2")}

@@ -9,7 +9,7 @@ from fesim.simulate import simulate
 from meshes.box_grid import put_side_by_side
 from meshes.exchange import write_structure
 from meshes.structure import Structure
-from thermojoint.verification.structures import IRON, box_surfaces, facing_sides
+from thermojoint.verification.structures import IRON, box_surfaces, facing_sides, material_section
 
 JOINT = {
     "preload_MPa": 2.0,
@@ -46,16 +46,7 @@ def march(folder, shown, axis):
     data = {
         "title": "slide, guide, floor",
         "structure": {"kind": "mesh", "file": "stack.vtu"},
-        "materials": {
-            "iron": {
-                "conductivity_W_mK": IRON.conductivity,
-                "density_kg_m3": IRON.density,
-                "heat_capacity_J_kgK": IRON.heat_capacity,
-                "youngs_modulus_GPa": 1e-9 * IRON.youngs_modulus,
-                "poisson_ratio": IRON.poisson_ratio,
-                "expansion_1_K": IRON.expansion,
-            }
-        },
+        "materials": {"iron": material_section(IRON)},
         "bodies": {"floor": "iron", "guide": "iron", "slide": "iron"},
         "joints": {
             "low": JOINT
