@@ -17,7 +17,7 @@ import numpy as np
 
 from fesim.case.history import Histories
 from fesim.march.adaptive_state import Asked, Now, Passed, Solving, no_effort, unpacked
-from fesim.march.exponential import Ends, ExponentialStep, exponential_step
+from fesim.march.exponential import Ends, ExponentialStep, exponential_step, heat_spread
 from fesim.march.machine import CondensedMachine, State, Step
 from fesim.march.settling import displaced
 from fesim.march.slip_path import settled_at, slip_path
@@ -29,6 +29,7 @@ from fesim.march.step_control import (
     Tolerance,
     allowed,
     next_pace,
+    of_allowed,
     retreated,
     shorter,
     until,
@@ -60,12 +61,15 @@ class _March:
         The inputs.
     tolerance : Tolerance
         Of half an hour.
+    spread : float
+        `fesim.march.exponential.heat_spread`.
     """
 
     machine: CondensedMachine
     weights: Callable[[float], ExponentialStep]
     drive: Histories
     tolerance: Tolerance
+    spread: float
 
 
 @dataclass(frozen=True)
@@ -126,7 +130,7 @@ def march_adaptively(
         A pressure is beyond the conductance law.
     """
     weights = lru_cache(maxsize=KEPT)(partial(exponential_step, machine, rates))
-    march = _March(machine, weights, drive, tolerance)
+    march = _March(machine, weights, drive, tolerance, heat_spread(machine.thermal, rates))
     knots = np.append(drive.times[drive.times > 0.0], np.inf)
     fast, usual, given = _compiled(machine, rates), True, 0
     if start.course.size:
@@ -216,19 +220,28 @@ def _accepted(march: _March, now: Now, knot: float) -> tuple[_Tried, Pace, int]:
                 raise type(error)(f"{where}: {error}") from error
             pace = retreated(pace, length)
         else:
-            share = allowed(length)
-            part = tried.error.relative_to(march.tolerance)
-            if part <= (1.0 if last_chance else share):
-                return tried, next_pace(pace, length, part / share), rejected
+            part, (moved, warmed) = tried.error.relative_to(march.tolerance), tried.error.largest()
+            changed = _changed(march, now.state, tried)
+            free = pace.way > march.tolerance.temperature
+            followed = np.inf if free else march.tolerance.followed * changed
+            ratio = of_allowed(part, allowed(length), warmed, followed)
+            if ratio <= 1.0 or (last_chance and part <= 1.0):
+                return tried, next_pace(pace, length, ratio, changed), rejected
             if last_chance:
-                moved, warmed = tried.error.largest()
                 raise ConvergenceError(
                     f"{where}: the shortest step of {length:.2g} s is estimated to be off by "
                     f"{MEGA * moved:.2g} um and {warmed:.2g} K; raise march.tolerance_um and "
                     "march.tolerance_K"
                 )
-            pace = shorter(pace, length, part / share)
+            pace = shorter(pace, length, ratio)
         rejected += 1
+
+
+def _changed(march: _March, before: State, tried: _Tried) -> float:
+    """Change of the temperature in a step, K: the root mean square, weighted by heat capacity."""
+    count = tried.weights.rates.size
+    change = tried.step.state.temperature[:count] - before.temperature[:count]
+    return float(np.linalg.norm(change)) / march.spread
 
 
 def _tried(march: _March, now: Now, length: float) -> _Tried:

@@ -25,6 +25,7 @@ from fesim.march.compiled_adaptive import (
 )
 from fesim.march.compiled_adaptive import Asked as CompiledAsked
 from fesim.march.compiled_exponential import Lengths, Modes, new_lengths
+from fesim.march.exponential import heat_spread
 from fesim.march.heat_step import heat_balances
 from fesim.march.kernel import joint_kernel, owned, watched_in
 from fesim.march.machine import CondensedMachine, State
@@ -85,7 +86,7 @@ class FreeMarch:
             owned(asked.knots),
             owned(drive.times),
             owned(drive.values),
-            np.array([tolerance.displacement, tolerance.temperature]),
+            np.array([tolerance.displacement, tolerance.temperature, tolerance.followed]),
         )
         steps, count, usual = march_freely(self.kernel, self.storage, course, what, rows, taken)
         rows = Rows._make(column[:count] for column in rows)
@@ -144,7 +145,9 @@ class FreeMarch:
             flow=pair(now.flow),
             inputs=pair(now.inputs),
             slope=np.array(now.slope),
-            clock=np.array([now.time, 0.0, 0.0, now.length, pace.length, pace.error, 0.0]),
+            clock=np.array(
+                [now.time, 0.0, 0.0, now.length, pace.length, pace.error, 0.0, pace.way]
+            ),
             effort=np.array([*counts, effort.displacement, effort.temperature]),
             moved=pair(effort.sum.displacement),
             warmed=pair(effort.sum.temperature),
@@ -176,7 +179,7 @@ class FreeMarch:
 
 def _after(now: Now, course: Course, solving: Solving) -> Now:
     """The march after some steps."""
-    time, _, _, length, planned, error, _ = map(float, course.clock)
+    time, _, _, length, planned, error, _, way = map(float, course.clock)
     steps, rejected, *others = map(float, course.effort)
     shortest, longest, moved, warmed = others
     total = StepError(course.moved[ALL], course.warmed[ALL])
@@ -195,7 +198,7 @@ def _after(now: Now, course: Course, solving: Solving) -> Now:
         flow=course.flow[BEFORE],
         slope=course.slope,
         length=length,
-        pace=Pace(planned, error),
+        pace=Pace(planned, error, way),
         effort=Effort(int(steps), int(rejected), shortest, longest, total, moved, warmed),
         solving=solving,
     )
@@ -228,6 +231,7 @@ def free_march(machine: CondensedMachine, rates: Array) -> FreeMarch | None:
         mean=owned(np.asarray(thermal.mean)),
         scale=owned(contact.reference_pressure),
         left_open=left_open(machine),
+        spread=heat_spread(thermal, rates),
     )
     return FreeMarch(machine, kernel, _storage(kernel, new_lengths(modes)))
 

@@ -15,7 +15,7 @@ from thermojoint.artefacts.arrays import Array
 
 #: Arrays of a state that belong to the time between two steps; numbers before the arrays.
 OF_STATE = ("temperature", "gap", "slip", "pressure", "change")
-NUMBERS = 14
+NUMBERS = 15
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ class Now:
         """Return all of it as one array, as `fesim.march.machine.State` keeps it."""
         effort, solving, total = self.effort, self.solving, self.effort.sum
         shortest = effort.shortest if effort.steps else 0.0
-        numbers = [self.time, self.length, self.pace.length, self.pace.error]
+        numbers = [self.time, self.length, self.pace.length, self.pace.error, self.pace.way]
         numbers += [effort.steps, effort.rejected, shortest, effort.longest]
         numbers += [effort.displacement, effort.temperature]
         numbers += [solving.residual, solving.heat_balance, solving.iterations, solving.cuts]
@@ -161,8 +161,8 @@ def unpacked(state: State, inputs: int, axes: int) -> Now:
         size = math.prod(shape)
         arrays.append(kept[at : at + size].reshape(shape))
         at += size
-    time, length, planned, error, steps, rejected, shortest, longest, *others = numbers
-    moved, warmed, residual, balance, iterations, cuts = others
+    time, length, planned, error, way, steps, rejected, *others = numbers
+    shortest, longest, moved, warmed, residual, balance, iterations, cuts = others
     temperature, gap, slip, pressure, change = arrays[5:]
     total = StepError(arrays[3], arrays[4])
     counts = int(steps), int(rejected), shortest if steps else np.inf, longest
@@ -175,7 +175,7 @@ def unpacked(state: State, inputs: int, axes: int) -> Now:
         flow=arrays[1],
         slope=arrays[2],
         length=length,
-        pace=Pace(planned, error),
+        pace=Pace(planned, error, way),
         effort=Effort(*counts, total, moved, warmed),
         solving=Solving(residual, balance, int(iterations), int(cuts)),
     )

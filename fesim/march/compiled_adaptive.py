@@ -48,6 +48,7 @@ from fesim.march.step_control import (
     SMALL,
     allowed,
     next_length,
+    of_allowed,
     rung,
     shorter_length,
     until,
@@ -64,8 +65,9 @@ BEFORE, AFTER = range(2)
 #: Rows of its errors: of all steps, and of this one.
 ALL, THIS = range(2)
 #: Entries of its clock, s: start, end and length of the step, length of the last (zero: it tells
-#: nothing), planned length; the error of the last, of what was allowed in it; time asked for, s.
-START, STOP, LENGTH, LAST, PLANNED, ERROR, ASKED = range(7)
+#: nothing), planned length; the error of the last, of what was allowed in it; time asked for, s;
+#: changes of temperature so far, K.
+START, STOP, LENGTH, LAST, PLANNED, ERROR, ASKED, WAY = range(8)
 #: Entries of its effort, as in `fesim.march.adaptive_state.Effort`.
 STEPS, REJECTED, SHORT, LONG, MOVED, WARMED = range(6)
 #: Rows of `Work`.
@@ -81,10 +83,11 @@ WHOLE, PART = range(2)
 #: the step in two and in three, its end, its end with what it lacks; at a time within it, and there
 #: with the slip that extrapolation has added. Then it is done, or given up.
 SWEEP, HALVES, THIRDS, WHOLE_STEP, LACKING, MOMENT, BENT_MOMENT, DONE, GIVEN_UP = range(9)
-#: Entries of `Asked.limits`: displacement, m, and temperature, K.
-DISPLACEMENT, TEMPERATURE = range(2)
+#: Entries of `Asked.limits`, as in `fesim.march.step_control.Tolerance`.
+DISPLACEMENT, TEMPERATURE, FOLLOWED = range(3)
 
 _allowed, _rung, _until = compiled_part(allowed), compiled_part(rung), compiled_part(until)
+_of_allowed = compiled_part(of_allowed)
 _next_length, _shorter_length = compiled_part(next_length), compiled_part(shorter_length)
 
 
@@ -105,6 +108,8 @@ class AdaptiveKernel(NamedTuple):
         Reference pressures, Pa.
     left_open : float
         Change of a pressure that the tolerance of the gap equations leaves open, relative.
+    spread : float
+        Magnitude of the amplitudes of 1 K everywhere.
     """
 
     modes: Modes
@@ -113,6 +118,7 @@ class AdaptiveKernel(NamedTuple):
     mean: Array
     scale: Array
     left_open: float
+    spread: float
 
 
 class Asked(NamedTuple):
@@ -126,7 +132,7 @@ class Asked(NamedTuple):
         Ascending, s: where steps end; the last one is infinite.
     drive_times, drive : ndarray, shapes (d,) and (d, k + l)
         `fesim.case.history.Histories`.
-    limits : ndarray, shape (2,)
+    limits : ndarray, shape (3,)
         Tolerance.
     """
 
@@ -602,6 +608,17 @@ def _record(weights: Array, course: Course, taken: Taken, step: int) -> None:
 
 
 @compiled_part
+def _changed(course: Course, rates: Array, spread: float) -> float:
+    """Change of the temperature in a step, K."""
+    total = 0.0
+    for k in range(rates.size):
+        # Held surfaces follow at an infinite rate.
+        if rates[k] < np.inf:
+            total += (course.unknowns[AFTER, k] - course.unknowns[BEFORE, k]) ** 2
+    return float(np.sqrt(total)) / spread
+
+
+@compiled_part
 def _accept(course: Course) -> None:
     """Take over the step that was tried."""
     clock, effort, length = course.clock, course.effort, course.clock[LENGTH]
@@ -682,12 +699,17 @@ def march_freely(
                 continue
             moved, warmed = largest(course.moved[THIS]), largest(course.warmed[THIS])
             part = max(moved / limits[DISPLACEMENT], warmed / limits[TEMPERATURE])
-            if not part <= (1.0 if length <= SHORTEST else share):
+            changed = _changed(course, modes.rates, machine.spread)
+            free = clock[WAY] > limits[TEMPERATURE]
+            followed = np.inf if free else limits[FOLLOWED] * changed
+            error = _of_allowed(part, share, warmed, followed)
+            fine = error <= 1.0 or (length <= SHORTEST and part <= 1.0)
+            if not fine:
                 break
-        if not part <= (1.0 if length <= SHORTEST else share):
+        if not fine:
             if length <= SHORTEST:
                 return step, row, False
-            clock[PLANNED] = _rung(_shorter_length(length, part / share))
+            clock[PLANNED] = _rung(_shorter_length(length, error))
             course.effort[REJECTED] += 1.0
             continue
         row = last
@@ -697,7 +719,7 @@ def march_freely(
         if row == asked.times.size:
             return step + 1, row, True
         _accept(course)
-        error = max(part / share, SMALL)
+        error, clock[WAY] = max(error, SMALL), clock[WAY] + changed
         wanted = _next_length(clock[PLANNED], clock[ERROR], length, error)
         clock[PLANNED], clock[ERROR] = _rung(wanted), error
         step += 1

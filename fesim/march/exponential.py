@@ -17,6 +17,7 @@ from scipy.sparse import diags_array
 from fesim.march.heat_step import heat_balance, heat_step
 from fesim.march.machine import CondensedMachine
 from fesim.march.reduced import diagonal_factor
+from fesim.solid.condensation import ThermalCondensation
 from thermojoint.artefacts.arrays import Array
 
 #: Below this the phi functions come from their series, above it from their recursion.
@@ -46,6 +47,15 @@ def phi_functions(decay: Array) -> tuple[Array, Array, Array]:
         np.where(near, second, far_second),
         np.where(near, third, far_third),
     )
+
+
+def heat_spread(thermal: ThermalCondensation, rates: Array) -> float:
+    """Return the magnitude of the modes' amplitudes where everything is 1 K warmer.
+
+    They are orthonormal in the heat capacity: the root mean square of a temperature, weighted with
+    it, is the magnitude of its amplitudes over this one.
+    """
+    return float(np.linalg.norm(thermal.balance.stored[: rates.size])) or 1.0
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ numbers alone are compiled as well, by `fesim.march.compiled_adaptive`.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,6 +29,8 @@ SAFETY = 0.9
 LEAST, MOST = 0.2, 5.0
 #: Gains of the controller on this error and the last. The error over the length is of second order.
 PROPORTIONAL, LAST = 1.0 / 2.0, 0.2 / 2.0
+#: Part of a change that is followed; what rounding makes of a temperature, K.
+FOLLOWED, ROUNDED = 1e-3, 1e-8
 #: Errors below this part of what is allowed do not differ.
 SMALL = 1e-4
 #: Part of its length that a step is cut to if its equations have no solution.
@@ -45,10 +47,14 @@ class Tolerance:
         m.
     temperature : float
         Of the joints, K.
+    followed : float
+        It says nothing of changes below it: until the machine's temperature has changed by as much,
+        those of the joints may be off by this part of the change in a step.
     """
 
     displacement: float
     temperature: float
+    followed: float = FOLLOWED
 
 
 @dataclass(frozen=True)
@@ -92,10 +98,13 @@ class Pace:
         Of the next step, s.
     error : float
         Of the last step, of what was allowed in it.
+    way : float
+        Changes of temperature in all steps so far, K.
     """
 
     length: float = SHORTEST
     error: float = 1.0
+    way: float = 0.0
 
 
 def allowed(length: float) -> float:
@@ -103,7 +112,20 @@ def allowed(length: float) -> float:
     return TOGETHER * length / SPAN
 
 
-def next_pace(pace: Pace, taken: float, error: float) -> Pace:
+def of_allowed(part: float, share: float, warmed: float, followed: float) -> float:
+    """Return the error of a step, of what is allowed in it.
+
+    Parameters
+    ----------
+    part, share : float
+        Error, and what is allowed in a step of this length (`allowed`), of the tolerance.
+    warmed, followed : float
+        Error of the joints' temperatures, and what may be of the change in the step, K.
+    """
+    return max(part / share, warmed / (followed + ROUNDED))
+
+
+def next_pace(pace: Pace, taken: float, error: float, changed: float) -> Pace:
     """Return the pace after an accepted step.
 
     Parameters
@@ -114,14 +136,16 @@ def next_pace(pace: Pace, taken: float, error: float) -> Pace:
         Length of the step, s; shorter than that of the pace where a knot cut it.
     error : float
         Of the step, of what was allowed in it.
+    changed : float
+        Of temperature in the step, K.
     """
-    error = max(error, SMALL)
-    return Pace(rung(next_length(pace.length, pace.error, taken, error)), error)
+    error, way = max(error, SMALL), pace.way + changed
+    return Pace(rung(next_length(pace.length, pace.error, taken, error)), error, way)
 
 
 def shorter(pace: Pace, taken: float, error: float) -> Pace:
     """Return the pace after a rejected step; arguments as for `next_pace`."""
-    return Pace(rung(shorter_length(taken, error)), pace.error)
+    return replace(pace, length=rung(shorter_length(taken, error)))
 
 
 def next_length(planned: float, last: float, taken: float, error: float) -> float:
@@ -141,7 +165,7 @@ def shorter_length(taken: float, error: float) -> float:
 
 def retreated(pace: Pace, taken: float) -> Pace:
     """Return the pace after a step of length `taken` (s) whose equations have no solution."""
-    return Pace(rung(RETREAT * taken), pace.error)
+    return replace(pace, length=rung(RETREAT * taken))
 
 
 def rung(length: float) -> float:

@@ -39,7 +39,7 @@ from thermojoint.paper.summary import convergence, result_lines
 #: Heat that turns, so that the joint slides, sticks, and slides back: times, s, and W.
 TURNS, WATTS = (0.0, 40.0, 60.0, 120.0), (0.0, 1800.0, -1800.0, 1200.0)
 END = 120.0
-LOOSE = Tolerance(1e3, 1e9)
+LOOSE = Tolerance(1e3, 1e9, np.inf)
 
 
 @pytest.fixture(scope="module")
@@ -108,6 +108,20 @@ def test_the_error_is_below_the_tolerance_and_the_estimate_says_so(bars, wanted)
     assert np.abs(track.heat_balance).max() < 1e-12
 
 
+def test_changes_below_the_tolerances_are_followed_to_a_part_of_themselves(bars):
+    def faint(times=TURNS):
+        drive = driven(times)
+        return Histories(drive.times, 1e-4 * drive.values)
+
+    times = np.array(TURNS[1:])
+    exact = marched(bars, faint(np.arange(0.0, END, 0.5)), times, LOOSE)[0].temperature
+    found = marched(bars, faint(), times, Tolerance(1e-6, 1.0))[0].temperature
+    unruled = marched(bars, faint(), times, Tolerance(1e-6, 1.0, np.inf))[0].temperature
+    size = np.abs(exact).max()
+    assert np.abs(found - exact).max() < 1e-3 * size
+    assert np.abs(unruled - exact).max() > 1e-3 * size
+
+
 def test_nothing_depends_on_the_times_that_are_asked_for(bars):
     tolerance = Tolerance(1e-7, 1.0)
     seldom, _ = marched(bars, driven(), np.array([END]), tolerance)
@@ -136,7 +150,7 @@ def test_steps_stay_on_their_ladder_and_never_pass_a_knot(length, error, left):
     assert SHORTEST <= pace.length <= LONGEST
     assert pace.length <= max(length * (1.0 + 1e-6), SHORTEST)
     assert shorter(pace, pace.length, 1.0 + error).length < max(pace.length, 1.01 * SHORTEST)
-    longer = next_pace(pace, pace.length, min(error, 1.0)).length
+    longer = next_pace(pace, pace.length, min(error, 1.0), 0.0).length
     assert SHORTEST <= longer <= 5.0 * pace.length
     step = until(pace.length, left)
     assert 0.0 < step <= min(pace.length, left)
