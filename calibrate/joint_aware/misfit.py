@@ -322,22 +322,22 @@ def _basis(machine: ReducedMachine, turning: tuple[tuple[str, float], ...]) -> t
 
 def residuals(problem: Problem, parameters: tuple[Parameter, ...], coordinates: Array) -> Array:
     """Return everything that neither parameters nor linear part explain, in units of sigma."""
-    temperature, displacement = errors(problem, parameters, coordinates)
-    whitened = np.concatenate(
-        [
-            *(
-                channel.whitened(column, trust * problem.sigmas.temperature)
-                for channel, column, trust in zip(
-                    problem.temperature, temperature.T, problem.trust, strict=True
-                )
-            ),
-            *(
-                channel.whitened(column, problem.sigmas.displacement)
-                for channel, column in zip(problem.displacement, displacement.T, strict=True)
-            ),
-        ]
-    )
-    return np.asarray(whitened / problem.doubt)
+    return whitened(problem, np.hstack(errors(problem, parameters, coordinates)))
+
+
+def whitened(problem: Problem, left: Array) -> Array:
+    """Return what the linear part leaves of errors (n, p + axes), one channel after the other.
+
+    In units of sigma, shape (n (p + axes),) unless a channel does not move. It is linear in them.
+    """
+    sigmas = [*(problem.trust * problem.sigmas.temperature)]
+    sigmas += [problem.sigmas.displacement] * len(problem.displacement)
+    channels = (*problem.temperature, *problem.displacement)
+    parts = [
+        channel.whitened(column, sigma)
+        for channel, column, sigma in zip(channels, left.T, sigmas, strict=True)
+    ]
+    return np.asarray(np.concatenate(parts) / problem.doubt)
 
 
 def doubt_of(problem: Problem, left: Array) -> float:

@@ -8,6 +8,10 @@ over the samples of all runs. G and o are linear and are eliminated (`misfit`), 
 has as many unknowns as there are parameters. It uses a coarse march; the difference from the full
 march is kept from the last round (a defect correction), so that the converged result solves the
 equations of the full march.
+
+Slopes are differences of marches where a search begins; along it they follow from the errors that
+it finds anyway (Broyden 1965, `Slopes.moved`). A round of the defect correction begins with
+differences again, and the last one moves nothing.
 """
 
 from __future__ import annotations
@@ -16,7 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import OptimizeResult, least_squares
+from scipy.optimize import least_squares
 
 from calibrate.joint_aware.misfit import (
     Problem,
@@ -30,6 +34,7 @@ from calibrate.joint_aware.misfit import (
     reading_noise,
     residuals,
     trust_in,
+    whitened,
 )
 from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.artefacts.errors import ConvergenceError
@@ -108,6 +113,90 @@ class Start:
     begun: Array
     reached: Array
     cost: float
+
+
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """Errors at some parameters, and how they change with them.
+
+    Attributes
+    ----------
+    at : ndarray, shape (k,)
+        Coordinates in units of their priors.
+    errors : ndarray, shape (n, p + axes)
+        Of `misfit.errors`, K and m.
+    each : ndarray, shape (k, n, p + axes)
+        Change of the errors by each coordinate.
+    """
+
+    at: Array
+    errors: Array
+    each: Array
+
+    def moved(self, at: Array, errors: Array) -> Slopes:
+        """Return the nearest slopes that explain the errors at another place (Broyden 1965)."""
+        step = at - self.at
+        missed = errors - self.errors - np.tensordot(step, self.each, axes=1)
+        share = step / max(float(step @ step), np.finfo(float).tiny)
+        return Slopes(at, errors, self.each + np.multiply.outer(share, missed))
+
+    def jacobian(self, problem: Problem) -> Array:
+        """Return the Jacobian of the residuals, (n, k)."""
+        return np.column_stack([whitened(problem, each) for each in self.each])
+
+
+def slopes_at(
+    problem: Problem, parameters: tuple[Parameter, ...], at: Array, search: Search
+) -> Slopes:
+    """Return slopes by differences of marches.
+
+    Parameters
+    ----------
+    problem : Problem
+        The runs.
+    parameters : tuple of Parameter
+        The k parameters.
+    at : ndarray, shape (k,)
+        Coordinates in units of their priors.
+    search : Search
+        With the length of the differences.
+    """
+    here, *beside = [
+        _errors(problem, parameters, place)
+        for place in (at, *(at + search.difference * np.eye(at.size)))
+    ]
+    return Slopes(at, here, (np.array(beside) - here) / search.difference)
+
+
+def _errors(problem: Problem, parameters: tuple[Parameter, ...], scaled: Array) -> Array:
+    """Temperatures and displacements side by side, (n, p + axes)."""
+    coordinates = scaled * [parameter.spread for parameter in parameters]
+    return np.hstack(errors(problem, parameters, coordinates))
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Where a search has ended.
+
+    Attributes
+    ----------
+    at : ndarray, shape (k,)
+        Coordinates in units of their priors.
+    residuals : ndarray, shape (n,)
+        With the defect.
+    jacobian : ndarray, shape (n, k)
+        Of the residuals.
+    cost : float
+        Half the sum of squares, with the prior.
+    evaluations : int
+        Parameter evaluations of all runs.
+    """
+
+    at: Array
+    residuals: Array
+    jacobian: Array
+    cost: float
+    evaluations: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,20 +311,21 @@ def fit_physics(
             if not drawn.any():
                 raise
             continue
-        tried.append(Start(spread * begun, spread * result.x, float(result.cost)))
-        evaluations += _counted(result)
+        tried.append(Start(spread * begun, spread * result.at, result.cost))
+        evaluations += result.evaluations
     now = min(tried, key=lambda start: start.cost).reached / spread
     whole, problem, result, taken = _settled(whole, problem, parameters, now, search)
-    if (doubt := min(doubt_of(whole, result.fun[: defect.size]), search.doubted)) > 1.0:
+    if (doubt := min(doubt_of(whole, result.residuals), search.doubted)) > 1.0:
         whole, problem = replace(whole, doubt=doubt), replace(problem, doubt=doubt)
         evaluations += taken
-        whole, problem, result, taken = _settled(whole, problem, parameters, result.x, search)
-    evaluations, now = evaluations + taken, result.x
+        whole, problem, result, taken = _settled(whole, problem, parameters, result.at, search)
+    evaluations, now = evaluations + taken, result.at
     if (held := _undecided(parameters, result, search)).any():
         defect = _defect(whole, problem, parameters, now)
         result = _search(problem, parameters, now, defect, search, held)
-        evaluations, now = evaluations + 2 + _counted(result), np.where(held, 0.0, result.x)
-    return _fit(whole, parameters, now, result.jac[: defect.size], tuple(tried), evaluations)
+        evaluations, now = evaluations + 2 + result.evaluations, np.where(held, 0.0, result.at)
+    jacobian = slopes_at(problem, parameters, now, search).jacobian(problem)
+    return _fit(whole, parameters, now, jacobian, tuple(tried), evaluations + 1 + now.size)
 
 
 def refit(machine: ReducedMachine, runs: Sequence[Run], fit: Fit, search: Search = SEARCH) -> Fit:
@@ -269,8 +359,7 @@ def refit(machine: ReducedMachine, runs: Sequence[Run], fit: Fit, search: Search
     held = np.array([isinstance(one, Added) for one in parameters]) & (now == 0.0)
     few = replace(search, evaluations=REFITTED, close=search.roughly)
     result = _search(problem, parameters, now, defect, few, held)
-    jacobian = result.jac[: defect.size]
-    return _fit(whole, parameters, result.x, jacobian, (), 3 + _counted(result))
+    return _fit(whole, parameters, result.at, result.jacobian, (), 3 + result.evaluations)
 
 
 def _settled(
@@ -279,7 +368,7 @@ def _settled(
     parameters: tuple[Parameter, ...],
     now: Array,
     search: Search,
-) -> tuple[Problem, Problem, OptimizeResult, int]:
+) -> tuple[Problem, Problem, Found, int]:
     """Search until defect and trust settle; both problems, the last search, and evaluations."""
     spread, evaluations = np.array([parameter.spread for parameter in parameters]), 0
     for _ in range(search.rounds):
@@ -288,10 +377,10 @@ def _settled(
         whole, problem = replace(whole, trust=trust), replace(problem, trust=trust)
         defect = _defect(whole, problem, parameters, now)
         result = _search(problem, parameters, now, defect, search)
-        evaluations += 3 + _counted(result)
-        before, now = now, result.x
+        evaluations += 3 + result.evaluations
+        before, now = now, result.at
         # In posterior standard deviations.
-        step = np.append(result.jac[: defect.size] @ (now - before), now - before)
+        step = np.append(result.jacobian @ (now - before), now - before)
         if np.linalg.norm(step) <= search.settled:
             break
     return whole, problem, result, evaluations
@@ -302,15 +391,16 @@ def problem_of(machine: ReducedMachine, runs: Sequence[Run], fit: Fit) -> Proble
     return replace(make_problem(machine, runs), trust=fit.trust, doubt=fit.doubt)
 
 
-def _undecided(parameters: tuple[Parameter, ...], result: OptimizeResult, search: Search) -> Flags:
+def _undecided(parameters: tuple[Parameter, ...], found: Found, search: Search) -> Flags:
     """Films and lags that the case does not have and the data do not show, (k,).
 
     A film may explain errors of the model, which is no evidence of one. The fit sets it to zero and
     keeps its uncertainty.
     """
-    deviation = np.sqrt(np.diag(np.linalg.inv(result.jac.T @ result.jac)))
+    information = np.eye(found.at.size) + found.jacobian.T @ found.jacobian
+    deviation = np.sqrt(np.diag(np.linalg.inv(information)))
     added = np.array([isinstance(parameter, Added) for parameter in parameters])
-    return np.asarray(added & (result.x < search.evident * deviation))
+    return np.asarray(added & (found.at < search.evident * deviation))
 
 
 def _starts(parameters: tuple[Parameter, ...], search: Search) -> list[Array]:
@@ -336,47 +426,45 @@ def _search(
     defect: Array,
     search: Search,
     held: Flags | None = None,
-) -> OptimizeResult:
+) -> Found:
     """Search from a start; parameters that are `held` stay at zero."""
     least = np.array([parameter.least for parameter in parameters])
     # The bounds of a search are apart.
     highest = np.full(start.size, 3.0)
     if held is not None:
         highest[held] = 1e-9
-    spread = np.array([parameter.spread for parameter in parameters])
-    first: list[Array] = []
-    # The slope is asked for where the residuals were found last.
-    last: list[tuple[Array, Array]] = []
+    # Rounding may have moved a parameter at its bound beyond it.
+    begun = np.clip(start, least, highest)
+    slopes = slopes_at(problem, parameters, begun, search)
+    first, differences = defect + whitened(problem, slopes.errors), 1
+    # Trials since the last slopes.
+    tried: list[Array] = []
 
     def of(scaled: Array) -> Array:
+        if np.array_equal(scaled, begun):
+            return np.concatenate([first, scaled])
         try:
-            found = residuals(problem, parameters, spread * scaled)
-            last[:] = [(scaled.copy(), found)]
-            penalty = defect + found
+            tried.append(_errors(problem, parameters, scaled))
+            penalty = defect + whitened(problem, tried[-1])
         except ConvergenceError:
             # Trial step too large: return a cost above the initial one, so that it is shortened.
-            if not first:
-                raise
-            penalty = 10.0 * first[0]
-        if not first:
-            first.append(penalty)
+            tried.append(np.full_like(slopes.errors, np.inf))
+            penalty = 10.0 * first
         return np.concatenate([penalty, scaled])
 
     def slope(scaled: Array) -> Array:
-        [(place, here)] = last
-        if not np.array_equal(place, scaled):
-            here = residuals(problem, parameters, spread * scaled)
-        beside = [
-            residuals(problem, parameters, spread * at)
-            for at in scaled + search.difference * np.eye(spread.size)
-        ]
-        own = (np.column_stack(beside) - here[:, None]) / search.difference
-        return np.vstack([own, np.eye(spread.size)])
+        nonlocal slopes, differences
+        if len(tried) == 1:
+            slopes = slopes.moved(scaled, tried[0])
+        elif tried:
+            # A step had to be shortened: the slopes have misled the search.
+            slopes, differences = slopes_at(problem, parameters, scaled, search), differences + 1
+        tried.clear()
+        return np.vstack([slopes.jacobian(problem), np.eye(scaled.size)])
 
-    return least_squares(
+    result = least_squares(
         of,
-        # Rounding may have moved a parameter at its bound beyond it.
-        np.clip(start, least, highest),
+        begun,
         slope,
         method="dogbox",
         bounds=(least, highest),
@@ -385,10 +473,9 @@ def _search(
         gtol=1e-8,
         max_nfev=search.evaluations,
     )
-
-
-def _counted(result: OptimizeResult) -> int:
-    return int(result.nfev + (result.njev or 0) * result.x.size)
+    evaluations = int(result.nfev) + differences * (1 + begun.size)
+    jacobian = slopes.jacobian(problem)
+    return Found(result.x, result.fun[: defect.size], jacobian, float(result.cost), evaluations)
 
 
 def _fit(

@@ -471,7 +471,7 @@ class Modes:
     elastic : ElasticCondensation
         On these modes; bolts are part of it.
     film : ndarray, shape (r, r)
-        The part of the rates, a full matrix, that is convection, 1/s.
+        The part of the rates, a full matrix, that is convection, 1/s; only `diagonal_modes` has it.
     loads : LoadInfluence
         Of l factors on gaps and displacement: loads, forces of the bolts, and what bolts count
         from (`fesim.solid.bolts.fastened`).
@@ -548,7 +548,10 @@ def diagonal_modes(machine: ReducedMachine, held: Array | None = None) -> Modes:
         Conductance times area, W/K, with which the joint belongs to the linear part: then the
         joint heat flows are those beyond it. Default: none.
     """
-    return on_basis(machine, *diagonal_basis(machine, held), held)
+    rates, basis = diagonal_basis(machine, held)
+    modes = on_basis(machine, rates, basis, held)
+    film = basis.T @ machine.convection @ basis
+    return replace(modes, film=np.pad(film, (0, modes.rates.size - rates.size)))
 
 
 def diagonal_basis(machine: ReducedMachine, held: Array | None = None) -> tuple[Array, Array]:
@@ -597,6 +600,8 @@ def on_basis(
 ) -> Modes:
     """Return a machine's modes on a basis (r, k) that makes its heat equation diagonal.
 
+    Without `Modes.film`, which no march needs.
+
     Parameters
     ----------
     machine : ReducedMachine
@@ -632,7 +637,7 @@ def on_basis(
         sensors=turned.sensors,
         start=turned.start,
         elastic=elastic,
-        film=basis.T @ machine.convection @ basis,
+        film=np.zeros((0, 0)),
         loads=loads,
         factors=factors,
         tight=tight,
@@ -685,7 +690,6 @@ def lagging(modes: Modes, lags: Array) -> Modes:
         sensors=sensors,
         start=np.append(modes.start, (seen - followed) @ modes.start),
         elastic=widened(modes.elastic),
-        film=np.pad(modes.film, (0, slow.size)),
         way=None if modes.way is None else modes.way.turned(none, widened),
     )
 
