@@ -57,7 +57,17 @@ LASTS = 10.0
 def make_observer(
     machine: ReducedMachine, fit: Fit, calibrated: Calibrated, noise: Noise | None = None
 ) -> ObserverModel:
-    """Return the observer of a fitted machine.
+    """Return the observer of a fitted machine; see `observer_from_rest`."""
+    model = observer_from_rest(machine, fit, calibrated, noise)
+    pasts = random_pasts(calibrated.heat, machine.power.size)
+    warm = warm_columns(model.modes, fit.discrepancy.rates, machine.power, model.filter, pasts)
+    return replace(model, warm=warm)
+
+
+def observer_from_rest(
+    machine: ReducedMachine, fit: Fit, calibrated: Calibrated, noise: Noise | None = None
+) -> ObserverModel:
+    """Return the observer of a fitted machine that is not told what a warm start may be.
 
     Its band does not include the uncertainty of the calibration: `open_band`.
 
@@ -126,13 +136,7 @@ def make_observer(
             open=np.zeros((len(machine.axes), 1, 2 * fit.discrepancy.displacement.shape[1])),
             square=nothing,
         ),
-        warm=warm_columns(
-            modes,
-            fit.discrepancy.rates,
-            machine.power,
-            steady,
-            random_pasts(calibrated.heat, machine.power.size),
-        ),
+        warm=np.zeros((scale.size, PAST.columns)),
         surfaces=held.names,
         first=held.first,
         power=machine.power,

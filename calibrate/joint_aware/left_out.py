@@ -8,13 +8,13 @@ it would have held on every run: split conformal prediction, with runs as blocks
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from calibrate.joint_aware.assembling import make_observer
+from calibrate.joint_aware.assembling import observer_from_rest
 from calibrate.joint_aware.misfit import Run, coarser, fewer
 from calibrate.joint_aware.open_band import (
     Drawing,
@@ -25,11 +25,9 @@ from calibrate.joint_aware.open_band import (
     unlike_its_case,
 )
 from calibrate.joint_aware.physics_fit import Fit, refit
-from estimator.interface import follow
 from estimator.joint_aware.estimator import WIDTH, JointAware
 from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.observer_model import Band, ObserverModel
-from estimator.lines import here
 from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.artefacts.errors import ConvergenceError
 from thermojoint.reduced.discrepancy import told_by
@@ -65,7 +63,7 @@ def widened(
     model : ObserverModel
         With the band of that fit's posterior (`open_band`).
     noise : Noise, optional
-        As for `make_observer`.
+        As for `observer_from_rest`.
     drawing : Drawing
         Number of machines drawn.
     """
@@ -128,13 +126,10 @@ def _unseen(
 ) -> _Unseen:
     """Errors in a run that was left out, and what the posterior of the others expects."""
     fit = others.fit
-    filtered = make_observer(machine, fit, model.calibrated, others.noise)
+    filtered = observer_from_rest(machine, fit, model.calibrated, others.noise)
     observer, sources = JointAware(filtered), machine.power.size
     moving = len(machine.axis_names)
-    estimates = follow(
-        observer, _samples(run, sources + len(machine.held.names)), observer.initial_state()
-    )
-    found, _ = here(observer.axes, observer.details, [estimate for _, estimate in estimates])
+    found = observer.displacements(_samples(run, sources + len(machine.held.names)))
     # What the posterior expects, on the longer steps of the band.
     slow = on_longer_steps(machine, others.runs, model.calibrated, fit, others.noise, drawing)
     step = slow.machine.step
@@ -160,8 +155,8 @@ def _means(values: Array, times: Array, grid: Array) -> tuple[Array, Flags]:
     return (step.T @ values)[read] / count[read, None], read
 
 
-def _samples(run: Run, driven: int) -> Iterator[tuple[float, ...]]:
-    """Yield the readings of a run, with the inputs after the first `driven`: ambient and loads."""
+def _samples(run: Run, driven: int) -> Array:
+    """Times and readings of a run, with the inputs after the first `driven`: ambient and loads."""
     grid = run.length * np.arange(1, len(run.inputs) + 1)
     given = [np.interp(run.times, grid, column) for column in run.inputs[:, driven:].T]
-    yield from map(tuple, np.column_stack([run.times, run.temperature, *given]).tolist())
+    return np.column_stack([run.times, run.temperature, *given])

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.stats import t as student
 
-from calibrate.joint_aware.assembling import make_observer
+from calibrate.joint_aware.assembling import observer_from_rest
 from calibrate.joint_aware.misfit import (
     Problem,
     Run,
@@ -30,12 +30,10 @@ from calibrate.joint_aware.misfit import (
 from calibrate.joint_aware.physics_fit import SEARCH, Fit, problem_of
 from calibrate.joint_aware.random_heat import random_course, random_levels
 from estimator import sensor_faults
-from estimator.interface import follow
 from estimator.joint_aware.estimator import WIDTH, JointAware
 from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.observer_model import Band, Calibrated, ObserverModel
 from estimator.joint_aware.thresholds import Thresholds
-from estimator.lines import here
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
 from thermojoint.reduced.discrepancy import COUNT, Discrepancy, make_ridge, relaxed
@@ -108,7 +106,7 @@ def open_band(
     model : ObserverModel
         The observer of this fit.
     noise : Noise, optional
-        As for `make_observer`.
+        As for `observer_from_rest`.
     drawing : Drawing
         Number of machines, and their histories.
     """
@@ -164,7 +162,7 @@ def on_longer_steps(
 ) -> Fitted:
     """Return a fit to `runs`, its machine and its observer on the steps of `drawing`."""
     slow = replace(machine, step=max(drawing.step, machine.step))
-    observer = JointAware(make_observer(slow, fit, calibrated, noise), thresholds=HEALTHY)
+    observer = JointAware(observer_from_rest(slow, fit, calibrated, noise), thresholds=HEALTHY)
     problem = problem_of(slow, [coarser(run, SEARCH.steps) for run in runs], fit)
     return Fitted(slow, problem, fit, observer)
 
@@ -379,9 +377,8 @@ def errors_on(fitted: Fitted, drawn: Drawn, history: History) -> Array:
     first = physics.modes.factors
     others = np.tile(np.append(0.0, first[: len(machine.load_names)]), (count + 1, 1))
     course = np.vstack([first[first.size - history.course.shape[1] :], history.course])
-    samples = map(tuple, np.column_stack([times, readings, others, course]).tolist())
-    estimates = [estimate for _, estimate in follow(observer, samples, observer.initial_state())]
-    return here(observer.axes, observer.details, estimates[1:])[0] - displacement
+    samples = np.column_stack([times, readings, others, course])
+    return np.asarray(observer.displacements(samples)[1:] - displacement)
 
 
 def _explained(features: Array, error: Array, ends: Array, drawing: Drawing) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 from estimator.joint_aware.displacement_readings import ModelError
 from estimator.joint_aware.observer_state import UNKNOWN, ObserverState
 from estimator.sensor_faults import Channels, Sample, Thresholds, certainly_alike, look
-from fesim.jit import compiled
+from fesim.jit import compiled, compiled_part
 from fesim.joint.in_place import add
 from fesim.march.compiled_step import (
     HeatStep,
@@ -101,7 +101,44 @@ def place_of(own: Filter, heat: HeatStep, joint: JointKernel) -> Place:
 
 
 @compiled
-def usual_sample(
+def usual_samples(
+    place: Place,
+    state: ObserverState,
+    times: Array,
+    length: float,
+    readings: Array,
+    displacement: Array,
+) -> bool:
+    """Process ordinary samples into `state` and `displacement` (n, axes), in place.
+
+    Parameters
+    ----------
+    place : Place
+        Data of the observer for a step of `length`.
+    state : ObserverState
+        Views of a flat state; the sample before is `length` (s) before the first of these.
+    times : ndarray, shape (n,)
+        `length` (s) apart.
+    length : float
+        s.
+    readings : ndarray, shape (n, p + 1)
+        K.
+    displacement : ndarray, shape (n, axes)
+        m, without the correction by displacement readings.
+
+    Returns
+    -------
+    bool
+        Whether all samples were ordinary. If not, the content of `state` is invalid.
+    """
+    for k in range(times.size):
+        if not _usual(place, state, times[k], length, readings[k], displacement[k]):
+            return False
+    return True
+
+
+@compiled_part
+def _usual(
     place: Place,
     state: ObserverState,
     time: float,
@@ -109,26 +146,7 @@ def usual_sample(
     readings: Array,
     displacement: Array,
 ) -> bool:
-    """Process an ordinary sample into `state` and `displacement` (axes,), in place.
-
-    Parameters
-    ----------
-    place : Place
-        Data of the observer for a step of `length`.
-    state : ObserverState
-        Views of a flat state; the sample before is `length` (s) ago.
-    time, length : float
-        s.
-    readings : ndarray, shape (p + 1,)
-        K.
-    displacement : ndarray, shape (axes,)
-        m, without the correction by displacement readings.
-
-    Returns
-    -------
-    bool
-        Whether the sample was ordinary. If not, the content of `state` is invalid.
-    """
+    """One of the samples: readings (p + 1,) at a time (s)."""
     own, heat, joint, work = place.own, place.heat, place.joint, place.work
     channels, size = own.rows.shape
     judging = state.pending.channel[()]

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator import lines, sensor_faults
-from estimator.interface import READING_NOISE, Channel, Estimate, Status
+from estimator.interface import READING_NOISE, Channel, Estimate, Status, follow
 from estimator.joint_aware import compiled_sample, displacement_readings, fault_isolation
 from estimator.joint_aware.displacement_readings import (
     DisplacementProbe,
@@ -274,6 +274,34 @@ class JointAware(Described):
             flat = taken.after.flat()
         return flat, self._estimate(taken, time, readings, factors)
 
+    def displacements(self, samples: Array) -> Array:
+        """Return the displacements in a run from rest without their bands, (n, axes), m.
+
+        They are those of `estimator.interface.follow`, where the machine is (`lines.here`).
+
+        Parameters
+        ----------
+        samples : ndarray, shape (n, 1 + channels)
+            Times, s, and the values of the channels.
+
+        Raises
+        ------
+        InputError, ConvergenceError
+            As `sample`.
+        """
+        before, first = self.sample(self.initial_state(), samples[0, 0], samples[0, 1:].tolist())
+        thermal, step = len(self.observer.system.rows), self.model.step
+        evenly = bool(np.all(np.abs(np.diff(samples[:, 0]) - step) <= 1e-6 * step))
+        if self._place is not None and evenly and samples.shape[1] == 1 + thermal:
+            times, state = samples[1:, 0].copy(), unpacked(before.copy(), self.parts)
+            readings = samples[1:, 1:] - np.append(self.model.offset, 0.0)
+            moved = np.empty((times.size, len(self.axes)))
+            if compiled_sample.usual_samples(self._place, state, times, step, readings, moved):
+                return np.vstack([first.displacement, moved])
+        rows = map(tuple, samples[1:].tolist())
+        after = [estimate for _, estimate in follow(self, rows, before)]
+        return lines.here(self.axes, self.details, [first, *after])[0]
+
     def _usual(
         self, state: ObserverState, moment: Moment, readings: Array, probed: Array
     ) -> Taken | None:
@@ -282,9 +310,9 @@ class JointAware(Described):
             return None
         if not np.isnan(probed).all():
             return None
-        displacement = np.empty(len(self.axes))
-        if not compiled_sample.usual_sample(
-            self._place, state, moment.time, moment.length, readings, displacement
+        displacement, times = np.empty(len(self.axes)), np.array([moment.time])
+        if not compiled_sample.usual_samples(
+            self._place, state, times, moment.length, readings[None], displacement[None]
         ):
             return None
         memory, everything = float(state.memory), np.ones(readings.size, dtype=bool)

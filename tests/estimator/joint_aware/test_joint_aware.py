@@ -23,7 +23,7 @@ from calibrate.joint_aware.open_band import (
     open_band,
     unlike_its_case,
 )
-from calibrate.joint_aware.physics_fit import Search, fit_physics
+from calibrate.joint_aware.physics_fit import Search, Slopes, fit_physics
 from calibrate.joint_aware.readings import run_in
 from calibrate.joint_aware.report import whole_report
 from estimator.interface import Status, follow
@@ -186,6 +186,18 @@ def test_a_usual_sample_in_machine_code_is_that_of_the_general_rule(estimator, r
         np.testing.assert_allclose(quick.band, plain.band, rtol=1e-9)
         assert quick.words == plain.words
     assert sum(one is None for one in taken) < 0.1 * len(taken)
+
+
+@pytest.mark.parametrize("missing", [(), (7, 8, 9)])
+def test_many_samples_at_once_are_displaced_as_one_after_the_other(estimator, response, missing):
+    samples = np.array(list(samples_in(response, estimator.model.sensors)))
+    samples[list(missing), 1] = np.nan
+    one_by_one = follow(estimator, map(tuple, samples.tolist()), estimator.initial_state())
+    np.testing.assert_allclose(
+        estimator.displacements(samples),
+        [estimate.displacement for _, estimate in one_by_one],
+        atol=1e-15,
+    )
 
 
 def test_without_any_thermometer_for_long_the_estimate_is_bad(estimator, response):
@@ -383,6 +395,21 @@ def test_a_search_by_coarse_marches_comes_to_the_minimum_of_the_machine_s_own(ma
     assert np.abs(end).max() < 0.01 * np.abs(begin).max()
     assert len(fit.starts) > 1
     assert np.ptp([one.cost for one in fit.starts]) < 0.1
+
+
+def test_slopes_that_are_moved_explain_every_step_and_are_those_of_a_linear_machine():
+    rng = np.random.default_rng(2)
+    each, beyond = rng.normal(size=(2, 3, 7, 2))
+    places = rng.normal(size=(4, 3))
+    slopes = Slopes(places[0], np.tensordot(places[0], each, axes=1), each + beyond)
+    for place in places[1:]:
+        before = slopes
+        slopes = slopes.moved(place, np.tensordot(place, each, axes=1))
+        explained = before.errors + np.tensordot(place - before.at, slopes.each, axes=1)
+        np.testing.assert_allclose(explained, slopes.errors, atol=1e-12)
+        assert np.linalg.norm(slopes.each - each) < np.linalg.norm(before.each - each)
+    still = slopes.moved(slopes.at, slopes.errors)
+    np.testing.assert_array_equal(still.each, slopes.each)
 
 
 def test_offsets_and_noise_of_the_sensors_are_found(machine, plant, fit):
