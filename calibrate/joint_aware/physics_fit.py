@@ -9,9 +9,9 @@ has as many unknowns as there are parameters. It uses a coarse march; the differ
 march is kept from the last round (a defect correction), so that the converged result solves the
 equations of the full march.
 
-Slopes are differences of marches where a search begins; along it they follow from the errors that
-it finds anyway (Broyden 1965, `Slopes.moved`). A round of the defect correction begins with
-differences again, and the last one moves nothing.
+Slopes are differences of marches where the first search begins; from there on they follow from the
+errors that the searches find anyway (Broyden 1965, `Slopes.moved`), until a step has to be
+shortened. The last rounds of the defect correction begin with differences again.
 """
 
 from __future__ import annotations
@@ -96,6 +96,10 @@ class Search:
 SEARCH = Search()
 #: Most evaluations of a search that begins where another fit ended.
 REFITTED = 4
+#: Slopes are taken by differences again if a step has to be shortened more often.
+MISLED = 1
+#: A step no longer than this, in units of the priors, is rounding.
+NOWHERE = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,9 +140,10 @@ class Slopes:
     def moved(self, at: Array, errors: Array) -> Slopes:
         """Return the nearest slopes that explain the errors at another place (Broyden 1965)."""
         step = at - self.at
+        if np.linalg.norm(step) <= NOWHERE:
+            return Slopes(at, errors, self.each)
         missed = errors - self.errors - np.tensordot(step, self.each, axes=1)
-        share = step / max(float(step @ step), np.finfo(float).tiny)
-        return Slopes(at, errors, self.each + np.multiply.outer(share, missed))
+        return Slopes(at, errors, self.each + np.multiply.outer(step / (step @ step), missed))
 
     def jacobian(self, problem: Problem) -> Array:
         """Return the Jacobian of the residuals, (n, k)."""
@@ -190,6 +195,8 @@ class Found:
         Half the sum of squares, with the prior.
     evaluations : int
         Parameter evaluations of all runs.
+    slopes : Slopes
+        Where the Jacobian is from.
     """
 
     at: Array
@@ -197,6 +204,7 @@ class Found:
     jacobian: Array
     cost: float
     evaluations: int
+    slopes: Slopes
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,28 +309,33 @@ def fit_physics(
     problem = make_problem(machine, [coarser(run, search.steps) for run in runs])
     spread = np.array([parameter.spread for parameter in parameters])
     now, rough = np.zeros(spread.size), replace(search, close=search.roughly)
-    defect, evaluations, tried = _defect(whole, problem, parameters, now), 2, []
+    defect, tried = _defect(whole, problem, parameters, now), []
+    slopes, evaluations = slopes_at(problem, parameters, now, search), 3 + now.size
+    best: Found | None = None
     for drawn in _starts(parameters, search):
         begun = drawn
         try:
             begun = best_lags(problem, parameters, spread * drawn, search.lags) / spread
-            result = _search(problem, parameters, begun, defect, rough)
+            there = slopes.moved(begun, _errors(problem, parameters, begun))
+            result = _search(problem, parameters, there, defect, rough)
         except ConvergenceError:
             if not drawn.any():
                 raise
             continue
         tried.append(Start(spread * begun, spread * result.at, result.cost))
         evaluations += result.evaluations
-    now = min(tried, key=lambda start: start.cost).reached / spread
-    whole, problem, result, taken = _settled(whole, problem, parameters, now, search)
+        best = result if best is None or result.cost < best.cost else best
+        slopes = best.slopes
+    assert best is not None  # the search from the case's values raises
+    whole, problem, result, taken = _settled(whole, problem, parameters, best.slopes, search)
     if (doubt := min(doubt_of(whole, result.residuals), search.doubted)) > 1.0:
         whole, problem = replace(whole, doubt=doubt), replace(problem, doubt=doubt)
         evaluations += taken
-        whole, problem, result, taken = _settled(whole, problem, parameters, result.at, search)
+        whole, problem, result, taken = _settled(whole, problem, parameters, result.slopes, search)
     evaluations, now = evaluations + taken, result.at
     if (held := _undecided(parameters, result, search)).any():
         defect = _defect(whole, problem, parameters, now)
-        result = _search(problem, parameters, now, defect, search, held)
+        result = _search(problem, parameters, result.slopes, defect, search, held)
         evaluations, now = evaluations + 2 + result.evaluations, np.where(held, 0.0, result.at)
     jacobian = slopes_at(problem, parameters, now, search).jacobian(problem)
     return _fit(whole, parameters, now, jacobian, tuple(tried), evaluations + 1 + now.size)
@@ -358,30 +371,40 @@ def refit(machine: ReducedMachine, runs: Sequence[Run], fit: Fit, search: Search
     defect = _defect(whole, problem, parameters, now)
     held = np.array([isinstance(one, Added) for one in parameters]) & (now == 0.0)
     few = replace(search, evaluations=REFITTED, close=search.roughly)
-    result = _search(problem, parameters, now, defect, few, held)
-    return _fit(whole, parameters, result.at, result.jacobian, (), 3 + result.evaluations)
+    slopes = slopes_at(problem, parameters, now, search)
+    result = _search(problem, parameters, slopes, defect, few, held)
+    return _fit(
+        whole, parameters, result.at, result.jacobian, (), 4 + now.size + result.evaluations
+    )
 
 
 def _settled(
     whole: Problem,
     problem: Problem,
     parameters: tuple[Parameter, ...],
-    now: Array,
+    begun: Slopes,
     search: Search,
 ) -> tuple[Problem, Problem, Found, int]:
     """Search until defect and trust settle; both problems, the last search, and evaluations."""
     spread, evaluations = np.array([parameter.spread for parameter in parameters]), 0
-    for _ in range(search.rounds):
+    now, slopes = begun.at, begun
+    for number in range(search.rounds):
         left = fit_linear(whole, *errors(whole, parameters, spread * now)).temperature
         trust = trust_in(whole, left)
         whole, problem = replace(whole, trust=trust), replace(problem, trust=trust)
         defect = _defect(whole, problem, parameters, now)
-        result = _search(problem, parameters, now, defect, search)
+        if number > 0:
+            # Now the place is about right.
+            slopes, evaluations = (
+                slopes_at(problem, parameters, now, search),
+                evaluations + now.size,
+            )
+        result = _search(problem, parameters, slopes, defect, search)
         evaluations += 3 + result.evaluations
         before, now = now, result.at
         # In posterior standard deviations.
         step = np.append(result.jacobian @ (now - before), now - before)
-        if np.linalg.norm(step) <= search.settled:
+        if number > 0 and np.linalg.norm(step) <= search.settled:
             break
     return whole, problem, result, evaluations
 
@@ -422,43 +445,45 @@ def _defect(
 def _search(
     problem: Problem,
     parameters: tuple[Parameter, ...],
-    start: Array,
+    slopes: Slopes,
     defect: Array,
     search: Search,
     held: Flags | None = None,
 ) -> Found:
-    """Search from a start; parameters that are `held` stay at zero."""
+    """Search from where the slopes are; parameters that are `held` stay at zero."""
     least = np.array([parameter.least for parameter in parameters])
     # The bounds of a search are apart.
-    highest = np.full(start.size, 3.0)
+    highest = np.full(least.size, 3.0)
     if held is not None:
         highest[held] = 1e-9
     # Rounding may have moved a parameter at its bound beyond it.
-    begun = np.clip(start, least, highest)
-    slopes = slopes_at(problem, parameters, begun, search)
-    first, differences = defect + whitened(problem, slopes.errors), 1
+    begun = np.clip(slopes.at, least, highest)
+    if not np.array_equal(begun, slopes.at):
+        slopes = slopes.moved(begun, _errors(problem, parameters, begun))
+    first, evaluations = defect + whitened(problem, slopes.errors), 0
     # Trials since the last slopes.
-    tried: list[Array] = []
+    tried: list[tuple[Array, Array]] = []
 
     def of(scaled: Array) -> Array:
         if np.array_equal(scaled, begun):
             return np.concatenate([first, scaled])
         try:
-            tried.append(_errors(problem, parameters, scaled))
-            penalty = defect + whitened(problem, tried[-1])
+            tried.append((scaled.copy(), _errors(problem, parameters, scaled)))
+            penalty = defect + whitened(problem, tried[-1][1])
         except ConvergenceError:
             # Trial step too large: return a cost above the initial one, so that it is shortened.
-            tried.append(np.full_like(slopes.errors, np.inf))
+            tried.extend([(scaled, slopes.errors)] * (1 + MISLED))
             penalty = 10.0 * first
         return np.concatenate([penalty, scaled])
 
     def slope(scaled: Array) -> Array:
-        nonlocal slopes, differences
-        if len(tried) == 1:
-            slopes = slopes.moved(scaled, tried[0])
-        elif tried:
-            # A step had to be shortened: the slopes have misled the search.
-            slopes, differences = slopes_at(problem, parameters, scaled, search), differences + 1
+        nonlocal slopes, evaluations
+        if len(tried) > 1 + MISLED:
+            slopes = slopes_at(problem, parameters, scaled, search)
+            evaluations += 1 + scaled.size
+        else:
+            for at, found in tried:
+                slopes = slopes.moved(at, found)
         tried.clear()
         return np.vstack([slopes.jacobian(problem), np.eye(scaled.size)])
 
@@ -473,9 +498,9 @@ def _search(
         gtol=1e-8,
         max_nfev=search.evaluations,
     )
-    evaluations = int(result.nfev) + differences * (1 + begun.size)
-    jacobian = slopes.jacobian(problem)
-    return Found(result.x, result.fun[: defect.size], jacobian, float(result.cost), evaluations)
+    left, jacobian = result.fun[: defect.size], slopes.jacobian(problem)
+    evaluations += int(result.nfev)
+    return Found(result.x, left, jacobian, float(result.cost), evaluations, slopes)
 
 
 def _fit(
