@@ -1,18 +1,19 @@
-"""A sample of the joint-aware estimator, against FCHS's and against a step of the simulation."""
+"""A sample of the joint-aware estimator, and the calibration of its model."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from time import perf_counter_ns
+from collections.abc import Iterator, Mapping
+from time import perf_counter_ns, process_time
 
 import numpy as np
+import xarray as xr
 from threadpoolctl import threadpool_limits
 
 from benchmarks.performance.cases import calibrated, reference_machine
 from benchmarks.performance.streaming import INTERVAL, SHORT, Measured, stream_times
 from benchmarks.performance.timing import Row
 from calibrate.joint_aware.assembling import make_observer
-from calibrate.joint_aware.calibration import calibrated_range
+from calibrate.joint_aware.calibration import calibrate_machine, calibrated_range
 from calibrate.joint_aware.physics_fit import fit_physics
 from calibrate.joint_aware.readings import run_in
 from estimator.joint_aware.estimator import JointAware
@@ -24,10 +25,12 @@ from thermojoint.models.assembly import assemble
 from thermojoint.models.sensors import readings, roles_in
 from thermojoint.paper.inputs import CALIBRATION
 from thermojoint.paper.observers import observer_case
-from thermojoint.reduced.machine import along, reduce_machine
+from thermojoint.reduced.machine import ReducedMachine, along, reduce_machine
 
 REPEATS = 20
 LEVEL = "step-2.0"
+#: Wanted of a calibration, s.
+CALIBRATED_IN = 8.0
 
 
 def rows(repeats: int = REPEATS) -> Iterator[Row]:
@@ -72,6 +75,24 @@ def rows(repeats: int = REPEATS) -> Iterator[Row]:
     most = float(np.percentile(every, 99.9))
     yield Row("joint-aware-percentile", most, other, other / most, "µs", f"{fchs}; 99.9 %")
     yield _row("joint-aware-simulate", ours, steps, note.format("a step of the simulation"))
+    yield calibration(machine, {name: responses[name] for name in CALIBRATION})
+
+
+def calibration(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> Row:
+    """Return the row of a calibration by some runs, on one thread."""
+    begun = process_time()
+    with threadpool_limits(limits=1):
+        fit = calibrate_machine(machine, responses).fit
+    ours = process_time() - begun
+    return Row(
+        "joint-aware-calibration",
+        ours,
+        CALIBRATED_IN,
+        CALIBRATED_IN / ours,
+        "s",
+        f"processor time: {len(fit.parameters)} parameters from {len(responses)} steps, with the "
+        f"band; {fit.evaluations} evaluations of all runs; set up before; measured once",
+    )
 
 
 def sample_times(estimator: JointAware, samples: list[tuple[float, ...]]) -> Array:

@@ -49,6 +49,7 @@ TARGETS: dict[str, tuple[Target, ...]] = {
     "estimator-per-sample": (Target("ours", 20.0),),
     "joint-aware-sample": (Target("ours", 250.0),),
     "joint-aware-percentile": (Target("ours", 1000.0),),
+    "joint-aware-calibration": (Target("ours", 8.0),),
     # Flat but for the noise of the clock.
     "estimator-growth": (Target("ratio", 0.9, at_least=True),),
     "calibration": (Target("ours", 10.0),),
