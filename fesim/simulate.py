@@ -308,7 +308,7 @@ def _kept(given: Setup | MovingSetup, slip: np.ndarray, track: Track) -> _Course
         elastic, counted = setup.machine.contact.elastic, setup.machine.friction.counted
         work = friction_work(elastic, track.remainder, track.gap, moved)
         rubbed = counted * work / setup.machine.thermal.step
-    there = Mapped(np.empty((len(track), 0, 0)), np.empty((0, 0, 0)))
+    there = Mapped(np.empty((len(track), 0, 0)), np.empty((0, 0, 0)), np.empty((0, 0)))
     if isinstance(given, MovingSetup):
         there = mapped(given, track)
     return _Course(small, probes, outputs, rubbed, there)
@@ -320,10 +320,7 @@ def _joined(parts: Sequence[_Course]) -> _Course:
         np.concatenate([part.probes for part in parts]),
         np.concatenate([part.outputs for part in parts]),
         np.concatenate([part.friction_heat for part in parts]),
-        Mapped(
-            np.concatenate([part.mapped.asked for part in parts]),
-            np.concatenate([part.mapped.volume for part in parts]),
-        ),
+        Mapped(*map(np.concatenate, zip(*(part.mapped for part in parts), strict=True))),
     )
 
 

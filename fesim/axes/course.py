@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from fesim.axes.axis import parts_of, place_of
 from fesim.axes.guideway import Place
 from fesim.axes.line import line_over
-from fesim.axes.mapping import displaced_at
+from fesim.axes.mapping import seen_from
 from fesim.axes.positioning import (
     Drive,
     positioning_error,
@@ -27,8 +27,7 @@ from thermojoint.artefacts.arrays import Array
 Values = dict[str, np.ndarray]
 
 
-@dataclass(frozen=True)
-class Mapped:
+class Mapped(NamedTuple):
     """Displacement probes where the axes do not stand, at the end of steps.
 
     Attributes
@@ -37,10 +36,13 @@ class Mapped:
         Of n steps, at the c positions of `elsewhere`.
     volume : ndarray, shape (t, v, p)
         At the points of the volume, at the t times asked for among the steps.
+    residual : ndarray, shape (t, v)
+        Largest error of the gaps there, m.
     """
 
     asked: Array
     volume: Array
+    residual: Array
 
 
 def mapped(ready: MovingSetup, track: Track) -> Mapped:
@@ -48,13 +50,17 @@ def mapped(ready: MovingSetup, track: Track) -> Mapped:
     steps = [track.step(at) for at in range(len(track))]
     stands = [_stands(ready, step.state.index) for step in steps]
     asked = [
-        displaced_at(ready.moving, step, elsewhere(ready, at))
+        seen_from(ready.moving, step, elsewhere(ready, at)).displacement
         for step, at in zip(steps, stands, strict=True)
     ]
     points, surveyed = _points(ready), _surveyed(ready, track)
-    volume = [displaced_at(ready.moving, steps[at], points) for at in surveyed]
-    shape = (surveyed.size, len(points), track.displacement.shape[1])
-    return Mapped(np.array(asked), np.reshape(volume, shape))
+    volume = [seen_from(ready.moving, steps[at], points) for at in surveyed]
+    shape = (surveyed.size, len(points))
+    return Mapped(
+        np.array(asked),
+        np.reshape([one.displacement for one in volume], (*shape, track.displacement.shape[1])),
+        np.reshape([one.residual for one in volume], shape),
+    )
 
 
 def _stands(ready: MovingSetup, index: int) -> Place:
@@ -143,6 +149,7 @@ def course_values(
     at = _surveyed(ready, track)
     if at.size:
         values |= _volume_values(ready, track.drive[at], zeros[at], there.volume)
+        values["volume_gap_residual"] = there.residual
         coords["survey"] = times[at]
     return values, coords
 

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
+from fesim.axes.corner_table import CornerTables
 from fesim.axes.guideway import Guideway, Place, rubbed
 from fesim.axes.occupation import Shares, even
 from fesim.march.contact import ContactProblem
@@ -67,6 +68,11 @@ class MovingMachine:
         kept = max(2, min(KEPT, KEPT_NUMBERS // (1 + self.guideway.first.compliance.size)))
         for name, made in (("_standing", self._made), ("_settling", self._joined)):
             object.__setattr__(self, name, lru_cache(maxsize=kept)(made))
+
+    @cached_property
+    def tables(self) -> CornerTables:
+        """Combinations of aligned positions, packed for many places at once."""
+        return CornerTables(self.guideway)
 
     @property
     def axes(self) -> int:

@@ -4,18 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
+from fesim.axes.corner_table import around
 from fesim.axes.guideway import Place
 from fesim.axes.machine import MovingMachine
-from fesim.march.machine import Step
+from fesim.march.machine import State, Step
 from fesim.march.settling import displaced, settle_along
 from thermojoint.artefacts.arrays import Array
 
+#: Numbers in the combinations that are taken at once: 0.4 GB.
+AT_ONCE = 50_000_000
 
-def displaced_at(moving: MovingMachine, step: Step, places: Sequence[Place]) -> Array:
-    """Return the displacement probes (c, p) if the axes stood elsewhere at the end of a step.
+
+class Seen(NamedTuple):
+    """What the joints and the probes do at c places in one thermal state.
+
+    Attributes
+    ----------
+    displacement : ndarray, shape (c, p)
+        Of the probes, m.
+    residual : ndarray, shape (c,)
+        Largest error of the gaps, m.
+    """
+
+    displacement: Array
+    residual: Array
+
+
+def seen_from(moving: MovingMachine, step: Step, places: Sequence[Place]) -> Seen:
+    """Return what is displaced if the axes stood elsewhere at the end of a step.
 
     Temperatures and friction's memory are those of the step; the joints settle there.
 
@@ -34,12 +54,43 @@ def displaced_at(moving: MovingMachine, step: Step, places: Sequence[Place]) -> 
         There is no equilibrium there.
     """
     alone = moving.guideway.elastic.alone(step.state.temperature)
+    found = _surveyed(moving, step.state, alone, np.array(places))
+    for at in np.flatnonzero(np.isnan(found.residual)).tolist():
+        found.displacement[at], found.residual[at] = _settled_at(moving, step, alone, places[at])
+    return found
+
+
+def _surveyed(moving: MovingMachine, state: State, alone: Array, places: Array) -> Seen:
+    """All places in one sweep; the residual is NaN where it does not converge."""
+    # Imported here because they load a compiler, as in `fesim.march.contact.gap_solver`.
+    from fesim.axes.survey import Pads, Survey, grown, settle_all
+    from fesim.joint.compiled_gap import compile_gap, trial_at
+
+    contact, tables = moving.machine.contact, moving.tables
+    nothing = np.full(len(places), np.nan)
+    probes = len(contact.elastic.probe_compliance)
+    seen = Seen(np.empty((len(places), probes)), nothing)
+    law = compile_gap(contact.gap_problem, contact.laws)
+    if law is None or not len(places):
+        return seen
+    near = around(moving.guideway.stations, places)
+    if len(places) > 1 and len(near.corners) * tables.each > AT_ONCE:
+        halves = (_surveyed(moving, state, alone, part) for part in np.array_split(places, 2))
+        return Seen(*map(np.concatenate, zip(*halves, strict=True)))
+    table, held = tables.table(near.corners), tables.held
+    elastic = contact.elastic
+    pads = Pads(held, law.laws, state.slip, elastic.reference, elastic.area, contact.tolerance)
+    free = np.empty((len(near.corners), held.size + probes))
+    grown(table, pads, alone, free)
+    found = Survey(*seen, np.empty((len(places), held.size)))
+    around_each = np.ascontiguousarray(places), near.touched, near.weight
+    settle_all(table, pads, free, around_each, trial_at(state.gap), found)
+    return seen
+
+
+def _settled_at(moving: MovingMachine, step: Step, alone: Array, at: Place) -> tuple[Array, float]:
     there = replace(step.state, change=np.zeros_like(step.state.change))
-
-    def displacement(at: Place) -> Array:
-        free = moving.guideway.free_at(at, alone)
-        machine = replace(moving.machine, contact=moving.settling(at))
-        settled, _ = settle_along(machine.contact, there, free[: there.gap.size])
-        return displaced(machine, free, settled, step.inputs)[1]
-
-    return np.array([displacement(at) for at in places])
+    free = moving.guideway.free_at(at, alone)
+    machine = replace(moving.machine, contact=moving.settling(at))
+    settled, _ = settle_along(machine.contact, there, free[: there.gap.size])
+    return displaced(machine, free, settled, step.inputs)[1], settled.residual

@@ -70,6 +70,11 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
         "rad",
         "relative rotation if the axes stood there",
     ),
+    "volume_gap_residual": (
+        ("survey", "place"),
+        "m",
+        "largest error of the gaps if the axes stood there",
+    ),
     "positioning_error": (
         ("time", "moving_axis"),
         "m",

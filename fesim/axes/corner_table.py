@@ -1,0 +1,124 @@
+"""Tied combinations of aligned positions, one after the other in contiguous arrays.
+
+A combination is small once what follows from its compliance C is left out. With the springs D of
+the ties, untied displacements u of ties and v of probes, and compliance P of the probes, what the
+temperatures do is u - C D u at the gaps and v - P D u at the probes (`fesim.solid.substructures`);
+so only the columns of the anchors are kept of it. C is symmetric, and its rows along an axis, where
+a joint holds nothing, are zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fesim.axes.condensation import Corner
+from fesim.axes.guideway import GuideStations, Guideway
+from fesim.axes.occupation import STILL
+from fesim.solid.condensation import ElasticCondensation
+from thermojoint.artefacts.arrays import Array
+
+#: Combinations that are kept packed, at most, and numbers in them: 0.4 GB.
+KEPT, KEPT_NUMBERS = 4096, 50_000_000
+
+
+class CornerTable(NamedTuple):
+    """Combinations of aligned positions of m contact elements, of which h rows hold something.
+
+    Attributes
+    ----------
+    compliance : ndarray, shape (k, h (h + 1) / 2)
+        Upper triangle of C, row after row, m/N.
+    probes : ndarray, shape (k, p, h)
+        Probe displacement per joint force, m/N.
+    anchored : ndarray, shape (k, h + p, a)
+        Gaps, then probes, per untied displacement of each anchor.
+    place : ndarray of int, shape (k, m)
+        Station under each contact element; -1 for none.
+    """
+
+    compliance: Array
+    probes: Array
+    anchored: Array
+    place: NDArray[np.int64]
+
+
+class Around(NamedTuple):
+    """Combinations of aligned positions around n places.
+
+    Attributes
+    ----------
+    corners : list of tuple of int
+        The combinations, each once.
+    touched : ndarray of int, shape (n, c)
+        Which of them are around each place.
+    weight : ndarray, shape (n, c)
+        Their weights; of a combination that is not needed, zero.
+    """
+
+    corners: list[Corner]
+    touched: NDArray[np.int64]
+    weight: Array
+
+
+def around(stations: GuideStations, places: Array) -> Around:
+    """Return what is around places (n, axes), m, as `GuideStations.corners` of each."""
+    low, share = [], []
+    for positions, at in zip(stations.positions, places.T, strict=True):
+        last = len(positions) - 1
+        scaled = (at - positions[0]) / (positions[-1] - positions[0]) * last
+        nearest = np.round(scaled)
+        scaled = np.clip(np.where(np.abs(scaled - nearest) <= STILL, nearest, scaled), 0, last)
+        below = np.clip(np.floor(scaled).astype(np.int64), 0, last - 1)
+        low.append(below)
+        share.append(scaled - below)
+    axes, shape = len(low), tuple(len(one) for one in stations.positions)
+    up = np.array(list(np.ndindex(*(2,) * axes)))
+    above, upper = np.array(share).T[:, None], up[None] == 1
+    weight = np.where(upper, above, 1.0 - above).prod(axis=2)
+    index = np.ravel_multi_index(tuple(np.moveaxis(np.array(low).T[:, None] + up, -1, 0)), shape)
+    # A combination without weight need not be tied: the heaviest one stands in its place.
+    heaviest = np.take_along_axis(index, weight.argmax(axis=1)[:, None], axis=1)
+    used, touched = np.unique(np.where(weight > 0.0, index, heaviest), return_inverse=True)
+    corners = [tuple(map(int, np.unravel_index(one, shape))) for one in used]
+    return Around(corners, touched.reshape(index.shape), weight)
+
+
+class CornerTables:
+    """Tables of the combinations that are wanted, each packed when it is first wanted."""
+
+    def __init__(self, guideway: Guideway) -> None:
+        elastic, self._guideway = guideway.first, guideway
+        gaps, probes = elastic.reference.size, len(elastic.probe_compliance)
+        self.held = np.flatnonzero(np.diagonal(elastic.compliance) > 0.0)
+        self._anchors = slice(gaps, elastic.thermal_gap.shape[1] - probes)
+        self._upper = np.triu_indices(self.held.size)
+        anchors = self._anchors.stop - gaps
+        #: Numbers in one combination.
+        self.each = self._upper[0].size + (self.held.size + probes) * (probes + anchors)
+        kept = min(KEPT, max(1, KEPT_NUMBERS // self.each))
+        self._packed = lru_cache(maxsize=kept)(self._pack)
+        self._stacked = lru_cache(maxsize=1)(self._stack)
+
+    def table(self, corners: Sequence[Corner]) -> CornerTable:
+        """Return the table of some combinations."""
+        return self._stacked(tuple(corners))
+
+    def _stack(self, corners: tuple[Corner, ...]) -> CornerTable:
+        parts = [self._packed(corner) for corner in corners]
+        return CornerTable(*(np.array(of_all) for of_all in zip(*parts, strict=True)))
+
+    def _pack(self, corner: Corner) -> CornerTable:
+        elastic: ElasticCondensation = self._guideway.elastic[corner]
+        held, anchors = self.held, self._anchors
+        places = zip(self._guideway.stations.place, corner, strict=True)
+        return CornerTable(
+            elastic.compliance[np.ix_(held, held)][self._upper],
+            elastic.probe_compliance[:, held],
+            np.vstack([elastic.thermal_gap[held, anchors], elastic.probe_thermal[:, anchors]]),
+            np.maximum.reduce([of_axis[at] for of_axis, at in places]),
+        )

@@ -1,0 +1,363 @@
+"""Joints that settle at many places for one thermal state, in one JIT-compiled sweep.
+
+The gap equations g = g_T + C A [z(g) + k g] at a place have C, g_T and the rows of the probes
+interpolated there, as `fesim.axes.guideway` has them. The places differ little, so Newton's method
+takes one inverse for many of them (a chord method), and starts at the gaps of places before: with
+the rows that hold nothing left out, a place costs the interpolation and some products of that size.
+The inverse is made again where the iteration becomes slow.
+
+`survey` stands beside `fesim.march.settling.settle_along`, which finds the same equilibria one by
+one and takes over where this does not converge; `tests/fesim/axes/test_survey.py` compares both.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fesim.axes.corner_table import CornerTable
+from fesim.jit import compiled, compiled_part
+from fesim.joint.compiled_gap import Trial, evaluate_in_place, largest
+from fesim.joint.gap import SHORTEST_STEP
+from fesim.joint.in_place import fill, put
+from fesim.joint.law import ACROSS, ALONG, CROSS, FIRST, NORMAL, SECOND
+from thermojoint.artefacts.arrays import Array
+
+#: Most iterations at a place, and how often its inverse may be made.
+MAX_ITERATIONS, MOST_MOVES = 60, 10
+#: An iteration that leaves more than this fraction makes the inverse again.
+SLOW = 0.5
+#: Residual of an accepted state, relative to the tolerance, as `fesim.joint.modified_newton`.
+LEFT = 0.01
+#: Places before in which near ones are looked for.
+BACK = 512
+
+
+class Pads(NamedTuple):
+    """The joints: m contact elements with h rows that hold something.
+
+    Attributes
+    ----------
+    held : ndarray of int, shape (h,)
+        Those rows among the 3 m gaps.
+    laws : ndarray, shape (m, 7)
+        As in `fesim.joint.compiled_gap.CompiledGap`.
+    slip : ndarray, shape (2, m)
+        Irreversible slip before, m.
+    springs, area : ndarray, shape (3 m,)
+        k of the condensation, Pa/m, and areas, m2.
+    tolerance : float
+        Largest residual accepted, m.
+    """
+
+    held: NDArray[np.int64]
+    laws: Array
+    slip: Array
+    springs: Array
+    area: Array
+    tolerance: float
+
+
+class Survey(NamedTuple):
+    """What is found at n places, written in place.
+
+    Attributes
+    ----------
+    displacement : ndarray, shape (n, p)
+        Of the probes, m.
+    residual : ndarray, shape (n,)
+        Largest error of the gaps, by Newton's correction, m; NaN where it did not converge.
+    gap : ndarray, shape (n, h)
+        m.
+    """
+
+    displacement: Array
+    residual: Array
+    gap: Array
+
+
+@compiled
+def grown(table: CornerTable, pads: Pads, alone: Array, free: Array) -> None:
+    """Gaps, then probes, as temperatures leave them without contact, into `free` (k, h + p).
+
+    Parameters
+    ----------
+    table : CornerTable
+        The combinations.
+    pads : Pads
+        The joints.
+    alone : ndarray, shape (3 m + 3 n + a + p,)
+        What the temperatures do untied: to pads, stations, anchors and probes.
+    free : ndarray, shape (k, h + p)
+        Written.
+    """
+    count, held = pads.laws.shape[0], pads.held
+    size, probes, anchors = held.size, table.probes.shape[1], table.anchored.shape[2]
+    stations = (alone.size - 3 * count - anchors - probes) // 3
+    untied, pulled = np.empty(size), np.empty(size)
+    for k in range(table.place.shape[0]):
+        for i in range(size):
+            direction, e = divmod(held[i], count)
+            untied[i] = alone[held[i]]
+            if table.place[k, e] >= 0:
+                untied[i] += alone[3 * count + direction * stations + table.place[k, e]]
+            pulled[i] = pads.area[held[i]] * pads.springs[held[i]] * untied[i]
+            free[k, i] = untied[i]
+        at = 0
+        for i in range(size):
+            own = pulled[i]
+            total = table.compliance[k, at] * own
+            for j in range(1, size - i):
+                entry = table.compliance[k, at + j]
+                total += entry * pulled[i + j]
+                free[k, i + j] -= entry * own
+            free[k, i] -= total
+            at += size - i
+        for i in range(probes):
+            total = alone[alone.size - probes + i]
+            for j in range(size):
+                total -= table.probes[k, i, j] * pulled[j]
+            free[k, size + i] = total
+        for i in range(size + probes):
+            for j in range(anchors):
+                free[k, i] += table.anchored[k, i, j] * alone[3 * (count + stations) + j]
+
+
+@compiled_part
+def _mixed(parts: Array, touched: NDArray[np.int64], weight: Array, into: Array) -> None:
+    """The rows (k, n) that are touched, each by its weight, into (n,)."""
+    first = True
+    for c in range(touched.size):
+        if weight[c] == 0.0:
+            continue
+        row, share = parts[touched[c]], weight[c]
+        if first:
+            for i in range(into.size):
+                into[i] = share * row[i]
+        else:
+            for i in range(into.size):
+                into[i] += share * row[i]
+        first = False
+
+
+@compiled_part
+def _unpacked(packed: Array, area: Array, into: Array) -> None:
+    """C A (h, h) of the upper triangle of C."""
+    size, at = into.shape[0], 0
+    for i in range(size):
+        for j in range(i, size):
+            into[i, j] = packed[at] * area[j]
+            into[j, i] = packed[at] * area[i]
+            at += 1
+
+
+@compiled_part
+def _inverse(pads: Pads, tangent: Array, compliance: Array) -> Array:
+    """Of the Jacobian 1 - C A (T + k) on the rows that hold something."""
+    count, held = pads.laws.shape[0], pads.held
+    size = held.size
+    stiffness = np.zeros((size, size))
+    for i in range(size):
+        row, e = divmod(held[i], count)
+        for j in range(size):
+            column, other = divmod(held[j], count)
+            if other != e:
+                continue
+            if row == 0:
+                entry = tangent[NORMAL, e] if column == 0 else 0.0
+            elif column == 0:
+                entry = tangent[FIRST if row == 1 else SECOND, e]
+            elif column == row:
+                entry = tangent[ALONG if row == 1 else ACROSS, e]
+            else:
+                entry = tangent[CROSS, e]
+            stiffness[i, j] = entry + (pads.springs[held[i]] if i == j else 0.0)
+    jacobian = np.dot(compliance, stiffness)
+    for i in range(size):
+        for j in range(size):
+            jacobian[i, j] = (1.0 if i == j else 0.0) - jacobian[i, j]
+    return np.linalg.inv(jacobian)
+
+
+@compiled_part
+def _guess(places: Array, found: Survey, at: int, into: Array) -> bool:
+    """Gaps continued from places before, into (h,); False if there is none."""
+    first, least = -1, math.inf
+    for other in range(max(0, at - BACK), at):
+        if math.isnan(found.residual[other]):
+            continue
+        away = 0.0
+        for a in range(places.shape[1]):
+            away += (places[at, a] - places[other, a]) ** 2
+        if away <= least:
+            first, least = other, away
+    if first < 0:
+        return False
+    second, nearest = -1, 0.01 * least
+    for other in range(max(0, at - BACK), at):
+        if math.isnan(found.residual[other]):
+            continue
+        away = 0.0
+        for a in range(places.shape[1]):
+            away += (2.0 * places[first, a] - places[at, a] - places[other, a]) ** 2
+        if away < nearest:
+            second, nearest = other, away
+    for i in range(into.size):
+        into[i] = found.gap[first, i]
+        if second >= 0:
+            into[i] += found.gap[first, i] - found.gap[second, i]
+    return True
+
+
+class Here(NamedTuple):
+    """The gap equations at one place, and storage.
+
+    Attributes
+    ----------
+    compliance : ndarray, shape (h, h)
+        C A, m/Pa.
+    free : ndarray, shape (h + p,)
+        g_T, m, then the probes without contact.
+    inverse : ndarray, shape (h, h)
+        Of the Jacobian there or nearby.
+    gap, force, residual, correction, before, step : ndarray, shape (h,)
+        g, m; z + k g, Pa; g - g_T - C A (z + k g), m; Newton's correction, m; g and correction
+        before a step.
+    trial : Trial
+        All gaps.
+    """
+
+    compliance: Array
+    free: Array
+    inverse: Array
+    gap: Array
+    force: Array
+    residual: Array
+    correction: Array
+    before: Array
+    step: Array
+    trial: Trial
+
+
+@compiled_part
+def _corrected(pads: Pads, here: Here, anew: bool) -> tuple[float, float]:
+    """Newton's correction at the gaps, with an inverse made anew or not.
+
+    Returns its largest entry, and the norm of the residual, m.
+    """
+    flat, value, held = here.trial.gap.reshape(-1), here.trial.value.reshape(-1), pads.held
+    for i in range(held.size):
+        flat[held[i]] = here.gap[i]
+    evaluate_in_place(pads.laws, pads.slip, here.trial)
+    for i in range(held.size):
+        here.force[i] = value[held[i]] + pads.springs[held[i]] * here.gap[i]
+    np.dot(here.compliance, here.force, here.residual)
+    for i in range(held.size):
+        here.residual[i] = here.gap[i] - here.free[i] - here.residual[i]
+    if anew:
+        put(_inverse(pads, here.trial.tangent, here.compliance), here.inverse)
+    np.dot(here.inverse, here.residual, here.correction)
+    return largest(here.correction), math.sqrt(here.residual @ here.residual)
+
+
+@compiled_part
+def _settle(pads: Pads, here: Here, made: bool) -> float:
+    """Settle from the gaps, with the inverse if it is made: the error left, m, or NaN.
+
+    The inverse is made again where a step leaves too much; then the step is shortened until the
+    residual falls, as in `fesim.joint.gap.solve_gap`. At a kink of the law no length may do, and a
+    full step leaves it.
+    """
+    (left, norm), moves, fresh = _corrected(pads, here, not made), 0, not made
+    for _ in range(MAX_ITERATIONS):
+        if left <= LEFT * pads.tolerance:
+            return left
+        put(here.gap, here.before)
+        put(here.correction, here.step)
+        length = 1.0
+        while True:
+            for i in range(here.gap.size):
+                here.gap[i] = here.before[i] - length * here.step[i]
+            after, rest = _corrected(pads, here, False)
+            falls = rest <= (1.0 - 1e-4 * length) * norm if fresh else after <= SLOW * left
+            if falls:
+                left, norm, fresh = after, rest, False
+                break
+            length /= 2.0
+            if fresh and length >= SHORTEST_STEP:
+                continue
+            if moves == MOST_MOVES:
+                return math.nan
+            for i in range(here.gap.size):
+                here.gap[i] = here.before[i] - (here.step[i] if fresh else 0.0)
+            (left, norm), moves, fresh = _corrected(pads, here, True), moves + 1, True
+            break
+    return math.nan
+
+
+@compiled
+def settle_all(
+    table: CornerTable,
+    pads: Pads,
+    free: Array,
+    around: tuple[Array, NDArray[np.int64], Array],
+    trial: Trial,
+    found: Survey,
+) -> None:
+    """Settle at places one after the other, into `found`.
+
+    Parameters
+    ----------
+    table : CornerTable
+        The combinations.
+    pads : Pads
+        The joints.
+    free : ndarray, shape (k, h + p)
+        By `grown`.
+    around : tuple of ndarray
+        Places (n, axes), m, which combinations are around each (n, c), and their weights (n, c).
+    trial : Trial
+        Storage, at the gaps where the axes stand.
+    found : Survey
+        Written; its residuals are NaN before.
+    """
+    places, touched, weights = around
+    held, probes = pads.held, table.probes.shape[1]
+    size, start = held.size, trial.gap.reshape(-1)
+    packed, moved = np.empty(table.compliance.shape[1]), np.empty(probes * size)
+    by_probe, made = table.probes.reshape(-1, probes * size), False
+    here = Here(
+        np.empty((size, size)),
+        np.empty(size + probes),
+        np.empty((size, size)),
+        start[held],
+        np.empty(size),
+        np.empty(size),
+        np.empty(size),
+        np.empty(size),
+        np.empty(size),
+        trial,
+    )
+    area, origin = pads.area[held], start[held]
+    fill(trial.gap, 0.0)
+    for at in range(places.shape[0]):
+        _mixed(table.compliance, touched[at], weights[at], packed)
+        _mixed(free, touched[at], weights[at], here.free)
+        _unpacked(packed, area, here.compliance)
+        _guess(places, found, at, here.gap)
+        found.residual[at] = _settle(pads, here, made)
+        if math.isnan(found.residual[at]):
+            put(origin, here.gap)
+            found.residual[at] = _settle(pads, here, False)
+        made = not math.isnan(found.residual[at])
+        _mixed(by_probe, touched[at], weights[at], moved)
+        for i in range(size):
+            found.gap[at, i] = here.gap[i]
+        for i in range(probes):
+            total = here.free[size + i]
+            for j in range(size):
+                total += moved[i * size + j] * area[j] * here.force[j]
+            found.displacement[at, i] = total
