@@ -17,6 +17,7 @@ from rich.console import Console
 
 from benchmarks.performance import (
     adaptive,
+    axes,
     batch,
     calculix,
     calibration,
@@ -55,6 +56,7 @@ GROUPS: dict[str, Group] = {
     "compiled": compiled.rows,
     "marching": marching.rows,
     "adaptive": adaptive.rows,
+    "axes": axes.rows,
     "dense-solvers": dense_solvers.rows,
     "estimator": streaming.rows,
     "joint-aware": observing.rows,

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from fesim.axes.condensation import Condensations, Corner, WholeCondensations
 from fesim.axes.occupation import Shares, even, weights_at
@@ -225,7 +226,7 @@ class Guideway:
         parts = (weight * getattr(self.elastic[corner], name) for corner, weight in touched)
         return np.asarray(sum(parts))
 
-    def sides(self, coefficients: Array) -> tuple[Array, Array]:
+    def sides(self, coefficients: Array | csr_array) -> tuple[Array, Array]:
         """Return `sides` per temperature, (m, r), by b (m, m + n)."""
         return sides(coefficients, self.temperature, self.means)
 
@@ -266,19 +267,19 @@ def _on(elastic: ElasticCondensation, temperatures: Array) -> ElasticCondensatio
     )
 
 
-def sides(coefficients: Array, temperature: Array, means: Array) -> tuple[Array, Array]:
+def sides(coefficients: Array | csr_array, temperature: Array, means: Array) -> tuple[Array, Array]:
     """Return the temperature jump of each contact element, and the mean of its sides, K, (m, ...).
 
     Parameters
     ----------
-    coefficients : ndarray, shape (m, m + n)
+    coefficients : ndarray or scipy.sparse.csr_array, shape (m, m + n)
         b.
     temperature : ndarray, shape (m + n, ...)
         Of the rows, K.
     means : ndarray, shape (m, ...)
         As `Guideway.means`, K.
     """
-    count = len(coefficients)
+    count = coefficients.shape[0]
     return coefficients @ temperature, means - 0.5 * coefficients[:, count:] @ temperature[count:]
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from fesim.axes.corner_table import CornerTables
 from fesim.axes.guideway import Guideway, Place, rubbed
@@ -128,7 +129,7 @@ class MovingMachine:
         inputs[: self.free, -self.axes :] = warmed[:, : self.free].T
         entering = thermal.balance.entering.copy()
         entering[-self.axes :] = heat.sum(axis=1) / self.copies
-        jump, mean = guideway.sides(coefficients)
+        jump, mean = guideway.sides(csr_array(coefficients))
         return replace(
             thermal,
             inputs=inputs,

@@ -115,7 +115,9 @@ def pass_heat(
     laplacian = exchange(touches._replace(first=first, second=second), joint, used.size)
     alone = thermal.factor.solve(thermal.capacity_rate @ temperature + thermal.inputs @ inputs)
     influence = rows.joint_influence[np.ix_(used, used)]
-    left = leaving(laplacian, influence, rows.temperature[used] @ alone)
-    after: Array = alone - rows.influence[:, used] @ left
+    # Products with all rows: to pick those that are touched takes longer.
+    left = np.zeros(len(rows.joint_influence))
+    left[used] = leaving(laplacian, influence, (rows.temperature @ alone)[used])
+    after: Array = alone - rows.influence @ left
     flow = np.asarray(left[: len(joint)])
     return HeatTaken(after, flow, heat_balance(thermal, temperature, after, inputs, flow), 0.0)
