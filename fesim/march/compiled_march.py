@@ -109,7 +109,7 @@ class Record(NamedTuple):
 
 
 @compiled_part
-def _settle(joint: JointKernel, kept: Kept, now: JointState) -> tuple[bool, float, int]:
+def settle(joint: JointKernel, kept: Kept, now: JointState) -> tuple[bool, float, int]:
     """By the stored inverse, else by Newton's method: whether solved, residual, iterations."""
     free_gap, trial = kept.work.free_gap, kept.work.trial
     put(now.gap, trial.gap)
@@ -160,7 +160,7 @@ def march_steps(
             amplitudes[r] -= drawn[r]
         np.dot(joint.gap, amplitudes, free_gap)
         add_loads(joint.loaded_gap, inputs[k, thermal:], free_gap)
-        solved, residual, iterations = _settle(joint, kept, now.joint)
+        solved, residual, iterations = settle(joint, kept, now.joint)
         if not solved:
             return k, SNAPS
         put(amplitudes, now.amplitudes)

@@ -19,7 +19,7 @@ from fesim.joint.blocks import one_block
 from fesim.joint.law import JointLaw
 from fesim.joint.loosening import UNWATCHED
 from fesim.march.alternation import alternating
-from fesim.march.compiled_march import MarchKernel, Moving, march_steps
+from fesim.march.compiled_march import Kept, MarchKernel, Moving, march_steps
 from fesim.march.compiled_step import (
     HeatStep,
     JointKernel,
@@ -30,10 +30,19 @@ from fesim.march.compiled_step import (
     settle_step,
 )
 from fesim.march.contact import ContactProblem
-from fesim.march.kernel import joint_kernel, new_kept, new_record
+from fesim.march.kernel import joint_kernel, new_kept, new_record, owned
 from fesim.march.passing import exchange, leaving
 from fesim.march.settling import Rest, settle_along
 from thermojoint.artefacts.arrays import Array
+from thermojoint.reduced.guided_march import (
+    Aligned,
+    Guided,
+    Here,
+    aligned_elasticity,
+    guided,
+    here_at_first,
+    march_along,
+)
 from thermojoint.reduced.machine import (
     Joint,
     Modes,
@@ -88,6 +97,12 @@ class Physics:
         """Exchange between the rows of a guideway that the modes have already, W/K, (q, q)."""
         assert self.modes.way is not None  # asked for on an axis only
         return evenly_exchanged(self.modes.way, self.held)
+
+    @cached_property
+    def aligned(self) -> Aligned:
+        """Elasticity at the aligned positions of an axis."""
+        assert self.modes.way is not None  # asked for on an axis only
+        return aligned_elasticity(self.modes.way)
 
     @property
     def preload(self) -> Array:
@@ -358,20 +373,41 @@ def simulate_known(physics: Physics, inputs: Array, length: float) -> tuple[Arra
     return history @ modes.sensors.T, displacement
 
 
+def guided_steps(physics: Physics, length: float) -> tuple[Guided, Kept, Here] | None:
+    """Return what a compiled march along an axis needs; None for laws that are not compiled."""
+    way, nothing = physics.modes.way, np.zeros((physics.contacts, 0))
+    assert way is not None  # asked for on an axis only
+    joint = joint_kernel(physics.contact, nothing, physics.held)
+    if joint is None:
+        return None
+    step, held = heat_step(physics.modes, length), physics.held_exchange
+    guide = guided(step, way, held, physics.aligned, length)
+    here, kept = here_at_first(guide, joint, physics.modes.elastic.reference)
+    return guide, kept, here
+
+
 def _simulate_moving(physics: Physics, inputs: Array, length: float) -> tuple[Array, Array]:
-    """As `simulate_known` of a machine with an axis, step by step."""
+    """As `simulate_known` of a machine with an axis; without a position it stands."""
     modes = physics.modes
-    known, before = modes.drive.shape[1], modes.factors
-    amplitudes, joint = modes.start, physics.at_rest()
-    sensed, moved = [], []
-    for row in inputs:
-        loads = modes.factors.copy()
-        # A position, and what else changes; without any, the axis stands.
-        loads[loads.size - (row.size - known) :] = row[known:]
-        way = way_of(modes, before, loads)
-        amplitudes = conduct(physics, amplitudes, row[:known], joint, length, way)
-        joint, displacement = settle_joint(physics, joint, amplitudes, loads)
-        sensed.append(modes.sensors @ amplitudes)
-        moved.append(displacement)
-        before = loads
-    return np.array(sensed), np.array(moved)
+    known = modes.drive.shape[1]
+    if inputs.shape[1] == known:
+        inputs = np.column_stack([inputs, np.full(len(inputs), modes.factors[-1])])
+    ends = inputs[:, -1]
+    ways = np.column_stack([inputs[:, :known], np.append(modes.factors[-1], ends)[:-1], ends])
+    now, k = Moving(modes.start.copy(), physics.at_rest()), 0
+    history = np.empty((len(ways), modes.start.size))
+    displacement = np.empty((len(ways), len(modes.elastic.probe_thermal)))
+    guide = guided_steps(physics, length)
+    while k < len(ways):
+        if guide is not None:
+            k += march_along(*guide, ways[k:], now, (history[k:], displacement[k:]))
+            if k == len(ways):
+                break
+        # Laws that are not compiled, or a joint that snaps.
+        row, loads = ways[k], ways[k, -1:]
+        way = float(row[-2]), float(row[-1])
+        amplitudes = conduct(physics, now.amplitudes, row[:known], now.joint, length, way)
+        joint, displacement[k] = settle_joint(physics, now.joint, amplitudes, loads)
+        now, history[k] = Moving(amplitudes, JointState(*map(owned, joint))), amplitudes
+        k += 1
+    return history @ modes.sensors.T, displacement

@@ -82,7 +82,8 @@ def test_the_reduced_machine_marches_as_the_simulator(machine, response):
     physics = physics_with(machine, {})
     sensed, moved = simulate_known(physics, run_in(response, machine, "run").inputs, machine.step)
     temperature = response["temperature"].sel(probe=list(SENSORS))[1:]
-    np.testing.assert_allclose(sensed, temperature, rtol=0.0, atol=1e-9)
+    # Gaps that are solved to 1e-13 m leave pressures, and with them temperatures, as uncertain.
+    np.testing.assert_allclose(sensed, temperature, rtol=0.0, atol=1e-7)
     np.testing.assert_allclose(moved, actual(response)[1:], rtol=0.0, atol=1e-12)
 
 

@@ -1,0 +1,76 @@
+"""The compiled march along an axis takes the plain steps."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from moving_knee import moving
+
+from calibrate.joint_aware.calibration import machine_of
+from calibrate.joint_aware.misfit import physics_with
+from fesim.axes.occupation import even, weights_at
+from thermojoint.reduced.guided_march import occupy
+from thermojoint.reduced.machine import along
+from thermojoint.reduced.physics import conduct, guided_steps, settle_joint, simulate_known
+
+STEP = 30.0
+FACTORS = {"film": 1.4, "preload": 0.8, "expansion": 1.1, "modulus": 0.9, "lag bearing, s": 20.0}
+#: Stands where it is aligned and elsewhere, passes one place and several, turns, goes to both ends.
+PLACES = (0.0, 0.0, 0.2, 0.2, 0.13, 0.13, 0.13, 0.12, -0.1, 0.2, -0.05, -0.05)
+
+
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory):
+    case = moving(tmp_path_factory.mktemp("course"), [(0, 0), (600, 0)])
+    return along(machine_of(case, ("bearing", "guide")), ["x", "y"])
+
+
+def plainly(physics, inputs, length):
+    """The march step by step, which the compiled one stands for."""
+    known, place = inputs.shape[1] - 1, float(physics.modes.factors[-1])
+    amplitudes, joint = physics.modes.start, physics.at_rest()
+    sensed, moved = [], []
+    for row in inputs:
+        amplitudes = conduct(physics, amplitudes, row[:known], joint, length, (place, row[-1]))
+        joint, displacement = settle_joint(physics, joint, amplitudes, row[-1:])
+        sensed.append(physics.modes.sensors @ amplitudes)
+        moved.append(displacement)
+        place = row[-1]
+    return np.array(sensed), np.array(moved)
+
+
+@pytest.mark.parametrize("factors", [{}, FACTORS], ids=["as in the case", "other parameters"])
+def test_the_compiled_march_takes_the_plain_steps(machine, factors):
+    places = np.tile(PLACES, 8)
+    inputs = machine.inputs(np.tile(machine.power, (places.size, 1)), places[:, None])
+    physics = physics_with(machine, factors)
+    sensed, moved = simulate_known(physics, inputs, STEP)
+    plain_sensed, plain_moved = plainly(physics, inputs, STEP)
+    np.testing.assert_allclose(sensed, plain_sensed, rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(moved, plain_moved, rtol=0.0, atol=1e-12)
+    assert np.abs(moved).max() > 2e-5
+
+
+def test_without_a_position_the_axis_stands_where_it_is(machine):
+    heat = np.tile(machine.power, (5, 1))
+    standing = np.full((5, 1), machine.guide.first)
+    physics = physics_with(machine, {})
+    one = simulate_known(physics, machine.inputs(heat), STEP)
+    other = simulate_known(physics, machine.inputs(heat, standing), STEP)
+    assert all(map(np.array_equal, one, other))
+
+
+@pytest.fixture(scope="module")
+def steps(machine):
+    return guided_steps(physics_with(machine, {}), STEP)
+
+
+@given(st.floats(-0.11, 0.21), st.floats(-0.11, 0.21))
+def test_the_compiled_shares_are_those_of_an_even_way(steps, start, end):
+    guide, _, here = steps
+    positions = guide.aligned.positions
+    occupy(positions, start, end, here)
+    shares = even(positions, start, end)
+    for name in ("mean", "square", "product"):
+        np.testing.assert_allclose(getattr(here, name), getattr(shares, name), atol=1e-12)
+    np.testing.assert_allclose(here.weights, weights_at(positions, end), atol=1e-12)
