@@ -5,15 +5,16 @@
 The plants are the shipped machine with a moving knee on a finer mesh, with other parameters from
 the second one on, noise of 0.12 K peak to peak on every thermometer. The table moves at random for
 two fifths of the time. Calibrated from steps of 0.5, 1 and 2 for 35 min and a cool-down of 4 h;
-judged, free-running, at step 3.0 and in a day of 8 h with random heat. Tables in
-docs/moving-axes.md.
+judged, free-running, at step 3.0 and in a day of 8 h with random heat. Beside it FCHS, calibrated
+from steps of 0.5, 1 and 2 with the table at each of three positions, and interpolated. With
+``--same-mesh`` the plants have the mesh of the model. Tables in docs/moving-axes.md.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -23,19 +24,23 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from calibrate.chain import calibrate_responses
 from calibrate.joint_aware.calibration import Effort, calibrate_joint_aware
 from calibrate.joint_aware.physics_fit import Search
 from calibrate.joint_aware.random_heat import random_levels
-from estimator.interface import Estimate, follow
+from estimator.fchs.estimator import Fchs
+from estimator.interface import Estimate, Estimator, follow
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.readings import samples_in
 from estimator.lines import here, lines_of
+from estimator.measured import response_samples
 from fesim.case.schema import Case, read_case
 from fesim.simulate import simulate
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.response import columns_of
-from thermojoint.artefacts.units import MEGA
+from thermojoint.artefacts.units import MEGA, MILLI
+from thermojoint.models.assembly import assemble
 
 #: Mesh of the plants, mm, and their steps, s.
 MESH, STEP = {"element_size_mm": 40.0, "joint_element_size_mm": 25.0}, 5.0
@@ -46,6 +51,8 @@ NOISE = 0.06
 #: Minutes of the runs; levels of those with a step.
 LEVELS = {"0.5": 0.5, "1": 1.0, "2": 2.0, "3": 3.0}
 STEPS, COOLING, DAY = 35.0, 240.0, 480.0
+#: Positions at which FCHS is calibrated, mm.
+AT = (-100.0, 50.0, 200.0)
 #: A machine with an axis has hundreds of modes: one search, with coarser steps than usual.
 EFFORT = Effort(Search(starts=0, steps=60, rounds=3, evaluations=8))
 
@@ -81,8 +88,8 @@ def heats(rng: np.random.Generator) -> dict[str, tuple[float, Any]]:
 
 
 def plant_of(case: Case, rng: np.random.Generator, number: int) -> Case:
-    """Return a plant: on a finer mesh, from number 1 on with other parameters."""
-    plant = case.replace(structure=MESH, march={"step_s": STEP})
+    """Return a plant: from number 1 on with other parameters than its case."""
+    plant = case.replace(march={"step_s": STEP})
     if number == 0:
         return plant
     joint, (body,) = case.joints["knee"], case.materials
@@ -114,10 +121,47 @@ def responses_of(plant: Case, rng: np.random.Generator, folder: Path) -> dict[st
             (folder / f"{name}-heat.csv").write_text(heat)
             heat = {"kind": "sampled", "file": str(folder / f"{name}-heat.csv")}
         given = plant.replace(axes={axis: {"file": str(moves)}}, march={"duration_min": minutes})
-        response = simulate(given.replace(heat_input=heat), accuracy=False).response
-        read = response["temperature"]
-        found[name] = response.assign(temperature=read + rng.uniform(-NOISE, NOISE, read.shape))
+        found[name] = _read(given.replace(heat_input=heat), rng)
     return found
+
+
+def _read(plant: Case, rng: np.random.Generator) -> xr.Dataset:
+    """The response of a plant with noise on its thermometers."""
+    response = simulate(plant, accuracy=False).response
+    read = response["temperature"]
+    return response.assign(temperature=read + rng.uniform(-NOISE, NOISE, read.shape))
+
+
+def fchs_along(plant: Case, rng: np.random.Generator) -> list[Fchs]:
+    """Return FCHS of a plant at every position of `AT`."""
+    (axis,) = plant.axes
+    found = []
+    for place in AT:
+        still = plant.replace(
+            axes={axis: {"file": None, "position_mm": place}}, march={"duration_min": STEPS}
+        )
+        runs = {
+            level: _read(still.replace(heat_input={"kind": "step", "level": level}), rng)
+            for level in (0.5, 1.0, 2.0)
+        }
+        model = calibrate_responses(runs.pop(1.0), runs).model
+        found.append(Fchs(assemble(model, STEP, 60.0 * DAY)))
+    return found
+
+
+def fchs_figures(estimators: Sequence[Fchs], response: xr.Dataset) -> dict[str, Any]:
+    """Return errors of FCHS interpolated between the positions of its calibration."""
+    axes = tuple(a for a in estimators[0].axes if all(a in one.axes for one in estimators))
+    actual = columns_of(response, "displacement", axes)
+    each = []
+    for one in estimators:
+        samples = response_samples(response, one.model)
+        made = np.array([estimate.displacement for estimate in _estimates(one, samples)])
+        each.append(made[:, [one.axes.index(axis) for axis in axes]])
+    place, knots = response["axis_position"].to_numpy().ravel() / MILLI, np.array(AT)
+    shares = np.array([np.interp(place, knots, own) for own in np.eye(knots.size)])
+    error = np.abs(np.einsum("kn,knc->nc", shares, np.array(each)) - actual)
+    return {"max_um": _um(error.max(axis=0)), "rms_um": _um(np.sqrt(np.mean(error**2, axis=0)))}
 
 
 def figures(estimator: JointAware, response: xr.Dataset) -> dict[str, Any]:
@@ -126,7 +170,7 @@ def figures(estimator: JointAware, response: xr.Dataset) -> dict[str, Any]:
     assert axis is not None  # of a machine that has one
     samples = np.array(list(samples_in(response, estimator.model.sensors, axes=[axis.name])))
     actual = columns_of(response, "displacement", estimator.axes)
-    made = _estimates(estimator, samples)
+    made = _estimates(estimator, samples.tolist())
     moved, band = here(estimator.axes, estimator.details, made)
     place = response["axis_position"].to_numpy()
     lines = [lines_of(estimator.axes, estimator.details, one.details) for one in made]
@@ -134,7 +178,7 @@ def figures(estimator: JointAware, response: xr.Dataset) -> dict[str, Any]:
     line = np.array([one.displacement for one in made]) + slope * (place - axis.reference)
     still = samples.copy()
     still[:, -1] = axis.reference
-    middle, _ = here(estimator.axes, estimator.details, _estimates(estimator, still))
+    middle, _ = here(estimator.axes, estimator.details, _estimates(estimator, still.tolist()))
     error = np.abs(moved - actual)
     return {
         "size_um": _um(np.abs(actual).max(axis=0)),
@@ -147,8 +191,8 @@ def figures(estimator: JointAware, response: xr.Dataset) -> dict[str, Any]:
     }
 
 
-def _estimates(estimator: JointAware, samples: Array) -> list[Estimate]:
-    return [one for _, one in follow(estimator, samples.tolist(), estimator.initial_state())]
+def _estimates(estimator: Estimator, samples: Iterable[Sequence[float]]) -> list[Estimate]:
+    return [one for _, one in follow(estimator, samples, estimator.initial_state())]
 
 
 def _um(values: Array) -> list[float]:
@@ -160,21 +204,26 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--count", type=int, default=3)
     parser.add_argument("--seed", type=int, default=2)
+    parser.add_argument("--same-mesh", action="store_true")
     parser.add_argument("--out", type=Path, default=Path("moving-axis.json"))
     options = parser.parse_args(arguments)
     case = read_case(Path(str(files("thermojoint").joinpath("cases/moving_knee.toml"))))
     case = case.replace(march={"step_s": STEP})
+    mesh = {} if options.same_mesh else MESH
     rows = []
     for number in range(options.count):
         rng = np.random.default_rng((options.seed, number))
+        plant = plant_of(case, rng, number).replace(structure=mesh)
         with TemporaryDirectory() as folder:
-            responses = responses_of(plant_of(case, rng, number), rng, Path(folder))
+            responses = responses_of(plant, rng, Path(folder))
+        along = fchs_along(plant, rng)
         began = process_time()
         runs = {name: responses[name] for name in ("0.5", "1", "2", "cool-down")}
         model = calibrate_joint_aware(case, runs, effort=EFFORT).model
         spent = process_time() - began
         for name in ("3", "day"):
             row = {"plant": number, "run": name} | figures(JointAware(model), responses[name])
+            row["fchs"] = fchs_figures(along, responses[name])
             rows.append(row | {"calibration_s": round(spent, 1)})
             print(json.dumps(rows[-1]), flush=True)
         write_text(options.out, json.dumps(rows, indent=1, allow_nan=False) + "\n")
