@@ -137,6 +137,8 @@ def _lack(springs: Array, trial: Trial, force: Array, lack: Array) -> float:
         for e in range(count):
             at = i * count + e
             lack[at] = value[i, e] + springs[at] * gap[i, e] - force[at]
+            if springs[at] == 0.0:  # of a gap that has no traction
+                continue
             length = abs(lack[at]) / springs[at]
             if not length <= 1e300:
                 return math.inf

@@ -2,8 +2,8 @@
 
 A step solves for the heat that leaves pads and stations beyond what the modes have of it, then the
 gap equations with the elasticity interpolated between two aligned positions. Their springs are
-those of the condensation: those of the joint at its preload would need an inverse at every position
-(`fesim.joint.gap`).
+those of the condensation, and none in the shear of contact elements without friction: so these have
+no unknown. Those of the joint at its preload, as in `fesim.joint.gap`, would gain nothing else.
 
 Start at `march_along`; `tests/thermojoint/reduced/test_guided_march.py` compares it with the plain
 steps.
@@ -30,12 +30,14 @@ from fesim.march.compiled_step import (
     HeatStep,
     JointKernel,
     JointState,
+    JointWork,
     conduct,
     displace,
     drive,
     settle_by_newton,
     take,
 )
+from fesim.march.contact import Laws
 from fesim.march.kernel import new_kept, owned
 from thermojoint.artefacts.arrays import Array
 
@@ -49,23 +51,29 @@ class Aligned(NamedTuple):
         Evenly spaced, ascending, m.
     place : ndarray of int, shape (k, m)
         Row of the station under each contact element; -1 for none.
-    compliance, columns : ndarray, shape (k, 3 m, 3 m)
-        C A and its transpose: gap per traction, m/Pa.
+    compliance : ndarray, shape (k, 3 m, 3 m)
+        C A: gap per traction, m/Pa.
     gap : ndarray, shape (k, 3 m, r)
         S_T, m/K.
     moved : ndarray, shape (k, axes, 3 m)
         D_C A, m/Pa.
     free : ndarray, shape (k, axes, r)
         D_T, m/K.
+    smooth, rough : ndarray of int, shapes (s,) and (3 m - s,)
+        Gaps whose traction is always zero, and the others.
+    reference : ndarray, shape (3 m,)
+        Springs of the condensation, Pa/m.
     """
 
     positions: Array
     place: NDArray[np.int64]
     compliance: Array
-    columns: Array
     gap: Array
     moved: Array
     free: Array
+    smooth: NDArray[np.int64]
+    rough: NDArray[np.int64]
+    reference: Array
 
 
 class Guided(NamedTuple):
@@ -93,17 +101,42 @@ class Guided(NamedTuple):
     aligned: Aligned
 
 
-class Here(NamedTuple):
-    """Where the axis stands and what it has passed in a step; written in place.
+class There(NamedTuple):
+    """Elasticity where the axis stands; written in place.
 
     Attributes
     ----------
     joint : JointKernel
-        Its compliance, `columns`, `moved` and `free` are those here; its `gap` is not used.
-    mean, square, product : ndarray, shapes (k,), (k,) and (k - 1,)
-        Shares, as in `fesim.axes.occupation`.
+        Its compliance, `columns`, `moved` and `free` are those there; its `gap` is not used.
     weights : ndarray, shape (k,)
-        Of the aligned positions at the end of the step.
+        Of the aligned positions.
+    freed : ndarray, shape (s, s)
+        Smooth gaps without springs, per those with the condensation's.
+    coupled : ndarray, shape (3 m - s, s)
+        What the smooth gaps' springs do to the others, per gap.
+    partly, apart, others : ndarray, shapes (3 m,), (2, s) and (3 m - s,)
+        Storage of gaps, m.
+    displacement : ndarray, shape (axes,)
+        With the joint in equilibrium there, m.
+    """
+
+    joint: JointKernel
+    weights: Array
+    freed: Array
+    coupled: Array
+    partly: Array
+    apart: Array
+    others: Array
+    displacement: Array
+
+
+class Passed(NamedTuple):
+    """Storage of the heat step; its content is not used afterwards.
+
+    Attributes
+    ----------
+    mean, square, product : ndarray, shapes (k,), (k,) and (k - 1,)
+        Shares of a way, as in `fesim.axes.occupation`.
     conducted : ndarray, shape (m,)
         Conductance times area, W/K.
     rubbed, warm, right : ndarray, shape (q,)
@@ -112,37 +145,53 @@ class Here(NamedTuple):
         I + (L - L0) S.
     drawn : ndarray, shape (r,)
         Amplitudes that heat of the rows gives.
-    partly : ndarray, shape (3 m,)
-        Gaps at one aligned position, m.
     """
 
-    joint: JointKernel
     mean: Array
     square: Array
     product: Array
-    weights: Array
     conducted: Array
     rubbed: Array
     warm: Array
     right: Array
     system: Array
     drawn: Array
-    partly: Array
 
 
-def aligned_elasticity(way: Guideway) -> Aligned:
-    """Return the elasticity of a guideway with one axis, whole, for the march."""
+class Steps(NamedTuple):
+    """Storage of a march.
+
+    Attributes
+    ----------
+    kept : Kept
+        Of the joints.
+    there : There
+        At the end of a step.
+    passed : Passed
+        In a step.
+    """
+
+    kept: Kept
+    there: There
+    passed: Passed
+
+
+def aligned_elasticity(way: Guideway, laws: Laws) -> Aligned:
+    """Return the elasticity of a guideway with one axis, whole, of joints with these laws."""
     (positions,), (place,) = way.stations.positions, way.stations.place
     each = [way.elastic[k,] for k in range(len(positions))]
-    compliance = np.array([one.compliance * one.area for one in each])
+    slides = np.concatenate([np.full(n, law.friction.coefficient <= 0.0) for law, n in laws])
+    smooth = np.concatenate([np.zeros(slides.size, dtype=bool), slides, slides])
     return Aligned(
         owned(positions),
         np.ascontiguousarray(np.where(place < 0, -1, place + way.stations.count)),
-        compliance,
-        owned(compliance.transpose(0, 2, 1)),
+        owned(np.array([one.compliance * one.area for one in each])),
         owned(np.array([one.thermal_gap for one in each])),
         owned(np.array([one.probe_compliance * one.area for one in each])),
         owned(np.array([one.probe_thermal for one in each])),
+        np.flatnonzero(smooth),
+        np.flatnonzero(~smooth),
+        owned(way.first.reference),
     )
 
 
@@ -166,23 +215,34 @@ def guided(heat: HeatStep, way: Guideway, held: Array, aligned: Aligned, length:
     return Guided(heat, owned(way.temperature), held, without, way.running / length, aligned)
 
 
-def here_at_first(guide: Guided, joint: JointKernel, springs: Array) -> tuple[Here, Kept]:
-    """Return storage for a march with joints, of which `springs` (3 m,) are the condensation's."""
-    aligned, (rows, modes) = guide.aligned, guide.rows.shape
-    axes, stops, count = len(aligned.free[0]), aligned.positions.size, joint.preload.size
-    linear = owned(springs), *(np.array(each[0]) for each in aligned[2:4])
+def there_of(aligned: Aligned, joint: JointKernel) -> There:
+    """Return storage for the joint of a machine."""
+    _, axes, modes = aligned.free.shape
+    stops, size = aligned.positions.size, aligned.reference.size
+    smooth, rough = aligned.smooth.size, aligned.rough.size
+    springs = aligned.reference.copy()
+    springs[aligned.smooth] = 0.0
     now = joint._replace(
-        springs=linear[0],
-        compliance=linear[1],
-        columns=linear[2],
+        springs=springs,
+        compliance=np.empty((size, size)),
+        columns=np.empty((size, size)),
         gap=np.empty((0, 0)),
-        moved=np.empty((axes, 3 * count)),
+        moved=np.empty((axes, size)),
         free=np.empty((axes, modes)),
     )
-    sizes = [stops, stops, stops - 1, stops, count, rows, rows, rows]
-    storage = [*map(np.zeros, sizes), np.empty((rows, rows)), np.empty(modes), np.empty(3 * count)]
-    here = Here(now, *storage)
-    return here, new_kept(MarchKernel(guide.heat, now, UNWATCHED), one_block(*linear))
+    shapes = [stops, (smooth, smooth), (rough, smooth), size, (2, smooth), rough, axes]
+    return There(now, *map(np.empty, shapes))
+
+
+def new_steps(guide: Guided, there: There) -> Steps:
+    """Return storage for a march."""
+    joint, (rows, modes) = there.joint, guide.rows.shape
+    stops, count = there.weights.size, joint.preload.size
+    blocks = one_block(joint.springs, joint.compliance, joint.columns)
+    sizes = [stops, stops, stops - 1, count, rows, rows, rows]
+    storage = [*map(np.empty, sizes), np.empty((rows, rows)), np.empty(modes)]
+    passed = Passed(*storage)
+    return Steps(new_kept(MarchKernel(guide.heat, joint, UNWATCHED), blocks), there, passed)
 
 
 @compiled_part
@@ -197,14 +257,13 @@ def _place(positions: Array, at: float) -> float:
 
 
 @compiled
-def occupy(positions: Array, start: float, end: float, here: Here) -> None:
-    """Put the shares of an even way, `fesim.axes.occupation.even`, and the weights at its end."""
+def occupy(positions: Array, start: float, end: float, passed: Passed) -> None:
+    """Put the shares of an even way, as `fesim.axes.occupation.even`."""
     first, second = _place(positions, start), _place(positions, end)
-    fill(here.mean, 0.0)
-    fill(here.square, 0.0)
-    fill(here.product, 0.0)
-    fill(here.weights, 0.0)
     low, high, most = min(first, second), max(first, second), positions.size - 2
+    fill(passed.mean, 0.0)
+    fill(passed.square, 0.0)
+    fill(passed.product, 0.0)
     begin = low
     while True:
         stop = min(math.floor(begin) + 1.0, high)
@@ -212,16 +271,14 @@ def occupy(positions: Array, start: float, end: float, here: Here) -> None:
         below = min(math.floor(begin), most)
         a, b = begin - below, stop - below
         once, twice = part * (a + b) / 2.0, part * (a * a + a * b + b * b) / 3.0
-        here.mean[below] += part - once
-        here.mean[below + 1] += once
-        here.square[below] += part - 2.0 * once + twice
-        here.square[below + 1] += twice
-        here.product[below] += once - twice
+        passed.mean[below] += part - once
+        passed.mean[below + 1] += once
+        passed.square[below] += part - 2.0 * once + twice
+        passed.square[below + 1] += twice
+        passed.product[below] += once - twice
         begin = stop
         if begin >= high:
             break
-    below = min(math.floor(second), most)
-    here.weights[below], here.weights[below + 1] = below + 1.0 - second, second - below
 
 
 @compiled_part
@@ -236,89 +293,176 @@ def _mix(weights: Array, each: Array, into: Array) -> None:
 
 
 @compiled_part
-def _stand(aligned: Aligned, here: Here) -> None:
-    """The elasticity here."""
-    _mix(here.weights, aligned.compliance, here.joint.compliance)
-    _mix(here.weights, aligned.columns, here.joint.columns)
-    _mix(here.weights, aligned.moved, here.joint.moved)
-    _mix(here.weights, aligned.free, here.joint.free)
+def _stand(aligned: Aligned, there: There, at: float) -> None:
+    """Put the elasticity at a position, m."""
+    place = _place(aligned.positions, at)
+    below = min(math.floor(place), aligned.positions.size - 2)
+    fill(there.weights, 0.0)
+    there.weights[below], there.weights[below + 1] = below + 1.0 - place, place - below
+    _mix(there.weights, aligned.compliance, there.joint.compliance)
+    _mix(there.weights, aligned.moved, there.joint.moved)
+    _mix(there.weights, aligned.free, there.joint.free)
+    if aligned.smooth.size:
+        _free_smooth(aligned, there)
+    for i in range(aligned.reference.size):
+        for j in range(aligned.reference.size):
+            there.joint.columns[j, i] = there.joint.compliance[i, j]
 
 
 @compiled_part
-def _settle(joint: JointKernel, kept: Kept, now: JointState, elsewhere: bool) -> bool:
-    """Whether the joint settles; where it stands elsewhere now, no frozen tangent serves."""
-    if not elsewhere:
-        return settle(joint, kept, now)[0]
-    forget(kept.tangents)
-    put(now.gap, kept.work.trial.gap)
-    work = kept.work
-    return settle_by_newton(joint, work.free_gap, now, work.trial, work.newton)[0]
+def _free_smooth(aligned: Aligned, there: There) -> None:
+    """Take the springs of smooth gaps away, as `fesim.joint.gap` does with others."""
+    compliance, springs = there.joint.compliance, aligned.reference
+    smooth, rough, coupled = aligned.smooth, aligned.rough, there.coupled
+    system, across = np.empty((smooth.size, smooth.size)), np.empty((smooth.size, rough.size))
+    for i in range(smooth.size):
+        for j in range(smooth.size):
+            system[i, j] = -compliance[smooth[i], smooth[j]] * springs[smooth[j]]
+        system[i, i] += 1.0
+        for j in range(rough.size):
+            across[i, j] = compliance[smooth[i], rough[j]]
+            coupled[j, i] = compliance[rough[j], smooth[i]] * springs[smooth[i]]
+    put(np.linalg.inv(system), there.freed)
+    moved = np.dot(there.freed, across)
+    more = np.dot(coupled, moved)
+    for j in range(rough.size):
+        for i in range(smooth.size):
+            compliance[smooth[i], rough[j]] = moved[i, j]
+        for i in range(rough.size):
+            compliance[rough[i], rough[j]] += more[i, j]
+    for i in range(springs.size):
+        for j in range(smooth.size):
+            compliance[i, smooth[j]] = 0.0
 
 
 @compiled_part
-def _add_row(factor: float, row: int, source: Array, into: int, here: Here, warm: Array) -> None:
+def _open(aligned: Aligned, there: There, amplitudes: Array, free_gap: Array) -> None:
+    """The gaps (3 m,) without contact."""
+    fill(free_gap, 0.0)
+    for k in range(there.weights.size):
+        if there.weights[k] != 0.0:
+            np.dot(aligned.gap[k], amplitudes, there.partly)
+            for row in range(free_gap.size):
+                free_gap[row] += there.weights[k] * there.partly[row]
+    smooth, rough, apart = aligned.smooth, aligned.rough, there.apart
+    for i in range(smooth.size):
+        apart[0, i] = free_gap[smooth[i]]
+    np.dot(there.freed, apart[0], apart[1])
+    np.dot(there.coupled, apart[1], there.others)
+    for i in range(smooth.size):
+        free_gap[smooth[i]] = apart[1, i]
+    for i in range(rough.size):
+        free_gap[rough[i]] += there.others[i]
+
+
+@compiled_part
+def _settle_anew(there: There, work: JointWork, now: JointState) -> bool:
+    """Whether Newton's method settles the joint; how gaps changed elsewhere is no guess here."""
+    put(now.gap, work.trial.gap)
+    return settle_by_newton(there.joint, work.free_gap, now, work.trial, work.newton)[0]
+
+
+@compiled_part
+def _take(there: There, work: JointWork, amplitudes: Array, now: JointState, none: Array) -> None:
+    """The joint's new state, and the displacement; `none` are the factors of no loads."""
+    take(there.joint, work.trial, now, work.remainder)
+    displace(there.joint, work.moved, amplitudes, none, work.remainder, there.displacement)
+
+
+@compiled
+def settle_at(
+    aligned: Aligned, there: There, work: JointWork, amplitudes: Array, now: JointState, at: float
+) -> bool:
+    """Settle the joint at a position, m, in place; return whether there is an equilibrium near."""
+    _stand(aligned, there, at)
+    _open(aligned, there, amplitudes, work.free_gap)
+    if not _settle_anew(there, work, now):
+        return False
+    _take(there, work, amplitudes, now, np.empty(0))
+    return True
+
+
+@compiled_part
+def _add_row(factor: float, row: int, source: Array, into: int, passed: Passed) -> None:
     """Add a product of rows to L S and to L R y."""
-    here.right[into] += factor * warm[row]
+    passed.right[into] += factor * passed.warm[row]
     for j in range(source.shape[1]):
-        here.system[into, j] += factor * source[row, j]
+        passed.system[into, j] += factor * source[row, j]
 
 
 @compiled_part
-def _exchange(guide: Guided, here: Here) -> None:
+def _exchange(guide: Guided, passed: Passed) -> None:
     """I + (L - L0) S and (L - L0) R y."""
-    place, influence, warm = guide.aligned.place, guide.heat.joint_influence, here.warm
-    put(guide.without, here.system)
-    np.dot(guide.held, warm, here.right)
-    for row in range(warm.size):
-        here.right[row] = -here.right[row]
-    for e in range(here.conducted.size):
-        each = here.conducted[e]
-        _add_row(each, e, influence, e, here, warm)
+    place, influence, mean = guide.aligned.place, guide.heat.joint_influence, passed.mean
+    put(guide.without, passed.system)
+    np.dot(guide.held, passed.warm, passed.right)
+    for row in range(passed.right.size):
+        passed.right[row] = -passed.right[row]
+    for e in range(passed.conducted.size):
+        each = passed.conducted[e]
+        _add_row(each, e, influence, e, passed)
         if place[0, e] < 0:
             continue
-        for k in range(here.mean.size):
-            if here.mean[k] == 0.0:
+        for k in range(mean.size):
+            if mean[k] == 0.0:
                 continue
-            at, mean = place[k, e], each * here.mean[k]
-            _add_row(-mean, at, influence, e, here, warm)
-            _add_row(-mean, e, influence, at, here, warm)
-            _add_row(each * here.square[k], at, influence, at, here, warm)
-            if k + 1 < here.mean.size and here.product[k] != 0.0:
-                above, product = place[k + 1, e], each * here.product[k]
-                _add_row(product, above, influence, at, here, warm)
-                _add_row(product, at, influence, above, here, warm)
+            at = place[k, e]
+            _add_row(-each * mean[k], at, influence, e, passed)
+            _add_row(-each * mean[k], e, influence, at, passed)
+            _add_row(each * passed.square[k], at, influence, at, passed)
+            if k + 1 < mean.size and passed.product[k] != 0.0:
+                above, product = place[k + 1, e], each * passed.product[k]
+                _add_row(product, above, influence, at, passed)
+                _add_row(product, at, influence, above, passed)
 
 
 @compiled_part
-def _rub(guide: Guided, here: Here, pressure: Array, way: float) -> None:
+def _rub(guide: Guided, passed: Passed, pressure: Array, way: float) -> None:
     """The heat of friction of each row, W: one half of each contact element's enters a side."""
-    fill(here.rubbed, 0.0)
+    place, rubbed = guide.aligned.place, passed.rubbed
+    fill(rubbed, 0.0)
     for e in range(pressure.size):
         half = 0.5 * guide.running[e] * pressure[e] * way
-        here.rubbed[e] += half
-        if guide.aligned.place[0, e] >= 0:
-            for k in range(here.mean.size):
-                here.rubbed[guide.aligned.place[k, e]] += half * here.mean[k]
+        rubbed[e] += half
+        if place[0, e] >= 0:
+            for k in range(passed.mean.size):
+                rubbed[place[k, e]] += half * passed.mean[k]
+
+
+@compiled_part
+def _pass_heat(guide: Guided, passed: Passed, amplitudes: Array) -> None:
+    """Add what heat of friction and the exchange of the rows do to amplitudes without either."""
+    np.dot(guide.rows, amplitudes, passed.warm)
+    np.dot(guide.heat.joint_influence, passed.rubbed, passed.right)
+    for row in range(passed.warm.size):
+        passed.warm[row] += passed.right[row]
+    _exchange(guide, passed)
+    left = solve(passed.system, passed.right)
+    for row in range(left.size):
+        passed.rubbed[row] -= left[row]
+    np.dot(guide.heat.influence, passed.rubbed, passed.drawn)
+    for r in range(amplitudes.size):
+        amplitudes[r] += passed.drawn[r]
 
 
 @compiled
 def march_along(
-    guide: Guided, kept: Kept, here: Here, inputs: Array, now: Moving, record: tuple[Array, Array]
+    guide: Guided, steps: Steps, inputs: Array, now: Moving, record: tuple[Array, Array]
 ) -> int:
-    """March through inputs; into a record of amplitudes (n, r) and displacements (n, axes).
+    """March through inputs, into a record of amplitudes (n, r) and displacements (n, axes), m.
 
     Parameters
     ----------
     guide : Guided
         The machine.
-    kept, here
-        By `here_at_first`.
+    steps : Steps
+        Its storage, by `new_steps`.
     inputs : ndarray, shape (n, k + 2)
         Heat and temperatures of each step, then the axis's positions at its start and end, m.
     now : Moving
         Amplitudes and joints, in place.
     record : tuple of ndarray, shapes (n, r) and (n, axes)
-        Amplitudes and displacement, m, after each step.
+        After each step.
 
     Returns
     -------
@@ -326,41 +470,31 @@ def march_along(
         Number of steps taken: fewer than n if the next one has no equilibrium near; `now` is before
         it then.
     """
-    heat, known, joint = guide.heat, guide.heat.drive.shape[1], here.joint
-    amplitudes, none = np.empty_like(now.amplitudes), np.empty(0)
-    free_gap, remainder = kept.work.free_gap, kept.work.remainder
-    at = math.nan
+    kept, there, passed = steps
+    heat, aligned, known = guide.heat, guide.aligned, guide.heat.drive.shape[1]
+    amplitudes, none, at = np.empty_like(now.amplitudes), np.empty(0), math.nan
     for n in range(len(inputs)):
         start, end = inputs[n, known], inputs[n, known + 1]
-        occupy(guide.aligned.positions, start, end, here)
         put(now.amplitudes, amplitudes)
         drive(heat, amplitudes, inputs[n])
-        conduct(joint, now.joint.pressure, here.conducted)
-        np.dot(guide.rows, amplitudes, here.warm)
-        _rub(guide, here, now.joint.pressure, abs(end - start))
-        np.dot(heat.joint_influence, here.rubbed, here.right)
-        for row in range(here.warm.size):
-            here.warm[row] += here.right[row]
-        _exchange(guide, here)
-        left = solve(here.system, here.right)
-        for row in range(left.size):
-            here.rubbed[row] -= left[row]
-        np.dot(heat.influence, here.rubbed, here.drawn)
-        for r in range(amplitudes.size):
-            amplitudes[r] += here.drawn[r]
-        if end != at:
-            _stand(guide.aligned, here)
-        fill(free_gap, 0.0)
-        for k in range(here.weights.size):
-            if here.weights[k] != 0.0:
-                np.dot(guide.aligned.gap[k], amplitudes, here.partly)
-                for row in range(free_gap.size):
-                    free_gap[row] += here.weights[k] * here.partly[row]
-        if not _settle(joint, kept, now.joint, end != at):
+        conduct(there.joint, now.joint.pressure, passed.conducted)
+        occupy(aligned.positions, start, end, passed)
+        _rub(guide, passed, now.joint.pressure, abs(end - start))
+        _pass_heat(guide, passed, amplitudes)
+        elsewhere = end != at
+        if elsewhere:
+            _stand(aligned, there, end)
+            forget(kept.tangents)
+        _open(aligned, there, amplitudes, kept.work.free_gap)
+        if elsewhere:
+            solved = _settle_anew(there, kept.work, now.joint)
+        else:
+            solved = settle(there.joint, kept, now.joint)[0]
+        if not solved:
             return n
         at = end
         put(amplitudes, now.amplitudes)
-        take(joint, kept.work.trial, now.joint, remainder)
-        displace(joint, kept.work.moved, amplitudes, none, remainder, record[1][n])
+        _take(there, kept.work, amplitudes, now.joint, none)
         put(amplitudes, record[0][n])
+        put(there.displacement, record[1][n])
     return len(inputs)

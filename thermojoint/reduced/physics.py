@@ -19,7 +19,7 @@ from fesim.joint.blocks import one_block
 from fesim.joint.law import JointLaw
 from fesim.joint.loosening import UNWATCHED
 from fesim.march.alternation import alternating
-from fesim.march.compiled_march import Kept, MarchKernel, Moving, march_steps
+from fesim.march.compiled_march import MarchKernel, Moving, march_steps
 from fesim.march.compiled_step import (
     HeatStep,
     JointKernel,
@@ -37,11 +37,13 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.reduced.guided_march import (
     Aligned,
     Guided,
-    Here,
+    Steps,
     aligned_elasticity,
     guided,
-    here_at_first,
     march_along,
+    new_steps,
+    settle_at,
+    there_of,
 )
 from thermojoint.reduced.machine import (
     Joint,
@@ -102,7 +104,12 @@ class Physics:
     def aligned(self) -> Aligned:
         """Elasticity at the aligned positions of an axis."""
         assert self.modes.way is not None  # asked for on an axis only
-        return aligned_elasticity(self.modes.way)
+        return aligned_elasticity(self.modes.way, self.laws)
+
+    @cached_property
+    def guided_joint(self) -> JointKernel | None:
+        """Data of its compiled steps on an axis, at the first position; None as for `kernel`."""
+        return joint_kernel(self.contact, np.zeros((self.contacts, 0)), self.held)
 
     @property
     def preload(self) -> Array:
@@ -262,7 +269,10 @@ def settle_joint(
     ConvergenceError
         The gap equations have no solution that Newton's method finds.
     """
-    physics, amplitudes = physics.standing(loads), physics.felt(amplitudes, loads)
+    if physics.modes.way is not None:
+        settled = _settle_guided(physics, joint, amplitudes, float(loads[-1]))
+        if settled is not None:
+            return settled
     kernel = physics.kernel
     if kernel is not None:
         after = JointState(*map(np.array, joint))
@@ -271,6 +281,20 @@ def settle_joint(
         if settle_step(kernel, work, amplitudes, loads, after, displacement) == 0:
             return after, displacement
     return settle_plainly(physics, joint, amplitudes, loads)
+
+
+def _settle_guided(
+    physics: Physics, joint: JointState, amplitudes: Array, position: float
+) -> tuple[JointState, Array] | None:
+    """As `settle_joint`, the axis standing at a position, m; None where it takes the plain way."""
+    kernel, aligned = physics.guided_joint, physics.aligned
+    if kernel is None:
+        return None
+    there = there_of(aligned, kernel)
+    after = JointState(*map(np.array, joint))
+    alone, work = np.ascontiguousarray(amplitudes), joint_work(there.joint)
+    settled = settle_at(aligned, there, work, alone, after, position)
+    return (after, there.displacement) if settled else None
 
 
 def settle_plainly(
@@ -373,17 +397,14 @@ def simulate_known(physics: Physics, inputs: Array, length: float) -> tuple[Arra
     return history @ modes.sensors.T, displacement
 
 
-def guided_steps(physics: Physics, length: float) -> tuple[Guided, Kept, Here] | None:
+def guided_steps(physics: Physics, length: float) -> tuple[Guided, Steps] | None:
     """Return what a compiled march along an axis needs; None for laws that are not compiled."""
-    way, nothing = physics.modes.way, np.zeros((physics.contacts, 0))
-    assert way is not None  # asked for on an axis only
-    joint = joint_kernel(physics.contact, nothing, physics.held)
-    if joint is None:
+    way, joint = physics.modes.way, physics.guided_joint
+    if way is None or joint is None:
         return None
     step, held = heat_step(physics.modes, length), physics.held_exchange
     guide = guided(step, way, held, physics.aligned, length)
-    here, kept = here_at_first(guide, joint, physics.modes.elastic.reference)
-    return guide, kept, here
+    return guide, new_steps(guide, there_of(physics.aligned, joint))
 
 
 def _simulate_moving(physics: Physics, inputs: Array, length: float) -> tuple[Array, Array]:

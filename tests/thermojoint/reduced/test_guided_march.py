@@ -8,10 +8,16 @@ from moving_knee import moving
 
 from calibrate.joint_aware.calibration import machine_of
 from calibrate.joint_aware.misfit import physics_with
-from fesim.axes.occupation import even, weights_at
+from fesim.axes.occupation import even
 from thermojoint.reduced.guided_march import occupy
 from thermojoint.reduced.machine import along
-from thermojoint.reduced.physics import conduct, guided_steps, settle_joint, simulate_known
+from thermojoint.reduced.physics import (
+    conduct,
+    guided_steps,
+    settle_joint,
+    settle_plainly,
+    simulate_known,
+)
 
 STEP = 30.0
 FACTORS = {"film": 1.4, "preload": 0.8, "expansion": 1.1, "modulus": 0.9, "lag bearing, s": 20.0}
@@ -32,7 +38,7 @@ def plainly(physics, inputs, length):
     sensed, moved = [], []
     for row in inputs:
         amplitudes = conduct(physics, amplitudes, row[:known], joint, length, (place, row[-1]))
-        joint, displacement = settle_joint(physics, joint, amplitudes, row[-1:])
+        joint, displacement = settle_plainly(physics, joint, amplitudes, row[-1:])
         sensed.append(physics.modes.sensors @ amplitudes)
         moved.append(displacement)
         place = row[-1]
@@ -67,10 +73,21 @@ def steps(machine):
 
 @given(st.floats(-0.11, 0.21), st.floats(-0.11, 0.21))
 def test_the_compiled_shares_are_those_of_an_even_way(steps, start, end):
-    guide, _, here = steps
+    guide, storage = steps
     positions = guide.aligned.positions
-    occupy(positions, start, end, here)
+    occupy(positions, start, end, storage.passed)
     shares = even(positions, start, end)
     for name in ("mean", "square", "product"):
-        np.testing.assert_allclose(getattr(here, name), getattr(shares, name), atol=1e-12)
-    np.testing.assert_allclose(here.weights, weights_at(positions, end), atol=1e-12)
+        found = getattr(storage.passed, name)
+        np.testing.assert_allclose(found, getattr(shares, name), rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("place", [-0.1, 0.02, 0.1, 0.2])
+def test_a_joint_settles_at_any_position_as_plainly(machine, place):
+    physics = physics_with(machine, FACTORS)
+    heat = machine.inputs(np.tile(machine.power, (1, 1)))[0]
+    joint, at = physics.at_rest(), np.array([place])
+    warm = conduct(physics, physics.modes.start, heat, joint, 600.0, (0.0, 0.0))
+    one, other = (settle(physics, joint, warm, at) for settle in (settle_joint, settle_plainly))
+    np.testing.assert_allclose(one[1], other[1], rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(one[0].pressure, other[0].pressure, rtol=1e-6, atol=1.0)
