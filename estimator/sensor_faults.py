@@ -83,6 +83,9 @@ class Thresholds(NamedTuple):
         Initial repetition rate of a channel, and the samples over which it is learned.
     rounding : float
         Changes below this are ignored, K.
+    lasts : float
+        Time over which innovations are averaged, s: an error of a sensor or of the heat is over, or
+        found, within it; one that is left after it is the model's.
     """
 
     gate: float = 5.0
@@ -107,6 +110,7 @@ class Thresholds(NamedTuple):
     habit: float = 0.5
     learnt: float = 50.0
     rounding: float = 1e-9
+    lasts: float = 3600.0
 
 
 class Channels(NamedTuple):
@@ -178,6 +182,9 @@ class Watch(NamedTuple):
         Fraction of its changes that reverse: none for a smooth signal, two thirds for pure noise.
     off : ndarray
         Its error when the model contradicted it, K; negative once it has jumped back.
+    lasting : ndarray
+        Mean of its innovations over the last hour, each at most the gate of a certain model, K; as
+        it was before the channel was distrusted.
     """
 
     distrusted: Array
@@ -193,6 +200,7 @@ class Watch(NamedTuple):
     rise: Array
     turned: Array
     off: Array
+    lasting: Array
 
 
 def fresh(channels: int, rules: Thresholds) -> Watch:
@@ -212,6 +220,7 @@ def fresh(channels: int, rules: Thresholds) -> Watch:
         rise=unknown,
         turned=nothing,
         off=unknown,
+        lasting=nothing,
     )
 
 
@@ -325,6 +334,10 @@ def look(
         # Comparisons with unknown values, NaN, find no fault.
         odd[k] = reading < channels.low[k] or reading > channels.high[k]
         odd[k] = odd[k] or change > rules.rate * since + rules.jump
+        if watch.distrusted[k] == 0.0 and since > 0.0 and not odd[k]:
+            most = rules.gate * imperfect
+            innovation = min(max(reading - expected, -most), most)
+            watch.lasting[k] += since / (since + rules.lasts) * (innovation - watch.lasting[k])
         watch.read[k] = time
         if change <= rules.rounding:
             watch.repeats[k] += 1.0

@@ -135,6 +135,7 @@ def observer_from_rest(
             history=np.zeros(len(machine.axes)),
             open=np.zeros((len(machine.axes), 1, 2 * fit.discrepancy.displacement.shape[1])),
             square=nothing,
+            surprise=np.zeros((len(machine.axes), len(system.rows))),
         ),
         warm=np.zeros((scale.size, PAST.columns)),
         surfaces=held.names,

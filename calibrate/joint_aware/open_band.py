@@ -11,6 +11,7 @@ the draws, plus their residual, is the band.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -81,6 +82,11 @@ class Drawing:
 
 #: The default.
 USUAL = Drawing()
+#: Where temperatures differ from the model's for an hour by a share of what they have been in the
+#: runs, the displacement is taken to differ by this part of that share, as a standard deviation.
+DOUBTED = 0.5
+#: A thermometer that warms less counts as if it warmed by this part of what the warmest does.
+FAR = 0.1
 #: A drawn machine has no faulty sensors: an onset of heat that its steps cannot resolve is none.
 HEALTHY = Thresholds(faults=sensor_faults.Thresholds(gate=1e6, jump=1e6, stuck=1e9), room=1e6)
 
@@ -139,6 +145,7 @@ def open_band(
         history=_history(slow.observer, slow.machine, histories[0]),
         open=weights,
         square=unlike_its_case(slow) + np.array(more),
+        surprise=surprise_of(runs),
     )
 
 
@@ -178,6 +185,26 @@ def unlike_its_case(fitted: Fitted) -> Array:
     gains = [channel.tau for channel in fitted.problem.displacement]
     unknown[:, -1] = (1.0 - fitted.fit.doubt**-2) * COUNT * np.square(gains)
     return unknown
+
+
+def surprise_of(runs: Sequence[Run]) -> Array:
+    """Return the variance of an error per square of a lasting innovation, m2/K2, (axes, p + 1).
+
+    Errors of temperatures and of the displacement that come from the same unknown heat are alike as
+    shares of the largest values. The thermometers count alike, the ambient not at all.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Calibration runs.
+    """
+    moved, sensed = (
+        np.max([np.abs(values).max(axis=0) for values in every], axis=0)
+        for every in ([run.displacement for run in runs], [run.temperature for run in runs])
+    )
+    sensed = np.maximum(sensed, FAR * sensed.max())
+    per_kelvin = np.outer(moved, DOUBTED / math.sqrt(sensed.size) / sensed)
+    return np.hstack([np.square(per_kelvin), np.zeros((moved.size, 1))])
 
 
 def drawn_errors(

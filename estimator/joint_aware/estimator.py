@@ -336,7 +336,9 @@ class JointAware(Described):
         known = displacement_readings.later(before.model_error, elapsed, probe)
         refused = False
         if np.isfinite(probed).any():
-            correction = self._corrected_by_probe(probed, settled, expected.memory, factor, known)
+            lasting = used.watch.lasting
+            parts = self.observer.model_error(settled.relaxed, expected.memory, lasting)
+            correction = self._corrected_by_probe(probed, settled, parts, factor, known)
             linear, factor = linear + correction.state, correction.covariance_factor
             known, refused = correction.known, correction.refused
             settled = self.observer.read(linear, expected.joint, expected.memory, loads)
@@ -358,7 +360,8 @@ class JointAware(Described):
         """The estimate after a sample."""
         after, factor = taken.after, taken.covariance_factor
         count, dynamic = self.model.modes.rates.size, self.observer.system.decay.size
-        parts = self.observer.model_error(after.linear[count:dynamic], taken.memory)
+        relaxed, lasting = after.linear[count:dynamic], after.watch.lasting
+        parts = self.observer.model_error(relaxed, taken.memory, lasting)
         inputs = after.linear[dynamic:]
         pressure = after.pressure if after.pressure.size else np.array([np.nan])
         missing, distrusted = self._left_out(readings, taken.believed)
@@ -480,10 +483,9 @@ class JointAware(Described):
         return expected.linear + gain @ innovation[at], factor
 
     def _corrected_by_probe(
-        self, probed: Array, settled: Settled, memory: float, factor: Array, known: ModelError
+        self, probed: Array, settled: Settled, parts: Array, factor: Array, known: ModelError
     ) -> displacement_readings.Correction:
         """Correction by a displacement reading."""
-        parts = self.observer.model_error(settled.relaxed, memory)
         innovation = probed - settled.displacement - parts @ mean_of(known)
         return displacement_readings.correct_by(
             innovation, self.probe, self.model.band, parts, factor, known

@@ -36,7 +36,7 @@ from thermojoint.artefacts.files import write_bytes
 from thermojoint.reduced.discrepancy import Discrepancy
 from thermojoint.reduced.machine import Joint, Modes, MovingAxis
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 
 #: Reads the kind; other values are refused.
 KIND: pydantic.TypeAdapter[Kind] = pydantic.TypeAdapter(Kind)
@@ -59,7 +59,7 @@ _STATIONS = ("positions", "place")
 _TABLE = ("pressures", "rises", "values")
 _REMAINDER = ("rates", "temperature", "displacement")
 _FILTER = ("cross", "innovation", "noise", "lasting", "scale", "walk")
-_BAND = ("tangent", "steady", "constant", "history", "open", "square")
+_BAND = ("tangent", "steady", "constant", "history", "open", "square", "surprise")
 
 
 def write_observer(model: ObserverModel, path: Path) -> None:

@@ -66,7 +66,7 @@ def bands_around(estimator: JointAware, state: Array, due: float) -> tuple[Array
     relaxed = now.linear[model.modes.rates.size : dynamic].reshape(sources, -1)
     kept = np.exp(-rates * due)
     relaxed = kept * relaxed + (1.0 - kept) * heat[:, None]
-    parts = estimator.observer.model_error(relaxed.ravel(), float(now.memory))
+    parts = estimator.observer.model_error(relaxed.ravel(), float(now.memory), now.watch.lasting)
     known, factor = later(now.model_error, due, estimator.probe), now.covariance_factor
     after = []
     for innovation in np.where(np.eye(len(estimator.axes), dtype=bool), 0.0, np.nan):

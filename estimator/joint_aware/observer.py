@@ -231,17 +231,26 @@ class Observer:
         relaxed = linear[count : self.system.decay.size]
         return Settled(joint, relaxed, moved + self.model.discrepancy.displacement @ relaxed)
 
-    def model_error(self, relaxed: Array, memory: float) -> Array:
+    def model_error(self, relaxed: Array, memory: float, lasting: Array) -> Array:
         """Displacement per part of the model error, m, shape (axes, d + axes).
 
         The parts, of unit variance, are those of the drawn machines and of every axis
         (`displacement_readings`).
+
+        Parameters
+        ----------
+        relaxed : ndarray, shape (s q,)
+            Heat relaxed at each rate, relative to the reference.
+        memory : float
+            Knowledge of the joint's slips.
+        lasting : ndarray, shape (p + 1,)
+            Innovations that last (`Watch.lasting`), K.
         """
         band, rates = self.model.band, self.model.discrepancy.rates.size
         sources = relaxed.size // rates
         square = np.square(relaxed.reshape(sources, rates)).sum(axis=0) / sources
         drawn = band.open @ np.concatenate([relaxed, relaxed**2]) / math.sqrt(band.open.shape[1])
-        rest = band.constant + band.square @ square
+        rest = band.constant + band.square @ square + band.surprise @ np.square(lasting)
         if memory != KNOWN:
             rest = rest + band.history
         parts = np.zeros((rest.size, drawn.shape[1] + rest.size))

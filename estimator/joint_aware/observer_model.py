@@ -37,6 +37,8 @@ class Band:
         per square of it, m.
     square : ndarray, shape (axes, q)
         Remaining error, per square of the heat relaxed at each rate, m2.
+    surprise : ndarray, shape (axes, p + 1)
+        Error per square of the innovation of each reading that lasts (`Watch.lasting`), m2/K2.
     """
 
     tangent: Array
@@ -45,6 +47,7 @@ class Band:
     history: Array
     open: Array
     square: Array
+    surprise: Array
 
 
 @dataclass(frozen=True)

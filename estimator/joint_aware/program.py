@@ -150,7 +150,7 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             "underflow": 700.0 if precision is Precision.DOUBLE else 80.0,
         },
         constants=sum(table.values.size for table in tables),
-        state=5 * linear + 44 * contacts + 9 * contacts**2 + 13 * count + 11,
+        state=5 * linear + 44 * contacts + 9 * contacts**2 + 14 * count + 11,
         usual=fixed + _newton(contacts, contacts, 0).times(2) + _look(contacts),
         worst=fixed
         + judged
@@ -249,6 +249,7 @@ def _tables(estimator: JointAware, kernel: JointKernel, tolerance: float) -> lis
         Table("steady", "Variance of the state after a reading, m2.", band.steady),
         Table("constant", "What the calibration left, m2.", band.constant),
         Table("squares", "... per square of the heat relaxed, m2.", band.square),
+        Table("surprise", "... per square of an innovation that lasts, m2/K2.", band.surprise),
         Table("open_band", "Error of machines not told apart, m.", band.open),
         Table("tolerance", "Of the gap equations, m.", np.array(tolerance)),
     ]
@@ -365,7 +366,7 @@ def _every_sample(estimator: JointAware, linear: int, contacts: int) -> Operatio
     read, (axes, draws, twice) = model.offset.size + 1, model.band.open.shape
     products = modes * (1 + inputs + 2 * contacts) + 2 * contacts**2
     products += 3 * contacts * modes + linear * 2 * read
-    products += axes * (modes + 3 * contacts + twice + draws * (twice + 2) + twice)
+    products += axes * (modes + 3 * contacts + twice + draws * (twice + 2) + twice + 2 * read)
     sums = products + 8 * linear + modes * 4 + contacts**2 + 20 * read
     return Operations(products, sums, 2 * linear, contacts) + _solve(contacts)
 
@@ -380,7 +381,7 @@ def _judging(estimator: JointAware, linear: int, contacts: int) -> Operations:
         count * (sources + 3), count * (sources + 4), count, count
     )
     pending = modes * (contacts + sources + 4) + linear * (count + 2 * model.band.steady.size + 2)
-    look = Operations(20, 30, 8, 6).times(count)
+    look = Operations(22, 34, 9, 6).times(count)
     return excluded.times(count + 1) + look + Operations(pending, 2 * pending, sources, 4)
 
 

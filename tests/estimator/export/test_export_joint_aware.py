@@ -124,6 +124,26 @@ def test_a_joint_that_slides_to_and_fro_is_followed(
     )
 
 
+@pytest.fixture(scope="module")
+def surprised(estimator):
+    """The estimator with a band that is wider where innovations last."""
+    band = estimator.model.band
+    surprise = np.full(band.surprise.shape, 1e-12)
+    wide = replace(band, surprise=surprise)
+    return JointAware(replace(estimator.model, band=wide))
+
+
+@needs_gcc
+def test_innovations_that_last_widen_the_band_as_in_python(surprised, samples, expected, tmp_path):
+    rows = np.array(samples)
+    rows[:, 1:3] += 0.4
+    there = [one.band for _, one in follow(surprised, rows.tolist(), surprised.initial_state())]
+    estimates = compiled(export_program(surprised, Precision.DOUBLE, "m"), tmp_path)
+    here = np.array([list(one.band) for one in estimates(rows[:, 1:].tolist())])
+    np.testing.assert_allclose(here, there, rtol=1e-9)
+    assert (here[-1] > 1.05 * expected[-1].band).all()
+
+
 @needs_gcc
 @pytest.mark.parametrize("value", [NAN, np.inf, 9.9e37, -200.0])
 def test_where_a_reading_is_missing_the_machine_is_held_by_prediction_alone(

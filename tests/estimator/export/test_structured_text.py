@@ -21,6 +21,7 @@ from estimator.exporting import export_program
 from estimator.fchs.estimator import Fchs
 from estimator.interface import Status, follow
 from estimator.joint_aware import program as joint_aware
+from estimator.joint_aware.estimator import JointAware
 from estimator.measured import response_samples
 from thermojoint.cli.app import app
 from thermojoint.models.assembly import assemble
@@ -68,6 +69,19 @@ def test_a_day_that_was_not_learned_is_the_same(learned, precision, tmp_path):
 def test_a_joint_aware_estimator_is_the_same(estimator, precision, tmp_path):
     duty = list(joint_aware.contents(estimator, precision).duty())[:300]
     agrees(export_program(estimator, precision, "machine", duty), tmp_path)
+
+
+def test_innovations_that_last_widen_the_band_as_in_python(estimator, tmp_path):
+    band = estimator.model.band
+    surprise = np.full(band.surprise.shape, 1e-12)
+    wide = replace(band, surprise=surprise)
+    wider = JointAware(replace(estimator.model, band=wide))
+    duty = np.array(list(joint_aware.contents(wider, Precision.DOUBLE).duty())[:200])
+    duty[:, 1:3] += 0.4
+    agrees(export_program(wider, Precision.DOUBLE, "machine", duty.tolist()), tmp_path)
+    bands = [one.band for _, one in follow(wider, duty.tolist(), wider.initial_state())]
+    plain = [one.band for _, one in follow(estimator, duty.tolist(), estimator.initial_state())]
+    assert (bands[-1] > 1.0001 * plain[-1]).all()
 
 
 @needs_matiec

@@ -1,11 +1,14 @@
 """Machines that differ from their case by more than factors: sensors that lag, unknown errors."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from observed import SENSORS
 
 from calibrate.joint_aware.assembling import make_observer
 from calibrate.joint_aware.misfit import Run, physics_with
+from calibrate.joint_aware.open_band import surprise_of
 from calibrate.joint_aware.physics_fit import Search, fit_physics
 from estimator.interface import Status, follow
 from estimator.joint_aware.estimator import JointAware
@@ -109,3 +112,27 @@ def test_a_step_of_heat_is_no_fault_of_a_sensor_that_lags(machine):
     assert not any(one.status & Status.SENSOR_DISTRUSTED for one in found)
     errors = np.array([one.displacement for one in found]) - moved[:, :2]
     assert np.abs(errors[-1]).max() < 0.05 * np.abs(moved[-1]).max()
+
+
+def test_sensors_that_contradict_the_model_for_hours_widen_the_band(estimator, machine):
+    """A machine with another film: its temperatures stay away from the model's."""
+    inputs = np.zeros((3600, 2))
+    inputs[:, 0] = machine.power[0]
+    small, times = along(machine, ["x", "y"]), STEP * np.arange(1, 3601)
+    marched = [simulate_known(physics_with(small, {"film": film}), inputs, STEP) for film in (1, 5)]
+    known = Run(inputs, times, *marched[0], STEP)
+    band = replace(estimator.model.band, surprise=surprise_of([known]))
+    wide = JointAware(replace(estimator.model, band=band))
+    ends = []
+    for sensed, moved in marched:
+        samples = np.column_stack([times, sensed, inputs[:, -1]]).tolist()
+        for one in (estimator, wide):
+            found = [estimate for _, estimate in follow(one, samples, one.initial_state())]
+            off = np.abs(found[-1].displacement - moved[-1])
+            ends.append((off, found[-1].band, found[30].band))
+    (_, own, _), (_, same, _), (off, narrow, _), (_, wider, before) = ends
+    assert same == pytest.approx(own)
+    # In standard deviations, where the half-band is two of them.
+    assert (off > 3.0 * narrow).any()
+    assert (off < 2.0 * wider).all()
+    assert (before < 0.2 * wider).all()
