@@ -84,7 +84,7 @@ class Drawing:
 USUAL = Drawing()
 #: Where temperatures differ from the model's for an hour by a share of what they have been in the
 #: runs, the displacement is taken to differ by this part of that share, as a standard deviation.
-DOUBTED = 0.5
+DOUBTED = 0.7
 #: A thermometer that warms less counts as if it warmed by this part of what the warmest does.
 FAR = 0.1
 #: A drawn machine has no faulty sensors: an onset of heat that its steps cannot resolve is none.
@@ -145,7 +145,7 @@ def open_band(
         history=_history(slow.observer, slow.machine, histories[0]),
         open=weights,
         square=unlike_its_case(slow) + np.array(more),
-        surprise=surprise_of(runs),
+        surprise=surprise_of(runs, fit.doubt),
     )
 
 
@@ -187,24 +187,28 @@ def unlike_its_case(fitted: Fitted) -> Array:
     return unknown
 
 
-def surprise_of(runs: Sequence[Run]) -> Array:
+def surprise_of(runs: Sequence[Run], doubt: float) -> Array:
     """Return the variance of an error per square of a lasting innovation, m2/K2, (axes, p + 1).
 
     Errors of temperatures and of the displacement that come from the same unknown heat are alike as
-    shares of the largest values. The thermometers count alike, the ambient not at all.
+    shares of the largest values. The thermometers count alike, the ambient not at all. Machines of
+    the posterior have lasting innovations, too, and their errors are in the band already.
 
     Parameters
     ----------
     runs : sequence of Run
         Calibration runs.
+    doubt : float
+        Of the fit: at 1 the machine is one of the posterior.
     """
     moved, sensed = (
         np.max([np.abs(values).max(axis=0) for values in every], axis=0)
         for every in ([run.displacement for run in runs], [run.temperature for run in runs])
     )
     sensed = np.maximum(sensed, FAR * sensed.max())
-    per_kelvin = np.outer(moved, DOUBTED / math.sqrt(sensed.size) / sensed)
-    return np.hstack([np.square(per_kelvin), np.zeros((moved.size, 1))])
+    per_kelvin = DOUBTED / math.sqrt(sensed.size) * np.outer(moved, 1.0 / sensed)
+    unlike = (1.0 - doubt**-2) * np.square(per_kelvin)
+    return np.hstack([unlike, np.zeros((moved.size, 1))])
 
 
 def drawn_errors(

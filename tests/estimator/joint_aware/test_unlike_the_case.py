@@ -121,7 +121,8 @@ def test_sensors_that_contradict_the_model_for_hours_widen_the_band(estimator, m
     small, times = along(machine, ["x", "y"]), STEP * np.arange(1, 3601)
     marched = [simulate_known(physics_with(small, {"film": film}), inputs, STEP) for film in (1, 5)]
     known = Run(inputs, times, *marched[0], STEP)
-    band = replace(estimator.model.band, surprise=surprise_of([known]))
+    assert not surprise_of([known], doubt=1.0).any()
+    band = replace(estimator.model.band, surprise=surprise_of([known], doubt=2.0))
     wide = JointAware(replace(estimator.model, band=band))
     ends = []
     for sensed, moved in marched:
