@@ -2,7 +2,8 @@
 
 No open toolchain for Structured Text can be installed by a package manager here. So the text is
 parsed by tree-sitter's grammar of IEC 61131-3 (edition 3), held to the rules below, which are those
-of the strictest systems, and translated to C word for word; gcc's sanitizers watch the bounds.
+of the strictest systems, and translated to C word for word, where every index is held to its
+bounds.
 
 - every name is declared once in its unit, whatever its case; none is a word of the language or of
   a standard function, none has two underscores in a row, and none is longer than 63 characters;
@@ -526,8 +527,8 @@ int main(void)
     return !all.v_agrees;
 }}
 """
-FLAGS = ["-std=gnu11", "-O0", "-w", "-ffp-contract=off", "-fsanitize=address,undefined"]
-FLAGS += ["-fno-sanitize-recover=all"]
+FLAGS = ["-std=gnu11", "-O0", "-w", "-ffp-contract=off", "-fno-sanitize-recover=all"]
+FLAGS += ["-fsanitize=signed-integer-overflow,float-cast-overflow"]
 
 
 def in_c(*texts):

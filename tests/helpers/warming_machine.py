@@ -1,11 +1,9 @@
 """A service whose machine warms up line by line, as a process that can be killed."""
 
 import contextlib
-import subprocess
-import sys
 import threading
 
-from repository import ROOT
+from own_process import OwnProcess
 
 from thermojoint.models.assembly import assemble
 from thermojoint.models.assembly_file import write_assembly
@@ -46,10 +44,8 @@ def prepare(place, model, further):
 
 def started(place):
     """The service as a process of its own."""
-    return subprocess.Popen(
-        [sys.executable, "-m", "thermojoint.cli", "serve", str(place / "service.toml")],
-        cwd=ROOT, stdout=(place / "service.log").open("a"), stderr=subprocess.STDOUT,
-    )  # fmt: skip
+    with (place / "service.log").open("a") as log:
+        return OwnProcess("serve", place / "service.toml", stdout=log, stderr=log)
 
 
 @contextlib.contextmanager

@@ -4,6 +4,7 @@ import subprocess
 import sys
 
 import pytest
+from own_process import OwnProcess
 from reference_case import lasting
 from small_disk import fill, mounted
 
@@ -182,11 +183,10 @@ def test_a_simulation_onto_a_full_disk_ends_in_one_line(left, arguments, at_hand
         (disk / "kept").write_bytes(bytes(left))
         fill(disk)
         (disk / "kept").unlink()
-        program = [sys.executable, "-m", "thermojoint.cli", "simulate", "case.toml"]
-        command = [*program, "--out", "disk/out.nc", *arguments]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        assert done.returncode == 2
-        assert "No space left on device" in done.stderr.splitlines()[-1]
+        with (at_hand / "said").open("w") as said:
+            words = ["simulate", "case.toml", "--out", "disk/out.nc", *arguments]
+            assert OwnProcess(*words, stderr=said).wait() == 2
+        assert "No space left on device" in (at_hand / "said").read_text().splitlines()[-1]
         assert [one.name for one in disk.iterdir()] == ["filler"]
 
 

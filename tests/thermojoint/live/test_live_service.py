@@ -20,6 +20,7 @@ from asyncua import Client, Server, ua
 from asyncua.crypto.permission_rules import User, UserRole
 from asyncua.server.history import HistoryDict
 from live_parts import Broker, client_of, free_port, message, needs_broker, serving, until
+from own_process import OwnProcess
 from prometheus_client import generate_latest
 from small_disk import fill, mounted
 
@@ -50,6 +51,17 @@ def model(hand_made_model, tmp_path_factory):
     path = tmp_path_factory.mktemp("live") / "model.json"
     write_assembly(assemble(hand_made_model, INTERVAL, 7200.0), path)
     return path
+
+
+@pytest.fixture(autouse=True)
+def own_process(monkeypatch):
+    """What is killed has loaded its libraries beforehand."""
+
+    def started(place, name):
+        with (place / f"{name}.log").open("a") as log:
+            return OwnProcess("serve", place / f"{name}.toml", stderr=log)
+
+    monkeypatch.setattr(live_kills, "started", started)
 
 
 def day(count=120):
