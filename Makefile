@@ -16,9 +16,9 @@ install: $(INSTALLED)
 reproduce: $(INSTALLED)
 	$(BIN)/thermojoint reproduce --out $(OUT)
 
-# For two cores, in the order of tests/conftest.py: the third process computes while another waits.
+# For two cores, in the order of tests/conftest.py: two processes compute while two others wait.
 # Without a worker that was lost the rest may wait for ever: end then.
-SHARED := -n 3 --dist loadscope --no-loadscope-reorder --max-worker-restart 0
+SHARED := -n 4 --dist loadscope --no-loadscope-reorder --max-worker-restart 0
 
 # Bytecode is written whatever the environment says: each of the many processes that tests start would
 # compile all sources.

@@ -13,11 +13,14 @@ from pathlib import Path
 import hypothesis
 import pytest
 from in_process import run
+from own_process import FORKED
 from threadpoolctl import threadpool_limits
 
+from fesim.batch import local
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
+from thermojoint.artefacts import processes
 from thermojoint.models.parameters import (
     DeformationModel,
     FictitiousSource,
@@ -52,13 +55,15 @@ if "PYTEST_XDIST_WORKER" not in os.environ:
     os.environ["THERMOJOINT_CACHE"] = _KEPT.name
 
 #: What takes long begins first, so that the processes end at about the same time. The first module
-#: makes the machine code of the simulator, most of a minute where none is kept; the two after it
-#: wait more than they compute and need none.
+#: makes the machine code of the simulator, most of a minute where none is kept; the three after
+#: it need none, and two of them wait more than they compute.
 FIRST = (
     "thermojoint/paper/test_study.py",
     "thermojoint/live/test_targets.py",
     "thermojoint/live/test_linuxcnc.py",
+    "calibrate/learning/test_learning.py",
     "thermojoint/verification/test_verification.py",
+    "thermojoint/cli/test_learning_cli.py",
     "thermojoint/live/test_live_service.py",
     "fesim/batch/test_batch.py",
     "thermojoint/live/test_dashboard.py",
@@ -76,11 +81,9 @@ FIRST = (
     "thermojoint/live/test_http.py",
     "thermojoint/cli/test_cli.py",
     "fesim/batch/test_batch_cluster.py",
-    "calibrate/learning/test_learning.py",
     "fesim/axes/test_moving_axis.py",
     "estimator/joint_aware/test_faulty_readings.py",
     "estimator/joint_aware/test_ageing.py",
-    "thermojoint/cli/test_learning_cli.py",
     "thermojoint/live/test_mtconnect.py",
     "thermojoint/sensitivity/test_sensitivity.py",
     "project/test_newcomer.py",
@@ -114,6 +117,15 @@ def pytest_collection_modifyitems(items):
     here, ranks = Path(__file__).parent, {name: k for k, name in enumerate(FIRST)}
     assert all((here / name).exists() for name in FIRST)
     items.sort(key=lambda item: ranks.get(str(item.path.relative_to(here)), len(FIRST)))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def forked_workers():
+    """Pools of these processes need not load the libraries; those of real commands do."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (processes, local):
+            patch.setattr(module, "CONTEXT", FORKED)
+        yield
 
 
 @pytest.fixture

@@ -7,13 +7,23 @@ interpreter of its own runs it.
 import os
 import sys
 from functools import cache
-from multiprocessing import forkserver, get_context
+from multiprocessing import forkserver
 from multiprocessing.connection import Connection
+from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
 import pytest
 
-FORKED = get_context("forkserver")
+
+class Forked(ForkServerContext):
+    """Processes forked from a server that has loaded the libraries; there is one, begun at need."""
+
+    def Process(self, *arguments, **options):
+        _begin_server()
+        return super().Process(*arguments, **options)
+
+
+FORKED = Forked()
 
 
 @cache
@@ -31,7 +41,6 @@ class OwnProcess:
     """
 
     def __init__(self, *arguments, stdin=0, stdout=1, stderr=2, cwd="."):
-        _begin_server()
         streams = [
             Connection(os.dup(one if isinstance(one, int) else one.fileno()), writable=k > 0)
             for k, one in enumerate((stdin, stdout, stderr))
