@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -32,6 +33,7 @@ from fesim.march.machine import CondensedMachine, State
 from fesim.march.step_control import LONGEST, Pace, StepError
 from fesim.march.stepping import left_open
 from fesim.march.track import Track
+from fesim.solid.condensation import ThermalCondensation
 from thermojoint.artefacts.arrays import Array
 
 #: Most steps that are taken at once.
@@ -220,10 +222,7 @@ def free_march(machine: CondensedMachine, rates: Array) -> FreeMarch | None:
     joint = joint_kernel(contact, np.asarray(thermal.jump), np.zeros(contact.count))
     if joint is None:
         return None
-    drawn = np.array(joint.jump.T, order="C")
-    drawn[len(rates) :] = 0.0
-    held = np.full(len(thermal.inputs) - len(rates), np.inf)
-    modes = Modes(np.concatenate([rates, held]), owned(thermal.inputs), drawn)
+    modes, lengths = _heat_of(thermal, rates.tobytes())
     kernel = AdaptiveKernel(
         modes=modes,
         joint=joint,
@@ -233,7 +232,21 @@ def free_march(machine: CondensedMachine, rates: Array) -> FreeMarch | None:
         left_open=left_open(machine),
         spread=heat_spread(thermal, rates),
     )
-    return FreeMarch(machine, kernel, _storage(kernel, new_lengths(modes)))
+    return FreeMarch(machine, kernel, _storage(kernel, lengths))
+
+
+@lru_cache(maxsize=1)
+def _heat_of(thermal: ThermalCondensation, rates: bytes) -> tuple[Modes, Lengths]:
+    """The heat equation, and its weights, which marches with other laws and inputs share.
+
+    What is kept of a length follows from it: no march depends on those before.
+    """
+    own = np.frombuffer(rates)
+    drawn = np.array(np.asarray(thermal.jump).T, order="C", dtype=np.float64)
+    drawn[len(own) :] = 0.0
+    held = np.full(len(thermal.inputs) - len(own), np.inf)
+    modes = Modes(np.concatenate([own, held]), owned(thermal.inputs), drawn)
+    return modes, new_lengths(modes)
 
 
 def _storage(kernel: AdaptiveKernel, lengths: Lengths) -> Storage:

@@ -387,14 +387,21 @@ def _prepare(heat: Heat, work: Work, course: Course, stage: int) -> None:
         _flows(heat, work, course.flow[AFTER])
     elif stage in (HALVES, THIRDS):
         pieces = 2 if stage == HALVES else 3
+        share = (turn + 1.0) / pieces
         if turn == 0:
             _begun_at(gap[BEFORE], slip[BEFORE], part)
-            for k in range(part.change.size):
-                part.change.flat[k] = (gap[AFTER].flat[k] - gap[BEFORE].flat[k]) / pieces
+        elif stage == HALVES:
+            put(part.gap, work.gap[GUESS])
+        middle = 4.0 * share * (1.0 - share) if stage == THIRDS else 0.0
+        for k in range(part.change.size):
+            first, last = gap[BEFORE].flat[k], gap[AFTER].flat[k]
+            guess = first + share * (last - first)
+            guess += middle * (work.gap[GUESS].flat[k] - 0.5 * (first + last))
+            part.change.flat[k] = guess - part.gap.flat[k]
         # Shares 1, 1/2, 1/3 and 2/3 in the order of `fesim.march.compiled_exponential.SHARES`.
         first = 0 if turn + 1 == pieces else 3 * (turn + pieces - 1)
         _within(course, heat.weights[first : first + 3], at)
-        _between(course.inputs, (turn + 1.0) / pieces, work.inputs)
+        _between(course.inputs, share, work.inputs)
     elif stage == WHOLE_STEP:
         put(course.unknowns[AFTER], at)
         put(course.inputs[AFTER], work.inputs)

@@ -48,13 +48,23 @@ def slip_path(
     ConvergenceError
         A piece of the step has no equilibrium.
     """
-    two = _in_pieces(machine, state, course, whole.gap, 2)
+    turn = whole.gap - state.gap
+    pieces = _in_pieces(machine, state, course, lambda share: state.gap + share * turn, 2)
+    if pieces is None:
+        return None
+    middle, two = pieces[0].gap, pieces[1].slip
     # A contact element may slide and stick again: the end of the step alone does not show it.
-    if two is None or (np.array_equal(two, state.slip) and np.array_equal(whole.slip, state.slip)):
+    if np.array_equal(two, state.slip) and np.array_equal(whole.slip, state.slip):
         return None
-    three = _in_pieces(machine, state, course, whole.gap, 3)
-    if three is None:
+    bend = 4.0 * (middle - 0.5 * (state.gap + whole.gap))
+
+    def bent(share: float) -> Array:
+        return np.asarray(state.gap + share * turn + share * (1.0 - share) * bend)
+
+    pieces = _in_pieces(machine, state, course, bent, 3)
+    if pieces is None:
         return None
+    three = pieces[2].slip
     slip = 3.0 * three - 2.0 * two
     # Of an error a/n + b/n^2 of n pieces, b/6 is left in this and b/2 in the other extrapolation.
     return SlipPath(slip, 0.5 * (slip - (2.0 * two - whole.slip)))
@@ -69,14 +79,20 @@ def settled_at(
 
 
 def _in_pieces(
-    machine: CondensedMachine, state: State, course: Course, end: Array, pieces: int
-) -> Array | None:
-    """Slip at the end of a step in pieces; the first guess goes straight to the gaps `end`."""
-    state = replace(state, change=(end - state.gap) / pieces)
+    machine: CondensedMachine,
+    state: State,
+    course: Course,
+    guess: Callable[[float], Array],
+    pieces: int,
+) -> list[State] | None:
+    """The ends of the pieces of a step, whose gaps are guessed by their share of it."""
+    ends = []
     for piece in range(1, pieces + 1):
-        settled, cuts = settled_at(machine, state, *course(piece / pieces))
+        share = piece / pieces
+        state = replace(state, change=guess(share) - state.gap)
+        settled, cuts = settled_at(machine, state, *course(share))
         if cuts:
             return None
-        change = settled.gap - state.gap
-        state = replace(state, gap=settled.gap, slip=settled.traction.slip, change=change)
-    return state.slip
+        state = replace(state, gap=settled.gap, slip=settled.traction.slip)
+        ends.append(state)
+    return ends

@@ -61,7 +61,7 @@ class HeatBalance:
     flow: csr_array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ThermalCondensation:
     """One implicit Euler step of the heat equation, reduced to m joint heat flows.
 
