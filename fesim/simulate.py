@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, lru_cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -446,11 +446,15 @@ def _response(
         "displacement_unknowns": int(setup.spaces.displacement_size),
         "displacement_of": " relative to ".join(measured_points(case)),
         "covered_area_m2": json.dumps(
-            covered_areas(setup.structure, convecting_surfaces(case), setup.joints)
+            _covered(setup.structure, tuple(convecting_surfaces(case)), tuple(setup.joints))
         ),
         "friction": ", ".join(f"{law.friction.coefficient:g}" for law, _ in machine.contact.laws),
     }
     return make_response(values, coords, attrs)
+
+
+# The cases of a study have one structure.
+_covered = lru_cache(maxsize=1)(covered_areas)
 
 
 @cache

@@ -48,7 +48,7 @@ ACROSS = 5
 ALONG = 15
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PairedJoint:
     """Quadrature points of a joint, known on both sides, grouped into contact elements.
 

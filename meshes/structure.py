@@ -31,7 +31,7 @@ class Probe:
     body: str | None = None
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Structure(Described):
     """A mesh with named bodies, surfaces, joints and probes.
 

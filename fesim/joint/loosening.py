@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -151,20 +152,33 @@ class Watch:
 
 def watch_of(constraints: Constraints, laws: Sequence[tuple[JointLaw, int]]) -> Watch:
     """Prepare the check for the joints' laws and their numbers of contact elements."""
-    count = len(constraints.centre)
     per_law = [(NOTHING * law.reference_pressure, _rough_stiffness(law)) for law, _ in laws]
     counts = [n for _, n in laws]
+    watched = _watched_places(constraints)
+    table = watched.table.copy()
+    table[:, :_GROUP] = np.repeat(np.array(per_law).reshape(-1, 2), counts, axis=0)
+    return Watch(
+        constraints,
+        watched._replace(table=table),
+        friction=np.repeat([law.friction.coefficient for law, _ in laws], counts),
+        preload=np.repeat([law.preload for law, _ in laws], counts),
+    )
+
+
+@lru_cache(maxsize=4)
+def _watched_places(constraints: Constraints) -> Watched:
+    """What joints of any law have: their places and their groups; their laws are zero."""
+    count = len(constraints.centre)
     sides, group = np.unique(np.round(constraints.share, 9), axis=0, return_inverse=True)
     group = group.ravel()
-    table = np.empty((count, 6))
-    table[:, :_GROUP] = np.repeat(np.array(per_law).reshape(-1, 2), counts, axis=0)
+    table = np.zeros((count, 6))
     table[:, _GROUP] = group
     table[:, _PLACE:] = constraints.centre
     rows = np.stack(
         [constraints.frame.rows(constraints.centre, d) for d in constraints.directions], axis=1
     )
     width = constraints.supports.shape[1]
-    watched = Watched(
+    return Watched(
         table,
         needed=np.array(
             [_needed(constraints.centre[group == k]) for k in range(len(sides))], dtype=np.int64
@@ -173,12 +187,6 @@ def watch_of(constraints: Constraints, laws: Sequence[tuple[JointLaw, int]]) -> 
             np.einsum("mp,mdi->mdpi", constraints.share, rows).reshape(count, 3, width)
         ),
         supports=np.ascontiguousarray(constraints.supports.T @ constraints.supports),
-    )
-    return Watch(
-        constraints,
-        watched,
-        friction=np.repeat([law.friction.coefficient for law, _ in laws], counts),
-        preload=np.repeat([law.preload for law, _ in laws], counts),
     )
 
 

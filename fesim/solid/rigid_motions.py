@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +50,7 @@ class Frame:
         return np.hstack([directions, np.cross(arms, directions)])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Constraints:
     """Possible constraints of the pieces of a structure.
 
@@ -235,12 +236,7 @@ def check_held(
             f"supports: {alone} has no support, spring or joint; hold it in [supports] or join it "
             f"to another body{open_ones}"
         )
-    every, stuck = np.flatnonzero(closed), np.flatnonzero(sticks & closed)
-    normal, first, second = constraints.directions
-    motions = constraints.unheld(
-        np.concatenate([every, stuck, stuck]),
-        np.vstack([normal[every], first[stuck], second[stuck]]),
-    )
+    motions = _free_at_rest(constraints, closed.tobytes(), (sticks & closed).tobytes())
     if motions.shape[1]:
         # A contact element acts at its centre alone: one of them is a hinge.
         instead = "more contact elements" if sticks.all() else "a friction_coefficient above 0"
@@ -248,6 +244,18 @@ def check_held(
             f"supports: no support, spring or joint keeps {described(constraints, motions)}; "
             f"hold it in [supports], or give its joints {instead}{open_ones}"
         )
+
+
+# The cases of a study differ in their laws, hardly ever in what is held.
+@lru_cache(maxsize=4)
+def _free_at_rest(constraints: Constraints, closed: bytes, sticking: bytes) -> Array:
+    """Free motions, (6 p, motions); flags of the contact elements (m,) as bytes."""
+    every, stuck = (np.flatnonzero(np.frombuffer(one, dtype=bool)) for one in (closed, sticking))
+    normal, first, second = constraints.directions
+    return constraints.unheld(
+        np.concatenate([every, stuck, stuck]),
+        np.vstack([normal[every], first[stuck], second[stuck]]),
+    )
 
 
 def described(constraints: Constraints, motions: Array) -> str:
