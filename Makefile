@@ -94,9 +94,11 @@ plants: $(INSTALLED)
 	$(BIN)/python -m benchmarks.plants --family structural --count 25 --estimator joint-aware \
 		--out structural.json
 
-# The film at the top of the README.
+# The film at the top of the README, and those of a machine that moves.
 images: $(INSTALLED)
 	$(BIN)/thermojoint view thermojoint/cases/reference.toml --film --frames 32 --out docs/images/warm-up.gif
+	$(BIN)/thermojoint view thermojoint/cases/three_axes.toml --film --frames 40 --out docs/images/moving.gif
+	$(BIN)/thermojoint view thermojoint/cases/three_axes.toml --show volume --out docs/images/moving-volume.png
 
 $(INSTALLED): pyproject.toml
 	$(PYTHON) -m venv $(VENV)

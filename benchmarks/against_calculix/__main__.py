@@ -23,6 +23,7 @@ from benchmarks.against_calculix.run import PROGRAM, available
 from benchmarks.against_calculix.studies import (
     Comparison,
     coarse_machine,
+    moving_knee,
     two_bars,
     two_rods,
 )
@@ -52,7 +53,8 @@ def main() -> None:
 
 
 def _shown(console: Console, folder: Path, *, fine: bool) -> Iterator[Comparison]:
-    for row in chain(two_bars(folder), two_rods(folder), coarse_machine(folder, fine=fine)):
+    studies = two_bars(folder), two_rods(folder), coarse_machine(folder, fine=fine)
+    for row in chain(*studies, moving_knee(folder)):
         console.print(f"{row.study}: {row.variant}: done in {row.ccx_seconds:.1f} s by CalculiX")
         yield row
 

@@ -30,6 +30,7 @@ from benchmarks.against_calculix.laws import ExponentialLaw
 from benchmarks.against_calculix.problem import Problem
 from fesim.joint.law import BackBurdekinLaw, JointLaw
 from fesim.solid.elasticity import DIRECTIONS
+from meshes.pairing import outward_areas
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 
@@ -61,6 +62,8 @@ class Choices:
     tolerance : float
         Largest residual and correction of an increment, relative to what CalculiX compares them
         with; 0 for its own, 0.5 % and 1 %.
+    patience : int
+        Iterations before an increment may be given up as diverging; 0 for its own, 4.
     every : int
         Results after every so many increments (and the last).
     """
@@ -69,6 +72,7 @@ class Choices:
     steady: bool = False
     table_points: int = 0
     tolerance: float = 0.0
+    patience: int = 0
     every: int = 1_000_000
 
 
@@ -130,7 +134,12 @@ def write_deck(problem: Problem, choices: Choices) -> Deck:
         for name in {side_a, side_b, *problem.convection, *problem.fluxes}
     }
     pull = _number(-law.preload)
-    clamps = [f"{e}, P{f}, {pull}" for side in (side_a, side_b) for e, f in on[side]]
+    # Faces of a guide beside its pads would touch them across their edge.
+    sides = {
+        "SIDE_A": _covered(problem, side_a, problem.joint.cells_a, on[side_a]),
+        "SIDE_B": _covered(problem, side_b, problem.joint.cells_b, on[side_b]),
+    }
+    clamps = [f"{e}, P{f}, {pull}" for side in sides.values() for e, f in side]
     # A steady load is held for a second step, which takes out what the tolerance of the first one
     # leaves (on the bars, 2e-5 of the displacement becomes 2e-7).
     count = 2 if choices.steady else 1
@@ -140,8 +149,8 @@ def write_deck(problem: Problem, choices: Choices) -> Deck:
         _rows(_shifted_nodes(problem, basis, shift).T, start=1),
         _bodies(problem, cells, element),
         *(
-            [f"*SURFACE, NAME={label}, TYPE=ELEMENT", *(f"{e}, S{f}" for e, f in on[side])]
-            for label, side in (("SIDE_A", side_a), ("SIDE_B", side_b))
+            [f"*SURFACE, NAME={label}, TYPE=ELEMENT", *(f"{e}, S{f}" for e, f in side)]
+            for label, side in sides.items()
         ),
         ["*SURFACE INTERACTION, NAME=JOINT"],
         normal,
@@ -234,6 +243,19 @@ def _shifted_nodes(problem: Problem, basis: CellBasis, shift: float) -> Array:
     return basis.doflocs - shift * problem.joint.normal[0][:, None] * moved
 
 
+def _covered(
+    problem: Problem, side: str, cells: NDArray[np.int64], on: list[tuple[int, int]]
+) -> list[tuple[int, int]]:
+    """Faces of a side that the other one covers, in front of `cells`: a guide is longer."""
+    mesh, facets = problem.structure.mesh, problem.structure.surface(side)
+    under = facets[np.isin(mesh.f2t[0, facets], cells)]
+    area = np.linalg.norm(outward_areas(mesh, under), axis=1).sum()
+    if not np.isclose(area, problem.joint.area.sum(), rtol=1e-9):
+        raise InputError("against_calculix: pads cover parts of faces; align the meshes")
+    covered = set((1 + cells).tolist())
+    return [(e, f) for e, f in on if e in covered]
+
+
 def _supports(problem: Problem, basis: CellBasis) -> list[str]:
     held: set[tuple[int, int]] = set()
     wanted: list[tuple[str, tuple[int, ...]]] = [(name, (1, 2, 3)) for name in problem.fixed]
@@ -246,6 +268,11 @@ def _supports(problem: Problem, basis: CellBasis) -> list[str]:
 
 def _tolerance(value: float) -> list[str]:
     return ["*CONTROLS, PARAMETERS=FIELD", f"{_number(value)}, {_number(value)}"]
+
+
+def _patience(iterations: int) -> list[str]:
+    own = f"{iterations}, {2 * iterations}, 9, {4 * iterations}, 10, 4, , 5, ,"
+    return ["*CONTROLS, PARAMETERS=TIME INCREMENTATION", own, ".25, .5, .75, .85, , , 1.5,"]
 
 
 def _held(problem: Problem, basis: CellBasis, factor: float) -> list[str]:
@@ -280,6 +307,7 @@ def _loaded_step(
         f"*COUPLED TEMPERATURE-DISPLACEMENT{kind}, DIRECT",
         times,
         *(_tolerance(choices.tolerance) if choices.tolerance else []),
+        *(_patience(choices.patience) if choices.patience else []),
         *([] if choices.steady else ["*DLOAD, OP=NEW, AMPLITUDE=CLAMPS", *clamps]),
         *_held(problem, basis, 1.0),
         *chain.from_iterable(

@@ -146,6 +146,45 @@ def machine(size: float = 100.0, **changes: Any) -> Case:
     return case_from_data(with_changes(data, changes), "coarse machine", Path())
 
 
+def knee(size: float, position: float) -> tuple[Case, Case]:
+    """The machine with a moving knee: on its axis at a position, mm, and meshed there.
+
+    A rigid nut holds the knee along the axis, where the shipped case has a spring, and the source
+    is 10 mm lower, so that strips and pads have the same elements.
+
+    Parameters
+    ----------
+    size : float
+        Of the elements, mm; half as much at the joint.
+    position : float
+        Where the knee stands, mm.
+    """
+    shipped = Path(str(files("thermojoint").joinpath("cases/moving_knee.toml")))
+    changes: dict[str, Any] = {
+        "structure__element_size_mm": size,
+        "structure__joint_element_size_mm": size / 2.0,
+        "structure__dimensions_mm__source_top": 700.0,
+        "supports__symmetry__screw_foot": "y",
+        "heat_input__level": 0.2,
+        "march__coupling": "iterated",
+        "march__step_s": 1e8,
+        "march__duration_min": 40e8 / 60.0,
+    }
+    riding, meshed = (
+        with_changes(tomllib.loads(shipped.read_text("utf-8")), changes) for _ in range(2)
+    )
+    for data in (riding, meshed):
+        del data["supports"]["springs"], data["joints"]["knee"]["running_friction_coefficient"]
+        del data["axes"]["y"]["file"], data["axes"]["y"]["rotation_within_mm"]
+    riding["axes"]["y"]["position_mm"] = position
+    del meshed["axes"], meshed["joints"]["knee"]["axis"]
+    dimensions = meshed["structure"]["dimensions_mm"]
+    for name, height in {"table_bottom": 350.0, "table_top": 750.0, "screw_bottom": 250.0}.items():
+        dimensions[name] = height + position
+    meshed["probes"]["table"]["position_mm"][1] += position
+    return tuple(case_from_data(data, "knee", shipped.parent) for data in (riding, meshed))  # type: ignore[return-value]
+
+
 def with_changes(data: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
     """Set keys given as "section__key" in nested dictionaries, and return these."""
     for key, value in changes.items():

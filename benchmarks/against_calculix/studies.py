@@ -11,6 +11,7 @@ from benchmarks.against_calculix.compare import (
     agreement,
     comparable,
     our_values,
+    ride_ours,
     run_ours,
     run_theirs,
     values,
@@ -19,7 +20,7 @@ from benchmarks.against_calculix.deck import Choices
 from benchmarks.against_calculix.elements import element_of, node_basis
 from benchmarks.against_calculix.problem import problem_of
 from benchmarks.against_calculix.run import Run
-from benchmarks.against_calculix.structures import bars, machine
+from benchmarks.against_calculix.structures import bars, knee, machine
 from fesim.case.schema import Case
 from thermojoint.artefacts.errors import ConvergenceError
 
@@ -37,6 +38,8 @@ STEADY = {"march__step_s": 1e8, "march__duration_min": 40e8 / 60.0}
 LONG = {"march__step_s": 60.0, "march__duration_min": 30.0}
 #: Twice the contact elements of the equal-heights machine each way.
 MORE_CONTACTS = {"joints__knee__along": 18, "joints__knee__across": 6}
+#: Where the knee stands, mm, and its elements.
+KNEE, KNEE_SIZE = (-100.0, 50.0, 200.0), 100.0
 #: Of a run, s.
 TIMEOUT = 1800.0
 
@@ -156,6 +159,30 @@ def two_rods(folder: Path) -> Iterator[Comparison]:
         yield compared(case, choices, folder, labels, consistent=True, run=run)[0]
     labels = ("two rods", "elements 10 mm, steps 1 s")
     yield compared(bars(folder, 0.01, march__step_s=1.0), choices, folder, labels)[0]
+
+
+def moving_knee(folder: Path) -> Iterator[Comparison]:
+    """A knee that stands on its axis, steady: against CalculiX on the machine meshed there."""
+    choices = Choices(steady=True, tolerance=TIGHT, patience=60)
+    for position in KNEE:
+        riding, meshed = knee(KNEE_SIZE, position)
+        problem = problem_of(meshed)
+        problem = replace(problem, law=comparable(problem.law))
+        labels = "machine, moving knee", f"at {position:g} mm, elements {KNEE_SIZE:g} mm"
+        run = run_theirs(problem, choices, folder, f"knee_{position:g}", TIMEOUT)
+        setup, step, seconds = ride_ours(riding, problem.law)
+        basis = node_basis(problem.structure, element_of(problem.structure, choices.element))
+        yield Comparison(
+            *labels,
+            None,
+            our_values(setup, step),
+            values(meshed, problem, basis, run),
+            seconds,
+            0.0,
+            run.seconds,
+            run.increments,
+            run.iterations,
+        )
 
 
 def coarse_machine(folder: Path, *, fine: bool) -> Iterator[Comparison]:

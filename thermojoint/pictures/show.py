@@ -14,6 +14,7 @@ class Show(StrEnum):
     temperature = "temperature"
     deformation = "deformation"
     pressure = "pressure"
+    volume = "volume"
 
 
 class Up(StrEnum):

@@ -39,6 +39,7 @@ from thermojoint.pictures.figures import (
     response_figure,
     write_figure,
 )
+from thermojoint.pictures.moving import moving_scenes, volume_figure
 from thermojoint.pictures.scenes import (
     Curve,
     Marker,
@@ -88,7 +89,7 @@ def draw(source: Path, show: Show | None, out: Path, report: Report, up: Up | No
     """
     from_case = source.suffix != ".nc"
     show = show or (Show.structure if from_case else Show.curves)
-    check = check_format if show in CURVES else check_png
+    check = check_format if show in (*CURVES, Show.volume) else check_png
     check(out)
     response = None if from_case else read_response(source)
     if show in CURVES and response is not None:
@@ -97,6 +98,11 @@ def draw(source: Path, show: Show | None, out: Path, report: Report, up: Up | No
     only_curves = "so only its curves can be drawn; use --show curves"
     case = read_case(source) if response is None else case_in(response, str(source), only_curves)
     warn(of_case(case, str(source)))
+    if show is Show.volume:
+        marching = partial(report, "marching")
+        surveyed = response if response is not None else simulate(case, progress=marching).response
+        write_figure(volume_figure(surveyed, case), out)
+        return
     # Here, not above: mistakes in a case are reported before the drawing libraries are loaded.
     from thermojoint.pictures.stills import write_pictures
 
@@ -142,6 +148,13 @@ def draw_film(
         case = read_case(source)
     if show is not None:
         _check_joints(source, case, show)
+    if case.axes:
+        if show not in (None, Show.temperature):
+            raise InputError(f"--show {show}: a film of a machine that moves shows its temperature")
+        upwards = _upwards(case, build_structure(case), up)
+        moving = moving_scenes(case, report, count or FRAMES, upwards)
+        write_film(moving, out, partial(report, "drawing"))
+        return
     shows = (show,) if show else FIELDS if case.joints else FIELDS[:2]
     scenes = film_scenes(shows, case, report, count or FRAMES, up)
     write_film(scenes, out, partial(report, "drawing"))

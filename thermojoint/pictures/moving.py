@@ -1,0 +1,136 @@
+"""Machines that move: arrows over the working volume, and a film in which the bodies move."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fesim.axes.axis import place_of
+from fesim.axes.setup import set_up_axes
+from fesim.case.schema import Case, first_step_at, step_count
+from fesim.march.machine import Step
+from fesim.setup.parts import unit_direction
+from fesim.simulate import simulate
+from meshes.structure import Structure
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.response import columns_of
+from thermojoint.artefacts.units import MILLI
+from thermojoint.console import Report
+from thermojoint.pictures.camera import Camera, Vector
+from thermojoint.pictures.field_scenes import make_stage
+from thermojoint.pictures.scenes import Curve, Panel, Scene, Surface, mirror_of, whole
+from thermojoint.pictures.structure_scene import onto
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+#: Longest arrow, relative to the largest edge of the volume.
+LONGEST = 0.3
+#: Smallest edge of the drawn volume, relative to the largest.
+FLAT = 0.2
+
+
+def volume_figure(response: xr.Dataset, case: Case) -> Figure:
+    """Displacement at the points of the volume, as arrows where the axes stand, at the last survey.
+
+    Raises
+    ------
+    InputError
+        The case asks about no volume.
+    """
+    from matplotlib.figure import Figure
+
+    if "volume_displacement" not in response or not response.sizes["survey"]:
+        raise InputError("--show volume: the case asks about no volume; add [volume]")
+    last = response.isel(survey=-1)
+    moved = last["volume_displacement"].to_numpy()
+    directions = np.array([unit_direction(axis) for axis in case.axes.values()])
+    places = 1e3 * response["volume_position"].to_numpy() @ directions
+    size = np.linalg.norm(moved, axis=1)
+    span = np.ptp(places, axis=0)
+    factor = _round(LONGEST * span.max() / (1e3 * size.max())) if size.max() > 0.0 else 1.0
+    figure = Figure(figsize=(7.0, 6.0))
+    axes = figure.add_subplot(projection="3d")
+    # y is up; with z towards the eye the axes are right-handed.
+    order = [0, 2, 1]
+    arrows = axes.quiver(*places.T[order], *(1e3 * factor * moved).T[order], linewidth=1.6)
+    # The shafts, then one side of all heads, then the other.
+    arrows.set_array(np.tile(1e6 * size, 3))
+    axes.scatter(*places.T[order], color="black", s=6)
+    axes.set_box_aspect(np.maximum(span, FLAT * span.max())[order])
+    axes.invert_yaxis()
+    figure.subplots_adjust(left=0.0, right=0.95, bottom=0.02, top=0.92)
+    for setter, k in zip((axes.set_xlabel, axes.set_ylabel, axes.set_zlabel), order, strict=True):
+        setter(f"{'xyz'[k]} (mm)")
+    figure.colorbar(arrows, ax=axes, shrink=0.7, pad=0.12, label="displacement (µm)")
+    minutes = float(last["survey"]) / 60.0
+    axes.set_title(
+        f"displacement of {response.attrs['displacement_of']} where the axes stand,\n"
+        f"after {minutes:.3g} min, drawn {factor:g} times too large",
+        fontsize=11,
+    )
+    return figure
+
+
+def _round(value: float) -> float:
+    """The largest of 1, 2, 5 times a power of ten below a value."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(power * max(step for step in (1.0, 2.0, 5.0) if step * power <= value))
+
+
+def moving_scenes(case: Case, report: Report, count: int, up: Vector) -> list[Scene]:
+    """Simulate a case with axes; return scenes of its temperature at `count` times.
+
+    The bodies are where the axes have taken them.
+    """
+    report("setting up", 0, 1)
+    ready = set_up_axes(case)
+    report("setting up", 1, 1)
+    setup, step_s = ready.setup, case.march.step_s
+    mirror = mirror_of(setup.structure, case.supports.symmetry)
+    stage = make_stage(setup, up, mirror)
+    carried = carried_nodes(case, setup.structure, stage.nodes)
+    shown = np.array([MILLI * axis.mesh_position_mm for axis in case.axes.values()])
+    camera = Camera(onto(setup.structure, up, mirror), up)
+    times = np.linspace(0.0, step_count(case.march) * step_s, count)[1:]
+    due = {first_step_at(float(time), step_s) for time in times}
+    own = setup.spaces.heat.nodal_dofs[0][stage.nodes]
+    moments: list[tuple[float, Panel]] = []
+
+    def keep(step: Step) -> None:
+        if step.state.index not in due:
+            return
+        time = step_s * step.state.index
+        way = np.array(place_of(ready.axes, time)) - shown
+        points = stage.skin.points + np.einsum("a,anj->nj", way, carried)
+        skin = Surface(points, stage.skin.faces, values=setup.nodal_temperature(step.state)[own])
+        panel = Panel("temperature", whole((skin,), mirror), camera, shows="temperature rise (K)")
+        moments.append((time, panel))
+
+    response = simulate(
+        case, setup=ready, on_step=keep, progress=partial(report, "marching")
+    ).response
+    axes = tuple(map(str, response["axis"].to_numpy()))
+    curve = partial(
+        Curve,
+        f"displacement of {response.attrs['displacement_of']}",
+        axes,
+        response["time"].to_numpy(),
+        columns_of(response, "displacement", axes),
+    )
+    return [Scene((panel,), f"{time / 60.0:.3g} min", curve(time)) for time, panel in moments]
+
+
+def carried_nodes(case: Case, structure: Structure, nodes: NDArray[np.int64]) -> Array:
+    """Return how far each axis takes nodes, per m that it moves, (axes, n, 3)."""
+    ways = []
+    for axis in case.axes.values():
+        cells = np.concatenate([structure.bodies[name] for name in axis.bodies])
+        moves = np.isin(nodes, structure.mesh.t[:, cells])
+        ways.append(moves[:, None] * unit_direction(axis))
+    return np.array(ways)
