@@ -40,7 +40,7 @@ GUIDE, SLIDE, DEPTH, HEIGHT, WIDTH = 0.4, 0.08, 0.04, 0.04, 0.04
 SIZE, ELEMENT, SHOWN = 0.02, 0.02, 0.12
 #: Aligned positions of the slide; a position, and stations with the lower end of a stroke for which
 #: it lies halfway between two of them, m.
-ALIGNED = (0.0, 0.16, 0.32)
+ALIGNED = (0.0, 0.08, 0.16, 0.24, 0.32)
 OFF, BETWEEN = 0.2, ((0.08, 0.0), (0.04, 0.02))
 PRELOAD, RUNNING, RISE = 2e6, 0.1, 20.0
 #: The half-space: band, mesh along it, first and all layers below it, width, m.
