@@ -27,7 +27,15 @@ from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import columns_of, probes_of
 from thermojoint.artefacts.units import MEGA
-from thermojoint.reduced.machine import Guide, MovingAxis, ReducedMachine, along, reduce_machine
+from thermojoint.reduced.axis_drive import check_drive, drive_on
+from thermojoint.reduced.machine import (
+    Guide,
+    MovingAxis,
+    ReducedMachine,
+    along,
+    reduce_machine,
+    undriven,
+)
 
 #: A singular value above this is determined by the data: the prior contributes less than a tenth.
 DECIDED = 3.0
@@ -157,17 +165,15 @@ def machine_of(case: Case, sensors: Sequence[str]) -> ReducedMachine:
             f"joint-aware: axes {', '.join(case.axes)}: it knows one axis so far; leave out the "
             "others, with what rides on them, in the model's case"
         )
-    for name, axis in case.axes.items():
-        drive = "ball_screw" if axis.ball_screw is not None else "scale"
-        if getattr(axis, drive) is not None:
-            raise InputError(
-                f"joint-aware: axes.{name}.{drive}: it knows no drive so far; leave the section "
-                "out of the model's case, and record where the body is"
-            )
+    ((name, section),) = case.axes.items()
+    screw = section.ball_screw
+    material = None if screw is None else case.materials[screw.material]
+    check_drive(name, section)
     ready = set_up_axes(case)
     (moved,) = ready.axes
     (first,) = place_of(ready.axes, 0.0)
-    moving = MovingAxis(moved.name, moved.asked, moved.reference)
+    drive = drive_on(section, material, moved.carried)
+    moving = MovingAxis(moved.name, moved.asked, moved.reference, drive)
     machine = reduce_machine(
         case, ready.setup, sensors, Guide(moving, ready.moving.guideway.whole(), first)
     )
@@ -185,6 +191,8 @@ def calibrate_machine(
     """Return the observer of an already reduced machine; see `calibrate_joint_aware`."""
     machine = along(machine, _moving(machine, responses))
     whole = [run_in(response, machine, name) for name, response in responses.items()]
+    # The runs are without what the drive adds, and so is all that is fitted to them.
+    moving, machine = None if machine.guide is None else machine.guide.axis, undriven(machine)
     runs = [fewer(run) for run in whole]
     fit = fit_physics(machine, runs, fitted, effort.search)
     model = make_observer(machine, fit, calibrated_range(machine, responses), noise)
@@ -192,9 +200,9 @@ def calibrate_machine(
     model = replace(model, band=band)
     band, unchecked = widened(machine, whole, fit, model, noise, effort.drawing)
     names = tuple(responses)
-    return JointAwareCalibration(
-        replace(model, band=band), fit, machine, tuple(runs), tuple(names[k] for k in unchecked)
-    )
+    model = replace(model, band=band, moving_axis=moving)
+    apart = tuple(names[k] for k in unchecked)
+    return JointAwareCalibration(model, fit, machine, tuple(runs), apart)
 
 
 def _moving(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> list[str]:

@@ -15,6 +15,7 @@ from estimator.joint_aware.readings import (
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import columns_of
+from thermojoint.reduced.axis_drive import carried_along
 from thermojoint.reduced.machine import ReducedMachine
 from thermojoint.reduced.physics import at_start
 
@@ -34,10 +35,11 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     Raises
     ------
     InputError
-        Time starts before 0, the run is too short, a drive moves the axis, or a probe, an axis or a
-        load is missing.
+        Time starts before 0, the run is too short, a drive that the model does not know moves the
+        axis, or a probe, an axis or a load is missing.
     """
-    if "positioning_error" in response:
+    drive = None if machine.guide is None else machine.guide.axis.drive
+    if drive is None and "positioning_error" in response:
         raise InputError(
             f"{where}: its displacement has the error of a ball screw or a scale, which the model "
             "does not know; record where the body is"
@@ -63,6 +65,10 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     if not displacement[0].any():
         # A log counts from its beginning, a machine under loads from where nothing acts.
         displacement = displacement + at_start(physics_with(machine, {}))[1]
+    if drive is not None:
+        displacement = displacement - carried_along(
+            drive, times, ambient_in(response), positions[:, 0]
+        )
     return Run(
         inputs=np.column_stack([driven, held, ambient, *factors]),
         times=times,

@@ -36,6 +36,7 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.units import MILLI
+from thermojoint.reduced.axis_drive import AxisDrive
 from thermojoint.reduced.physics import heat_step
 
 #: Half-width of the 95 % interval, in standard deviations.
@@ -163,12 +164,22 @@ class JointAware(Described):
         system = self.observer.system
         return layout(
             system.size,
-            self.model.modes.factors.size,
+            (self.model.modes.factors.size, self._cold.size),
             self.observer.physics.contacts,
             self.model.warm.shape[1],
             len(system.rows),
             self._nothing_read,
         )
+
+    @property
+    def _drive(self) -> AxisDrive | None:
+        """What positions the axis, if its error is known."""
+        return None if self.model.moving_axis is None else self.model.moving_axis.drive
+
+    @property
+    def _cold(self) -> Array:
+        """Temperatures of the drive at the initial ambient, K."""
+        return np.zeros(0) if self._drive is None else self._drive.cold
 
     @property
     def _nothing_read(self) -> ModelError:
@@ -209,6 +220,7 @@ class JointAware(Described):
             loads=modes.factors,
             **self.observer.physics.at_rest()._asdict(),
             covariance_factor=factor,
+            drive=self._cold,
             watch=sensor_faults.fresh(len(self.observer.system.rows), self.thresholds.faults),
             model_error=self._nothing_read,
             pending=fault_isolation.none(size),
@@ -333,12 +345,17 @@ class JointAware(Described):
         expected = used.expected
         settled = self.observer.read(linear, expected.joint, expected.memory, loads)
         elapsed, probe = moment.length * moment.steps, self.thresholds.probe
+        drive = before.drive
+        if self._drive is not None and elapsed > 0.0:
+            way = float(before.loads[-1]), float(loads[-1])
+            drive = self._drive.later(drive, float(linear[-1]), way, elapsed)
+        driven = self._driven(drive, loads[-1:])
         known = displacement_readings.later(before.model_error, elapsed, probe)
         refused = False
         if np.isfinite(probed).any():
             lasting = used.watch.lasting
             parts = self.observer.model_error(settled.relaxed, expected.memory, lasting)
-            correction = self._corrected_by_probe(probed, settled, parts, factor, known)
+            correction = self._corrected_by_probe(probed - driven, settled, parts, factor, known)
             linear, factor = linear + correction.state, correction.covariance_factor
             known, refused = correction.known, correction.refused
             settled = self.observer.read(linear, expected.joint, expected.memory, loads)
@@ -350,11 +367,20 @@ class JointAware(Described):
             loads=loads,
             **settled.joint._asdict(),
             covariance_factor=self.observer.onward(factor),
+            drive=drive,
             watch=used.watch,
             model_error=known,
             pending=used.pending,
         )
-        return Taken(after, settled.displacement, expected.memory, factor, used.believed, refused)
+        moved = settled.displacement + driven
+        return Taken(after, moved, expected.memory, factor, used.believed, refused)
+
+    def _driven(self, state: Array, positions: Array) -> Array:
+        """What the drive adds to the displacement at positions (k,), m, (k, axes) or (axes,)."""
+        if self._drive is None:
+            return np.zeros(len(self.axes))
+        added = self._drive.displacement(state, positions)
+        return added[0] if positions.size == 1 else added
 
     def _estimate(self, taken: Taken, time: float, readings: Array, factors: Array) -> Estimate:
         """The estimate after a sample."""
@@ -406,7 +432,8 @@ class JointAware(Described):
             self.observer.read(after.linear, joint, taken.memory, np.array([at])).displacement
             for at in axis.asked
         ]
-        line = line_over(axis.asked, np.array(there) + known, axis.reference)
+        asked = np.array(there) + known + self._driven(after.drive, axis.asked)
+        line = line_over(axis.asked, asked, axis.reference)
         places = np.array(stroke) / MILLI
         details = [
             np.array([slope, 2.0 * half / (stroke.high - stroke.low), *places, at, half])

@@ -27,12 +27,15 @@ from estimator.joint_aware.observer_model import (
 )
 from fesim.axes.condensation import WholeCondensations
 from fesim.axes.guideway import GuideStations, Guideway
+from fesim.case.drive_sections import BallScrewSection, ScaleSection
 from fesim.case.joint_sections import JointSection
+from fesim.case.thermal_sections import MaterialSection
 from fesim.joint.conductance import ConductanceTable
 from fesim.solid.condensation import ElasticCondensation, LoadInfluence
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import write_bytes
+from thermojoint.reduced.axis_drive import AxisDrive
 from thermojoint.reduced.discrepancy import Discrepancy
 from thermojoint.reduced.machine import Joint, Modes, MovingAxis
 
@@ -56,6 +59,7 @@ _ELASTIC = (
 _LOADS = ("gap", "probes")
 _WAY = ("temperature", "means", "running")
 _STATIONS = ("positions", "place")
+_DRIVE = ("screw", "material", "scale")
 _TABLE = ("pressures", "rises", "values")
 _REMAINDER = ("rates", "temperature", "displacement")
 _FILTER = ("cross", "innovation", "noise", "lasting", "scale", "walk")
@@ -174,6 +178,8 @@ def _arrays(model: ObserverModel) -> dict[str, Array]:
             every = [getattr(elastic, name) for _, elastic in way.elastic.items()]
             arrays[f"way/elastic/{name}"] = np.array(every)
         arrays["stroke/asked"] = model.moving_axis.asked
+        if model.moving_axis.drive is not None:
+            arrays["stroke/carried"] = model.moving_axis.drive.carried
     for k, joint in enumerate(model.joints):
         arrays[f"joints/{k}"] = joint.conductivity
         if joint.opening is not None:
@@ -183,7 +189,9 @@ def _arrays(model: ObserverModel) -> dict[str, Array]:
 
 def _header(model: ObserverModel) -> str:
     known, axis = model.calibrated, model.moving_axis
-    moving = {"axis": axis.name, "reference_m": axis.reference} if axis else None
+    moving: dict[str, Any] = {}
+    if axis is not None:
+        moving = {"axis": axis.name, "reference_m": axis.reference, **_drive_header(axis.drive)}
     return json.dumps(
         {
             "schema": SCHEMA,
@@ -258,9 +266,31 @@ def _model(header: dict[str, Any], arrays: Mapping[str, Array]) -> ObserverModel
             str(header["stroke"]["axis"]),
             arrays["stroke/asked"],
             float(header["stroke"]["reference_m"]),
+            _drive(header["stroke"].get("drive"), arrays),
         )
         if "stroke" in header
         else None,
+    )
+
+
+def _drive_header(drive: AxisDrive | None) -> dict[str, Any]:
+    if drive is None:
+        return {}
+    sections = {name: getattr(drive, name) for name in _DRIVE}
+    given = {name: one.model_dump(mode="json") for name, one in sections.items() if one is not None}
+    return {"drive": {"zero_m": drive.zero, **given}}
+
+
+def _drive(header: dict[str, Any] | None, arrays: Mapping[str, Array]) -> AxisDrive | None:
+    if header is None:
+        return None
+    screw, material, scale = (header.get(name) for name in _DRIVE)
+    return AxisDrive(
+        screw=None if screw is None else BallScrewSection.model_validate(screw),
+        material=None if material is None else MaterialSection.model_validate(material),
+        scale=None if scale is None else ScaleSection.model_validate(scale),
+        zero=header["zero_m"],
+        carried=arrays["stroke/carried"],
     )
 
 

@@ -41,6 +41,8 @@ class ObserverState(NamedTuple):
         Of the joint: `physics.JointState`.
     covariance_factor : ndarray, shape (n, k)
         Covariance factor L of P + L L^T.
+    drive : ndarray, shape (d,)
+        Temperatures of an axis's drive, K.
     watch : Watch
         Memory of every channel.
     model_error : ModelError
@@ -59,6 +61,7 @@ class ObserverState(NamedTuple):
     pressure: Array
     change: Array
     covariance_factor: Array
+    drive: Array
     watch: Watch
     model_error: ModelError
     pending: PendingJump
@@ -108,9 +111,18 @@ def placed(shapes: Mapping[str, tuple[int, ...]]) -> Layout:
 
 
 def layout(
-    states: int, loads: int, contacts: int, columns: int, channels: int, error: ModelError
+    states: int,
+    given: tuple[int, int],
+    contacts: int,
+    columns: int,
+    channels: int,
+    error: ModelError,
 ) -> Layout:
-    """Return the layout of an observer's state, with a model error of the shapes of `error`."""
+    """Return the layout of an observer's state, with a model error of the shapes of `error`.
+
+    `given` are the numbers of loads and of the temperatures of an axis's drive.
+    """
+    loads, drive = given
     return placed(
         {
             "time": (),
@@ -123,6 +135,7 @@ def layout(
             "pressure": (contacts,),
             "change": (3, contacts),
             "covariance_factor": (states, columns),
+            "drive": (drive,),
             "watch": (len(Watch._fields), channels),
             **{f"model_error.{name}": error.mean.shape for name in ModelError._fields[:_FIRST]},
             **{f"pending.{name}": () for name in PendingJump._fields[:-1]},

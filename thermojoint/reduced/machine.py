@@ -33,6 +33,7 @@ from fesim.solid.elasticity import DIRECTIONS
 from fesim.solid.heat import ThermalLoads, heat_operators
 from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.artefacts.errors import InputError
+from thermojoint.reduced.axis_drive import AxisDrive
 from thermojoint.reduced.films import Film, films_of
 
 #: Rate at which the amplitude of a held surface follows its temperature, 1/s: at once, in any step.
@@ -128,11 +129,14 @@ class MovingAxis:
         Positions, m.
     reference : float
         P0 of the line through them, m.
+    drive : AxisDrive, optional
+        What positions it; without one the bodies stand where the control believes.
     """
 
     name: str
     asked: Array
     reference: float
+    drive: AxisDrive | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -450,7 +454,21 @@ def along(machine: ReducedMachine, axes: Sequence[str]) -> ReducedMachine:
     if acting is not None:
         probes = acting.influence.probes[rows]
         acting = replace(acting, influence=replace(acting.influence, probes=probes))
-    return replace(machine.with_probes(rows), acting=acting, axes=tuple(axes))
+    turned = replace(machine.with_probes(rows), acting=acting, axes=tuple(axes))
+    guide = turned.guide
+    if guide is None or guide.axis.drive is None:
+        return turned
+    carried = guide.axis.drive.carried[[machine.axes.index(axis) for axis in axes]]
+    drive = replace(guide.axis.drive, carried=carried)
+    return replace(turned, guide=replace(guide, axis=replace(guide.axis, drive=drive)))
+
+
+def undriven(machine: ReducedMachine) -> ReducedMachine:
+    """Return the machine with an axis that stands where its control believes."""
+    guide = machine.guide
+    if guide is None:
+        return machine
+    return replace(machine, guide=replace(guide, axis=replace(guide.axis, drive=None)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -194,16 +194,6 @@ def test_what_knows_no_axis_says_so_in_one_line(machine, estimator):
         KIND.start(estimator.model, Options(ageing=("film",)))
 
 
-def test_what_a_drive_has_moved_is_no_run_of_a_model_without_one(case, machine, response):
-    """Its displacement has the error of the drive: parameters of the machine would take it up."""
-    scale = case.replace(axes={"y": {"scale": {"expansion_1_K": 1e-5, "fixed_mm": 0.0}}})
-    with pytest.raises(InputError, match="knows no drive"):
-        machine_of(scale, SENSORS)
-    driven = response.assign(positioning_error=response["axis_position"])
-    with pytest.raises(InputError, match="run 1: its displacement has the error of a ball screw"):
-        run_in(driven, machine, "run 1")
-
-
 def test_the_control_is_given_the_line_over_the_whole_stroke(estimator):
     assert KIND.strokes(estimator.model) == {
         "x": Stroke(0.05, -0.1, 0.2),

@@ -1,0 +1,176 @@
+"""The positioning error of an axis's drive, apart from the machine: seats that stand, no surfaces.
+
+A ball screw warms up by its own motion, and a scale follows the ambient; both depend on the way of
+the axis alone, as in `fesim.axes.positioning`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from fesim.axes.ball_screw import Beside, warmed
+from fesim.axes.positioning import (
+    Drive,
+    Surfaces,
+    cold,
+    followed,
+    positioning_error,
+    scale_of,
+    screw_of,
+    screw_temperature,
+)
+from fesim.case.axis_section import AxisSection, seats_of
+from fesim.case.drive_sections import BallScrewSection, ScaleSection
+from fesim.case.thermal_sections import MaterialSection
+from fesim.setup.structure import material_of
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.units import MILLI
+
+
+@dataclass(frozen=True, eq=False)
+class AxisDrive:
+    """A ball screw or a scale, or both.
+
+    Attributes
+    ----------
+    screw : BallScrewSection, optional
+        As the case has it.
+    material : MaterialSection, optional
+        Of the screw.
+    scale : ScaleSection, optional
+        As the case has it; the control then reads it.
+    zero : float, optional
+        Position at which the error is zero at all times, m.
+    carried : ndarray, shape (axes,)
+        Displacement per m that the bodies on the axis move along it.
+    """
+
+    screw: BallScrewSection | None
+    material: MaterialSection | None
+    scale: ScaleSection | None
+    zero: float | None
+    carried: Array
+
+    @cached_property
+    def drive(self) -> Drive:
+        """What the simulator has of it."""
+        screw = None
+        if self.screw is not None and self.material is not None:
+            screw = screw_of(self.screw, material_of(self.material))
+        scale = None if self.scale is None else scale_of(self.scale)
+        nowhere = np.full(3, -1)
+        none = Surfaces(nowhere, np.zeros((3, 0)))
+        return Drive(screw, scale, None, 0, self.zero, none, nowhere)
+
+    @property
+    def cold(self) -> Array:
+        """Its temperatures (d,) at the initial ambient, K: of the screw, then of the scale."""
+        return cold(self.drive)
+
+    def later(self, state: Array, air: float, way: tuple[float, float], length: float) -> Array:
+        """Return its temperatures (d,), K, after a step.
+
+        Parameters
+        ----------
+        state : ndarray, shape (d,)
+            Before, K.
+        air : float
+            The ambient, K.
+        way : (float, float)
+            Positions between which the axis moves evenly, m.
+        length : float
+            Of the step, s.
+        """
+        drive, after = self.drive, state.copy()
+        if (screw := drive.screw) is not None:
+            temperature, beside = screw_temperature(screw, state), Beside(air, np.full(2, air))
+            times, places = np.array([0.0, length]), screw.along(np.array(way))
+            after[: temperature.size] = warmed(
+                screw.made, temperature, beside, times, places
+            ).temperature
+        if drive.scale is not None:
+            after[-1] = followed(drive.scale, float(state[-1]), (air, air), length)
+        return after
+
+    def displacement(self, state: Array, positions: Array) -> Array:
+        """Return what the error adds to the displacement (k, axes) at positions (k,), m.
+
+        Parameters
+        ----------
+        state : ndarray, shape (d,)
+            Its temperatures, K.
+        positions : ndarray, shape (k,)
+            Of the axis, m.
+        """
+        zero = positions[:1] if self.zero is None else np.array([self.zero])
+        places = np.concatenate([positions, zero])
+        error = positioning_error(self.drive, state, places, np.zeros((places.size, 3)))
+        least = 0.0 if self.zero is None else error[-1]
+        return np.asarray((error[:-1] - least)[:, None] * self.carried)
+
+
+def check_drive(name: str, axis: AxisSection) -> None:
+    """Refuse the drive of an axis that heats the machine, or is moved or warmed by it.
+
+    Raises
+    ------
+    InputError
+        It does.
+    """
+    screw, scale = axis.ball_screw, axis.scale
+    given = [] if screw is None else [f"surface at its {part}" for part in screw.surfaces()]
+    if any(seats_of(axis)):
+        given.append("seat")
+    if scale is not None and scale.follows is not None:
+        given.append("probe that it follows")
+    if given:
+        raise InputError(
+            f"joint-aware: axes.{name}: its drive has a {given[0]}; that of a model stands on "
+            "ground that neither warms nor moves: leave it out"
+        )
+
+
+def drive_on(
+    axis: AxisSection, material: MaterialSection | None, carried: Array
+) -> AxisDrive | None:
+    """Return the drive of a case's axis, or None if it has none.
+
+    Parameters
+    ----------
+    axis : AxisSection
+        The axis, by `check_drive`.
+    material : MaterialSection, optional
+        Of its screw.
+    carried : ndarray, shape (axes,)
+        As in `AxisDrive`.
+    """
+    if axis.ball_screw is None and axis.scale is None:
+        return None
+    zero = None if axis.zero_mm is None else MILLI * axis.zero_mm
+    return AxisDrive(axis.ball_screw, material, axis.scale, zero, carried)
+
+
+def carried_along(drive: AxisDrive, times: Array, air: Array, positions: Array) -> Array:
+    """Return what the error of a drive adds to a displacement (n, axes), m, from a cold start.
+
+    Parameters
+    ----------
+    drive : AxisDrive
+        The drive.
+    times : ndarray, shape (n,)
+        From the start, s.
+    air : ndarray, shape (n,)
+        The ambient, K.
+    positions : ndarray, shape (n,)
+        Of the axis, between which it moves evenly, m.
+    """
+    state, found = drive.cold, [drive.displacement(drive.cold, positions[:1])[0]]
+    for k in range(1, times.size):
+        way = float(positions[k - 1]), float(positions[k])
+        state = drive.later(state, float(air[k]), way, float(times[k] - times[k - 1]))
+        found.append(drive.displacement(state, positions[k : k + 1])[0])
+    return np.array(found)
