@@ -26,8 +26,10 @@ import xarray as xr
 
 from calibrate.chain import calibrate_responses
 from calibrate.joint_aware.calibration import Effort, calibrate_joint_aware
+from calibrate.joint_aware.misfit import physics_with
 from calibrate.joint_aware.physics_fit import Search
 from calibrate.joint_aware.random_heat import random_levels
+from calibrate.joint_aware.readings import run_in
 from estimator.fchs.estimator import Fchs
 from estimator.interface import Estimate, Estimator, follow
 from estimator.joint_aware.estimator import JointAware
@@ -41,6 +43,9 @@ from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.response import columns_of
 from thermojoint.artefacts.units import MEGA, MILLI
 from thermojoint.models.assembly import assemble
+from thermojoint.reduced.machine import ReducedMachine
+from thermojoint.reduced.parameters import factors_of
+from thermojoint.reduced.physics import simulate_known
 
 #: Mesh of the plants, mm, and their steps, s.
 MESH, STEP = {"element_size_mm": 40.0, "joint_element_size_mm": 25.0}, 5.0
@@ -149,6 +154,15 @@ def fchs_along(plant: Case, rng: np.random.Generator) -> list[Fchs]:
     return found
 
 
+def told(machine: ReducedMachine, factors: dict[str, float], response: xr.Dataset) -> list[float]:
+    """Return the largest errors of a machine that is told the heat, along its axes, um."""
+    run = run_in(response, machine, "run")
+    _, moved = simulate_known(physics_with(machine, factors), run.inputs, run.length)
+    grid = run.length * np.arange(1.0, len(moved) + 1.0)
+    at = np.array([np.interp(run.times, grid, column) for column in moved.T]).T
+    return _um(np.abs(at - run.displacement)[1:].max(axis=0))
+
+
 def fchs_figures(estimators: Sequence[Fchs], response: xr.Dataset) -> dict[str, Any]:
     """Return errors of FCHS interpolated between the positions of its calibration."""
     axes = tuple(a for a in estimators[0].axes if all(a in one.axes for one in estimators))
@@ -219,10 +233,13 @@ def main(arguments: list[str] | None = None) -> None:
         along = fchs_along(plant, rng)
         began = process_time()
         runs = {name: responses[name] for name in ("0.5", "1", "2", "cool-down")}
-        model = calibrate_joint_aware(case, runs, effort=EFFORT).model
+        found = calibrate_joint_aware(case, runs, effort=EFFORT)
         spent = process_time() - began
         for name in ("3", "day"):
-            row = {"plant": number, "run": name} | figures(JointAware(model), responses[name])
+            row = {"plant": number, "run": name} | figures(JointAware(found.model), responses[name])
+            fitted = factors_of(found.fit.parameters, found.fit.coordinates)
+            row["told_as_in_case_um"] = told(found.machine, {}, responses[name])
+            row["told_um"] = told(found.machine, fitted, responses[name])
             row["fchs"] = fchs_figures(along, responses[name])
             rows.append(row | {"calibration_s": round(spent, 1)})
             print(json.dumps(rows[-1]), flush=True)
