@@ -14,7 +14,8 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -25,7 +26,13 @@ import numpy as np
 import xarray as xr
 
 from calibrate.chain import calibrate_responses
-from calibrate.joint_aware.calibration import Effort, calibrate_joint_aware
+from calibrate.joint_aware.assembling import make_observer
+from calibrate.joint_aware.calibration import (
+    Effort,
+    JointAwareCalibration,
+    calibrate_joint_aware,
+    calibrated_range,
+)
 from calibrate.joint_aware.misfit import physics_with
 from calibrate.joint_aware.physics_fit import Search
 from calibrate.joint_aware.random_heat import random_levels
@@ -43,6 +50,7 @@ from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.response import columns_of
 from thermojoint.artefacts.units import MEGA, MILLI
 from thermojoint.models.assembly import assemble
+from thermojoint.reduced.discrepancy import Discrepancy
 from thermojoint.reduced.machine import ReducedMachine
 from thermojoint.reduced.parameters import factors_of
 from thermojoint.reduced.physics import simulate_known
@@ -163,6 +171,22 @@ def told(machine: ReducedMachine, factors: dict[str, float], response: xr.Datase
     return _um(np.abs(at - run.displacement)[1:].max(axis=0))
 
 
+def as_in_case(found: JointAwareCalibration, runs: Mapping[str, xr.Dataset]) -> JointAware:
+    """Return the observer of the machine of the case: nothing of it is calibrated but its noise."""
+    fit = found.fit
+    none = replace(
+        fit,
+        coordinates=np.zeros_like(fit.coordinates),
+        offset=np.zeros_like(fit.offset),
+        discrepancy=Discrepancy(
+            fit.discrepancy.rates,
+            np.zeros_like(fit.discrepancy.temperature),
+            np.zeros_like(fit.discrepancy.displacement),
+        ),
+    )
+    return JointAware(make_observer(found.machine, none, calibrated_range(found.machine, runs)))
+
+
 def fchs_figures(estimators: Sequence[Fchs], response: xr.Dataset) -> dict[str, Any]:
     """Return errors of FCHS interpolated between the positions of its calibration."""
     axes = tuple(a for a in estimators[0].axes if all(a in one.axes for one in estimators))
@@ -240,6 +264,7 @@ def main(arguments: list[str] | None = None) -> None:
             fitted = factors_of(found.fit.parameters, found.fit.coordinates)
             row["told_as_in_case_um"] = told(found.machine, {}, responses[name])
             row["told_um"] = told(found.machine, fitted, responses[name])
+            row["as_in_case"] = figures(as_in_case(found, runs), responses[name])
             row["fchs"] = fchs_figures(along, responses[name])
             rows.append(row | {"calibration_s": round(spent, 1)})
             print(json.dumps(rows[-1]), flush=True)
