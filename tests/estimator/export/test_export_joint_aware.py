@@ -82,9 +82,8 @@ def compiled(found, folder, number=ctypes.c_double, sources=1, axes=2):
 
 
 @pytest.fixture(scope="module")
-def program(estimator, tmp_path_factory):
-    found = export_program(estimator, Precision.DOUBLE, "m")
-    return compiled(found, tmp_path_factory.mktemp("program"))
+def program(joint_aware_program, tmp_path_factory):
+    return compiled(joint_aware_program, tmp_path_factory.mktemp("program"))
 
 
 @needs_gcc
@@ -105,11 +104,13 @@ def test_the_self_test_agrees_with_every_warning_and_sanitiser(
 @needs_gcc
 @pytest.mark.parametrize("precision", Precision)
 def test_a_joint_that_slides_to_and_fro_is_followed(
-    estimator, samples, expected, precision, tmp_path
+    estimator, samples, expected, program, precision, tmp_path
 ):
     double = precision is Precision.DOUBLE
-    number = ctypes.c_double if double else ctypes.c_float
-    estimates = compiled(export_program(estimator, precision, "m"), tmp_path, number)
+    estimates = program
+    if not double:
+        single = export_program(estimator, precision, "m")
+        estimates = compiled(single, tmp_path, ctypes.c_float)
     got = list(estimates([row[1:] for row in samples]))
     for name in ("displacement", "band"):
         here = np.array([list(getattr(one, name)) for one in got])
@@ -255,8 +256,10 @@ def test_long_silence_is_said(stepped, program):
 
 
 @needs_gcc
-def test_a_joint_that_needs_more_newton_steps_stays_and_says_so(estimator, samples, tmp_path):
-    found = with_no_step(export_program(estimator, Precision.DOUBLE, "m"))
+def test_a_joint_that_needs_more_newton_steps_stays_and_says_so(
+    joint_aware_program, samples, tmp_path
+):
+    found = with_no_step(joint_aware_program)
     for one in list(compiled(found, tmp_path)([row[1:] for row in samples[:40]]))[1:]:
         assert one.status & NOT_SETTLED
         assert one.newton_steps == -1
@@ -284,8 +287,8 @@ def test_names_that_c_does_not_have_are_made_fit_and_no_comment_is_ended(
 
 
 @needs_gxx
-def test_no_sample_costs_more_than_is_printed(estimator, samples, tmp_path):
-    found = export_program(estimator, Precision.DOUBLE, "m")
+def test_no_sample_costs_more_than_is_printed(joint_aware_program, samples, tmp_path):
+    found = joint_aware_program
     rows = ",\n".join("{" + ", ".join(map(repr, row[1:])) + "}" for row in samples[:900])
     body = f"""
 static const m_real rows[900][5] = {{ {rows} }};
@@ -328,10 +331,11 @@ def test_the_command_exports_a_joint_aware_model_with_a_log(estimator, samples, 
 
 
 @needs_gcc
-def test_as_a_unit_for_co_simulation_it_says_the_same(estimator, samples, expected, tmp_path):
-    found = export_program(estimator, Precision.DOUBLE, "m")
+def test_as_a_unit_for_co_simulation_it_says_the_same(
+    estimator, joint_aware_program, samples, expected, tmp_path
+):
     # A sample at t holds over the step that ends at t.
     rows = [(time - estimator.model.step, *values) for time, *values in samples[:60]]
-    moved = co_simulated(found, tmp_path / "m.fmu", Standard.FMI2, rows)
+    moved = co_simulated(joint_aware_program, tmp_path / "m.fmu", Standard.FMI2, rows)
     there = [one.displacement[0] for one in expected[: len(moved)]]
     assert moved == pytest.approx(there, rel=1e-9, abs=1e-15)

@@ -12,7 +12,7 @@ from exported import needs_gcc, with_no_step
 from machine_logs import machine_log
 from matiec import needs_matiec, selftest_by_matiec
 from observed import estimates, faulty
-from structured_text import FLAGS, HEAD, Translator, parsed, run
+from structured_text import FLAGS, Translator, parsed, run
 
 from estimator.columns import samples_of
 from estimator.export.program import Precision
@@ -85,18 +85,19 @@ def test_innovations_that_last_widen_the_band_as_in_python(estimator, tmp_path):
 
 
 @needs_matiec
-@pytest.mark.parametrize("kind", ["fchs", "learned", "estimator"])
+@pytest.mark.parametrize("kind", ["fchs", "learned", "joint_aware_program"])
 def test_matiec_compiles_it_and_it_is_the_same(kind, request, tmp_path):
     """That compiler runs a loop of a single pass not at all."""
-    program = export_program(request.getfixturevalue(kind), Precision.DOUBLE, "m")
+    program = request.getfixturevalue(kind)
+    if kind != "joint_aware_program":
+        program = export_program(program, Precision.DOUBLE, "m")
     figures = selftest_by_matiec(st_files(program), "m", tmp_path)
     assert figures["agrees"] == 1
     assert figures["samples"] == program.samples
 
 
-def test_a_joint_that_needs_more_newton_steps_stays_and_says_so(estimator, tmp_path):
-    program = export_program(estimator, Precision.DOUBLE, "machine")
-    last = told(with_no_step(program), tmp_path, [{}] * 40, ("newton_steps",))[-1]
+def test_a_joint_that_needs_more_newton_steps_stays_and_says_so(joint_aware_program, tmp_path):
+    last = told(with_no_step(joint_aware_program), tmp_path, [{}] * 40, ("newton_steps",))[-1]
     assert last["status"] & joint_aware.NOT_SETTLED
     assert last["newton_steps"] == -1
     assert math.isfinite(last["displacement_x"])
@@ -118,7 +119,7 @@ def told(program, folder, calls, more=()):
         lines += [f'printf("%.17g ", (double)one.v_{key.lower()});' for key in names]
         lines.append('puts("");')
     body = "\n".join(lines)
-    text = HEAD + Translator().program(parsed(st_files(program)[f"{program.name}.st"]))
+    text = structured_text.in_c(st_files(program)[f"{program.name}.st"])
     text += f"\nstatic fb_{name}_t one;\nint main(void) {{ begin_fb_{name}(&one);\n{body} }}\n"
     (folder / "calls.c").write_text(text, encoding="utf-8")
     command = ["gcc", *FLAGS, "calls.c", "-lm", "-o", "calls"]
@@ -201,10 +202,8 @@ def test_missing_readings_a_pause_and_a_warm_machine_are_said_as_in_python(learn
             assert one[f"band_{axis}"] == pytest.approx(other.band[k], rel=1e-9)
 
 
-def test_the_complementary_error_function_is_good_to_the_last_digits(estimator, tmp_path):
-    text = HEAD + Translator().program(
-        parsed(st_files(export_program(estimator, "double", "m"))["m.st"])
-    )
+def test_the_complementary_error_function_is_good_to_the_last_digits(joint_aware_program, tmp_path):
+    text = structured_text.in_c(st_files(joint_aware_program)["m.st"])
     text += r"""
 int main(void)
 { for (int k = -600; k < 2660; k++) printf("%.17g\n", f_m_erfc(k / 100.0 + 1e-3)); }
