@@ -214,8 +214,7 @@ class _View:
             lines = pyvista.PolyData(surface.points, lines=np.hstack([two, edges]).ravel())
             self.plotter.add_mesh(lines, color=_LINE, line_width=1.5, lighting=False)
             self.meshes.append((mesh, lines))
-        # Needed before the first rendering.
-        self.plotter.show(auto_close=False, interactive=False)
+        self.shown = False
 
     def _add(self, mesh: Any, surface: Surface, scale: ColourScale | None) -> None:  # noqa: ANN401
         if surface.values is None or scale is None:
@@ -250,7 +249,12 @@ class _View:
             if surface.values is not None and panel.scale is not None:
                 meshes[0]["shown"] = panel.scale.position(surface.values)
         _point(self.plotter, panel.camera, panel.frame, panel)
-        self.plotter.render()
+        if self.shown:
+            self.plotter.render()
+        else:
+            # Draws as well; without it nothing else does.
+            self.plotter.show(auto_close=False, interactive=False)
+            self.shown = True
         return np.ascontiguousarray(self.plotter.screenshot(return_img=True)[:, :, :3])
 
 
