@@ -83,6 +83,11 @@ class Blocks:
         return max(self.rules.independent / self.interval, 1.0)
 
     @cached_property
+    def centred(self) -> Array:
+        """Centred products of the rows of every fit, the whole last, shape (blocks + 1, n, n)."""
+        return np.stack([sums.centred for sums in (*self.fits, self.whole)])
+
+    @cached_property
     def held_products(self) -> Array:
         """Mean products of the rows of every held-out block, shape (blocks, n, n)."""
         return np.stack([own.products / own.count for own in self.held])
@@ -134,14 +139,11 @@ def weights_of(
     unit if the error is one unit.
     """
     at = np.asarray(index, dtype=int)
-    centred = [sums.centred for sums in (*blocks.fits, blocks.whole)]
-    inner = np.stack([products[np.ix_(at, at)] for products in centred])
-    outer = np.stack([products[at, blocks.features :] for products in centred])
-    eye = blocks.penalty * np.eye(len(at))
-    axes = outer.shape[-1]
-    weights = np.zeros((len(priors), len(centred), blocks.features, axes))
-    for k, prior in enumerate(priors):
-        weights[k][:, at] = np.linalg.solve(inner + prior * eye, outer)
+    inner = blocks.centred[:, at[:, None], at]
+    outer = blocks.centred[:, at, blocks.features :]
+    ridges = np.multiply.outer(priors, blocks.penalty * np.eye(len(at)))
+    weights = np.zeros((len(priors), len(inner), blocks.features, outer.shape[-1]))
+    weights[:, :, at] = np.linalg.solve(inner + ridges[:, None], outer)
     return weights
 
 
