@@ -1,8 +1,11 @@
 """The whole chain made short for the tests: a day of forty minutes, few machines for the bands."""
 
+from functools import partial
+
 from calibrate.joint_aware.calibration import Effort
 from calibrate.joint_aware.open_band import Drawing
 from calibrate.joint_aware.physics_fit import Search
+from calibrate.placement.fchs import Rule, choose_heat_pair
 from thermojoint.paper.long_runs import LongRuns
 
 #: One search, and bands from two drawn machines and half an hour.
@@ -17,3 +20,5 @@ SHORT = LongRuns(
     effort=QUICK,
     processes=1,
 )
+#: The placement of a and b, with fits to a fifth of the pairs.
+FEW_PAIRS = partial(choose_heat_pair, rule=Rule(shortlist=12))

@@ -7,14 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from repository import ROOT
+from short_runs import FEW_PAIRS
 
-from calibrate.chain import calibrate_responses
+from calibrate import chain
 from estimator.fchs.judging import validate
 from fesim.case.schema import parse_case
 from fesim.setup.machine import set_up
 from fesim.setup.structure import build_structure
 from thermojoint.models.sensors import roles_in
-from thermojoint.paper import candidates
+from thermojoint.paper.candidates import with_candidates
 from thermojoint.paper.inputs import StepInput, simulate_inputs
 
 CASES = Path(str(files("thermojoint").joinpath("cases")))
@@ -54,14 +55,13 @@ MACHINES = {
 
 @pytest.mark.parametrize("path", MACHINES.values(), ids=lambda path: path.parent.name + path.stem)
 def test_a_shipped_machine_calibrates_with_sensors_of_its_own(path, monkeypatch):
-    """Chosen among fewer candidates than a user's are: most of the time goes into their pairs."""
-    monkeypatch.setattr(candidates, "EACH", 6)
+    monkeypatch.setattr(chain, "choose_heat_pair", FEW_PAIRS)
     case = coarse(path)
-    case = candidates.with_candidates(case, build_structure(case))
+    case = with_candidates(case, build_structure(case))
     heats = {level: StepInput(kind="step", level=level) for level in (0.5, 1.0, 1.5, 2.0)}
     responses = simulate_inputs(case, heats, setup=set_up(case))
     unseen, reference = responses.pop(1.5), responses.pop(1.0)
-    model = calibrate_responses(reference, responses).model
+    model = chain.calibrate_responses(reference, responses).model
     judged = validate(unseen, model, roles=roles_in(unseen, model)).rows
     error = {(row["estimator"], row["axis"]): row["max_abs_error_um"] for row in judged}
     largest = np.max([error["none", axis] for axis in model.linear.deformation])

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from in_process import run
 from reference_case import lasting
-from short_runs import SHORT
+from short_runs import FEW_PAIRS, SHORT
 
 from calibrate import chain
 from estimator.fchs import judging as judge
@@ -59,6 +59,7 @@ def results(case_file, machine_code):
     """The folder that `reproduce` leaves."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(reproduce, "reproduce", partial(reproduce.reproduce, long=SHORT))
+        patch.setattr(chain, "choose_heat_pair", FEW_PAIRS)
         assert run("reproduce", "--case", case_file, "--out", case_file.parent / "results") == 0
     return case_file.parent / "results"
 
