@@ -84,8 +84,8 @@ class Thresholds(NamedTuple):
     rounding : float
         Changes below this are ignored, K.
     lasts : float
-        Time over which innovations are averaged, s: an error of a sensor or of the heat is over, or
-        found, within it; one that is left after it is the model's.
+        Time over which innovations are averaged, s: new heat is found within it, so that an
+        innovation that is left after it is an error of the model.
     """
 
     gate: float = 5.0
@@ -110,7 +110,7 @@ class Thresholds(NamedTuple):
     habit: float = 0.5
     learnt: float = 50.0
     rounding: float = 1e-9
-    lasts: float = 3600.0
+    lasts: float = 600.0
 
 
 class Channels(NamedTuple):
@@ -183,8 +183,8 @@ class Watch(NamedTuple):
     off : ndarray
         Its error when the model contradicted it, K; negative once it has jumped back.
     lasting : ndarray
-        Mean of its innovations over the last hour, each at most the gate of a certain model, K; as
-        it was before the channel was distrusted.
+        Mean of its innovations over the last ten minutes, each at most the gate of a certain model,
+        K; as it was before the channel was distrusted.
     """
 
     distrusted: Array

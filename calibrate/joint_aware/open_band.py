@@ -82,9 +82,9 @@ class Drawing:
 
 #: The default.
 USUAL = Drawing()
-#: Where temperatures differ from the model's for an hour by a share of what they have been in the
+#: Where temperatures differ from the model's for ten minutes by a share of their largest in the
 #: runs, the displacement is taken to differ by this part of that share, as a standard deviation.
-DOUBTED = 0.7
+DOUBTED = 0.6
 #: A thermometer that warms less counts as if it warmed by this part of what the warmest does.
 FAR = 0.1
 #: A drawn machine has no faulty sensors: an onset of heat that its steps cannot resolve is none.

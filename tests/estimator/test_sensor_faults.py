@@ -150,14 +150,14 @@ def test_where_most_contradict_it_is_the_model_that_is_lost():
 
 
 def test_an_error_that_lasts_is_remembered_and_one_that_passes_is_forgotten():
-    count = round(RULES.lasts / STEP)
+    count = round(3.0 * RULES.lasts / STEP)
     rows, said = np.zeros((count, 4)), np.zeros((count, 4))
     rows[:, 0] = 0.5
     rows[:30, 1] = 0.5
     rows[:, 2] = 20.0
     *_, last = followed(rows, said)
     after, gone, distrusted, own = last.watch.lasting
-    assert after == pytest.approx(0.5 * (1.0 - np.exp(-1.0)), rel=0.01)
+    assert after == pytest.approx(0.5 * (1.0 - np.exp(-3.0)), rel=0.01)
     assert abs(gone) < 0.02 * after
     assert not last.believed[2]
     assert abs(distrusted) < 0.02 * after
