@@ -262,7 +262,8 @@ def _tried(march: _March, now: Now, length: float) -> _Tried:
     bent, better = np.zeros_like(before.slip), step.state.slip if step.cuts else before.slip
     if path is not None:
         bent, better = path.slip - step.state.slip, path.slip + path.error
-        step = _settled_from(machine, step, path.slip, unknowns)
+        near = replace(step, state=replace(step.state, gap=path.gap))
+        step = _settled_from(machine, near, path.slip, unknowns)
     slope = (step.heat_flow - now.flow) / length
     bend = (slope - now.slope) / (length + (now.length or length))
     area = machine.contact.elastic.area[: machine.contact.count]

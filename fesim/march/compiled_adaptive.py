@@ -76,7 +76,7 @@ CONDUCTED, JUMP, FLOW, VALUE, MISFIT, MISFIT_BEFORE, PRESSURE = range(7)
 #: Entries of its sweeps: weight, and largest misfit of the one before.
 WEIGHT, LARGEST = range(2)
 SLIP, BENT, TWO, BETTER = range(4)
-GAP, CHANGE, GUESS = range(3)
+GAP, CHANGE, GUESS, TWICE = range(4)
 #: Rows of its tractions and displacements: of the step; of a piece or of a time within it.
 WHOLE, PART = range(2)
 #: Equilibria of the joint in a step, in their order: sweeps of the in-step iteration, the pieces of
@@ -190,7 +190,7 @@ class Work(NamedTuple):
         `AT` a time, `DRAWN` by the joints, and three `WEIGHTS` of that time.
     contact : ndarray, shape (7, m)
         See `CONDUCTED`; conductance times area, W/K, of the step.
-    slip, gap : ndarray, shapes (4, 2, m) and (3, 3, m)
+    slip, gap : ndarray, shapes (4, 2, m) and (4, 3, m)
         Of a part of the step, and see `BENT`: what extrapolation adds, m.
     remainder, displacement : ndarray, shapes (2, 3 m) and (2, axes)
         `WHOLE` and `PART`.
@@ -394,7 +394,10 @@ def _prepare(heat: Heat, work: Work, course: Course, stage: int) -> None:
             put(part.gap, work.gap[GUESS])
         middle = 4.0 * share * (1.0 - share) if stage == THIRDS else 0.0
         for k in range(part.change.size):
-            first, last = gap[BEFORE].flat[k], gap[AFTER].flat[k]
+            first, last, twice = gap[BEFORE].flat[k], gap[AFTER].flat[k], work.gap[TWICE].flat[k]
+            if stage == THIRDS:
+                # Of an error a/n of n pieces a third is left.
+                last = twice + (twice - last) / 3.0
             guess = first + share * (last - first)
             guess += middle * (work.gap[GUESS].flat[k] - 0.5 * (first + last))
             part.change.flat[k] = guess - part.gap.flat[k]
@@ -405,7 +408,10 @@ def _prepare(heat: Heat, work: Work, course: Course, stage: int) -> None:
     elif stage == WHOLE_STEP:
         put(course.unknowns[AFTER], at)
         put(course.inputs[AFTER], work.inputs)
-        _begun_at(gap[AFTER], slip[AFTER], part)
+        for k in range(part.gap.size):
+            part.gap.flat[k] = 3.0 * part.gap.flat[k] - 2.0 * work.gap[TWICE].flat[k]
+        put(slip[AFTER], part.slip)
+        fill(part.change, 0.0)
     elif stage == LACKING:
         _lacking(heat, work, course)
         _begun_at(gap[AFTER], work.slip[BETTER], part)
@@ -460,6 +466,8 @@ def _slid(work: Work, course: Course, stage: int) -> int:
     bent, two, better, slip = work.slip[BENT], work.slip[TWO], work.slip[BETTER], work.slip[SLIP]
     whole, begun = course.slip[AFTER], course.slip[BEFORE]
     slides = stage == THIRDS
+    if stage == HALVES:
+        put(work.gap[GAP], work.gap[TWICE])
     for k in range(slip.size):
         if stage == HALVES:
             two.flat[k], bent.flat[k], better.flat[k] = slip.flat[k], 0.0, begun.flat[k]
@@ -469,6 +477,9 @@ def _slid(work: Work, course: Course, stage: int) -> int:
             better.flat[k] = path + 0.5 * (path - (2.0 * two.flat[k] - whole.flat[k]))
             bent.flat[k] = path - whole.flat[k]
             whole.flat[k] = path
+    if not slides:
+        put(course.gap[AFTER], work.gap[GAP])
+        put(course.gap[AFTER], work.gap[TWICE])
     return THIRDS if slides and stage == HALVES else WHOLE_STEP
 
 

@@ -32,10 +32,13 @@ class SlipPath:
         Of second order, m.
     error : ndarray, shape (2, m)
         Its estimated error, m.
+    gap : ndarray, shape (3, m)
+        Gaps there, extrapolated like the slip, m.
     """
 
     slip: Array
     error: Array
+    gap: Array
 
 
 def slip_path(
@@ -52,14 +55,17 @@ def slip_path(
     pieces = _in_pieces(machine, state, course, lambda share: state.gap + share * turn, 2)
     if pieces is None:
         return None
-    middle, two = pieces[0].gap, pieces[1].slip
+    middle, twice, two = pieces[0].gap, pieces[1].gap, pieces[1].slip
     # A contact element may slide and stick again: the end of the step alone does not show it.
     if np.array_equal(two, state.slip) and np.array_equal(whole.slip, state.slip):
         return None
-    bend = 4.0 * (middle - 0.5 * (state.gap + whole.gap))
+    # Of an error a/n of n pieces a third is left.
+    last = twice + (twice - whole.gap) / 3.0
+    bend = 4.0 * (middle - 0.5 * (state.gap + last))
 
     def bent(share: float) -> Array:
-        return np.asarray(state.gap + share * turn + share * (1.0 - share) * bend)
+        straight = state.gap + share * (last - state.gap)
+        return np.asarray(straight + share * (1.0 - share) * bend)
 
     pieces = _in_pieces(machine, state, course, bent, 3)
     if pieces is None:
@@ -67,7 +73,8 @@ def slip_path(
     three = pieces[2].slip
     slip = 3.0 * three - 2.0 * two
     # Of an error a/n + b/n^2 of n pieces, b/6 is left in this and b/2 in the other extrapolation.
-    return SlipPath(slip, 0.5 * (slip - (2.0 * two - whole.slip)))
+    gap = 3.0 * pieces[2].gap - 2.0 * twice
+    return SlipPath(slip, 0.5 * (slip - (2.0 * two - whole.slip)), gap)
 
 
 def settled_at(
