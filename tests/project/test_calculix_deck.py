@@ -17,7 +17,7 @@ from benchmarks.against_calculix.elements import connectivity, faces, node_basis
 from benchmarks.against_calculix.laws import exponential
 from benchmarks.against_calculix.problem import problem_of
 from benchmarks.against_calculix.run import available, read_blocks, run_deck
-from benchmarks.against_calculix.structures import bars, machine
+from benchmarks.against_calculix.structures import bars, knee, machine
 from benchmarks.against_calculix.studies import LINEAR, STEADY, TIGHT, compared
 from meshes.pairing import outward_areas
 from thermojoint.artefacts.errors import InputError
@@ -197,3 +197,24 @@ def test_calculix_agrees_on_the_first_steps_of_two_rods(tmp_path):
     assert row.steps == 1 + 6
     assert row.agreement.temperature < 5e-3
     assert row.agreement.pressure < 5e-3
+
+
+def test_of_a_guide_only_what_the_pads_cover_is_in_contact():
+    _, meshed = knee(100.0, 50.0)
+    problem = problem_of(meshed)
+    problem = replace(problem, law=comparable(problem.law))
+    text = write_deck(problem, Choices(steady=True, patience=9)).text
+    pads, guide = (section(text, f"*SURFACE, NAME={side}") for side in ("SIDE_A", "SIDE_B"))
+    assert len(guide) == len(pads) == len(problem.structure.surfaces["knee.b"])
+    assert len(guide) < len(problem.structure.surfaces["knee.a"])
+    # Both are pulled together, and CalculiX gives nothing up before its ninth iteration.
+    assert len(section(text, "*DLOAD")) == len(pads) + len(guide)
+    assert section(text, "*CONTROLS, PARAMETERS=TIME INCREMENTATION")[0][0] == 9.0
+
+
+def test_of_pads_that_cover_parts_of_faces_there_is_no_deck():
+    _, meshed = knee(100.0, 30.0)
+    problem = problem_of(meshed)
+    problem = replace(problem, law=comparable(problem.law))
+    with pytest.raises(InputError, match="align the meshes"):
+        write_deck(problem, Choices(steady=True))
