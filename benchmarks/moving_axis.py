@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from importlib.resources import files
@@ -71,18 +72,21 @@ EFFORT = Effort(Search(starts=0, steps=60, rounds=3, evaluations=8))
 
 
 def course(rng: np.random.Generator, minutes: float, stroke: Sequence[float]) -> str:
-    """Return a history of positions: stands for 1 to 15 min, then goes to and fro."""
-    time, place, rows = 0.0, 0.0, ["time_s,position_mm", "0,0"]
-    while time < 60.0 * minutes:
+    """Return a history of positions: stands for 1 to 15 min, then goes to and fro.
+
+    It turns at samples only: what it goes between two of them, there and back, no model sees.
+    """
+    step, place, rows = 0, 0.0, ["time_s,position_mm", "0,0"]
+    while step * STEP < 60.0 * minutes:
         stands = rng.uniform(60.0, 900.0)
-        time += stands
-        rows.append(f"{time:.1f},{place:.1f}")
-        until = time + stands * MOVES / (1.0 - MOVES)
-        while time < until:
+        step += math.ceil(stands / STEP)
+        rows.append(f"{step * STEP:g},{place:.1f}")
+        until = step + stands / STEP * MOVES / (1.0 - MOVES)
+        while step < until:
             there = rng.uniform(*stroke)
-            time += max(STEP, 1e-3 * abs(there - place) / SPEED)
+            step += max(1, math.ceil(1e-3 * abs(there - place) / SPEED / STEP))
             place = there
-            rows.append(f"{time:.1f},{place:.1f}")
+            rows.append(f"{step * STEP:g},{place:.1f}")
     return "\n".join(rows) + "\n"
 
 
