@@ -130,6 +130,13 @@ def test_the_joint_aware_estimator_is_nearest_although_its_mesh_is_another(resul
             assert ours < min(others)
 
 
+def test_fictitious_sources_leave_less_than_the_linear_model_alone(results):
+    rows = json.loads((results / "validation.json").read_text())["rows"]
+    error = {(r["case"], r["axis"], r["estimator"]): r["max_abs_error_um"] for r in rows}
+    for axis in AXES:
+        assert error["step-1.5", axis, "fchs"] < error["step-1.5", axis, "linear"]
+
+
 def test_the_observers_know_the_machine_on_a_coarser_mesh(case, results):
     sensors = read_observer(results / "joint_aware.h5").sensors
     assert sensors == ("a", "b", "T1", "T2")
