@@ -8,8 +8,8 @@ from calibrate.joint_aware.physics_fit import Search
 from calibrate.placement.fchs import Rule, choose_heat_pair
 from thermojoint.paper.long_runs import LongRuns
 
-#: One search, and bands from two drawn machines and half an hour.
-QUICK = Effort(search=Search(starts=0), drawing=Drawing(draws=2, duration=1800.0))
+#: One search, and bands from two drawn machines and a quarter of an hour.
+QUICK = Effort(search=Search(starts=0), drawing=Drawing(draws=2, duration=900.0))
 SHORT = LongRuns(
     day=40.0,
     warm=20.0,
