@@ -41,12 +41,14 @@ def volume_figure(response: xr.Dataset, case: Case) -> Figure:
     Raises
     ------
     InputError
-        The case asks about no volume.
+        The response ends before the volume is asked about.
     """
     from matplotlib.figure import Figure
 
-    if "volume_displacement" not in response or not response.sizes["survey"]:
-        raise InputError("--show volume: the case asks about no volume; add [volume]")
+    if "volume_displacement" not in response:
+        raise InputError(
+            "--show volume: the response says nothing of the volume; simulate to volume.at_s"
+        )
     last = response.isel(survey=-1)
     moved = last["volume_displacement"].to_numpy()
     directions = np.array([unit_direction(axis) for axis in case.axes.values()])

@@ -99,6 +99,8 @@ def draw(source: Path, show: Show | None, out: Path, report: Report, up: Up | No
     case = read_case(source) if response is None else case_in(response, str(source), only_curves)
     warn(of_case(case, str(source)))
     if show is Show.volume:
+        if case.volume is None:
+            raise InputError(f"{source}: it asks about no volume; add [volume]")
         marching = partial(report, "marching")
         surveyed = response if response is not None else simulate(case, progress=marching).response
         write_figure(volume_figure(surveyed, case), out)

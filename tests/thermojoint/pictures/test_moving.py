@@ -68,10 +68,19 @@ def test_arrows_over_the_volume_are_its_displacements(case):
     assert np.allclose(shown.reshape(3, -1), sizes)
 
 
-def test_a_case_without_a_volume_is_told_to_ask_about_one(case):
-    plain = case.model_copy(update={"volume": None})
-    with pytest.raises(InputError, match=r"add \[volume\]"):
-        volume_figure(simulate(plain).response, plain)
+def test_a_case_without_a_volume_is_told_before_it_is_simulated(tmp_path, capsys):
+    shipped = files("thermojoint").joinpath("cases/moving_knee.toml")
+    assert run("view", shipped, "--show", "volume", "--out", tmp_path / "a.png") == 2
+    said = capsys.readouterr().err
+    assert "add [volume]" in said
+    assert "marching" not in said
+
+
+def test_a_response_that_ends_before_the_survey_is_refused_in_one_line(case):
+    response = simulate(case).response
+    early = response.drop_vars([name for name in response if str(name).startswith("volume")])
+    with pytest.raises(InputError, match="says nothing of the volume"):
+        volume_figure(early, case)
 
 
 def test_a_film_of_a_moving_machine_shows_its_temperature_only(tmp_path, capsys):
