@@ -19,11 +19,12 @@ import numpy as np
 from benchmarks.plants.drawing import PARTS, Plant, Unlike
 from benchmarks.plants.driving import Drive, switched
 from benchmarks.plants.responding import Answer
-from calibrate.joint_aware.misfit import physics_with
+from calibrate.joint_aware.misfit import basis_with, physics_with
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import Setup, set_up
 from fesim.solid.heat import convection_matrix
 from thermojoint.reduced.machine import Joint, ReducedMachine, along, reduce_machine
+from thermojoint.reduced.parameters import with_factors
 from thermojoint.reduced.physics import Physics, conduct, settle_joint
 
 #: How long friction heat and doors stay as they are, s; the air's warming by 63 %, s.
@@ -54,7 +55,11 @@ def structural_answers(
     machine = along(reduce_machine(case, setup, sensors), ("x", "y"))
     machine = _with_surroundings(machine, setup, plant.unlike)
     joints = _uneven(machine.joints, setup, plant.unlike.uneven)
-    physics = physics_with(replace(machine, joints=joints), plant.factors)
+    machine = replace(machine, joints=joints)
+    physics = physics_with(machine, plant.factors)
+    _, basis = basis_with(machine, plant.factors)
+    film = basis.T @ with_factors(machine, plant.factors).convection @ basis
+    physics = replace(physics, modes=replace(physics.modes, film=film))
     rngs = np.random.default_rng(plant.seed).spawn(len(runs))
     return {
         name: _marched(physics, machine, plant.unlike, drive, rng)

@@ -304,15 +304,19 @@ def physics_with(machine: ReducedMachine, factors: dict[str, float]) -> Physics:
     The modes assume the joint of the case, whatever its parameters: a march does not depend on this
     assumption, and so they are recomputed for a changed convection or conduction only.
     """
-    capacity, held = factors.get("capacity", 1.0), machine.at_preload
+    other, held = with_factors(machine, factors), machine.at_preload
+    modes = on_basis(other, *basis_with(machine, factors), held)
+    return make_physics(modes, other.joints, held)
+
+
+def basis_with(machine: ReducedMachine, factors: dict[str, float]) -> tuple[Array, Array]:
+    """Return rates (k,) and basis (r, k) of the modes of `physics_with`."""
     turning = {name: value for name, value in factors.items() if name.startswith(TURNING)}
     rates, basis = _basis(machine, tuple(turning.items()))
-    other = with_factors(machine, factors)
     # Held surfaces have no capacity.
     scale = np.ones(rates.size)
-    scale[: rates.size - len(machine.held.names)] = capacity
-    modes = on_basis(other, rates / scale, basis / np.sqrt(scale), held)
-    return make_physics(modes, other.joints, held)
+    scale[: rates.size - len(machine.held.names)] = factors.get("capacity", 1.0)
+    return rates / scale, basis / np.sqrt(scale)
 
 
 @lru_cache(maxsize=4)
