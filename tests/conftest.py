@@ -43,10 +43,14 @@ hypothesis.settings.register_profile("any machine", deadline=None, max_examples=
 hypothesis.settings.register_profile("ci", deadline=None, max_examples=50, derandomize=True)
 hypothesis.settings.load_profile("ci" if os.environ.get("CI") else "any machine")
 
-# Where a shell started the tests in its background Ctrl-C is ignored, and so it would be in the
-# processes that tests start and interrupt.
-if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+# Where a shell started the tests in its background Ctrl-C is ignored, and with `nohup` SIGHUP, and
+# so they would be in the processes that tests start and interrupt.
+for ignored, usual in (
+    (signal.SIGINT, signal.default_int_handler),
+    (signal.SIGHUP, signal.SIG_DFL),
+):
+    if signal.getsignal(ignored) is signal.SIG_IGN:
+        signal.signal(ignored, usual)
 
 # No test finds what another run has left, nor leaves anything: condensations are kept for one run
 # alone, and its processes share them.
