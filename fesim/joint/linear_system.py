@@ -1,24 +1,47 @@
-"""Solution of a dense linear system in JIT-compiled code."""
+"""Solution of a dense linear system in JIT-compiled code, by LAPACK as Numba links it.
+
+``np.linalg.solve`` does the same in compiled code. Its checks take longer to compile than most of a
+march, and its copies a sixth of the time where 50 equations are solved. LAPACK's name in Numba is
+private: it is used here alone, and `tests/project/test_private_parts.py` says what is relied on.
+"""
 
 from __future__ import annotations
 
 import numpy as np
+from numba import types
+from numba.np.linalg import _LAPACK
 from numpy.typing import NDArray
 
 from fesim.jit import compiled_part
 from thermojoint.artefacts.arrays import Array
 
+_gesv = _LAPACK().numba_xgesv(types.float64)
+#: Numba's letter for double precision.
+_DOUBLE = ord("d")
+
 
 @compiled_part
 def solve(matrix: Array, right_side: Array) -> NDArray[np.floating]:
-    """Solve a system (n, n) for a right side (n,) by LAPACK.
-
-    Every process that compiles a caller of ``np.linalg.solve`` compiles that as well, which takes
-    seconds; this function is kept on the disk.
+    """Solve a system (n, n) for a right side (n,).
 
     Raises
     ------
     numpy.linalg.LinAlgError
-        The matrix is singular.
+        The matrix is singular, or something is not finite.
     """
-    return np.linalg.solve(matrix, right_side)
+    size = right_side.size
+    if size == 0:
+        return right_side.copy()
+    factors, pivots, found = np.empty((size, size)), np.empty(size, np.int32), right_side.copy()
+    # LAPACK counts along columns.
+    for i in range(size):
+        for j in range(size):
+            factors[j, i] = matrix[i, j]
+    failed = _gesv(_DOUBLE, size, 1, factors.ctypes, size, pivots.ctypes, found.ctypes, size)
+    finite = failed == 0
+    for i in range(size):
+        finite = finite and np.isfinite(found[i])
+    # To name the arrays here keeps them until LAPACK is done with them.
+    if not finite or factors.size + pivots.size < 0:
+        raise np.linalg.LinAlgError("the matrix is singular, or something is not finite")
+    return found

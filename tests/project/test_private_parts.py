@@ -10,15 +10,19 @@ import tomllib
 
 import aiomqtt
 import meshio
+import numba.np.linalg as numba_algebra
+import numpy as np
 import pytest
 import uvicorn
 from asyncua import ua
 from asyncua.server import Server
+from numba import types
 from repository import ROOT
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 #: The module that fences a library's private parts, and the library.
 FENCES = {
+    "fesim/joint/linear_system.py": "numba",
     "fesim/solid/linear_solver.py": "pypardiso",
     "meshes/exchange.py": "meshio",
     "thermojoint/live/http/patience.py": "uvicorn",
@@ -55,9 +59,8 @@ def test_private_parts_are_touched_in_the_fences_alone():
         for node in ast.walk(tree):
             private = isinstance(node, ast.Attribute) and node.attr not in own and node.attr
             if isinstance(node, ast.ImportFrom) and node.module != "__future__":
-                private = next(
-                    (p for p in (node.module or "").split(".") if p.startswith("_")), None
-                )
+                names = [*(node.module or "").split("."), *(alias.name for alias in node.names)]
+                private = next((p for p in names if p.startswith("_") and p not in own), None)
             if private and private.startswith("_") and not private.startswith("__"):
                 touching.add(name)
     assert touching == set(FENCES)
@@ -76,6 +79,14 @@ def test_a_library_whose_private_parts_are_used_has_an_upper_bound(library):
 
 def relied_on(what, where):
     return f"{what} is gone: read the library's changes, correct {where}, then raise the bound"
+
+
+def test_numba_solves_systems_by_lapack_with_32_bit_pivots():
+    where = "fesim/joint/linear_system.py"
+    what = numba_algebra._LAPACK().numba_xgesv(types.float64)
+    expected = (types.char, types.intp, types.intp, types.CPointer(types.float64))
+    assert what.sig.args[:4] == expected, relied_on("the arguments of numba_xgesv", where)
+    assert numba_algebra.F_INT_nptype is np.int32, relied_on("F_INT_nptype", where)
 
 
 def test_aiomqtt_shows_its_client_and_when_it_is_disconnected():
