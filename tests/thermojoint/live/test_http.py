@@ -322,8 +322,10 @@ def test_connections_leave_descriptors_for_the_files_and_room_for_others(
     monkeypatch, descriptors, of_one
 ):
     """And behind a proxy, which has one address, the settings may let it have more."""
-    with socket.socket() as free:
-        limit = free.fileno() + RESERVE + descriptors
+    # Numbers that are free may have others between them.
+    with contextlib.ExitStack() as opened:
+        free = [opened.enter_context(socket.socket()).fileno() for _ in range(descriptors + 1)]
+        limit = free[-1] + RESERVE
     monkeypatch.setattr(resource, "getrlimit", lambda _: (limit, limit))
     taken = []
     with contextlib.ExitStack() as opened:
