@@ -47,7 +47,7 @@ def weights_at(positions: Array, at: float) -> Array:
 
 def even(positions: Array, start: float, end: float) -> Shares:
     """Return the shares of positions (k,), m, of an axis that moves evenly between two, m."""
-    places = np.array([_place(positions, start), _place(positions, end)])
+    places = np.array([place_of(positions, start), place_of(positions, end)])
     return _shares(len(positions), places, np.ones(1))
 
 
@@ -64,16 +64,21 @@ def shares_of(positions: Array, course: History, start: float, end: float) -> Sh
         s.
     """
     times, at = stretches(course, start, end)
-    places = np.array([_place(positions, place) for place in at])
+    places = np.array([place_of(positions, place) for place in at])
     return _shares(len(positions), places, np.diff(times) / (end - start))
 
 
-def _place(positions: Array, at: float) -> float:
-    """Position in units of the spacing; a whole number where it is aligned."""
-    last = len(positions) - 1
-    place = (at - positions[0]) / (positions[-1] - positions[0]) * last
-    nearest = round(place)
-    return float(np.clip(nearest if abs(place - nearest) <= STILL else place, 0, last))
+def place_of(positions: Array, at: float) -> float:
+    """Return a position in units of the spacing; a whole number where it is aligned.
+
+    Compiled as well, by `thermojoint.reduced.guided_march`.
+    """
+    last = positions.size - 1
+    place = (at - positions[0]) / (positions[last] - positions[0]) * last
+    nearest = float(round(place))
+    if abs(place - nearest) <= STILL:
+        place = nearest
+    return float(min(max(place, 0.0), float(last)))
 
 
 def _shares(count: int, places: Array, lengths: Array) -> Shares:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fesim.axes.guideway import Guideway
-from fesim.axes.occupation import STILL
+from fesim.axes.occupation import place_of
 from fesim.jit import compiled, compiled_part
 from fesim.joint.blocks import one_block
 from fesim.joint.frozen_tangent import forget
@@ -40,6 +40,8 @@ from fesim.march.compiled_step import (
 from fesim.march.contact import Laws
 from fesim.march.kernel import new_kept, owned
 from thermojoint.artefacts.arrays import Array
+
+_place_of = compiled_part(place_of)
 
 
 class Aligned(NamedTuple):
@@ -245,21 +247,10 @@ def new_steps(guide: Guided, there: There) -> Steps:
     return Steps(new_kept(MarchKernel(guide.heat, joint, UNWATCHED), blocks), there, passed)
 
 
-@compiled_part
-def _place(positions: Array, at: float) -> float:
-    """As in `fesim.axes.occupation`."""
-    last = positions.size - 1
-    place = (at - positions[0]) / (positions[last] - positions[0]) * last
-    nearest = float(round(place))
-    if abs(place - nearest) <= STILL:
-        place = nearest
-    return min(max(place, 0.0), float(last))
-
-
 @compiled
 def occupy(positions: Array, start: float, end: float, passed: Passed) -> None:
     """Put the shares of an even way, as `fesim.axes.occupation.even`."""
-    first, second = _place(positions, start), _place(positions, end)
+    first, second = _place_of(positions, start), _place_of(positions, end)
     low, high, most = min(first, second), max(first, second), positions.size - 2
     fill(passed.mean, 0.0)
     fill(passed.square, 0.0)
@@ -295,7 +286,7 @@ def _mix(weights: Array, each: Array, into: Array) -> None:
 @compiled_part
 def _stand(aligned: Aligned, there: There, at: float) -> None:
     """Put the elasticity at a position, m."""
-    place = _place(aligned.positions, at)
+    place = _place_of(aligned.positions, at)
     below = min(math.floor(place), aligned.positions.size - 2)
     fill(there.weights, 0.0)
     there.weights[below], there.weights[below + 1] = below + 1.0 - place, place - below
