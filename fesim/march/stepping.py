@@ -15,6 +15,7 @@ from functools import partial
 import numpy as np
 
 from fesim.march.alternation import GAIN, gain_of, suspected, turnings
+from fesim.march.half_step import can_be_halved, halved, joined
 from fesim.march.machine import CondensedMachine, State, Step
 from fesim.march.passing import pass_heat
 from fesim.march.secant_step import HeatLoads, HeatTaken, step_heat
@@ -42,6 +43,8 @@ SEEKING = 400
 RELAXING = 300 * (0.3,) + 400 * (0.1,) + 800 * (0.03,)
 #: From this sweep on, agreement within the tolerance of the gap equations is sufficient.
 PATIENCE = 20
+#: Sweeps after which a step is divided into halves, where it can be, and how often it may be.
+UNSETTLED, HALVINGS = 100, 8
 #: Largest change of the heat of friction between sweeps, relative to it, and number of sweeps.
 FRICTION_TOLERANCE, FRICTION_SWEEPS = 1e-9, 50
 #: Steps in a block, whose amplitudes fit into the processor's cache.
@@ -191,7 +194,7 @@ def _watching(machine: CondensedMachine, take: Take) -> Take:
     def watching(state: State, inputs: Array) -> Track:
         if not state.taken_over and not _alternates(machine, state, inputs[0]):
             return _watched(machine, state, take(state, inputs))
-        step = iterated_step(machine, state, inputs[0])
+        step = _divided(machine, state, inputs[0], HALVINGS)
         return track_of(replace(step, state=replace(step.state, taken_over=True)))
 
     return watching
@@ -229,7 +232,23 @@ def _alternates(machine: CondensedMachine, state: State, inputs: Array) -> bool:
 
 def iterated(machine: CondensedMachine) -> Take:
     """Steps with the conductance of the pressure at their end, unless the joint snaps."""
-    return lambda state, inputs: track_of(iterated_step(machine, state, inputs[0]))
+    return lambda state, inputs: track_of(_divided(machine, state, inputs[0], HALVINGS))
+
+
+def _divided(machine: CondensedMachine, state: State, inputs: Array, halvings: int) -> Step:
+    """Take an iterated step, in halves of halves where its sweeps do not settle."""
+    if not halvings or not can_be_halved(machine):
+        return iterated_step(machine, state, inputs)
+    with suppress(_UnsettledError):
+        return iterated_step(machine, state, inputs, UNSETTLED, ())
+    shorter = halved(machine)
+    first = _divided(shorter, state, inputs, halvings - 1)
+    begun = replace(first.state, index=state.index)
+    return joined(first, _divided(shorter, begun, inputs, halvings - 1))
+
+
+class _UnsettledError(ConvergenceError):
+    """Pressure and heat flow of a step still change after all sweeps."""
 
 
 def iterated_step(
@@ -276,7 +295,7 @@ def iterated_step(
         last = misfit
         ends = 0.5 * np.minimum(value, after), 2.0 * np.maximum(value, after)
         value = np.clip(value + weight * (after - value), *ends)
-    raise ConvergenceError(
+    raise _UnsettledError(
         f"in-step iteration: pressure and heat flow drive each other: {change:.1e} of the preload "
         f"after {sweep + 1} sweeps; take a shorter march.step_s"
     )

@@ -7,13 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bars import level, surface_law, with_tolerance
+from bars import driven, level, surface_law, with_tolerance
 from reduced_bars import bars_of, modes_of, on_modes, warmed
 from repository import ROOT
 
+from fesim.case.history import step_history
 from fesim.case.schema import case_from_data, read_case
 from fesim.joint.gap import TOLERANCE
+from fesim.march import stepping
 from fesim.march.ensemble import march_many
+from fesim.march.half_step import halved
 from fesim.march.kernel import step_kernel
 from fesim.march.reduced import (
     DISPLACEMENT_ERROR,
@@ -56,6 +59,41 @@ def reduced_case(coarse_case):
 @pytest.fixture(scope="module")
 def reduced_setup(reduced_case):
     return set_up(reduced_case)
+
+
+def test_a_step_halved_is_the_step_of_half_the_length():
+    """Held surfaces, whose balance depends on the step, among its unknowns."""
+    setup = set_up(read_case(ROOT / "examples/two_rods/case.toml"))
+    machine = setup.machine
+    found, expected = halved(machine).thermal, setup.make_thermal(0.5 * machine.thermal.step)
+    assert found.step == expected.step
+    ones = np.ones(len(found.influence))
+
+    def parts(thermal):
+        sums, solved = thermal.balance, thermal.factor.solve(ones)
+        kept = thermal.capacity_rate @ ones
+        return thermal.influence, thermal.joint_influence, solved, kept, sums.after, sums.before
+
+    for one, other in zip(parts(found), parts(expected), strict=True):
+        size = np.abs(other).max(initial=0.0)
+        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-14 * size)
+
+
+def test_a_step_that_does_not_settle_is_taken_in_halves(reduced_setup, monkeypatch):
+    """They are those of a march of half the step under the same heat; their balance is kept."""
+    machine = reduced_setup.machine
+    inputs = driven(machine, step_history(1200.0))
+    first = next(march(machine, inputs, iterated))
+    monkeypatch.setattr(stepping, "UNSETTLED", 1)
+    monkeypatch.setattr(stepping, "HALVINGS", 1)
+    divided = next(march(machine, inputs, iterated))
+    monkeypatch.undo()
+    two = list(islice(march(halved(machine), inputs, iterated), 2))
+    np.testing.assert_array_equal(divided.displacement, two[1].displacement)
+    np.testing.assert_array_equal(divided.state.gap, two[1].state.gap)
+    assert divided.state.index == first.state.index == 1
+    assert abs(divided.heat_balance) <= 1e-12
+    assert 0.0 < np.abs(divided.displacement - first.displacement).max() < 1e-7
 
 
 def both(case, full=None, reduced=None):
@@ -221,9 +259,9 @@ def test_many_marches_are_those_of_one_after_another(bars, modes):
     found = march_many(machine, laws, inputs)
     assert found.shape == (3, 51, len(machine.contact.elastic.probe_thermal))
     np.testing.assert_allclose(found[:, 0], 0.0, atol=1e-20)
-    for one, driven, displacement in zip(laws, inputs, found, strict=True):
+    for one, given, displacement in zip(laws, inputs, found, strict=True):
         plain = machine.with_laws(one)
-        steps = march(plain, lambda t, rows=driven: rows[round(t / 2.0)], plainly_staggered)
+        steps = march(plain, lambda t, rows=given: rows[round(t / 2.0)], plainly_staggered)
         expected = np.array([step.displacement for step in islice(steps, 50)])
         np.testing.assert_allclose(displacement[1:], expected, rtol=0.0, atol=1e-12)
     with pytest.raises(InputError, match="give one for each"):
