@@ -25,11 +25,19 @@ ENOUGH = 0.8
 
 def show_test(console: Console, title: str, content: Mapping[str, Any]) -> None:
     """Print the parameters of a thermal test after ISO 230-3."""
-    table = Table("parameter", *numeric("value"), "unit", *numeric("from (min)", "to (min)"))
+    from thermojoint.standards.iso230_3.report import bases
+
+    table = Table(
+        "parameter", *numeric("value", "± U, k = 2"), "unit", *numeric("from (min)", "to (min)")
+    )
     for row in content["parameters"]:
         ends = (f"{row[key] / 60.0:.1f}" for key in ("begin_s", "end_s"))
-        table.add_row(row["symbol"], number(row["value"]), row["unit"], *ends)
+        budget = row["uncertainty"]
+        wide = "" if budget is None else number(budget["expanded"], 2)
+        table.add_row(row["symbol"], number(row["value"]), wide, row["unit"], *ends)
     titled(console, title, table)
+    for source, basis in bases(content["parameters"]):
+        console.print(f"{source}: {basis}", markup=False)
 
 
 def show_loop(console: Console, content: Mapping[str, Any]) -> None:

@@ -55,6 +55,13 @@ def iso230_3(  # noqa: PLR0913 - the options of a command
     distance: Annotated[
         float | None, typer.Option("--distance-mm", help="Between the points of every tilt.")
     ] = None,
+    instruments: Annotated[
+        Path | None,
+        typer.Option(
+            help="What is known of the instruments (TOML), for the uncertainty; default: "
+            "assumptions for a log, no uncertainty for a response."
+        ),
+    ] = None,
     begin: Annotated[
         float | None, typer.Option("--begin-min", help="Start of the running period in the record.")
     ] = None,
@@ -73,18 +80,22 @@ def iso230_3(  # noqa: PLR0913 - the options of a command
     from thermojoint.cli import results
     from thermojoint.standards.iso230_3 import record as records
     from thermojoint.standards.iso230_3 import report
-    from thermojoint.standards.iso230_3.evaluation import evaluate
+    from thermojoint.standards.iso230_3.evaluation import evaluate, with_uncertainties
+    from thermojoint.standards.iso230_3.instruments import Instruments, read_instruments
 
     arguments.check_outputs(
         {
             "--out": (out, file_kinds.TEST_REPORT),
             "--json": (parameters, file_kinds.TEST_PARAMETERS),
         },
-        [given, second, mapping],
+        [given, second, mapping, instruments],
     )
     pairs = dict(_pair(text) for text in tilt or [])
     if bool(pairs) != (distance is not None):
         raise InputError("--tilt and --distance-mm: give both or neither")
+    known = None if given.suffix == ".nc" else Instruments()
+    if instruments is not None:
+        known = read_instruments(instruments)
     renamed = renamed_by(column, mapping)
     channels = dict(_channel(text) for text in displacement) if displacement else None
     with console.working("reading"):
@@ -103,6 +114,8 @@ def iso230_3(  # noqa: PLR0913 - the options of a command
         facts.append(("distance l", f"{distance:g} mm"))
     ends = [None if minutes is None else 60.0 * minutes for minutes in (begin, end)]
     evaluation = evaluate(test, record, *ends)
+    if known is not None:
+        evaluation = with_uncertainties(evaluation, record, known)
     if out:
         write_text(out, report.report_html(record, evaluation, given.name, facts))
     content = report.parameters_json(evaluation, given.name)

@@ -11,8 +11,9 @@ from thermojoint.paper.report import Picture, ReportData, report_html
 from thermojoint.paper.summary import convergence
 from thermojoint.pictures import figures
 from thermojoint.standards.iso230_3 import report as iso230_3
-from thermojoint.standards.iso230_3.evaluation import evaluate
+from thermojoint.standards.iso230_3.evaluation import evaluate, with_uncertainties
 from thermojoint.standards.iso230_3.figure import figure_of
+from thermojoint.standards.iso230_3.instruments import Instruments
 from thermojoint.standards.iso230_3.protocol import Protocol
 from thermojoint.standards.iso230_3.record import Record
 
@@ -22,7 +23,7 @@ def warm_up():
     times = np.arange(0.0, 4.0 * 3600.0, 60.0)
     channels = {f"spindle nose {k}": 1e-6 * k * np.sqrt(times) for k in range(1, 5)}
     record = Record(times, channels, {"bearing": 20.0 + 1e-3 * times})
-    return record, evaluate(Protocol.ETVE, record)
+    return record, with_uncertainties(evaluate(Protocol.ETVE, record), record, Instruments())
 
 
 def test_the_text_of_figures_is_9_pixels_high_where_they_are_360_wide(coarse_response, warm_up):

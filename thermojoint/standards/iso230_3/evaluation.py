@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 from thermojoint.artefacts.errors import InputError
+from thermojoint.standards.iso230_3.instruments import Instruments
 from thermojoint.standards.iso230_3.parameters import Parameter, distortion, environment, unsettled
 from thermojoint.standards.iso230_3.period import Period, asked_for, running, whole
 from thermojoint.standards.iso230_3.protocol import Protocol
 from thermojoint.standards.iso230_3.record import Record
+from thermojoint.standards.iso230_3.uncertainty import Uncertainty, uncertainty
 
 
 @dataclass(frozen=True)
@@ -23,12 +26,15 @@ class Evaluation:
     parameters : tuple of Parameter
     unsettled : dict
         Channel to range over the last 60 min, relative to the first 60 min; empty for ETVE.
+    uncertainties : mapping
+        Symbol of a parameter to its uncertainty; empty if nothing is said of the instruments.
     """
 
     protocol: Protocol
     period: Period
     parameters: tuple[Parameter, ...]
     unsettled: dict[str, float]
+    uncertainties: Mapping[str, Uncertainty] = field(default_factory=dict)
 
 
 def evaluate(
@@ -58,3 +64,20 @@ def evaluate(
     usual = whole(record) if drive is None else running(record.times, drive)
     period = asked_for(record, usual, begin, end)
     return Evaluation(protocol, period, distortion(record, period), unsettled(record, period))
+
+
+def with_uncertainties(
+    evaluation: Evaluation, record: Record, instruments: Instruments
+) -> Evaluation:
+    """Return an evaluation with the uncertainty of every parameter that instruments measured.
+
+    Raises
+    ------
+    InputError
+        The holder's thermometer is missing in the record, or was not read over a period.
+    """
+    found = {one.symbol: uncertainty(record, one, instruments) for one in evaluation.parameters}
+    return replace(
+        evaluation,
+        uncertainties={symbol: one for symbol, one in found.items() if one is not None},
+    )

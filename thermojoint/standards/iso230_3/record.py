@@ -41,6 +41,8 @@ class Record:
         Channel to angle, rad, shape (n,); see `with_tilts`.
     drive : ndarray, shape (n,), optional
         Speed or heat input: 0 at standstill.
+    distance : float, optional
+        Between the two probes of every tilt, m.
     """
 
     times: Array
@@ -48,6 +50,7 @@ class Record:
     temperatures: Mapping[str, Array]
     tilts: Mapping[str, Array] = field(default_factory=dict)
     drive: Array | None = None
+    distance: float | None = None
 
 
 def response_record(
@@ -193,4 +196,4 @@ def with_tilts(record: Record, pairs: Mapping[str, tuple[str, str]], distance: f
                 raise unknown_name("displacement", channel, record.displacements, f"tilt {name}")
         first, second = (record.displacements[channel] for channel in pair)
         tilts[name] = (first - second) / distance
-    return replace(record, tilts=tilts)
+    return replace(record, tilts=tilts, distance=distance)

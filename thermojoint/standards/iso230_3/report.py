@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from thermojoint.artefacts.figures import svg_address
@@ -12,6 +12,7 @@ from thermojoint.standards.iso230_3.figure import SHOWN, figure_of
 from thermojoint.standards.iso230_3.parameters import Parameter
 from thermojoint.standards.iso230_3.protocol import Protocol
 from thermojoint.standards.iso230_3.record import Record
+from thermojoint.standards.iso230_3.uncertainty import COVERAGE, Uncertainty
 
 SCHEMA, SCHEMA_VERSION = "thermojoint-iso230-3", 1
 
@@ -25,7 +26,7 @@ def parameters_json(evaluation: Evaluation, origin: str) -> dict[str, Any]:
         "origin": origin,
         "begin_s": evaluation.period.begin,
         "end_s": evaluation.period.end,
-        "parameters": [_row(parameter) for parameter in evaluation.parameters],
+        "parameters": _rows(evaluation),
         "last_60_min_over_first": evaluation.unsettled,
     }
 
@@ -44,10 +45,45 @@ def report_html(
         moves=evaluation.protocol is not Protocol.ETVE,
         facts=[("record", origin), *facts],
         period=evaluation.period,
-        rows=[_row(parameter) for parameter in evaluation.parameters],
+        rows=_rows(evaluation),
+        bases=bases(_rows(evaluation)),
         unsettled=evaluation.unsettled,
         picture=svg_address(figure_of(record, evaluation), "iso230-3"),
     )
+
+
+def bases(rows: Iterable[Mapping[str, Any]]) -> list[tuple[str, str]]:
+    """Return each source of uncertainty of some parameters with what it is based on, once."""
+    told = [
+        (one["source"], one["basis"])
+        for row in rows
+        if row["uncertainty"] is not None
+        for one in row["uncertainty"]["contributions"]
+    ]
+    return list(dict.fromkeys(told))
+
+
+def _rows(evaluation: Evaluation) -> list[dict[str, Any]]:
+    return [
+        _row(parameter) | {"uncertainty": _budget(parameter, evaluation.uncertainties)}
+        for parameter in evaluation.parameters
+    ]
+
+
+def _budget(parameter: Parameter, known: Mapping[str, Uncertainty]) -> dict[str, Any] | None:
+    """Uncertainty of a parameter in its own unit."""
+    if (found := known.get(parameter.symbol)) is None:
+        return None
+    factor, _, _ = SHOWN[parameter.quantity]
+    return {
+        "contributions": [
+            {"source": one.source, "standard": factor * one.standard, "basis": one.basis}
+            for one in found.contributions
+        ],
+        "combined": factor * found.combined,
+        "coverage_factor": COVERAGE,
+        "expanded": factor * found.expanded,
+    }
 
 
 def _row(parameter: Parameter) -> dict[str, Any]:
