@@ -180,12 +180,13 @@ def test_every_range_of_the_report_is_in_the_json_with_its_unit():
     assert "http" not in page.replace("http-equiv", "")
 
 
-def test_no_label_of_the_figure_lies_on_another_or_on_an_arrow():
-    # An hour is a small part of what is shown, and both points have moved as far.
+@pytest.mark.parametrize(("channels", "arrows_drawn"), [(2, 4), (6, 6)])
+def test_no_label_of_the_figure_lies_on_another_or_on_an_arrow(channels, arrows_drawn):
+    # An hour is a small part of what is shown, and all points have moved as far.
     record = warm_up(step=300.0, running=15 * HOUR)
+    moved = record.displacements["X"]
     record = replace(
-        record,
-        displacements={"X1": record.displacements["X"], "X2": 0.9 * record.displacements["X"]},
+        record, displacements={f"X{k}": (1.1 - 0.1 * k) * moved for k in range(1, channels + 1)}
     )
     figure = figure_of(record, evaluate(Protocol.SPINDLE, record))
     figure.draw_without_rendering()
@@ -195,7 +196,7 @@ def test_no_label_of_the_figure_lies_on_another_or_on_an_arrow():
         arrows = [arrow for label in panel.texts if (arrow := label.arrow_patch) is not None]
         lines = [arrow.get_path().get_extents(arrow.get_transform()) for arrow in arrows]
         assert not any(one.padded(1.0).overlaps(line) for one in boxes for line in lines)
-    assert [len(panel.texts) // 2 for panel in figure.axes] == [4, 0]
+    assert [len(panel.texts) // 2 for panel in figure.axes] == [arrows_drawn, 0]
 
 
 # --- the cases

@@ -27,8 +27,10 @@ SHOWN: dict[Quantity, tuple[float, str, str]] = {
 _STYLES = ("-", "--", "-.", ":")
 #: Time shown before and after the test, relative to its length.
 _BEFORE, _AFTER = 0.1, 0.5
-#: Width of the column of a range, relative to the time shown.
-_COLUMN = 0.08
+#: Width of the column of a range, and of all of them at most, relative to the panel.
+_COLUMN, _COLUMNS = 0.06, 0.6
+#: Of more ranges than this in a panel, only those over the whole period are drawn.
+_MOST = 8
 #: Space between a label and its arrow, pt.
 _GAP = 3.5
 
@@ -36,8 +38,9 @@ _GAP = 3.5
 def figure_of(record: Record, evaluation: Evaluation) -> Figure:
     """Return the figure: a panel for each quantity, one above the other, time in hours.
 
-    Right of the curves an arrow spans the range of each displacement and tilt over each period; its
-    ends are dots on the curves. Upright lines are the ends of the periods.
+    Right of the curves an arrow spans the range of each displacement and tilt over each period, or
+    of many only over the whole; its ends are dots on the curves. Upright lines are the ends of the
+    periods.
     """
     groups: list[tuple[Quantity, Mapping[str, Array]]] = [("displacement", record.displacements)]
     if record.tilts:
@@ -47,21 +50,26 @@ def figure_of(record: Record, evaluation: Evaluation) -> Figure:
     figure, panels = stacked_panels(len(groups), WIDTH, 0.5 + 3.0 * len(groups))
     first, last = _shown(record, evaluation)
     inside = (record.times >= first) & (record.times <= last)
-    marked = {
-        quantity: [one for one in evaluation.parameters if one.quantity == quantity]
-        for quantity in ("displacement", "tilt")
-    }
+    marked = {quantity: _drawn(evaluation, quantity) for quantity in ("displacement", "tilt")}
+    columns = max(map(len, marked.values())) + 0.5 * bool(any(marked.values()))
+    taken = min(_COLUMN * columns, _COLUMNS)
+    column = (last - first) * taken / (1.0 - taken) / max(columns, 1.0)
     for panel, (quantity, channels) in zip(panels, groups, strict=True):
         shown = {name: values[inside] for name, values in channels.items()}
         _draw(panel, record.times[inside], quantity, shown)
         _mark_periods(panel, evaluation)
         if quantity != "temperature":
-            _mark_ranges(panel, list(channels), marked[quantity], (first, last))
-    columns = max(map(len, marked.values())) + 0.5 * bool(any(marked.values()))
-    end = last + columns * _COLUMN * (last - first)
-    panels[-1].set_xlim(first / 3600.0, end / 3600.0)
+            _mark_ranges(panel, list(channels), marked[quantity], (last, column))
+    panels[-1].set_xlim(first / 3600.0, (last + columns * column) / 3600.0)
     panels[-1].set_xlabel("time (h)")
     return figure
+
+
+def _drawn(evaluation: Evaluation, quantity: str) -> list[Parameter]:
+    every = [one for one in evaluation.parameters if one.quantity == quantity]
+    if len(every) <= _MOST:
+        return every
+    return [one for one in every if one.period == evaluation.period]
 
 
 def _shown(record: Record, evaluation: Evaluation) -> tuple[float, float]:
@@ -99,15 +107,18 @@ def _mark_periods(panel: Axes, evaluation: Evaluation) -> None:
 
 
 def _mark_ranges(
-    panel: Axes, channels: list[str], parameters: list[Parameter], shown: tuple[float, float]
+    panel: Axes, channels: list[str], parameters: list[Parameter], columns: tuple[float, float]
 ) -> None:
-    """Draw an arrow from the lowest to the highest value of a period, each in its own column."""
-    first, last = shown
+    """Draw an arrow from the lowest to the highest value of a period, each in its own column.
+
+    `columns` is where they begin, and their width, s.
+    """
+    last, width = columns
     for column, parameter in enumerate(parameters, start=1):
         k = channels.index(parameter.channel)
         factor = SHOWN[parameter.quantity][0]
         extremes = parameter.extremes
-        at = (last + column * _COLUMN * (last - first)) / 3600.0
+        at = (last + column * width) / 3600.0
         low, high = factor * extremes.low, factor * extremes.high
         arrow = {
             "arrowstyle": "<->",
