@@ -102,6 +102,7 @@ FIRST = (
     "thermojoint/live/test_opcua_clients.py",
     "thermojoint/pictures/test_pictures.py",
     "thermojoint/standards/test_iso230_3.py",
+    "thermojoint/standards/test_targets.py",
 )
 
 

@@ -27,16 +27,18 @@ def show_test(console: Console, title: str, content: Mapping[str, Any]) -> None:
     """Print the parameters of a thermal test after ISO 230-3."""
     from thermojoint.standards.iso230_3.report import bases
 
-    table = Table(
-        "parameter", *numeric("value", "± U, k = 2"), "unit", *numeric("from (min)", "to (min)")
-    )
+    based = bases(content["parameters"])
+    wide = numeric("± U, k = 2") if based else []
+    table = Table("parameter", *numeric("value"), *wide, "unit", *numeric("from (min)", "to (min)"))
     for row in content["parameters"]:
         ends = (f"{row[key] / 60.0:.1f}" for key in ("begin_s", "end_s"))
         budget = row["uncertainty"]
-        wide = "" if budget is None else number(budget["expanded"], 2)
-        table.add_row(row["symbol"], number(row["value"]), wide, row["unit"], *ends)
+        expanded = "" if budget is None else number(budget["expanded"], 2)
+        table.add_row(
+            row["symbol"], number(row["value"]), *[expanded][: len(wide)], row["unit"], *ends
+        )
     titled(console, title, table)
-    for source, basis in bases(content["parameters"]):
+    for source, basis in based:
         console.print(f"{source}: {basis}", markup=False)
 
 

@@ -67,7 +67,7 @@ def iso230_3(  # noqa: PLR0913 - the options of a command
     ] = None,
     end: Annotated[float | None, typer.Option("--end-min", help="Its end.")] = None,
 ) -> None:
-    """Evaluate a thermal test after ISO 230-3: environment, spindle, or linear axis.
+    """Evaluate a thermal test after ISO 230-3: environment, spindle, linear or rotary axis.
 
     Example: [bold]thermojoint iso230-3 warm_up.csv --test spindle --displacement X1=disp1_um
     --displacement X2=disp3_um --tilt B=X1,X2 --distance-mm 150 --out report.html[/bold]

@@ -1,1 +1,1 @@
-"""ISO 230-3, thermal effects: environment, rotating spindle, moving linear axes."""
+"""ISO 230-3, thermal effects: environment, rotating spindle, moving linear and rotary axes."""

@@ -11,6 +11,7 @@ class Protocol(StrEnum):
     ETVE = "etve"
     SPINDLE = "spindle"
     LINEAR_AXIS = "linear-axis"
+    ROTARY_AXIS = "rotary-axis"
 
     @property
     def heading(self) -> str:
@@ -22,4 +23,5 @@ _TITLES = {
     Protocol.ETVE: "Environmental temperature variation error (ETVE)",
     Protocol.SPINDLE: "Thermal distortion caused by a rotating spindle",
     Protocol.LINEAR_AXIS: "Thermal distortion caused by a moving linear axis",
+    Protocol.ROTARY_AXIS: "Thermal distortion caused by rotary motion",
 }

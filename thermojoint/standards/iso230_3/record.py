@@ -12,16 +12,20 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.response import axes_of, columns_of, probes_of
+from thermojoint.standards.iso230_3.targets import driven, read_at
 
 if TYPE_CHECKING:
     import xarray as xr
 
+#: Names of rotations about the axes of a response.
+TURNS = {"x": "A", "y": "B", "z": "C"}
 #: Largest number of temperatures taken from a response by default: it may have hundreds of
 #: candidates.
 MOST_PROBES = 6
 #: Celsius' zero, K.
 _ICE = 273.15
-#: An axis with less displacement than this counts as unmoved, m, e.g. across a plane of symmetry.
+#: An axis with less displacement or rotation than this counts as unmoved, m, rad, e.g. across a
+#: plane of symmetry.
 STILL = 1e-12
 
 
@@ -41,8 +45,8 @@ class Record:
         Channel to angle, rad, shape (n,); see `with_tilts`.
     drive : ndarray, shape (n,), optional
         Speed or heat input: 0 at standstill.
-    distance : float, optional
-        Between the two probes of every tilt, m.
+    distances : mapping
+        Tilt to the distance of the two probes that it is from, m.
     """
 
     times: Array
@@ -50,7 +54,7 @@ class Record:
     temperatures: Mapping[str, Array]
     tilts: Mapping[str, Array] = field(default_factory=dict)
     drive: Array | None = None
-    distance: float | None = None
+    distances: Mapping[str, float] = field(default_factory=dict)
 
 
 def response_record(
@@ -64,16 +68,19 @@ def response_record(
         A response (`thermojoint.artefacts.response`).
     axes : mapping, optional
         Channel of the record to axis of the response; default every axis that moves, by its name.
+        While an axis of the machine moves, a channel ``NAMEP1``, ``NAMEP2`` for each target
+        (`thermojoint.standards.iso230_3.targets`).
     probes : list of str, optional
         Default the first `MOST_PROBES`. The ambient is added if it changes.
 
     Raises
     ------
     InputError
-        An axis or a probe is missing, or no displacement changes.
+        An axis or a probe is missing, no displacement changes, or several axes move.
     """
+    places = read_at(response)
     if axes is None:
-        moved = np.abs(response["displacement"].to_numpy()).max(axis=0) > STILL
+        moved = np.max([np.abs(one.displacement).max(axis=0) for one in places], axis=0) > STILL
         axes = {name: name for name, moves in zip(axes_of(response), moved, strict=True) if moves}
         if not axes:
             raise InputError("response: no displacement in it changes; give one where something is")
@@ -81,12 +88,26 @@ def response_record(
     temperatures = dict(zip(chosen, columns_of(response, "temperature", chosen).T, strict=True))
     if "ambient" in response and bool(response["ambient"].any()):
         temperatures["ambient"] = response["ambient"].to_numpy().astype(float)
-    moved_along = columns_of(response, "displacement", list(axes.values())).T
+    known = axes_of(response)
+    for axis in axes.values():
+        if axis not in known:
+            raise unknown_name("axis", axis, known, "response")
     return Record(
         times=response["time"].to_numpy().astype(float),
-        displacements=dict(zip(axes, moved_along, strict=True)),
+        displacements={
+            f"{channel}{one.mark}": one.displacement[:, known.index(axis)]
+            for one in places
+            for channel, axis in axes.items()
+        },
         temperatures=temperatures,
-        drive=response["heat_input"].to_numpy().astype(float),
+        tilts={
+            f"{TURNS[axis]}{one.mark}": about
+            for one in places
+            if one.rotation is not None
+            for axis, about in zip(known, one.rotation.T, strict=True)
+            if np.abs(about).max() > STILL
+        },
+        drive=driven(response),
     )
 
 
@@ -189,11 +210,11 @@ def with_tilts(record: Record, pairs: Mapping[str, tuple[str, str]], distance: f
     """
     if not 0.0 < distance < np.inf:
         raise InputError(f"distance of the sensors: {distance:g} m; give a positive length")
-    tilts = dict(record.tilts)
+    tilts, distances = dict(record.tilts), dict(record.distances)
     for name, pair in pairs.items():
         for channel in pair:
             if channel not in record.displacements:
                 raise unknown_name("displacement", channel, record.displacements, f"tilt {name}")
         first, second = (record.displacements[channel] for channel in pair)
-        tilts[name] = (first - second) / distance
-    return replace(record, tilts=tilts, distance=distance)
+        tilts[name], distances[name] = (first - second) / distance, distance
+    return replace(record, tilts=tilts, distances=distances)

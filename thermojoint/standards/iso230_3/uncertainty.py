@@ -77,7 +77,7 @@ def uncertainty(
         own = [Contribution("thermometer", _of_two(known.value), known.basis)]
     elif parameter.quantity == "displacement":
         own = list(_probed(record, parameter, instruments))
-    elif (distance := record.distance) is None:
+    elif (distance := record.distances.get(parameter.channel)) is None:
         return None
     else:
         # Two probes of independent errors, and their distance, which scales the tilt.
