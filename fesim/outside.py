@@ -13,21 +13,14 @@ from thermojoint.artefacts.arrays import Array
 
 
 class Triangles(NamedTuple):
-    """Triangles, with the unknown of each corner or the contact element of each triangle.
+    """Triangles, with the unknown of each corner or the contact element of each triangle."""
 
-    Attributes
-    ----------
-    points : ndarray, shape (n, 3)
-        Corners, m.
-    corners : ndarray of int, shape (t, 3)
-        Of each triangle.
-    of : ndarray of int
-        Outside: the unknown of `Setup.spaces.heat` at each corner. In the joints: the contact
-        element of each triangle.
-    """
-
+    #: Shape (n, 3): corners, m.
     points: Array
+    #: Shape (t, 3): of each triangle.
     corners: NDArray[np.int64]
+    #: Outside: the unknown of `Setup.spaces.heat` at each corner. In the joints: the contact
+    #: element of each triangle.
     of: NDArray[np.int64]
 
 

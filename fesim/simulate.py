@@ -270,26 +270,17 @@ def _good_to(accuracy: Accuracy) -> dict[str, float | str]:
 
 @dataclass(frozen=True, eq=False)
 class _Course:
-    """Contents of a response: a track without its large fields, and the values read from them.
+    """Contents of a response: a track without its large fields, and the values read from them."""
 
-    Attributes
-    ----------
-    track : Track
-        Its temperatures, frozen tangents and turnings are empty.
-    probes : ndarray, shape (n, probes)
-        K.
-    outputs : ndarray, shape (n, o)
-        `outputs_of` each step.
-    friction_heat : ndarray, shape (n, m)
-        W; of joints whose friction heats.
-    mapped : Mapped
-        Displacement probes where moving axes do not stand.
-    """
-
+    #: Its temperatures, frozen tangents and turnings are empty.
     track: Track
+    #: Shape (n, probes): K.
     probes: np.ndarray
+    #: Shape (n, o): `outputs_of` each step.
     outputs: np.ndarray
+    #: Shape (n, m): W; of joints whose friction heats.
     friction_heat: np.ndarray
+    #: Displacement probes where moving axes do not stand.
     mapped: Mapped
 
 

@@ -40,23 +40,15 @@ LARGEST = 600
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Largest estimated errors of a displacement in a march, m; None where there is no estimate.
+    """Largest estimated errors of a displacement in a march, m; None where there is no estimate."""
 
-    Attributes
-    ----------
-    joint : float or None
-        By the contact elements of all joints.
-    mesh : float or None
-        By the meshes of temperatures and displacements.
-    time : float or None
-        By the steps.
-    by_joint : dict of str to float
-        Parts of `joint`; joints whose elements cannot be merged are missing.
-    """
-
+    #: By the contact elements of all joints.
     joint: float | None
+    #: By the meshes of temperatures and displacements.
     mesh: float | None
+    #: By the steps.
     time: float | None
+    #: Parts of `joint`; joints whose elements cannot be merged are missing.
     by_joint: dict[str, float]
 
     @property
@@ -68,26 +60,17 @@ class Accuracy:
 
 @dataclass(frozen=True)
 class Marched:
-    """What is judged.
+    """What is judged."""
 
-    Attributes
-    ----------
-    case : Case
-        Of the march.
-    setup : Setup
-        Its machine.
-    advance : callable
-        Its coupling.
-    start : State or None
-        Where it went on; None at time zero.
-    displacement : ndarray, shape (n, axes)
-        At the end of each step, m.
-    """
-
+    #: Of the march.
     case: Case
+    #: Its machine.
     setup: Setup
+    #: Its coupling.
     advance: Advance
+    #: Where it went on; None at time zero.
     start: State | None
+    #: Shape (n, axes): at the end of each step, m.
     displacement: Array
 
 

@@ -17,45 +17,29 @@ from thermojoint.artefacts.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """An axis of a machine.
+    """An axis of a machine."""
 
-    Attributes
-    ----------
-    name : str
-        As in the case.
-    course : History
-        Its position, m.
-    asked : ndarray, shape (k,)
-        Positions at which displacements are wanted, m.
-    reference : float
-        P0 of the line through them, m.
-    drive : Drive or None
-        What positions it; None if the bodies stand where its control believes.
-    carried : ndarray, shape (3,)
-        Displacement that is recorded, per m that the bodies on the axis move along it.
-    """
-
+    #: As in the case.
     name: str
+    #: Its position, m.
     course: History
+    #: Shape (k,): positions at which displacements are wanted, m.
     asked: Array
+    #: P0 of the line through them, m.
     reference: float
+    #: What positions it; None if the bodies stand where its control believes.
     drive: Drive | None
+    #: Shape (3,): displacement that is recorded, per m that the bodies on the axis move along it.
     carried: Array
 
 
 @dataclass(frozen=True, eq=False)
 class Volume:
-    """Combinations of positions of a axes that are asked about.
+    """Combinations of positions of a axes that are asked about."""
 
-    Attributes
-    ----------
-    places : ndarray, shape (v, a)
-        m.
-    steps : ndarray of int, shape (t,)
-        After how many steps.
-    """
-
+    #: Shape (v, a): m.
     places: Array
+    #: Shape (t,): after how many steps.
     steps: NDArray[np.int64]
 
 

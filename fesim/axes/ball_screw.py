@@ -24,16 +24,9 @@ from thermojoint.artefacts.arrays import Array
 
 @dataclass(frozen=True)
 class Rod:
-    """A screw without thread.
+    """A screw without thread."""
 
-    Attributes
-    ----------
-    length, diameter : float
-        Between the bearings; of the cross-section, m.
-    material : Material
-        Its material.
-    """
-
+    #: `length`, `diameter`: between the bearings; of the cross-section, m.
     length: float
     diameter: float
     material: Material
@@ -46,134 +39,88 @@ class Rod:
 
 @dataclass(frozen=True, eq=False)
 class Conduction:
-    """Conduction along a rod in n cells of equal width, and its modes.
+    """Conduction along a rod in n cells of equal width, and its modes."""
 
-    Attributes
-    ----------
-    edges : ndarray, shape (n + 1,)
-        Of the cells, from 0 to the length, m.
-    capacity, surface : float
-        Of a cell: heat capacity, J/K, and area to the air, m2.
-    sinks : ndarray, shape (2,)
-        Conductance of the first and the last cell to the seats of the bearings, W/K.
-    reaching : ndarray, shape (2,)
-        Share of heat at either end that reaches its cell; the rest goes straight to the seat.
-    rates : ndarray, shape (n,)
-        Decay rates of the modes without a film, 1/s.
-    modes : ndarray, shape (n, n)
-        Orthonormal columns.
-    """
-
+    #: Shape (n + 1,): of the cells, from 0 to the length, m.
     edges: Array
+    #: Of a cell: heat capacity, J/K, and area to the air, m2.
     capacity: float
     surface: float
+    #: Shape (2,): conductance of the first and the last cell to the seats of the bearings, W/K.
     sinks: Array
+    #: Shape (2,): share of heat at either end that reaches its cell; the rest goes straight to the
+    #: seat.
     reaching: Array
+    #: Shape (n,): decay rates of the modes without a film, 1/s.
     rates: Array
+    #: Shape (n, n): orthonormal columns.
     modes: Array
 
 
 @dataclass(frozen=True)
 class Film:
-    """Film h = still + added (v/speed)^exponent at speed v of the nut.
+    """Film h = still + added (v/speed)^exponent at speed v of the nut."""
 
-    Attributes
-    ----------
-    still, added : float
-        W/(m2 K).
-    speed : float
-        Speed of the nut at which `added` is added, m/s.
-    exponent : float
-        Positive.
-    """
-
+    #: W/(m2 K).
     still: float
     added: float
+    #: Speed of the nut at which `added` is added, m/s.
     speed: float
+    #: Positive.
     exponent: float
 
 
 @dataclass(frozen=True)
 class Heat:
-    """Heat that enters a screw.
+    """Heat that enters a screw."""
 
-    Attributes
-    ----------
-    nut : float
-        At the nut, J per m of its way.
-    nut_length : float
-        m.
-    bearings : tuple of float
-        At the near and the far end, J per m of the nut's way.
-    motor : float
-        At the near end, always, W.
-    """
-
+    #: At the nut, J per m of its way.
     nut: float
+    #: m.
     nut_length: float
+    #: At the near and the far end, J per m of the nut's way.
     bearings: tuple[float, float]
+    #: At the near end, always, W.
     motor: float
 
 
 @dataclass(frozen=True)
 class Hold:
-    """How a screw is held at its far end.
+    """How a screw is held at its far end."""
 
-    Attributes
-    ----------
-    tension : float
-        Of the cold screw, N; 0 if nothing pulls it.
-    compliance : tuple of float
-        Of the near and the far bearing, m/N.
-    """
-
+    #: Of the cold screw, N; 0 if nothing pulls it.
     tension: float
+    #: Of the near and the far bearing, m/N.
     compliance: tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
 class BallScrew:
-    """A screw from its fixed bearing, at 0, to its far end.
+    """A screw from its fixed bearing, at 0, to its far end."""
 
-    Attributes
-    ----------
-    rod : Rod
-        Its shape and material.
-    conduction : Conduction
-        Along it.
-    film : Film
-        To the ambient.
-    heat : Heat
-        Of nut, bearings and motor.
-    hold : Hold
-        At its ends.
-    """
-
+    #: Its shape and material.
     rod: Rod
+    #: Along it.
     conduction: Conduction
+    #: To the ambient.
     film: Film
+    #: Of nut, bearings and motor.
     heat: Heat
+    #: At its ends.
     hold: Hold
 
 
 @dataclass(frozen=True)
 class Warmed:
-    """A screw after a step, and the heat of the step.
+    """A screw after a step, and the heat of the step."""
 
-    Attributes
-    ----------
-    temperature : ndarray, shape (n,)
-        Of the cells at its end, K.
-    entered, stored, given : float
-        Mean heat that entered, stayed, and went into the air, W.
-    seated : ndarray, shape (2,)
-        Mean heat that went to the seats of the bearings, W.
-    """
-
+    #: Shape (n,): of the cells at its end, K.
     temperature: Array
+    #: Mean heat that entered, stayed, and went into the air, W.
     entered: float
     stored: float
     given: float
+    #: Shape (2,): mean heat that went to the seats of the bearings, W.
     seated: Array
 
     @property
@@ -186,17 +133,11 @@ class Warmed:
 
 @dataclass(frozen=True)
 class Beside:
-    """Temperatures beside a screw, means over a step, K.
+    """Temperatures beside a screw, means over a step, K."""
 
-    Attributes
-    ----------
-    air : float
-        Of the ambient.
-    seats : ndarray, shape (2,)
-        Of what the bearings at the near and the far end conduct to.
-    """
-
+    #: Of the ambient.
     air: float
+    #: Shape (2,): of what the bearings at the near and the far end conduct to.
     seats: Array
 
 

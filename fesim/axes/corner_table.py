@@ -27,41 +27,26 @@ KEPT, KEPT_NUMBERS = 4096, 50_000_000
 
 
 class CornerTable(NamedTuple):
-    """Combinations of aligned positions of m contact elements, of which h rows hold something.
+    """Combinations of aligned positions of m contact elements, of which h rows hold something."""
 
-    Attributes
-    ----------
-    compliance : ndarray, shape (k, h (h + 1) / 2)
-        Upper triangle of C, row after row, m/N.
-    probes : ndarray, shape (k, p, h)
-        Probe displacement per joint force, m/N.
-    anchored : ndarray, shape (k, h + p, a)
-        Gaps, then probes, per untied displacement of each anchor.
-    place : ndarray of int, shape (k, m)
-        Station under each contact element; -1 for none.
-    """
-
+    #: Shape (k, h (h + 1) / 2): upper triangle of C, row after row, m/N.
     compliance: Array
+    #: Shape (k, p, h): probe displacement per joint force, m/N.
     probes: Array
+    #: Shape (k, h + p, a): gaps, then probes, per untied displacement of each anchor.
     anchored: Array
+    #: Shape (k, m): station under each contact element; -1 for none.
     place: NDArray[np.int64]
 
 
 class Around(NamedTuple):
-    """Combinations of aligned positions around n places.
+    """Combinations of aligned positions around n places."""
 
-    Attributes
-    ----------
-    corners : list of tuple of int
-        The combinations, each once.
-    touched : ndarray of int, shape (n, c)
-        Which of them are around each place.
-    weight : ndarray, shape (n, c)
-        Their weights; of a combination that is not needed, zero.
-    """
-
+    #: The combinations, each once.
     corners: list[Corner]
+    #: Shape (n, c): which of them are around each place.
     touched: NDArray[np.int64]
+    #: Shape (n, c): their weights; of a combination that is not needed, zero.
     weight: Array
 
 

@@ -28,20 +28,13 @@ Values = dict[str, np.ndarray]
 
 
 class Mapped(NamedTuple):
-    """Displacement probes where the axes do not stand, at the end of steps.
+    """Displacement probes where the axes do not stand, at the end of steps."""
 
-    Attributes
-    ----------
-    asked : ndarray, shape (n, c, p)
-        Of n steps, at the c positions of `elsewhere`.
-    volume : ndarray, shape (t, v, p)
-        At the points of the volume, at the t times asked for among the steps.
-    residual : ndarray, shape (t, v)
-        Largest error of the gaps there, m.
-    """
-
+    #: Shape (n, c, p): of n steps, at the c positions of `elsewhere`.
     asked: Array
+    #: Shape (t, v, p): at the points of the volume, at the t times asked for among the steps.
     volume: Array
+    #: Shape (t, v): largest error of the gaps there, m.
     residual: Array
 
 

@@ -31,33 +31,22 @@ KEPT = 1024
 
 
 class Passage(NamedTuple):
-    """What contact elements pass on an even way.
+    """What contact elements pass on an even way."""
 
-    Attributes
-    ----------
-    touches : Touches
-        Products of rows that exchange heat.
-    coefficients : ndarray, shape (m, m + n)
-        Mean b of each contact element: one on its own row, minus a share on each of its stations.
-    """
-
+    #: Products of rows that exchange heat.
     touches: Touches
+    #: Shape (m, m + n): mean b of each contact element: one on its own row, minus a share on each
+    #: of its stations.
     coefficients: Array
 
 
 @dataclass(frozen=True, eq=False)
 class GuideStations:
-    """Places on guides that m contact elements cover at aligned positions of each axis.
+    """Places on guides that m contact elements cover at aligned positions of each axis."""
 
-    Attributes
-    ----------
-    positions : tuple of ndarray, shape (k,)
-        Aligned positions of every axis, evenly spaced, ascending, m.
-    place : tuple of ndarray of int, shape (k, m)
-        Of every axis: station of each contact element at each position; -1 for none.
-    """
-
+    #: Shape (k,): aligned positions of every axis, evenly spaced, ascending, m.
     positions: tuple[Array, ...]
+    #: Shape (k, m): of every axis: station of each contact element at each position; -1 for none.
     place: tuple[NDArray[np.int64], ...]
 
     @property
@@ -135,27 +124,19 @@ def _corners(stations: GuideStations, at: Place) -> tuple[tuple[Corner, float], 
 
 @dataclass(frozen=True, eq=False)
 class Guideway:
-    """Pads of m contact elements on n stations; r temperatures.
+    """Pads of m contact elements on n stations; r temperatures."""
 
-    Attributes
-    ----------
-    stations : GuideStations
-        What the contact elements cover.
-    elastic : Condensations
-        Where all axes are aligned, by which position of each axis.
-    temperature : ndarray, shape (m + n, r)
-        Mean temperature of each contact element without its station, K, then of each station. Of
-        one that rides on nothing, the jump across its joint.
-    means : ndarray, shape (m, r)
-        Mean of the sides of each contact element, K, a station's part left out.
-    running : ndarray, shape (m,)
-        Running friction coefficient times area of each contact element of the meshed part, m2.
-    """
-
+    #: What the contact elements cover.
     stations: GuideStations
+    #: Where all axes are aligned, by which position of each axis.
     elastic: Condensations
+    #: Shape (m + n, r): mean temperature of each contact element without its station, K, then of
+    #: each station. Of one that rides on nothing, the jump across its joint.
     temperature: Array
+    #: Shape (m, r): mean of the sides of each contact element, K, a station's part left out.
     means: Array
+    #: Shape (m,): running friction coefficient times area of each contact element of the meshed
+    #: part, m2.
     running: Array
 
     @property

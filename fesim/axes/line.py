@@ -11,20 +11,13 @@ from thermojoint.artefacts.arrays import Array
 
 @dataclass(frozen=True)
 class Line:
-    """Least-squares line delta = K0 + tan(beta) (P - P0) of each component of a displacement.
+    """Least-squares line delta = K0 + tan(beta) (P - P0) of each component of a displacement."""
 
-    Attributes
-    ----------
-    offset : ndarray, shape (..., c)
-        K0, m.
-    slope : ndarray, shape (..., c)
-        tan beta.
-    left : ndarray, shape (..., c)
-        Largest magnitude of what the line leaves, m.
-    """
-
+    #: Shape (..., c): K0, m.
     offset: Array
+    #: Shape (..., c): tan beta.
     slope: Array
+    #: Shape (..., c): largest magnitude of what the line leaves, m.
     left: Array
 
 

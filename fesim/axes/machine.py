@@ -41,27 +41,18 @@ class FreeGrowth:
 
 @dataclass(frozen=True, eq=False)
 class MovingMachine:
-    """A condensed structure on linear axes; the temperatures are r amplitudes of modes.
+    """A condensed structure on linear axes; the temperatures are r amplitudes of modes."""
 
-    Attributes
-    ----------
-    machine : CondensedMachine
-        At the first aligned positions, on what its joints feel there. Its last thermal inputs are
-        the heat of running friction of each axis, W.
-    guideway : Guideway
-        What its pads ride along.
-    rows : Rows
-        Temperatures of the guideway, and what heat there does.
-    copies : int
-        Copies of the meshed part in the whole machine.
-    free : int
-        Number of modes; the amplitudes after them are those of held surfaces.
-    """
-
+    #: At the first aligned positions, on what its joints feel there. Its last thermal inputs are
+    #: the heat of running friction of each axis, W.
     machine: CondensedMachine
+    #: What its pads ride along.
     guideway: Guideway
+    #: Temperatures of the guideway, and what heat there does.
     rows: Rows
+    #: Copies of the meshed part in the whole machine.
     copies: int
+    #: Number of modes; the amplitudes after them are those of held surfaces.
     free: int
 
     def __post_init__(self) -> None:

@@ -20,17 +20,11 @@ AT_ONCE = 50_000_000
 
 
 class Seen(NamedTuple):
-    """What the joints and the probes do at c places in one thermal state.
+    """What the joints and the probes do at c places in one thermal state."""
 
-    Attributes
-    ----------
-    displacement : ndarray, shape (c, p)
-        Of the probes, m.
-    residual : ndarray, shape (c,)
-        Largest error of the gaps, m.
-    """
-
+    #: Shape (c, p): of the probes, m.
     displacement: Array
+    #: Shape (c,): largest error of the gaps, m.
     residual: Array
 
 

@@ -19,23 +19,17 @@ from thermojoint.artefacts.arrays import Array
 
 @dataclass(frozen=True)
 class GuidedOperators:
-    """Joints of which some move along a guide: m contact elements, n stations.
+    """Joints of which some move along a guide: m contact elements, n stations."""
 
-    Attributes
-    ----------
-    pads : JointOperators
-        Both sides of the joints that do not move along a guide, side a alone of the others.
-    heat : scipy.sparse.csr_array, shape (n, n_heat)
-        Mean temperature of each station.
-    gap : scipy.sparse.csr_array, shape (3 n, n_displacement)
-        Mean displacement of each station along the normal and the tangents of a contact element.
-    place : tuple of ndarray of int, shape (k, m)
-        Of every axis: station of each contact element at each aligned position; -1 for none.
-    """
-
+    #: Both sides of the joints that do not move along a guide, side a alone of the others.
     pads: JointOperators
+    #: Shape (n, n_heat): mean temperature of each station.
     heat: csr_array
+    #: Shape (3 n, n_displacement): mean displacement of each station along the normal and the
+    #: tangents of a contact element.
     gap: csr_array
+    #: Shape (k, m): of every axis: station of each contact element at each aligned position; -1 for
+    #: none.
     place: tuple[NDArray[np.int64], ...]
 
 

@@ -40,25 +40,16 @@ PER_MICRON, KILO = 1e6, 1e3
 
 @dataclass(frozen=True, eq=False)
 class Screw:
-    """A ball screw on an axis.
-
-    Attributes
-    ----------
-    made : BallScrew
-        The screw.
-    start, towards : float
-        Position of its fixed bearing, m, and the direction of its far end, 1 or -1.
-    nut : float
-        Position of the nut while the axis is at zero, m.
-    spared : ndarray, shape (3,)
-        Heat of friction of the nut and of the near and the far bearing that the screw does not
-        take, J per m of way.
-    """
+    """A ball screw on an axis."""
 
     made: BallScrew
+    #: Position of its fixed bearing, m, and the direction of its far end, 1 or -1.
     start: float
     towards: float
+    #: Position of the nut while the axis is at zero, m.
     nut: float
+    #: Shape (3,): heat of friction of the nut and of the near and the far bearing that the screw
+    #: does not take, J per m of way.
     spared: Array
 
     def along(self, positions: Array) -> Array:
@@ -72,82 +63,53 @@ class Screw:
 
 @dataclass(frozen=True)
 class Scale:
-    """A scale on an axis.
+    """A scale on an axis."""
 
-    Attributes
-    ----------
-    expansion : float
-        1/K.
-    fixed, head : float
-        Position of its fixed point, and of the head while the axis is at zero, m.
-    lag : float
-        With which its temperature follows that around it, s.
-    """
-
+    #: 1/K.
     expansion: float
+    #: Position of its fixed point, and of the head while the axis is at zero, m.
     fixed: float
     head: float
+    #: With which its temperature follows that around it, s.
     lag: float
 
 
 @dataclass(frozen=True, eq=False)
 class Surfaces:
-    """Surfaces of the machine at the nut, the near and the far bearing of a screw.
+    """Surfaces of the machine at the nut, the near and the far bearing of a screw."""
 
-    Attributes
-    ----------
-    column : ndarray of int, shape (3,)
-        Which input of a step is their heat, W; -1 where there is none.
-    temperature : ndarray, shape (3, r)
-        Rows of their mean temperatures; zero where there is none.
-    """
-
+    #: Shape (3,): which input of a step is their heat, W; -1 where there is none.
     column: NDArray[np.int64]
+    #: Shape (3, r): rows of their mean temperatures; zero where there is none.
     temperature: Array
 
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """What positions an axis; its state has the temperatures of the screw, then of the scale.
+    """What positions an axis; its state has the temperatures of the screw, then of the scale."""
 
-    Attributes
-    ----------
-    screw : Screw or None
-        If there is one.
-    scale : Scale or None
-        If there is one; the control then reads it.
-    followed : ndarray, shape (r,), or None
-        Row of the machine's temperature that the scale follows; None for the ambient.
-    ambient : int
-        Which input of a step is the ambient.
-    zero : float or None
-        Position at which the error is zero at all times, m.
-    surfaces : Surfaces
-        That the screw heats.
-    seat : ndarray of int, shape (3,)
-        Which displacement probe of the machine is that of the near and the far bearing and of the
-        scale, along the axis; -1 for none.
-    """
-
+    #: If there is one.
     screw: Screw | None
+    #: If there is one; the control then reads it.
     scale: Scale | None
+    #: Shape (r,): row of the machine's temperature that the scale follows; None for the ambient.
     followed: Array | None
+    #: Which input of a step is the ambient.
     ambient: int
+    #: Position at which the error is zero at all times, m.
     zero: float | None
+    #: That the screw heats.
     surfaces: Surfaces
+    #: Shape (3,): which displacement probe of the machine is that of the near and the far bearing
+    #: and of the scale, along the axis; -1 for none.
     seat: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class Way:
-    """Way of an axis in a step.
+    """Way of an axis in a step."""
 
-    Attributes
-    ----------
-    times, positions : ndarray, shape (j,)
-        Between which it moves evenly, from the start to the end, s and m.
-    """
-
+    #: Shape (j,): between which it moves evenly, from the start to the end, s and m.
     times: Array
     positions: Array
 

@@ -66,26 +66,17 @@ MOST_NUMBERS = 400_000_000
 
 @dataclass(frozen=True)
 class MovingSetup:
-    """A condensed case with moving axes.
+    """A condensed case with moving axes."""
 
-    Attributes
-    ----------
-    setup : Setup
-        Of the machine as it stands at time zero; nothing draws or factorises it.
-    moving : MovingMachine
-        The machine at all positions.
-    axes : tuple of Axis
-        In the case's order.
-    turned : bool
-        Whether the displacement probes include rotations.
-    volume : Volume
-        Combinations of positions that are asked about.
-    """
-
+    #: Of the machine as it stands at time zero; nothing draws or factorises it.
     setup: Setup
+    #: The machine at all positions.
     moving: MovingMachine
+    #: In the case's order.
     axes: tuple[Axis, ...]
+    #: Whether the displacement probes include rotations.
     turned: bool
+    #: Combinations of positions that are asked about.
     volume: Volume
 
 

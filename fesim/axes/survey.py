@@ -37,45 +37,30 @@ BACK = 512
 
 
 class Pads(NamedTuple):
-    """The joints: m contact elements with h rows that hold something.
+    """The joints: m contact elements with h rows that hold something."""
 
-    Attributes
-    ----------
-    held : ndarray of int, shape (h,)
-        Those rows among the 3 m gaps.
-    laws : ndarray, shape (m, 7)
-        As in `fesim.joint.compiled_gap.CompiledGap`.
-    slip : ndarray, shape (2, m)
-        Irreversible slip before, m.
-    springs, area : ndarray, shape (3 m,)
-        k of the condensation, Pa/m, and areas, m2.
-    tolerance : float
-        Largest residual accepted, m.
-    """
-
+    #: Shape (h,): those rows among the 3 m gaps.
     held: NDArray[np.int64]
+    #: Shape (m, 7): as in `fesim.joint.compiled_gap.CompiledGap`.
     laws: Array
+    #: Shape (2, m): irreversible slip before, m.
     slip: Array
+    #: Shape (3 m,): k of the condensation, Pa/m, and areas, m2.
     springs: Array
     area: Array
+    #: Largest residual accepted, m.
     tolerance: float
 
 
 class Survey(NamedTuple):
-    """What is found at n places, written in place.
+    """What is found at n places, written in place."""
 
-    Attributes
-    ----------
-    displacement : ndarray, shape (n, p)
-        Of the probes, m.
-    residual : ndarray, shape (n,)
-        Largest error of the gaps, by Newton's correction, m; NaN where it did not converge.
-    gap : ndarray, shape (n, h)
-        m.
-    """
-
+    #: Shape (n, p): of the probes, m.
     displacement: Array
+    #: Shape (n,): largest error of the gaps, by Newton's correction, m; NaN where it did not
+    #: converge.
     residual: Array
+    #: Shape (n, h): m.
     gap: Array
 
 

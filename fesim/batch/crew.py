@@ -10,23 +10,15 @@ from fesim.batch.worker import Outcome, Task
 
 @dataclass(frozen=True)
 class Report:
-    """Report of a worker on its case.
+    """Report of a worker on its case."""
 
-    Attributes
-    ----------
-    worker : str
-        Its name.
-    task : Task
-        Its case.
-    outcome : Outcome or None
-        None if the worker and its case were lost.
-    detail : str
-        How the worker ended, or why its program failed.
-    """
-
+    #: Its name.
     worker: str
+    #: Its case.
     task: Task
+    #: None if the worker and its case were lost.
     outcome: Outcome | None
+    #: How the worker ended, or why its program failed.
     detail: str = ""
 
 

@@ -43,20 +43,13 @@ Labels = NDArray[Any]
 
 @dataclass(frozen=True)
 class Dataset:
-    """An open dataset.
+    """An open dataset."""
 
-    Attributes
-    ----------
-    arrays : dict of str to zarr.Array
-        Variables by name.
-    row : dict of str to int
-        Position of each case.
-    labels : dict of str to ndarray
-        Labels of every other dimension.
-    """
-
+    #: Variables by name.
     arrays: dict[str, zarr.Array]
+    #: Position of each case.
     row: dict[str, int]
+    #: Labels of every other dimension.
     labels: dict[str, Labels]
 
 

@@ -34,43 +34,28 @@ TICK = 0.2
 
 @dataclass(frozen=True)
 class Progress:
-    """Progress of a batch.
+    """Progress of a batch."""
 
-    Attributes
-    ----------
-    found : int
-        Cases that an earlier run had finished.
-    counts : dict of str to int
-        Cases by status: ``done``, ``failed``, ``broken``, including those found.
-    working : dict of str to str
-        Worker to its current case.
-    workers : int
-        Number of workers.
-    """
-
+    #: Cases that an earlier run had finished.
     found: int
+    #: Cases by status: ``done``, ``failed``, ``broken``, including those found.
     counts: dict[str, int]
+    #: Worker to its current case.
     working: dict[str, str]
+    #: Number of workers.
     workers: int
 
 
 @dataclass(frozen=True)
 class Finished:
-    """Result of a batch.
+    """Result of a batch."""
 
-    Attributes
-    ----------
-    summary : pandas.DataFrame
-        As written to ``summary.csv`` and ``summary.parquet``.
-    found, ran : int
-        Numbers of cases finished before and run now.
-    stopped : bool
-        The batch was stopped early.
-    """
-
+    #: As written to ``summary.csv`` and ``summary.parquet``.
     summary: pd.DataFrame
+    #: Numbers of cases finished before and run now.
     found: int
     ran: int
+    #: The batch was stopped early.
     stopped: bool
 
 

@@ -111,64 +111,41 @@ class StudyFile(Section):
 
 @dataclass(frozen=True)
 class StudyCase:
-    """One case of a study.
+    """One case of a study."""
 
-    Attributes
-    ----------
-    id : str
-        See `fesim.case.identity.case_id`.
-    key : str
-        See `fesim.case.identity.condensation_key`.
-    values : dict
-        The varied values by path.
-    case : Case
-        The whole case.
-    """
-
+    #: See `fesim.case.identity.case_id`.
     id: str
+    #: See `fesim.case.identity.condensation_key`.
     key: str
+    #: The varied values by path.
     values: Values
+    #: The whole case.
     case: Case
 
 
 @dataclass(frozen=True)
 class Shape:
-    """Dimensions of a response other than time.
+    """Dimensions of a response other than time."""
 
-    Attributes
-    ----------
-    probes : tuple of str
-        Names of the temperature probes.
-    contacts : int
-        Number of contact elements.
-    """
-
+    #: Names of the temperature probes.
     probes: tuple[str, ...]
+    #: Number of contact elements.
     contacts: int
 
 
 @dataclass(frozen=True)
 class Study:
-    """Every case of a batch, validated.
+    """Every case of a batch, validated."""
 
-    Attributes
-    ----------
-    title : str
-        Of the study, or of its case.
-    paths : tuple of str
-        Paths of the varied values.
-    cases : tuple of StudyCase
-        All different.
-    shapes : dict of str to Shape
-        Of the responses, by condensation key.
-    keep : str
-        Stored result: ``"response"`` or ``"displacement"``.
-    """
-
+    #: Of the study, or of its case.
     title: str
+    #: Paths of the varied values.
     paths: tuple[str, ...]
+    #: All different.
     cases: tuple[StudyCase, ...]
+    #: Of the responses, by condensation key.
     shapes: dict[str, Shape]
+    #: Stored result: ``"response"`` or ``"displacement"``.
     keep: Keep = "response"
 
 

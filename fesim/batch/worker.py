@@ -40,57 +40,38 @@ _ONE_AT_A_TIME = Lock()
 
 @dataclass(frozen=True)
 class Task:
-    """A case to be sent to a worker.
+    """A case to be sent to a worker."""
 
-    Attributes
-    ----------
-    id, key : str
-        Its id and the key of its condensation (`fesim.case.identity`).
-    case : str
-        The case as JSON.
-    keep : str
-        Result to return, as in `fesim.batch.study.Study`.
-    """
-
+    #: Its id and the key of its condensation (`fesim.case.identity`).
     id: str
     key: str
+    #: The case as JSON.
     case: str
+    #: Result to return, as in `fesim.batch.study.Study`.
     keep: Keep = "response"
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of a case.
+    """Outcome of a case."""
 
-    Attributes
-    ----------
-    id : str
-        Of the case.
-    status : str
-        ``"done"``, or ``"failed"`` if running it again would fail again, or ``"broken"`` if it
-        might not: out of memory, a file that cannot be read or has changed, a lost worker.
-    reason : str
-        One line; empty if it is done.
-    seconds, setup_seconds : float
-        Time of the simulation without the condensation, and of the condensation (0 if cached), s.
-    figures : dict
-        See `fesim.batch.summary`.
-    response : xarray.Dataset or None
-        Response of the case, as far as it is stored.
-    encoded : bytes
-        The response as a NetCDF file; empty if only its displacement is stored.
-    warnings : tuple of str
-        What was said of its structure when that was condensed.
-    """
-
+    #: Of the case.
     id: str
+    #: ``"done"``, or ``"failed"`` if running it again would fail again, or ``"broken"`` if it might
+    #: not: out of memory, a file that cannot be read or has changed, a lost worker.
     status: Literal["done", "failed", "broken"]
+    #: One line; empty if it is done.
     reason: str = ""
+    #: Time of the simulation without the condensation, and of the condensation (0 if cached), s.
     seconds: float = 0.0
     setup_seconds: float = 0.0
+    #: See `fesim.batch.summary`.
     figures: Figures = field(default_factory=dict)
+    #: Response of the case, as far as it is stored.
     response: xr.Dataset | None = None
+    #: The response as a NetCDF file; empty if only its displacement is stored.
     encoded: bytes = b""
+    #: What was said of its structure when that was condensed.
     warnings: tuple[str, ...] = ()
 
 

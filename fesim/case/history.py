@@ -21,17 +21,11 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """A quantity in time: linear between its knots, constant before and after them.
+    """A quantity in time: linear between its knots, constant before and after them."""
 
-    Attributes
-    ----------
-    times : ndarray, shape (n,)
-        Strictly increasing, s.
-    values : ndarray, shape (n,)
-        At these times.
-    """
-
+    #: Shape (n,): strictly increasing, s.
     times: Array
+    #: Shape (n,): at these times.
     values: Array
 
     def __call__(self, time: Array) -> Array:
@@ -56,17 +50,11 @@ class History:
 
 @dataclass(frozen=True, eq=False)
 class Histories:
-    """Several quantities in time: linear between their common knots, constant after the last.
+    """Several quantities in time: linear between their common knots, constant after the last."""
 
-    Attributes
-    ----------
-    times : ndarray, shape (n,)
-        Strictly increasing, s; the first is zero.
-    values : ndarray, shape (n, k)
-        At these times.
-    """
-
+    #: Shape (n,): strictly increasing, s; the first is zero.
     times: Array
+    #: Shape (n, k): at these times.
     values: Array
 
     def __call__(self, time: float | Array) -> Array:

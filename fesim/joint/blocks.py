@@ -37,23 +37,15 @@ POWERS = 8
 
 
 class Blocks(NamedTuple):
-    """Assignment of contact elements to blocks, and the gap-equation data of each block.
+    """Assignment of contact elements to blocks, and the gap-equation data of each block."""
 
-    Attributes
-    ----------
-    elements : ndarray of int, shape (m,)
-        Contact elements, block after block.
-    starts : ndarray of int, shape (b + 1,)
-        Start of each block in `elements`.
-    springs : ndarray, shape (3 m,)
-        k0, in the order of the blocks, Pa/m.
-    compliance, columns : ndarray, flat
-        F of each block and its transpose, in the order of the blocks, m/Pa.
-    """
-
+    #: Shape (m,): contact elements, block after block.
     elements: NDArray[np.int64]
+    #: Shape (b + 1,): start of each block in `elements`.
     starts: NDArray[np.int64]
+    #: Shape (3 m,): k0, in the order of the blocks, Pa/m.
     springs: Array
+    #: F of each block and its transpose, in the order of the blocks, m/Pa.
     compliance: Array
     columns: Array
 

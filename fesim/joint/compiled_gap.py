@@ -56,58 +56,37 @@ _SOLVED, _STALLED, _UNCONVERGED = range(3)
 
 
 class GapKernel(NamedTuple):
-    """The gap equations of one machine in compiled form.
+    """The gap equations of one machine in compiled form."""
 
-    Attributes
-    ----------
-    springs : ndarray, shape (3 m,)
-        k0, Pa/m.
-    compliance : ndarray, shape (3 m, 3 m)
-        F, m/Pa.
-    laws : ndarray, shape (m, 7)
-        Parameters of the law of each contact element.
-    tolerance : float
-        Largest residual accepted, m.
-    """
-
+    #: Shape (3 m,): k0, Pa/m.
     springs: Array
+    #: Shape (3 m, 3 m): F, m/Pa.
     compliance: Array
+    #: Shape (m, 7): parameters of the law of each contact element.
     laws: Array
+    #: Largest residual accepted, m.
     tolerance: float
 
 
 class Trial(NamedTuple):
-    """Trial gaps and the law there, written in place.
+    """Trial gaps and the law there, written in place."""
 
-    Attributes
-    ----------
-    gap, value : ndarray, shape (3, m)
-        Gaps, m, and tractions over the preload, Pa.
-    moved : ndarray, shape (2, m)
-        Slip, m.
-    tangent : ndarray, shape (6, m)
-        As in `fesim.joint.law.Traction`, Pa/m.
-    """
-
+    #: Shape (3, m): gaps, m, and tractions over the preload, Pa.
     gap: Array
     value: Array
+    #: Shape (2, m): slip, m.
     moved: Array
+    #: Shape (6, m): as in `fesim.joint.law.Traction`, Pa/m.
     tangent: Array
 
 
 @dataclass(frozen=True)
 class CompiledGap:
-    """The gap equations of one machine.
+    """The gap equations of one machine."""
 
-    Attributes
-    ----------
-    problem : GapProblem
-        Their linear side.
-    laws : ndarray, shape (m, 7)
-        Parameters of the law of each contact element.
-    """
-
+    #: Their linear side.
     problem: GapProblem
+    #: Shape (m, 7): parameters of the law of each contact element.
     laws: Array
 
     def solve(
@@ -292,24 +271,17 @@ def lacking_system(
 
 
 class NewtonWork(NamedTuple):
-    """Storage of Newton's method for m contact elements, kept from solve to solve.
+    """Storage of Newton's method for m contact elements, kept from solve to solve."""
 
-    Attributes
-    ----------
-    remainder, residual, step, before, forces : ndarray, shape (3 m,)
-        Tractions, Pa, and gaps, m.
-    rows : ndarray of int, shape (3 m,)
-        Of dT.
-    system : ndarray, shape (9 m^2,)
-        Of the tractions that the springs lack.
-    """
-
+    #: Shape (3 m,): tractions, Pa, and gaps, m.
     remainder: Array
     residual: Array
     step: Array
     before: Array
     forces: Array
+    #: Shape (3 m,): of dT.
     rows: NDArray[np.int64]
+    #: Shape (9 m^2,): of the tractions that the springs lack.
     system: Array
 
 

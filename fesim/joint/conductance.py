@@ -23,14 +23,9 @@ LEAST_PRESSURE = 1e-300
 
 @dataclass(frozen=True)
 class FixedConductance:
-    """The same value at every pressure, open joints included: a bond, or a measured mean.
+    """The same value at every pressure, open joints included: a bond, or a measured mean."""
 
-    Attributes
-    ----------
-    value : float
-        W/(m2 K).
-    """
-
+    #: W/(m2 K).
     value: float
 
     def __call__(self, pressure: Array) -> Array:
@@ -142,34 +137,23 @@ class GapConductance:
 
     h = k_g / (Y + M) + h_r with the distance Y of the mean planes (Yovanovich 1981): that at first
     contact plus the opening. The mean planes of a pressed joint are nearer according to its law.
-
-    Attributes
-    ----------
-    conductivity : float
-        k_g of the gas, W/(m K).
-    jump : float
-        M: temperature jump distances of both sides, m.
-    radiation : float
-        h_r where it is linearised, W/(m2 K).
-    touching : float
-        Distance of the mean planes at first contact, m.
-    opening : float or ndarray, shape (m,)
-        Opening since first contact at gap zero, m: negative in a preloaded joint.
-    follows : bool
-        Whether the mean planes of a pressed joint continue to approach each other.
-    exchange : float
-        Of radiation that is not linearised, W/(m2 K4).
-    ambient : float
-        Initial ambient, K.
     """
 
+    #: k_g of the gas, W/(m K).
     conductivity: float
+    #: M: temperature jump distances of both sides, m.
     jump: float
+    #: h_r where it is linearised, W/(m2 K).
     radiation: float
+    #: Distance of the mean planes at first contact, m.
     touching: float
+    #: Shape (m,): opening since first contact at gap zero, m: negative in a preloaded joint.
     opening: float | Array
+    #: Whether the mean planes of a pressed joint continue to approach each other.
     follows: bool
+    #: Of radiation that is not linearised, W/(m2 K4).
     exchange: float = 0.0
+    #: Initial ambient, K.
     ambient: float = 0.0
 
     def __call__(self, gap: Array, rise: Array, jump: Array) -> Array:

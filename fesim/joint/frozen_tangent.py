@@ -38,109 +38,74 @@ MADE, ROWS, FROZEN = 0, 1, 2
 
 
 class Scratch(NamedTuple):
-    """Storage of one correction, large enough for any block; its content is not used afterwards.
+    """Storage of one correction, large enough for any block; its content is not used afterwards."""
 
-    Attributes
-    ----------
-    changed : ndarray of int, shape (MOST,)
-        Contact elements to be corrected.
-    needed : ndarray of bool, shape (m,)
-        Whether the columns of a contact element are needed.
-    right_side, solved : ndarray, shape (3 m,)
-        Right side and solution with the inverse.
-    factors, system : ndarray, shapes (3 MOST,) and (9 MOST^2,)
-        Woodbury's system and its right side.
-    """
-
+    #: Shape (MOST,): contact elements to be corrected.
     changed: NDArray[np.int64]
+    #: Shape (m,): whether the columns of a contact element are needed.
     needed: NDArray[np.bool_]
+    #: Shape (3 m,): right side and solution with the inverse.
     right_side: Array
     solved: Array
+    #: Shapes (3 MOST,) and (9 MOST^2,): Woodbury's system and its right side.
     factors: Array
     system: Array
 
 
 class FrozenTangent(NamedTuple):
-    """A frozen tangent, its inverse and its corrections; storage that is written in place.
+    """A frozen tangent, its inverse and its corrections; storage that is written in place."""
 
-    Attributes
-    ----------
-    tangent : ndarray, shape (6, m)
-        Of the law there, as in `fesim.joint.law.Traction`.
-    about : ndarray of int, shape (3,)
-        Whether the inverse exists, its number of rows, how often it was computed.
-    rows, place : ndarray of int, shape (3 m,)
-        Rows of the inverse, and position of each row in it; -1 for none.
-    inverse : ndarray, shape (9 m^2,)
-        (I - dT F)^-1 on these rows, row after row.
-    slot : ndarray of int, shape (m,)
-        Slot of the stored columns of a contact element; -1 for none.
-    element : ndarray of int, shape (s,)
-        Contact element of a slot's columns; -1 for none.
-    columns, moved : ndarray, shape (s, 3, 3 m)
-        Three columns of the inverse for each, and F times them.
-    scratch : Scratch
-        Storage, shared by all blocks.
-    """
-
+    #: Shape (6, m): of the law there, as in `fesim.joint.law.Traction`.
     tangent: Array
+    #: Shape (3,): whether the inverse exists, its number of rows, how often it was computed.
     about: NDArray[np.int64]
+    #: Shape (3 m,): rows of the inverse, and position of each row in it; -1 for none.
     rows: NDArray[np.int64]
     place: NDArray[np.int64]
+    #: Shape (9 m^2,): (I - dT F)^-1 on these rows, row after row.
     inverse: Array
+    #: Shape (m,): slot of the stored columns of a contact element; -1 for none.
     slot: NDArray[np.int64]
+    #: Shape (s,): contact element of a slot's columns; -1 for none.
     element: NDArray[np.int64]
+    #: Shape (s, 3, 3 m): three columns of the inverse for each, and F times them.
     columns: Array
     moved: Array
+    #: Storage, shared by all blocks.
     scratch: Scratch
 
 
 class Iteration(NamedTuple):
-    """Storage of the iteration over all blocks; its content is not used after a step.
+    """Storage of the iteration over all blocks; its content is not used after a step."""
 
-    Attributes
-    ----------
-    force, lack, step, shift, part : ndarray, shape (3 m,)
-        Tractions, Pa, and gaps, m: the unknown, its residual, its correction, the gaps that follow
-        from it, and the correction by one block.
-    tangent : ndarray, shape (6 m,)
-        Of the law, in one block.
-    own_lack, own_step, own_shift : ndarray, shape (3 m,)
-        In one block.
-    """
-
+    #: Shape (3 m,): tractions, Pa, and gaps, m: the unknown, its residual, its correction, the gaps
+    #: that follow from it, and the correction by one block.
     force: Array
     lack: Array
     step: Array
     shift: Array
     part: Array
+    #: Shape (6 m,): of the law, in one block.
     tangent: Array
+    #: Shape (3 m,): in one block.
     own_lack: Array
     own_step: Array
     own_shift: Array
 
 
 class FrozenTangents(NamedTuple):
-    """The frozen tangents of b blocks.
+    """The frozen tangents of b blocks."""
 
-    Attributes
-    ----------
-    blocks : Blocks
-        Blocks of contact elements.
-    every : FrozenTangent
-        Storage of all blocks: flat arrays, one block after another; `about` is (b, 3). A block's
-        tangent is (6, n) as in `fesim.joint.law.Traction`; in one (6, m) array the elements of a
-        block would not be contiguous, and would be copied in every iteration.
-    begins : ndarray of int, shape (4, b + 1)
-        Start of each block: in contact elements, in slots, in contact elements squared and in slots
-        times contact elements.
-    iteration : Iteration
-        Storage.
-    """
-
+    #: Blocks of contact elements.
     blocks: Blocks
+    #: Storage of all blocks: flat arrays, one block after another; `about` is (b, 3). A block's
+    #: tangent is (6, n) as in `fesim.joint.law.Traction`; in one (6, m) array the elements of a
+    #: block would not be contiguous, and would be copied in every iteration.
     every: FrozenTangent
+    #: Shape (4, b + 1): start of each block: in contact elements, in slots, in contact elements
+    #: squared and in slots times contact elements.
     begins: NDArray[np.int64]
+    #: Storage.
     iteration: Iteration
 
 
@@ -216,20 +181,13 @@ def forget(tangents: FrozenTangents) -> None:
 
 
 class Lacking(NamedTuple):
-    """Difference of the law's tractions from those used for the gaps, in one iteration.
+    """Difference of the law's tractions from those used for the gaps, in one iteration."""
 
-    Attributes
-    ----------
-    tangent : ndarray, shape (6, m)
-        Tangent of the law.
-    lack : ndarray, shape (3 m,)
-        Pa.
-    least : float
-        A sticking contact element is not corrected up to this, a gap in m.
-    """
-
+    #: Shape (6, m): tangent of the law.
     tangent: Array
+    #: Shape (3 m,): Pa.
     lack: Array
+    #: A sticking contact element is not corrected up to this, a gap in m.
     least: float
 
 

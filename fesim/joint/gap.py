@@ -35,45 +35,29 @@ MAX_FULL_STEPS = 10
 
 @dataclass(frozen=True)
 class Equilibrium:
-    """A converged state of the joint.
+    """A converged state of the joint."""
 
-    Attributes
-    ----------
-    gap : ndarray, shape (3, m)
-        Opening and tangential relative displacements, m.
-    traction : Traction
-        The law there.
-    residual : float
-        Largest gap residual, m.
-    iterations : int
-        Newton iterations taken.
-    """
-
+    #: Shape (3, m): opening and tangential relative displacements, m.
     gap: Array
+    #: The law there.
     traction: Traction
+    #: Largest gap residual, m.
     residual: float
+    #: Newton iterations taken.
     iterations: int
 
 
 @dataclass(frozen=True)
 class GapProblem:
-    """The gap equations of one machine, with dense matrices made once; see `gap_problem`.
+    """The gap equations of one machine, with dense matrices made once; see `gap_problem`."""
 
-    Attributes
-    ----------
-    springs : ndarray, shape (3 m,)
-        k0: stiffness of the joint at its preload while it sticks, Pa/m.
-    compliance : ndarray, shape (3 m, 3 m)
-        F: gap per traction of the structure with these springs, m/Pa.
-    exchange : ndarray, shape (3 m, 3 m)
-        J0^-1: thermal gap with the condensation's springs to that with these.
-    law : callable
-        (gap, slip) to `Traction`.
-    """
-
+    #: Shape (3 m,): k0: stiffness of the joint at its preload while it sticks, Pa/m.
     springs: Array
+    #: Shape (3 m, 3 m): F: gap per traction of the structure with these springs, m/Pa.
     compliance: Array
+    #: Shape (3 m, 3 m): J0^-1: thermal gap with the condensation's springs to that with these.
     exchange: Array
+    #: (gap, slip) to `Traction`.
     law: Law
 
     def residual(self, gap: Array, traction: Traction, thermal_gap: Array) -> Array:

@@ -42,19 +42,13 @@ class SurfaceNormalLaw:
 
     p = (H/2) erfc(Y / (sqrt(2) sigma)) with the mean-plane separation Y = Y0 + opening. It is the
     surface model behind Eq. 11, so that stiffness and conductance belong together.
-
-    Attributes
-    ----------
-    hardness : float
-        H, Pa.
-    roughness : float
-        sigma, equivalent standard deviation of the surface heights, m.
-    preload : float
-        Pressure at opening zero, Pa.
     """
 
+    #: H, Pa.
     hardness: float
+    #: sigma, equivalent standard deviation of the surface heights, m.
     roughness: float
+    #: Pressure at opening zero, Pa.
     preload: float
 
     @property
@@ -82,20 +76,13 @@ class SurfaceNormalLaw:
 
 @dataclass(frozen=True)
 class BackBurdekinLaw:
-    """Measured machine-tool joints: approach = c p^m (Back, Burdekin & Cowley 1973).
+    """Measured machine-tool joints: approach = c p^m (Back, Burdekin & Cowley 1973)."""
 
-    Attributes
-    ----------
-    coefficient : float
-        c, m/Pa^m.
-    exponent : float
-        m, between 0 and 1; 0.5 for most scraped and ground joints.
-    preload : float
-        Pressure at opening zero, Pa.
-    """
-
+    #: c, m/Pa^m.
     coefficient: float
+    #: m, between 0 and 1; 0.5 for most scraped and ground joints.
     exponent: float
+    #: Pressure at opening zero, Pa.
     preload: float
 
     def _approach(self, opening: Array) -> Array:
@@ -115,17 +102,11 @@ class BackBurdekinLaw:
 
 @dataclass(frozen=True)
 class Friction:
-    """Regularised Coulomb friction: elastic up to mu p, then sliding.
+    """Regularised Coulomb friction: elastic up to mu p, then sliding."""
 
-    Attributes
-    ----------
-    coefficient : float
-        mu; zero is frictionless. An open joint always slides.
-    stiffness : float
-        k_t: tangential stiffness while it sticks, Pa/m.
-    """
-
+    #: mu; zero is frictionless. An open joint always slides.
     coefficient: float
+    #: k_t: tangential stiffness while it sticks, Pa/m.
     stiffness: float
 
 
@@ -238,20 +219,13 @@ NORMAL, FIRST, SECOND, ALONG, CROSS, ACROSS = range(6)
 
 @dataclass(frozen=True)
 class Traction:
-    """The law at one state of the gap; m contact elements.
+    """The law at one state of the gap; m contact elements."""
 
-    Attributes
-    ----------
-    value : ndarray, shape (3, m)
-        z: pressure above the preload, and the two shear tractions on the gap, Pa.
-    tangent : ndarray, shape (6, m)
-        dz_i/dg_j, Pa/m: rows `NORMAL` to `ACROSS`.
-    slip : ndarray, shape (2, m)
-        Irreversible slip after the step, m.
-    """
-
+    #: Shape (3, m): z: pressure above the preload, and the two shear tractions on the gap, Pa.
     value: Array
+    #: Shape (6, m): dz_i/dg_j, Pa/m: rows `NORMAL` to `ACROSS`.
     tangent: Array
+    #: Shape (2, m): irreversible slip after the step, m.
     slip: Array
 
 
@@ -303,20 +277,13 @@ def harmonic_conductivity(first: Array, second: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class PowerLawConductance:
-    """h_c = factor (p/H)^exponent, W/(m2 K): Eq. 11 of one joint.
+    """h_c = factor (p/H)^exponent, W/(m2 K): Eq. 11 of one joint."""
 
-    Attributes
-    ----------
-    factor : float or ndarray, shape (m,)
-        C (m/sigma) k_h, W/(m2 K).
-    hardness : float
-        H, Pa.
-    exponent : float
-        n.
-    """
-
+    #: Shape (m,): C (m/sigma) k_h, W/(m2 K).
     factor: float | Array
+    #: H, Pa.
     hardness: float
+    #: n.
     exponent: float
 
     def __call__(self, pressure: Array) -> Array:

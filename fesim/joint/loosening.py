@@ -39,25 +39,18 @@ _LEAST, _STIFFNESS, _GROUP, _PLACE = 0, 1, 2, 3
 
 
 class Watched(NamedTuple):
-    """Precomputed data of m contact elements for compiled code; nothing is checked without them.
+    """Precomputed data of m contact elements for compiled code; nothing is checked without them."""
 
-    Attributes
-    ----------
-    table : ndarray, shape (m, 6)
-        Smallest effective pressure (Pa), tangential stiffness while sticking (Pa/m; 0 without
-        friction), group of elements between the same bodies, centre (m).
-    needed : ndarray of int, shape (groups,)
-        Number of sticking elements of a group, clearly off each other's line, that constrain as
-        much as the whole group: 1 to 3.
-    rows : ndarray, shape (m, 3, 6 p)
-        Displacement of each contact element along normal and tangents under unit motions.
-    supports : ndarray, shape (6 p, 6 p)
-        Gram matrix of the constraints by the supports.
-    """
-
+    #: Shape (m, 6): smallest effective pressure (Pa), tangential stiffness while sticking (Pa/m; 0
+    #: without friction), group of elements between the same bodies, centre (m).
     table: Array
+    #: Shape (groups,): Number of sticking elements of a group, clearly off each other's line, that
+    #: constrain as much as the whole group: 1 to 3.
     needed: NDArray[np.int64]
+    #: Shape (m, 3, 6 p): displacement of each contact element along normal and tangents under unit
+    #: motions.
     rows: Array
+    #: Shape (6 p, 6 p): Gram matrix of the constraints by the supports.
     supports: Array
 
 
@@ -87,23 +80,15 @@ UNWATCHED = Watched(np.empty((0, 6)), np.empty(0, dtype=np.int64), np.empty((0, 
 
 @dataclass(frozen=True)
 class Watch:
-    """Precomputed data for checking a step.
+    """Precomputed data for checking a step."""
 
-    Attributes
-    ----------
-    constraints : Constraints
-        Possible constraints of the bodies.
-    watched : Watched
-        Data of the quick checks.
-    friction : ndarray, shape (m,)
-        mu.
-    preload : ndarray, shape (m,)
-        Pa.
-    """
-
+    #: Possible constraints of the bodies.
     constraints: Constraints
+    #: Data of the quick checks.
     watched: Watched
+    #: Shape (m,): mu.
     friction: Array
+    #: Shape (m,): Pa.
     preload: Array
 
     def check(self, pressure: Array, tangent: Array) -> None:

@@ -21,17 +21,11 @@ TOUCHING = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class OpenLaw:
-    """A joint without preload: pressure by `law`, at openings counted from the start of a march.
+    """A joint without preload: pressure by `law`, at openings counted from the start of a march."""
 
-    Attributes
-    ----------
-    law : SurfaceNormalLaw or BackBurdekinLaw
-        Its preload is the reference pressure, which defines springs and tangential stiffness.
-    opening : ndarray, shape (m,)
-        Initial opening of each contact element since first contact, m.
-    """
-
+    #: Its preload is the reference pressure, which defines springs and tangential stiffness.
     law: SurfaceNormalLaw | BackBurdekinLaw
+    #: Shape (m,): initial opening of each contact element since first contact, m.
     opening: Array
 
     @property

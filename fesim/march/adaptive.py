@@ -49,51 +49,33 @@ KEPT = 4
 
 @dataclass(frozen=True)
 class _March:
-    """What stays the same from step to step.
+    """What stays the same from step to step."""
 
-    Attributes
-    ----------
-    machine : CondensedMachine
-        What marches.
-    weights : callable
-        Length (s) to the weights of a step.
-    drive : Histories
-        The inputs.
-    tolerance : Tolerance
-        Of half an hour.
-    spread : float
-        `fesim.march.exponential.heat_spread`.
-    """
-
+    #: What marches.
     machine: CondensedMachine
+    #: Length (s) to the weights of a step.
     weights: Callable[[float], ExponentialStep]
+    #: The inputs.
     drive: Histories
+    #: Of half an hour.
     tolerance: Tolerance
+    #: `fesim.march.exponential.heat_spread`.
     spread: float
 
 
 @dataclass(frozen=True)
 class _Tried:
-    """A step that has been computed.
+    """A step that has been computed."""
 
-    Attributes
-    ----------
-    step : Step
-        At its end.
-    weights : ExponentialStep
-        Of its length.
-    ends : Ends
-        What acts in it.
-    bent : ndarray, shape (2, m)
-        What extrapolation has added to the slip at its end, m.
-    error : StepError
-        Estimated.
-    """
-
+    #: At its end.
     step: Step
+    #: Of its length.
     weights: ExponentialStep
+    #: What acts in it.
     ends: Ends
+    #: Shape (2, m): what extrapolation has added to the slip at its end, m.
     bent: Array
+    #: Estimated.
     error: StepError
 
 

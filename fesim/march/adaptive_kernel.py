@@ -42,20 +42,13 @@ BLOCK = 128
 
 @dataclass(frozen=True, eq=False)
 class FreeMarch:
-    """A compiled adaptive march.
+    """A compiled adaptive march."""
 
-    Attributes
-    ----------
-    machine : CondensedMachine
-        What marches.
-    kernel : AdaptiveKernel
-        Its data.
-    storage : Storage
-        Written in place.
-    """
-
+    #: What marches.
     machine: CondensedMachine
+    #: Its data.
     kernel: AdaptiveKernel
+    #: Written in place.
     storage: Storage
 
     def run(self, now: Now, asked: Asked, index: int) -> tuple[Track | None, Passed, bool]:

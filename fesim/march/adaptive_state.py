@@ -20,25 +20,17 @@ NUMBERS = 15
 
 @dataclass(frozen=True)
 class Effort:
-    """Steps of an adaptive march so far, and what they are estimated to be off by.
+    """Steps of an adaptive march so far, and what they are estimated to be off by."""
 
-    Attributes
-    ----------
-    steps, rejected : int
-        Steps that were taken, and tried in vain.
-    shortest, longest : float
-        Of the steps taken, s.
-    sum : StepError
-        Of the estimated errors of all steps: some cancel.
-    displacement, temperature : float
-        Largest magnitudes that this sum has had, m and K.
-    """
-
+    #: Steps that were taken, and tried in vain.
     steps: int
     rejected: int
+    #: Of the steps taken, s.
     shortest: float
     longest: float
+    #: Of the estimated errors of all steps: some cancel.
     sum: StepError
+    #: Largest magnitudes that this sum has had, m and K.
     displacement: float
     temperature: float
 
@@ -65,23 +57,15 @@ def no_effort(axes: int, count: int) -> Effort:
 
 @dataclass(frozen=True)
 class Asked:
-    """What a march is asked for.
+    """What a march is asked for."""
 
-    Attributes
-    ----------
-    drive : Histories
-        Inputs in time, s.
-    knots : ndarray, shape (k,)
-        Ascending, s: where steps end; the last one is infinite.
-    times : ndarray, shape (t,)
-        Of the response, ascending, s.
-    tolerance : Tolerance
-        Of half an hour.
-    """
-
+    #: Inputs in time, s.
     drive: Histories
+    #: Shape (k,): ascending, s: where steps end; the last one is infinite.
     knots: Array
+    #: Shape (t,): of the response, ascending, s.
     times: Array
+    #: Of half an hour.
     tolerance: Tolerance
 
 
@@ -106,36 +90,24 @@ class Solving:
 
 @dataclass(frozen=True)
 class Now:
-    """The march between two steps.
+    """The march between two steps."""
 
-    Attributes
-    ----------
-    time : float
-        s.
-    state : State
-        Temperatures, and what friction has come to.
-    inputs, flow : ndarray, shapes (k + l,) and (m,)
-        Inputs and joint heat flows, W.
-    slope : ndarray, shape (m,)
-        Change of the flows in the last step, W/s.
-    length : float
-        Of the last step, s; zero if there is none that tells anything of the next.
-    pace : Pace
-        Of the next step.
-    effort : Effort
-        So far.
-    solving : Solving
-        Since the last row of the response.
-    """
-
+    #: s.
     time: float
+    #: Temperatures, and what friction has come to.
     state: State
+    #: Shapes (k + l,) and (m,): inputs and joint heat flows, W.
     inputs: Array
     flow: Array
+    #: Shape (m,): change of the flows in the last step, W/s.
     slope: Array
+    #: Of the last step, s; zero if there is none that tells anything of the next.
     length: float
+    #: Of the next step.
     pace: Pace
+    #: So far.
     effort: Effort
+    #: Since the last row of the response.
     solving: Solving = field(default_factory=Solving)
 
     def packed(self) -> Array:
@@ -182,15 +154,9 @@ def unpacked(state: State, inputs: int, axes: int) -> Now:
 
 
 class Passed(NamedTuple):
-    """An adaptive march that has passed some times.
+    """An adaptive march that has passed some times."""
 
-    Attributes
-    ----------
-    effort : Effort
-        Up to the end of the last step.
-    now : Now
-        Where the march goes on: at the last time that is asked for at the start of its step.
-    """
-
+    #: Up to the end of the last step.
     effort: Effort
+    #: Where the march goes on: at the last time that is asked for at the start of its step.
     now: Now

@@ -21,23 +21,15 @@ from thermojoint.artefacts.errors import ConvergenceError
 
 @dataclass(frozen=True)
 class Bolts:
-    """The bolts of a machine.
+    """The bolts of a machine."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Their names.
-    loose : CondensedMachine
-        The machine before they are tightened: see `fesim.solid.bolts.fastened`.
-    springs : BoltSprings
-        Properties of the bolts.
-    force : MechanicalOutputs
-        Their forces, N, as functions of a step of the machine with bolts.
-    """
-
+    #: Their names.
     names: tuple[str, ...]
+    #: The machine before they are tightened: see `fesim.solid.bolts.fastened`.
     loose: CondensedMachine
+    #: Properties of the bolts.
     springs: BoltSprings
+    #: Their forces, N, as functions of a step of the machine with bolts.
     force: MechanicalOutputs
 
 

@@ -92,54 +92,34 @@ _next_length, _shorter_length = compiled_part(next_length), compiled_part(shorte
 
 
 class AdaptiveKernel(NamedTuple):
-    """Data of a machine.
+    """Data of a machine."""
 
-    Attributes
-    ----------
-    modes : Modes
-        The heat equation.
-    joint : JointKernel
-        The joints.
-    watched : Watched
-        Detection of loose bodies.
-    mean : ndarray, shape (m, n)
-        Mean temperature of both sides of each contact element.
-    scale : ndarray, shape (m,)
-        Reference pressures, Pa.
-    left_open : float
-        Change of a pressure that the tolerance of the gap equations leaves open, relative.
-    spread : float
-        Magnitude of the amplitudes of 1 K everywhere.
-    """
-
+    #: The heat equation.
     modes: Modes
     joint: JointKernel
+    #: Detection of loose bodies.
     watched: Watched
+    #: Shape (m, n): mean temperature of both sides of each contact element.
     mean: Array
+    #: Shape (m,): reference pressures, Pa.
     scale: Array
+    #: Change of a pressure that the tolerance of the gap equations leaves open, relative.
     left_open: float
+    #: Magnitude of the amplitudes of 1 K everywhere.
     spread: float
 
 
 class Asked(NamedTuple):
-    """What a march is asked for.
+    """What a march is asked for."""
 
-    Attributes
-    ----------
-    times : ndarray, shape (t,)
-        Ascending, s.
-    knots : ndarray, shape (k,)
-        Ascending, s: where steps end; the last one is infinite.
-    drive_times, drive : ndarray, shapes (d,) and (d, k + l)
-        `fesim.case.history.Histories`.
-    limits : ndarray, shape (3,)
-        Tolerance.
-    """
-
+    #: Shape (t,): ascending, s.
     times: Array
+    #: Shape (k,): ascending, s: where steps end; the last one is infinite.
     knots: Array
+    #: Shapes (d,) and (d, k + l): `fesim.case.history.Histories`.
     drive_times: Array
     drive: Array
+    #: Shape (3,): tolerance.
     limits: Array
 
 
@@ -147,74 +127,55 @@ class Course(NamedTuple):
     """The march at the start of a step, and at the end of the one that is tried.
 
     The first dimension of the first eight is `BEFORE` and `AFTER`.
-
-    Attributes
-    ----------
-    unknowns, acting : ndarray, shape (2, n)
-        Unknowns, and what acts on them: heat of modes, W; temperatures of held surfaces, K.
-    gap, slip, pressure, change : ndarray, shapes (2, 3, m), (2, 2, m), (2, m) and (2, 3, m)
-        As in `JointState`.
-    flow : ndarray, shape (2, m)
-        Joint heat flows, W.
-    inputs : ndarray, shape (2, k + l)
-        Inputs.
-    slope : ndarray, shape (m,)
-        Change of the flows in the last step, W/s.
-    clock, effort : ndarray, shapes (7,) and (6,)
-        See `START` and `STEPS`.
-    moved, warmed : ndarray, shapes (2, axes) and (2, 2 m)
-        Estimated errors of all steps together, and of this one, m and K.
     """
 
+    #: Shape (2, n): unknowns, and what acts on them: heat of modes, W; temperatures of held
+    #: surfaces, K.
     unknowns: Array
     acting: Array
+    #: Shapes (2, 3, m), (2, 2, m), (2, m) and (2, 3, m): as in `JointState`.
     gap: Array
     slip: Array
     pressure: Array
     change: Array
+    #: Shape (2, m): joint heat flows, W.
     flow: Array
+    #: Shape (2, k + l): inputs.
     inputs: Array
+    #: Shape (m,): change of the flows in the last step, W/s.
     slope: Array
+    #: Shapes (7,) and (6,): see `START` and `STEPS`.
     clock: Array
     effort: Array
+    #: Shapes (2, axes) and (2, 2 m): estimated errors of all steps together, and of this one, m and
+    #: K.
     moved: Array
     warmed: Array
 
 
 class Work(NamedTuple):
-    """Storage; its content is not used after a step.
+    """Storage; its content is not used after a step."""
 
-    Attributes
-    ----------
-    unknowns : ndarray, shape (5, n)
-        `AT` a time, `DRAWN` by the joints, and three `WEIGHTS` of that time.
-    contact : ndarray, shape (7, m)
-        See `CONDUCTED`; conductance times area, W/K, of the step.
-    slip, gap : ndarray, shapes (4, 2, m) and (4, 3, m)
-        Of a part of the step, and see `BENT`: what extrapolation adds, m.
-    remainder, displacement : ndarray, shapes (2, 3 m) and (2, axes)
-        `WHOLE` and `PART`.
-    inputs : ndarray, shape (k + l,)
-        At that time.
-    system : ndarray, shape (m, m)
-        `flow_system`.
-    moved, free_gap, sweeps : ndarray, shapes (axes,), (3 m,) and (2,)
-        Displacement by the joint, m; J0^-1 g_T, m; see `WEIGHT`.
-    turn : ndarray of int, shape (1,)
-        Equilibria of this stage so far.
-    """
-
+    #: Shape (5, n): `AT` a time, `DRAWN` by the joints, and three `WEIGHTS` of that time.
     unknowns: Array
+    #: Shape (7, m): see `CONDUCTED`; conductance times area, W/K, of the step.
     contact: Array
+    #: Shapes (4, 2, m) and (4, 3, m): of a part of the step, and see `BENT`: what extrapolation
+    #: adds, m.
     slip: Array
     gap: Array
+    #: Shapes (2, 3 m) and (2, axes): `WHOLE` and `PART`.
     remainder: Array
     displacement: Array
+    #: Shape (k + l,): at that time.
     inputs: Array
+    #: Shape (m, m): `flow_system`.
     system: Array
+    #: Shapes (axes,), (3 m,) and (2,): displacement by the joint, m; J0^-1 g_T, m; see `WEIGHT`.
     moved: Array
     free_gap: Array
     sweeps: Array
+    #: Shape (1,): equilibria of this stage so far.
     turn: NDArray[np.int64]
 
 
@@ -249,15 +210,10 @@ class Heat(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """Records at the times that are asked for; the first dimension is their number.
+    """Records at the times that are asked for; the first dimension is their number."""
 
-    Attributes
-    ----------
-    unknowns, gap, slip, contact, remainder, displacement : ndarray
-        Of a state, (n,), (3, m), (2, m); pressure, conductance times area and heat flow (3, m);
-        (3 m,) and (axes,).
-    """
-
+    #: Of a state, (n,), (3, m), (2, m); pressure, conductance times area and heat flow (3, m); (3
+    #: m,) and (axes,).
     unknowns: Array
     gap: Array
     slip: Array
@@ -267,22 +223,16 @@ class Rows(NamedTuple):
 
 
 class Taken(NamedTuple):
-    """Records of the steps; the first dimension is their number.
+    """Records of the steps; the first dimension is their number."""
 
-    Attributes
-    ----------
-    unknowns, mean : ndarray, shape (s, n)
-        At the end, and over the step.
-    inputs, flow : ndarray, shapes (s, k + l) and (s, m)
-        In the middle of the step.
-    numbers : ndarray, shape (s, 4)
-        Length, s; residual of the gap equations, m; Newton iterations; rows up to its end.
-    """
-
+    #: Shape (s, n): at the end, and over the step.
     unknowns: Array
     mean: Array
+    #: Shapes (s, k + l) and (s, m): in the middle of the step.
     inputs: Array
     flow: Array
+    #: Shape (s, 4): length, s; residual of the gap equations, m; Newton iterations; rows up to its
+    #: end.
     numbers: Array
 
 

@@ -29,44 +29,29 @@ MOST, FEWEST, NUMBERS = 68, 4, 4_000_000
 
 
 class Modes(NamedTuple):
-    """Heat equation on n unknowns: modes, then held surfaces.
+    """Heat equation on n unknowns: modes, then held surfaces."""
 
-    Attributes
-    ----------
-    rates : ndarray, shape (n,)
-        Of the modes, 1/s; infinite for held surfaces.
-    inputs : ndarray, shape (n, k)
-        Heat of each mode per unit of each input, and temperature of each held surface.
-    drawn : ndarray, shape (n, m)
-        Heat that each joint heat flow takes from a mode; zero for held surfaces.
-    """
-
+    #: Shape (n,): of the modes, 1/s; infinite for held surfaces.
     rates: Array
+    #: Shape (n, k): heat of each mode per unit of each input, and temperature of each held surface.
     inputs: Array
+    #: Shape (n, m): heat that each joint heat flow takes from a mode; zero for held surfaces.
     drawn: Array
 
 
 class Lengths(NamedTuple):
-    """Weights of the lengths of the last steps; written in place.
+    """Weights of the lengths of the last steps; written in place."""
 
-    Attributes
-    ----------
-    length : ndarray, shape (q,)
-        s; zero where there is none.
-    weights : ndarray, shape (q, 16, n)
-        Rows as above.
-    influence : ndarray, shape (q, m, m)
-        Temperature jumps per W across each contact element at the end of the step, K/W.
-    next : ndarray of int, shape (1,)
-        Place of the next one.
-    storage : ndarray, shape (n, m)
-        Its content is not used afterwards.
-    """
-
+    #: Shape (q,): s; zero where there is none.
     length: Array
+    #: Shape (q, 16, n): rows as above.
     weights: Array
+    #: Shape (q, m, m): temperature jumps per W across each contact element at the end of the step,
+    #: K/W.
     influence: Array
+    #: Shape (1,): place of the next one.
     next: NDArray[np.int64]
+    #: Shape (n, m): its content is not used afterwards.
     storage: Array
 
 

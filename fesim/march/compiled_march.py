@@ -54,23 +54,15 @@ class Moving(NamedTuple):
 
 
 class Kept(NamedTuple):
-    """Inverses that are reused from step to step, and storage; written in place.
+    """Inverses that are reused from step to step, and storage; written in place."""
 
-    Attributes
-    ----------
-    tangents : FrozenTangents
-        Of the gap equations, block by block.
-    flows : Flows
-        Of the joint heat flows.
-    work : JointWork
-        Storage.
-    check : WatchWork
-        Storage.
-    """
-
+    #: Of the gap equations, block by block.
     tangents: FrozenTangents
+    #: Of the joint heat flows.
     flows: Flows
+    #: Storage.
     work: JointWork
+    #: Storage.
     check: WatchWork
 
 
@@ -84,22 +76,16 @@ class Solved(NamedTuple):
 
 
 class Record(NamedTuple):
-    """Records of n steps; the first dimension is n, the others as in `Step` and `State`.
-
-    Attributes
-    ----------
-    conducted : ndarray, shape (n, m)
-        Conductance times area, W/K.
-    frozen : ndarray, shape (n, 7, m)
-        As in `fesim.march.machine.State`.
-    """
+    """Records of n steps; the first dimension is n, the others as in `Step` and `State`."""
 
     amplitudes: Array
     gap: Array
     slip: Array
     pressure: Array
     change: Array
+    #: Shape (n, 7, m): as in `fesim.march.machine.State`.
     frozen: Array
+    #: Shape (n, m): conductance times area, W/K.
     conducted: Array
     heat_flow: Array
     displacement: Array

@@ -26,131 +26,87 @@ from thermojoint.artefacts.arrays import Array
 
 
 class HeatStep(NamedTuple):
-    """Implicit Euler step of one length on r uncoupled modes.
+    """Implicit Euler step of one length on r uncoupled modes."""
 
-    Attributes
-    ----------
-    decay : ndarray, shape (r,)
-        Of the amplitudes.
-    drive : ndarray, shape (r, k)
-        Amplitudes per unit of each input.
-    influence : ndarray, shape (r, m)
-        Amplitudes per W across each contact element.
-    joint_influence : ndarray, shape (m, m)
-        Temperature jumps per W across each contact element, K/W.
-    """
-
+    #: Shape (r,): of the amplitudes.
     decay: Array
+    #: Shape (r, k): amplitudes per unit of each input.
     drive: Array
+    #: Shape (r, m): amplitudes per W across each contact element.
     influence: Array
+    #: Shape (m, m): temperature jumps per W across each contact element, K/W.
     joint_influence: Array
 
 
 class JointKernel(NamedTuple):
-    """Joint data of a machine, independent of the step length.
+    """Joint data of a machine, independent of the step length."""
 
-    Attributes
-    ----------
-    jump : ndarray, shape (m, r)
-        Temperature jump at every contact element, K.
-    held : ndarray, shape (m,)
-        Conductance times area that the modes include, W/K.
-    conductance : ndarray, shape (m, 3)
-        Factor times area (W/K), hardness (Pa) and exponent of Eq. 11.
-    laws : ndarray, shape (m, 7)
-        As in `fesim.joint.compiled_gap.CompiledGap`.
-    springs, compliance, columns : ndarray, shapes (3 m,) and (3 m, 3 m)
-        k0, F and F transposed of the gap problem.
-    gap, loaded_gap : ndarray, shapes (3 m, r) and (3 m, l)
-        J0^-1 S_T, and the same of loads: gaps of the joint that sticks at its preload, m.
-    preload : ndarray, shape (m,)
-        Pa.
-    reference : ndarray, shape (3 m,)
-        k, Pa/m.
-    moved : ndarray, shape (axes, 3 m)
-        D_C A: displacement per traction, m/Pa.
-    free, loaded : ndarray, shapes (axes, r) and (axes, l)
-        D_T, and displacement per load, m.
-    tolerance : float
-        Of the gap equations, m.
-    """
-
+    #: Shape (m, r): temperature jump at every contact element, K.
     jump: Array
+    #: Shape (m,): conductance times area that the modes include, W/K.
     held: Array
+    #: Shape (m, 3): factor times area (W/K), hardness (Pa) and exponent of Eq. 11.
     conductance: Array
+    #: Shape (m, 7): as in `fesim.joint.compiled_gap.CompiledGap`.
     laws: Array
+    #: Shapes (3 m,) and (3 m, 3 m): k0, F and F transposed of the gap problem.
     springs: Array
     compliance: Array
     columns: Array
+    #: Shapes (3 m, r) and (3 m, l): J0^-1 S_T, and the same of loads: gaps of the joint that sticks
+    #: at its preload, m.
     gap: Array
     loaded_gap: Array
+    #: Shape (m,): Pa.
     preload: Array
+    #: Shape (3 m,): k, Pa/m.
     reference: Array
+    #: Shape (axes, 3 m): d_C A: displacement per traction, m/Pa.
     moved: Array
+    #: Shapes (axes, r) and (axes, l): d_T, and displacement per load, m.
     free: Array
     loaded: Array
+    #: Of the gap equations, m.
     tolerance: float
 
 
 class JointState(NamedTuple):
-    """The joint after a step; attributes as in `fesim.march.machine.State`.
+    """The joint after a step; attributes as in `fesim.march.machine.State`."""
 
-    Attributes
-    ----------
-    gap : ndarray, shape (3, m)
-        m.
-    slip : ndarray, shape (2, m)
-        m.
-    pressure : ndarray, shape (m,)
-        Pa.
-    change : ndarray, shape (3, m)
-        m.
-    """
-
+    #: Shape (3, m): m.
     gap: Array
+    #: Shape (2, m): m.
     slip: Array
+    #: Shape (m,): Pa.
     pressure: Array
+    #: Shape (3, m): m.
     change: Array
 
 
 class HeatWork(NamedTuple):
-    """Storage of a heat step with m contact elements; its content is not used afterwards.
+    """Storage of a heat step with m contact elements; its content is not used afterwards."""
 
-    Attributes
-    ----------
-    beyond, driving : ndarray, shape (m,)
-        Conductance times area that the modes lack, W/K, and times the temperature jump, W.
-    system : ndarray, shape (m, m)
-        `flow_system`.
-    drawn : ndarray, shape (r,)
-        Amplitudes that the joint heat flows take.
-    """
-
+    #: Shape (m,): conductance times area that the modes lack, W/K, and times the temperature jump,
+    #: W.
     beyond: Array
     driving: Array
+    #: Shape (m, m): `flow_system`.
     system: Array
+    #: Shape (r,): amplitudes that the joint heat flows take.
     drawn: Array
 
 
 class JointWork(NamedTuple):
-    """Storage of the settling of m contact elements; its content is not used afterwards.
+    """Storage of the settling of m contact elements; its content is not used afterwards."""
 
-    Attributes
-    ----------
-    trial : Trial
-        Of the gap equations.
-    newton : NewtonWork
-        Of their solution by Newton's method.
-    free_gap, remainder : ndarray, shape (3 m,)
-        J0^-1 g_T, m, and z + k g, Pa.
-    moved : ndarray, shape (axes,)
-        Displacement by the joint, m.
-    """
-
+    #: Of the gap equations.
     trial: Trial
+    #: Of their solution by Newton's method.
     newton: NewtonWork
+    #: Shape (3 m,): J0^-1 g_T, m, and z + k g, Pa.
     free_gap: Array
     remainder: Array
+    #: Shape (axes,): displacement by the joint, m.
     moved: Array
 
 

@@ -30,26 +30,17 @@ Laws = Sequence[tuple[JointLaw, int]]
 
 @dataclass(frozen=True, eq=False)
 class ContactProblem:
-    """The joints of a condensed structure: their laws, and the gaps that heat and loads open.
+    """The joints of a condensed structure: their laws, and the gaps that heat and loads open."""
 
-    Attributes
-    ----------
-    elastic : ElasticCondensation
-        Gaps and probes.
-    laws : sequence of (JointLaw, int)
-        The law of each joint and how many contact elements it has, in their order.
-    gap_tolerance : float, optional
-        Largest residual of the gap equations, m; default `SHARE` of what closes the stiffest joint.
-    constraints : Constraints, optional
-        Constraints of the bodies; with them, a step in which a body comes loose is an error.
-    loads : LoadInfluence, optional
-        Mechanical loads; their factors follow the other inputs of a step.
-    """
-
+    #: Gaps and probes.
     elastic: ElasticCondensation
+    #: The law of each joint and how many contact elements it has, in their order.
     laws: Laws
+    #: Largest residual of the gap equations, m; default `SHARE` of what closes the stiffest joint.
     gap_tolerance: float | None = None
+    #: Constraints of the bodies; with them, a step in which a body comes loose is an error.
     constraints: Constraints | None = None
+    #: Mechanical loads; their factors follow the other inputs of a step.
     loads: LoadInfluence | None = None
 
     @property

@@ -60,17 +60,11 @@ def heat_spread(thermal: ThermalCondensation, rates: Array) -> float:
 
 @dataclass(frozen=True)
 class Ends:
-    """What acts on the heat equation at the start and at the end of a step; linear in between.
+    """What acts on the heat equation at the start and at the end of a step; linear in between."""
 
-    Attributes
-    ----------
-    inputs : tuple of ndarray, shape (k + l,)
-        As in `fesim.march.machine.Step`.
-    flow : tuple of ndarray, shape (m,)
-        Joint heat flows, W.
-    """
-
+    #: Shape (k + l,): as in `fesim.march.machine.Step`.
     inputs: tuple[Array, Array]
+    #: Shape (m,): joint heat flows, W.
     flow: tuple[Array, Array]
 
     def inputs_at(self, share: float) -> Array:
@@ -88,24 +82,16 @@ def _between(ends: tuple[Array, Array], share: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class ExponentialStep:
-    """The weights of a step of one length.
+    """The weights of a step of one length."""
 
-    Attributes
-    ----------
-    length : float
-        s.
-    rates : ndarray, shape (r,)
-        Decay rates of the modes, 1/s.
-    weights : tuple of ndarray, shape (r,)
-        phi_1, phi_2 and phi_3.
-    machine : CondensedMachine
-        Its heat step gives the temperatures at the end from what `before_end` returns and the
-        inputs at the end.
-    """
-
+    #: s.
     length: float
+    #: Shape (r,): decay rates of the modes, 1/s.
     rates: Array
+    #: Shape (r,): phi_1, phi_2 and phi_3.
     weights: tuple[Array, Array, Array]
+    #: Its heat step gives the temperatures at the end from what `before_end` returns and the inputs
+    #: at the end.
     machine: CondensedMachine
 
     def before_end(self, unknowns: Array, inputs: Array, flow: Array) -> Array:

@@ -35,47 +35,30 @@ class Equations(NamedTuple):
 
 
 class Krylov(NamedTuple):
-    """Storage of GMRES for up to k directions.
+    """Storage of GMRES for up to k directions."""
 
-    Attributes
-    ----------
-    basis : ndarray, shape (k + 1, m)
-        Orthonormal residuals.
-    along : ndarray, shape (k, m)
-        Directions: the inverse times the residuals.
-    triangle : ndarray, shape (k + 1, k)
-        Triangular factor of the Hessenberg matrix.
-    turn : ndarray, shape (2, k)
-        Cosine and sine of each Givens rotation.
-    left : ndarray, shape (k + 1,)
-        Rotated residual, W.
-    """
-
+    #: Shape (k + 1, m): orthonormal residuals.
     basis: Array
+    #: Shape (k, m): directions: the inverse times the residuals.
     along: Array
+    #: Shape (k + 1, k): triangular factor of the Hessenberg matrix.
     triangle: Array
+    #: Shape (2, k): cosine and sine of each Givens rotation.
     turn: Array
+    #: Shape (k + 1,): rotated residual, W.
     left: Array
 
 
 class Flows(NamedTuple):
-    """An inverse that is reused from step to step, and storage; written in place.
+    """An inverse that is reused from step to step, and storage; written in place."""
 
-    Attributes
-    ----------
-    conducted : ndarray, shape (m,)
-        Its conductances times areas, W/K; zero before the first.
-    inverse : ndarray, shape (m, m)
-        (I + diag(conducted) S)^-1.
-    driving : ndarray, shape (m,)
-        Storage: conductance times area times temperature jump, W.
-    krylov : Krylov
-        Storage.
-    """
-
+    #: Shape (m,): its conductances times areas, W/K; zero before the first.
     conducted: Array
+    #: Shape (m, m): (I + diag(conducted) S)^-1.
     inverse: Array
+    #: Shape (m,): storage: conductance times area times temperature jump, W.
     driving: Array
+    #: Storage.
     krylov: Krylov
 
 

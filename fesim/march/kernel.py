@@ -42,17 +42,11 @@ from thermojoint.artefacts.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class StepKernel:
-    """Compiled functions and data for the time integration of a machine.
+    """Compiled functions and data for the time integration of a machine."""
 
-    Attributes
-    ----------
-    machine : MarchKernel
-        Its heat step and its joints.
-    blocks : Blocks
-        Weakly coupled blocks of contact elements.
-    """
-
+    #: Its heat step and its joints.
     machine: MarchKernel
+    #: Weakly coupled blocks of contact elements.
     blocks: Blocks
 
     def run(self, kept: Kept, state: State, inputs: Array) -> tuple[Record, int, bool]:

@@ -53,39 +53,26 @@ class Assembly:
 
 @dataclass(frozen=True, eq=False)
 class CondensedMachine:
-    """A condensed structure with its joints, ready for time integration.
+    """A condensed structure with its joints, ready for time integration."""
 
-    Attributes
-    ----------
-    thermal : ThermalCondensation
-        One heat step.
-    contact : ContactProblem
-        Gaps, probes and joint laws.
-    assembly : Assembly, optional
-        Initial state of a machine with bolts (`fesim.march.assembly`).
-    start : StartField, optional
-        Temperatures at time zero; default the ambient's.
-    variable : VariableHeat, optional
-        Temperature-dependent part of conduction, convection and radiation; full model only.
-    growth : Straining, optional
-        Temperature-dependent expansion of the bodies, full model only; or what they do where axes
-        stand.
-    friction : FrictionHeat, optional
-        Heat of friction of the joints; default none.
-    passing : Passing, optional
-        What contact elements touch that move within the step; not with `variable`.
-    stiffness : VariableStiffness, optional
-        Temperature-dependent part of the stiffness; full model only, and without bolts.
-    """
-
+    #: One heat step.
     thermal: ThermalCondensation
+    #: Gaps, probes and joint laws.
     contact: ContactProblem
+    #: Initial state of a machine with bolts (`fesim.march.assembly`).
     assembly: Assembly | None = None
+    #: Temperatures at time zero; default the ambient's.
     start: StartField | None = None
+    #: Temperature-dependent part of conduction, convection and radiation; full model only.
     variable: VariableHeat | None = None
+    #: Temperature-dependent expansion of the bodies, full model only; or what they do where axes
+    #: stand.
     growth: Straining | None = None
+    #: Heat of friction of the joints; default none.
     friction: FrictionHeat | None = None
+    #: What contact elements touch that move within the step; not with `variable`.
     passing: Passing | None = None
+    #: Temperature-dependent part of the stiffness; full model only, and without bolts.
     stiffness: VariableStiffness | None = None
 
     def with_laws(self, laws: Laws) -> CondensedMachine:
@@ -111,88 +98,61 @@ class CondensedMachine:
 
 @dataclass(frozen=True)
 class State:
-    """State of a march: everything that the next step depends on.
+    """State of a march: everything that the next step depends on."""
 
-    Attributes
-    ----------
-    index : int
-        Steps taken; time is index times the step length.
-    temperature : ndarray, shape (n,)
-        Nodal temperatures above the initial ambient, K, or a reduced model's amplitudes.
-    gap : ndarray, shape (3, m)
-        Gaps, m.
-    slip : ndarray, shape (2, m)
-        Irreversible slip, m: the history of friction.
-    pressure : ndarray, shape (m,)
-        Contact pressure, Pa.
-    change : ndarray, shape (3, m)
-        Change of the gaps in the last step, m; the first guess of the next step extrapolates it.
-    model : str
-        Thermal model of the temperature: the `model` of the `ThermalCondensation`.
-    frozen : ndarray, shape (7, m)
-        State at which the stored inverses were computed: six entries of the joint law's tangent
-        (Pa/m), conductance times area (W/K); zero where there are none.
-    turning : ndarray, shape (2, m)
-        Record of alternating increments of the last steps (`fesim.march.alternation`).
-    taken_over : bool
-        Whether this step and all later ones are iterated because the staggered ones alternated.
-    drive : ndarray, shape (d,)
-        Temperatures of the drive of a moving axis above the initial ambient, K
-        (`fesim.axes.positioning`); empty without one.
-    course : ndarray, shape (c,)
-        Where an adaptive march goes on (`fesim.march.adaptive_state.Now.packed`); else empty.
-    """
-
+    #: Steps taken; time is index times the step length.
     index: int
+    #: Shape (n,): nodal temperatures above the initial ambient, K, or a reduced model's amplitudes.
     temperature: Array
+    #: Shape (3, m): gaps, m.
     gap: Array
+    #: Shape (2, m): irreversible slip, m: the history of friction.
     slip: Array
+    #: Shape (m,): contact pressure, Pa.
     pressure: Array
+    #: Shape (3, m): change of the gaps in the last step, m; the first guess of the next step
+    #: extrapolates it.
     change: Array
+    #: Thermal model of the temperature: the `model` of the `ThermalCondensation`.
     model: str
+    #: Shape (7, m): state at which the stored inverses were computed: six entries of the joint
+    #: law's tangent (Pa/m), conductance times area (W/K); zero where there are none.
     frozen: Array
+    #: Shape (2, m): record of alternating increments of the last steps (`fesim.march.alternation`).
     turning: Array
+    #: Whether this step and all later ones are iterated because the staggered ones alternated.
     taken_over: bool
+    #: Shape (d,): temperatures of the drive of a moving axis above the initial ambient, K
+    #: (`fesim.axes.positioning`); empty without one.
     drive: Array
+    #: Shape (c,): where an adaptive march goes on (`fesim.march.adaptive_state.Now.packed`); else
+    #: empty.
     course: Array = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True)
 class Step:
-    """Results of one step of a march, and its residuals.
+    """Results of one step of a march, and its residuals."""
 
-    Attributes
-    ----------
-    state : State
-        At the end of the step.
-    inputs : ndarray, shape (k + l,)
-        Sources, W; ambient and held surfaces, K; factors of the loads.
-    conductance, heat_flow : ndarray, shape (m,)
-        W/(m2 K), and W from side a to side b.
-    displacement : ndarray, shape (k,)
-        Displacement probes, m.
-    remainder : ndarray, shape (3 m,)
-        z + k g, Pa: with the temperature, it gives the displacement field.
-    residual : float
-        Largest residual of the gap equations, m.
-    iterations, cuts : int
-        Newton iterations, and viscous steps where a joint snapped.
-    heat_balance : float
-        (in - stored - convected) / the largest of the three.
-    secant_residual : float
-        Largest change of a temperature in the last secant step, K; zero where none is needed.
-    """
-
+    #: At the end of the step.
     state: State
+    #: Shape (k + l,): sources, W; ambient and held surfaces, K; factors of the loads.
     inputs: Array
+    #: Shape (m,): W/(m2 K), and W from side a to side b.
     conductance: Array
     heat_flow: Array
+    #: Shape (k,): displacement probes, m.
     displacement: Array
+    #: Shape (3 m,): z + k g, Pa: with the temperature, it gives the displacement field.
     remainder: Array
+    #: Largest residual of the gap equations, m.
     residual: float
+    #: Newton iterations, and viscous steps where a joint snapped.
     iterations: int
     cuts: int
+    #: (in - stored - convected) / the largest of the three.
     heat_balance: float
+    #: Largest change of a temperature in the last secant step, K; zero where none is needed.
     secant_residual: float = 0.0
 
 

@@ -23,39 +23,26 @@ from thermojoint.artefacts.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Rows of m contact elements, then of the places that they may touch: q in all.
+    """Rows of m contact elements, then of the places that they may touch: q in all."""
 
-    Attributes
-    ----------
-    temperature : ndarray, shape (q, n)
-        R: mean temperature of each, K; of a contact element that passes nothing its jump.
-    influence : ndarray, shape (n, q)
-        A0^-1 R^T, K/W.
-    joint_influence : ndarray, shape (q, q)
-        R A0^-1 R^T, K/W.
-    """
-
+    #: Shape (q, n): R: mean temperature of each, K; of a contact element that passes nothing its
+    #: jump.
     temperature: Array
+    #: Shape (n, q): A0^-1 R^T, K/W.
     influence: Array
+    #: Shape (q, q): R A0^-1 R^T, K/W.
     joint_influence: Array
 
 
 class Touches(NamedTuple):
-    """What contact elements touch in a step: l products of their combinations of rows.
+    """What contact elements touch in a step: l products of their combinations of rows."""
 
-    Attributes
-    ----------
-    element : ndarray of int, shape (l,)
-        Contact element of each product.
-    first, second : ndarray of int, shape (l,)
-        Rows that are multiplied.
-    mean : ndarray, shape (l,)
-        Mean of the product of their coefficients over the step.
-    """
-
+    #: Shape (l,): contact element of each product.
     element: NDArray[np.int64]
+    #: Shape (l,): rows that are multiplied.
     first: NDArray[np.int64]
     second: NDArray[np.int64]
+    #: Shape (l,): mean of the product of their coefficients over the step.
     mean: Array
 
 

@@ -38,20 +38,14 @@ FEW = 200
 
 @dataclass(frozen=True)
 class ThermalModes:
-    """Modes of a reduced temperature field.
+    """Modes of a reduced temperature field."""
 
-    Attributes
-    ----------
-    basis : ndarray, shape (n, r + s)
-        [V, E]: nodal temperatures of each mode, then of each of the s held surfaces at 1 K.
-    rates : ndarray, shape (r,)
-        Decay rates of the modes, 1/s.
-    error : float
-        Largest error of an output, relative to its tolerance.
-    """
-
+    #: Shape (n, r + s): [V, E]: nodal temperatures of each mode, then of each of the s held
+    #: surfaces at 1 K.
     basis: Array
+    #: Shape (r,): decay rates of the modes, 1/s.
     rates: Array
+    #: Largest error of an output, relative to its tolerance.
     error: float
 
     @property

@@ -29,24 +29,16 @@ DEPTH = 5
 
 @dataclass(frozen=True)
 class HeatTaken:
-    """Result of a step of the heat equation.
+    """Result of a step of the heat equation."""
 
-    Attributes
-    ----------
-    temperature : ndarray, shape (n,)
-        At its end.
-    heat_flow : ndarray, shape (m,)
-        Across the joints, W.
-    balance : float
-        `fesim.march.heat_step.heat_balance`.
-    residual : float
-        Largest change of a temperature in the last secant step, K; zero if nothing depends on
-        temperature.
-    """
-
+    #: Shape (n,): at its end.
     temperature: Array
+    #: Shape (m,): across the joints, W.
     heat_flow: Array
+    #: `fesim.march.heat_step.heat_balance`.
     balance: float
+    #: Largest change of a temperature in the last secant step, K; zero if nothing depends on
+    #: temperature.
     residual: float
 
 

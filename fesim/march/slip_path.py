@@ -24,20 +24,13 @@ Course = Callable[[float], tuple[Array, Array]]
 
 @dataclass(frozen=True)
 class SlipPath:
-    """Slip at the end of a step.
+    """Slip at the end of a step."""
 
-    Attributes
-    ----------
-    slip : ndarray, shape (2, m)
-        Of second order, m.
-    error : ndarray, shape (2, m)
-        Its estimated error, m.
-    gap : ndarray, shape (3, m)
-        Gaps there, extrapolated like the slip, m.
-    """
-
+    #: Shape (2, m): of second order, m.
     slip: Array
+    #: Shape (2, m): its estimated error, m.
     error: Array
+    #: Shape (3, m): gaps there, extrapolated like the slip, m.
     gap: Array
 
 

@@ -14,18 +14,12 @@ from thermojoint.artefacts.arrays import Array
 
 @dataclass(frozen=True)
 class StartField:
-    """Temperature unknowns (n,) at time zero, free + held u: a held surface is held from the start.
+    """Temperature unknowns (n,) at time zero, free + held u; held surfaces from the start on."""
 
-    Attributes
-    ----------
-    free : ndarray, shape (n,)
-        Temperatures above the initial ambient where none is held, K, zero elsewhere; or the
-        amplitudes of a reduced model.
-    held : scipy.sparse.csr_array, shape (n, k)
-        Held temperatures per unit of each input u of the march.
-    """
-
+    #: Shape (n,): temperatures above the initial ambient where none is held, K, zero elsewhere; or
+    #: the amplitudes of a reduced model.
     free: Array
+    #: Shape (n, k): held temperatures per unit of each input u of the march.
     held: csr_array
 
     def temperature(self, inputs: Array) -> Array:

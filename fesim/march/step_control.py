@@ -39,37 +39,24 @@ RETREAT = 0.25
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Error allowed in half an hour (`SPAN`).
+    """Error allowed in half an hour (`SPAN`)."""
 
-    Attributes
-    ----------
-    displacement : float
-        m.
-    temperature : float
-        Of the joints, K.
-    followed : float
-        It says nothing of changes below it: until the machine's temperature has changed by as much,
-        those of the joints may be off by this part of the change in a step.
-    """
-
+    #: m.
     displacement: float
+    #: Of the joints, K.
     temperature: float
+    #: It says nothing of changes below it: until the machine's temperature has changed by as much,
+    #: those of the joints may be off by this part of the change in a step.
     followed: float = FOLLOWED
 
 
 @dataclass(frozen=True)
 class StepError:
-    """Estimated errors of one step, or of several together.
+    """Estimated errors of one step, or of several together."""
 
-    Attributes
-    ----------
-    displacement : ndarray, shape (axes,)
-        m.
-    temperature : ndarray, shape (2 m,)
-        Of means and jumps at the contact elements, K.
-    """
-
+    #: Shape (axes,): m.
     displacement: Array
+    #: Shape (2 m,): of means and jumps at the contact elements, K.
     temperature: Array
 
     def __add__(self, other: StepError) -> StepError:
@@ -90,20 +77,13 @@ class StepError:
 
 @dataclass(frozen=True)
 class Pace:
-    """The controller between two steps.
+    """The controller between two steps."""
 
-    Attributes
-    ----------
-    length : float
-        Of the next step, s.
-    error : float
-        Of the last step, of what was allowed in it.
-    way : float
-        Changes of temperature in all steps so far, K.
-    """
-
+    #: Of the next step, s.
     length: float = SHORTEST
+    #: Of the last step, of what was allowed in it.
     error: float = 1.0
+    #: Changes of temperature in all steps so far, K.
     way: float = 0.0
 
 

@@ -303,20 +303,13 @@ def iterated_step(
 
 @dataclass(frozen=True)
 class _Carried:
-    """Quantity carried from one sweep of an in-step iteration to the next, m values.
+    """Quantity carried from one sweep of an in-step iteration to the next, m values."""
 
-    Attributes
-    ----------
-    of : callable
-        Returns it for a state.
-    conductance : callable
-        Returns conductances, W/(m2 K).
-    scale : ndarray, shape (m,)
-        Scale of its changes.
-    """
-
+    #: Returns it for a state.
     of: Callable[[State], Array]
+    #: Returns conductances, W/(m2 K).
     conductance: Callable[[Array], Array]
+    #: Shape (m,): scale of its changes.
     scale: Array
 
 

@@ -31,42 +31,27 @@ from thermojoint.artefacts.arrays import Array
 
 @dataclass(frozen=True)
 class Discretised:
-    """A case as finite elements, before anything is condensed.
+    """A case as finite elements, before anything is condensed."""
 
-    Attributes
-    ----------
-    case : Case
-        Where it comes from.
-    parts : Parts
-        Structure, joints, bolts, probes.
-    materials : dict of str to Material
-        Of every body; a modulus that depends on temperature in its middle.
-    spaces : Spaces
-        Finite-element spaces.
-    operators : JointOperators
-        Of the joints.
-    heat : HeatOperators
-        Of the structure.
-    warm : ndarray, shape (n,), or None
-        Temperatures at the start, if these are not the ambient's.
-    springs : ndarray, shape (3 m,)
-        Reference springs, Pa/m.
-    stretch, ends : scipy.sparse.csr_array
-        Of the bolts: rows of their stretch, and of the temperatures at their ends.
-    rows : scipy.sparse.csr_array
-        Of the temperature probes.
-    """
-
+    #: Where it comes from.
     case: Case
+    #: Structure, joints, bolts, probes.
     parts: Parts
+    #: Of every body; a modulus that depends on temperature in its middle.
     materials: dict[str, Material]
+    #: Finite-element spaces.
     spaces: Spaces
     operators: JointOperators
+    #: Of the structure.
     heat: HeatOperators
+    #: Shape (n,): temperatures at the start, if these are not the ambient's.
     warm: Array | None
+    #: Shape (3 m,): reference springs, Pa/m.
     springs: Array
+    #: Of the bolts: rows of their stretch, and of the temperatures at their ends.
     stretch: csr_array
     ends: csr_array
+    #: Of the temperature probes.
     rows: csr_array
 
 

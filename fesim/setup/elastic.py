@@ -34,26 +34,17 @@ from thermojoint.artefacts.arrays import Array
 
 @dataclass(frozen=True)
 class ElasticStructure:
-    """Pieces of a case and the springs across its joints.
+    """Pieces of a case and the springs across its joints."""
 
-    Attributes
-    ----------
-    pieces : callable
-        Assembles one piece after the other.
-    joints : JointOperators
-        G and areas.
-    reference : ndarray, shape (3 m,)
-        Stiffness of the reference springs, Pa/m.
-    shape : (int, int)
-        Displacement and temperature unknowns.
-    solver : str or None
-        See `fesim.solid.linear_solver.factorise`.
-    """
-
+    #: Assembles one piece after the other.
     pieces: Callable[[], Iterator[ElasticPiece]]
+    #: G and areas.
     joints: JointOperators
+    #: Shape (3 m,): stiffness of the reference springs, Pa/m.
     reference: Array
+    #: Displacement and temperature unknowns.
     shape: tuple[int, int]
+    #: See `fesim.solid.linear_solver.factorise`.
     solver: str | None
 
     @property

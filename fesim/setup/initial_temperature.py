@@ -29,23 +29,15 @@ BESIDE = 0.02
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Nodal temperatures of another simulation.
+    """Nodal temperatures of another simulation."""
 
-    Attributes
-    ----------
-    path : Path
-        Where they are from.
-    mesh : skfem.Mesh
-        Of first order.
-    body : ndarray of int, shape (cells,)
-        Number of the body of each cell.
-    temperature : ndarray, shape (nodes,)
-        Above the initial ambient of that simulation, K.
-    """
-
+    #: Where they are from.
     path: Path
+    #: Of first order.
     mesh: Mesh
+    #: Shape (cells,): Number of the body of each cell.
     body: NDArray[np.int64]
+    #: Shape (nodes,): above the initial ambient of that simulation, K.
     temperature: Array
 
 

@@ -128,33 +128,22 @@ def input_layout(case: Case) -> InputLayout:
 
 @dataclass(frozen=True, eq=False)
 class MarchInputs:
-    """Histories of the inputs of a march: thermal ones, then those of loads and bolts.
+    """Histories of the inputs of a march: thermal ones, then those of loads and bolts."""
 
-    Attributes
-    ----------
-    layout : InputLayout
-        Order of the thermal inputs.
-    step : float
-        Length of a step, s.
-    heat : History
-        The case's heat input.
-    sources : list of (float, History)
-        Power at heat input 1, W, and heat input of each source.
-    ambient : History or None
-        °C.
-    held : list of History
-        Of the held surfaces, K.
-    forces : list of History
-        Factors of the loads, forces of the bolts (N), and with bolts a 1
-        (`fesim.solid.bolts.fastened`).
-    """
-
+    #: Order of the thermal inputs.
     layout: InputLayout
+    #: Length of a step, s.
     step: float
+    #: The case's heat input.
     heat: History
+    #: Power at heat input 1, W, and heat input of each source.
     sources: list[tuple[float, History]]
+    #: °C.
     ambient: History | None
+    #: Of the held surfaces, K.
     held: list[History]
+    #: Factors of the loads, forces of the bolts (N), and with bolts a 1
+    #: (`fesim.solid.bolts.fastened`).
     forces: list[History]
 
     def at(self, ends: Array) -> Array:

@@ -35,45 +35,30 @@ from thermojoint.artefacts.units import MEGA
 
 @dataclass(frozen=True)
 class StressErrors:
-    """Error of the displacement by the mesh of the displacements, along three axes.
+    """Error of the displacement by the mesh of the displacements, along three axes."""
 
-    Attributes
-    ----------
-    temperature : ndarray, shape (3, n_heat)
-        m/K.
-    remainder : ndarray, shape (3, 3 m)
-        m/Pa.
-    forces : ndarray, shape (3, l + b)
-        Per factor of each load and N of each bolt, m.
-    """
-
+    #: Shape (3, n_heat): m/K.
     temperature: Array
+    #: Shape (3, 3 m): m/Pa.
     remainder: Array
+    #: Shape (3, l + b): per factor of each load and N of each bolt, m.
     forces: Array
 
 
 @dataclass(frozen=True)
 class HeatErrors:
-    """Error of the displacement by the mesh of the temperatures, along three axes.
+    """Error of the displacement by the mesh of the temperatures, along three axes."""
 
-    Attributes
-    ----------
-    temperature : ndarray, shape (3, n_heat)
-        m/K.
-    rising : ndarray, shape (3, n_heat)
-        Per change of temperature in time, m s/K.
-    inputs : ndarray, shape (3, k)
-        Per unit of each input, m.
-    flow : ndarray, shape (3, m)
-        Per heat flow through each contact element, m/W.
-    beyond : ndarray, shape (n_high, 3)
-        Part of the dual temperatures of second order that those of first order lack, m/W.
-    """
-
+    #: Shape (3, n_heat): m/K.
     temperature: Array
+    #: Shape (3, n_heat): per change of temperature in time, m s/K.
     rising: Array
+    #: Shape (3, k): per unit of each input, m.
     inputs: Array
+    #: Shape (3, m): per heat flow through each contact element, m/W.
     flow: Array
+    #: Shape (n_high, 3): part of the dual temperatures of second order that those of first order
+    #: lack, m/W.
     beyond: Array
 
     def on(self, basis: Array) -> HeatErrors:
@@ -89,21 +74,14 @@ class HeatErrors:
 
 @dataclass(frozen=True)
 class MeshErrors:
-    """Errors of the displacement by the meshes of temperatures and of displacements.
+    """Errors of the displacement by the meshes of temperatures and of displacements."""
 
-    Attributes
-    ----------
-    heat : HeatErrors
-        By that of the temperatures.
-    variable : callable or None
-        Part of that by what depends on temperature: nodal temperatures (n_heat,), time (s) and
-        inputs (k + l,) to errors (3,), m.
-    stress : StressErrors
-        By that of the displacements.
-    """
-
+    #: By that of the temperatures.
     heat: HeatErrors
+    #: Part of that by what depends on temperature: nodal temperatures (n_heat,), time (s) and
+    #: inputs (k + l,) to errors (3,), m.
     variable: Callable[[Array, float, Array], Array] | None
+    #: By that of the displacements.
     stress: StressErrors
 
 

@@ -36,29 +36,19 @@ MOST_IN_ALL = 6_000
 
 @dataclass(frozen=True)
 class Parts:
-    """Checked contents of a case, before any finite-element work.
+    """Checked contents of a case, before any finite-element work."""
 
-    Attributes
-    ----------
-    structure : Structure
-        With all probes of the case.
-    joints : tuple of PairedJoint
-        In the order of the contact elements.
-    probes : dict of str to Probe
-        Temperature probes: those that the case names and its candidates.
-    constraints : Constraints
-        Constraints of the bodies; checked.
-    laws : list of (JointLaw, int)
-        The law of each joint and how many contact elements it has.
-    bolts : list of Bolt
-        In the case's order.
-    """
-
+    #: With all probes of the case.
     structure: Structure
+    #: In the order of the contact elements.
     joints: tuple[PairedJoint, ...]
+    #: Temperature probes: those that the case names and its candidates.
     probes: dict[str, Probe]
+    #: Constraints of the bodies; checked.
     constraints: Constraints
+    #: The law of each joint and how many contact elements it has.
     laws: list[tuple[JointLaw, int]]
+    #: In the case's order.
     bolts: list[Bolt]
 
 

@@ -25,20 +25,13 @@ from thermojoint.artefacts.arrays import Array
 
 @dataclass(frozen=True)
 class Patch:
-    """Contact area of a bolt's end: points that share its force.
+    """Contact area of a bolt's end: points that share its force."""
 
-    Attributes
-    ----------
-    points : ndarray, shape (3, q)
-        m.
-    cells : ndarray of int, shape (q,)
-        The cell each point lies in.
-    weights : ndarray, shape (q,)
-        Share of each point; together 1.
-    """
-
+    #: Shape (3, q): m.
     points: Array
+    #: Shape (q,): the cell each point lies in.
     cells: NDArray[np.int64]
+    #: Shape (q,): share of each point; together 1.
     weights: Array
 
     @property
@@ -54,21 +47,14 @@ class Patch:
 
 @dataclass(frozen=True)
 class Bolt:
-    """A bolt.
+    """A bolt."""
 
-    Attributes
-    ----------
-    head, thread : Patch
-        Its ends.
-    stiffness : float
-        k_b, N/m.
-    growth : float
-        alpha L: free elongation per K of its mean temperature, m/K.
-    """
-
+    #: Its ends.
     head: Patch
     thread: Patch
+    #: k_b, N/m.
     stiffness: float
+    #: alpha L: free elongation per K of its mean temperature, m/K.
     growth: float
 
     @property
@@ -80,17 +66,12 @@ class Bolt:
 
 @dataclass(frozen=True)
 class BoltSprings:
-    """Spring constants of b bolts.
+    """Spring constants of b bolts."""
 
-    Attributes
-    ----------
-    flexibility : ndarray, shape (b,)
-        1/k_b, m/N.
-    growth : ndarray, shape (b, n)
-        Free elongation of each per K of nodal temperature, or per amplitude of a reduced model, m.
-    """
-
+    #: Shape (b,): 1/k_b, m/N.
     flexibility: Array
+    #: Shape (b, n): free elongation of each per K of nodal temperature, or per amplitude of a
+    #: reduced model, m.
     growth: Array
 
 

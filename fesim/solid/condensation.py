@@ -37,27 +37,19 @@ class HeatBalance:
 
     Heat enters by the inputs and at the h held unknowns. There it is the residual of their rows:
     after T - before T_before - drive u + flow j.
-
-    Attributes
-    ----------
-    stored, convected : ndarray, shape (n,)
-        Column sums of M (J/K) and H (W/K).
-    entering : ndarray, shape (k,)
-        Column sums of P, W per unit of each input.
-    after, before : scipy.sparse.csr_array, shape (h, n)
-        Held rows of A0 and of M/dt, W/K.
-    drive : ndarray, shape (h, k)
-        Held rows of P.
-    flow : scipy.sparse.csr_array, shape (h, m)
-        Held rows of B^T.
     """
 
+    #: Shape (n,): column sums of M (J/K) and H (W/K).
     stored: Array
     convected: Array
+    #: Shape (k,): column sums of P, W per unit of each input.
     entering: Array
+    #: Shape (h, n): held rows of A0 and of M/dt, W/K.
     after: csr_array | Array
     before: csr_array | Array
+    #: Shape (h, k): held rows of P.
     drive: Array
+    #: Shape (h, m): held rows of B^T.
     flow: csr_array
 
 
@@ -66,107 +58,71 @@ class ThermalCondensation:
     """One implicit Euler step of the heat equation, reduced to m joint heat flows.
 
     The unknowns are nodal temperatures, or the amplitudes of a reduced model's modes.
-
-    Attributes
-    ----------
-    factor : Factor
-        A0 = M/dt + K + H, W/K.
-    capacity_rate : scipy.sparse.csr_array, shape (n, n)
-        M/dt, W/K; zero for the held unknowns.
-    inputs : ndarray, shape (n, k)
-        Right-hand side per unit of each input; for the held unknowns their temperature.
-    jump, mean : scipy.sparse.csr_array, shape (m, n)
-        B, and the mean temperature of both sides of each contact element.
-    influence : ndarray, shape (n, m)
-        W = A0^-1 B^T, K/W; zero for the held unknowns.
-    joint_influence : ndarray, shape (m, m)
-        S = B W, K/W.
-    balance : HeatBalance
-        Heat balance of a step.
-    step : float
-        dt, s.
-    model : str
-        Kind of the unknowns: ``"full"``, or the digest of a reduced model's basis.
     """
 
+    #: A0 = M/dt + K + H, W/K.
     factor: Factor
+    #: Shape (n, n): M/dt, W/K; zero for the held unknowns.
     capacity_rate: csr_array
+    #: Shape (n, k): right-hand side per unit of each input; for the held unknowns their
+    #: temperature.
     inputs: Array
+    #: Shape (m, n): B, and the mean temperature of both sides of each contact element.
     jump: csr_array | Array
     mean: csr_array | Array
+    #: Shape (n, m): W = A0^-1 B^T, K/W; zero for the held unknowns.
     influence: Array
+    #: Shape (m, m): S = B W, K/W.
     joint_influence: Array
+    #: Heat balance of a step.
     balance: HeatBalance
+    #: dt, s.
     step: float
+    #: Kind of the unknowns: ``"full"``, or the digest of a reduced model's basis.
     model: str = FULL
 
 
 @dataclass(frozen=True)
 class ElasticCondensation:
-    """Gaps and probes as linear functions of temperature and traction.
+    """Gaps and probes as linear functions of temperature and traction."""
 
-    Attributes
-    ----------
-    compliance : ndarray, shape (3 m, 3 m)
-        C, gap per joint force, m/N.
-    thermal_gap : ndarray, shape (3 m, n_heat)
-        S_T, m/K.
-    probe_compliance : ndarray, shape (k, 3 m)
-        Probe displacement per joint force, m/N.
-    probe_thermal : ndarray, shape (k, n_heat)
-        Probe displacement per temperature, m/K.
-    reference : ndarray, shape (3 m,)
-        Stiffness of the reference springs, Pa/m.
-    area : ndarray, shape (3 m,)
-        Area of the contact element of each gap component, m2.
-    """
-
+    #: Shape (3 m, 3 m): C, gap per joint force, m/N.
     compliance: Array
+    #: Shape (3 m, n_heat): s_T, m/K.
     thermal_gap: Array
+    #: Shape (k, 3 m): probe displacement per joint force, m/N.
     probe_compliance: Array
+    #: Shape (k, n_heat): probe displacement per temperature, m/K.
     probe_thermal: Array
+    #: Shape (3 m,): stiffness of the reference springs, Pa/m.
     reference: Array
+    #: Shape (3 m,): area of the contact element of each gap component, m2.
     area: Array
 
 
 @dataclass(frozen=True)
 class LoadInfluence:
-    """Influence of l mechanical loads on gaps and probes, at factor one without joint forces.
+    """Influence of l mechanical loads on gaps and probes, at factor one without joint forces."""
 
-    Attributes
-    ----------
-    gap : ndarray, shape (3 m, l)
-        m, with the reference springs across the joints.
-    probes : ndarray, shape (k, l)
-        m.
-    """
-
+    #: Shape (3 m, l): m, with the reference springs across the joints.
     gap: Array
+    #: Shape (k, l): m.
     probes: Array
 
 
 @dataclass(frozen=True)
 class DisplacementField:
-    """Full displacement field on demand (for snapshots).
+    """Full displacement field on demand (for snapshots)."""
 
-    Attributes
-    ----------
-    structure : FactorisedStructure
-        Its pieces, without springs across the joints.
-    ties : scipy.sparse.csr_array, shape (q, n)
-        E: G, and the unknowns with anchors.
-    condensed : TieCondensation
-        On these ties.
-    gap : scipy.sparse.csr_array, shape (3 m, n)
-        G.
-    area : ndarray, shape (3 m,)
-        Area of each gap component, m2.
-    """
-
+    #: Its pieces, without springs across the joints.
     structure: FactorisedStructure
+    #: Shape (q, n): E: G, and the unknowns with anchors.
     ties: csr_array
+    #: On these ties.
     condensed: TieCondensation
+    #: Shape (3 m, n): G.
     gap: csr_array
+    #: Shape (3 m,): area of each gap component, m2.
     area: Array
 
     def solve(self, temperature: Array, remainder: Array, forces: Array | None = None) -> Array:

@@ -28,48 +28,31 @@ DIRECTIONS = ("x", "y", "z")
 
 @dataclass(frozen=True)
 class ElasticPiece:
-    """Thermoelastic equilibrium K u = F T of a part that shares no node with the others.
+    """Thermoelastic equilibrium K u = F T of a part that shares no node with the others."""
 
-    Attributes
-    ----------
-    unknowns : ndarray of int, shape (p,)
-        Its unknowns in the numbering of the whole, in ascending order.
-    points : ndarray, shape (p / 3, 3)
-        Positions of its nodes, m; unknown 3 i + c is direction c at node i.
-    stiffness : scipy.sparse.csr_array, shape (p, p)
-        Upper triangle of K, N/m, supports not yet removed.
-    thermal_load : scipy.sparse.csr_array, shape (p, n_heat)
-        F, N/K.
-    free : ndarray of bool, shape (p,)
-        Unknowns without support.
-    """
-
+    #: Shape (p,): its unknowns in the numbering of the whole, in ascending order.
     unknowns: NDArray[np.int64]
+    #: Shape (p / 3, 3): positions of its nodes, m; unknown 3 i + c is direction c at node i.
     points: Array
+    #: Shape (p, p): upper triangle of K, N/m, supports not yet removed.
     stiffness: csr_array
+    #: Shape (p, n_heat): F, N/K.
     thermal_load: csr_array
+    #: Shape (p,): unknowns without support.
     free: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class ElasticOperators:
-    """Thermoelastic equilibrium K u = F T of the whole, supports not yet removed.
+    """Thermoelastic equilibrium K u = F T of the whole, supports not yet removed."""
 
-    Attributes
-    ----------
-    stiffness : scipy.sparse.csr_array, shape (n, n)
-        K, N/m.
-    thermal_load : scipy.sparse.csr_array, shape (n, n_heat)
-        F, N/K: nodal forces of a fully constrained temperature field.
-    free : ndarray of int
-        Unknowns that no support holds.
-    points : ndarray, shape (n / 3, 3)
-        Positions of the nodes, m.
-    """
-
+    #: Shape (n, n): K, N/m.
     stiffness: csr_array
+    #: Shape (n, n_heat): F, N/K: nodal forces of a fully constrained temperature field.
     thermal_load: csr_array
+    #: Unknowns that no support holds.
     free: NDArray[np.int64]
+    #: Shape (n / 3, 3): positions of the nodes, m.
     points: Array
 
     def pieces(self) -> Iterator[ElasticPiece]:

@@ -23,20 +23,13 @@ AT_ONCE = 1024
 
 @dataclass(frozen=True)
 class Places:
-    """Positions of element-matrix entries in a CSR matrix.
+    """Positions of element-matrix entries in a CSR matrix."""
 
-    Attributes
-    ----------
-    order : ndarray of int, shape (e,)
-        Entries in the order of their places.
-    first : ndarray of int, shape (p,)
-        The first one, in that order, of each place.
-    indices, indptr : ndarray of int, shapes (p,) and (rows + 1,)
-        Column of each place, and the first place of each row.
-    """
-
+    #: Shape (e,): entries in the order of their places.
     order: NDArray[np.int64]
+    #: Shape (p,): the first one, in that order, of each place.
     first: NDArray[np.int64]
+    #: Shapes (p,) and (rows + 1,): column of each place, and the first place of each row.
     indices: NDArray[np.int32]
     indptr: NDArray[np.int64]
 
@@ -68,17 +61,11 @@ def places_of(
 
 @dataclass(frozen=True)
 class CellGradients:
-    """Gradients on the quadrature points of some cells.
+    """Gradients on the quadrature points of some cells."""
 
-    Attributes
-    ----------
-    gradient : ndarray, shape (cells, functions, 3, points)
-        Of each shape function, 1/m.
-    volume : ndarray, shape (cells, points)
-        Weight of each point, m3.
-    """
-
+    #: Shape (cells, functions, 3, points): of each shape function, 1/m.
     gradient: Array
+    #: Shape (cells, points): weight of each point, m3.
     volume: Array
 
     def stiffness(

@@ -20,49 +20,31 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class SurfaceForce:
-    """A force distributed evenly over a surface.
+    """A force distributed evenly over a surface."""
 
-    Attributes
-    ----------
-    surface : str
-        Where it acts.
-    force : tuple of float
-        On the meshed part, N.
-    """
-
+    #: Where it acts.
     surface: str
+    #: On the meshed part, N.
     force: Vector
 
 
 @dataclass(frozen=True)
 class SurfacePressure:
-    """A pressure on a surface, against its outward normal.
+    """A pressure on a surface, against its outward normal."""
 
-    Attributes
-    ----------
-    surface : str
-        Where it acts.
-    pressure : float
-        Pa.
-    """
-
+    #: Where it acts.
     surface: str
+    #: Pa.
     pressure: float
 
 
 @dataclass(frozen=True)
 class BodyForce:
-    """The weight of bodies, or their inertial force.
+    """The weight of bodies, or their inertial force."""
 
-    Attributes
-    ----------
-    bodies : tuple of str
-        Bodies on which it acts.
-    acceleration : tuple of float
-        m/s2: (0, 0, -9.81) is gravity where z is up.
-    """
-
+    #: Bodies on which it acts.
     bodies: tuple[str, ...]
+    #: m/s2: (0, 0, -9.81) is gravity where z is up.
     acceleration: Vector
 
 

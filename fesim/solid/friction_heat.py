@@ -13,37 +13,24 @@ from thermojoint.artefacts.arrays import Array
 
 @dataclass(frozen=True)
 class FrictionHeat:
-    """Heat of friction of the contact elements as a load of the heat equation.
+    """Heat of friction of the contact elements as a load of the heat equation."""
 
-    Attributes
-    ----------
-    into : scipy.sparse.csr_array or ndarray, shape (n, m)
-        Heat of each unknown per W of each element; zero where temperatures are held and for joints
-        whose friction is not counted.
-    entering : ndarray, shape (m,)
-        Its sum over the nodes that are not held.
-    counted : ndarray, shape (m,)
-        1 for elements whose friction heats, 0 for the others.
-    """
-
+    #: Shape (n, m): heat of each unknown per W of each element; zero where temperatures are held
+    #: and for joints whose friction is not counted.
     into: csr_array | Array
+    #: Shape (m,): its sum over the nodes that are not held.
     entering: Array
+    #: Shape (m,): 1 for elements whose friction heats, 0 for the others.
     counted: Array
 
 
 @dataclass(frozen=True)
 class GivenHeat:
-    """Heat that enters besides the inputs of a step.
+    """Heat that enters besides the inputs of a step."""
 
-    Attributes
-    ----------
-    load : ndarray, shape (n,)
-        Of each unknown, W; zero where temperatures are held.
-    total : float
-        Its sum over the nodes, W.
-    """
-
+    #: Shape (n,): of each unknown, W; zero where temperatures are held.
     load: Array
+    #: Its sum over the nodes, W.
     total: float
 
 

@@ -29,70 +29,46 @@ from thermojoint.artefacts.errors import InputError
 
 @dataclass(frozen=True)
 class HeatSource:
-    """A region that is heated: one surface, or the volume of one body.
+    """A region that is heated: one surface, or the volume of one body."""
 
-    Attributes
-    ----------
-    power : float
-        Heat that enters the meshed part at input 1, W.
-    surface, body : str or None
-        Exactly one of them is given.
-    weight : callable or None
-        Position (3, n), m, to the relative heat density (n,), not negative; the total remains
-        `power`. None heats evenly.
-    """
-
+    #: Heat that enters the meshed part at input 1, W.
     power: float
+    #: Exactly one of them is given.
     surface: str | None = None
     body: str | None = None
+    #: Position (3, n), m, to the relative heat density (n,), not negative; the total remains
+    #: `power`. None heats evenly.
     weight: OfPosition | None = None
 
 
 @dataclass(frozen=True)
 class ThermalLoads:
-    """Convection, heat sources and prescribed temperatures of a structure.
+    """Convection, heat sources and prescribed temperatures of a structure."""
 
-    Attributes
-    ----------
-    convection : mapping
-        Surface name to its convection coefficient, W/(m2 K).
-    sources : sequence of HeatSource
-        Heat sources.
-    held : mapping
-        Surface with prescribed temperature to a factor of position on it; None holds it evenly.
-        Where two of them meet, the first one applies.
-    """
-
+    #: Surface name to its convection coefficient, W/(m2 K).
     convection: Mapping[str, float] = field(default_factory=dict)
     sources: Sequence[HeatSource] = ()
+    #: Surface with prescribed temperature to a factor of position on it; None holds it evenly.
+    #: Where two of them meet, the first one applies.
     held: Mapping[str, OfPosition | None] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class HeatOperators:
-    """Semi-discrete heat equation M dT/dt + (K + H) T = P u(t), joints not included.
+    """Semi-discrete heat equation M dT/dt + (K + H) T = P u(t), joints not included."""
 
-    Attributes
-    ----------
-    capacity, conduction, convection : scipy.sparse.csr_array, shape (n, n)
-        M (J/K, lumped), K and H (W/K).
-    inputs : ndarray, shape (n, k)
-        P: nodal heat per unit of each input: of the sources (W), of the ambient above the initial
-        one (W/K); zero for the held surfaces.
-    held : ndarray of int, shape (h,)
-        Unknowns whose temperature is given; their rows of the equation do not hold.
-    held_inputs : ndarray, shape (h, k)
-        Their temperature per unit of each input.
-    layout : InputLayout
-        Which input is which.
-    """
-
+    #: Shape (n, n): M (J/K, lumped), K and H (W/K).
     capacity: csr_array
     conduction: csr_array
     convection: csr_array
+    #: Shape (n, k): P: nodal heat per unit of each input: of the sources (W), of the ambient above
+    #: the initial one (W/K); zero for the held surfaces.
     inputs: Array
+    #: Shape (h,): unknowns whose temperature is given; their rows of the equation do not hold.
     held: NDArray[np.int64]
+    #: Shape (h, k): their temperature per unit of each input.
     held_inputs: Array
+    #: Which input is which.
     layout: InputLayout
 
 

@@ -7,17 +7,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class InputLayout:
-    """Positions of the inputs.
+    """Positions of the inputs."""
 
-    Attributes
-    ----------
-    sources : int
-        Number of heat sources, W each.
-    held : int
-        Number of surfaces of given temperature, K each.
-    """
-
+    #: Number of heat sources, W each.
     sources: int
+    #: Number of surfaces of given temperature, K each.
     held: int
 
     @property

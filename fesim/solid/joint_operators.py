@@ -19,24 +19,16 @@ from meshes.pairing import PairedJoint
 
 @dataclass(frozen=True)
 class JointOperators:
-    """All contact elements of all joints, m in number, one after another.
+    """All contact elements of all joints, m in number, one after another."""
 
-    Attributes
-    ----------
-    jump : scipy.sparse.csr_array, shape (m, n_heat)
-        B: mean temperature of side a minus that of side b.
-    gap : scipy.sparse.csr_array, shape (3 m, n)
-        G: mean displacement of side b minus that of side a: m openings, then m relative
-        displacements along the first tangent, then along the second.
-    area : ndarray, shape (m,)
-        Area of each contact element, m2.
-    mean : scipy.sparse.csr_array, shape (m, n_heat)
-        Mean temperature of both sides.
-    """
-
+    #: Shape (m, n_heat): B: mean temperature of side a minus that of side b.
     jump: csr_array
+    #: Shape (3 m, n): G: mean displacement of side b minus that of side a: m openings, then m
+    #: relative displacements along the first tangent, then along the second.
     gap: csr_array
+    #: Shape (m,): area of each contact element, m2.
     area: NDArray[np.float64]
+    #: Shape (m, n_heat): mean temperature of both sides.
     mean: csr_array
 
 

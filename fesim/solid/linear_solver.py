@@ -45,20 +45,13 @@ ROUNDING, ROUNDING_LIMIT = 16.0 * float(np.finfo(float).eps), 1e-5
 
 @dataclass(frozen=True)
 class Factor:
-    """A factorised symmetric positive definite matrix.
+    """A factorised symmetric positive definite matrix."""
 
-    Attributes
-    ----------
-    matrix : scipy.sparse.csr_array
-        Upper triangle of the factorised matrix.
-    solve : callable
-        Right-hand sides, shape (n,) or (n, k), to solutions of the same shape.
-    solver : str
-        Name of the solver.
-    """
-
+    #: Upper triangle of the factorised matrix.
     matrix: csr_array
+    #: Right-hand sides, shape (n,) or (n, k), to solutions of the same shape.
     solve: Callable[[Array], Array]
+    #: Name of the solver.
     solver: str
 
 

@@ -11,29 +11,19 @@ from thermojoint.artefacts.errors import InputError
 
 @dataclass(frozen=True)
 class Material:
-    """Properties of one material, SI.
+    """Properties of one material, SI."""
 
-    Attributes
-    ----------
-    conductivity : float
-        k, W/(m K).
-    density : float
-        rho, kg/m3.
-    heat_capacity : float
-        c_p, J/(kg K).
-    youngs_modulus : float
-        E, Pa.
-    poisson_ratio : float
-        nu, between -1 and 0.5.
-    expansion : float
-        Coefficient of linear thermal expansion, 1/K; may be zero.
-    """
-
+    #: k, W/(m K).
     conductivity: float
+    #: rho, kg/m3.
     density: float
+    #: c_p, J/(kg K).
     heat_capacity: float
+    #: E, Pa.
     youngs_modulus: float
+    #: nu, between -1 and 0.5.
     poisson_ratio: float
+    #: Coefficient of linear thermal expansion, 1/K; may be zero.
     expansion: float
 
     def __post_init__(self) -> None:

@@ -24,38 +24,27 @@ from thermojoint.artefacts.arrays import Array
 
 @dataclass(frozen=True)
 class OutputRows:
-    """c_u, c_T, c_z and c_f of o outputs, side by side.
+    """c_u, c_T, c_z and c_f of o outputs, side by side."""
 
-    Attributes
-    ----------
-    displacement : scipy.sparse.csr_array, shape (o, n)
-    temperature : scipy.sparse.csr_array, shape (o, n_heat)
-    remainder : ndarray, shape (o, 3 m)
-    loads : ndarray, shape (o, l)
-    """
-
+    #: Shape (o, n).
     displacement: csr_array
+    #: Shape (o, n_heat).
     temperature: csr_array
+    #: Shape (o, 3 m).
     remainder: Array
+    #: Shape (o, l).
     loads: Array
 
 
 @dataclass(frozen=True)
 class MechanicalOutputs:
-    """Outputs as linear functions of a step.
+    """Outputs as linear functions of a step."""
 
-    Attributes
-    ----------
-    temperature : ndarray, shape (o, n)
-        Per K, or per amplitude of a reduced model.
-    remainder : ndarray, shape (o, 3 m)
-        Per Pa.
-    loads : ndarray, shape (o, l)
-        Per unit of each load's factor.
-    """
-
+    #: Shape (o, n): per K, or per amplitude of a reduced model.
     temperature: Array
+    #: Shape (o, 3 m): per Pa.
     remainder: Array
+    #: Shape (o, l): per unit of each load's factor.
     loads: Array
 
     def of(self, temperature: Array, remainder: Array, factors: Array) -> Array:
@@ -98,17 +87,11 @@ def stacked(rows: Sequence[OutputRows]) -> OutputRows:
 
 
 class Supports(NamedTuple):
-    """Supported surfaces.
+    """Supported surfaces."""
 
-    Attributes
-    ----------
-    held : sequence of (str, sequence of int)
-        Surfaces and their constrained directions; unknowns on two of them belong to the first.
-    springs : sequence of (str, tuple of float)
-        Surfaces and the stiffness of the springs under them along x, y and z, N/m.
-    """
-
+    #: Surfaces and their constrained directions; unknowns on two of them belong to the first.
     held: Sequence[tuple[str, Sequence[int]]]
+    #: Surfaces and the stiffness of the springs under them along x, y and z, N/m.
     springs: Sequence[tuple[str, tuple[float, float, float]]]
 
 

@@ -91,24 +91,16 @@ def stress_error_rows(
 
 @dataclass(frozen=True)
 class _Recovery:
-    """Means at nodes of values at the corners of cells, and where they are compared.
+    """Means at nodes of values at the corners of cells, and where they are compared."""
 
-    Attributes
-    ----------
-    mean : scipy.sparse.csr_array
-        Corners, one cell after the other in each, to their node's mean: symmetric.
-    quadrature : tuple of ndarray, shapes (3, q) and (q,)
-        Points and weights of the reference cell.
-    shapes : ndarray, shape (corners, q)
-        Functions of the corners there.
-    inwards : ndarray, shape (corners, cells, 3, 3)
-        Projection on the directions along which a section through the node of a corner may bear
-        traction.
-    """
-
+    #: Corners, one cell after the other in each, to their node's mean: symmetric.
     mean: csr_array
+    #: Shapes (3, q) and (q,): points and weights of the reference cell.
     quadrature: tuple[Array, Array]
+    #: Shape (corners, q): functions of the corners there.
     shapes: Array
+    #: Shape (corners, cells, 3, 3): projection on the directions along which a section through the
+    #: node of a corner may bear traction.
     inwards: Array
 
     def smoothed(self, stress: Array) -> Array:

@@ -44,22 +44,15 @@ TOGETHER = 50
 
 @dataclass(frozen=True)
 class Search:
-    """How a basis is searched for.
+    """How a basis is searched for."""
 
-    Attributes
-    ----------
-    shifts : tuple of int
-        Numbers of shifts tried in turn.
-    cut : float
-        Directions whose heat capacity-weighted size, K (J/K)^0.5, is below this are left out at
-        first; a tenth of it with every further number of shifts.
-    sample : int
-        So many random combinations at a time represent the drives if these are more than twice as
-        many, until fewer than half of them add a new direction.
-    """
-
+    #: Numbers of shifts tried in turn.
     shifts: tuple[int, ...] = (20, 28, 40)
+    #: Directions whose heat capacity-weighted size, K (J/K)^0.5, is below this are left out at
+    #: first; a tenth of it with every further number of shifts.
     cut: float = 3e-4
+    #: So many random combinations at a time represent the drives if these are more than twice as
+    #: many, until fewer than half of them add a new direction.
     sample: int = 64
 
 
@@ -68,48 +61,31 @@ USUAL = Search()
 
 @dataclass(frozen=True)
 class ReducedHeat:
-    """A diagonalised reduced model of r modes.
+    """A diagonalised reduced model of r modes."""
 
-    Attributes
-    ----------
-    basis : ndarray, shape (n, r)
-        V, K per unit of each mode.
-    rates : ndarray, shape (r,)
-        V^T A V, 1/s.
-    error : float
-        Largest error of an output measured between the shifts, relative to its tolerance.
-    shifts : ndarray, shape (k,)
-        1/s.
-    """
-
+    #: Shape (n, r): V, K per unit of each mode.
     basis: Array
+    #: Shape (r,): V^T A V, 1/s.
     rates: Array
+    #: Largest error of an output measured between the shifts, relative to its tolerance.
     error: float
+    #: Shape (k,): 1/s.
     shifts: Array
 
 
 @dataclass(frozen=True)
 class HeatSystem:
-    """The heat equation to be reduced, with its inputs and outputs.
+    """The heat equation to be reduced, with its inputs and outputs."""
 
-    Attributes
-    ----------
-    capacity : ndarray, shape (n,)
-        Diagonal of M, J/K.
-    conduction : scipy.sparse.csr_array, shape (n, n)
-        A = K + H, W/K, symmetric and positive semidefinite.
-    drives : ndarray, shape (n, p)
-        Right-hand sides, each of typical size, W.
-    outputs : ndarray, shape (q, n)
-        Rows of the outputs, each divided by its tolerance.
-    start : ndarray, shape (n, f)
-        Initial fields, K.
-    """
-
+    #: Shape (n,): diagonal of M, J/K.
     capacity: Array
+    #: Shape (n, n): a = K + H, W/K, symmetric and positive semidefinite.
     conduction: csr_array
+    #: Shape (n, p): right-hand sides, each of typical size, W.
     drives: Array
+    #: Shape (q, n): rows of the outputs, each divided by its tolerance.
     outputs: Array
+    #: Shape (n, f): initial fields, K.
     start: Array
 
 

@@ -52,32 +52,24 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Constraints:
-    """Possible constraints of the pieces of a structure.
+    """Possible constraints of the pieces of a structure."""
 
-    Attributes
-    ----------
-    frame : Frame
-        Of the motions of all p pieces.
-    pieces : tuple of str
-        Names of the pieces in messages.
-    supports : ndarray, shape (k, 6 p)
-        Orthonormal rows for each surface of fixed points, symmetry or springs, and for each bolt.
-    share : ndarray, shape (m, p)
-        Share of each piece in side b of each contact element, minus its share in side a.
-    centre : ndarray, shape (m, 3)
-        Of each contact element, m.
-    directions : ndarray, shape (3, m, 3)
-        Its normal and its two tangents.
-    slack : ndarray, shape (m,)
-        Apparent constraint by the facets of its joint that the curved face does not provide.
-    """
-
+    #: Of the motions of all p pieces.
     frame: Frame
+    #: Names of the pieces in messages.
     pieces: tuple[str, ...]
+    #: Shape (k, 6 p): orthonormal rows for each surface of fixed points, symmetry or springs, and
+    #: for each bolt.
     supports: Array
+    #: Shape (m, p): share of each piece in side b of each contact element, minus its share in side
+    #: a.
     share: Array
+    #: Shape (m, 3): of each contact element, m.
     centre: Array
+    #: Shape (3, m, 3): its normal and its two tangents.
     directions: Array
+    #: Shape (m,): apparent constraint by the facets of its joint that the curved face does not
+    #: provide.
     slack: Array
 
     def unheld(self, element: NDArray[np.int64], direction: Array) -> Array:

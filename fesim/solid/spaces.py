@@ -48,21 +48,14 @@ _NEWTON_STEPS = 20
 
 @dataclass(frozen=True)
 class Spaces:
-    """Bases of a structure.
+    """Bases of a structure."""
 
-    Attributes
-    ----------
-    heat : skfem.CellBasis
-        Temperature.
-    displacement : skfem.CellBasis
-        One component of displacement: its numbering, places and surfaces. It has one quadrature
-        point a cell and integrates nothing of second order over cells: `elastic` does.
-    order : int
-        Of the quadrature of the stiffness.
-    """
-
+    #: Temperature.
     heat: CellBasis
+    #: One component of displacement: its numbering, places and surfaces. It has one quadrature
+    #: point a cell and integrates nothing of second order over cells: `elastic` does.
     displacement: CellBasis
+    #: Of the quadrature of the stiffness.
     order: int
 
     @cached_property

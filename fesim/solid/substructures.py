@@ -40,26 +40,17 @@ HELD = 1e-3
 
 @dataclass(frozen=True)
 class Substructure:
-    """One piece with its supports and anchors, factorised.
+    """One piece with its supports and anchors, factorised."""
 
-    Attributes
-    ----------
-    unknowns : ndarray of int, shape (f,)
-        Its free unknowns in the numbering of the whole.
-    factor : Factor
-        Kd on them.
-    thermal_load : scipy.sparse.csr_array, shape (f, n_heat)
-        F.
-    anchored : ndarray of int, shape (a,)
-        Unknowns with an anchor spring, in the numbering of the whole.
-    anchor : float
-        Stiffness of each of these springs, N/m.
-    """
-
+    #: Shape (f,): its free unknowns in the numbering of the whole.
     unknowns: NDArray[np.int64]
+    #: Kd on them.
     factor: Factor
+    #: Shape (f, n_heat): F.
     thermal_load: csr_array
+    #: Shape (a,): unknowns with an anchor spring, in the numbering of the whole.
     anchored: NDArray[np.int64]
+    #: Stiffness of each of these springs, N/m.
     anchor: float
 
 
@@ -68,25 +59,17 @@ class TieCondensation:
     """Ties and probes as linear functions of forces and temperatures, for Kr.
 
     The first 3 m of the q ties are the gaps; the others are anchored unknowns.
-
-    Attributes
-    ----------
-    springs : ndarray, shape (q,)
-        D, N/m.
-    compliance : ndarray, shape (q, q)
-        E Kr^-1 E^T, m/N.
-    thermal : ndarray, shape (q, n_heat)
-        E Kr^-1 F, m/K.
-    probe_compliance : ndarray, shape (k, q)
-        Of probes P: P Kr^-1 E^T, m/N.
-    probe_thermal : ndarray, shape (k, n_heat)
-        P Kr^-1 F, m/K.
     """
 
+    #: Shape (q,): D, N/m.
     springs: Array
+    #: Shape (q, q): E Kr^-1 E^T, m/N.
     compliance: Array
+    #: Shape (q, n_heat): E Kr^-1 F, m/K.
     thermal: Array
+    #: Shape (k, q): of probes P: P Kr^-1 E^T, m/N.
     probe_compliance: Array
+    #: Shape (k, n_heat): P Kr^-1 F, m/K.
     probe_thermal: Array
 
 
@@ -178,19 +161,12 @@ def substructures(
 
 @dataclass(frozen=True)
 class FactorisedStructure:
-    """All pieces of a structure, factorised.
-
-    Attributes
-    ----------
-    substructures : tuple of Substructure
-    thermal_load : scipy.sparse.csr_array, shape (n, n_heat)
-        F, also of unknowns that supports hold.
-    held_stiffness : scipy.sparse.csr_array, shape (n, n)
-        Rows of K of the unknowns that supports hold; the others are empty.
-    """
+    """All pieces of a structure, factorised."""
 
     substructures: tuple[Substructure, ...]
+    #: Shape (n, n_heat): F, also of unknowns that supports hold.
     thermal_load: csr_array
+    #: Shape (n, n): rows of K of the unknowns that supports hold; the others are empty.
     held_stiffness: csr_array
 
 
@@ -227,20 +203,13 @@ def tie_rows(gap: csr_array, pieces: Iterable[Substructure]) -> csr_array:
 
 @dataclass(frozen=True)
 class UntiedCondensation:
-    """Ties and k probes as functions of forces and temperatures, for Kd: no tie carries a force.
+    """Ties and k probes as functions of forces and temperatures, for Kd: no tie carries a force."""
 
-    Attributes
-    ----------
-    springs : ndarray, shape (q,)
-        D, N/m.
-    compliance : ndarray, shape (q + k, q)
-        [E; P] Kd^-1 E^T, m/N.
-    thermal : ndarray, shape (q + k, n_heat)
-        [E; P] Kd^-1 F, m/K.
-    """
-
+    #: Shape (q,): D, N/m.
     springs: Array
+    #: Shape (q + k, q): [E; P] Kd^-1 E^T, m/N.
     compliance: Array
+    #: Shape (q + k, n_heat): [E; P] Kd^-1 F, m/K.
     thermal: Array
 
 

@@ -14,17 +14,11 @@ from thermojoint.artefacts.errors import InputError
 
 @dataclass(frozen=True)
 class TemperatureFactor:
-    """A piecewise linear factor f(T), constant beyond its points.
+    """A piecewise linear factor f(T), constant beyond its points."""
 
-    Attributes
-    ----------
-    rises : ndarray, shape (p,)
-        Temperatures above the initial ambient, K, rising strictly.
-    values : ndarray, shape (p,)
-        The factor there, positive.
-    """
-
+    #: Shape (p,): temperatures above the initial ambient, K, rising strictly.
     rises: Array
+    #: Shape (p,): the factor there, positive.
     values: Array
 
     @property
@@ -51,14 +45,9 @@ class TemperatureFactor:
 
 @dataclass(frozen=True)
 class ThermalGrowth:
-    """Bodies whose expansion depends on temperature: strain alpha0 theta(T), not alpha0 T.
+    """Bodies whose expansion depends on temperature: strain alpha0 theta(T), not alpha0 T."""
 
-    Attributes
-    ----------
-    parts : tuple of (ndarray of int, TemperatureFactor)
-        Temperature unknowns of a body, and its factor.
-    """
-
+    #: Temperature unknowns of a body, and its factor.
     parts: tuple[tuple[NDArray[np.int64], TemperatureFactor], ...]
 
     def strained(self, temperature: Array) -> Array:

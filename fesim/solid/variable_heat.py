@@ -31,23 +31,15 @@ Potential = Callable[[Array, float], Array]
 
 @dataclass(frozen=True)
 class VariableHeat:
-    """N(T) of the heat equation.
+    """N(T) of the heat equation."""
 
-    Attributes
-    ----------
-    terms : tuple of (scipy.sparse.csr_array, Potential)
-        Matrices (n, n), and the functions of nodal temperatures that they multiply.
-    ambient : int
-        Index of the ambient among the inputs.
-    held : ndarray of int, shape (h,)
-        Unknowns with prescribed temperature.
-    capacities : tuple of (ndarray of shape (n,), TemperatureFactor)
-        C_b of the bodies whose heat capacity has a factor, J/K.
-    """
-
+    #: Matrices (n, n), and the functions of nodal temperatures that they multiply.
     terms: tuple[tuple[csr_array, Potential], ...]
+    #: Index of the ambient among the inputs.
     ambient: int
+    #: Shape (h,): unknowns with prescribed temperature.
     held: NDArray[np.int64]
+    #: Shape (n,), TemperatureFactor): c_b of the bodies whose heat capacity has a factor, J/K.
     capacities: tuple[tuple[Array, TemperatureFactor], ...] = ()
 
     def retained(self, before: Array, after: Array) -> Array:

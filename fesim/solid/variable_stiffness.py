@@ -31,30 +31,21 @@ from thermojoint.artefacts.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class SoftBody:
-    """Cells of a body whose modulus has a factor.
+    """Cells of a body whose modulus has a factor."""
 
-    Attributes
-    ----------
-    factor : TemperatureFactor
-        On its modulus.
-    constants : tuple of float
-        Lame's constants and (3 lambda + 2 mu) alpha where the factor is in its middle, Pa, Pa/K.
-    cells : ndarray of int, shape (c,)
-        Its cells.
-    nodes, corners : ndarray of int, shapes (c, f) and (c, g)
-        Displacement nodes and temperature unknowns of its cells.
-    shapes : ndarray, shape (g, q)
-        Temperature's functions at the quadrature points.
-    gradient, volume : ndarray, shapes (c, f, 3 q) and (c, q)
-        Gradients of the displacement's functions there, 1/m, and weights, m3.
-    """
-
+    #: On its modulus.
     factor: TemperatureFactor
+    #: Lame's constants and (3 lambda + 2 mu) alpha where the factor is in its middle, Pa, Pa/K.
     constants: tuple[float, float, float]
+    #: Shape (c,): its cells.
     cells: NDArray[np.int64]
+    #: Shapes (c, f) and (c, g): displacement nodes and temperature unknowns of its cells.
     nodes: NDArray[np.int64]
     corners: NDArray[np.int64]
+    #: Shape (g, q): temperature's functions at the quadrature points.
     shapes: Array
+    #: Shapes (c, f, 3 q) and (c, q): gradients of the displacement's functions there, 1/m, and
+    #: weights, m3.
     gradient: Array
     volume: Array
 
@@ -81,23 +72,15 @@ class SoftBody:
 
 @dataclass(frozen=True, eq=False)
 class VariableStiffness:
-    """What the factorised stiffness of a structure lacks.
+    """What the factorised stiffness of a structure lacks."""
 
-    Attributes
-    ----------
-    bodies : tuple of SoftBody
-        Those with a factor.
-    field : callable
-        The factorised structure.
-    probes : scipy.sparse.csr_array, shape (k, n)
-        Rows of the displacement probes.
-    forces : ndarray, shape (n, l)
-        Nodal forces of the mechanical loads at factor one, N.
-    """
-
+    #: Those with a factor.
     bodies: tuple[SoftBody, ...]
+    #: The factorised structure.
     field: Callable[[], DisplacementField]
+    #: Shape (k, n): rows of the displacement probes.
     probes: csr_array
+    #: Shape (n, l): nodal forces of the mechanical loads at factor one, N.
     forces: Array
 
     def load(self, temperature: Array, strained: Array, moved: Array) -> Array:
