@@ -32,53 +32,35 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Deviations:
-    """Deviations of step responses from proportionality to the reference.
+    """Deviations of step responses from proportionality to the reference."""
 
-    Attributes
-    ----------
-    inputs : tuple of float
-        Heat inputs, ascending.
-    t : ndarray, shape (n,)
-        Times after the step, s.
-    temperatures : ndarray, shape (inputs, sensors, n)
-        ∂T_j, K; sensors T1, T2 ...
-    displacements : dict
-        Axis name to δ_NL, m, shape (inputs, n).
-    """
-
+    #: Heat inputs, ascending.
     inputs: tuple[float, ...]
+    #: Shape (n,): times after the step, s.
     t: np.ndarray
+    #: Shape (inputs, sensors, n): ∂T_j, K; sensors T1, T2 ...
     temperatures: np.ndarray
+    #: Axis name to δ_NL, m, shape (inputs, n).
     displacements: dict[str, np.ndarray]
 
 
 @dataclass(frozen=True)
 class FictitiousCalibration:
-    """Tables 2 and 3 and the quality of their fits.
+    """Tables 2 and 3 and the quality of their fits."""
 
-    Attributes
-    ----------
-    sources : tuple of FictitiousSource
-        From the joint fit.
-    deviations : Deviations
-        The fitted data.
-    joint : SourceFit
-        Rates and products shared by all inputs.
-    strength_condition : float
-        Condition number of the matrix of strengths (rows scaled to unit length): large if all
-        inputs drive the sources in nearly the same proportion, so that the displacement cannot be
-        attributed to either.
-    deformation_fits : dict
-        Axis name to the fit of Eq. 18.
-    deformation_errors : dict
-        Axis name to {heat input as text: largest error, m}.
-    """
-
+    #: From the joint fit.
     sources: tuple[FictitiousSource, ...]
+    #: The fitted data.
     deviations: Deviations
+    #: Rates and products shared by all inputs.
     joint: SourceFit
+    #: Condition number of the matrix of strengths (rows scaled to unit length): large if all inputs
+    #: drive the sources in nearly the same proportion, so that the displacement cannot be
+    #: attributed to either.
     strength_condition: float
+    #: Axis name to the fit of Eq. 18.
     deformation_fits: dict[str, Fit]
+    #: Axis name to {heat input as text: largest error, m}.
     deformation_errors: dict[str, dict[str, float]]
 
 

@@ -16,46 +16,32 @@ class Fit:
 
     Standard errors assume independent, equally uncertain residuals. For simulated data the residual
     is the model error, smooth in time, and they are only an indication.
-
-    Attributes
-    ----------
-    values : dict
-        Name to value, nonlinear parameters first, SI.
-    standard_errors : dict
-        Name to standard error, same units; infinite where the data do not determine it. Given
-        parameters have none.
-    correlation : ndarray
-        Between the estimates, in the order of `standard_errors`, without given parameters.
-    condition_number : float
-        Of the Jacobian with its columns scaled to unit length.
-    max_abs_error, rms_error : float
-        Of the residual, in `unit`.
-    unit : str
-        Unit of the data.
-    at_bound : tuple of str
-        Nonlinear parameters that ended at a bound.
-    indistinct : tuple of (str, str, float)
-        Pairs that the data cannot distinguish, and their correlation.
-    starts, starts_at_best : int
-        Number of starts, and number of them that reached the best optimum.
-    evaluations : int
-        Evaluations of the basis, in all starts.
-    message : str
-        Reason why the search ended.
     """
 
+    #: Name to value, nonlinear parameters first, SI.
     values: dict[str, float]
+    #: Name to standard error, same units; infinite where the data do not determine it. Given
+    #: parameters have none.
     standard_errors: dict[str, float]
+    #: Between the estimates, in the order of `standard_errors`, without given parameters.
     correlation: np.ndarray
+    #: Of the Jacobian with its columns scaled to unit length.
     condition_number: float
+    #: Of the residual, in `unit`.
     max_abs_error: float
     rms_error: float
+    #: Unit of the data.
     unit: str
+    #: Nonlinear parameters that ended at a bound.
     at_bound: tuple[str, ...]
+    #: Pairs that the data cannot distinguish, and their correlation.
     indistinct: tuple[tuple[str, str, float], ...]
+    #: Number of starts, and number of them that reached the best optimum.
     starts: int
     starts_at_best: int
+    #: Evaluations of the basis, in all starts.
     evaluations: int
+    #: Reason why the search ended.
     message: str
 
 

@@ -37,34 +37,23 @@ Basis = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True)
 class Separable:
-    """The problem data ≈ basis(theta) @ coefficients.
+    """The problem data ≈ basis(theta) @ coefficients."""
 
-    Attributes
-    ----------
-    basis : callable
-        Positive nonlinear parameters, shape (k,), to the columns, shape (n, p), and their
-        derivatives by the parameters' logarithms, shape (n, p, k).
-    data : ndarray, shape (n, m)
-        Right-hand sides; each has its own coefficients, all share theta.
-    names : tuple of str
-        Of the nonlinear parameters.
-    linear_names : tuple of str
-        Of the coefficients, in the order of ``coefficients.ravel()``: p·m names, m fastest.
-    lower, upper : tuple of float
-        Bounds of the nonlinear parameters, positive.
-    unit : str
-        Unit of the data, for the report.
-    ridge : float
-        See the module docstring.
-    """
-
+    #: Positive nonlinear parameters, shape (k,), to the columns, shape (n, p), and their
+    #: derivatives by the parameters' logarithms, shape (n, p, k).
     basis: Basis
+    #: Shape (n, m): right-hand sides; each has its own coefficients, all share theta.
     data: np.ndarray
+    #: Of the nonlinear parameters.
     names: tuple[str, ...]
+    #: Of the coefficients, in the order of ``coefficients.ravel()``: p·m names, m fastest.
     linear_names: tuple[str, ...]
+    #: Bounds of the nonlinear parameters, positive.
     lower: tuple[float, ...]
     upper: tuple[float, ...]
+    #: Unit of the data, for the report.
     unit: str
+    #: See the module docstring.
     ridge: float = 1e-6
 
 

@@ -48,20 +48,13 @@ WHERE = "reference response"
 
 @dataclass(frozen=True)
 class LinearCalibration:
-    """Table 1 and the quality of its fits.
+    """Table 1 and the quality of its fits."""
 
-    Attributes
-    ----------
-    model : LinearModel
-        The calibrated models.
-    fits : dict
-        "thermal", "deformation.x" ... and, for comparison only, the Eq. 2 fits "direct.T1" ...
-    direct_errors : dict
-        Sensor role to the largest error of its relaxation spectrum, K per unit heat input.
-    """
-
+    #: The calibrated models.
     model: LinearModel
+    #: "thermal", "deformation.x" ... and, for comparison only, the Eq. 2 fits "direct.T1" ...
     fits: dict[str, Fit]
+    #: Sensor role to the largest error of its relaxation spectrum, K per unit heat input.
     direct_errors: dict[str, float]
 
 

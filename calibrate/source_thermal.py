@@ -31,17 +31,11 @@ FIRST_STARTS = 8
 
 @dataclass(frozen=True)
 class SourceGeometry:
-    """Distances of the fictitious sources.
+    """Distances of the fictitious sources."""
 
-    Attributes
-    ----------
-    distances : ndarray, shape (sources, sensors)
-        r_ij, m, from source i to sensor j.
-    radii : ndarray, shape (sources,)
-        r0_i, m.
-    """
-
+    #: Shape (sources, sensors): r_ij, m, from source i to sensor j.
     distances: np.ndarray
+    #: Shape (sources,): r0_i, m.
     radii: np.ndarray
 
 
@@ -70,40 +64,26 @@ def make_geometry(
 
 @dataclass(frozen=True)
 class SourceFit:
-    """Rates and products of the fictitious sources.
+    """Rates and products of the fictitious sources."""
 
-    Attributes
-    ----------
-    a, alpha : ndarray, shape (sources,)
-        1/m2 and m2/s.
-    products : ndarray, shape (sources, inputs)
-        P_i = K_i q_i at each input, K.
-    fit : Fit
-        Of the temperature deviations.
-    """
-
+    #: Shape (sources,): 1/m2 and m2/s.
     a: np.ndarray
     alpha: np.ndarray
+    #: Shape (sources, inputs): p_i = K_i q_i at each input, K.
     products: np.ndarray
+    #: Of the temperature deviations.
     fit: Fit
 
 
 @dataclass(frozen=True)
 class AveragingRound:
-    """One pass of Figure 4's loop.
+    """One pass of Figure 4's loop."""
 
-    Attributes
-    ----------
-    rates : ndarray, shape (inputs, 2·sources)
-        a_1, alpha_1, a_2 ... preferred by each input.
-    averages : ndarray, shape (2·sources,)
-        Their geometric means over the inputs.
-    spread : float
-        Largest |ln(rate / average)|.
-    """
-
+    #: Shape (inputs, 2·sources): a_1, alpha_1, a_2 ... preferred by each input.
     rates: np.ndarray
+    #: Shape (2·sources,): their geometric means over the inputs.
     averages: np.ndarray
+    #: Largest |ln(rate / average)|.
     spread: float
 
 

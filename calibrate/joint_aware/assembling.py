@@ -24,22 +24,15 @@ from thermojoint.reduced.parameters import factors_of, with_factors
 
 @dataclass(frozen=True)
 class Past:
-    """Range of past heating and cooling, and what a run carries of it.
+    """Range of past heating and cooling, and what a run carries of it."""
 
-    Attributes
-    ----------
-    shortest, longest, times : float, float, int
-        Range and number of heating and cooling times, s, evenly spaced in their logarithm.
-    ambient : float
-        Change of the ambient, K.
-    columns : int
-        Columns of the covariance factor during a run.
-    """
-
+    #: Range and number of heating and cooling times, s, evenly spaced in their logarithm.
     shortest: float = 60.0
     longest: float = 6e4
     times: int = 8
+    #: Change of the ambient, K.
     ambient: float = 3.0
+    #: Columns of the covariance factor during a run.
     columns: int = 12
 
     @property

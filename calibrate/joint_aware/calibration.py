@@ -45,17 +45,11 @@ STILL = 1e-6
 
 @dataclass(frozen=True)
 class Effort:
-    """Effort of a calibration.
+    """Effort of a calibration."""
 
-    Attributes
-    ----------
-    search : Search
-        Effort and tolerances of the search for parameters.
-    drawing : Drawing
-        Plants and histories from which the bands are learned.
-    """
-
+    #: Effort and tolerances of the search for parameters.
     search: Search = SEARCH
+    #: Plants and histories from which the bands are learned.
     drawing: Drawing = field(default_factory=Drawing)
 
 

@@ -43,27 +43,18 @@ CANDIDATES = {
 
 @dataclass(frozen=True)
 class Inquiry:
-    """Points of a profile, and the day to which uncertainty is carried.
+    """Points of a profile, and the day to which uncertainty is carried."""
 
-    Attributes
-    ----------
-    points : tuple of float
-        Of a profile, in standard deviations from the fit.
-    improved : int
-        Iterations for the other parameters at each point.
-    prediction_only : float
-        A parameter whose uncertainty is still this fraction of the prior one is undetermined: the
-        data contain less information about it than the prior (1/sqrt(2) is equal information).
-    day : float
-        Length of the day of random heat, s.
-    steps, seed : int
-        Its steps and the seed of its heat.
-    """
-
+    #: Of a profile, in standard deviations from the fit.
     points: tuple[float, ...] = (-2.0, -1.0, 0.0, 1.0, 2.0)
+    #: Iterations for the other parameters at each point.
     improved: int = 2
+    #: A parameter whose uncertainty is still this fraction of the prior one is undetermined: the
+    #: data contain less information about it than the prior (1/sqrt(2) is equal information).
     prediction_only: float = 0.7
+    #: Length of the day of random heat, s.
     day: float = 8 * 3600.0
+    #: Its steps and the seed of its heat.
     steps: int = 480
     seed: int = 2
 
@@ -74,19 +65,12 @@ INQUIRY = Inquiry()
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """Profile of one parameter, the others being fitted.
-
-    Attributes
-    ----------
-    parameter : str
-    factor : ndarray, shape (points,)
-        Factors on the case's value.
-    cost : ndarray, shape (points,)
-        Half the sum of squares above that of the fit.
-    """
+    """Profile of one parameter, the others being fitted."""
 
     parameter: str
+    #: Shape (points,): factors on the case's value.
     factor: Array
+    #: Shape (points,): half the sum of squares above that of the fit.
     cost: Array
 
 
@@ -133,20 +117,13 @@ def profiles(
 
 @dataclass(frozen=True, eq=False)
 class FurtherRun:
-    """Information of one more run.
+    """Information of one more run."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the run; "none" for the present knowledge.
-    deviation : ndarray, shape (k,)
-        Standard deviation of the parameters' coordinates.
-    day : ndarray, shape (axes,)
-        Standard deviation of the displacement in the day, root mean square, m.
-    """
-
+    #: Name of the run; "none" for the present knowledge.
     name: str
+    #: Shape (k,): standard deviation of the parameters' coordinates.
     deviation: Array
+    #: Shape (axes,): standard deviation of the displacement in the day, root mean square, m.
     day: Array
 
 

@@ -37,29 +37,21 @@ class Sigmas:
 
     The confidence bands that follow from them are checked on drawn machines (``make plants``,
     docs/joint-aware.md).
-
-    Attributes
-    ----------
-    samples : int
-        Most samples of a run that are used.
-    temperature, displacement : float
-        Assumed model error for every sample, K and m. Model errors persist from sample to sample,
-        so that a whole run has little more information than one sample: these are errors of 0.03 K
-        and 0.05 um that last for a run.
-    discrepancy_temperature, discrepancy_displacement : float
-        The same for the discrepancy, which follows the rest sample by sample, K and m.
-    alike : float
-        Sensors with errors below this, K, or below the median error have equal weight.
-    offset : float
-        Prior standard deviation of a sensor's offset, K.
     """
 
+    #: Most samples of a run that are used.
     samples: int = 120
+    #: Assumed model error for every sample, K and m. Model errors persist from sample to sample, so
+    #: that a whole run has little more information than one sample: these are errors of 0.03 K and
+    #: 0.05 um that last for a run.
     temperature: float = 0.3
     displacement: float = 0.5e-6
+    #: The same for the discrepancy, which follows the rest sample by sample, K and m.
     discrepancy_temperature: float = 0.03
     discrepancy_displacement: float = 1e-7
+    #: Sensors with errors below this, K, or below the median error have equal weight.
     alike: float = 0.005
+    #: Prior standard deviation of a sensor's offset, K.
     offset: float = 0.3
 
 
@@ -71,27 +63,18 @@ TURNING = ("film", "conduction")
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One calibration run on the steps of the march.
+    """One calibration run on the steps of the march."""
 
-    Attributes
-    ----------
-    inputs : ndarray, shape (n, s + h + 1 + v)
-        Heat of each source according to the case, W, held surfaces and ambient, K, and factors of
-        the loads that change, at the end of each step.
-    times : ndarray, shape (k,)
-        Samples that are used, s.
-    temperature : ndarray, shape (k, p)
-        K.
-    displacement : ndarray, shape (k, axes)
-        m.
-    length : float
-        Of a step, s.
-    """
-
+    #: Shape (n, s + h + 1 + v): heat of each source according to the case, W, held surfaces and
+    #: ambient, K, and factors of the loads that change, at the end of each step.
     inputs: Array
+    #: Shape (k,): samples that are used, s.
     times: Array
+    #: Shape (k, p): K.
     temperature: Array
+    #: Shape (k, axes): m.
     displacement: Array
+    #: Of a step, s.
     length: float
 
 
@@ -117,41 +100,27 @@ def fewer(run: Run, samples: int = SIGMAS.samples) -> Run:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Calibration runs of a machine, prepared for comparison with it.
+    """Calibration runs of a machine, prepared for comparison with it."""
 
-    Attributes
-    ----------
-    machine : ReducedMachine
-        As described by the case.
-    runs : sequence of Run
-        From rest.
-    rates : ndarray, shape (q,)
-        Of the discrepancy, 1/s.
-    states : ndarray, shape (n, s q)
-        Relaxations of the heat at the samples of all runs.
-    shape : ndarray, shape (s q,)
-        1 where a gain is fitted, 0 where the runs are too short for it.
-    temperature : tuple of Channel
-        Sensor by sensor; the last column of each is its offset.
-    displacement : tuple of Channel
-        Axis by axis.
-    trust : ndarray, shape (p,)
-        Factor on the error of a temperature for every sensor.
-    sigmas : Sigmas
-        Assumed errors.
-    doubt : float
-        Factor on all of them, prior sizes of the discrepancy included (`doubt_of`).
-    """
-
+    #: As described by the case.
     machine: ReducedMachine
+    #: From rest.
     runs: Sequence[Run]
+    #: Shape (q,): of the discrepancy, 1/s.
     rates: Array
+    #: Shape (n, s q): relaxations of the heat at the samples of all runs.
     states: Array
+    #: Shape (s q,): 1 where a gain is fitted, 0 where the runs are too short for it.
     shape: Array
+    #: Sensor by sensor; the last column of each is its offset.
     temperature: tuple[Channel, ...]
+    #: Axis by axis.
     displacement: tuple[Channel, ...]
+    #: Shape (p,): factor on the error of a temperature for every sensor.
     trust: Array
+    #: Assumed errors.
     sigmas: Sigmas
+    #: Factor on all of them, prior sizes of the discrepancy included (`doubt_of`).
     doubt: float = 1.0
 
 
@@ -357,22 +326,14 @@ def doubt_of(problem: Problem, left: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """Linear coefficients fitted at some parameters, and the residual.
-
-    Attributes
-    ----------
-    discrepancy : Discrepancy
-    offset : ndarray, shape (p,)
-        Of every sensor, K.
-    temperature : ndarray, shape (k, p)
-        Residual, K.
-    displacement : ndarray, shape (k, axes)
-        Residual, m.
-    """
+    """Linear coefficients fitted at some parameters, and the residual."""
 
     discrepancy: Discrepancy
+    #: Shape (p,): of every sensor, K.
     offset: Array
+    #: Shape (k, p): residual, K.
     temperature: Array
+    #: Shape (k, axes): residual, m.
     displacement: Array
 
 

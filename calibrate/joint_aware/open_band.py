@@ -45,38 +45,27 @@ from thermojoint.reduced.physics import at_start, conduct, settle_joint, simulat
 
 @dataclass(frozen=True)
 class Drawing:
-    """Machines and histories from which a band is learned (docs/joint-aware.md, on the bands).
+    """Machines and histories from which a band is learned (docs/joint-aware.md, on the bands)."""
 
-    Attributes
-    ----------
-    draws, seed : int
-        Least number of drawn machines, one for each parameter if there are more; the seed of them
-        and of the histories.
-    duration, step : float
-        Length of the random history and steps, s.
-    beyond : float
-        Highest level, relative to the largest heat calibrated.
-    least_share : float
-        Gains that the data do not determine are as large as those that they do, but at least this
-        fraction of the assumed model error.
-    floor : float
-        Fraction of the largest mean square below which all errors count the same in the band.
-    assumed : float
-        A fit assumes model errors this many times larger than it needs to (`misfit`), so that
-        persistent errors do not bias the parameters. The machines are drawn as if it assumed them
-        as they are: what the data decide is known better, what only the prior decides is not.
-    rough : float
-        Tolerated residual of an error's approximation, relative to its largest value.
-    """
-
+    #: Least number of drawn machines, one for each parameter if there are more; the seed of them
+    #: and of the histories.
     draws: int = 12
     seed: int = 1
+    #: Length of the random history and steps, s.
     duration: float = 8 * 3600.0
     step: float = 20.0
+    #: Highest level, relative to the largest heat calibrated.
     beyond: float = 1.5
+    #: Gains that the data do not determine are as large as those that they do, but at least this
+    #: fraction of the assumed model error.
     least_share: float = 0.1
+    #: Fraction of the largest mean square below which all errors count the same in the band.
     floor: float = 1e-4
+    #: A fit assumes model errors this many times larger than it needs to (`misfit`), so that
+    #: persistent errors do not bias the parameters. The machines are drawn as if it assumed them as
+    #: they are: what the data decide is known better, what only the prior decides is not.
     assumed: float = 2.0
+    #: Tolerated residual of an error's approximation, relative to its largest value.
     rough: float = 0.02
 
 

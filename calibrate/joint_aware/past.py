@@ -18,34 +18,23 @@ from thermojoint.reduced.machine import Modes
 
 @dataclass(frozen=True)
 class Duty:
-    """Work of which nothing is known (docs/joint-aware.md, on the initial state).
+    """Work of which nothing is known (docs/joint-aware.md, on the initial state)."""
 
-    Attributes
-    ----------
-    pasts, seed : int
-        Number of drawn pasts; their seed.
-    step : float
-        Of a past, s.
-    begun : (float, float)
-        The machine was cold this long ago, s, evenly in the logarithm.
-    lasts : (float, float)
-        Duration of a level of heat, s, evenly in the logarithm.
-    idle : float
-        Share of the levels without heat.
-    least : float
-        Least size of the levels of a past, relative to the largest calibrated heat; each past has a
-        size of its own.
-    ambient, ambient_memory : float
-        Standard deviation of the ambient, K, and its correlation time, s.
-    """
-
+    #: Number of drawn pasts; their seed.
     pasts: int = 400
     seed: int = 1
+    #: Of a past, s.
     step: float = 120.0
+    #: The machine was cold this long ago, s, evenly in the logarithm.
     begun: tuple[float, float] = (1200.0, 86400.0)
+    #: Duration of a level of heat, s, evenly in the logarithm.
     lasts: tuple[float, float] = (300.0, 5400.0)
+    #: Share of the levels without heat.
     idle: float = 0.3
+    #: Least size of the levels of a past, relative to the largest calibrated heat; each past has a
+    #: size of its own.
     least: float = 0.4
+    #: Standard deviation of the ambient, K, and its correlation time, s.
     ambient: float = 3.0
     ambient_memory: float = 4.0 * 3600.0
 
@@ -55,20 +44,13 @@ BROAD = Duty()
 
 
 class Pasts(NamedTuple):
-    """Inputs of several pasts on common steps, the last one ending now.
+    """Inputs of several pasts on common steps, the last one ending now."""
 
-    Attributes
-    ----------
-    step : float
-        s.
-    heat : ndarray, shape (n, k, s)
-        Of every source in every past, relative to the reference.
-    ambient : ndarray, shape (n, k)
-        K above that of the cold machine.
-    """
-
+    #: s.
     step: float
+    #: Shape (n, k, s): of every source in every past, relative to the reference.
     heat: Array
+    #: Shape (n, k): K above that of the cold machine.
     ambient: Array
 
 

@@ -45,50 +45,35 @@ from thermojoint.reduced.parameters import Added, Parameter, active
 
 @dataclass(frozen=True)
 class Search:
-    """Effort and tolerances of the search for parameters.
+    """Effort and tolerances of the search for parameters."""
 
-    Attributes
-    ----------
-    steps : int
-        Steps of a run during the search; the error of so coarse a march is corrected (module
-        docstring).
-    difference : float
-        Step of the difference quotients, in standard deviations of the prior: far above the
-        tolerance of a march, and small enough for the residuals to be linear.
-    close, roughly : float
-        Relative change of parameters and cost at the end of the last search, and of the searches
-        from several starts.
-    evaluations : int
-        Most evaluations of a search.
-    rounds : int
-        Most rounds of the defect correction.
-    settled : float
-        Change of the last round, in posterior standard deviations.
-    starts, seed : int
-        Searches from random draws of the prior, beside the one from the case's values.
-    furthest : float
-        Largest distance of a draw from the case's values, in standard deviations of the prior.
-    lags : tuple of float
-        Where searches for the lags of sensors begin, s, if that fits best.
-    doubted : float
-        Largest factor on the assumed errors (`misfit.doubt_of`).
-    evident : float
-        A film or a lag that the case does not have is taken for one from this many posterior
-        standard deviations on.
-    """
-
+    #: Steps of a run during the search; the error of so coarse a march is corrected (module
+    #: docstring).
     steps: int = 150
+    #: Step of the difference quotients, in standard deviations of the prior: far above the
+    #: tolerance of a march, and small enough for the residuals to be linear.
     difference: float = 1e-3
+    #: Relative change of parameters and cost at the end of the last search, and of the searches
+    #: from several starts.
     close: float = 1e-4
     roughly: float = 1e-3
+    #: Most evaluations of a search.
     evaluations: int = 20
+    #: Most rounds of the defect correction.
     rounds: int = 6
+    #: Change of the last round, in posterior standard deviations.
     settled: float = 0.05
+    #: Searches from random draws of the prior, beside the one from the case's values.
     starts: int = 3
     seed: int = 1
+    #: Largest distance of a draw from the case's values, in standard deviations of the prior.
     furthest: float = 2.0
+    #: Where searches for the lags of sensors begin, s, if that fits best.
     lags: tuple[float, ...] = (0.0, 3.0, 6.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0, 75.0)
+    #: Largest factor on the assumed errors (`misfit.doubt_of`).
     doubted: float = 5.0
+    #: A film or a lag that the case does not have is taken for one from this many posterior
+    #: standard deviations on.
     evident: float = 2.0
 
 
@@ -104,37 +89,24 @@ NOWHERE = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Result of the search from one start.
+    """Result of the search from one start."""
 
-    Attributes
-    ----------
-    begun, reached : ndarray, shape (k,)
-        Logarithms of the factors.
-    cost : float
-        Half the sum of squares there.
-    """
-
+    #: Shape (k,): logarithms of the factors.
     begun: Array
     reached: Array
+    #: Half the sum of squares there.
     cost: float
 
 
 @dataclass(frozen=True, eq=False)
 class Slopes:
-    """Errors at some parameters, and how they change with them.
+    """Errors at some parameters, and how they change with them."""
 
-    Attributes
-    ----------
-    at : ndarray, shape (k,)
-        Coordinates in units of their priors.
-    errors : ndarray, shape (n, p + axes)
-        Of `misfit.errors`, K and m.
-    each : ndarray, shape (k, n, p + axes)
-        Change of the errors by each coordinate.
-    """
-
+    #: Shape (k,): coordinates in units of their priors.
     at: Array
+    #: Shape (n, p + axes): of `misfit.errors`, K and m.
     errors: Array
+    #: Shape (k, n, p + axes): change of the errors by each coordinate.
     each: Array
 
     def moved(self, at: Array, errors: Array) -> Slopes:
@@ -181,76 +153,51 @@ def _errors(problem: Problem, parameters: tuple[Parameter, ...], scaled: Array) 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Where a search has ended.
+    """Where a search has ended."""
 
-    Attributes
-    ----------
-    at : ndarray, shape (k,)
-        Coordinates in units of their priors.
-    residuals : ndarray, shape (n,)
-        With the defect.
-    jacobian : ndarray, shape (n, k)
-        Of the residuals.
-    cost : float
-        Half the sum of squares, with the prior.
-    evaluations : int
-        Parameter evaluations of all runs.
-    slopes : Slopes
-        Where the Jacobian is from.
-    """
-
+    #: Shape (k,): coordinates in units of their priors.
     at: Array
+    #: Shape (n,): with the defect.
     residuals: Array
+    #: Shape (n, k): of the residuals.
     jacobian: Array
+    #: Half the sum of squares, with the prior.
     cost: float
+    #: Parameter evaluations of all runs.
     evaluations: int
+    #: Where the Jacobian is from.
     slopes: Slopes
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Fitted parameters and discrepancy, with their uncertainty.
+    """Fitted parameters and discrepancy, with their uncertainty."""
 
-    Attributes
-    ----------
-    parameters : tuple of Parameter
-        In the order of the arrays below.
-    coordinates : ndarray, shape (k,)
-        Of the parameters: logarithms of factors, or films in W/(m2 K) (`Parameter.factor`).
-    residuals : ndarray, shape (n,)
-        Of `misfit.residuals` there.
-    jacobian : ndarray, shape (n, k)
-        Of the residuals by the coordinates in units of their priors.
-    discrepancy : Discrepancy
-        Fitted at these parameters.
-    offset, noise : ndarray, shape (p,)
-        Of every sensor, and the standard deviation of its reading, K.
-    residual_temperature : ndarray, shape (p,)
-        RMS residual, K.
-    residual_displacement : ndarray, shape (axes,)
-        m.
-    trust : ndarray, shape (p,)
-        Factor on the assumed error of every sensor (`misfit.trust_in`).
-    doubt : float
-        Factor on all assumed errors (`misfit.doubt_of`).
-    starts : tuple of Start
-        Results of the searches with the coarse march; the one from the case's values first.
-    evaluations : int
-        Parameter evaluations of all runs.
-    """
-
+    #: In the order of the arrays below.
     parameters: tuple[Parameter, ...]
+    #: Shape (k,): of the parameters: logarithms of factors, or films in W/(m2 K)
+    #: (`Parameter.factor`).
     coordinates: Array
+    #: Shape (n,): of `misfit.residuals` there.
     residuals: Array
+    #: Shape (n, k): of the residuals by the coordinates in units of their priors.
     jacobian: Array
+    #: Fitted at these parameters.
     discrepancy: Discrepancy
+    #: Shape (p,): of every sensor, and the standard deviation of its reading, K.
     offset: Array
     noise: Array
+    #: Shape (p,): RMS residual, K.
     residual_temperature: Array
+    #: Shape (axes,): m.
     residual_displacement: Array
+    #: Shape (p,): factor on the assumed error of every sensor (`misfit.trust_in`).
     trust: Array
+    #: Factor on all assumed errors (`misfit.doubt_of`).
     doubt: float
+    #: Results of the searches with the coarse march; the one from the case's values first.
     starts: tuple[Start, ...]
+    #: Parameter evaluations of all runs.
     evaluations: int
 
     @property

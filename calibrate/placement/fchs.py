@@ -47,41 +47,29 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Rule:
-    """Bounds of the placement rule; docs/calibration.md gives the reasons.
+    """Bounds of the placement rule; docs/calibration.md gives the reasons."""
 
-    Attributes
-    ----------
-    proportional : float
-        Largest deviation of a difference from proportionality, and largest fall from its maximum,
-        relative to its final value; doubled until a pair fulfils it.
-    difference : float
-        Smallest final difference, relative to the largest.
-    shortlist : int
-        Number of pairs that Eq. 2 is fitted to.
-    early : float
-        The larger the fraction of a difference reached at this share of the run, the faster the
-        pair.
-    deviation_uncertainty : float
-        K: the range of the paper's sensor noise. The sensors at the joint are chosen, and their
-        sources are calibrated (`calibrate.chain`), for temperature deviations with this rms
-        uncertainty.
-    apart : float
-        Sensors closer than this would see one source twice, relative to the extent of the
-        candidates.
-    faint_axis : float
-        An axis with a nonlinear displacement below this fraction of the largest does not rank the
-        sensors.
-    screening : float
-        Tolerance of the rational approximations while pairs are compared.
-    """
-
+    #: Largest deviation of a difference from proportionality, and largest fall from its maximum,
+    #: relative to its final value; doubled until a pair fulfils it.
     proportional: float = 1e-3
+    #: Smallest final difference, relative to the largest.
     difference: float = 0.1
+    #: Number of pairs that Eq. 2 is fitted to.
     shortlist: int = 60
+    #: The larger the fraction of a difference reached at this share of the run, the faster the
+    #: pair.
     early: float = 1 / 70
+    #: K: the range of the paper's sensor noise. The sensors at the joint are chosen, and their
+    #: sources are calibrated (`calibrate.chain`), for temperature deviations with this rms
+    #: uncertainty.
     deviation_uncertainty: float = 0.12
+    #: Sensors closer than this would see one source twice, relative to the extent of the
+    #: candidates.
     apart: float = 0.25
+    #: An axis with a nonlinear displacement below this fraction of the largest does not rank the
+    #: sensors.
     faint_axis: float = 1e-3
+    #: Tolerance of the rational approximations while pairs are compared.
     screening: float = 1e-5
 
 
@@ -91,69 +79,44 @@ RULE = Rule()
 
 @dataclass(frozen=True)
 class HeatPair:
-    """A pair of sensors near the heat source.
+    """A pair of sensors near the heat source."""
 
-    Attributes
-    ----------
-    a, b : str
-        Probe names; a is the warmer.
-    difference : float
-        T_a - T_b at the end of the reference step, K per unit of heat input.
-    disproportion : float
-        Largest deviation from proportionality over the calibration inputs, relative.
-    ring_error : float
-        Largest error of Eq. 2, relative to the difference.
-    rise_time : float
-        Time of the steepest rise of the fitted Eq. 2, s.
-    displacement_error : float
-        Largest error of the estimated linear displacement over the calibration inputs, m.
-    """
-
+    #: Probe names; a is the warmer.
     a: str
     b: str
+    #: T_a - T_b at the end of the reference step, K per unit of heat input.
     difference: float
+    #: Largest deviation from proportionality over the calibration inputs, relative.
     disproportion: float
+    #: Largest error of Eq. 2, relative to the difference.
     ring_error: float
+    #: Time of the steepest rise of the fitted Eq. 2, s.
     rise_time: float
+    #: Largest error of the estimated linear displacement over the calibration inputs, m.
     displacement_error: float
 
 
 @dataclass(frozen=True)
 class JointSensors:
-    """Sensors near the joint, one for each fictitious source.
+    """Sensors near the joint, one for each fictitious source."""
 
-    Attributes
-    ----------
-    probes : tuple of str
-        T1, T2 ...: probe names, from the lower end of the joint on.
-    signal : float
-        The smallest of their largest deviations at the calibration inputs, K.
-    misfit : float
-        Rms nonlinear displacement left by the screening map, relative.
-    """
-
+    #: T1, T2 ...: probe names, from the lower end of the joint on.
     probes: tuple[str, ...]
+    #: The smallest of their largest deviations at the calibration inputs, K.
     signal: float
+    #: Rms nonlinear displacement left by the screening map, relative.
     misfit: float
 
 
 @dataclass(frozen=True)
 class Placement:
-    """The chosen sensors and sources.
-
-    Attributes
-    ----------
-    heat : HeatPair
-    joint : JointSensors
-    sources : ndarray, shape (n, 3)
-        Positions of the fictitious sources, m.
-    distances : ndarray, shape (n, n)
-        r_ij from source i to sensor T_j, m.
-    """
+    """The chosen sensors and sources."""
 
     heat: HeatPair
     joint: JointSensors
+    #: Shape (n, 3): positions of the fictitious sources, m.
     sources: Array
+    #: Shape (n, n): r_ij from source i to sensor T_j, m.
     distances: Array
 
     @property

@@ -48,33 +48,21 @@ Report = Callable[[str, int, int], None]
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """Sensors, and the resulting uncertainty of the displacement.
+    """Sensors, and the resulting uncertainty of the displacement."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        In the order in which they were chosen.
-    band : ndarray, shape (axes,)
-        1.96 roots of the mean square error of the displacement, m.
-    """
-
+    #: In the order in which they were chosen.
     names: tuple[str, ...]
+    #: Shape (axes,): 1.96 roots of the mean square error of the displacement, m.
     band: Array
 
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """Result of `place_sensors`.
+    """Result of `place_sensors`."""
 
-    Attributes
-    ----------
-    steps : tuple of Choice
-        From adding one sensor after another, starting from the smallest possible set.
-    chosen : Choice
-        With the requested number, after exchanges.
-    """
-
+    #: From adding one sensor after another, starting from the smallest possible set.
     steps: tuple[Choice, ...]
+    #: With the requested number, after exchanges.
     chosen: Choice
 
 

@@ -28,39 +28,26 @@ from thermojoint.reduced.physics import make_physics, simulate_known
 
 @dataclass(frozen=True)
 class Drawing:
-    """Size of the family, its calibration and its day (docs/sensor-placement.md).
+    """Size of the family, its calibration and its day (docs/sensor-placement.md)."""
 
-    Attributes
-    ----------
-    step : float
-        Step of the marches and of the filter while sensors are compared, s.
-    negligible : float
-        Fields smaller than this fraction of the largest get no mode.
-    plants, seed : int
-        Number to draw, of which those that cannot be marched are left out; seed of plants and day.
-    seen : int
-        Number of sensors in the calibration, as in the paper.
-    levels : tuple of float
-        Heat inputs of the calibration steps, as in the paper.
-    calibrated : float
-        Their length, s, as in the paper.
-    duration : float
-        Length of the day, s.
-    highest : float
-        Its highest heat, that of the calibration.
-    ambient : float
-        Random walk of the ambient over the day, K.
-    """
-
+    #: Step of the marches and of the filter while sensors are compared, s.
     step: float = 60.0
+    #: Fields smaller than this fraction of the largest get no mode.
     negligible: float = 1e-6
+    #: Number to draw, of which those that cannot be marched are left out; seed of plants and day.
     plants: int = 12
     seed: int = 2
+    #: Number of sensors in the calibration, as in the paper.
     seen: int = 4
+    #: Heat inputs of the calibration steps, as in the paper.
     levels: tuple[float, ...] = (0.5, 1.0, 2.0)
+    #: Their length, s, as in the paper.
     calibrated: float = 2100.0
+    #: Length of the day, s.
     duration: float = 8 * 3600.0
+    #: Its highest heat, that of the calibration.
     highest: float = 2.0
+    #: Random walk of the ambient over the day, K.
     ambient: float = 3.0
 
 
@@ -70,24 +57,17 @@ USUAL = Drawing()
 
 @dataclass(frozen=True, eq=False)
 class Family:
-    """Responses of a family of plants to a day, relative to the nominal machine.
+    """Responses of a family of plants to a day, relative to the nominal machine."""
 
-    Attributes
-    ----------
-    step : float
-        Interval of the n samples, s.
-    readings : ndarray, shape (n, p, plants)
-        Of every candidate, K.
-    displacement : ndarray, shape (n, axes, plants)
-        m.
-    start : ndarray, shape (modes + s + 1, k), optional
-        Covariance factor of an unknown start that counts as well: amplitudes with the joint held at
-        its preload, heat of the sources, W, and ambient, K (`with_start`).
-    """
-
+    #: Interval of the n samples, s.
     step: float
+    #: Shape (n, p, plants): of every candidate, K.
     readings: Array
+    #: Shape (n, axes, plants): m.
     displacement: Array
+    #: Shape (modes + s + 1, k): covariance factor of an unknown start that counts as well:
+    #: amplitudes with the joint held at its preload, heat of the sources, W, and ambient, K
+    #: (`with_start`).
     start: Array | None = None
 
 
