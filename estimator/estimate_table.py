@@ -29,24 +29,16 @@ _MICRO = {"m": _VALUE, "m/m": "_um_per_m"}
 
 
 class Row(NamedTuple):
-    """One row of a table of estimates.
+    """One row of a table of estimates."""
 
-    Attributes
-    ----------
-    time : float
-        s.
-    displacement, band : ndarray, shape (axes,)
-        m; NaN where the cell is empty.
-    status : str
-        In words.
-    lines : Lines, optional
-        Of the displacements along an axis.
-    """
-
+    #: s.
     time: float
+    #: Shape (axes,): m; NaN where the cell is empty.
     displacement: Array
     band: Array
+    #: In words.
     status: str
+    #: Of the displacements along an axis.
     lines: Lines | None = None
 
 

@@ -23,23 +23,15 @@ Convert = Callable[[Sequence[float], float], tuple[list[float], float]]
 
 @dataclass(frozen=True)
 class Intake:
-    """Readings that a machine delivers, and their conversion to an estimator's channels.
+    """Readings that a machine delivers, and their conversion to an estimator's channels."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Readings with their units, as named in the sources by default.
-    wanted : int
-        The first ones are read in every sample, the others occasionally.
-    quantities : tuple of str
-        ``temperature``, ``length``, ``speed`` and so on, of each reading.
-    convert : callable
-        From readings to the estimator's channels.
-    """
-
+    #: Readings with their units, as named in the sources by default.
     names: tuple[str, ...]
+    #: The first ones are read in every sample, the others occasionally.
     wanted: int
+    #: ``temperature``, ``length``, ``speed`` and so on, of each reading.
     quantities: tuple[str, ...]
+    #: From readings to the estimator's channels.
     convert: Convert
 
     def usable(self, readings: Sequence[float]) -> tuple[float, ...]:

@@ -104,20 +104,13 @@ class Estimate(NamedTuple):
 
 
 class NextReading(NamedTuple):
-    """A displacement reading that an estimator asks for.
+    """A displacement reading that an estimator asks for."""
 
-    Attributes
-    ----------
-    axis : str
-        To be read.
-    due : float
-        From now, s: the band then passes its limit if the heat stays as it is.
-    band, narrowed : float
-        Half-widths of the 95 % interval of this axis then, without the reading and after it, m.
-    """
-
+    #: To be read.
     axis: str
+    #: From now, s: the band then passes its limit if the heat stays as it is.
     due: float
+    #: Half-widths of the 95 % interval of this axis then, without the reading and after it, m.
     band: float
     narrowed: float
 

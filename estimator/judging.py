@@ -28,23 +28,15 @@ Figures = dict[str, list[Row]]
 
 @dataclass(frozen=True)
 class Conditions:
-    """Conditions of a validation.
+    """Conditions of a validation."""
 
-    Attributes
-    ----------
-    noise_pp : float, optional
-        Noise on every temperature, K peak to peak.
-    seed : int
-        Of the noise.
-    reference : xarray.Dataset, optional
-        Response to the reference step, from which the exact nonlinear part follows.
-    baselines : Baselines, optional
-        Baselines to judge beside the model.
-    """
-
+    #: Noise on every temperature, K peak to peak.
     noise_pp: float | None = None
+    #: Of the noise.
     seed: int = 0
+    #: Response to the reference step, from which the exact nonlinear part follows.
     reference: xr.Dataset | None = None
+    #: Baselines to judge beside the model.
     baselines: Baselines | None = None
 
     def only_noise(self, name: str) -> None:

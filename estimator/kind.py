@@ -50,24 +50,16 @@ class OpenedEstimator(Estimator, Protocol):
 
 @dataclass(frozen=True)
 class Options:
-    """Options for starting an estimator; a kind declares which of the last three it takes.
+    """Options for starting an estimator; a kind declares which of the last three it takes."""
 
-    Attributes
-    ----------
-    interval, run_length : float
-        Nominal sampling interval and length of a run, s, for estimators assembled for them.
-    reading_noise : float, optional
-        Standard deviation of a displacement reading, m; default `READING_NOISE`.
-    ageing : tuple of str
-        Parameters of the machine that are learned online.
-    regression : str, optional
-        Regression to use from a file of baselines; default ``ridge``.
-    """
-
+    #: Nominal sampling interval and length of a run, s, for estimators assembled for them.
     interval: float = 2.0
     run_length: float = 7200.0
+    #: Standard deviation of a displacement reading, m; default `READING_NOISE`.
     reading_noise: float | None = None
+    #: Parameters of the machine that are learned online.
     ageing: tuple[str, ...] = ()
+    #: Regression to use from a file of baselines; default ``ridge``.
     regression: str | None = None
 
     @property
@@ -143,76 +135,52 @@ def _as_it_is(model: Any) -> Mapping[str, str]:  # noqa: ANN401
 
 @dataclass(frozen=True)
 class Kind(Generic[M, E]):
-    """Definition of a kind of estimator.
+    """Definition of a kind of estimator."""
 
-    Attributes
-    ----------
-    name : str
-        Its name with an article, for messages: ``a learned model``.
-    read : callable
-        Path to the content of the file; raises `InputError`.
-    fingerprint : callable
-        Model to a unique text; a state can only be resumed with the same one.
-    start : callable
-        (model, options) to the estimator.
-    options : frozenset of str
-        Which of ``reading_noise``, ``ageing``, ``regression`` it takes.
-    paced : bool
-        Whether the estimator is assembled for a nominal sampling interval.
-    warm_state : callable, optional
-        Estimator to its state for a machine with an unknown past.
-    carried, resumed : callable, optional
-        Estimator to additional JSON data stored with its states; (model, options, that data, name
-        of the file) to the resumed estimator.
-    intake : callable
-        (model, whether temperatures are above the ambient) to the readings of a machine.
-    renamed : callable
-        Model to the names that it expects of a log's columns, in the form that
-        `thermojoint.artefacts.log_file.read_log` takes.
-    log : callable
-        (model, a log in pieces, its name, callback for the first row) to samples.
-    response, sensors : callable
-        (model, response) to samples, and to the names of their probes.
-    ranges : callable
-        Model to its calibrated ranges.
-    strokes : callable
-        Model to the strokes of its displacements along an axis, by their names without units; the
-        details of its estimates have their lines (`estimator.lines`).
-    judge : callable, optional
-        (kind, model, name to response, conditions) to errors; None for a kind judged by logs only.
-    judge_logs : callable, optional
-        (model, name to log) to errors; None for a kind judged by responses only.
-    residuals : callable, optional
-        (estimator, state, sample as `channels`) to reading minus model, NaN where missing.
-    next_reading : callable, optional
-        (estimator, state, largest half-band m) to the displacement reading to take, or None.
-    narrowest_band : callable, optional
-        Estimator to the half-band that a displacement reading leaves, m: no limit can be smaller.
-    program : callable, optional
-        (estimator, precision, nominal interval s) to the contents of an exported program.
-    """
-
+    #: Its name with an article, for messages: ``a learned model``.
     name: str
+    #: Path to the content of the file; raises `InputError`.
     read: Callable[[Path], M]
+    #: Model to a unique text; a state can only be resumed with the same one.
     fingerprint: Callable[[M], str]
+    #: (model, options) to the estimator.
     start: Callable[[M, Options], E] = _itself
+    #: Which of ``reading_noise``, ``ageing``, ``regression`` it takes.
     options: frozenset[str] = frozenset()
+    #: Whether the estimator is assembled for a nominal sampling interval.
     paced: bool = False
+    #: Estimator to its state for a machine with an unknown past.
     warm_state: Callable[[E], Array] | None = None
+    #: Estimator to additional JSON data stored with its states; (model, options, that data, name of
+    #: the file) to the resumed estimator.
     carried: Callable[[E], Any] | None = None
     resumed: Callable[[M, Options, Any, str], E] | None = None
+    #: (model, whether temperatures are above the ambient) to the readings of a machine.
     intake: Callable[[M, bool], Intake] = _intake
+    #: Model to the names that it expects of a log's columns, in the form that
+    #: `thermojoint.artefacts.log_file.read_log` takes.
     renamed: Callable[[M], Mapping[str, str]] = _as_it_is
+    #: (model, a log in pieces, its name, callback for the first row) to samples.
     log: Callable[[M, Iterable[Log], str, OnFirst | None], Iterator[Sample]] = _log
+    #: (model, response) to samples, and to the names of their probes.
     response: Callable[[M, xr.Dataset], Iterator[Sample]] = _response
     sensors: Callable[[M, xr.Dataset], Sequence[str]] = _sensors
+    #: Model to its calibrated ranges.
     ranges: Callable[[M], tuple[Range, ...]] = _no_ranges
+    #: Model to the strokes of its displacements along an axis, by their names without units; the
+    #: details of its estimates have their lines (`estimator.lines`).
     strokes: Callable[[M], Mapping[str, Stroke]] = _no_strokes
+    #: (kind, model, name to response, conditions) to errors; None for a kind judged by logs only.
     judge: Callable[[Kind[M, E], M, Mapping[str, xr.Dataset], Conditions], Figures] | None = _judged
+    #: (model, name to log) to errors; None for a kind judged by responses only.
     judge_logs: Callable[[M, Mapping[str, Log]], Figures] | None = None
+    #: (estimator, state, sample as `channels`) to reading minus model, NaN where missing.
     residuals: Callable[[E, Array, Array], Array] | None = None
+    #: (estimator, state, largest half-band m) to the displacement reading to take, or None.
     next_reading: Callable[[E, Array, float], NextReading | None] | None = None
+    #: Estimator to the half-band that a displacement reading leaves, m: no limit can be smaller.
     narrowest_band: Callable[[E], float] | None = None
+    #: (estimator, precision, nominal interval s) to the contents of an exported program.
     program: Callable[[E, Precision, float], Contents] | None = None
 
 

@@ -29,17 +29,11 @@ HERE = (("here", "m"), ("here_band", "m"))
 
 
 class Stroke(NamedTuple):
-    """Positions at which a displacement was read, m.
+    """Positions at which a displacement was read, m."""
 
-    Attributes
-    ----------
-    reference : float
-        P0.
-    low, high : float
-        Smallest and largest position.
-    """
-
+    #: P0.
     reference: float
+    #: Smallest and largest position.
     low: float
     high: float
 
@@ -50,18 +44,12 @@ def lever(reference: float, low: float, high: float) -> float:
 
 
 class Lines(NamedTuple):
-    """Lines of the displacements of an estimate; NaN for those that are known at one place.
+    """Lines of the displacements of an estimate; NaN for those that are known at one place."""
 
-    Attributes
-    ----------
-    slope, band : ndarray, shape (axes,)
-        Slope and half-width of its 95 % interval, m/m.
-    reference, low, high : ndarray, shape (axes,)
-        P0 and the ends of the stroke, m.
-    """
-
+    #: Shape (axes,): slope and half-width of its 95 % interval, m/m.
     slope: Array
     band: Array
+    #: Shape (axes,): P0 and the ends of the stroke, m.
     reference: Array
     low: Array
     high: Array

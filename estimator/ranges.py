@@ -7,21 +7,14 @@ from typing import NamedTuple
 
 
 class Range(NamedTuple):
-    """Range of the calibration for one quantity.
+    """Range of the calibration for one quantity."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the quantity.
-    low, high : float
-        In `unit`.
-    unit : str
-        Of both; ``1`` if it has none.
-    """
-
+    #: Name of the quantity.
     name: str
+    #: In `unit`.
     low: float
     high: float
+    #: Of both; ``1`` if it has none.
     unit: str
 
 

@@ -41,165 +41,113 @@ class Thresholds(NamedTuple):
     Set and checked together by ``python -m benchmarks.sensor_faults``: 128 faults over 35 min, of
     which 126 are tolerated, and 64 over 8 h, of which 63 are (docs/faulty-sensors.md). The effect
     of a single threshold is stated with it.
-
-    Attributes
-    ----------
-    gate : float
-        Innovation gate in standard deviations, beyond which a reading is contradicted.
-    model_error, model_share : float
-        Model error of a healthy reading as a standard deviation, K, and as a fraction of the
-        model's own one: no innovation below `gate` times it counts, however certain the model is.
-    clear : float
-        A distrusted channel is trusted again after this time without a fault, s.
-    agreed : float
-        A contradicted channel is trusted again after this time near the model, s: a jump of the
-        heat brings a wrong reading near it until the other channels have seen that heat. With 30 s,
-        59 of the 64 faults over 8 h are tolerated.
-    nearer, near : float
-        It counts as near if its error is at most this fraction of the original one, or this many
-        standard deviations of the model: a model that has lost a channel drifts. Without this rule
-        and those for `witnesses`, 119 of the 128 faults are tolerated.
-    jumped_back : float
-        If it has jumped back by this fraction of its error, the usual gate decides whether it is
-        near.
-    rate, jump : float
-        No thermometer in a machine changes faster than this, K/s, beyond a jump, K.
-    stuck, repeats : float
-        A value that repeats for this time, s, and this many samples may be stuck, ...
-    improbable : float
-        ... if the channel's usual behaviour makes that as unlikely as this, or more, ...
-    grain, seen : float
-        ... and its display is not coarse: it has changed by less than its noise, or its changes
-        have been, on average, this far from multiples of one step, over this many changes; ...
-    steps : float
-        ... or if the model says that it should have moved by this many steps or standard
-        deviations.
-    witnesses, turning : float
-        A channel that never changed is also stuck if this many others reverse in this fraction of
-        their changes, as noise does, and it would usually have changed.
-    unknown_step : float
-        Assumed step of a display that has not shown any yet, K.
-    habit, learnt : float
-        Initial repetition rate of a channel, and the samples over which it is learned.
-    rounding : float
-        Changes below this are ignored, K.
-    lasts : float
-        Time over which innovations are averaged, s: new heat is found within it, so that an
-        innovation that is left after it is an error of the model.
     """
 
+    #: Innovation gate in standard deviations, beyond which a reading is contradicted.
     gate: float = 5.0
+    #: Model error of a healthy reading as a standard deviation, K, and as a fraction of the model's
+    #: own one: no innovation below `gate` times it counts, however certain the model is.
     model_error: float = 0.2
     model_share: float = 0.01
+    #: A distrusted channel is trusted again after this time without a fault, s.
     clear: float = 30.0
+    #: A contradicted channel is trusted again after this time near the model, s: a jump of the heat
+    #: brings a wrong reading near it until the other channels have seen that heat. With 30 s, 59 of
+    #: the 64 faults over 8 h are tolerated.
     agreed: float = 300.0
+    #: It counts as near if its error is at most this fraction of the original one, or this many
+    #: standard deviations of the model: a model that has lost a channel drifts. Without this rule
+    #: and those for `witnesses`, 119 of the 128 faults are tolerated.
     nearer: float = 0.25
     near: float = 1.0
+    #: If it has jumped back by this fraction of its error, the usual gate decides whether it is
+    #: near.
     jumped_back: float = 0.5
+    #: No thermometer in a machine changes faster than this, K/s, beyond a jump, K.
     rate: float = 2.0
     jump: float = 3.0
+    #: A value that repeats for this time, s, and this many samples may be stuck, ...
     stuck: float = 12.0
     repeats: float = 4.0
+    #: ... if the channel's usual behaviour makes that as unlikely as this, or more, ...
     improbable: float = 1e-6
+    #: ... and its display is not coarse: it has changed by less than its noise, or its changes have
+    #: been, on average, this far from multiples of one step, over this many changes; ...
     grain: float = 0.005
     seen: float = 10.0
+    #: ... or if the model says that it should have moved by this many steps or standard deviations.
     steps: float = 4.0
+    #: A channel that never changed is also stuck if this many others reverse in this fraction of
+    #: their changes, as noise does, and it would usually have changed.
     witnesses: float = 2.0
     turning: float = 0.25
+    #: Assumed step of a display that has not shown any yet, K.
     unknown_step: float = 0.25
+    #: Initial repetition rate of a channel, and the samples over which it is learned.
     habit: float = 0.5
     learnt: float = 50.0
+    #: Changes below this are ignored, K.
     rounding: float = 1e-9
+    #: Time over which innovations are averaged, s: new heat is found within it, so that an
+    #: innovation that is left after it is an error of the model.
     lasts: float = 600.0
 
 
 class Channels(NamedTuple):
-    """Prior knowledge of the channels; arrays of shape (n,), K.
+    """Prior knowledge of the channels; arrays of shape (n,), K."""
 
-    Attributes
-    ----------
-    noise : ndarray
-        Standard deviation of a reading.
-    low, high : ndarray
-        Lowest and highest possible reading.
-    thermometers : int
-        Number of channels, the first ones, that are thermometers in the machine; others may be
-        constant.
-    """
-
+    #: Standard deviation of a reading.
     noise: Array
+    #: Lowest and highest possible reading.
     low: Array
     high: Array
+    #: Number of channels, the first ones, that are thermometers in the machine; others may be
+    #: constant.
     thermometers: int
 
 
 class Sample(NamedTuple):
-    """A sample and the prediction for it.
+    """A sample and the prediction for it."""
 
-    Attributes
-    ----------
-    time : float
-        s.
-    readings : ndarray, shape (n,)
-        Readings, K; NaN where missing.
-    predicted : ndarray, shape (n,)
-        K.
-    """
-
+    #: s.
     time: float
+    #: Shape (n,): readings, K; NaN where missing.
     readings: Array
+    #: Shape (n,): K.
     predicted: Array
 
 
 class Watch(NamedTuple):
-    """Memory of every channel; arrays of shape (n,), NaN where unknown.
+    """Memory of every channel; arrays of shape (n,), NaN where unknown."""
 
-    Attributes
-    ----------
-    distrusted : ndarray
-        1 if it is excluded, else 0.
-    fault : ndarray
-        Time of its last fault, s.
-    read : ndarray
-        Time of its last reading, s.
-    last : ndarray
-        Its last reading, K.
-    changed : ndarray
-        Time since which it has had this value, s.
-    expected : ndarray
-        Prediction of the model at that time, K.
-    repeats : ndarray
-        Number of repetitions since.
-    habit : ndarray
-        Fraction of its readings that repeat the previous one.
-    finest : ndarray
-        Smallest change so far, K.
-    grain : ndarray
-        Mean distance of its changes from multiples of that, relative to it: 0 for a coarse display.
-    rise : ndarray
-        Its last change, K.
-    turned : ndarray
-        Fraction of its changes that reverse: none for a smooth signal, two thirds for pure noise.
-    off : ndarray
-        Its error when the model contradicted it, K; negative once it has jumped back.
-    lasting : ndarray
-        Mean of its innovations over the last ten minutes, each at most the gate of a certain model,
-        K; as it was before the channel was distrusted.
-    """
-
+    #: 1 if it is excluded, else 0.
     distrusted: Array
+    #: Time of its last fault, s.
     fault: Array
+    #: Time of its last reading, s.
     read: Array
+    #: Its last reading, K.
     last: Array
+    #: Time since which it has had this value, s.
     changed: Array
+    #: Prediction of the model at that time, K.
     expected: Array
+    #: Number of repetitions since.
     repeats: Array
+    #: Fraction of its readings that repeat the previous one.
     habit: Array
+    #: Smallest change so far, K.
     finest: Array
+    #: Mean distance of its changes from multiples of that, relative to it: 0 for a coarse display.
     grain: Array
+    #: Its last change, K.
     rise: Array
+    #: Fraction of its changes that reverse: none for a smooth signal, two thirds for pure noise.
     turned: Array
+    #: Its error when the model contradicted it, K; negative once it has jumped back.
     off: Array
+    #: Mean of its innovations over the last ten minutes, each at most the gate of a certain model,
+    #: K; as it was before the channel was distrusted.
     lasting: Array
 
 
@@ -225,20 +173,13 @@ def fresh(channels: int, rules: Thresholds) -> Watch:
 
 
 class Verdict(NamedTuple):
-    """Verdict on the readings of a sample.
+    """Verdict on the readings of a sample."""
 
-    Attributes
-    ----------
-    believed : ndarray of bool, shape (n,)
-        Readings to be used.
-    lost : bool
-        Most channels contradict the model: its state is wrong.
-    watch : Watch
-        Memory for the next sample.
-    """
-
+    #: Shape (n,): readings to be used.
     believed: Flags
+    #: Most channels contradict the model: its state is wrong.
     lost: bool
+    #: Memory for the next sample.
     watch: Watch
 
 

@@ -24,22 +24,15 @@ class Settling:
     Such an estimator starts as if the machine were cold. A machine is warm if a sensor at the joint
     reads more than `SLACK` of its calibrated range above the ambient; those near the source may do
     so within a sample.
-
-    Attributes
-    ----------
-    span : Span
-        Calibrated ranges.
-    sensors : tuple of str
-        Sensors at the joint.
-    slowest : float
-        Slowest time constant of the model, s; it counts up to the calibrated duration.
-    nominal : float
-        Sampling interval, s.
     """
 
+    #: Calibrated ranges.
     span: Span
+    #: Sensors at the joint.
     sensors: tuple[str, ...]
+    #: Slowest time constant of the model, s; it counts up to the calibrated duration.
     slowest: float
+    #: Sampling interval, s.
     nominal: float
 
     @property

@@ -32,23 +32,15 @@ _DIGEST = hashlib.sha256().digest_size
 
 
 class SavedState(NamedTuple):
-    """A state and the model that it belongs to.
+    """A state and the model that it belongs to."""
 
-    Attributes
-    ----------
-    schema : str
-        Kind of the estimator, from the model file.
-    fingerprint : str
-        Fingerprint of the model.
-    carried : object
-        Additional JSON data of the kind; None for nothing.
-    values : ndarray
-        The state.
-    """
-
+    #: Kind of the estimator, from the model file.
     schema: str
+    #: Fingerprint of the model.
     fingerprint: str
+    #: Additional JSON data of the kind; None for nothing.
     carried: Any
+    #: The state.
     values: Array
 
 

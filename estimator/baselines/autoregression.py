@@ -23,29 +23,19 @@ _AT_STEP = 1e-6
 
 
 class State(NamedTuple):
-    """State after a sample.
+    """State after a sample."""
 
-    Attributes
-    ----------
-    clock : Clock
-        Time of the sample, and start of the run.
-    steps : int
-        Number of autoregression steps done.
-    temperatures : ndarray, shape (channels,)
-        Of the sample, K.
-    past : ndarray, shape (axes, order)
-        Past estimates, newest first, m.
-    seen : ndarray, shape (lags, channels)
-        Temperatures at past steps, newest first, K.
-    until : float
-        Time up to which the estimate is unsettled, s; NaN if it never was.
-    """
-
+    #: Time of the sample, and start of the run.
     clock: Clock
+    #: Number of autoregression steps done.
     steps: int
+    #: Shape (channels,): of the sample, K.
     temperatures: Array
+    #: Shape (axes, order): past estimates, newest first, m.
     past: Array
+    #: Shape (lags, channels): temperatures at past steps, newest first, K.
     seen: Array
+    #: Time up to which the estimate is unsettled, s; NaN if it never was.
     until: float
 
 
@@ -61,13 +51,9 @@ class AutoregressionEstimator:
 
     Temperatures are interpolated linearly. Between two steps the estimate is interpolated linearly
     towards the next step, computed with the present temperatures. Its state is `State`.
-
-    Attributes
-    ----------
-    model : Baselines
-        The file's content: autoregressions of the same orders, and the interval of their steps.
     """
 
+    #: The file's content: autoregressions of the same orders, and the interval of their steps.
     model: Baselines
     kind: Literal["arx"] = "arx"
     channels: tuple[Channel, ...] = CHANNELS

@@ -27,19 +27,13 @@ class RegressionEstimator:
 
     Its state is a `Clock`, the features (last temperatures and their low-passes), and the time up
     to which it is unsettled, s.
-
-    Attributes
-    ----------
-    kind : str
-        ``mlr`` or ``ridge``.
-    model : Baselines
-        The file's content.
-    dt_s : float
-        The machine is at rest until this long before the first sample, s.
     """
 
+    #: ``mlr`` or ``ridge``.
     kind: Literal["mlr", "ridge"]
+    #: The file's content.
     model: Baselines
+    #: The machine is at rest until this long before the first sample, s.
     dt_s: float
     channels: tuple[Channel, ...] = CHANNELS
     details: tuple[Channel, ...] = ()

@@ -11,17 +11,11 @@ from thermojoint.artefacts.errors import InputError
 
 
 class Clock(NamedTuple):
-    """First two entries of the states of baselines; NaN before the first sample.
+    """First two entries of the states of baselines; NaN before the first sample."""
 
-    Attributes
-    ----------
-    time : float
-        Time of the last sample, s.
-    begun : float
-        Start of the run, s.
-    """
-
+    #: Time of the last sample, s.
     time: float = math.nan
+    #: Start of the run, s.
     begun: float = math.nan
 
 

@@ -54,23 +54,15 @@ ESTIMATORS = (
 
 @dataclass(frozen=True)
 class Beside:
-    """Estimators to be compared with a model, and the time from which samples count.
+    """Estimators to be compared with a model, and the time from which samples count."""
 
-    Attributes
-    ----------
-    baselines : Baselines, optional
-        Regressions.
-    steady : Model, optional
-        The same kind of model, calibrated until the machine is steady, with the same sensors.
-    observers : sequence of (OpenedEstimator, ndarray)
-        Observers with their initial states. They read the probes with the names of their sensors.
-    settled_s : float
-        Samples count from this time after the first one, s.
-    """
-
+    #: Regressions.
     baselines: Baselines | None = None
+    #: The same kind of model, calibrated until the machine is steady, with the same sensors.
     steady: Model | None = None
+    #: Observers with their initial states. They read the probes with the names of their sensors.
     observers: Sequence[tuple[OpenedEstimator, Array]] = ()
+    #: Samples count from this time after the first one, s.
     settled_s: float = 0.0
 
     @property
@@ -86,25 +78,17 @@ ALONE = Beside()
 
 @dataclass(frozen=True)
 class Judged:
-    """Errors of the estimators for one response.
+    """Errors of the estimators for one response."""
 
-    Attributes
-    ----------
-    rows : list of dict
-        For each estimator ("none", "linear": δ_L alone, the baselines, "fchs": δ, observers) and
-        axis: estimator, axis, max_abs_error_um, rms_error_um, peak_total_um,
-        peak_nonlinear_um; for observers also band_cover, mean_band_um and interval_score_um.
-    vectors : list of dict
-        estimator, max_abs_error_um: largest length of the error vector.
-    errors : dict
-        Estimator to estimated minus actual displacement, m, shape (k, axes).
-    estimate : Signals or None
-        The whole run of FCHS, axes in the order of the model; None without a model.
-    """
-
+    #: For each estimator ("none", "linear": δ_L alone, the baselines, "fchs": δ, observers) and
+    #: axis: estimator, axis, max_abs_error_um, rms_error_um, peak_total_um, peak_nonlinear_um; for
+    #: observers also band_cover, mean_band_um and interval_score_um.
     rows: list[Row]
+    #: estimator, max_abs_error_um: largest length of the error vector.
     vectors: list[Row]
+    #: Estimator to estimated minus actual displacement, m, shape (k, axes).
     errors: dict[str, Array]
+    #: The whole run of FCHS, axes in the order of the model; None without a model.
     estimate: Signals | None
 
 

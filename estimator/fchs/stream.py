@@ -37,26 +37,17 @@ TIME = 0
 
 
 class Signals(NamedTuple):
-    """Outputs of the blocks at one sample, or at many (arrays with a leading time axis).
+    """Outputs of the blocks at one sample, or at many (arrays with a leading time axis)."""
 
-    Attributes
-    ----------
-    time : float or ndarray
-        s.
-    heat : float or ndarray
-        Q̂, mean over the interval just ended, 1.
-    sources : ndarray, shape (..., n)
-        q̂, mean over the interval just ended, 1.
-    deviation : ndarray, shape (..., n)
-        ∂T at the sample, K.
-    linear, nonlinear, total : ndarray, shape (..., n_axes)
-        δ_L, δ_NL and their sum, m.
-    """
-
+    #: s.
     time: float | np.ndarray
+    #: Q̂, mean over the interval just ended, 1.
     heat: float | np.ndarray
+    #: Shape (..., n): q̂, mean over the interval just ended, 1.
     sources: np.ndarray
+    #: Shape (..., n): ∂T at the sample, K.
     deviation: np.ndarray
+    #: Shape (..., n_axes): δ_L, δ_NL and their sum, m.
     linear: np.ndarray
     nonlinear: np.ndarray
     total: np.ndarray

@@ -51,47 +51,34 @@ class Following:
 
     The band's cover and the use of readings were measured on held-out days of a logged machine
     (``python -m benchmarks.measured_machine``, docs/measured-machines.md).
-
-    Attributes
-    ----------
-    drift_size : float
-        Size of the drift relative to the held-out errors, which come from hours next to those used
-        for learning.
-    drift_time : float
-        Decay time of the drift, s.
-    memory : float
-        Time after which the weights are as uncertain again as after learning, s.
-    refused : float
-        A reading further from the estimate than this many standard deviations is refused; a second
-        agreeing reading means that the zero has shifted.
-    goes_on : float
-        A log that starts within this time after the end of the learning log continues it, s.
-    reach : float
-        An estimate is flagged where it leaves the log's range of displacements by more than this
-        fraction of it, on either side.
-    within : float
-        Half-width of the band, 95 %, in standard deviations.
-    pause : float
-        After a longer interval without a sample, s, the past is as unknown as in a new run. Logs
-        are learned from with an interval of an hour at most.
-    wanders : float
-        Time constant with which a missing temperature may leave its last value, s
-        (`estimator.learned.unread`).
-    unsettled, lost : float
-        An estimate is unsettled where missing readings or an unknown past may have moved a
-        displacement by more than this fraction of what all readings together move it over the range
-        of the log; beyond the second one, while readings are missing, it is bad.
     """
 
+    #: Size of the drift relative to the held-out errors, which come from hours next to those used
+    #: for learning.
     drift_size: float = 2.0
+    #: Decay time of the drift, s.
     drift_time: float = 4.0 * 3600.0
+    #: Time after which the weights are as uncertain again as after learning, s.
     memory: float = 30.0 * 86400.0
+    #: A reading further from the estimate than this many standard deviations is refused; a second
+    #: agreeing reading means that the zero has shifted.
     refused: float = 4.0
+    #: A log that starts within this time after the end of the learning log continues it, s.
     goes_on: float = 3600.0
+    #: An estimate is flagged where it leaves the log's range of displacements by more than this
+    #: fraction of it, on either side.
     reach: float = 0.5
+    #: Half-width of the band, 95 %, in standard deviations.
     within: float = 1.96
+    #: After a longer interval without a sample, s, the past is as unknown as in a new run. Logs are
+    #: learned from with an interval of an hour at most.
     pause: float = 7200.0
+    #: Time constant with which a missing temperature may leave its last value, s
+    #: (`estimator.learned.unread`).
     wanders: float = 1800.0
+    #: An estimate is unsettled where missing readings or an unknown past may have moved a
+    #: displacement by more than this fraction of what all readings together move it over the range
+    #: of the log; beyond the second one, while readings are missing, it is bad.
     unsettled: float = 0.1
     lost: float = 0.5
 

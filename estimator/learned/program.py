@@ -39,17 +39,11 @@ _STATUSES = (
 
 
 class Filtered(NamedTuple):
-    """A feature as filtered in the program.
+    """A feature as filtered in the program."""
 
-    Attributes
-    ----------
-    column : int
-        Index of the reading.
-    exponent, reference, scale, tau : float
-        As `thermojoint.models.learned.Feature`.
-    """
-
+    #: Index of the reading.
     column: int
+    #: As `thermojoint.models.learned.Feature`.
     exponent: float
     reference: float
     scale: float

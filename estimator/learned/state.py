@@ -16,33 +16,23 @@ ZERO, DRIFT, WEIGHTS = 0, 1, slice(2, None)
 
 
 class State(NamedTuple):
-    """State after a sample of c columns, n features and a displacements.
+    """State after a sample of c columns, n features and a displacements."""
 
-    Attributes
-    ----------
-    time, begun : float
-        Time of the last sample and start of the run, s; NaN before any sample.
-    values : ndarray, shape (c,)
-        Last values of the columns, SI.
-    relaxations : ndarray, shape (n,)
-        Of the features.
-    mean : ndarray, shape (a, m)
-        Zero, drift and weights of each displacement, m, and of its slope (`width_of`).
-    refused : ndarray, shape (a,)
-        Innovation of the last refused reading of each displacement, m; 0 after an accepted one.
-    covariance : ndarray, shape (a, m, m)
-        Of `mean`, m2.
-    unread : Unread
-        Bounds on the errors of missing readings.
-    """
-
+    #: Time of the last sample and start of the run, s; NaN before any sample.
     time: float
     begun: float
+    #: Shape (c,): last values of the columns, SI.
     values: Array
+    #: Shape (n,): of the features.
     relaxations: Array
+    #: Shape (a, m): zero, drift and weights of each displacement, m, and of its slope (`width_of`).
     mean: Array
+    #: Shape (a,): innovation of the last refused reading of each displacement, m; 0 after an
+    #: accepted one.
     refused: Array
+    #: Shape (a, m, m): of `mean`, m2.
     covariance: Array
+    #: Bounds on the errors of missing readings.
     unread: Unread
 
     @property

@@ -23,17 +23,11 @@ from thermojoint.models.learned import LearnedModel
 
 
 class Unread(NamedTuple):
-    """Bounds on what is not known; arrays of shape (features,), in units of the signals.
+    """Bounds on what is not known; arrays of shape (features,), in units of the signals."""
 
-    Attributes
-    ----------
-    signals : ndarray
-        Of the error of each signal; 0 where its reading is present.
-    relaxed : ndarray
-        Of the error of each feature.
-    """
-
+    #: Of the error of each signal; 0 where its reading is present.
     signals: Array
+    #: Of the error of each feature.
     relaxed: Array
 
 
