@@ -142,19 +142,12 @@ def mesh_cad(
 
 
 class Face(NamedTuple):
-    """A face that belongs to no joint.
-
-    Attributes
-    ----------
-    body : str
-    point : (float, float, float)
-        On it, away from its edges, m.
-    area : float
-        m2.
-    """
+    """A face that belongs to no joint."""
 
     body: str
+    #: On it, away from its edges, m.
     point: Point
+    #: m2.
     area: float
 
 

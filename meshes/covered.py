@@ -14,29 +14,19 @@ from meshes.structure import Structure
 
 @dataclass(frozen=True)
 class Cover:
-    """The covered part of n facets, as quadrature points.
+    """The covered part of n facets, as quadrature points."""
 
-    Attributes
-    ----------
-    share : ndarray, shape (n,)
-        Covered fraction of the area of each facet; 1 if only rounding is left.
-    area : ndarray, shape (n,)
-        Of each whole facet as a plane one, m2.
-    facet : ndarray of int, shape (nq,)
-        Which of the facets each point lies on.
-    cell : ndarray of int, shape (nq,)
-        The cell behind it.
-    points : ndarray, shape (3, nq)
-        m.
-    weights : ndarray, shape (nq,)
-        m2.
-    """
-
+    #: Shape (n,): covered fraction of the area of each facet; 1 if only rounding is left.
     share: NDArray[np.float64]
+    #: Shape (n,): of each whole facet as a plane one, m2.
     area: NDArray[np.float64]
+    #: Shape (nq,): which of the facets each point lies on.
     facet: NDArray[np.int64]
+    #: Shape (nq,): the cell behind it.
     cell: NDArray[np.int64]
+    #: Shape (3, nq): m.
     points: NDArray[np.float64]
+    #: Shape (nq,): m2.
     weights: NDArray[np.float64]
 
 

@@ -50,69 +50,47 @@ class SurfaceFacts:
 
 @dataclass(frozen=True)
 class JointFacts:
-    """A joint.
+    """A joint."""
 
-    Attributes
-    ----------
-    area_a, area_b, overlap : float
-        Of the sides and of their common part, m2.
-    gap : tuple of float
-        Smallest and largest distance from side a to side b along the normal, m; negative where they
-        overlap.
-    misalignment : float
-        Largest angle between facing facets, degrees.
-    parts : int
-        Different normals among the contact elements.
-    matching : bool
-        Whether the facets of the two sides coincide.
-    """
-
+    #: Of the sides and of their common part, m2.
     area_a: float
     area_b: float
     overlap: float
+    #: Smallest and largest distance from side a to side b along the normal, m; negative where they
+    #: overlap.
     gap: tuple[float, float]
+    #: Largest angle between facing facets, degrees.
     misalignment: float
+    #: Different normals among the contact elements.
     parts: int
+    #: Whether the facets of the two sides coincide.
     matching: bool
 
 
 @dataclass(frozen=True)
 class Inspection:
-    """Results of `inspect`.
+    """Results of `inspect`."""
 
-    Attributes
-    ----------
-    kind : str
-        Type of the cells.
-    nodes, cells : int
-        Numbers of nodes and cells.
-    extent : tuple of float
-        Along x, y and z, m.
-    bodies, surfaces, joints : dict
-        By name.
-    probes : dict of str to (tuple of float, str or None)
-        Position, m, and the body named for a probe.
-    quality : dict of str to float
-        Quality of the cells: ``worst``, ``1 %`` and ``median``.
-    worst_cell : tuple of float
-        Position of the worst cell, m.
-    unnamed_area : float
-        Boundary without any name, m2, and therefore without convection.
-    warnings : tuple of str
-        Suspicious features, one line each.
-    """
-
+    #: Type of the cells.
     kind: str
+    #: Numbers of nodes and cells.
     nodes: int
     cells: int
+    #: Along x, y and z, m.
     extent: tuple[float, float, float]
+    #: By name.
     bodies: dict[str, BodyFacts]
     surfaces: dict[str, SurfaceFacts]
     joints: dict[str, JointFacts]
+    #: Position, m, and the body named for a probe.
     probes: dict[str, tuple[tuple[float, float, float], str | None]]
+    #: Quality of the cells: ``worst``, ``1 %`` and ``median``.
     quality: dict[str, float]
+    #: Position of the worst cell, m.
     worst_cell: tuple[float, float, float]
+    #: Boundary without any name, m2, and therefore without convection.
     unnamed_area: float
+    #: Suspicious features, one line each.
     warnings: tuple[str, ...]
 
 

@@ -22,60 +22,44 @@ _SLACK = 1e-7  # m; facet mid-points are compared with planes
 
 @dataclass(frozen=True)
 class MillingMachineDimensions:
-    """Every dimension of the machine, in m.
+    """Every dimension of the machine, in m."""
 
-    Attributes
-    ----------
-    column_depth, column_height, width : float
-        Outer size of the column along x and y, and of the machine along z.
-    wall : float
-        Thickness of all walls.
-    bracket_bottom, bracket_top : float
-        Heights of the faces of the column's internal bracket.
-    strip_depth : float
-        Thickness of the contact strips along x.
-    strip_inset, strip_width : float
-        Distance of a strip from the side of the machine, and its width, along z.
-    strip_bottom, strip_top : float or None
-        Heights of the ends of the strips; None for those of the table.
-    table_bottom, table_top, table_length : float
-        Heights of the table's faces and its length along x.
-    screw_x, screw_depth, screw_width : float
-        Start along x, extent along x, and extent along z of the support screw.
-    screw_bottom : float
-        Height of its foot.
-    source_top, source_height, source_inset, source_width : float
-        Bearing source on the inside of the column's front wall: height of its top edge, size along
-        y, distance from the side along z, and width along z.
-    nose_height : float
-        Height of the spindle nose, point A.
-    table_point : float
-        Distance of point B from the table's column side along x.
-    """
-
+    #: Outer size of the column along x and y, and of the machine along z.
     column_depth: float = 0.60
     column_height: float = 1.15
     width: float = 0.50
+    #: Thickness of all walls.
     wall: float = 0.05
+    #: Heights of the faces of the column's internal bracket.
     bracket_bottom: float = 0.75
     bracket_top: float = 0.80
+    #: Thickness of the contact strips along x.
     strip_depth: float = 0.05
+    #: Distance of a strip from the side of the machine, and its width, along z.
     strip_inset: float = 0.05
     strip_width: float = 0.075
+    #: Heights of the ends of the strips; None for those of the table.
     strip_bottom: float | None = None
     strip_top: float | None = None
+    #: Heights of the table's faces and its length along x.
     table_bottom: float = 0.35
     table_top: float = 0.75
     table_length: float = 0.80
+    #: Start along x, extent along x, and extent along z of the support screw.
     screw_x: float = 1.00
     screw_depth: float = 0.05
     screw_width: float = 0.10
+    #: Height of its foot.
     screw_bottom: float = 0.0
+    #: Bearing source on the inside of the column's front wall: height of its top edge, size along
+    #: y, distance from the side along z, and width along z.
     source_top: float = 0.75
     source_height: float = 0.10
     source_inset: float = 0.05
     source_width: float = 0.10
+    #: Height of the spindle nose, point A.
     nose_height: float = 1.05
+    #: Distance of point B from the table's column side along x.
     table_point: float = 0.15
 
     @property

@@ -50,55 +50,39 @@ ALONG = 15
 
 @dataclass(frozen=True, eq=False)
 class PairedJoint:
-    """Quadrature points of a joint, known on both sides, grouped into contact elements.
+    """Quadrature points of a joint, known on both sides, grouped into contact elements."""
 
-    Attributes
-    ----------
-    name : str
-        The joint's name in the structure.
-    normal, tangents : ndarray, shapes (m, 3) and (m, 2, 3)
-        Of each contact element: unit normal from side a to side b, and the directions along and
-        across the joint.
-    points_a, points_b : ndarray, shape (3, nq)
-        The points on each side, m.
-    cells_a, cells_b : ndarray of int, shape (nq,)
-        The cells behind the facets they lie on.
-    facets_a, facets_b : ndarray of int, shape (nq,)
-        These facets.
-    weights : ndarray, shape (nq,)
-        Area weights, m2, on side a.
-    weights_b : ndarray, shape (nq,)
-        The same on side b; they differ where the sides are not parallel.
-    element : ndarray of int, shape (nq,)
-        Contact element of each point, counted along the joint, part by part.
-    area, centre : ndarray, shapes (m,) and (m, 3)
-        Area (m2) and centroid (m) of each contact element.
-    pieces : tuple of ndarray, each of shape (corners, 3)
-        Plane convex pieces of side a that make up the joint, m: overlaps of a facet of each side
-        and a contact element.
-    piece_element : ndarray of int, shape (pieces,)
-        Contact element of each piece.
-    place : ndarray of int, shape (m, 3)
-        Part of side a, row and column of each contact element; neighbours on a curved part follow
-        each other in its only row.
-    """
-
+    #: The joint's name in the structure.
     name: str
+    #: Shapes (m, 3) and (m, 2, 3): of each contact element: unit normal from side a to side b, and
+    #: the directions along and across the joint.
     normal: NDArray[np.float64]
     tangents: NDArray[np.float64]
+    #: Shape (3, nq): the points on each side, m.
     points_a: NDArray[np.float64]
     points_b: NDArray[np.float64]
+    #: Shape (nq,): the cells behind the facets they lie on.
     cells_a: NDArray[np.int64]
     cells_b: NDArray[np.int64]
+    #: Shape (nq,): these facets.
     facets_a: NDArray[np.int64]
     facets_b: NDArray[np.int64]
+    #: Shape (nq,): area weights, m2, on side a.
     weights: NDArray[np.float64]
+    #: Shape (nq,): the same on side b; they differ where the sides are not parallel.
     weights_b: NDArray[np.float64]
+    #: Shape (nq,): contact element of each point, counted along the joint, part by part.
     element: NDArray[np.int64]
+    #: Shapes (m,) and (m, 3): area (m2) and centroid (m) of each contact element.
     area: NDArray[np.float64]
     centre: NDArray[np.float64]
+    #: Shape (corners, 3): plane convex pieces of side a that make up the joint, m: overlaps of a
+    #: facet of each side and a contact element.
     pieces: tuple[NDArray[np.float64], ...]
+    #: Shape (pieces,): contact element of each piece.
     piece_element: NDArray[np.int64]
+    #: Shape (m, 3): part of side a, row and column of each contact element; neighbours on a curved
+    #: part follow each other in its only row.
     place: NDArray[np.int64]
 
     @property

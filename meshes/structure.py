@@ -17,17 +17,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Probe:
-    """A named point on or in a body.
+    """A named point on or in a body."""
 
-    Attributes
-    ----------
-    position : tuple of float
-        x, y, z in m.
-    body : str or None
-        The body it belongs to; needed only where two bodies touch.
-    """
-
+    #: x, y, z in m.
     position: tuple[float, float, float]
+    #: The body it belongs to; needed only where two bodies touch.
     body: str | None = None
 
 

@@ -26,52 +26,34 @@ SAME = 1e-5
 
 @dataclass(frozen=True)
 class Stations:
-    """Places on guides that contact elements cover: n stations, quadrature points on them.
+    """Places on guides that contact elements cover: n stations, quadrature points on them."""
 
-    Attributes
-    ----------
-    points : ndarray, shape (3, nq)
-        m.
-    cells : ndarray of int, shape (nq,)
-        The cell of the guide behind each point.
-    station : ndarray of int, shape (nq,)
-        Of each point.
-    share : ndarray, shape (nq,)
-        Area weights; they add up to one at every station.
-    element : ndarray of int, shape (n,)
-        A contact element that covers the station, with its normal and tangents.
-    place : tuple of ndarray of int, shape (k, m)
-        For every axis: station of each of m contact elements at each of its k positions; -1 if it
-        rides on another axis, or on none.
-    """
-
+    #: Shape (3, nq): m.
     points: Array
+    #: Shape (nq,): the cell of the guide behind each point.
     cells: NDArray[np.int64]
+    #: Shape (nq,): of each point.
     station: NDArray[np.int64]
+    #: Shape (nq,): area weights; they add up to one at every station.
     share: Array
+    #: Shape (n,): a contact element that covers the station, with its normal and tangents.
     element: NDArray[np.int64]
+    #: Shape (k, m): for every axis: station of each of m contact elements at each of its k
+    #: positions; -1 if it rides on another axis, or on none.
     place: tuple[NDArray[np.int64], ...]
 
 
 @dataclass(frozen=True)
 class Travel:
-    """What moves along an axis.
+    """What moves along an axis."""
 
-    Attributes
-    ----------
-    axis : str
-        Its name.
-    bodies : sequence of str
-        The bodies that move, those included that are carried along.
-    divided : dict
-        Joints that ride on the axis to `along` and `across` of `pair_joint`.
-    shifts : ndarray, shape (k, 3)
-        From where the mesh shows the bodies, m.
-    """
-
+    #: Its name.
     axis: str
+    #: The bodies that move, those included that are carried along.
     bodies: Sequence[str]
+    #: Joints that ride on the axis to `along` and `across` of `pair_joint`.
     divided: dict[str, tuple[int | None, int | None]]
+    #: Shape (k, 3): from where the mesh shows the bodies, m.
     shifts: Array
 
 

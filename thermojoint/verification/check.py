@@ -69,21 +69,14 @@ class Check:
 
 @dataclass(frozen=True)
 class Quantity:
-    """A quantity that one or more checks compare.
+    """A quantity that one or more checks compare."""
 
-    Attributes
-    ----------
-    name, unit : str
-        As in `Check`.
-    tolerance : float
-        Largest relative error that passes.
-    source : str
-        Source of the references.
-    """
-
+    #: As in `Check`.
     name: str
     unit: str
+    #: Largest relative error that passes.
     tolerance: float = 1e-7
+    #: Source of the references.
     source: str = "closed form"
 
     def check(

@@ -61,17 +61,11 @@ ROUND = 1440
 
 @dataclass(frozen=True)
 class Pressed:
-    """Two bodies and the joint between them.
+    """Two bodies and the joint between them."""
 
-    Attributes
-    ----------
-    contact : ContactProblem
-        The joint and its linear side.
-    nodes : int
-        Number of temperatures.
-    """
-
+    #: The joint and its linear side.
     contact: ContactProblem
+    #: Number of temperatures.
     nodes: int
 
     @property
@@ -118,17 +112,11 @@ def checks() -> Iterator[Check]:
 
 @dataclass(frozen=True)
 class Drive:
-    """Force on the driver of the block.
+    """Force on the driver of the block."""
 
-    Attributes
-    ----------
-    force : ndarray, shape (steps, 2)
-        Along the two tangents of the joint, N.
-    dissipated : ndarray, shape (steps, m)
-        Shear times slip of each contact element, J.
-    """
-
+    #: Shape (steps, 2): along the two tangents of the joint, N.
     force: Array
+    #: Shape (steps, m): shear times slip of each contact element, J.
     dissipated: Array
 
 

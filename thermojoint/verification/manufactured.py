@@ -50,18 +50,12 @@ FINE = 7
 
 @dataclass(frozen=True)
 class Wave:
-    """A field a sin(k . x + phase) with known derivatives.
+    """A field a sin(k . x + phase) with known derivatives."""
 
-    Attributes
-    ----------
-    amplitude : ndarray, shape (c,)
-        a, in the unit of the field; three components for a displacement, one for a temperature.
-    number : ndarray, shape (3,)
-        k, 1/m.
-    phase : float
-    """
-
+    #: Shape (c,): a, in the unit of the field; three components for a displacement, one for a
+    #: temperature.
     amplitude: Array
+    #: Shape (3,): k, 1/m.
     number: Array
     phase: float = 0.4
 

@@ -67,28 +67,19 @@ STEPS, TIME = (2.0, 1.0, 0.5), 48.0
 
 @dataclass(frozen=True)
 class Assembled:
-    """The assembled operators of a structure, and the machine condensed from them.
+    """The assembled operators of a structure, and the machine condensed from them."""
 
-    Attributes
-    ----------
-    heat, elastic, joints
-        Operators of the whole structure.
-    probes : scipy.sparse.csr_array, shape (k, n)
-        Rows of the displacement probes.
-    thermometer : scipy.sparse.csr_array, shape (1, n)
-        Row of a temperature probe.
-    machine : CondensedMachine
-        The machine to be simulated.
-    field : DisplacementField
-        Displacements from its results.
-    """
-
+    #: Operators of the whole structure.
     heat: HeatOperators
     elastic: ElasticOperators
     joints: JointOperators
+    #: Shape (k, n): rows of the displacement probes.
     probes: csr_array
+    #: Shape (1, n): row of a temperature probe.
     thermometer: csr_array
+    #: The machine to be simulated.
     machine: CondensedMachine
+    #: Displacements from its results.
     field: DisplacementField
 
 

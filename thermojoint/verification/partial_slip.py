@@ -37,16 +37,11 @@ class PartialSlip:
 
     Stuck up to y = a: u = s sinh(beta y) / sinh(beta a), beta^2 = k_t / (E t). Beyond, the shear is
     k_t s; the strain is continuous at a, which determines a.
-
-    Attributes
-    ----------
-    limit : float
-        s, displacement at which the joint slips, m.
-    strain : float
-        alpha T, thermal strain of the free strip.
     """
 
+    #: s, displacement at which the joint slips, m.
     limit: float
+    #: alpha T, thermal strain of the free strip.
     strain: float
 
     @property

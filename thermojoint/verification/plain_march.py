@@ -30,18 +30,12 @@ SETTLED = 1e-15
 
 @dataclass(frozen=True)
 class PlainStep:
-    """One step of `plain_march`.
+    """One step of `plain_march`."""
 
-    Attributes
-    ----------
-    temperature, displacement : ndarray
-        At every unknown, K and m.
-    pressure, slip : ndarray, shapes (m,) and (2, m)
-        Of the contact elements, Pa and m.
-    """
-
+    #: At every unknown, K and m.
     temperature: Array
     displacement: Array
+    #: Shapes (m,) and (2, m): of the contact elements, Pa and m.
     pressure: Array
     slip: Array
 

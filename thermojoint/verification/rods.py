@@ -28,29 +28,19 @@ NO_FRICTION = Friction(0.0, 1e12)
 
 @dataclass(frozen=True)
 class Rods:
-    """Two rods in line along x, ready to be condensed for any time step.
+    """Two rods in line along x, ready to be condensed for any time step."""
 
-    Attributes
-    ----------
-    heat : HeatOperators
-        Heat in both rods; the inputs are the ambient and the held surfaces.
-    operators : JointOperators
-        Their joint: one contact element.
-    elastic : ElasticCondensation
-        Both rods between walls.
-    law : JointLaw
-        Law of the joint.
-    x : ndarray, shape (n,)
-        Coordinates of the temperature unknowns, m; those of the second rod start at `second`.
-    second : int
-        Number of the first unknown of the second rod.
-    """
-
+    #: Heat in both rods; the inputs are the ambient and the held surfaces.
     heat: HeatOperators
+    #: Their joint: one contact element.
     operators: JointOperators
+    #: Both rods between walls.
     elastic: ElasticCondensation
     law: JointLaw
+    #: Shape (n,): coordinates of the temperature unknowns, m; those of the second rod start at
+    #: `second`.
     x: Array
+    #: Number of the first unknown of the second rod.
     second: int
 
     def machine(self, step: float) -> CondensedMachine:

@@ -34,17 +34,11 @@ from thermojoint.verification.check import Check
 
 @dataclass(frozen=True)
 class Group:
-    """Checks that belong together.
+    """Checks that belong together."""
 
-    Attributes
-    ----------
-    title : str
-        Heading in the table and on the docs page.
-    run : callable
-        Gives the checks.
-    """
-
+    #: Heading in the table and on the docs page.
     title: str
+    #: Gives the checks.
     run: Callable[[], Iterable[Check]]
 
 
@@ -84,17 +78,11 @@ GROUPS: tuple[Group, ...] = (
 
 @dataclass(frozen=True)
 class Result:
-    """Result of a group.
+    """Result of a group."""
 
-    Attributes
-    ----------
-    group : Group
-        Group that was run.
-    checks : tuple of Check
-        Checks of the group.
-    """
-
+    #: Group that was run.
     group: Group
+    #: Checks of the group.
     checks: tuple[Check, ...]
 
     @property
