@@ -52,22 +52,15 @@ Data = dict[str, Any]
 
 @dataclass(frozen=True)
 class Judged:
-    """A case with its error.
+    """A case with its error."""
 
-    Attributes
-    ----------
-    name, what : str
-        The case, and what its error comes from.
-    true, estimated : float
-        um.
-    displacement : float
-        Largest, um.
-    """
-
+    #: The case, and what its error comes from.
     name: str
     what: str
+    #: um.
     true: float
     estimated: float
+    #: Largest, um.
     displacement: float
 
     @property

@@ -103,20 +103,13 @@ QUERIES = (
 
 @dataclass(frozen=True)
 class Report:
-    """What became of the requests.
+    """What became of the requests."""
 
-    Attributes
-    ----------
-    sent : int
-        Requests.
-    answers : Counter
-        Status to how often; 0 where the connection was closed without any.
-    unanswered : int
-        Connections that were neither answered nor closed.
-    """
-
+    #: Requests.
     sent: int
+    #: Status to how often; 0 where the connection was closed without any.
     answers: Counter[int] = field(default_factory=Counter)
+    #: Connections that were neither answered nor closed.
     unanswered: int = 0
 
     @property
@@ -238,16 +231,9 @@ def attack(
 ) -> Report:
     """Send malformed requests, some at the same time.
 
-    Parameters
-    ----------
-    host, port
-        Where the server listens.
-    token : str
-        The right one, so that some get further than the gate.
-    count, seed : int
-        How many, and which.
-    security : SSLContext, optional
-        For TLS; one in twenty then sends what is no TLS.
+    `host`, `port`: where the server listens. `token`: the right one, so that some get further than
+    the gate. `count`, `seed`: how many, and which. `security`: for TLS; one in twenty then sends
+    what is no TLS.
     """
     with ThreadPoolExecutor(AT_ONCE) as threads:
         found = list(

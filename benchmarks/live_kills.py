@@ -129,18 +129,9 @@ def kill_through(
 ) -> int:
     """Feed a service the lines of a day, and kill it `count` times; return how often it had begun.
 
-    Parameters
-    ----------
-    place : Path
-        Where `prepare` wrote its files.
-    lines : sequence of str
-        Header and rows.
-    count : int
-    draw : Random
-        Draws the moments.
-    shortest, longest : float
-        A service lives so long after its first sign of life, s; less than 0: it is killed as it
-        starts.
+    `place`: where `prepare` wrote its files. `lines`: header and rows. `draw`: draws the moments.
+    `shortest`, `longest`: a service lives so long after its first sign of life, s; less than 0: it
+    is killed as it starts.
     """
     fed = place / "fed.csv"
     fed.write_text(lines[0])
@@ -235,14 +226,9 @@ def differences(whole: History, killed: History) -> list[str]:
 def undisturbed(place: Path, lines: Sequence[str], killed: History) -> Iterator[History]:
     """Yield the history of a service for each run of samples with one model, which reads them.
 
-    Parameters
-    ----------
-    place : Path
-        Where `prepare` wrote its files; the models are ``model*.json`` there.
-    lines : sequence of str
-        Of the whole day, header and rows.
-    killed : History
-        Of the service that was killed; its model by sample is in its store.
+    `place`: where `prepare` wrote its files; the models are ``model*.json`` there. `lines`: of the
+    whole day, header and rows. `killed`: of the service that was killed; its model by sample is in
+    its store.
     """
     text = (place / "whole.toml").read_text()
     given = read_service(place / "whole.toml").given.models["model"]

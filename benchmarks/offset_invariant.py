@@ -542,11 +542,7 @@ class Offsets(RuleBasedStateMachine):
 def violations(sequences: int, steps: int = 30) -> None:
     """Run sequences; raises with the shortest one that violates what must hold.
 
-    Parameters
-    ----------
-    sequences : int
-    steps : int
-        Of each at most.
+    `steps`: of each at most.
     """
     run_state_machine_as_test(
         Offsets,

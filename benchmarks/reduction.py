@@ -50,19 +50,13 @@ EVERY = 25
 
 @dataclass(frozen=True)
 class Differences:
-    """Largest differences of the reduced march from the full one.
+    """Largest differences of the reduced march from the full one."""
 
-    Attributes
-    ----------
-    displacement, probe, field : float
-        Of the recorded displacement, m; of the candidates' temperatures and of all nodes', K.
-    pressure : float
-        Of the contact pressures, relative to the largest of them.
-    """
-
+    #: Of the recorded displacement, m; of the candidates' temperatures and of all nodes', K.
     displacement: float
     probe: float
     field: float
+    #: Of the contact pressures, relative to the largest of them.
     pressure: float
 
 

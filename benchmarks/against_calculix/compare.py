@@ -40,57 +40,39 @@ PARTS = 4
 
 @dataclass(frozen=True)
 class Ours:
-    """Our side of a comparison.
+    """Our side of a comparison."""
 
-    Attributes
-    ----------
-    setup : Setup
-        The condensed case.
-    step : Step
-        The last one.
-    displacement : ndarray, shape (nodes, 3)
-        At the end, m, nodes as in the space of displacements.
-    seconds : float
-        Wall time of set-up and march.
-    march_seconds : float
-        Wall time of the march alone.
-    """
-
+    #: The condensed case.
     setup: Setup
+    #: The last one.
     step: Step
+    #: Shape (nodes, 3): at the end, m, nodes as in the space of displacements.
     displacement: Array
+    #: Wall time of set-up and march.
     seconds: float
+    #: Wall time of the march alone.
     march_seconds: float
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """Largest differences at the end of a run, and the values that they are relative to.
+    """Largest differences at the end of a run, and the values that they are relative to."""
 
-    Attributes
-    ----------
-    temperature, displacement, pressure : float
-        Largest difference over the largest value: of nodal temperatures, nodal displacement
-        vectors and mean pressures of the contact elements.
-    probe : float
-        Difference of the case's recorded displacement over its size.
-    temperature_scale, displacement_scale, pressure_scale, probe_scale : float
-        Those values, K, m, Pa and m.
-    normal_force : float
-        Difference of the joint's normal force over CalculiX's.
-    force_check : float
-        The same of CalculiX's printed force and the one from its displacements by our law.
-    """
-
+    #: Largest difference over the largest value: of nodal temperatures, nodal displacement vectors
+    #: and mean pressures of the contact elements.
     temperature: float
     displacement: float
     pressure: float
+    #: Difference of the case's recorded displacement over its size.
     probe: float
+    #: Those values, K, m, Pa and m.
     temperature_scale: float
     displacement_scale: float
     pressure_scale: float
     probe_scale: float
+    #: Difference of the joint's normal force over CalculiX's.
     normal_force: float
+    #: The same of CalculiX's printed force and the one from its displacements by our law.
     force_check: float
 
 
@@ -104,14 +86,8 @@ def comparable(law: JointLaw) -> JointLaw:
 def run_ours(case: Case, law: JointLaw, *, consistent: bool = False) -> Ours:
     """March a case on one thread with `law` at its joint.
 
-    Parameters
-    ----------
-    case : Case
-        What to march.
-    law : JointLaw
-        Instead of the case's.
-    consistent : bool
-        Take the consistent heat capacity, which CalculiX has, instead of the lumped one.
+    `case`: what to march. `law`: instead of the case's. `consistent`: take the consistent heat
+    capacity, which CalculiX has, instead of the lumped one.
     """
     count = step_count(case.march)
     with threadpool_limits(limits=1):
@@ -133,12 +109,7 @@ def run_ours(case: Case, law: JointLaw, *, consistent: bool = False) -> Ours:
 def ride_ours(case: Case, law: JointLaw) -> tuple[Setup, Step, float]:
     """March a case whose axes stand, with `law` at its joint; return the last step, and wall time.
 
-    Parameters
-    ----------
-    case : Case
-        With axes that stand.
-    law : JointLaw
-        Instead of the case's.
+    `case`: with axes that stand. `law`: instead of the case's.
     """
     begun = time.perf_counter()
     ready = set_up_axes(case)
@@ -250,19 +221,8 @@ def mean_pressures(problem: Problem, basis: CellBasis, displacement: Array) -> A
     The pressure may grow manifold within a contact element, so the means are taken over `PARTS` x
     `PARTS` parts of each.
 
-    Parameters
-    ----------
-    problem : Problem
-        Joint and law.
-    basis : skfem.CellBasis
-        Scalar space of the displacement.
-    displacement : ndarray, shape (nodes, 3)
-        Displacement, m.
-
-    Raises
-    ------
-    InputError
-        A patch of the joint is no rectangle.
+    `problem`: joint and law. `basis`: scalar space of the displacement. `displacement` (nodes, 3):
+    displacement, m. Raises `InputError`: a patch of the joint is no rectangle.
     """
     along, across = problem.grid
     fine = pair_joint(problem.structure, problem.joint.name, PARTS * along, PARTS * across)

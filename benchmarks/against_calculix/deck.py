@@ -49,49 +49,32 @@ CONDUCTANCE_PRESSURES = np.array([0.0, *np.geomspace(1e-3, 0.1, 3), *np.geomspac
 
 @dataclass(frozen=True)
 class Choices:
-    """How CalculiX is asked to solve a problem.
+    """How CalculiX is asked to solve a problem."""
 
-    Attributes
-    ----------
-    element : str
-        One of `elements.ELEMENTS`; "" for the one with our displacements.
-    steady : bool
-        Steady state instead of time steps.
-    table_points : int
-        Write the normal law as a table of so many points; 0 for CalculiX's closed forms.
-    tolerance : float
-        Largest residual and correction of an increment, relative to what CalculiX compares them
-        with; 0 for its own, 0.5 % and 1 %.
-    patience : int
-        Iterations before an increment may be given up as diverging; 0 for its own, 4.
-    every : int
-        Results after every so many increments (and the last).
-    """
-
+    #: One of `elements.ELEMENTS`; "" for the one with our displacements.
     element: str = ""
+    #: Steady state instead of time steps.
     steady: bool = False
+    #: Write the normal law as a table of so many points; 0 for CalculiX's closed forms.
     table_points: int = 0
+    #: Largest residual and correction of an increment, relative to what CalculiX compares them
+    #: with; 0 for its own, 0.5 % and 1 %.
     tolerance: float = 0.0
+    #: Iterations before an increment may be given up as diverging; 0 for its own, 4.
     patience: int = 0
+    #: Results after every so many increments (and the last).
     every: int = 1_000_000
 
 
 @dataclass(frozen=True)
 class Deck:
-    """An input deck and what is needed to read its results.
+    """An input deck and what is needed to read its results."""
 
-    Attributes
-    ----------
-    text : str
-        The deck.
-    basis : skfem.CellBasis
-        The scalar space whose unknown i is node i + 1 of the deck.
-    shift : float
-        Overclosure at opening 0, m.
-    """
-
+    #: The deck.
     text: str
+    #: The scalar space whose unknown i is node i + 1 of the deck.
     basis: CellBasis
+    #: Overclosure at opening 0, m.
     shift: float
 
 

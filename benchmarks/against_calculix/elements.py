@@ -79,16 +79,7 @@ def faces(
 ) -> list[tuple[int, int]]:
     """Return (element, face number) of a surface's facets; both count from 1.
 
-    Parameters
-    ----------
-    structure : Structure
-        Mesh and names.
-    basis : skfem.CellBasis
-        Its nodes.
-    cells : ndarray of int, shape (cells, nodes)
-        `connectivity`.
-    surface : str
-        The surface.
+    `structure`: mesh and names. `basis`: its nodes. `cells` (cells, nodes): `connectivity`.
     """
     mesh = structure.mesh
     numbered = HEXAHEDRON_FACES if mesh.t.shape[0] == 8 else TETRAHEDRON_FACES

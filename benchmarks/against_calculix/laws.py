@@ -13,17 +13,11 @@ from thermojoint.artefacts.arrays import Array
 
 @dataclass(frozen=True)
 class ExponentialLaw:
-    """p = p0 exp(-rate opening): the surface law's tail, and CalculiX's EXPONENTIAL.
+    """p = p0 exp(-rate opening): the surface law's tail, and CalculiX's EXPONENTIAL."""
 
-    Attributes
-    ----------
-    rate : float
-        1/m.
-    preload : float
-        p0, Pa.
-    """
-
+    #: 1/m.
     rate: float
+    #: p0, Pa.
     preload: float
 
     def pressure(self, opening: Array) -> Array:

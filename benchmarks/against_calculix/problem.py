@@ -19,58 +19,37 @@ from thermojoint.artefacts.errors import InputError
 
 @dataclass(frozen=True)
 class Problem:
-    """One structure with one joint under constant loads.
+    """One structure with one joint under constant loads."""
 
-    Attributes
-    ----------
-    structure : Structure
-        Mesh and names.
-    materials : dict of str to Material
-        Of every body.
-    joint : PairedJoint
-        The joint.
-    grid : (int, int)
-        Its contact elements along and across each patch.
-    law : JointLaw
-        Its law.
-    convection : dict of str to float
-        Surface to heat transfer coefficient, W/(m2 K); ambient is at 0.
-    fluxes : dict of str to float
-        Surface to the heat flux that enters there from time 0 on, W/m2.
-    held : dict of str to float
-        Surface to its temperature from time 0 on, K.
-    fixed : list of str
-        Surfaces held in all directions.
-    symmetry : dict of str to str
-        Surface to the direction it is held in.
-    step : float
-        Time step, s.
-    steps : int
-        Number of time steps.
-    """
-
+    #: Mesh and names.
     structure: Structure
+    #: Of every body.
     materials: dict[str, Material]
     joint: PairedJoint
+    #: Its contact elements along and across each patch.
     grid: tuple[int, int]
     law: JointLaw
+    #: Surface to heat transfer coefficient, W/(m2 K); ambient is at 0.
     convection: dict[str, float]
+    #: Surface to the heat flux that enters there from time 0 on, W/m2.
     fluxes: dict[str, float]
+    #: Surface to its temperature from time 0 on, K.
     held: dict[str, float]
+    #: Surfaces held in all directions.
     fixed: list[str]
+    #: Surface to the direction it is held in.
     symmetry: dict[str, str]
+    #: Time step, s.
     step: float
+    #: Number of time steps.
     steps: int
 
 
 def problem_of(case: Case) -> Problem:
     """Return the problem of a case.
 
-    Raises
-    ------
-    InputError
-        The case has more than one joint, springs, a body source, an ambient history or a load that
-        changes in time: the decks do not have these.
+    Raises `InputError`: the case has more than one joint, springs, a body source, an ambient
+    history or a load that changes in time: the decks do not have these.
     """
     if len(case.joints) != 1:
         raise InputError("against_calculix: the case has several joints; decks are made for one")

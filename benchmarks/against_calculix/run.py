@@ -20,33 +20,22 @@ PROGRAM = "ccx"
 
 @dataclass(frozen=True)
 class Run:
-    """A finished run.
+    """A finished run."""
 
-    Attributes
-    ----------
-    displacement : ndarray, shape (nodes, 3)
-        At the end, m.
-    temperature : ndarray, shape (nodes,)
-        At the end, K.
-    contact_pressure : ndarray, shape (points,)
-        At the contact points in contact at the end, Pa.
-    normal_force : float
-        Of the whole joint, pressing positive, N.
-    seconds : float
-        Wall time of the program.
-    increments, iterations : int
-        Of all steps.
-    version : str
-        Of the program.
-    """
-
+    #: Shape (nodes, 3): at the end, m.
     displacement: Array
+    #: Shape (nodes,): at the end, K.
     temperature: Array
+    #: Shape (points,): at the contact points in contact at the end, Pa.
     contact_pressure: Array
+    #: Of the whole joint, pressing positive, N.
     normal_force: float
+    #: Wall time of the program.
     seconds: float
+    #: Of all steps.
     increments: int
     iterations: int
+    #: Of the program.
     version: str
 
 
@@ -58,23 +47,9 @@ def available() -> bool:
 def run_deck(text: str, folder: Path, name: str, timeout: float) -> Run:
     """Run a deck on one thread.
 
-    Parameters
-    ----------
-    text : str
-        The deck.
-    folder : Path
-        Where its files go.
-    name : str
-        Their name without suffix.
-    timeout : float
-        Longest wall time, s.
-
-    Raises
-    ------
-    InputError
-        There is no CalculiX, or it refuses the deck.
-    ConvergenceError
-        It did not come to the end, or not in time.
+    `text`: the deck. `folder`: where its files go. `name`: their name without suffix. `timeout`:
+    longest wall time, s. Raises `InputError`: there is no CalculiX, or it refuses the deck. Raises
+    `ConvergenceError`: it did not come to the end, or not in time.
     """
     if not available():
         raise InputError(f"against_calculix: no {PROGRAM} on the PATH; install calculix-ccx")

@@ -76,14 +76,8 @@ def bar_structure(size: float) -> Structure:
 def bars(folder: Path, size: float = 0.025, **changes: Any) -> Case:
     """Two bars between held temperatures, on rollers at both ends: the joint closes as they warm.
 
-    Parameters
-    ----------
-    folder : Path
-        Where the mesh is written.
-    size : float
-        Element edge along the bars, m.
-    changes : dict
-        Dotted keys with "__" for the dot, e.g. ``march__step_s=10.0``.
+    `folder`: where the mesh is written. `size`: element edge along the bars, m. `changes`: dotted
+    keys with "__" for the dot, e.g. ``march__step_s=10.0``.
     """
     file = folder / "bars.vtu"
     write_structure(bar_structure(size), file)
@@ -152,12 +146,7 @@ def knee(size: float, position: float) -> tuple[Case, Case]:
     A rigid nut holds the knee along the axis, where the shipped case has a spring, and the source
     is 10 mm lower, so that strips and pads have the same elements.
 
-    Parameters
-    ----------
-    size : float
-        Of the elements, mm; half as much at the joint.
-    position : float
-        Where the knee stands, mm.
+    `size`: of the elements, mm; half as much at the joint. `position`: where the knee stands, mm.
     """
     shipped = Path(str(files("thermojoint").joinpath("cases/moving_knee.toml")))
     changes: dict[str, Any] = {

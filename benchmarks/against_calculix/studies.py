@@ -46,36 +46,25 @@ TIMEOUT = 1800.0
 
 @dataclass(frozen=True)
 class Comparison:
-    """One row.
+    """One row."""
 
-    Attributes
-    ----------
-    study, variant : str
-        What was run.
-    agreement : Agreement or None
-        How far both sides differ at the end; None where CalculiX did not run or finish.
-    ours, ccx : dict of str to float
-        Figures at the end: see `our_values`; empty where a side did not run.
-    ours_seconds, march_seconds : float
-        Wall time of our side, and of its march alone.
-    ccx_seconds : float
-        Wall time of CalculiX.
-    steps, iterations : int
-        CalculiX's increments and iterations, those that set the preload included.
-    note : str
-        Why it did not finish.
-    """
-
+    #: What was run.
     study: str
     variant: str
+    #: How far both sides differ at the end; None where CalculiX did not run or finish.
     agreement: Agreement | None
+    #: Figures at the end: see `our_values`; empty where a side did not run.
     ours: dict[str, float]
     ccx: dict[str, float]
+    #: Wall time of our side, and of its march alone.
     ours_seconds: float
     march_seconds: float
+    #: Wall time of CalculiX.
     ccx_seconds: float
+    #: CalculiX's increments and iterations, those that set the preload included.
     steps: int
     iterations: int
+    #: Why it did not finish.
     note: str = ""
 
 
@@ -90,20 +79,8 @@ def compared(
 ) -> tuple[Comparison, Run]:
     """Run one case on both sides.
 
-    Parameters
-    ----------
-    case : Case
-        The case.
-    choices : Choices
-        How CalculiX solves it.
-    folder : Path
-        Where CalculiX's files go.
-    labels : (str, str)
-        Study and variant.
-    consistent : bool
-        See `run_ours`.
-    run : Run, optional
-        CalculiX's run, if only our side changes.
+    `choices`: how CalculiX solves it. `folder`: where CalculiX's files go. `labels`: study and
+    variant. `consistent`: see `run_ours`. `run`: CalculiX's run, if only our side changes.
     """
     problem = problem_of(case)
     problem = replace(problem, law=comparable(problem.law))
@@ -188,12 +165,8 @@ def moving_knee(folder: Path) -> Iterator[Comparison]:
 def coarse_machine(folder: Path, *, fine: bool) -> Iterator[Comparison]:
     """The equal-heights machine at heat input 3.
 
-    Parameters
-    ----------
-    folder : Path
-        Where CalculiX's files go.
-    fine : bool
-        With the 50 mm mesh too, which takes CalculiX minutes.
+    `folder`: where CalculiX's files go. `fine`: with the 50 mm mesh too, which takes CalculiX
+    minutes.
     """
     choices = Choices(tolerance=TIGHT)
     study = "machine, 30 x 2 s"

@@ -51,26 +51,17 @@ ACCURACY = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """The quadratic programs of a march, in pressures over the preload.
+    """The quadratic programs of a march, in pressures over the preload."""
 
-    Attributes
-    ----------
-    machine : CondensedMachine
-        Whose joint it is.
-    matrix : ndarray, shape (m, m)
-        H, scaled.
-    vectors : ndarray, shape (n, m)
-        q of each step, scaled.
-    free_gaps : ndarray, shape (n, 3 m)
-        J0^-1 g_T of each step, m.
-    expected : ndarray, shape (n, m)
-        Pressures of the march.
-    """
-
+    #: Whose joint it is.
     machine: CondensedMachine
+    #: Shape (m, m): H, scaled.
     matrix: Array
+    #: Shape (n, m): q of each step, scaled.
     vectors: Array
+    #: Shape (n, 3 m): J0^-1 g_T of each step, m.
     free_gaps: Array
+    #: Shape (n, m): pressures of the march.
     expected: Array
 
 

@@ -51,14 +51,8 @@ friction_coefficient = 0.2
 def pillar_case(folder: Path, along: int, across: int, divisions: int) -> Case:
     """Write the pillar's mesh into a folder and return its case.
 
-    Parameters
-    ----------
-    folder : Path
-        Where ``pillar.vtu`` goes.
-    along, across : int
-        Contact elements of each of the five joints.
-    divisions : int
-        Elements along each edge of a joint; a third of it in a block's height.
+    `folder`: where ``pillar.vtu`` goes. `along`, `across`: contact elements of each of the five
+    joints. `divisions`: elements along each edge of a joint; a third of it in a block's height.
     """
     write_structure(pillar(divisions), folder / "pillar.vtu")
     bodies = ", ".join(f'block{k} = "cast_iron"' for k in range(BLOCKS))

@@ -143,10 +143,7 @@ def write_markdown(page: Path, results: Sequence[Row | Skipped]) -> None:
 def marked(page: Path) -> tuple[str, str]:
     """Return the text before and after the table of a page.
 
-    Raises
-    ------
-    InputError
-        The page cannot be read or has no marks.
+    Raises `InputError`: the page cannot be read or has no marks.
     """
     try:
         text = page.read_text("utf-8")

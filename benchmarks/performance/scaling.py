@@ -30,29 +30,20 @@ MEMORY_POWER = 4.0 / 3.0
 
 @dataclass(frozen=True)
 class Size:
-    """One measured size.
+    """One measured size."""
 
-    Attributes
-    ----------
-    unknowns, temperatures, contacts, modes : int
-        Displacement and temperature unknowns, contact elements, modes of the reduced model.
-    setup : float
-        s.
-    memory : float
-        Peak of the process, GB.
-    step : float
-        ms.
-    repeats : int
-        How often it was measured.
-    """
-
+    #: Displacement and temperature unknowns, contact elements, modes of the reduced model.
     unknowns: int
     temperatures: int
     contacts: int
     modes: int
+    #: s.
     setup: float
+    #: Peak of the process, GB.
     memory: float
+    #: ms.
     step: float
+    #: How often it was measured.
     repeats: int = 1
 
 

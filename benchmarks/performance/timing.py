@@ -10,28 +10,19 @@ from statistics import median
 
 @dataclass(frozen=True)
 class Row:
-    """One line of ``bench.json``.
+    """One line of ``bench.json``."""
 
-    Attributes
-    ----------
-    name : str
-        Compared quantity.
-    ours, other : float
-        Medians, in `unit`.
-    ratio : float
-        How many times less ours is, or how many times more where it is a rate; median of the
-        ratios run by run where both were repeated.
-    unit : str
-        Of ours and other.
-    note : str
-        Measured quantity, number of runs, and scaling.
-    """
-
+    #: Compared quantity.
     name: str
+    #: Medians, in `unit`.
     ours: float
     other: float
+    #: How many times less ours is, or how many times more where it is a rate; median of the ratios
+    #: run by run where both were repeated.
     ratio: float
+    #: Of ours and other.
     unit: str
+    #: Measured quantity, number of runs, and scaling.
     note: str
 
     def figures(self) -> dict[str, object]:

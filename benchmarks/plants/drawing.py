@@ -42,70 +42,46 @@ PARTS = ("column", "top", "table", "rear")
 
 @dataclass(frozen=True, eq=False)
 class Unlike:
-    """What a plant has and its model cannot have by any parameter.
+    """What a plant has and its model cannot have by any parameter."""
 
-    Attributes
-    ----------
-    dimensions : dict of str to float
-        Of the structure, mm.
-    laws : (str, str)
-        Of the joint and of its conductance.
-    uneven : float
-        Preload at the upper end of the strips relative to the mean, less 1; linear along them.
-    feet : (float, float)
-        Stiffness under the column and under the screw, N/um along every axis.
-    films : dict of str to float
-        Of every part of the surface, W/(m2 K).
-    door : float
-        Factor on all films while a door is open.
-    friction : dict of str to float
-        Largest heat in a body that the model does not know of, W.
-    conduction, expansion : float
-        Change of conductivity and expansion, 1/K.
-    gradient : float
-        Air at the top is warmer by this after hours, K.
-    lag : ndarray, shape (p,)
-        Time constant of every sensor, s.
-    place : ndarray, shape (p, 2)
-        Displacement of every sensor along the surface it is on, mm.
-    """
-
+    #: Of the structure, mm.
     dimensions: dict[str, float]
+    #: Of the joint and of its conductance.
     laws: tuple[str, str]
+    #: Preload at the upper end of the strips relative to the mean, less 1; linear along them.
     uneven: float
+    #: Stiffness under the column and under the screw, N/um along every axis.
     feet: tuple[float, float]
+    #: Of every part of the surface, W/(m2 K).
     films: dict[str, float]
+    #: Factor on all films while a door is open.
     door: float
+    #: Largest heat in a body that the model does not know of, W.
     friction: dict[str, float]
+    #: Change of conductivity and expansion, 1/K.
     conduction: float
     expansion: float
+    #: Air at the top is warmer by this after hours, K.
     gradient: float
+    #: Shape (p,): time constant of every sensor, s.
     lag: Array
+    #: Shape (p, 2): displacement of every sensor along the surface it is on, mm.
     place: Array
 
 
 @dataclass(frozen=True, eq=False)
 class Plant:
-    """One drawn machine.
+    """One drawn machine."""
 
-    Attributes
-    ----------
-    number : int
-        Of the plant; with the seed of the study it says all the rest.
-    factors : dict of str to float
-        On the case's parameters (`thermojoint.reduced.parameters`).
-    offset : ndarray, shape (p,)
-        Of every sensor, K.
-    seed : int
-        Of its noise and of its day.
-    unlike : Unlike, optional
-        Differences in structure.
-    """
-
+    #: Of the plant; with the seed of the study it says all the rest.
     number: int
+    #: On the case's parameters (`thermojoint.reduced.parameters`).
     factors: dict[str, float]
+    #: Shape (p,): of every sensor, K.
     offset: Array
+    #: Of its noise and of its day.
     seed: int
+    #: Differences in structure.
     unlike: Unlike | None = None
 
 

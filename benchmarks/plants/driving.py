@@ -19,17 +19,11 @@ PEAK, TRIANGLE = 2.0, 600.0
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """Inputs of a run.
+    """Inputs of a run."""
 
-    Attributes
-    ----------
-    heat : ndarray, shape (n,)
-        At the end of each step, relative to the reference.
-    ambient : ndarray, shape (n,)
-        Above its initial value, K.
-    """
-
+    #: Shape (n,): at the end of each step, relative to the reference.
     heat: Array
+    #: Shape (n,): above its initial value, K.
     ambient: Array
 
 

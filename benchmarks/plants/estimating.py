@@ -29,14 +29,8 @@ REFERENCE = "step-1.0"
 class Errors(NamedTuple):
     """Errors of an estimator in a run.
 
-    Attributes
-    ----------
-    axes : tuple of str
-        Of the displacement.
-    error : ndarray, shape (n, axes)
-        Estimated less actual, m.
-    band : ndarray, shape (n, axes), or None
-        Half of the width of 95 %, m; None for an estimator that has none.
+    `axes`: of the displacement. `error` (n, axes): estimated less actual, m. `band` (n, axes): half
+    of the width of 95 %, m; None for an estimator that has none.
     """
 
     axes: tuple[str, ...]
@@ -51,12 +45,7 @@ Judge = Callable[[xr.Dataset, bool], dict[str, Errors]]
 class Calibrated(NamedTuple):
     """Calibrated estimators.
 
-    Attributes
-    ----------
-    judge : callable
-        Runs them.
-    report : dict
-        Of the calibration, for the file.
+    `judge`: runs them. `report`: of the calibration, for the file.
     """
 
     judge: Judge
@@ -94,10 +83,7 @@ def observing(estimator: JointAware) -> Judge:
 def fchs(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> Calibrated:
     """Calibrate FCHS and its linear part by the steps among the responses.
 
-    Raises
-    ------
-    ThermojointError
-        The sensors give no stable estimator on this plant.
+    Raises `ThermojointError`: the sensors give no stable estimator on this plant.
     """
     steps = {name: one for name, one in responses.items() if name.startswith("step-")}
     others = {float(one["heat_input"][-1]): one for name, one in steps.items() if name != REFERENCE}

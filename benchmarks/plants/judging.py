@@ -40,23 +40,15 @@ WARM, SETTLED = 4 * 3600.0, 1200.0
 
 @dataclass(frozen=True, eq=False)
 class Machines:
-    """Common data of all plants of a study.
+    """Common data of all plants of a study."""
 
-    Attributes
-    ----------
-    model : ReducedMachine
-        That the estimators know.
-    plant : ReducedMachine
-        On a separate mesh, with the case's parameters.
-    places : xarray.Dataset
-        A response of it, of any length.
-    data : dict
-        Of the plants' case, for a plant that is set up anew.
-    """
-
+    #: That the estimators know.
     model: ReducedMachine
+    #: On a separate mesh, with the case's parameters.
     plant: ReducedMachine
+    #: A response of it, of any length.
     places: xr.Dataset
+    #: Of the plants' case, for a plant that is set up anew.
     data: dict[str, Any]
 
 

@@ -24,20 +24,13 @@ KEPT = ("probe_position", "contact_position", "contact_area", "contact_joint")
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """A run of a plant, exactly.
+    """A run of a plant, exactly."""
 
-    Attributes
-    ----------
-    drive : Drive
-        Its inputs.
-    temperature : ndarray, shape (n + 1, p)
-        From rest, K.
-    displacement : ndarray, shape (n + 1, axes)
-        m.
-    """
-
+    #: Its inputs.
     drive: Drive
+    #: Shape (n + 1, p): from rest, K.
     temperature: Array
+    #: Shape (n + 1, axes): m.
     displacement: Array
 
 
@@ -62,20 +55,9 @@ def measured(
 ) -> xr.Dataset:
     """Return a run as a response with offset sensors and noise.
 
-    Parameters
-    ----------
-    answer : Answer
-        The run.
-    machine : ReducedMachine
-        Names sensors and axes.
-    places : xarray.Dataset
-        A response of the machine, of any length.
-    offset : ndarray, shape (p,)
-        Of the sensors, K.
-    noise : (float, float)
-        Of temperatures, K peak to peak, and standard deviation of displacements, m.
-    seed : int
-        Of the noise.
+    `answer`: the run. `machine`: names sensors and axes. `places`: a response of the machine, of
+    any length. `offset` (p,): of the sensors, K. `noise`: of temperatures, K peak to peak, and
+    standard deviation of displacements, m. `seed`: of the noise.
     """
     times = machine.step * np.arange(len(answer.temperature))
     temperature, displacement = answer.temperature + offset, answer.displacement

@@ -38,16 +38,8 @@ def structural_answers(
 ) -> dict[str, Answer]:
     """Set up a plant and march it through runs.
 
-    Parameters
-    ----------
-    data : dict
-        The case on the plants' mesh, with every sensor as a probe.
-    sensors : tuple of str
-        Those probes.
-    plant : Plant
-        With differences in structure.
-    runs : dict of str to Drive
-        Name to inputs.
+    `data`: the case on the plants' mesh, with every sensor as a probe. `sensors`: those probes.
+    `plant`: with differences in structure. `runs`: name to inputs.
     """
     assert plant.unlike is not None
     case = case_from_data(_with_structure(data, plant.unlike, sensors), "plant", Path())

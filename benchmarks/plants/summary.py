@@ -19,10 +19,7 @@ def summary_of(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     and its width the mean over a run along the wider axis, then the median over plants; likewise
     the interval score.
 
-    Parameters
-    ----------
-    rows : sequence of dict
-        As `judging.figures` makes them, with plant and calibration.
+    `rows`: as `judging.figures` makes them, with plant and calibration.
     """
     table = pd.DataFrame(rows)
     each = (

@@ -31,17 +31,9 @@ LATE = 300.0
 def observables_of(responses: Mapping[str, xr.Dataset]) -> dict[str, float]:
     """Return every observable of one machine by its name.
 
-    Parameters
-    ----------
-    responses : mapping
-        ``0.5``, ``1.0``, ``2.0``, ``3.0`` (steps of that heat input, as text) and ``triangle``,
-        with the probes e1 ... e9.
-
-    Returns
-    -------
-    dict
-        µm, K, s and ratios as the names in `benchmarks.reference_machine.score.STATEMENTS`; NaN
-        where a machine has no such value.
+    `responses`: ``0.5``, ``1.0``, ``2.0``, ``3.0`` (steps of that heat input, as text) and
+    ``triangle``, with the probes e1 ... e9. Returns µm, K, s and ratios as the names in
+    `benchmarks.reference_machine.score.STATEMENTS`; NaN where a machine has no such value.
     """
     reference, steep, triangle = responses["1.0"], responses["3.0"], responses["triangle"]
     final = {level: 1e6 * plane(responses[level])[-1] for level in ("0.5", "1.0", "2.0", "3.0")}
@@ -95,10 +87,7 @@ def pressure_shares(response: xr.Dataset) -> Vector:
 
     Only of the elements whose pressure rises (the paper's "under compressive stresses").
 
-    Returns
-    -------
-    ndarray, shape (elements,)
-        Negative where the pressure falls first. Empty if no pressure rises.
+    Returns negative where the pressure falls first. Empty if no pressure rises.
     """
     rows = pressure_share(response).rows
     return np.array([row.share for row in rows if row.share is not None and row.final_MPa > 0.0])

@@ -42,29 +42,19 @@ def at_most(value: float, printed: float, tolerance: float) -> float:
 
 @dataclass(frozen=True)
 class Statement:
-    """One thing that the paper prints of its machine's behaviour.
+    """One thing that the paper prints of its machine's behaviour."""
 
-    Attributes
-    ----------
-    name : str
-        Of the observable (`benchmarks.reference_machine.observables`).
-    heading : str
-        Over its column.
-    printed : float
-        Value printed in the paper, in the observable's unit.
-    distance : callable
-        (value, printed, tolerance) to tolerances.
-    tolerance : float
-        A factor above 1 for `by_factor`, else in the observable's unit.
-    where : str
-        In the paper.
-    """
-
+    #: Of the observable (`benchmarks.reference_machine.observables`).
     name: str
+    #: Over its column.
     heading: str
+    #: Value printed in the paper, in the observable's unit.
     printed: float
+    #: (value, printed, tolerance) to tolerances.
     distance: Callable[[float, float, float], float]
+    #: A factor above 1 for `by_factor`, else in the observable's unit.
     tolerance: float
+    #: In the paper.
     where: str
 
     def miss(self, value: float) -> float:

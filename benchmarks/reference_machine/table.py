@@ -23,20 +23,13 @@ INPUTS = {"0.5", "1.0", "2.0", "3.0", "triangle"}
 
 @dataclass(frozen=True)
 class Machine:
-    """One variant and how it is judged.
+    """One variant and how it is judged."""
 
-    Attributes
-    ----------
-    values : dict
-        The varied values by their path in the case file.
-    score : float
-        See `benchmarks.reference_machine.score.score`.
-    observables, misses : dict of float
-        By name; the misses in tolerances. None where a machine has no such value.
-    """
-
+    #: The varied values by their path in the case file.
     values: dict[str, Any]
+    #: See `benchmarks.reference_machine.score.score`.
     score: float
+    #: By name; the misses in tolerances. None where a machine has no such value.
     observables: dict[str, float | None]
     misses: dict[str, float]
 
