@@ -12,10 +12,7 @@ followed by an estimator that was calibrated with that one.
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,7 +21,9 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from benchmarks.hand_placed import MODEL, PLACES, PLANT
-from benchmarks.sensor_count import CALIBRATED, STEP, Plant, candidates_on, drawn, with_sensors
+from benchmarks.plants.judging import with_sensors
+from benchmarks.sensor_count import CALIBRATED, STEP, Plant, candidates_on, drawn
+from benchmarks.study import options_of, write_json
 from calibrate.joint_aware.assembling import make_observer
 from calibrate.joint_aware.physics_fit import fit_physics
 from estimator.interface import Estimator, follow
@@ -32,7 +31,6 @@ from estimator.joint_aware.ageing import AgeingJointAware
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.observer_model import Calibrated
 from thermojoint.artefacts.arrays import Array
-from thermojoint.artefacts.files import write_text
 from thermojoint.reduced.machine import ReducedMachine, diagonal_modes
 from thermojoint.reduced.parameters import with_factors
 from thermojoint.reduced.physics import conduct, make_physics, settle_joint
@@ -142,12 +140,11 @@ def study() -> dict[str, Any]:
 
 def main() -> None:
     """Run the study."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("ageing.json"))
+    parser = options_of(__doc__, "ageing.json")
     options = parser.parse_args()
     with threadpool_limits(limits=1):
         found = study()
-    write_text(options.out, json.dumps(found, indent=2) + "\n")
+    write_json(options.out, found)
     table = Table(title="Largest error along x/y, µm")
     for name in ("plant", "estimator", *SPANS):
         table.add_column(name)

@@ -9,7 +9,6 @@ picture of the page. The server is the one of the tests. Needs Chromium; from th
 
 from __future__ import annotations
 
-import argparse
 import shutil
 import tempfile
 import time
@@ -18,6 +17,7 @@ from pathlib import Path
 from dashboard_server import TOKEN, about, keep, layout_of, published, serving
 from playwright.sync_api import sync_playwright
 
+from benchmarks.study import options_of
 from estimator.interface import follow
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.model_file import read_observer
@@ -48,7 +48,7 @@ def day(folder: Path) -> tuple[JointAware, list[Publication]]:
 
 def main() -> None:
     """Write the picture."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = options_of(__doc__)
     parser.add_argument("results", type=Path)
     parser.add_argument("--out", type=Path, default=Path("docs/images/dashboard.png"))
     given = parser.parse_args()

@@ -8,10 +8,8 @@ mesh or steps many times finer) is compared with the estimate in the attributes 
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -21,6 +19,7 @@ import xarray as xr
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.study import case_file, options_of
 from fesim.case.schema import Case, ProbeSection, case_from_data, read_case
 from fesim.case.thermal_sections import StepInput
 from fesim.setup.machine import set_up
@@ -293,12 +292,11 @@ def cylinders(folder: Path) -> Iterator[Judged]:
 def machines(folder: Path) -> Iterator[Judged]:
     """The milling machine of the docs' mesh convergence, and the steps of the reference machine."""
     del folder
-    cases = files("thermojoint").joinpath("cases")
     nose = {"nose": ProbeSection(position_mm=(600.0, 1050.0, 250.0), body="column")}
     heat = StepInput(kind="step", level=3.0)
 
     def machine(name: str, size: float, **march: float | str) -> Case:
-        case = read_case(Path(str(cases.joinpath(f"{name}.toml"))))
+        case = read_case(case_file(name))
         mesh = {"element_size_mm": size, "joint_element_size_mm": 0.5 * size}
         update = {
             "structure": case.structure.model_copy(update=mesh),
@@ -337,7 +335,7 @@ PARTS = {
 
 def main() -> None:
     """Run all cases and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options_of(__doc__)
     parser.add_argument("--only", choices=PARTS, help="one part of the cases")
     only = parser.parse_args().only
     began, rows = perf_counter(), []

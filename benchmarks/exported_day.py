@@ -10,7 +10,6 @@ measured machine (learned). Needs gcc, and is run from the root of a clone.
 
 from __future__ import annotations
 
-import argparse
 import ctypes
 import subprocess
 import tempfile
@@ -21,6 +20,7 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import lfilter
 
+from benchmarks.study import options_of
 from calibrate.learning.learn import learn
 from estimator.columns import samples_of
 from estimator.export.c_source import c_files
@@ -124,7 +124,7 @@ def compared(
 
 def main() -> None:
     """Compare every kind."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = options_of(__doc__)
     parser.add_argument("results", type=Path)
     given = parser.parse_args()
     fchs = Fchs(assemble(read_model(given.results / "model.json"), INTERVAL, 7200.0))

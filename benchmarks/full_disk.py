@@ -10,7 +10,6 @@ disk gets room again, and what the store has is counted.
 
 from __future__ import annotations
 
-import argparse
 import json
 import sqlite3
 import subprocess
@@ -21,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.study import options_of
 from thermojoint.live.publication import Layout
 from thermojoint.live.reserve import OVERHEAD, lay_in, tend
 from thermojoint.live.store import (
@@ -110,7 +110,7 @@ def measured(folder: Path, machines: int, hours: float) -> dict[str, float | int
 
 def main() -> None:
     """Run it and print what was found as JSON."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = options_of(__doc__)
     parser.add_argument("--machines", type=int, default=10)
     parser.add_argument("--hours", type=float, default=8.0)
     given = parser.parse_args()

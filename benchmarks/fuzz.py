@@ -11,7 +11,6 @@ Failing inputs are kept in the folder that ``--keep`` names; the exit code is 1 
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import multiprocessing
 import os
@@ -31,6 +30,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.fuzz_inputs import WRITERS, Files, unharmed
+from benchmarks.study import options_of
 from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.response import read_response
 from thermojoint.cli.main import main as thermojoint
@@ -222,7 +222,7 @@ def page(counted: list[list[str]], count: int, seed: int) -> str:
 
 def main() -> int:
     """Run the fuzz and print what came of it."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options_of(__doc__)
     parser.add_argument("--count", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=int(time.time()))
     parser.add_argument("--workers", type=int, default=2)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import tomllib
-from importlib.resources import files
+from benchmarks.study import case_data
 
 #: Element sizes of the bodies and of the joint, mm: of the estimator's model, and of the plants.
 MODEL, PLANT = (50.0, 25.0), (40.0, 20.0)
@@ -18,8 +17,7 @@ PLACES = {
 
 def machine_data(height: float, sizes: tuple[float, float]) -> dict:
     """Return the equal-heights case on a mesh, bracket and source top at a height (mm)."""
-    text = files("thermojoint").joinpath("cases/equal_heights.toml").read_text("utf-8")
-    data = tomllib.loads(text)
+    data = case_data("equal_heights")
     data["structure"] |= {"element_size_mm": sizes[0], "joint_element_size_mm": sizes[1]}
     data["structure"]["dimensions_mm"] = {
         "bracket_bottom": height,

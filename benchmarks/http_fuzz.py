@@ -26,6 +26,8 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.study import options_of
+
 TOKEN = "a-token-for-the-fuzz-alone-0123456789abcdef"
 #: A server that neither answers nor closes for so long has hung, s.
 PATIENCE_S = 15.0
@@ -366,7 +368,7 @@ def latest(port: int, security: ssl.SSLContext) -> dict[str, object]:
 
 def main() -> int:
     """Attack a server of its own and say what came of it."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options_of(__doc__)
     parser.add_argument("--count", type=int, default=5000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--serve", type=Path, help=argparse.SUPPRESS)

@@ -16,10 +16,8 @@ import argparse
 import asyncio
 import itertools
 import json
-import os
 import random
 import shutil
-import signal
 import sqlite3
 import subprocess
 import sys
@@ -38,8 +36,8 @@ import paho.mqtt.client as paho
 import psutil
 from asyncua import Server, ua
 
-from benchmarks.live_kills import ROOT, differences, measured_day
-from benchmarks.live_load import free_port
+from benchmarks.live_kills import differences, measured_day
+from benchmarks.study import free_port, learn, options_of, service, wait_for
 from thermojoint.artefacts.arrays import Array
 from thermojoint.live.archive import Archive
 from thermojoint.live.service import run
@@ -314,18 +312,10 @@ async def play(place: Path, given: argparse.Namespace) -> dict[str, Any]:
         await asyncio.sleep(1.0)
         client, heard = control(ports[0])
         stack.callback(client.loop_stop)
-        log = stack.enter_context((place / "log").open("wb"))
-        service = subprocess.Popen(
-            [sys.executable, "-m", "thermojoint.cli", "serve", str(place / "service.toml")],
-            stderr=log,
-            env=os.environ | {"PYTHONPATH": str(ROOT)},
-        )
-        stack.callback(service.kill)
-        while (place / "log").read_bytes().count(b"event=connected") < 3:
-            if service.poll() is not None:
-                sys.exit((place / "log").read_text()[-2000:])
-            await asyncio.sleep(0.1)
-        process, memory, counts = psutil.Process(service.pid), list[float](), [[0], [0], [0]]
+        started = service(place / "service.toml", place / "log")
+        stack.callback(started.kill)
+        await asyncio.to_thread(wait_for, "connected", started, place / "log", 3)
+        process, memory, counts = psutil.Process(started.pid), list[float](), [[0], [0], [0]]
         fails = [broker.fail, relay.fail, disk.fail]
         tasks = [
             asyncio.create_task(failing(fail, random.Random(draw.random()), count))
@@ -349,14 +339,14 @@ async def play(place: Path, given: argparse.Namespace) -> dict[str, Any]:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
         archive, end = Archive(place / "disk" / "state" / "history.sqlite"), time.monotonic() + 90.0
-        while time.monotonic() < end and service.poll() is None:
+        while time.monotonic() < end and started.poll() is None:
             last = [archive.latest(name) for name in MACHINES]
             if all(one is not None and one.time >= START + rows[-1, 0] for one in last):
                 break
             await asyncio.sleep(0.5)
         telling.cancel()
-        service.send_signal(signal.SIGTERM)
-        code = await asyncio.to_thread(service.wait, 60.0)
+        started.terminate()
+        code = await asyncio.to_thread(started.wait, 60.0)
         door.close()
         await server.stop()
         histories = {name: archive.history(name, START, 1e11, 10**9) for name in MACHINES}
@@ -392,16 +382,14 @@ async def play(place: Path, given: argparse.Namespace) -> dict[str, Any]:
 
 def main() -> None:
     """Run it and print what was found as JSON; exit code 1 if anything does not hold."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = options_of(__doc__)
     parser.add_argument("--hours", type=float, default=24.0)
     parser.add_argument("--speed", type=float, default=1000.0)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        place, log = Path(folder), ROOT / "examples" / "measured_machine" / "learned.csv"
-        learn = [sys.executable, "-m", "thermojoint.cli", "learn", str(log)]
-        learn += ["--displacement", "disp1_um", "--out", str(place / "model.json")]
-        subprocess.run(learn, check=True, capture_output=True)
+        place = Path(folder)
+        learn(place / "model.json", "disp1_um")
         found = asyncio.run(play(place, given))
     print(json.dumps(found, indent=2))
     fine = not any(found["differences"].values()) and not found["exit_code"]

@@ -10,7 +10,6 @@ grow. The doors are called where the network would call them.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import random
@@ -23,6 +22,7 @@ from typing import Any
 
 from asyncua import ua
 
+from benchmarks.study import options_of
 from thermojoint.artefacts.tables.clock import Hands
 from thermojoint.live import floor as floors
 from thermojoint.live.arrivals import Arrival, Note
@@ -240,7 +240,7 @@ def main() -> None:
     from thermojoint.live.served import served
     from thermojoint.live.settings import ModelSection
 
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = options_of(__doc__)
     parser.add_argument("--model", type=Path, required=True)
     parser.add_argument("--count", type=int, default=5000)
     parser.add_argument("--seed", type=int, default=0)

@@ -10,13 +10,10 @@ descriptors that the service held, and its memory before and after.
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import json
-import os
 import resource
 import secrets
-import signal
 import socket
 import ssl
 import subprocess
@@ -31,7 +28,8 @@ import psutil
 from asyncua import Client, ua
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 
-from benchmarks.live_load import ROOT, free_port, names_of
+from benchmarks.live_load import names_of
+from benchmarks.study import free_port, options_of, service, wait_for
 from thermojoint.live.archive import Archive
 from thermojoint.live.certificates import APPLICATION, own_identity
 from thermojoint.live.users import add_user
@@ -113,7 +111,7 @@ def https_answers(port: int) -> bool:
 
 def main() -> None:
     """Run it and print what was found as JSON; exit code 1 if the service did not hold."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = options_of(__doc__)
     parser.add_argument("--model", type=Path, required=True)
     parser.add_argument("--connections", type=int, default=3100)
     parser.add_argument("--descriptors", type=int, default=256)
@@ -132,25 +130,17 @@ def main() -> None:
         (place / "password").write_text(secrets.token_urlsafe(12))
         add_user(place / "users", "panel", "viewer", (place / "password").read_text())
         line = ",".join(["{time}", *("20.0" for _ in names)]) + "\n"
-        with (place / "log.csv").open("w") as out, (place / "log").open("wb") as log:
+        with (place / "log.csv").open("w") as out:
             out.write(",".join(["time_s", *names]) + "\n")
             out.flush()
             few = f'ulimit -n {given.descriptors}; exec "$@"'
-            serve = [sys.executable, "-m", "thermojoint.cli", "serve", str(place / "service.toml")]
-            service = subprocess.Popen(
-                ["/bin/sh", "-c", few, "sh", *serve],
-                stderr=log,
-                env=os.environ | {"PYTHONPATH": str(ROOT)},
-            )
+            started = service(place / "service.toml", place / "log", ("/bin/sh", "-c", few, "sh"))
             try:
-                while b"event=ready" not in (place / "log").read_bytes():
-                    if service.poll() is not None:
-                        sys.exit((place / "log").read_text()[-2000:])
-                    time.sleep(0.1)
-                process, held = psutil.Process(service.pid), list[socket.socket]()
+                wait_for("ready", started, place / "log")
+                process, held = psutil.Process(started.pid), list[socket.socket]()
                 before, most, opened, lines = process.memory_info().rss, 0, 0, 0
                 begun = time.monotonic()
-                while time.monotonic() - begun < given.seconds and service.poll() is None:
+                while time.monotonic() - begun < given.seconds and started.poll() is None:
                     opened += crowd(ports, held, given.connections)
                     due = int((time.monotonic() - begun) / _PACE_S)
                     for k in range(lines, due):
@@ -162,12 +152,12 @@ def main() -> None:
                 for one in held:
                     one.close()
                 archive, end = Archive(place / "state" / "history.sqlite"), time.monotonic() + 30.0
-                while time.monotonic() < end and service.poll() is None:
+                while time.monotonic() < end and started.poll() is None:
                     said = archive.latest("mill")
                     if said is not None and said.number >= lines:
                         break
                     time.sleep(0.2)
-                alive = service.poll() is None
+                alive = started.poll() is None
                 found = {
                     "connections": given.connections,
                     "opened": opened,
@@ -189,10 +179,10 @@ def main() -> None:
                     ),
                 }
             finally:
-                service.send_signal(signal.SIGTERM)
+                started.terminate()
                 with suppress(subprocess.TimeoutExpired):
-                    service.wait(30.0)
-                service.kill()
+                    started.wait(30.0)
+                started.kill()
     print(json.dumps(found, indent=2))
     held = found["https_answers"] and found["opcua_answers"]
     sys.exit(not (held and found["samples"] == found["lines"]))

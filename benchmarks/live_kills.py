@@ -12,15 +12,12 @@ often as samples are read; that none jumps is looked at in `benchmarks.offset_in
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import itertools
 import json
-import os
 import random
 import re
 import shutil
-import signal
 import sqlite3
 import subprocess
 import sys
@@ -33,6 +30,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.study import MEASURED_LOG, learn, options_of, service, write_json
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.archive import Archive, History
 from thermojoint.live.publication import Columns
@@ -40,7 +38,6 @@ from thermojoint.live.served import served
 from thermojoint.live.service import run
 from thermojoint.live.settings import read_service
 
-ROOT = Path(__file__).parents[1]
 MACHINE = "mill"
 _OFFSETS = """
 cycle_s = 1.0
@@ -111,12 +108,7 @@ def change(place: Path, draw: random.Random) -> None:
 
 def started(place: Path, name: str) -> subprocess.Popen[bytes]:
     """Start a service of its own process; its log is appended to a file."""
-    with (place / f"{name}.log").open("ab") as log:
-        return subprocess.Popen(
-            [sys.executable, "-m", "thermojoint.cli", "serve", str(place / f"{name}.toml")],
-            stderr=log,
-            env=os.environ | {"PYTHONPATH": str(ROOT)},
-        )
+    return service(place / f"{name}.toml", place / f"{name}.log")
 
 
 def kill_through(
@@ -142,12 +134,12 @@ def kill_through(
             log = place / "killed.log"
             before = log.read_bytes().count(b"event=ready") if log.exists() else 0
             change(place, draw)
-            service = started(place, "killed")
+            process = started(place, "killed")
             until, alive = time.monotonic() + 120.0, 0.0
             lives = draw.uniform(shortest, longest)
             rows = list(lines[at : at + per_life])
             share = max(1, len(rows) // 20)
-            while time.monotonic() < until and service.poll() is None:
+            while time.monotonic() < until and process.poll() is None:
                 ready = log.read_bytes().count(b"event=ready") > before
                 alive = alive or (time.monotonic() if ready else 0.0)
                 if lives < 0.0 and time.monotonic() > until - 120.0 + 4.0 * -lives:
@@ -165,9 +157,9 @@ def kill_through(
                     out.write(text[cut:])
                     out.flush()
                 time.sleep(draw.uniform(0.0, 0.03))
-            assert service.poll() is None, log.read_text()[-2000:]
-            os.kill(service.pid, signal.SIGKILL)
-            service.wait()
+            assert process.poll() is None, log.read_text()[-2000:]
+            process.kill()
+            process.wait()
             had_begun += bool(alive)
             out.write("".join(rows))
             out.flush()
@@ -178,22 +170,22 @@ def kill_through(
 
 def finish(place: Path, name: str, samples: int, timeout: float = 300.0) -> History:
     """Let a service read to the end, stop it, and return its history."""
-    service = started(place, name)
+    process = started(place, name)
     until = time.monotonic() + timeout
     archive = Archive(place / name / "history.sqlite")
     try:
-        while time.monotonic() < until and service.poll() is None:
+        while time.monotonic() < until and process.poll() is None:
             time.sleep(0.1)
             if archive.path.exists() and _count(archive) >= samples:
                 break
         # One that does not follow its file ends by itself.
         with suppress(subprocess.TimeoutExpired):
-            service.wait(0.5)
-        if service.poll() is None:
-            service.send_signal(signal.SIGTERM)
-        assert service.wait(60.0) == 0, (place / f"{name}.log").read_text()[-2000:]
+            process.wait(0.5)
+        if process.poll() is None:
+            process.terminate()
+        assert process.wait(60.0) == 0, (place / f"{name}.log").read_text()[-2000:]
     finally:
-        service.kill()
+        process.kill()
     return archive.history(MACHINE, 0.0, 1e11, 10**9)
 
 
@@ -271,7 +263,7 @@ def measured_day(interval: float, hours: float | None = None) -> list[str]:
 
     Its log has 23 hours; where more are asked for, it begins again, as that of a played machine.
     """
-    source = ROOT / "examples" / "measured_machine" / "learned.csv"
+    source = MEASURED_LOG
     names = source.read_text("utf-8").splitlines()[0]
     table = np.genfromtxt(source, delimiter=",", skip_header=1)
     rest = np.genfromtxt(source.with_name("unseen.csv"), delimiter=",", skip_header=1)
@@ -286,7 +278,7 @@ def measured_day(interval: float, hours: float | None = None) -> list[str]:
 
 def main() -> None:
     """Run it and print what was found as JSON; exit code 1 if anything differs."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options_of(__doc__)
     parser.add_argument("--count", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--interval-s", type=float, default=10.0)
@@ -294,13 +286,8 @@ def main() -> None:
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
-        learn = [sys.executable, "-m", "thermojoint.cli", "learn"]
-        log = ROOT / "examples" / "measured_machine" / "learned.csv"
-        wanted = ["--displacement", "disp1_um", "--displacement", "disp3_um"]
         model = place / "model.json"
-        subprocess.run(
-            [*learn, str(log), *wanted, "--out", str(model)], check=True, capture_output=True
-        )
+        learn(model, "disp1_um", "disp3_um")
         # The other model is of a machine that moves twice as far.
         other = json.loads(model.read_text())
         for channel in other["channels"]:
@@ -323,10 +310,9 @@ def main() -> None:
             "differences": found,
             "wall_s": round(time.monotonic() - begun, 1),
         }
-    text = json.dumps(told, indent=2)
+    print(json.dumps(told, indent=2))
     if given.out:
-        given.out.write_text(text + "\n")
-    print(text)
+        write_json(given.out, told)
     sys.exit(bool(found))
 
 

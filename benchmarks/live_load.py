@@ -10,14 +10,12 @@ hearing its estimate, the service's share of its core, and its memory in time.
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import json
 import multiprocessing
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -31,7 +29,8 @@ import aiomqtt
 import numpy as np
 import psutil
 
-ROOT = Path(__file__).parents[1]
+from benchmarks.study import free_port, options_of, service, wait_for, write_json
+
 _BROKER = """
 listener {port} 127.0.0.1
 allow_anonymous true
@@ -63,12 +62,6 @@ _OPCUA = '[opcua]\nsecurity = "none"\nport = {port}\nreadings = false\n'
 _WARM_UP_S = 10.0
 #: Machines whose estimates are heard: hearing all of them would take as long as making them.
 _HEARD = 50
-
-
-def free_port() -> int:
-    """Return a free port of the loopback interface."""
-    with socket.create_server(("127.0.0.1", 0)) as one:
-        return int(one.getsockname()[1])
 
 
 def names_of(model: Path) -> tuple[str, ...]:
@@ -169,7 +162,7 @@ async def listen(
 
 def main() -> None:
     """Run it and print what was found as JSON."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = options_of(__doc__)
     parser.add_argument("--model", type=Path, required=True)
     parser.add_argument("--machines", type=int, default=1000)
     parser.add_argument("--minutes", type=float, default=30.0)
@@ -199,23 +192,16 @@ def main() -> None:
                 )
             )
             time.sleep(1.0)
-            with (place / "log").open("wb") as log:
-                command = [sys.executable, "-m", "thermojoint.cli", "serve"]
-                environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-                service = subprocess.Popen(
-                    [*command, str(place / "service.toml")], stderr=log, env=environment
-                )
-            started.append(service)
+            os.environ["OMP_NUM_THREADS"] = "1"
+            process = service(place / "service.toml", place / "log")
+            started.append(process)
             with suppress(AttributeError):
-                os.sched_setaffinity(service.pid, {max(os.sched_getaffinity(0))})
+                os.sched_setaffinity(process.pid, {max(os.sched_getaffinity(0))})
             begun = time.monotonic()
-            while b"event=connected" not in (place / "log").read_bytes():
-                if service.poll() is not None or time.monotonic() - begun > 300.0:
-                    sys.exit((place / "log").read_text()[-2000:])
-                time.sleep(0.1)
+            wait_for("connected", process, place / "log")
             start_s = time.monotonic() - begun
             player.start()
-            found = asyncio.run(listen(port, psutil.Process(service.pid), given.machines, seconds))
+            found = asyncio.run(listen(port, psutil.Process(process.pid), given.machines, seconds))
             size = sum(one.stat().st_size for one in (place / "state").glob("history*")) / 2**20
             late = [
                 line for line in (place / "log").read_text().splitlines() if "ready" not in line
@@ -236,10 +222,9 @@ def main() -> None:
         "log_lines": len(late),
         "load_average": os.getloadavg()[0],
     }
-    text = json.dumps(told, indent=2)
+    print(json.dumps(told, indent=2))
     if given.out:
-        given.out.write_text(text + "\n")
-    print(text)
+        write_json(given.out, told)
 
 
 if __name__ == "__main__":

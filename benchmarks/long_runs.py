@@ -1,19 +1,16 @@
 """Estimators calibrated on 35 minutes, run for 8 hours and for a week at steps of the heat input.
 
-python benchmarks/long_runs.py --out long_runs.json
+python -m benchmarks.long_runs --out long_runs.json
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 from collections.abc import Iterator
-from importlib.resources import as_file, files
-from pathlib import Path
 
 import numpy as np
 import xarray as xr
 
+from benchmarks.study import case_file, options_of, write_json
 from calibrate import chain
 from calibrate.baselines import baselines_of
 from calibrate.placement.fchs import with_roles
@@ -24,7 +21,6 @@ from fesim.case.schema import Case, read_case
 from fesim.case.thermal_sections import StepInput
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
-from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.response import columns_of
 from thermojoint.models.assembly import assemble
 from thermojoint.models.sensors import readings, rises
@@ -77,12 +73,10 @@ def stepped(case: Case, step_s: float, minutes: float) -> Case:
 
 def main() -> None:
     """Calibrate the reference machine, run it for a week, print and write the rows."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("long_runs.json"))
+    parser = options_of(__doc__, "long_runs.json")
     parser.add_argument("--levels", type=float, nargs="+", default=[1.0, 2.0])
     given = parser.parse_args()
-    with as_file(files("thermojoint") / "cases" / "reference.toml") as path:
-        case = read_case(path)
+    case = read_case(case_file("reference"))
     calibration = inputs.simulate_inputs(stepped(case, FINE, 35.0), inputs.CALIBRATION)
     base = calibration["step-1.0"]
     others = {level: calibration[f"step-{level}"] for level in (0.5, 2.0)}
@@ -111,7 +105,7 @@ def main() -> None:
             f"{row['heat_input']:g} {row['hours']:6.2f} h {row['estimator']:7s} {told:18s} "
             f"actual {actual:18s} {row['status']}"
         )
-    write_text(given.out, json.dumps({"rows": found}, indent=1) + "\n")
+    write_json(given.out, {"rows": found})
 
 
 if __name__ == "__main__":

@@ -4,14 +4,12 @@ Each mesh halves the element size of the last, everywhere and near the joint. Th
 extrapolated from the three finest (Richardson, with the observed order); the error of a mesh is its
 distance from that limit.
 
-    python benchmarks/mesh_convergence.py            # about 6 minutes
+    python -m benchmarks.mesh_convergence            # about 6 minutes
 """
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from time import perf_counter
 
@@ -19,6 +17,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.study import case_file, options_of
 from fesim.case.schema import Case, ProbeSection, read_case
 from fesim.case.thermal_sections import StepInput
 from fesim.setup.machine import set_up
@@ -80,7 +79,7 @@ def limit(values: list[float]) -> tuple[float, float]:
 
 def main() -> None:
     """Run the meshes and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options_of(__doc__)
     parser.add_argument("--case", type=Path, help="case file; default: the equal-heights machine")
     # Fewer than three have no limit.
     parser.add_argument(
@@ -91,8 +90,9 @@ def main() -> None:
         help="how many, coarsest first",
     )
     options = parser.parse_args()
-    reference = Path(str(files("thermojoint").joinpath("cases/equal_heights.toml")))
-    case = read_case(options.case or reference).model_copy(update={"candidates": []})
+    case = read_case(options.case or case_file("equal_heights")).model_copy(
+        update={"candidates": []}
+    )
     nose = ProbeSection(position_mm=(600.0, 1050.0, 250.0), body="column")
     case = case.model_copy(update={"probes": {"nose": nose}})
     results = [run(case, *sizes) for sizes in SIZES[: options.meshes]]

@@ -12,12 +12,10 @@ from steps of 0.5, 1 and 2 with the table at each of three positions, and interp
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import process_time
@@ -26,6 +24,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from benchmarks.study import case_file, options_of, write_json
 from calibrate.chain import calibrate_responses
 from calibrate.joint_aware.assembling import make_observer
 from calibrate.joint_aware.calibration import (
@@ -47,7 +46,6 @@ from estimator.measured import response_samples
 from fesim.case.schema import Case, read_case
 from fesim.simulate import simulate
 from thermojoint.artefacts.arrays import Array
-from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.response import columns_of
 from thermojoint.artefacts.units import MEGA, MILLI
 from thermojoint.models.assembly import assemble
@@ -243,13 +241,12 @@ def _um(values: Array) -> list[float]:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the study and write its rows."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = options_of(__doc__, "moving-axis.json")
     parser.add_argument("--count", type=int, default=3)
     parser.add_argument("--seed", type=int, default=2)
     parser.add_argument("--same-mesh", action="store_true")
-    parser.add_argument("--out", type=Path, default=Path("moving-axis.json"))
     options = parser.parse_args(arguments)
-    case = read_case(Path(str(files("thermojoint").joinpath("cases/moving_knee.toml"))))
+    case = read_case(case_file("moving_knee"))
     case = case.replace(march={"step_s": STEP})
     mesh = {} if options.same_mesh else MESH
     rows = []
@@ -272,7 +269,7 @@ def main(arguments: list[str] | None = None) -> None:
             row["fchs"] = fchs_figures(along, responses[name])
             rows.append(row | {"calibration_s": round(spent, 1)})
             print(json.dumps(rows[-1]), flush=True)
-        write_text(options.out, json.dumps(rows, indent=1, allow_nan=False) + "\n")
+        write_json(options.out, rows)
 
 
 if __name__ == "__main__":

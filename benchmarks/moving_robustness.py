@@ -8,7 +8,6 @@ refused in one line. Exit code 1 if one fails, or is not refused.
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from rich.console import Console
 from rich.progress import track
 
 from benchmarks.robustness import LOOSE, spread
+from benchmarks.study import options_of
 from fesim.batch.summary import preloads
 from fesim.case.schema import case_from_data
 from fesim.march.alternation import alternating
@@ -192,7 +192,7 @@ def judged(response: xr.Dataset) -> str:
 
 def main() -> int:
     """March and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options_of(__doc__)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--count", type=int, default=COUNT)
     asked = parser.parse_args()

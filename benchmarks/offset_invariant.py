@@ -23,7 +23,6 @@ last is then what it acknowledged.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import shutil
@@ -41,6 +40,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
 
+from benchmarks.study import options_of
 from estimator.intake import of_columns
 from estimator.interface import Channel, Estimate, Status
 from estimator.lines import Stroke, channels_of
@@ -559,7 +559,7 @@ def violations(sequences: int, steps: int = 30) -> None:
 
 def main() -> None:
     """Run them and print what was run as JSON."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options_of(__doc__)
     parser.add_argument("--sequences", type=int, default=10_000)
     given = parser.parse_args()
     begun = time.monotonic()

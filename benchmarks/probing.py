@@ -13,12 +13,9 @@ docs/faulty-sensors.md.
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from importlib.resources import files
 from itertools import cycle
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,19 +24,16 @@ import numpy as np
 import xarray as xr
 
 from benchmarks.plants.drawing import FAMILIES, Plant
-from benchmarks.plants.driving import drives
 from benchmarks.plants.judging import (
     CALIBRATIONS,
-    DISPLACEMENT_NOISE,
-    TEMPERATURE_NOISE,
     Machines,
+    exact_answers,
     judged_run,
-    measured,
+    shown,
     with_sensors,
 )
 from benchmarks.plants.preparing import prepared
-from benchmarks.plants.responding import answers
-from benchmarks.plants.structural import structural_answers
+from benchmarks.study import case_file, options_of, write_rows
 from calibrate.joint_aware.calibration import Effort, calibrate_machine
 from calibrate.joint_aware.physics_fit import Search
 from calibrate.learning.learn import learn
@@ -51,7 +45,6 @@ from estimator.joint_aware.readings import samples_in
 from estimator.learned.estimator import Learned
 from estimator.rows import interval_score
 from thermojoint.artefacts.arrays import Array
-from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.log_file import read_log
 from thermojoint.artefacts.response import columns_of
 from thermojoint.artefacts.units import MEGA, MICRO
@@ -157,29 +150,26 @@ class Plants(NamedTuple):
     drawn: list[Plant]
 
 
+def drawn(family: str, seed: int, count: int) -> Plants:
+    """Return the first plants of a family, with ten sensors."""
+    case, machines = prepared(case_file("reference"), more=True)
+    draw, names = FAMILIES[family], machines.model.sensor_names
+    return Plants(machines, [draw(case, names, seed, number) for number in range(count)])
+
+
 def calibrated(
     machines: Machines, model: ReducedMachine, plant: Plant, label: str
 ) -> tuple[JointAware, xr.Dataset]:
     """Return the estimator of a plant that is calibrated like `CALIBRATIONS`, and its day."""
-    runs = drives(machines.plant.step, plant.seed)
-    if plant.unlike is None:
-        exact = answers(machines.plant, plant, runs)
-    else:
-        exact = structural_answers(machines.data, machines.plant.sensor_names, plant, runs)
-    noise = TEMPERATURE_NOISE, DISPLACEMENT_NOISE
-    responses = {
-        name: measured(
-            exact[name], machines.plant, machines.places, plant.offset, noise, plant.seed + k
-        )
-        for k, name in enumerate(CALIBRATIONS[label])
-    }
+    exact = exact_answers(machines, plant)
+    responses = shown(machines, plant, exact, CALIBRATIONS[label])
     found = calibrate_machine(model, responses, effort=Effort(Search(starts=0)))
     return JointAware(found.model), judged_run(machines, plant, exact, "day")[0]
 
 
 def plant_rows(plants: Plants) -> Iterator[dict[str, Any]]:
     """Yield the figures of every plant, calibration, limit and interval."""
-    model = with_sensors(plants.machines.model, 4)
+    model = with_sensors(plants.machines.model, plants.machines.model.sensor_names[:4])
     for plant in plants.drawn:
         for label in CALIBRATIONS:
             estimator, day = calibrated(plants.machines, model, plant, label)
@@ -224,27 +214,18 @@ def compared(
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the study and write its rows."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = options_of(__doc__, "probing.json")
     parser.add_argument("--family", choices=list(FAMILIES), default="films")
     parser.add_argument("--count", type=int, default=2)
     parser.add_argument("--seed", type=int, default=2)
     parser.add_argument("--log", type=Path)
     parser.add_argument("--displacement", action="append", default=[])
-    parser.add_argument("--out", type=Path, default=Path("probing.json"))
     options = parser.parse_args(arguments)
-    rows: list[dict[str, Any]] = []
     if options.log:
-        found: Iterator[dict[str, Any]] = log_rows(options.log, options.displacement)
+        rows = log_rows(options.log, options.displacement)
     else:
-        path = Path(str(files("thermojoint").joinpath("cases/reference.toml")))
-        case, machines = prepared(path, more=True)
-        draw, names = FAMILIES[options.family], machines.model.sensor_names
-        drawn = [draw(case, names, options.seed, number) for number in range(options.count)]
-        found = plant_rows(Plants(machines, drawn))
-    for row in found:
-        print(json.dumps(row), flush=True)
-        rows.append(row)
-        write_text(options.out, json.dumps(rows, indent=1, allow_nan=False) + "\n")
+        rows = plant_rows(drawn(options.family, options.seed, options.count))
+    write_rows(rows, options.out)
 
 
 if __name__ == "__main__":

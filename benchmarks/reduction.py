@@ -5,24 +5,22 @@ build found (relative to what is allowed), its time, and over the validation cas
 differences from the full march and the time of a step of both (medians; recording included). The
 whole table takes about 10 minutes; both options may be repeated.
 
-    python benchmarks/reduction.py --mesh reference --contacts 27 --contacts 192
+    python -m benchmarks.reduction --mesh reference --contacts 27 --contacts 192
 """
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from importlib.resources import files
-from pathlib import Path
 from statistics import median
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from fesim.case.schema import Case, parse_case
+from benchmarks.study import case_file, options_of
+from fesim.case.schema import Case, read_case
 from fesim.march.contact import ContactProblem
 from fesim.march.machine import CondensedMachine, Step
 from fesim.march.reduced import (
@@ -62,8 +60,7 @@ class Differences:
 
 def case_of(mesh: str, contacts: int) -> Case:
     """The reference case on another mesh, with other contact elements, of the full order."""
-    text = files("thermojoint").joinpath("cases/equal_heights.toml").read_text("utf-8")
-    data = parse_case(text, "equal_heights.toml", Path()).model_dump()
+    data = read_case(case_file("equal_heights")).model_dump()
     size, joint_size = MESHES[mesh]
     data["structure"] |= {"element_size_mm": size, "joint_element_size_mm": joint_size}
     data["joints"]["knee"] |= dict(zip(("along", "across"), CONTACTS[contacts], strict=True))
@@ -153,7 +150,7 @@ def row(mesh: str, contacts: int) -> list[str]:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = options_of(__doc__)
     parser.add_argument("--mesh", action="append", choices=list(MESHES))
     parser.add_argument("--contacts", action="append", type=int, choices=list(CONTACTS))
     given = parser.parse_args()

@@ -1,6 +1,6 @@
 """Does the simulator always find an equilibrium? Random machines, joints, heat and steps.
 
-Run: ``python benchmarks/robustness.py [--count 2000] [--markdown docs/robustness.md]``. A structure
+Run: ``python -m benchmarks.robustness [--count 2000] [--markdown docs/robustness.md]``. A structure
 is condensed once for `LAWS` marches: neither heat nor joint law enters the condensation. Every
 march follows from the seed and its number alone, so ``--first N --count 1`` marches number N again.
 With ``--loaded`` machine and flange stand on springs, carry gravity and a force that comes and
@@ -12,11 +12,9 @@ Exit code 1 if one fails or alternates.
 
 from __future__ import annotations
 
-import argparse
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -27,6 +25,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from benchmarks.study import ROOT, coarse_machine_data, options_of
 from fesim.batch.summary import OPEN_BELOW, is_open, preloads
 from fesim.case.schema import Case, case_from_data
 from fesim.march.alternation import alternating
@@ -73,7 +72,7 @@ TURNS = (None, "0,1\n100,1\n101,0.6", "0,1\n100,1\n101,1.5")
 RESULTS = ("has come loose", "yield as a whole")
 #: Upper ends of the bands of friction that the table tells apart.
 BANDS = (0.3, 1.0, 3.0, 10.0)
-FLANGE = Path(__file__).parents[1] / "examples/bolted_flange"
+FLANGE = ROOT / "examples" / "bolted_flange"
 
 
 @dataclass(frozen=True)
@@ -121,16 +120,9 @@ def drawn_structure(rng: np.random.Generator, flange: bool) -> Data:
     if flange:
         data: Data = tomllib.loads((FLANGE / "case.toml").read_text("utf-8"))
     else:
-        text = files("thermojoint").joinpath("cases/equal_heights.toml").read_text("utf-8")
-        data = tomllib.loads(text)
+        data = coarse_machine_data()
         top = float(rng.uniform(400.0, 750.0))
-        data["structure"] = {
-            "kind": "box_milling_machine",
-            "element_size_mm": 100.0,
-            "dimensions_mm": {"source_top": top, "bracket_bottom": 750.0},
-        }
-        data["candidates"] = []
-        data["probes"] = {"T1": {"position_mm": [625.0, 450.0, 87.5], "body": "column"}}
+        data["structure"]["dimensions_mm"] = {"source_top": top, "bracket_bottom": 750.0}
     data["materials"] = {body: _material(rng) for body in data["bodies"]}
     data["bodies"] = {body: body for body in data["bodies"]}
     odd = str(rng.choice(list(data["bodies"])))
@@ -404,7 +396,7 @@ def page(lines: list[tuple[str, ...]], ended: list[str], first: int, count: int)
             f"contact element is open below {OPEN_BELOW:g} of its preload. Written by",
             "",
             "```sh",
-            f"python benchmarks/robustness.py --first {first} --count {count} "
+            f"python -m benchmarks.robustness --first {first} --count {count} "
             "--markdown docs/robustness.md",
             "```",
             "",
@@ -427,7 +419,7 @@ def page(lines: list[tuple[str, ...]], ended: list[str], first: int, count: int)
 
 def main() -> int:
     """March, print, write."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options_of(__doc__)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--count", type=int, default=COUNT)
     parser.add_argument("--markdown", type=Path)

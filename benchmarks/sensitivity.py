@@ -3,19 +3,18 @@
 Every variant is the equal-heights case file with one edit. Printed: total displacement at the end
 of the step at heat input 3, and its nonlinear part.
 
-    python benchmarks/sensitivity.py            # about 3 minutes
+    python -m benchmarks.sensitivity            # about 3 minutes
 """
 
 from __future__ import annotations
 
 import copy
-import tomllib
-from importlib.resources import files
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.study import case_data
 from fesim.batch.summary import is_open
 from fesim.case.schema import case_from_data
 from fesim.case.thermal_sections import StepInput
@@ -61,8 +60,7 @@ def edited(data: dict, edits: dict[str, object]) -> dict:
 
 def main() -> None:
     """Run the variants and print the table."""
-    text = files("thermojoint").joinpath("cases/equal_heights.toml").read_text("utf-8")
-    data = tomllib.loads(text)
+    data = case_data("equal_heights")
     data["candidates"] = []
     data["probes"] = {"nose": {"position_mm": [600.0, 1050.0, 250.0], "body": "column"}}
     table = Table("variant", "δx, µm", "δy, µm", "δNL x, µm", "δNL y, µm", "open elements")

@@ -12,8 +12,6 @@ day) and at random.
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -28,6 +26,8 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from benchmarks.hand_placed import MODEL, PLACES, PLANT, machine_data
+from benchmarks.plants.judging import with_sensors
+from benchmarks.study import options_of, write_json
 from calibrate.joint_aware.assembling import make_observer
 from calibrate.joint_aware.misfit import Run
 from calibrate.joint_aware.physics_fit import Fit, fit_physics
@@ -40,7 +40,6 @@ from estimator.joint_aware.observer_model import Calibrated
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from thermojoint.artefacts.arrays import Array
-from thermojoint.artefacts.files import write_text
 from thermojoint.reduced.machine import (
     ReducedMachine,
     along,
@@ -73,12 +72,6 @@ def candidates_on(sizes: tuple[float, float]) -> ReducedMachine:
     setup = set_up(case)
     machine = along(reduce_machine(case, setup, list(setup.probes)), ["x", "y"])
     return plant_family.fewer_modes(replace(machine, step=STEP), plant_family.Drawing(step=STEP))
-
-
-def with_sensors(machine: ReducedMachine, names: Sequence[str]) -> ReducedMachine:
-    """Return the machine with some of its sensors."""
-    at = [machine.sensor_names.index(name) for name in names]
-    return replace(machine, sensors=machine.sensors[at], sensor_names=tuple(names))
 
 
 def answers(machine: ReducedMachine, inputs: Array) -> tuple[Array, Array]:
@@ -248,14 +241,13 @@ def draw(found: dict[str, Any], path: Path) -> None:
 
 def main() -> None:
     """Run the study."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("sensor_count.json"))
+    parser = options_of(__doc__, "sensor_count.json")
     parser.add_argument("--plot", type=Path, default=Path("sensor-count.png"))
     options = parser.parse_args()
     begun = time.perf_counter()
     with threadpool_limits(limits=1):
         found = study()
-    write_text(options.out, json.dumps(found, indent=2) + "\n")
+    write_json(options.out, found)
     show(found)
     draw(found, options.plot)
     print(f"{time.perf_counter() - begun:.0f} s")

@@ -9,8 +9,6 @@ plant, and the plant's responses. In every run each sensor in turn is stuck, off
 
 from __future__ import annotations
 
-import argparse
-import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -21,13 +19,13 @@ from rich.progress import track
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
+from benchmarks.study import options_of, write_json
 from estimator.interface import Estimate, follow
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.model_file import read_observer
 from estimator.joint_aware.readings import samples_in
 from estimator.noise import NOISE_PEAK_TO_PEAK_K, sensor_noise
 from thermojoint.artefacts.arrays import Array
-from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.response import columns_of, read_response
 from thermojoint.artefacts.units import MEGA
 
@@ -134,9 +132,8 @@ def show(rows: list[dict]) -> None:
 
 def main() -> None:
     """Run every fault."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = options_of(__doc__, "sensor_faults.json")
     parser.add_argument("results", type=Path, help="folder of thermojoint reproduce")
-    parser.add_argument("--out", type=Path, default=Path("sensor_faults.json"))
     parser.add_argument("--case", action="append", choices=list(CASES), default=[])
     options = parser.parse_args()
     estimator = JointAware(read_observer(options.results / "joint_aware.h5"))
@@ -146,7 +143,7 @@ def main() -> None:
             response = read_response(options.results / "responses" / f"{name}.nc")
             rows += rows_of(name, response, estimator)
     show(rows)
-    write_text(options.out, json.dumps({"seed": SEED, "rows": rows}, indent=2) + "\n")
+    write_json(options.out, {"seed": SEED, "rows": rows})
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Effect of the tolerance of the gap equations if one body is much stiffer than the other.
 
-Run: ``python benchmarks/stiffness_ratio.py``. The equal-heights machine with elements of 100 mm and
+Run: ``python -m benchmarks.stiffness_ratio``. The equal-heights machine with elements of 100 mm and
 twice the heat, its column stiffer and stiffer. Prints the table of docs/march.md: what an accepted
 residual can mean at most in the last state, for the gaps and for the pressures, and by how much
 pressures and displacement really differ from a march that is far more strict.
@@ -8,14 +8,13 @@ pressures and displacement really differ from a march that is far more strict.
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import replace
-from importlib.resources import files
 from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.study import coarse_machine_data
 from fesim.case.schema import case_from_data
 from fesim.joint.gap import TOLERANCE
 from fesim.joint.law import NORMAL
@@ -32,11 +31,7 @@ STRICT = 1e-3 * TOLERANCE
 
 def machine(ratio: float) -> tuple[CondensedMachine, Inputs]:
     """Return the machine whose column is `ratio` times as stiff, and its inputs."""
-    text = files("thermojoint").joinpath("cases/equal_heights.toml").read_text("utf-8")
-    data = tomllib.loads(text)
-    data["structure"] = {"kind": "box_milling_machine", "element_size_mm": 100.0}
-    data["candidates"] = []
-    data["probes"] = {"T1": {"position_mm": [625.0, 450.0, 87.5], "body": "column"}}
+    data = coarse_machine_data()
     iron = data["materials"]["cast_iron"]
     stiff = iron | {"youngs_modulus_GPa": ratio * iron["youngs_modulus_GPa"]}
     data["materials"]["stiff"] = stiff

@@ -17,7 +17,6 @@ on its way for a moment seems too fast by the rate times this moment; `LATE_S` o
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import json
 import math
@@ -44,10 +43,10 @@ from live_parts import Broker, client_of, free_port, until
 from played_control import Played
 from warming_machine import started
 
+from benchmarks.study import MEASURED_LOG, ROOT, command, options_of
 from thermojoint.compensation.offsets.handshake import STANDS
 from thermojoint.live.users import add_user
 
-ROOT = Path(__file__).parents[1]
 #: µm/s, µm and µm; of one write into a control, µm.
 RATE, STEP, LARGEST, WRITE = 3.0, 0.1, 20.0, 5.0
 #: An estimate may be this old; a service looks every second, and a value may be on its way, s.
@@ -121,9 +120,8 @@ class Line:
     """The machines' readings: a warm-up and a cool-down for ever, from a log's coldest hours."""
 
     def __init__(self, place: Path, names: list[str]) -> None:
-        log = ROOT / "examples" / "measured_machine" / "learned.csv"
-        header = log.read_text("utf-8").splitlines()[0].split(",")[1:]
-        table = np.genfromtxt(log, delimiter=",", skip_header=1)[:, 1:]
+        header = MEASURED_LOG.read_text("utf-8").splitlines()[0].split(",")[1:]
+        table = np.genfromtxt(MEASURED_LOG, delimiter=",", skip_header=1)[:, 1:]
         reached = table[:, header.index("disp3_um")]
         kept = [k for k, name in enumerate(header) if not name.startswith("disp")]
         self.cold, self.hot = (table[k, kept] for k in (reached.argmax(), reached.argmin()))
@@ -269,7 +267,7 @@ class Cnc:
         (folder / "token.txt").write_text(token(self.place, "operator", "linuxcnc"))
         ini = [str(self.place / "service.toml"), str(folder / "mill.ini")]
         given = ["--machine", "linuxcnc", "--token", str(folder / "token.txt"), "--write"]
-        command("linuxcnc", *ini, *given)
+        run("linuxcnc", *ini, *given)
         self.control.start()
         self.control.until(lambda: len(self.control.record()) > 0)
 
@@ -303,16 +301,16 @@ class Cnc:
         return list(zip(at.tolist(), um.tolist(), strict=True))
 
 
-def command(*words: str) -> str:
+def run(*words: str) -> str:
     """Run a command of the program; return what it says."""
-    line = [sys.executable, "-m", "thermojoint.cli", *words]
+    line = command(*words)
     return subprocess.run(line, check=True, stdout=subprocess.PIPE, text=True, cwd=ROOT).stdout
 
 
 def token(place: Path, role: str, machines: str) -> str:
     """Return a new token of the service."""
     words = ("--add", f"{role}-{machines.strip('*')}", "--role", role, "--machines", machines)
-    return command("tokens", str(place / "service.toml"), *words).strip()
+    return run("tokens", str(place / "service.toml"), *words).strip()
 
 
 def names_of(cnc: Control | None) -> list[str]:
@@ -513,22 +511,21 @@ def judged(record: list[tuple[float, float]]) -> dict[str, float]:
 
 def killed_files(place: Path, kills: int, draw: random.Random) -> dict[str, int]:
     """Kill a command that replaces a file of offsets; return what stood there: old, new, broken."""
-    log = str(ROOT / "examples" / "measured_machine" / "learned.csv")
     estimate, offsets = place / "estimate.csv", place / "offsets.csv"
-    command("estimate", str(place / "model.json"), log, "--out", str(estimate))
+    run("estimate", str(place / "model.json"), str(MEASURED_LOG), "--out", str(estimate))
     words = ["compensate", str(estimate), "--out", str(offsets), "--settings"]
     settings = place / "offsets.toml"
     kinds = {}
     for name, largest in (("old", 5.0), ("new", LARGEST)):
         settings.write_text(_OFFSETS.replace(f"largest_um = {LARGEST}", f"largest_um = {largest}"))
         begun = time.monotonic()
-        command(*words, str(settings))
+        run(*words, str(settings))
         took = time.monotonic() - begun
         kinds[offsets.read_bytes()] = name
     found = dict.fromkeys(("old", "new", "broken"), 0)
     for _ in range(kills):
         offsets.write_bytes(next(iter(kinds)))
-        line = [sys.executable, "-m", "thermojoint.cli", *words, str(settings)]
+        line = command(*words, settings)
         process = subprocess.Popen(line, cwd=ROOT, stderr=subprocess.DEVNULL)
         time.sleep(draw.uniform(0.3, 1.1) * took)
         process.kill()
@@ -554,14 +551,13 @@ def violations(found: dict[str, Any]) -> list[str]:
 
 def learned(place: Path) -> None:
     """Learn a model of the measured machine that answers at once."""
-    log = str(ROOT / "examples" / "measured_machine" / "learned.csv")
     words = ["--displacement", "disp3_um", "--kind", "ridge", "--out", str(place / "model.json")]
-    command("learn", log, *words)
+    run("learn", str(MEASURED_LOG), *words)
 
 
 def main() -> None:
     """Run it and print what was found as JSON; exit code 1 if anything does not hold."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = options_of(__doc__)
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()

@@ -11,37 +11,24 @@ docs/joint-aware.md.
 
 from __future__ import annotations
 
-import argparse
-import json
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
-from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.plants.drawing import FAMILIES
-from benchmarks.plants.judging import CALIBRATIONS, SETTLED
-from benchmarks.plants.preparing import prepared
-from benchmarks.probing import Plants, calibrated
+from benchmarks.plants.judging import CALIBRATIONS, SETTLED, with_sensors
+from benchmarks.probing import Plants, calibrated, drawn
+from benchmarks.study import options_of, write_rows
 from estimator.interface import follow
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.readings import samples_in
-from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.response import columns_of
 from thermojoint.artefacts.units import MEGA
 from thermojoint.models.sensors import ROLES
-from thermojoint.reduced.machine import ReducedMachine
 
 #: Starts after the beginning of the day, and how long each is followed, s.
 STARTS, FOLLOWED = (7200.0, 14400.0, 21600.0), 7200.0
-
-
-def with_sensors(machine: ReducedMachine, names: Sequence[str]) -> ReducedMachine:
-    """Return a machine with some of its sensors."""
-    at = [machine.sensor_names.index(name) for name in names]
-    return replace(machine, sensors=machine.sensors[at], sensor_names=tuple(names))
 
 
 def rows(plants: Plants, more: Sequence[str]) -> Iterator[dict[str, Any]]:
@@ -79,22 +66,14 @@ def figures(estimator: JointAware, samples: np.ndarray, actual: np.ndarray) -> d
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the study and write its rows."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = options_of(__doc__, "warm.json")
     parser.add_argument("--family", choices=list(FAMILIES), default="films")
     parser.add_argument("--count", type=int, default=2)
     parser.add_argument("--seed", type=int, default=2)
     parser.add_argument("--more", action="append", default=[])
-    parser.add_argument("--out", type=Path, default=Path("warm.json"))
     options = parser.parse_args(arguments)
-    path = Path(str(files("thermojoint").joinpath("cases/reference.toml")))
-    case, machines = prepared(path, more=True)
-    draw, names = FAMILIES[options.family], machines.model.sensor_names
-    drawn = [draw(case, names, options.seed, number) for number in range(options.count)]
-    found: list[dict[str, Any]] = []
-    for row in rows(Plants(machines, drawn), options.more):
-        print(json.dumps(row), flush=True)
-        found.append(row)
-        write_text(options.out, json.dumps(found, indent=1, allow_nan=False) + "\n")
+    plants = drawn(options.family, options.seed, options.count)
+    write_rows(rows(plants, options.more), options.out)
 
 
 if __name__ == "__main__":

@@ -8,8 +8,6 @@ Without CalculiX (Debian: calculix-ccx) it says so and ends.
 
 from __future__ import annotations
 
-import argparse
-import json
 import tempfile
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -27,13 +25,12 @@ from benchmarks.against_calculix.studies import (
     two_bars,
     two_rods,
 )
-from thermojoint.artefacts.files import whole_file
+from benchmarks.study import options_of, write_json
 
 
 def main() -> None:
     """Run the studies, print the table and write it as JSON."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.against_calculix")
-    parser.add_argument("--out", type=Path, default=Path("against_calculix.json"))
+    parser = options_of(__doc__, "against_calculix.json")
     parser.add_argument("--fine", action="store_true", help="the machine at 50 mm too")
     parser.add_argument("--keep", type=Path, help="folder for decks and logs; default: none kept")
     given = parser.parse_args()
@@ -48,9 +45,7 @@ def main() -> None:
     console.print(_table(rows))
     for table in _figures(rows):
         console.print(table)
-    result = {"rows": [asdict(row) for row in rows]}
-    with whole_file(given.out) as part:
-        part.write_text(json.dumps(result, indent=1), encoding="utf-8")
+    write_json(given.out, {"rows": [asdict(row) for row in rows]})
 
 
 def _shown(console: Console, folder: Path, *, fine: bool) -> Iterator[Comparison]:

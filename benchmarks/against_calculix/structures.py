@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.study import case_data, coarse_machine_data
 from fesim.case.schema import Case, case_from_data
 from meshes.box_grid import Box, box_mesh, put_side_by_side
 from meshes.exchange import write_structure
@@ -121,11 +120,7 @@ def bars(folder: Path, size: float = 0.025, **changes: Any) -> Case:
 
 def machine(size: float = 100.0, **changes: Any) -> Case:
     """The equal-heights machine with elements of `size` (mm), heat input 3, 30 steps of 2 s."""
-    data = tomllib.loads(
-        files("thermojoint").joinpath("cases/equal_heights.toml").read_text("utf-8")
-    )
-    data["structure"] = {"kind": "box_milling_machine", "element_size_mm": size}
-    data["candidates"] = []
+    data = coarse_machine_data(size)
     data["probes"] = {
         "source": {"position_mm": [575.0, 700.0, 100.0], "body": "column"},
         "joint_top": {"position_mm": [650.0, 750.0, 87.5], "body": "column"},
@@ -148,7 +143,6 @@ def knee(size: float, position: float) -> tuple[Case, Case]:
 
     `size`: of the elements, mm; half as much at the joint. `position`: where the knee stands, mm.
     """
-    shipped = Path(str(files("thermojoint").joinpath("cases/moving_knee.toml")))
     changes: dict[str, Any] = {
         "structure__element_size_mm": size,
         "structure__joint_element_size_mm": size / 2.0,
@@ -159,9 +153,7 @@ def knee(size: float, position: float) -> tuple[Case, Case]:
         "march__step_s": 1e8,
         "march__duration_min": 40e8 / 60.0,
     }
-    riding, meshed = (
-        with_changes(tomllib.loads(shipped.read_text("utf-8")), changes) for _ in range(2)
-    )
+    riding, meshed = (with_changes(case_data("moving_knee"), changes) for _ in range(2))
     for data in (riding, meshed):
         del data["supports"]["springs"], data["joints"]["knee"]["running_friction_coefficient"]
         del data["axes"]["y"]["file"], data["axes"]["y"]["rotation_within_mm"]
@@ -171,7 +163,7 @@ def knee(size: float, position: float) -> tuple[Case, Case]:
     for name, height in {"table_bottom": 350.0, "table_top": 750.0, "screw_bottom": 250.0}.items():
         dimensions[name] = height + position
     meshed["probes"]["table"]["position_mm"][1] += position
-    return tuple(case_from_data(data, "knee", shipped.parent) for data in (riding, meshed))  # type: ignore[return-value]
+    return tuple(case_from_data(data, "knee", Path()) for data in (riding, meshed))  # type: ignore[return-value]
 
 
 def with_changes(data: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:

@@ -6,7 +6,6 @@ The truth is the adaptive march with a tenth of the tolerance.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import process_time
@@ -16,7 +15,8 @@ import xarray as xr
 
 from benchmarks.performance.cases import with_two_sensors
 from benchmarks.performance.timing import Row
-from fesim.case.schema import Case, parse_case, step_count
+from benchmarks.study import case_file
+from fesim.case.schema import Case, read_case, step_count
 from fesim.setup.machine import Setup, set_up
 from fesim.simulate import simulate
 from thermojoint.paper.long_runs import LongRuns, driven, random_day
@@ -27,8 +27,7 @@ TOLERANCE_UM, EVERY = 0.01, 60.0
 
 def rows() -> Iterator[Row]:
     """Yield adaptive-35min and adaptive-day on the reference machine."""
-    text = files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8")
-    case = with_two_sensors(parse_case(text, "reference.toml", Path()), 3.0)
+    case = with_two_sensors(read_case(case_file("reference")), 3.0)
     setup = set_up(case)
     yield compared("adaptive-35min", case, setup)
     runs = LongRuns()

@@ -5,10 +5,8 @@ All in processor time, as ratios to what stands still or to the plain method.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from importlib.resources import files
 from pathlib import Path
 from time import process_time
 from typing import Any
@@ -16,13 +14,14 @@ from typing import Any
 import numpy as np
 
 from benchmarks.performance.timing import Row
+from benchmarks.study import case_data, case_file
 from fesim.axes.axis import cold_drives
 from fesim.axes.guideway import Place
 from fesim.axes.machine import MovingMachine
 from fesim.axes.mapping import seen_from
 from fesim.axes.march import march_moving
 from fesim.axes.setup import MovingSetup, axis_inputs, set_up_axes
-from fesim.case.schema import Case, case_from_data, step_count
+from fesim.case.schema import Case, case_from_data, read_case, step_count
 from fesim.march.machine import Step
 from fesim.march.settling import displaced, initial_state, settle_along
 from fesim.march.stepping import march_along, plainly_staggered, staggered
@@ -57,24 +56,16 @@ def rows() -> Iterator[Row]:
 
 def three_axes() -> Case:
     """Return the shipped machine with three axes."""
-    return case_from_data(_data(), "three_axes.toml", _shipped())
-
-
-def _shipped() -> Path:
-    return Path(str(files("thermojoint").joinpath("cases")))
-
-
-def _data() -> dict[str, Any]:
-    return tomllib.loads((_shipped() / "three_axes.toml").read_text("utf-8"))
+    return read_case(case_file("three_axes"))
 
 
 def standing_still() -> Case:
     """Return the same machine as it is meshed, without axes: as many contact elements."""
-    data = _data()
+    data = case_data("three_axes")
     del data["axes"], data["volume"]
     for joint in data["joints"].values():
         del joint["axis"], joint["running_friction_coefficient"]
-    return case_from_data(data, "three_axes.toml", _shipped())
+    return case_from_data(data, "three_axes.toml", case_file("three_axes").parent)
 
 
 def spent(call: Callable[[], object]) -> float:

@@ -7,17 +7,17 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from unittest.mock import patch
 
 import xarray as xr
 
+from benchmarks.study import case_file
 from calibrate import chain
 from calibrate.placement.fchs import with_roles
 from fesim.cache import VARIABLE
-from fesim.case.schema import Case, parse_case
+from fesim.case.schema import Case, parse_case, read_case
 from fesim.case.thermal_sections import StepInput
 from thermojoint.artefacts.errors import InputError
 from thermojoint.paper import inputs
@@ -25,14 +25,9 @@ from thermojoint.paper import inputs
 REFERENCE = "step-1.0"
 
 
-def reference_text() -> str:
-    """Return the case file of the equal-heights machine."""
-    return files("thermojoint").joinpath("cases/equal_heights.toml").read_text("utf-8")
-
-
 def reference_machine() -> Case:
     """Return the equal-heights machine with all its possible sensors."""
-    return parse_case(reference_text(), "equal_heights.toml", Path())
+    return read_case(case_file("equal_heights"))
 
 
 def reference_case(level: float = 3.0) -> Case:
@@ -52,7 +47,7 @@ def with_two_sensors(case: Case, level: float) -> Case:
 
 def coarse_text() -> str:
     """Return the case file of the equal-heights machine on elements of 100 mm."""
-    text = re.sub(r"joint_element_size_mm.*", "", reference_text())
+    text = re.sub(r"joint_element_size_mm.*", "", case_file("equal_heights").read_text("utf-8"))
     return text.replace("size_mm = 50.0", "size_mm = 100.0")
 
 

@@ -23,6 +23,7 @@ from benchmarks.performance.cases import (
 from benchmarks.performance.pillar import pillar_case
 from benchmarks.performance.plain_set_up import plain_set_up
 from benchmarks.performance.timing import seconds
+from benchmarks.study import options_of
 from fesim.case.schema import Case, step_count
 from fesim.setup.machine import Setup, set_up
 from fesim.simulate import simulate
@@ -35,7 +36,7 @@ MAXRSS_UNIT = 1 if sys.platform == "darwin" else 1024
 
 def main() -> None:
     """Measure one size."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = options_of(__doc__)
     parser.add_argument("--elements", type=float, default=50.0, help="mm")
     parser.add_argument("--joint-elements", type=float, help="mm; default: as the others")
     parser.add_argument("--contacts", type=int, nargs=2, default=(9, 3), help="along and across")

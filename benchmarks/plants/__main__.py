@@ -13,12 +13,10 @@ from there.
 
 from __future__ import annotations
 
-import argparse
 import json
 import multiprocessing
 from collections.abc import Iterator
 from functools import partial
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +28,7 @@ from benchmarks.plants.estimating import ESTIMATORS
 from benchmarks.plants.judging import Machines, judge_plant
 from benchmarks.plants.preparing import difference_from_new_set_up, prepared
 from benchmarks.plants.summary import summary_of, table_of
-from thermojoint.artefacts.files import write_text
+from benchmarks.study import case_file, options_of, write_json
 
 #: Plants that are compared with machines set up anew: no case says two films of one surface.
 CHECKED = {"parameters": 3, "films": 0, "structural": 0}
@@ -38,15 +36,13 @@ CHECKED = {"parameters": 3, "films": 0, "structural": 0}
 
 def main(arguments: list[str] | None = None) -> None:
     """Run what is not finished, then judge all of it."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = options_of(__doc__, "plants.json")
     parser.add_argument("--family", choices=list(FAMILIES), default="parameters")
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=Path("plants.json"))
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--estimator", action="append", choices=list(ESTIMATORS), default=[])
-    reference = files("thermojoint").joinpath("cases/reference.toml")
-    parser.add_argument("--case", type=Path, default=Path(str(reference)))
+    parser.add_argument("--case", type=Path, default=case_file("reference"))
     options = parser.parse_args(arguments)
     case, machines = prepared(options.case, more=options.family == "structural")
     drawn, sensors = FAMILIES[options.family], machines.model.sensor_names
@@ -71,7 +67,7 @@ def main(arguments: list[str] | None = None) -> None:
         "plants": [{name: one[name] for name in ("plant", "factors", "offset_K")} for one in found],
         "calibrations": [row for one in found for row in one["calibrations"]],
     }
-    write_text(options.out, json.dumps(content, indent=1, allow_nan=False) + "\n")
+    write_json(options.out, content)
     console = Console(width=140)
     console.print(table_of(summary))
     console.print(f"plants on the study's modes against new set-ups, step 3.0, µm: {checked}")
@@ -96,7 +92,7 @@ def _kept(
         return kept
     found = judge_plant(machines, plant, wanted)
     folder.mkdir(parents=True, exist_ok=True)
-    write_text(path, json.dumps(found, allow_nan=False) + "\n")
+    write_json(path, found)
     return found
 
 

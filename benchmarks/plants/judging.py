@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
@@ -52,38 +52,46 @@ class Machines:
     data: dict[str, Any]
 
 
-def with_sensors(machine: ReducedMachine, count: int) -> ReducedMachine:
-    """Return a machine with the first of its sensors only."""
-    names = machine.sensor_names[:count]
-    return replace(machine, sensors=machine.sensors[:count], sensor_names=names)
+def with_sensors(machine: ReducedMachine, names: Sequence[str]) -> ReducedMachine:
+    """Return a machine with some of its sensors."""
+    at = [machine.sensor_names.index(name) for name in names]
+    return replace(machine, sensors=machine.sensors[at], sensor_names=tuple(names))
+
+
+def exact_answers(machines: Machines, plant: Plant) -> dict[str, Answer]:
+    """Return the exact answers of a plant to all its runs."""
+    runs = drives(machines.plant.step, plant.seed)
+    if plant.unlike is None:
+        return answers(machines.plant, plant, runs)
+    return structural_answers(machines.data, machines.plant.sensor_names, plant, runs)
+
+
+def shown(
+    machines: Machines, plant: Plant, exact: Mapping[str, Answer], names: Sequence[str]
+) -> dict[str, xr.Dataset]:
+    """Return the runs that a plant is calibrated with, as they are measured."""
+    noise, places = (TEMPERATURE_NOISE, DISPLACEMENT_NOISE), machines.places
+    return {
+        name: measured(exact[name], machines.plant, places, plant.offset, noise, plant.seed + k)
+        for k, name in enumerate(names)
+    }
 
 
 @threadpool_limits.wrap(limits=1)
 def judge_plant(machines: Machines, plant: Plant, wanted: tuple[str, ...]) -> dict[str, Any]:
     """Return all that a plant says: rows, calibrations and what it was drawn with."""
-    runs = drives(machines.plant.step, plant.seed)
-    names = machines.plant.sensor_names
-    if plant.unlike is None:
-        exact = answers(machines.plant, plant, runs)
-    else:
-        exact = structural_answers(machines.data, names, plant, runs)
-    noise = TEMPERATURE_NOISE, DISPLACEMENT_NOISE
-    shown = {
-        name: measured(
-            exact[name], machines.plant, machines.places, plant.offset, noise, plant.seed + k
-        )
-        for k, name in enumerate(CALIBRATIONS["steps and cool-down"])
-    }
+    names, exact = machines.plant.sensor_names, exact_answers(machines, plant)
+    every = shown(machines, plant, exact, CALIBRATIONS["steps and cool-down"])
     rows: list[dict[str, Any]] = []
     reports: list[dict[str, Any]] = []
     by_steps: dict[str, Calibrated] = {}
     for count, (label, named) in product(sorted({4, len(names)}), CALIBRATIONS.items()):
-        responses = {name: shown[name] for name in named}
+        responses = {name: every[name] for name in named}
         for kind in wanted:
             begun = time.process_time()
             about = {"plant": plant.number, "calibration": label, "sensors": count}
             try:
-                model = with_sensors(machines.model, count)
+                model = with_sensors(machines.model, names[:count])
                 calibrated = by_steps.get(kind) or ESTIMATORS[kind](model, responses)
                 taken = time.process_time() - begun
                 if kind in BY_STEPS:

@@ -8,13 +8,12 @@ goes on from there. Beside each folder stand STUDY.json and STUDY.md, the scored
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 from functools import partial
 from pathlib import Path
 
 from benchmarks.reference_machine.table import as_json, as_markdown, scored
+from benchmarks.study import options_of, write_json
 from fesim.batch.study import read_study
 from thermojoint.artefacts.files import write_text
 from thermojoint.cli.batch_run import crew_of, run_cases
@@ -25,7 +24,7 @@ STUDIES = tuple(sorted(path.stem for path in HERE.glob("*.toml")))
 
 def main(arguments: list[str] | None = None) -> None:
     """Run what is not finished, then judge all of it."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = options_of(__doc__)
     parser.add_argument("study", nargs="*", help=f"default: all of {', '.join(STUDIES)}")
     parser.add_argument("--out", type=Path, default=Path("build/reference-machine"))
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
@@ -36,7 +35,7 @@ def main(arguments: list[str] | None = None) -> None:
         run_cases(study, str(path), folder, partial(crew_of, options.workers, None))
         machines = list(scored(study, folder))
         table = as_markdown(machines)
-        write_text(options.out / f"{name}.json", json.dumps(as_json(machines), indent=1) + "\n")
+        write_json(options.out / f"{name}.json", as_json(machines))
         write_text(options.out / f"{name}.md", table)
         print(f"{name}\n\n{table}")
 
