@@ -18,6 +18,7 @@ import json
 import random
 import re
 import shutil
+import signal
 import sqlite3
 import subprocess
 import sys
@@ -182,7 +183,7 @@ def finish(place: Path, name: str, samples: int, timeout: float = 300.0) -> Hist
         with suppress(subprocess.TimeoutExpired):
             process.wait(0.5)
         if process.poll() is None:
-            process.terminate()
+            process.send_signal(signal.SIGTERM)
         assert process.wait(60.0) == 0, (place / f"{name}.log").read_text()[-2000:]
     finally:
         process.kill()
