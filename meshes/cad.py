@@ -51,20 +51,13 @@ class NamesFile(Section):
 
 
 class Names(NamedTuple):
-    """Names given to the parts of a CAD file.
+    """Names given to the parts of a CAD file."""
 
-    Attributes
-    ----------
-    surfaces : mapping
-        Name to points on its faces, m.
-    bodies : mapping
-        Name to a point on its surface, m.
-    joints : mapping
-        Name to its two bodies, that of side ``.a`` first.
-    """
-
+    #: Name to points on its faces, m.
     surfaces: Mapping[str, Sequence[Point]] = MappingProxyType({})
+    #: Name to a point on its surface, m.
     bodies: Mapping[str, Point] = MappingProxyType({})
+    #: Name to its two bodies, that of side ``.a`` first.
     joints: Mapping[str, tuple[str, str]] = MappingProxyType({})
 
 

@@ -126,17 +126,11 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """A measured channel of all runs, concatenated.
+    """A measured channel of all runs, concatenated."""
 
-    Attributes
-    ----------
-    ridge : Ridge
-        Its linear part.
-    tau : float
-        Prior standard deviation of a gain, K or m; zero for a channel that does not move.
-    """
-
+    #: Its linear part.
     ridge: Ridge
+    #: Prior standard deviation of a gain, K or m; zero for a channel that does not move.
     tau: float
 
     def whitened(self, errors: Array, sigma: float) -> Array:

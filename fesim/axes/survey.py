@@ -198,32 +198,23 @@ def _guess(places: Array, found: Survey, at: int, into: Array) -> bool:
 
 
 class Here(NamedTuple):
-    """The gap equations at one place, and storage.
+    """The gap equations at one place, and storage."""
 
-    Attributes
-    ----------
-    compliance : ndarray, shape (h, h)
-        C A, m/Pa.
-    free : ndarray, shape (h + p,)
-        g_T, m, then the probes without contact.
-    inverse : ndarray, shape (h, h)
-        Of the Jacobian there or nearby.
-    gap, force, residual, correction, before, step : ndarray, shape (h,)
-        g, m; z + k g, Pa; g - g_T - C A (z + k g), m; Newton's correction, m; g and correction
-        before a step.
-    trial : Trial
-        All gaps.
-    """
-
+    #: Shape (h, h): C A, m/Pa.
     compliance: Array
+    #: Shape (h + p,): g_T, m, then the probes without contact.
     free: Array
+    #: Shape (h, h): of the Jacobian there or nearby.
     inverse: Array
+    #: Shape (h,): g, m; z + k g, Pa; g - g_T - C A (z + k g), m; Newton's correction, m; g and
+    #: correction before a step.
     gap: Array
     force: Array
     residual: Array
     correction: Array
     before: Array
     step: Array
+    #: All gaps.
     trial: Trial
 
 

@@ -42,15 +42,6 @@ class ConductanceTable:
     is a cubic with finite-difference slopes; beyond the ends the slope decays over the width of the
     last interval, so that h stays bounded. The derivative is continuous everywhere.
 
-    Attributes
-    ----------
-    pressures : ndarray, shape (n,)
-        Increasing, Pa.
-    rises : ndarray, shape (k,)
-        Temperatures above the initial ambient, increasing, K; one entry if h does not depend on it.
-    values : ndarray, shape (k, n)
-        h, W/(m2 K), positive.
-
     Raises
     ------
     InputError
@@ -58,8 +49,12 @@ class ConductanceTable:
         pressure.
     """
 
+    #: Shape (n,): increasing, Pa.
     pressures: Array
+    #: Shape (k,): temperatures above the initial ambient, increasing, K; one entry if h does not
+    #: depend on it.
     rises: Array
+    #: Shape (k, n): h, W/(m2 K), positive.
     values: Array
 
     def __post_init__(self) -> None:

@@ -114,31 +114,23 @@ class Friction:
 class JointLaw:
     """Properties of the joint at a contact element.
 
-    Attributes
-    ----------
-    normal : NormalLaw
-        Pressure against opening.
-    friction : Friction
-        Shear traction against slip.
-    conductance : callable
-        Pressure (Pa) to contact conductance, W/(m2 K).
-    reference : NormalLaw, optional
-        Law whose state at opening zero defines springs, tangential stiffness and relative errors;
-        default `normal`. A joint without preload has no stiffness there.
-    gap : callable, optional
-        Opening from the start (m), rise and jump (K) as for `conducts` to the conductance of the
-        gap in parallel with the contact, W/(m2 K).
-
     Raises
     ------
     InputError
         The pressure at opening zero is not the preload.
     """
 
+    #: Pressure against opening.
     normal: NormalLaw
+    #: Shear traction against slip.
     friction: Friction
+    #: Pressure (Pa) to contact conductance, W/(m2 K).
     conductance: Callable[[Array], Array]
+    #: Law whose state at opening zero defines springs, tangential stiffness and relative errors;
+    #: default `normal`. A joint without preload has no stiffness there.
     reference: NormalLaw | None = None
+    #: Opening from the start (m), rise and jump (K) as for `conducts` to the conductance of the gap
+    #: in parallel with the contact, W/(m2 K).
     gap: Callable[[Array, Array, Array], Array] | None = None
 
     def __post_init__(self) -> None:

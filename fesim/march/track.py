@@ -25,24 +25,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Consecutive steps; the first dimension of every array is their number n, then as in `Step`.
+    """n consecutive steps: arrays are as in `Step` and `State`, with n as their first dimension."""
 
-    Attributes
-    ----------
-    index : ndarray of int, shape (n,)
-        Steps taken at the end of each.
-    inputs, conductance, heat_flow, displacement, remainder, residual, heat_balance : ndarray
-        As in `Step`.
-    iterations, cuts : ndarray of int
-        As in `Step`.
-    secant_residual : ndarray
-        As in `Step`.
-    temperature, gap, slip, pressure, change, frozen, turning, taken_over, drive : ndarray
-        As in `State`.
-    model : str
-        As in `State`.
-    """
-
+    #: Steps taken at the end of each.
     index: NDArray[np.int64]
     inputs: Array
     conductance: Array

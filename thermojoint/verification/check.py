@@ -12,26 +12,6 @@ from thermojoint.artefacts.errors import InputError
 class Check:
     """A computed quantity beside its reference.
 
-    Attributes
-    ----------
-    name : str
-        Name of the check, unique in the suite.
-    quantity : str
-        Quantity compared, e.g. "heat flow".
-    unit : str
-        Unit of `reference` and `computed`; "1" if they have none.
-    reference, computed : float
-        The known value and the simulator's.
-    tolerance : float
-        Largest relative error that passes; positive.
-    source : str
-        Source of the reference.
-    relative_error : float
-        Default |computed - reference| / scale. Given if it is the error of a whole field or
-        history, of which `reference` and `computed` are representative values.
-    scale : float
-        Scale of the relative error; default |reference|, required if that is zero.
-
     Raises
     ------
     InputError
@@ -39,14 +19,23 @@ class Check:
         is given.
     """
 
+    #: Name of the check, unique in the suite.
     name: str
+    #: Quantity compared, e.g. "heat flow".
     quantity: str
+    #: Unit of `reference` and `computed`; "1" if they have none.
     unit: str
+    #: The known value and the simulator's.
     reference: float
     computed: float
+    #: Largest relative error that passes; positive.
     tolerance: float
+    #: Source of the reference.
     source: str
+    #: Default |computed - reference| / scale. Given if it is the error of a whole field or history,
+    #: of which `reference` and `computed` are representative values.
     relative_error: float = math.nan
+    #: Scale of the relative error; default |reference|, required if that is zero.
     scale: float = math.nan
 
     def __post_init__(self) -> None:

@@ -85,24 +85,17 @@ class Assembled:
 
 @dataclass(frozen=True)
 class Model:
-    """A structure with one joint, before the assembly.
+    """A structure with one joint, before the assembly."""
 
-    Attributes
-    ----------
-    structure, joint, materials, loads
-        As `fesim.solid.heat.heat_operators` takes them.
-    fixed, rollers
-        As `fesim.solid.elasticity.elastic_operators` takes them.
-    probe : Probe
-        Of displacement and temperature.
-    """
-
+    #: As `fesim.solid.heat.heat_operators` takes them.
     structure: Structure
     joint: PairedJoint
     materials: dict[str, Material]
     loads: ThermalLoads
+    #: As `fesim.solid.elasticity.elastic_operators` takes them.
     fixed: list[str]
     rollers: dict[str, str]
+    #: Of displacement and temperature.
     probe: Probe
 
 

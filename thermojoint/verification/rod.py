@@ -77,17 +77,10 @@ MARCHED = replace(BALANCED, tolerance=1e-4)
 
 @dataclass(frozen=True)
 class Case:
-    """A rod on a wall.
-
-    Attributes
-    ----------
-    law : JointLaw
-        The joint.
-    wall : float
-        T2, K.
-    """
+    """A rod on a wall."""
 
     law: JointLaw
+    #: T2, K.
     wall: float
 
     @property
