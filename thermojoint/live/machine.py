@@ -451,16 +451,13 @@ def restored(
         sample = row.time, tuple(row.readings.tolist())
         machine, _ = taken(served, machine, sample, Times(row.published, math.nan), 0.0)
     rest = json.loads(kept.newest)
-    if received is None and "output" in rest:
-        # Earlier stores have it beside the samples.
-        received = Received(name, machine.usable.published, json.dumps(rest["output"]))
     output = _output(served, machine, received, times)
     handshake = _handshake_begun(served, output, received, times.clock)
     machine = replace(
         machine,
         output=output,
         handshake=handshake,
-        waiting=_waiting(rest.get("waiting")),
+        waiting=_waiting(rest["waiting"]) if "waiting" in rest else Waiting(),
         asked=Request(*rest.get("asked", ())) if served.asking else NOTHING_ASKED,
     )
     latest = replace(
@@ -488,7 +485,7 @@ def _handshake_begun(
     settings = served.output.output
     kept = [axes.get(name, {}) for name in settings.names]
     kept += [axes.get(one.axis, {}).get("slope", {}) for one in settings.slopes]
-    # Axes of other settings, and stores of earlier versions, have no range.
+    # Axes of other settings have no range.
     ranges = np.array([one.get("sent", [np.nan, np.nan]) for one in kept])
     ranges *= settings.channels.levers[:, None]
     low, high = np.fmin(handshake.low, ranges[:, 0]), np.fmax(handshake.high, ranges[:, 1])
@@ -503,11 +500,8 @@ def _laid_out(last: Publication, layout: Layout) -> Publication:
     return replace(last, layout=layout, offsets=offsets, slopes=slopes)
 
 
-def _waiting(content: list[Any] | None) -> Waiting:
-    if content is None:
-        return Waiting()
-    before, newest, cells, held, phase, probed, *further = content
-    doubted = further[0] if further else None
+def _waiting(content: list[Any]) -> Waiting:
+    before, newest, cells, held, phase, probed, doubted = content
     return Waiting(
         before,
         newest,

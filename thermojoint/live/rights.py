@@ -9,8 +9,6 @@ from typing import Literal
 Role = Literal["viewer", "operator", "engineer"]
 #: A role has the rights of those before it: to read; to write readings; to change models.
 ROLES: tuple[Role, ...] = ("viewer", "operator", "engineer")
-#: Roles of earlier versions of the service.
-FORMER_ROLES: dict[str, Role] = {"reads": "viewer", "writes": "operator"}
 #: Rights on every machine.
 ALL_MACHINES = ("*",)
 

@@ -563,11 +563,7 @@ def move_log(path: Path) -> None:
 
 def layout_text(layout: Layout) -> str:
     """Return a layout as JSON."""
-    content = asdict(layout) | {"details": [list(channel) for channel in layout.details]}
-    # As in stores of earlier versions.
-    lines = content.pop("lines")
-    content |= {"lines": [list(line) for line in lines]} if lines else {}
-    return json.dumps(content, sort_keys=True)
+    return json.dumps(asdict(layout), sort_keys=True)
 
 
 def layout_from(text: str) -> Layout:
@@ -578,5 +574,5 @@ def layout_from(text: str) -> Layout:
         controls=tuple(content["controls"]),
         details=tuple(Channel(*channel) for channel in content["details"]),
         readings=tuple(content["readings"]),
-        lines=tuple(AxisLine(*line) for line in content.get("lines", ())),
+        lines=tuple(AxisLine(*line) for line in content["lines"]),
     )

@@ -1,7 +1,7 @@
 """Users with roles, machines and hashed passwords, in a file that only its owner can read.
 
 One line each: ``name:role:machines:scrypt$N$r$p$salt$hash``, machines separated by commas, salt and
-hash in hexadecimal. Lines of earlier versions have no machines and the roles `reads` and `writes`.
+hash in hexadecimal.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from thermojoint.artefacts.errors import InputError
-from thermojoint.live.rights import ALL_MACHINES, FORMER_ROLES, ROLES, Principal, Role
+from thermojoint.live.rights import ALL_MACHINES, ROLES, Principal, Role
 from thermojoint.live.secret import create_private, refuse_open_to_others
 
 #: Cost of a hash: 16 MB, and about 50 ms.
@@ -58,12 +58,12 @@ def checked_rights(name: str, role: str, machines: Sequence[str]) -> tuple[Role,
     """
     if not _NAME.fullmatch(name):
         raise InputError(f"{name!r}: a user's name is up to 64 letters, digits, ., - and _")
-    role = FORMER_ROLES.get(role, role)
-    if role not in ROLES:
+    known = next((one for one in ROLES if one == role), None)
+    if known is None:
         raise InputError(f"{name}: no role {role!r}; give one of {', '.join(ROLES)}")
     if not _MACHINES.fullmatch(",".join(machines)):
         raise InputError(f"{name}: machines are names or patterns like mill-*; correct them")
-    return role, tuple(machines)
+    return known, tuple(machines)
 
 
 def read_users(path: Path) -> dict[str, UserLine]:
@@ -79,12 +79,12 @@ def read_users(path: Path) -> dict[str, UserLine]:
     for number, line in enumerate(path.read_text("utf-8").splitlines(), 1):
         if not line.strip() or line.startswith("#"):
             continue
-        name, role, *machines, password = line.split(":") if line.count(":") > 1 else ("", "", "")
+        name, role, machines, password = line.split(":") if line.count(":") == 3 else 4 * ("",)
         where = f"{path}, line {number}"
-        if name in users or not _HASH.fullmatch(password) or len(machines) > 1:
+        if name in users or not _HASH.fullmatch(password):
             raise InputError(f"{where}: not a user; write it with `thermojoint users`")
         try:
-            known, patterns = checked_rights(name, role, ",".join(machines or "*").split(","))
+            known, patterns = checked_rights(name, role, machines.split(","))
         except InputError as error:
             raise InputError(f"{where}: {error}") from error
         users[name] = UserLine(known, password, patterns)

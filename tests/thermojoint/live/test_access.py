@@ -33,7 +33,7 @@ from thermojoint.live.log_lines import EventLog
 from thermojoint.live.rate_limit import AT_ONCE
 from thermojoint.live.settings import OpcuaServer
 from thermojoint.live.tokens import add_token, revoke_token, tokens_in
-from thermojoint.live.users import add_user, hashed, read_users, remove_user
+from thermojoint.live.users import add_user, read_users, remove_user
 from thermojoint.live.writers.opcua import Entry, open_server, serve_nodes
 
 WEEK = 7 * 86400.0
@@ -215,17 +215,6 @@ def test_a_value_that_is_written_in_every_cycle_is_audited_with_its_count(tmp_pa
     for _ in range(1000):
         audit.written("plc", "opcua 192.0.2.7", "write mill.Control.heartbeat", "mill")
     assert len(audit.path.read_text().splitlines()) == AT_ONCE
-
-
-def test_users_of_earlier_versions_keep_their_rights(tmp_path):
-    path = tmp_path / "users"
-    path.touch(mode=0o600)
-    path.write_text(f"panel:reads:{hashed('panel-secret')}\nsetter:writes:{hashed('set-secret')}\n")
-    found = read_users(path)
-    assert [(one.role, one.machines) for one in found.values()] == [
-        ("viewer", ("*",)),
-        ("operator", ("*",)),
-    ]
 
 
 def test_the_commands_list_make_and_end_users_and_tokens(tmp_path):

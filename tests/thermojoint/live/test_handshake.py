@@ -268,8 +268,8 @@ class Controls:
 def test_controls_shake_hands_by_opcua_and_by_mqtt(hand_made_model, tmp_path):
     write_assembly(assemble(hand_made_model, 1.0, 7200.0), tmp_path / "model.json")
     (tmp_path / "offsets.toml").write_text(OFFSETS)
-    add_user(tmp_path / "users", "control", "writes", "control-secret")
-    add_user(tmp_path / "users", "other", "writes", "other-secret")
+    add_user(tmp_path / "users", "control", "operator", "control-secret")
+    add_user(tmp_path / "users", "other", "operator", "other-secret")
     port = free_port()
 
     def machine(name, **handshake):

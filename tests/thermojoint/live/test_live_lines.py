@@ -265,7 +265,7 @@ def test_controls_receive_k0_slope_and_p0_by_opcua_and_http_and_acknowledge_them
     with contextlib.closing(open_access(tmp_path / "state")) as store:
         now = time.time()
         token = add_token(store, "control", "operator", (now, now + 600.0))
-    add_user(tmp_path / "users", "control", "writes", "control-secret")
+    add_user(tmp_path / "users", "control", "operator", "control-secret")
     data = content(place, tmp_path, names) | {
         "users": "users",
         "opcua": {"port": ports["opcua"]},

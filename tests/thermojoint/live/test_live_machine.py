@@ -1,7 +1,6 @@
 """One machine of the service: what silence does, what a kill does not, and what the store keeps."""
 
 import contextlib
-import json
 import logging
 import math
 import sqlite3
@@ -426,19 +425,6 @@ def test_a_start_sends_what_the_control_received_last_and_goes_on_from_there(mod
     machine, _ = restored("mill", other, *nothing.values(), None, received, at(41))
     assert (machine.latest.number, machine.latest.offset_mode) == (0, "freeze")
     assert machine.latest.offsets.tolist() == before.tolist()
-
-
-def test_the_store_of_an_earlier_version_keeps_its_offsets(model, tmp_path):
-    """They stood beside the samples."""
-    store = open_store(tmp_path / "history.sqlite")
-    floor = floor_of(model, store)
-    feed(floor, store, 0, 40)
-    place = floor.places["mill"]
-    kept = kept_of(store, [place.era])[place.era]
-    rest = {"output": json.loads(received_last(store)["mill"].content)}
-    later = (*kept.later[:-1], replace(kept.later[-1], rest=json.dumps(rest)))
-    machine, _ = restored("mill", model, replace(kept, later=later), None, None, at(40))
-    assert machine.latest.offsets.tolist() == place.machine.latest.offsets.tolist()
 
 
 def test_readings_that_come_late_move_no_offset_and_are_not_good(model, tmp_path):

@@ -587,8 +587,8 @@ def opcua_day(model, tmp_path_factory):
     """A machine at a hundred times real time, read and served by OPC UA; what clients found."""
     base = tmp_path_factory.mktemp("opcua")
     plc, port, own = own_identity(base / "plc", ()), free_port(), free_port()
-    add_user(base / "users", "panel", "reads", "panel-secret")
-    add_user(base / "users", "setter", "writes", "setter-secret")
+    add_user(base / "users", "panel", "viewer", "panel-secret")
+    add_user(base / "users", "setter", "operator", "setter-secret")
     source = {
         "kind": "opcua",
         "url": f"opc.tcp://127.0.0.1:{port}/plc",

@@ -183,8 +183,8 @@ def test_passwords_are_hashed_and_told_apart():
 
 
 def test_the_file_of_users_is_its_owners_alone(tmp_path):
-    add_user(tmp_path / "users", "panel", "reads", "panel-secret")
-    add_user(tmp_path / "users", "setter", "writes", "setter-secret")
+    add_user(tmp_path / "users", "panel", "viewer", "panel-secret")
+    add_user(tmp_path / "users", "setter", "operator", "setter-secret")
     assert stat.S_IMODE((tmp_path / "users").stat().st_mode) == 0o600
     found = read_users(tmp_path / "users")
     assert {name: line.role for name, line in found.items()} == {

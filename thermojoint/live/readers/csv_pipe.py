@@ -298,11 +298,9 @@ def _placed(
 
 
 def _hands_of(position: Mapping[str, Any]) -> Hands:
-    """State of the clock; positions of earlier versions do not contain it."""
-    kept = position.get("clock")
+    """State of the clock; the position of one that needs none does not contain it."""
     usual = Hands()
-    if not isinstance(kept, list) or len(kept) != len(usual):
-        return usual
+    kept = position.get("clock", usual)
     return Hands(*(old if hand is None else hand for hand, old in zip(kept, usual, strict=True)))
 
 
