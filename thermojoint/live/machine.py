@@ -102,30 +102,31 @@ class Machine:
 
 def at_rest(name: str, served: Served, now: float) -> Machine:
     """Return a machine without any reading yet, at a time (s since 1970)."""
-    layout = served.layout
-    unknown = [
-        np.full(len(names), np.nan)
-        for names in (layout.axes, layout.axes, layout.details, layout.readings)
-    ]
-    nothing = Publication(
+    nothing = _nothing(name, served.layout, now)
+    output = at_zero(served.output.output) if served.output else None
+    start = served.estimator.initial_state()
+    handshake = begun(_corrections(served, output), -math.inf)
+    return Machine(name, start, math.nan, output, handshake, Waiting(), nothing, nothing)
+
+
+def _nothing(name: str, layout: Layout, now: float) -> Publication:
+    """Return the publication of a machine of which nothing is known, at a time (s since 1970)."""
+    unknown = np.full(len(layout.axes), np.nan)
+    return Publication(
         machine=name,
         number=0,
         time=math.nan,
         published=now,
         quality=Quality.BAD,
         layout=layout,
-        displacement=unknown[0],
-        band=unknown[1],
+        displacement=unknown,
+        band=unknown,
         offsets=np.zeros(len(layout.controls)),
-        details=unknown[2],
-        readings=unknown[3],
+        details=np.full(len(layout.details), np.nan),
+        readings=np.full(len(layout.readings), np.nan),
         status="no-sample",
         slopes=np.zeros(len(layout.lines)),
     )
-    output = at_zero(served.output.output) if served.output else None
-    start = served.estimator.initial_state()
-    handshake = begun(_corrections(served, output), -math.inf)
-    return Machine(name, start, math.nan, output, handshake, Waiting(), nothing, nothing)
 
 
 def taken(
@@ -162,23 +163,15 @@ def taken(
     except ThermojointError as error:
         # The sample is stored, so that it is not read again; the estimate stays as it was.
         machine = _cycled(served, machine, times.clock, None)
-        nothing = Publication(
-            machine=machine.name,
+        nothing = replace(
+            _nothing(machine.name, served.layout, now),
             number=number,
             time=instant,
-            published=now,
             quality=Quality.UNCERTAIN,
-            layout=served.layout,
-            displacement=np.full(len(served.layout.axes), np.nan),
-            band=np.full(len(served.layout.axes), np.nan),
-            offsets=_offsets(served, machine.output),
-            details=np.full(len(served.layout.details), np.nan),
             readings=usable_readings,
             status=REFUSED,
-            offset_mode=_mode(served, machine.output),
-            handshake=_handshake(served, machine),
             asked=machine.asked,
-            slopes=_slopes(served, machine.output),
+            **_for_control(served, machine),
         )
         return replace(machine, cold=cold, latest=nothing), str(error)
     words, reached = estimate.words, estimate.displacement
@@ -201,14 +194,11 @@ def taken(
         served.layout,
         reached,
         estimate.band,
-        _offsets(served, machine.output),
-        estimate.details,
-        usable_readings,
-        words,
-        _mode(served, machine.output),
-        _handshake(served, machine),
-        asked,
-        _slopes(served, machine.output),
+        details=estimate.details,
+        readings=usable_readings,
+        status=words,
+        asked=asked,
+        **_for_control(served, machine),
     )
     output, handshake = machine.output, machine.handshake
     return Machine(
@@ -280,11 +270,8 @@ def silent(
         before,
         published=times.now,
         quality=max(before.quality, quality),
-        offsets=_offsets(served, machine.output),
-        slopes=_slopes(served, machine.output),
-        offset_mode=_mode(served, machine.output),
-        handshake=_handshake(served, machine),
         status=silenced(before.status, quality) if before.number else before.status,
+        **_for_control(served, machine),
     )
     return machine, latest
 
@@ -328,16 +315,19 @@ def _handshake(served: Served, machine: Machine) -> str:
     return "" if served.handshake is None or served.output is None else machine.handshake.state
 
 
-def _offsets(served: Served, output: OutputState | None) -> Array:
-    if served.output is None or output is None:
-        return np.empty(0)
-    return offsets_of(served.output.output, output)
-
-
-def _slopes(served: Served, output: OutputState | None) -> Array:
-    if served.output is None or output is None:
-        return np.empty(0)
-    return slopes_of(served.output.output, output)
+def _for_control(served: Served, machine: Machine) -> dict[str, Any]:
+    """Return what a publication says of the control: offsets, slopes, their mode, the handshake."""
+    handshake = _handshake(served, machine)
+    if served.output is None or machine.output is None:
+        empty = np.empty(0)
+        return {"offsets": empty, "slopes": empty, "offset_mode": "", "handshake": handshake}
+    settings, output = served.output.output, machine.output
+    return {
+        "offsets": offsets_of(settings, output),
+        "slopes": slopes_of(settings, output),
+        "offset_mode": mode_of(settings, output).value,
+        "handshake": handshake,
+    }
 
 
 def _corrections(served: Served, output: OutputState | None) -> Array:
@@ -369,12 +359,6 @@ def _lines(served: Served, last: Estimate | Publication) -> Lines | None:
     if not served.layout.lines:
         return None
     return lines_of(served.layout.axes, served.layout.details, last.details)
-
-
-def _mode(served: Served, output: OutputState | None) -> str:
-    if served.output is None or output is None:
-        return ""
-    return mode_of(served.output.output, output).value
 
 
 def state_bytes(served: Served, machine: Machine) -> bytes:
@@ -460,14 +444,7 @@ def restored(
         waiting=_waiting(rest["waiting"]) if "waiting" in rest else Waiting(),
         asked=Request(*rest.get("asked", ())) if served.asking else NOTHING_ASKED,
     )
-    latest = replace(
-        machine.latest,
-        offsets=_offsets(served, output),
-        slopes=_slopes(served, output),
-        offset_mode=_mode(served, output),
-        handshake=_handshake(served, machine),
-        asked=machine.asked,
-    )
+    latest = replace(machine.latest, asked=machine.asked, **_for_control(served, machine))
     return replace(machine, latest=latest), rest.get("at")
 
 
