@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 import sqlite3
 import time
 from collections.abc import Mapping
@@ -16,7 +17,6 @@ from thermojoint.live.audit import NAME, Audit
 from thermojoint.live.reserve import lay_in
 from thermojoint.live.rights import Principal
 from thermojoint.live.secret import read_secret
-from thermojoint.live.sessions import begin_session, credential_of, end_session
 from thermojoint.live.settings import Service
 from thermojoint.live.tokens import token_of
 from thermojoint.live.users import Gate, principal_of, read_users
@@ -58,8 +58,13 @@ class Accounts:
 
     def by_session(self, ticket: str) -> Principal | None:
         """Return the rights of a session; None if it, its user or its token has ended."""
-        credential = credential_of(self.store, ticket, time.time()) if ticket else None
-        return None if credential is None else self.by_credential(credential)
+        if not ticket:
+            return None
+        row = self.store.execute(
+            "SELECT credential FROM sessions WHERE digest = ? AND expires > ?",
+            (digest_of(ticket), time.time()),
+        ).fetchone()
+        return None if row is None else self.by_credential(row[0])
 
     def by_credential(self, credential: str) -> Principal | None:
         """Return the rights that a credential has now; None if it has ended."""
@@ -71,12 +76,20 @@ class Accounts:
         return self._by_digest(credential)
 
     def begin(self, principal: Principal, lasts: float) -> str:
-        """Return the ticket of a new session that lasts for a time (s)."""
-        return begin_session(self.store, principal.credential, time.time(), lasts)
+        """Return the ticket of a new session that lasts for a time (s).
+
+        The browser has a random ticket, the store its SHA-256 and the credential that began the
+        session: logging out ends it here.
+        """
+        ticket, now = secrets.token_urlsafe(32), time.time()
+        session = digest_of(ticket), principal.credential, now + lasts
+        self.store.execute("DELETE FROM sessions WHERE expires <= ?", (now,))
+        self.store.execute("INSERT INTO sessions VALUES (?, ?, ?)", session)
+        return ticket
 
     def end(self, ticket: str) -> None:
         """End a session."""
-        end_session(self.store, ticket)
+        self.store.execute("DELETE FROM sessions WHERE digest = ?", (digest_of(ticket),))
 
     def _by_digest(self, digest: str) -> Principal | None:
         return self.given.get(digest) or token_of(self.store, digest, time.time())

@@ -23,22 +23,6 @@ MOST_ROWS = 20_000
 
 
 @dataclass(frozen=True)
-class Model:
-    """The model a machine runs with.
-
-    Attributes
-    ----------
-    digest : str
-        Identifies it.
-    begun : float
-        Since when, s since 1970.
-    """
-
-    digest: str
-    begun: float
-
-
-@dataclass(frozen=True)
 class History:
     """Samples of a machine in a time span, oldest first.
 
@@ -200,8 +184,8 @@ class Archive:
             )
             return [Event(*row) for row in rows]
 
-    def model(self, machine: str) -> Model:
-        """Return the model that a machine runs with, and since when.
+    def begun(self, machine: str) -> float:
+        """Return since when a machine runs with its model, s since 1970.
 
         Raises
         ------
@@ -210,12 +194,11 @@ class Archive:
         """
         with self._reading() as store:
             last = store.execute(
-                "SELECT model, begun FROM eras WHERE machine = ? ORDER BY id DESC LIMIT 1",
-                (machine,),
+                "SELECT begun FROM eras WHERE machine = ? ORDER BY id DESC LIMIT 1", (machine,)
             ).fetchone()
         if last is None:
             raise _unknown(machine)
-        return Model(*last)
+        return float(last[0])
 
     @contextmanager
     def _reading(self) -> Iterator[sqlite3.Connection]:

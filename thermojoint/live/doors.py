@@ -10,6 +10,8 @@ from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from thermojoint.artefacts.arrays import Array
 from thermojoint.compensation.offsets.handshake import Answer
 from thermojoint.live.arrivals import Arrival
@@ -17,7 +19,6 @@ from thermojoint.live.control_message import answer_of
 from thermojoint.live.floor import Floor, Place, answer, postpone
 from thermojoint.live.former_models import former_of, read_record, roll_back
 from thermojoint.live.publication import micrometres
-from thermojoint.live.residuals import residuals_of
 from thermojoint.live.running import Running
 from thermojoint.live.settings import HandshakeSection, HttpServer, OpcuaServer, Service
 
@@ -85,7 +86,7 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
             layout=place.served.layout,
             kind=place.served.estimator.kind,
             model=place.served.file,
-            since=running.archive.model(name).begun,
+            since=running.archive.begun(name),
             valid=place.served.ranges,
         )
         for name, place in running.floor.places.items()
@@ -152,7 +153,20 @@ def _scenes(running: Running) -> dict[str, Scene]:
 
 
 def _residuals_of(place: Place) -> dict[str, float | None] | None:
-    return residuals_of(place.served, place.machine)
+    """Return reading minus prediction of each sensor of a machine, K; None before the first sample.
+
+    A faulty sensor shows here before and after it is left out; what all sensors have in common is
+    the model's error.
+    """
+    served, machine = place.served, place.machine
+    if served.residuals is None or machine.usable.number == 0:
+        return None
+    values, _ = served.intake.convert(tuple(machine.usable.readings.tolist()), machine.cold)
+    differences = served.residuals(served.estimator, machine.state, np.array(values)).tolist()
+    return {
+        name: round(value, 4) if math.isfinite(value) else None
+        for name, value in zip(served.layout.readings, differences, strict=False)
+    }
 
 
 def _handshake_of(place: Place) -> dict[str, Any]:

@@ -179,9 +179,8 @@ def absorb(floor: Floor, arrivals: Iterable[Arrival], now: float, clock: float) 
             outcome.came.append(arrival.came)
             outcome.kept += place.unkept
             place.unkept = []
-            last = outcome.taken[-1]
             rest = rest_of(place.machine, place.position)
-            outcome.taken[-1] = Taken(last.era, last.number, last.row, last.status, rest)
+            outcome.taken[-1] = outcome.taken[-1]._replace(rest=rest)
     return outcome
 
 

@@ -78,8 +78,7 @@ CREATE TABLE IF NOT EXISTS received (
 """
 
 
-@dataclass(frozen=True)
-class Taken:
+class Taken(NamedTuple):
     """A sample that was taken.
 
     Attributes
@@ -127,8 +126,7 @@ class Checkpoint:
     status: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class Event:
+class Event(NamedTuple):
     """An event; one line of the log."""
 
     time: float
@@ -137,8 +135,7 @@ class Event:
     text: str
 
 
-@dataclass(frozen=True)
-class Hole:
+class Hole(NamedTuple):
     """A time (s since 1970) without samples of a machine, and why."""
 
     machine: str
@@ -414,10 +411,7 @@ def commit(store: sqlite3.Connection, batch: Batch) -> int:
     try:
         store.executemany(
             "INSERT INTO journal (era, number, row, status, rest) VALUES (?, ?, ?, ?, ?)",
-            [
-                (taken.era, taken.number, taken.row, taken.status, taken.rest)
-                for taken in batch.taken
-            ],
+            batch.taken,
         )
         store.executemany(
             # A state that has waited for a store is no newer than what is there.
@@ -434,12 +428,10 @@ def commit(store: sqlite3.Connection, batch: Batch) -> int:
             [_chunk(checkpoint) for checkpoint in batch.checkpoints if len(checkpoint.rows)],
         )
         store.executemany(
-            "INSERT INTO events (time, machine, kind, text) VALUES (?, ?, ?, ?)",
-            [(event.time, event.machine, event.kind, event.text) for event in batch.events],
+            "INSERT INTO events (time, machine, kind, text) VALUES (?, ?, ?, ?)", batch.events
         )
         store.executemany(
-            "INSERT INTO holes (machine, since, until, why) VALUES (?, ?, ?, ?)",
-            [(hole.machine, hole.since, hole.until, hole.why) for hole in batch.holes],
+            "INSERT INTO holes (machine, since, until, why) VALUES (?, ?, ?, ?)", batch.holes
         )
         # Axes that the settings no longer have keep their last values.
         store.executemany(
