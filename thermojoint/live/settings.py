@@ -452,16 +452,6 @@ def _check_topics(where: str, given: ServiceFile, machines: Mapping[str, Machine
 
 def _check_protected(where: str, given: ServiceFile) -> None:
     """Refuse interfaces without protection that others can reach."""
-    open_doors = [
-        (f"sources.{name}", source.host)
-        for name, source in given.sources.items()
-        if isinstance(source, MqttSource) and source.security == "none"
-    ]
-    open_doors += [
-        (f"sources.{name}", _host_in(source.url))
-        for name, source in given.sources.items()
-        if isinstance(source, OpcuaSource) and source.security == "none"
-    ]
     for name, source in given.sources.items():
         if isinstance(source, MtconnectSource) and source.url.startswith("http:"):
             host = _host_in(source.url)
@@ -470,28 +460,28 @@ def _check_protected(where: str, given: ServiceFile) -> None:
                     f"{where}: sources.{name}.url: http:// at {host}, which others reach; use "
                     "https://, or an agent or a proxy on 127.0.0.1"
                 )
-    if given.mqtt and given.mqtt.security == "none":
-        open_doors.append(("mqtt", given.mqtt.host))
-    if given.opcua and given.opcua.security == "none":
-        open_doors.append(("opcua", given.opcua.address))
-    if given.http and given.http.security == "none":
-        open_doors.append(("http", given.http.address))
     if given.shdr and not is_loopback(given.shdr.address):
         raise InputError(
             f"{where}: shdr.address: {given.shdr.address}, which others reach: SHDR has no "
             "encryption; use 127.0.0.1 and an agent on this computer"
         )
-    for place, host in open_doors:
-        _check_loopback(f"{where}: {place}", host)
+    sources = {f"sources.{name}": source for name, source in given.sources.items()}
+    doors = {"mqtt": given.mqtt, "opcua": given.opcua, "http": given.http}
+    for place, section in (sources | doors).items():
+        if isinstance(section, MqttAddress | OpcuaAddress | OpcuaServer | HttpServer):
+            check_protected(f"{where}: {place}", section)
 
 
-def check_protected_url(where: str, given: OpcuaAddress) -> None:
+def check_protected(
+    where: str, given: MqttAddress | OpcuaAddress | OpcuaServer | HttpServer
+) -> None:
     """Refuse a server without protection that others can reach."""
-    if given.security == "none":
-        _check_loopback(where, _host_in(given.url))
-
-
-def _check_loopback(where: str, host: str) -> None:
+    if given.security != "none":
+        return
+    if isinstance(given, OpcuaAddress):
+        host = _host_in(given.url)
+    else:
+        host = given.host if isinstance(given, MqttAddress) else given.address
     if not is_loopback(host):
         raise InputError(
             f'{where}: security = "none" at {host}, which others reach; use 127.0.0.1 or leave '

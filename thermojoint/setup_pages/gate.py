@@ -76,7 +76,7 @@ class Gate:
             return refused(*elsewhere)
         if scope["method"] == "POST" and "origin" not in headers:
             return refused(403, "no page of this program sends this; the header Origin is missing")
-        if ticket_of(headers, self.key.cookie) in self.key.sessions:
+        if ticket_of(scope, self.key.cookie) in self.key.sessions:
             return None
         token = parse_qs(scope["query_string"].decode("ascii", "replace")).get("token", [""])[0]
         began = self.key.begun(token) if scope["path"] == "/" and scope["method"] == "GET" else None

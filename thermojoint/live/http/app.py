@@ -17,7 +17,7 @@ from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, RedirectResponse, Response
+from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
 from starlette.routing import Route
 
 from estimator.quality import Quality
@@ -28,7 +28,6 @@ from thermojoint.live.former_models import SHOWN
 from thermojoint.live.http.bodies import (
     Words,
     about_body,
-    encoded,
     events_body,
     history_body,
     summary,
@@ -40,12 +39,11 @@ from thermojoint.live.http.gate import (
     client,
     origin,
     refused,
-    ticket_of,
     too_many,
     wrong_secret,
 )
 from thermojoint.live.http.parameters import moment, number, one_of, read_parameters, whole_number
-from thermojoint.live.http.sources import About, Sources
+from thermojoint.live.http.sources import Sources
 from thermojoint.live.http.stream import Counted, Reader, stream
 from thermojoint.live.publication import as_json
 
@@ -57,11 +55,6 @@ USUAL_HISTORY, USUAL_EVENTS = 8 * 3600.0, 7 * 86400.0
 LARGEST_LOGIN = 4096
 #: Requests that read the history at the same time; others wait.
 READERS = 4
-
-
-def answered(body: Any) -> Response:  # noqa: ANN401
-    """Return JSON."""
-    return Response(encoded(body), media_type="application/json")
 
 
 def asset_answer(request: Request, content: Asset | None) -> Response:
@@ -129,63 +122,50 @@ class Site:
 
     async def machine(self, request: Request) -> Response:
         """Return the page of one machine."""
-        name, _ = self._machine(request)
+        name = self._machine(request)
         engineer = not request.user.refusal("engineer", name)
         former = self.sources.former(name) if engineer else None
         return HTMLResponse(page("machine", machine=name, former=former))
 
     async def rollback(self, request: Request) -> Response:
         """Go back to the former model of a machine."""
-        name, _ = self._machine(request)
-        audit, who = self.door.accounts.audit, request.user
-        former, why = self.sources.former(name), who.refusal("engineer", name)
+        name = self._machine(request)
+        former, why = self.sources.former(name), request.user.refusal("engineer", name)
         if why or former is None:
             why = why or "no former model is kept"
-            audit.refused(who.name, origin(request.scope), "rollback", why, name)
-            raise HTTPException(403 if former else 404, why)
-        what = f"rollback to model {former.file} {former.fingerprint[:SHOWN]}"
-        try:
-            audit.accepted(who.name, origin(request.scope), what, name)
-        except OSError as error:
-            raise HTTPException(503, f"this cannot be audited now ({error})") from error
+            raise self._refused(request, 403 if former else 404, "rollback", why)
+        self._accept(request, f"rollback to model {former.file} {former.fingerprint[:SHOWN]}")
         self.sources.roll_back(name)
         return RedirectResponse(f"/machines/{name}", 303)
 
     async def postpone(self, request: Request) -> Response:
         """Postpone the displacement reading that a machine asks for."""
-        name, _ = self._machine(request)
-        audit, who = self.door.accounts.audit, request.user
-        why = who.refusal("operator", name)
-        if why:
-            audit.refused(who.name, origin(request.scope), "postpone", why, name)
-            raise HTTPException(403, why)
-        try:
-            audit.accepted(who.name, origin(request.scope), "postpone the next reading", name)
-        except OSError as error:
-            raise HTTPException(503, f"this cannot be audited now ({error})") from error
+        name = self._machine(request)
+        if why := request.user.refusal("operator", name):
+            raise self._refused(request, 403, "postpone", why)
+        self._accept(request, "postpone the next reading")
         self.sources.postpone(name)
         return RedirectResponse(f"/machines/{name}", 303)
 
     async def control(self, request: Request) -> Response:
         """Take what the control of a machine says: the handshake."""
-        name, _ = self._machine(request)
+        name = self._machine(request)
         if name not in self.sources.controls:
             raise HTTPException(404, f'{name}: no control answers here; set handshake.by = "http"')
         owner, take = self.sources.controls[name]
-        audit, who = self.door.accounts.audit, request.user
-        why = who.refusal("operator", name)
-        if owner not in (None, who.name):
+        why = request.user.refusal("operator", name)
+        if owner not in (None, request.user.name):
             why = f"only {owner} writes for the control"
         if why:
-            audit.refused(who.name, origin(request.scope), "control", why, name)
-            raise HTTPException(403, why)
+            raise self._refused(request, 403, "control", why)
         body = await body_of(request, LARGEST_LOGIN)
         try:
-            audit.written(who.name, origin(request.scope), "control", name)
+            audit = self.door.accounts.audit
+            audit.written(request.user.name, origin(request.scope), "control", name)
             take(body or b"")
         except ValueError as error:
             raise HTTPException(400, f"what the control says is no answer: {error}") from error
-        return answered({"handshake": self.sources.hub.newest[name].handshake})
+        return JSONResponse({"handshake": self.sources.hub.newest[name].handshake})
 
     async def login(self, request: Request) -> Response:
         """Show the log-in page, or check a password or token."""
@@ -223,7 +203,7 @@ class Site:
 
     async def logout(self, request: Request) -> Response:
         """End the session, here and in the browser."""
-        self.door.accounts.end(ticket_of(request.headers, self.door.cookie))
+        self.door.accounts.end(request.cookies.get(self.door.cookie, ""))
         self.door.accounts.audit.accepted(request.user.name, origin(request.scope), "logout")
         done = RedirectResponse("/login", 303)
         done.delete_cookie(
@@ -239,7 +219,7 @@ class Site:
         """Return a summary of all machines."""
         read_parameters(request.query_params.multi_items(), {})
         newest = self.sources.hub.newest
-        return answered(
+        return JSONResponse(
             {
                 "now_s": time.time(),
                 "machines": [
@@ -253,33 +233,26 @@ class Site:
 
     async def about(self, request: Request) -> Response:
         """Return the constant data of a machine."""
-        name, about = self._machine(request)
-        read_parameters(request.query_params.multi_items(), {})
+        name = self._only_machine(request)
         further: dict[str, Collection[str]] = {
             "scene": self.sources.scenes,
             "residuals": self.sources.residuals,
             "handshake": self.sources.handshakes,
         }
-        return answered(
-            about_body(
-                name,
-                about,
-                [page for page in further if name in further[page]],
-            )
-        )
+        offers = [page for page in further if name in further[page]]
+        return JSONResponse(about_body(name, self.sources.machines[name], offers))
 
     async def latest(self, request: Request) -> Response:
         """Return the newest publication of a machine."""
-        name, _ = self._machine(request)
-        read_parameters(request.query_params.multi_items(), {})
+        name = self._only_machine(request)
         newest = self.sources.hub.newest.get(name)
         if newest is None:
             raise HTTPException(404, f"nothing is known of {name} yet; ask again later")
-        return answered(as_json(newest))
+        return JSONResponse(as_json(newest))
 
     async def history(self, request: Request) -> Response:
         """Return the thinned history of a machine."""
-        name, _ = self._machine(request)
+        name = self._machine(request)
         since, until, given = self._span(
             request, USUAL_HISTORY, points=whole_number(2, MOST_POINTS)
         )
@@ -287,7 +260,7 @@ class Site:
             history = await anyio.to_thread.run_sync(
                 self.sources.past.history, name, since, until, given.get("points", 720)
             )
-        return answered(history_body(name, history))
+        return JSONResponse(history_body(name, history))
 
     async def events(self, request: Request) -> Response:
         """Return events, newest first."""
@@ -308,41 +281,37 @@ class Site:
         user = request.user
         # Events of the service itself may name any machine.
         seen = [one for one in events if user.sees_all or (one.machine and user.sees(one.machine))]
-        return answered(events_body(seen))
+        return JSONResponse(events_body(seen))
 
     async def scene(self, request: Request) -> Response:
         """Return the 3-D shape of a machine."""
-        name, _ = self._machine(request)
-        read_parameters(request.query_params.multi_items(), {})
-        return answered(self._scene(name).shape)
+        name = self._only_machine(request)
+        return JSONResponse(self._scene(name).shape)
 
     async def fields(self, request: Request) -> Response:
         """Return the fields of the newest state at every point of the shape."""
-        name, _ = self._machine(request)
-        read_parameters(request.query_params.multi_items(), {})
+        name = self._only_machine(request)
         fields = self._scene(name).fields()
         if fields is None:
             raise HTTPException(404, f"nothing is known of {name} yet; ask again later")
-        return answered(fields)
+        return JSONResponse(fields)
 
     async def residuals(self, request: Request) -> Response:
         """Return reading minus model of the newest sample."""
-        name, _ = self._machine(request)
-        read_parameters(request.query_params.multi_items(), {})
+        name = self._only_machine(request)
         if name not in self.sources.residuals:
             raise HTTPException(404, f"{name} has an estimator that does not expect readings")
         residuals = self.sources.residuals[name]()
         if residuals is None:
             raise HTTPException(404, f"nothing is known of {name} yet; ask again later")
-        return answered({"machine": name, "residuals_K": residuals})
+        return JSONResponse({"machine": name, "residuals_K": residuals})
 
     async def handshake(self, request: Request) -> Response:
         """Return what the control of a machine has said."""
-        name, _ = self._machine(request)
-        read_parameters(request.query_params.multi_items(), {})
+        name = self._only_machine(request)
         if name not in self.sources.handshakes:
             raise HTTPException(404, f"{name} has no handshake with its control")
-        return answered({"machine": name, **self.sources.handshakes[name]()})
+        return JSONResponse({"machine": name, **self.sources.handshakes[name]()})
 
     async def stream(self, request: Request) -> Response:
         """Return a stream of new samples."""
@@ -366,6 +335,20 @@ class Site:
     def _left(self) -> None:
         self.streams -= 1
 
+    def _refused(self, request: Request, status: int, what: str, why: str) -> HTTPException:
+        """Return the refusal of something that a user tried on a machine, which is audited."""
+        name, who = request.path_params["machine"], request.user.name
+        self.door.accounts.audit.refused(who, origin(request.scope), what, why, name)
+        return HTTPException(status, why)
+
+    def _accept(self, request: Request, what: str) -> None:
+        """Audit what a user does to a machine; what cannot be audited is refused."""
+        name, who = request.path_params["machine"], request.user.name
+        try:
+            self.door.accounts.audit.accepted(who, origin(request.scope), what, name)
+        except OSError as error:
+            raise HTTPException(503, f"this cannot be audited now ({error})") from error
+
     async def metrics(self, request: Request) -> Response:
         """Return the metrics for Prometheus."""
         if not request.user.sees_all:
@@ -382,20 +365,24 @@ class Site:
         }
         disk = self.sources.disk()
         poor = counts[Quality.BAD.word] or disk.get("disk") == "full"
-        return answered({"status": "degraded" if poor else "ok", "machines": counts} | disk)
+        return JSONResponse({"status": "degraded" if poor else "ok", "machines": counts} | disk)
 
     def _visible(self, request: Request) -> list[str]:
         """Return the machines that a user may see."""
         return [name for name in self.sources.machines if request.user.sees(name)]
 
-    def _machine(self, request: Request) -> tuple[str, About]:
-        name = request.path_params["machine"]
-        machine = self.sources.machines.get(name)
-        visible = self._visible(request)
-        if machine is None or name not in visible:
-            error = unknown_name("machine", name[:40], visible, "address")
-            raise HTTPException(404, str(error))
-        return name, machine
+    def _machine(self, request: Request) -> str:
+        """Return the machine of an address."""
+        name, visible = str(request.path_params["machine"]), self._visible(request)
+        if name not in visible:
+            raise HTTPException(404, str(unknown_name("machine", name[:40], visible, "address")))
+        return name
+
+    def _only_machine(self, request: Request) -> str:
+        """Return the machine of an address that has no parameters."""
+        name = self._machine(request)
+        read_parameters(request.query_params.multi_items(), {})
+        return name
 
     def _span(
         self, request: Request, usual: float, **readers: Callable[[str], Any]

@@ -6,16 +6,14 @@ import sqlite3
 import time
 from dataclasses import dataclass, field
 from functools import partial
-from http.cookies import CookieError, SimpleCookie
 
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.requests import Request
-from starlette.responses import RedirectResponse, Response
+from starlette.requests import HTTPConnection, Request
+from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from thermojoint.live.accounts import Accounts
 from thermojoint.live.dashboard.assets import OPEN
-from thermojoint.live.http.bodies import encoded
 from thermojoint.live.http.hosts import misdirected
 from thermojoint.live.http.rates import MOST_CLIENTS, Buckets, client_of
 from thermojoint.live.rights import Principal
@@ -87,7 +85,7 @@ class Door:
 
 def refused(status: int, text: str, **headers: str) -> Response:
     """Return a response with the reason for a refusal."""
-    return Response(encoded({"error": text}), status, headers, "application/json")
+    return JSONResponse({"error": text}, status, headers)
 
 
 def too_many(waiting: float) -> Response:
@@ -102,13 +100,9 @@ def client(scope: Scope) -> str:
     return client_of(peer[0]) if peer else ""
 
 
-def ticket_of(headers: Headers, name: str) -> str:
+def ticket_of(scope: Scope, name: str) -> str:
     """Return the session's ticket from a browser's cookie; empty without one."""
-    try:
-        cookie = SimpleCookie(headers.get("cookie", "")).get(name)
-    except CookieError:
-        return ""
-    return cookie.value if cookie else ""
+    return HTTPConnection(scope).cookies.get(name, "")
 
 
 def origin(scope: Scope) -> str:
@@ -199,7 +193,7 @@ class Gate:
         """Return the answer to a request without a valid session or token."""
         accounts = self.door.accounts
         scheme, _, token = headers.get("authorization", "").partition(" ")
-        check = partial(accounts.by_session, ticket_of(headers, self.door.cookie))
+        check = partial(accounts.by_session, ticket_of(scope, self.door.cookie))
         principal = check()
         if principal is None and scheme.lower() == "bearer":
             check = partial(accounts.by_token, token.strip())

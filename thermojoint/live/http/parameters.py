@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from datetime import UTC, datetime
 from typing import Any
 
 from thermojoint.artefacts.errors import InputError, unknown_name
+from thermojoint.live.times import seconds_of
 
 #: Reads one value; raises InputError with what to give.
 Reader = Callable[[str], Any]
@@ -45,9 +45,7 @@ def moment(text: str) -> float:
         value = float(text)
     except ValueError:
         try:
-            read = datetime.fromisoformat(text)
-            zoned = read if read.tzinfo is not None else read.replace(tzinfo=UTC)
-            value = zoned.timestamp()
+            value = seconds_of(text)
         except (ValueError, OverflowError):
             value = math.nan
     if not 0.0 <= value <= LATEST:

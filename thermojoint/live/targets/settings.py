@@ -14,7 +14,7 @@ from thermojoint.artefacts.settings.read import settings_from
 from thermojoint.artefacts.settings.section import Count, Finite, Positive, Section
 from thermojoint.artefacts.units import MICRO, MILLI
 from thermojoint.compensation.offsets.output import OutputSettings
-from thermojoint.live.settings import OpcuaAddress, check_protected_url
+from thermojoint.live.settings import OpcuaAddress, check_protected
 from thermojoint.live.targets.beckhoff import BECKHOFF
 from thermojoint.live.targets.control import Control, Quantity, in_units
 from thermojoint.live.targets.sinumerik import SINUMERIK
@@ -123,7 +123,7 @@ def target_from_data(
 ) -> TargetFile:
     """Return a target given as nested dictionaries; raises as `read_target`."""
     given = settings_from(TargetFile, data, str(path), path.parent)
-    check_protected_url(str(path), given)
+    check_protected(str(path), given)
     known = [one.name.split()[0] for one in given.control.quantities]
     for name in given.nodes:
         if name not in known:
