@@ -15,6 +15,7 @@ from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 from asyncua.server.address_space import AttributeValue, NodeData
 from asyncua.server.internal_server import InternalServer
 
+from thermojoint.live.archive import Archive
 from thermojoint.live.certificates import own_identity
 from thermojoint.live.service import run
 from thermojoint.live.settings import service_from_data
@@ -81,6 +82,17 @@ async def serving(data, base):
     finally:
         stop.set()
         await task
+
+
+def history_in(base):
+    """All samples of the machine that a service in a folder calls mill."""
+    return Archive(base / "state" / "history.sqlite").history("mill", 0.0, 1e11, 10**6)
+
+
+def events_in(base, kind):
+    """Texts of the events of a kind of a service in a folder."""
+    archive = Archive(base / "state" / "history.sqlite")
+    return [one.text for one in archive.events(None, 0.0, 1e11, 1000) if one.kind == kind]
 
 
 class Broker:

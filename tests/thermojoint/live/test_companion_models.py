@@ -8,8 +8,6 @@ from live_parts import free_port, serving, until
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.settings import service_from_data
-from thermojoint.models.assembly import assemble
-from thermojoint.models.assembly_file import write_assembly
 
 UA = "http://opcfoundation.org/UA/"
 IDENTIFICATION = {
@@ -19,13 +17,6 @@ IDENTIFICATION = {
     "model": "BX 500",
     "year_of_construction": 2019,
 }
-
-
-@pytest.fixture(scope="module")
-def model(hand_made_model, tmp_path_factory):
-    path = tmp_path_factory.mktemp("companion") / "model.json"
-    write_assembly(assemble(hand_made_model, 1.0, 7200.0), path)
-    return path
 
 
 def file_of(model, companion, **machine):

@@ -39,8 +39,6 @@ from thermojoint.live.publication import AxisLine, Layout
 from thermojoint.live.settings import WatchdogSection
 from thermojoint.live.users import add_user
 from thermojoint.live.writers import opcua_control
-from thermojoint.models.assembly import assemble
-from thermojoint.models.assembly_file import write_assembly
 
 LIMITS = HandshakeSettings(oldest=5.0, differs=1e-6, differs_time=4.0)
 START = offset_invariant.START
@@ -265,8 +263,7 @@ class Controls:
 
 
 @needs_broker
-def test_controls_shake_hands_by_opcua_and_by_mqtt(hand_made_model, tmp_path):
-    write_assembly(assemble(hand_made_model, 1.0, 7200.0), tmp_path / "model.json")
+def test_controls_shake_hands_by_opcua_and_by_mqtt(model, tmp_path):
     (tmp_path / "offsets.toml").write_text(OFFSETS)
     add_user(tmp_path / "users", "control", "operator", "control-secret")
     add_user(tmp_path / "users", "other", "operator", "other-secret")
@@ -280,7 +277,7 @@ def test_controls_shake_hands_by_opcua_and_by_mqtt(hand_made_model, tmp_path):
     source = {"kind": "csv", "path": "{machine}.csv"}
     data = {
         "folder": "state",
-        "models": {"m": {"file": "model.json", "offsets": "offsets.toml"}},
+        "models": {"m": {"file": str(model), "offsets": "offsets.toml"}},
         "machines": {
             "mill": machine("mill", by="opcua", user="control"),
             "lathe": machine("lathe", by="mqtt"),

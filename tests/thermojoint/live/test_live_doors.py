@@ -26,8 +26,6 @@ from thermojoint.live.readers import csv_pipe, mqtt, opcua
 from thermojoint.live.readers.reading import called
 from thermojoint.live.served import served
 from thermojoint.live.settings import ModelSection, MqttSource
-from thermojoint.models.assembly import assemble
-from thermojoint.models.assembly_file import write_assembly
 
 NAMES = ("T1_degC", "T2_degC")
 TOPICS = mqtt.topics_of(MqttSource(kind="mqtt", topic="hall/{machine}"), {"mill": NAMES})
@@ -44,10 +42,8 @@ JSON = st.recursive(
 
 
 @pytest.fixture(scope="module")
-def model(hand_made_model, tmp_path_factory):
-    base = tmp_path_factory.mktemp("doors")
-    write_assembly(assemble(hand_made_model, 1.0, 7200.0), base / "model.json")
-    return served(ModelSection(file=base / "model.json"), base / "kept")
+def model(model, tmp_path_factory):
+    return served(ModelSection(file=model), tmp_path_factory.mktemp("kept"))
 
 
 @pytest.mark.parametrize("door", DOORS)

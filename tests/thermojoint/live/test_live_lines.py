@@ -129,7 +129,6 @@ def test_the_correction_cancels_the_displacement_at_every_position(place, tmp_pa
 
 def test_what_is_kept_of_a_machine_without_a_line_is_as_before(place):
     plain = opened(place, offsets=OFFSETS.partition("[axes.X.slope]")[0])
-    assert "lines" not in layout_text(plain.layout)
     assert not {"slopes_um_per_m", "P0_mm"} & {*as_json(at_rest("mill", plain, START).latest)}
     layout = opened(place).layout
     assert layout_from(layout_text(layout)) == layout

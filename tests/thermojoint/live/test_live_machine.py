@@ -40,8 +40,6 @@ from thermojoint.live.store import (
     open_store,
     received_last,
 )
-from thermojoint.models.assembly import assemble
-from thermojoint.models.assembly_file import write_assembly
 
 OFFSETS = """
 rate_um_s = 1000.0
@@ -56,12 +54,10 @@ START = 1_772_431_200.0
 
 
 @pytest.fixture(scope="module")
-def model(hand_made_model, tmp_path_factory) -> Served:
+def model(model, tmp_path_factory) -> Served:
     base = tmp_path_factory.mktemp("machine")
-    write_assembly(assemble(hand_made_model, 1.0, 7200.0), base / "model.json")
     (base / "offsets.toml").write_text(OFFSETS)
-    section = ModelSection(file=base / "model.json", offsets=base / "offsets.toml")
-    return served(section, base / "kept")
+    return served(ModelSection(file=model, offsets=base / "offsets.toml"), base / "kept")
 
 
 def readings(k):

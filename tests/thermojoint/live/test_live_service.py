@@ -19,7 +19,17 @@ import pytest
 from asyncua import Client, Server, ua
 from asyncua.crypto.permission_rules import User, UserRole
 from asyncua.server.history import HistoryDict
-from live_parts import Broker, client_of, free_port, message, needs_broker, serving, until
+from live_parts import (
+    Broker,
+    client_of,
+    events_in,
+    free_port,
+    history_in,
+    message,
+    needs_broker,
+    serving,
+    until,
+)
 from own_process import OwnProcess
 from prometheus_client import generate_latest
 from small_disk import fill, mounted
@@ -44,13 +54,6 @@ from thermojoint.models.assembly_file import write_assembly
 NAMES = ("a_degC", "b_degC", "T1_degC", "T2_degC", "ambient_degC")
 START = 1_772_431_200.0
 INTERVAL = 1.0
-
-
-@pytest.fixture(scope="module")
-def model(hand_made_model, tmp_path_factory):
-    path = tmp_path_factory.mktemp("live") / "model.json"
-    write_assembly(assemble(hand_made_model, INTERVAL, 7200.0), path)
-    return path
 
 
 @pytest.fixture(autouse=True)
@@ -101,10 +104,6 @@ def csv_of(rows):
     return "\n".join(lines) + "\n"
 
 
-def said_in(base):
-    return Archive(base / "state" / "history.sqlite").history("mill", 0.0, 1e11, 10**6)
-
-
 def assert_says(history, expected):
     np.testing.assert_array_equal(history.numbers, np.arange(1, len(history.numbers) + 1))
     np.testing.assert_allclose(history.columns.displacement, expected, rtol=1e-12, atol=1e-18)
@@ -123,7 +122,7 @@ def test_lines_are_estimated_as_the_estimator_says_and_once_over_three_lives(
                 await until(running.stop.is_set)
 
         asyncio.run(live())
-    history = said_in(tmp_path)
+    history = history_in(tmp_path)
     assert_says(history, expected)
     assert not history.holes
 
@@ -144,7 +143,7 @@ def test_another_model_starts_anew_where_the_one_before_it_stopped(
     for end, file in ((41, model), (81, tmp_path / "other.json"), (121, model)):
         (tmp_path / "log.csv").write_text("".join(rows[:end]))
         asyncio.run(live(file))
-    found = said_in(tmp_path)
+    found = history_in(tmp_path)
     np.testing.assert_array_equal(found.columns.times, day()[:, 0])
 
 
@@ -161,7 +160,7 @@ def test_a_fifo_is_read_as_lines_are_written(model, expected, tmp_path):
             await until(lambda: running.hub.newest["mill"].number == 20)
 
     asyncio.run(live())
-    assert_says(said_in(tmp_path), expected[:20])
+    assert_says(history_in(tmp_path), expected[:20])
 
 
 def test_one_machines_bad_file_header_or_model_ends_no_other(model, expected, tmp_path):
@@ -187,9 +186,9 @@ def test_one_machines_bad_file_header_or_model_ends_no_other(model, expected, tm
             assert set(running.floor.places) == {"mill", "lathe"}
             await until(lambda: min(one.number for one in newest.values()) == 10)
             replaced("")
-            await until(lambda: _events(tmp_path, "source-replaced"))
+            await until(lambda: events_in(tmp_path, "source-replaced"))
             replaced("time_s,other_degC\n" + "".join(f"{k},20\n" for k in range(200)))
-            await until(lambda: _events(tmp_path, "source-refused"))
+            await until(lambda: events_in(tmp_path, "source-refused"))
             with (tmp_path / "mill.csv").open("a") as file:
                 file.write("".join(lines[11:]))
             await until(lambda: newest["mill"].number == 40)
@@ -197,8 +196,8 @@ def test_one_machines_bad_file_header_or_model_ends_no_other(model, expected, tm
             await until(lambda: newest["lathe"].number == 40)
 
     asyncio.run(live())
-    assert _events(tmp_path, "model-refused") == 1
-    assert_says(said_in(tmp_path), expected[:40])
+    assert len(events_in(tmp_path, "model-refused")) == 1
+    assert_says(history_in(tmp_path), expected[:40])
 
 
 def test_a_folder_is_one_services_and_a_store_that_others_hold_is_waited_for(model, tmp_path):
@@ -226,8 +225,8 @@ def test_a_folder_is_one_services_and_a_store_that_others_hold_is_waited_for(mod
             await until(lambda: newest["mill"].number == 40)
 
     asyncio.run(live())
-    assert len(said_in(tmp_path).numbers) == 40
-    assert _events(tmp_path, "store-waits")
+    assert len(history_in(tmp_path).numbers) == 40
+    assert events_in(tmp_path, "store-waits")
 
 
 def _delete(path):
@@ -273,15 +272,15 @@ def test_a_store_that_is_lost_while_the_service_runs_is_made_anew(
 
     data["store"] = {"checkpoint_s": 0.5}
     asyncio.run(live(20, more=True))
-    assert _events(tmp_path, "store-recovered") == 1
-    history = said_in(tmp_path)
+    assert len(events_in(tmp_path, "store-recovered")) == 1
+    history = history_in(tmp_path)
     # Its own new history begins with the state that it went on from.
     assert len(history.numbers) in (kept, kept + (harm is _damage))
     np.testing.assert_array_equal(
         history.columns.displacement, expected[40 - len(history.numbers) : 40]
     )
     asyncio.run(live(40, more=False))
-    assert not said_in(tmp_path).holes
+    assert not history_in(tmp_path).holes
 
 
 def test_a_full_disk_stops_nobody(model, expected, tmp_path):
@@ -378,7 +377,7 @@ def test_a_damaged_state_begins_its_machine_anew(model, tmp_path):
         store.execute("UPDATE states SET state = zeroblob(length(state))")
         store.commit()
     asyncio.run(live(20))
-    assert _events(tmp_path, "state-refused") == 1
+    assert len(events_in(tmp_path, "state-refused")) == 1
 
 
 def test_a_hangup_makes_the_service_read_its_file_again(model, tmp_path):
@@ -420,7 +419,7 @@ def test_thirty_machines_get_through_a_broker_that_has_twenty_messages_in_flight
         data["machines"]["mill"]["count"] = 30
         data["models"]["m"]["lateness_s"] = 0.75
         async with serving(data, tmp_path) as running, aiomqtt.Client("127.0.0.1", port) as plant:
-            await until(lambda: _events(tmp_path, "connected") > before)
+            await until(lambda: len(events_in(tmp_path, "connected")) > before)
             for row in some:
                 told = message(row[0], dict(zip(NAMES, row[1:].tolist(), strict=True)))
                 for k in range(30):
@@ -433,7 +432,7 @@ def test_thirty_machines_get_through_a_broker_that_has_twenty_messages_in_flight
     for before, (some, last) in enumerate(lives):
         with Broker(tmp_path, "allow_anonymous true", "max_inflight_messages 20") as broker:
             asyncio.run(live(broker.port, before, some, last))
-    assert _events(tmp_path, "in-flight")
+    assert events_in(tmp_path, "in-flight")
 
 
 @pytest.fixture(scope="module")
@@ -495,7 +494,7 @@ def test_messages_over_tls_come_once_although_broker_and_service_go_away(
 
         async def first():
             async with serving(data, tmp_path) as running:
-                await until(lambda: _events(tmp_path, "connected") >= 2)
+                await until(lambda: len(events_in(tmp_path, "connected")) >= 2)
                 await tell(rows[:10])
                 await until(lambda: running.hub.newest["mill"].number == 10)
 
@@ -525,17 +524,12 @@ def test_messages_over_tls_come_once_although_broker_and_service_go_away(
         # While it is away; the last five are told twice.
         asyncio.run(tell(rows[10:30]))
         found = asyncio.run(second())
-    history = said_in(tmp_path)
+    history = history_in(tmp_path)
     assert_says(history, expected[:40])
     assert not history.holes
     last = found["thermojoint/mill/displacement"]
     assert last["displacement_um"]["x"] == pytest.approx(1e6 * expected[39, 0], abs=1e-3)
     assert found["thermojoint/service"] == {"state": "running"}
-
-
-def _events(base, kind):
-    archive = Archive(base / "state" / "history.sqlite")
-    return sum(one.kind == kind for one in archive.events(None, 0.0, 1e11, 1000))
 
 
 class Plc:
@@ -611,7 +605,7 @@ def opcua_day(model, tmp_path_factory):
             async with serving(data, base) as running:
                 newest = running.hub.newest
                 found["before"] = newest["mill"]
-                await until(lambda: _events(base, "connected"))
+                await until(lambda: events_in(base, "connected"))
                 begun = time.monotonic()
                 idle = [socket.create_connection(("127.0.0.1", own)) for _ in range(60)]
                 async with await client_of(base, own, "panel", "panel-secret") as panel:
@@ -671,7 +665,7 @@ async def _let_in_plain(port):
 
 def test_a_machine_that_tells_opcua_is_estimated_sample_by_sample(opcua_day, expected):
     base, _ = opcua_day
-    history = said_in(base)
+    history = history_in(base)
     # The first value is what the machine said before it ran.
     times = history.columns.times[-120:]
     np.testing.assert_array_equal(times, START + np.arange(120.0))
@@ -680,7 +674,7 @@ def test_a_machine_that_tells_opcua_is_estimated_sample_by_sample(opcua_day, exp
 
 def test_what_came_while_the_service_was_away_is_read_from_the_machines_history(opcua_day):
     base, _ = opcua_day
-    assert not [one for one in said_in(base).holes if one.since >= START]
+    assert not [one for one in history_in(base).holes if one.since >= START]
 
 
 def test_a_history_that_a_server_stores_late_is_waited_for():

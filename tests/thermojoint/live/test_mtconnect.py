@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from live_parts import free_port, serving, until
+from live_parts import events_in, free_port, history_in, serving, until
 from played_agent import NONE, Agent
 from warming_machine import started
 
@@ -31,20 +31,11 @@ from thermojoint.live.mtconnect_documents import (
 from thermojoint.live.readers import mtconnect
 from thermojoint.live.readers.mtconnect import Fed, Held, MtconnectReader, played
 from thermojoint.live.settings import service_from_data
-from thermojoint.models.assembly import assemble
-from thermojoint.models.assembly_file import write_assembly
 
 NAMES = ("a_degC", "b_degC", "T1_degC", "T2_degC", "ambient_degC")
 UNITS = dict.fromkeys(NAMES, 'units="CELSIUS"')
 START = 1_772_431_200.0
 FED = Fed("mill", ("T1_degC", "x_um"), ("T1_degC", "x_um"), 1, 1.0)
-
-
-@pytest.fixture(scope="module")
-def model(hand_made_model, tmp_path_factory):
-    path = tmp_path_factory.mktemp("mtconnect") / "model.json"
-    write_assembly(assemble(hand_made_model, 1.0, 7200.0), path)
-    return path
 
 
 @pytest.fixture(autouse=True)
@@ -82,15 +73,6 @@ def file_of(model, port, **source):
 
 def told(row):
     return dict(zip(NAMES, row.tolist(), strict=True))
-
-
-def history_of(base):
-    return Archive(base / "state" / "history.sqlite").history("mill", 0.0, 1e11, 10**6)
-
-
-def events_of(base):
-    archive = Archive(base / "state" / "history.sqlite")
-    return [one.kind for one in archive.events(None, 0.0, 1e11, 1000)]
 
 
 def tls(folder):
@@ -134,14 +116,15 @@ def test_every_sample_is_there_once_although_agent_and_service_go_away(model, ve
         return agent.asked
 
     asked = asyncio.run(live())
-    history = history_of(tmp_path)
+    history = history_in(tmp_path)
     assert not history.holes
     np.testing.assert_array_equal(history.columns.times, START + np.arange(120.0))
     expected = estimated(model, readings)
     np.testing.assert_allclose(history.columns.displacement, expected, rtol=1e-12, atol=1e-18)
     # The state is asked for once: after that every observation is read on from the last.
     assert sum("/current" in one for one in asked) == 1
-    assert {"connected", "disconnected"} <= set(events_of(tmp_path))
+    assert events_in(tmp_path, "connected")
+    assert events_in(tmp_path, "disconnected")
 
 
 def test_a_service_that_is_killed_reads_the_agents_buffer_on(model, tmp_path):
@@ -170,7 +153,7 @@ def test_a_service_that_is_killed_reads_the_agents_buffer_on(model, tmp_path):
         await agent.end()
 
     asyncio.run(live())
-    history = history_of(tmp_path)
+    history = history_in(tmp_path)
     assert not history.holes
     np.testing.assert_array_equal(history.columns.times, START + np.arange(300.0))
     np.testing.assert_array_equal(history.columns.readings, readings)
@@ -201,9 +184,9 @@ def test_what_an_agent_has_lost_is_a_hole_and_the_values_of_now_go_on(model, cau
         return found
 
     np.testing.assert_array_equal(asyncio.run(live()), readings[61])
-    [hole] = history_of(tmp_path).holes
+    [hole] = history_in(tmp_path).holes
     assert hole.since == START
-    assert ("overrun" in events_of(tmp_path)) == (cause == "overrun")
+    assert bool(events_in(tmp_path, "overrun")) == (cause == "overrun")
 
 
 def test_an_agent_without_streams_is_asked_again_and_again(model, tmp_path):

@@ -8,7 +8,7 @@ from dataclasses import replace
 import httpx
 import numpy as np
 import pytest
-from live_parts import PATIENCE_S, free_port, serving, until
+from live_parts import PATIENCE_S, events_in, free_port, serving, until
 from observed import SENSORS, observed_data, observer, run, step
 
 from estimator.interface import NextReading
@@ -17,7 +17,6 @@ from estimator.joint_aware.readings import samples_in
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from thermojoint.artefacts.errors import InputError
-from thermojoint.live.archive import Archive
 from thermojoint.live.next_reading import Asking, Request, after_sample, ended
 from thermojoint.live.served import served
 from thermojoint.live.settings import ModelSection, NextReadingSection
@@ -140,10 +139,7 @@ def test_an_operator_sees_the_request_and_postpones_it(plant):
             await until(lambda: newest["mill"].asked.outcome == "taken")
 
     asyncio.run(live())
-    archive = Archive(folder / "state" / "history.sqlite")
-    texts = [
-        one.text for one in archive.events("mill", 0.0, 1e11, 100) if one.kind == "next-reading"
-    ]
+    texts = events_in(folder, "next-reading")
     assert texts[0] == "taken"
     assert "postponed" in texts
     assert any("would narrow" in text for text in texts)

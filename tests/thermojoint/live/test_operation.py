@@ -14,11 +14,10 @@ from datetime import UTC, datetime, timedelta
 import httpx
 import pytest
 from dashboard_server import BEARER, TOKEN
-from live_parts import PATIENCE_S, free_port, until
+from live_parts import PATIENCE_S, events_in, free_port, until
 from typer.testing import CliRunner
 
 from thermojoint.cli.app import app
-from thermojoint.live.archive import Archive
 from thermojoint.live.certificates import ANNOUNCED, HTTP_LASTS, ending, own_certificate
 from thermojoint.live.former_models import SHOWN, fingerprint_of, read_record
 from thermojoint.live.reloading import serve_file
@@ -81,11 +80,6 @@ def plant(folder, models, port, rate=20.0):
 def audit(folder):
     lines = (folder / "state" / "audit.jsonl").read_text().splitlines()
     return [json.loads(line) for line in lines]
-
-
-def events(folder, kind):
-    archive = Archive(folder / "state" / "history.sqlite")
-    return [one.text for one in archive.events(None, 0.0, 1e11, 1000) if one.kind == kind]
 
 
 def called(*words, **given):
@@ -270,7 +264,7 @@ def test_a_service_is_backed_up_while_it_runs_and_goes_on_where_it_is_restored(m
             return place.machine.latest.number, place.served.digest
 
     assert asyncio.run(again()) == (20, digest)
-    assert not events(restored, "state-refused")
+    assert not events_in(restored, "state-refused")
     # Nothing is overwritten, and a damaged backup restores nothing.
     assert "not empty" in str(called("restore", archive, "--out", restored).exception)
     content = bytearray(archive.read_bytes())

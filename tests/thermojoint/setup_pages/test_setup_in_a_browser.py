@@ -243,7 +243,7 @@ def follows(port, token, control):
             answer = httpx.get(address, headers={"authorization": f"Bearer {token}"})
             told = answer.json() if answer.status_code == 200 else {}
         moved, offset = told.get("displacement_um", {}), told.get("offsets_um", {})
-        against = moved and abs(moved["x"]) > 3.0 and abs(offset["Z"] + moved["x"]) < 1.0
+        against = moved and abs(moved["x"] or 0.0) > 3.0 and abs(offset["Z"] + moved["x"]) < 1.0
         if against and abs(control.newest - offset["Z"]) < 3.0:
             return
         time.sleep(0.1)
