@@ -5,24 +5,16 @@ from __future__ import annotations
 import sys
 import time
 from datetime import UTC, datetime
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from thermojoint.artefacts.errors import InputError
+from thermojoint.live.rights import Role
 
 #: By whom the audit log says that something was done.
 _ORIGIN = "command"
-
-
-class Role(StrEnum):
-    """Rights of a user or a token."""
-
-    VIEWER = "viewer"
-    OPERATOR = "operator"
-    ENGINEER = "engineer"
 
 
 Service = Annotated[Path, typer.Argument(help="File of the service (TOML).")]
@@ -41,7 +33,7 @@ def users(
         str | None, typer.Option(help="Add or change this user; the password is asked for.")
     ] = None,
     remove: Annotated[str | None, typer.Option(help="Remove this user.")] = None,
-    role: RoleOption = Role.VIEWER,
+    role: RoleOption = "viewer",
     machines: Machines = "*",
 ) -> None:
     """List, add and remove the users of a service; it may be running.
@@ -64,8 +56,8 @@ def users(
 
         asked = f"password of {add}: "
         password = getpass.getpass(asked) if sys.stdin.isatty() else sys.stdin.readline()
-        add_user(path, add, role.value, password.rstrip("\r\n"), machines.split(","))
-        audit_of(given).accepted(user_name(), _ORIGIN, f"user {add}: {role.value} of {machines}")
+        add_user(path, add, role, password.rstrip("\r\n"), machines.split(","))
+        audit_of(given).accepted(user_name(), _ORIGIN, f"user {add}: {role} of {machines}")
         console.wrote(path)
     if remove is not None:
         remove_user(path, remove)
@@ -80,7 +72,7 @@ def tokens(
     service: Service,
     add: Annotated[str | None, typer.Option(help="Make a token of this name and print it.")] = None,
     revoke: Annotated[str | None, typer.Option(help="Revoke the token of this name.")] = None,
-    role: RoleOption = Role.VIEWER,
+    role: RoleOption = "viewer",
     machines: Machines = "*",
     days: Annotated[float, typer.Option(help="The token ends after these days.", min=0.0)] = 365.0,
 ) -> None:
@@ -105,8 +97,8 @@ def tokens(
         if add is not None:
             now = time.time()
             span = now, now + 86400.0 * days
-            print(add_token(store, add, role.value, span, machines.split(",")))
-            what = f"token {add}: {role.value} of {machines} until {_day(span[1])}"
+            print(add_token(store, add, role, span, machines.split(",")))
+            what = f"token {add}: {role} of {machines} until {_day(span[1])}"
             audit_of(given).accepted(user_name(), _ORIGIN, what)
         if add is None and revoke is None:
             for token in tokens_in(store):

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -18,20 +17,8 @@ if TYPE_CHECKING:
     from estimator.kind import OpenedEstimator, Options
 
 
-class Target(StrEnum):
-    """Target of an export."""
-
-    C = "c"
-    ST = "st"
-    FMU = "fmu"
-    FMI2 = "fmi2"
-
-
-class Precision(StrEnum):
-    """Precision of the program's numbers; see `estimator.export.program.Precision`."""
-
-    DOUBLE = "double"
-    SINGLE = "single"
+#: Target of an export.
+Target = Literal["c", "st", "fmu", "fmi2"]
 
 
 def export(  # noqa: PLR0913 - the options of a command
@@ -46,10 +33,11 @@ def export(  # noqa: PLR0913 - the options of a command
             help="c: C99; st: IEC 61131-3 Structured Text; fmu: a unit for co-simulation, FMI "
             "3.0; fmi2: the same, FMI 2.0."
         ),
-    ] = Target.C,
+    ] = "c",
     precision: Annotated[
-        Precision, typer.Option(help="Precision of every number in the program.")
-    ] = Precision.DOUBLE,
+        Literal["double", "single"],
+        typer.Option(help="Precision of every number in the program."),
+    ] = "double",
     name: Annotated[
         str, typer.Option(help="Prefix of the names of files and symbols.")
     ] = "thermojoint",
@@ -89,7 +77,7 @@ def export(  # noqa: PLR0913 - the options of a command
     from estimator.kind import Options
     from thermojoint import console
 
-    one_file = to in (Target.FMU, Target.FMI2)
+    one_file = to in ("fmu", "fmi2")
     if one_file:
         arguments.check_outputs({"--out": (out, file_kinds.FMU)}, [model, samples, mapping])
     else:
@@ -105,7 +93,7 @@ def export(  # noqa: PLR0913 - the options of a command
         console.working("exporting"),
         _opened(model, samples, renamed, Options(dt, 60.0 * length)) as (estimator, rows),
     ):
-        program = export_program(estimator, precision.value, name, rows, origin, dt)
+        program = export_program(estimator, precision, name, rows, origin, dt)
         files = _written(program, to, out)
     _show(program)
     console.wrote(*files)
@@ -116,11 +104,11 @@ def _written(program: Program, to: Target, out: Path) -> list[Path]:
     from estimator.export.fmu import Standard, write_fmu
     from estimator.export.structured_text import write_structured_text
 
-    if to is Target.C:
+    if to == "c":
         return write_c(program, out)
-    if to is Target.ST:
+    if to == "st":
         return write_structured_text(program, out)
-    write_fmu(program, out, Standard.FMI2 if to is Target.FMI2 else Standard.FMI3)
+    write_fmu(program, out, Standard.FMI2 if to == "fmi2" else Standard.FMI3)
     return [out]
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -14,16 +13,6 @@ from thermojoint.cli.log_reading import ColumnOption, MappingOption, renamed_by
 if TYPE_CHECKING:
     from calibrate.learning.learn import HeldOut
     from thermojoint.models.learned import LearnedModel
-
-
-class LearnedKind(StrEnum):
-    """Kinds of models that can be learned from a log."""
-
-    LEARNED = "learned"
-    LINEAR = "linear"
-    RIDGE = "ridge"
-    ARX = "arx"
-    JOINT_AWARE = "joint-aware"
 
 
 def learn(  # noqa: PLR0913 - the options of a command
@@ -38,13 +27,13 @@ def learn(  # noqa: PLR0913 - the options of a command
     out: Annotated[Path, typer.Option(help="Model file to write (JSON).")],
     max_sensors: Annotated[int, typer.Option(help="Largest number of temperatures used.")] = 4,
     kind: Annotated[
-        LearnedKind,
+        Literal["learned", "linear", "ridge", "arx", "joint-aware"],
         typer.Option(
             metavar="KIND",
             help="learned; linear, ridge or arx: a baseline on all temperatures; joint-aware: the "
             "physics of --case.",
         ),
-    ] = LearnedKind.LEARNED,
+    ] = "learned",
     case: Annotated[
         Path | None, typer.Option(help="Case file of the machine, for --kind joint-aware.")
     ] = None,
@@ -80,7 +69,7 @@ def learn(  # noqa: PLR0913 - the options of a command
     Example: [bold]thermojoint learn log.csv --displacement x_um --kind joint-aware
     --case machine.toml --out model.h5[/bold]
     """
-    from calibrate.learning.learn import Kind, learn_and_judge, with_origin
+    from calibrate.learning.learn import learn_and_judge, with_origin
     from thermojoint import console
     from thermojoint.artefacts.log_file import log_pieces
     from thermojoint.cli.log_reading import reported
@@ -88,7 +77,7 @@ def learn(  # noqa: PLR0913 - the options of a command
     from thermojoint.pictures.figures import check_format
 
     renamed = renamed_by(column, mapping)
-    if kind is LearnedKind.JOINT_AWARE:
+    if kind == "joint-aware":
         arguments.only_for("a model learned without --case", {"--figure": figure})
         joint_aware.learn(case, logs, displacement, renamed, out)
         return
@@ -100,9 +89,8 @@ def learn(  # noqa: PLR0913 - the options of a command
     arguments.check_outputs(outputs, [*logs, mapping])
     pieces = reported(log_pieces(logs, renamed))
     files = [path.name for path in logs]
-    wanted = cast("Kind", kind.value)
     with console.working("learning"):
-        model, held_out = learn_and_judge(pieces, displacement, max_sensors, wanted, ignore or ())
+        model, held_out = learn_and_judge(pieces, displacement, max_sensors, kind, ignore or ())
         model = with_origin(model, files, renamed)
     write_learned(model, out)
     if figure is not None:

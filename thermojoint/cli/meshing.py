@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, replace
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -18,15 +17,6 @@ if TYPE_CHECKING:
     from fesim.case.schema import Case
     from meshes.inspection import Inspection
     from meshes.structure import Structure
-
-
-class Unit(StrEnum):
-    """Units of a mesh file."""
-
-    m = "m"
-    cm = "cm"
-    mm = "mm"
-    inch = "in"
 
 
 def mesh(
@@ -83,8 +73,9 @@ def mesh(
 def inspect(
     source: Annotated[Path, typer.Argument(help="Mesh file, or case file (TOML).")],
     unit: Annotated[
-        Unit, typer.Option(help="Unit of a mesh file's coordinates; a case states its own.")
-    ] = Unit.m,
+        Literal["m", "cm", "mm", "in"],
+        typer.Option(help="Unit of a mesh file's coordinates; a case states its own."),
+    ] = "m",
     out: Annotated[Path | None, typer.Option(help="Picture to write (PNG).")] = None,
     faces: Annotated[
         Path | None,
@@ -135,14 +126,12 @@ def inspect(
             inspection = _with_loose_bodies(inspect_structure(structure), case, structure)
     else:
         with console.working("inspecting"):
-            structure = read_structure(source, UNITS[unit.value])
+            structure = read_structure(source, UNITS[unit])
             inspection = inspect_structure(structure)
     inspection_report.show(console.out(as_json), str(source), inspection)
     arguments.write_json(as_json, asdict(inspection))
     if skeleton:
-        write_text(
-            skeleton, inspection_report.case_skeleton(source, skeleton, unit.value, inspection)
-        )
+        write_text(skeleton, inspection_report.case_skeleton(source, skeleton, unit, inspection))
     if pictures:
         from thermojoint.pictures.stills import write_pictures
         from thermojoint.pictures.view import bare_structure, named_surfaces, whole_structure

@@ -5,11 +5,10 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from enum import StrEnum
 from functools import partial
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -29,13 +28,6 @@ if TYPE_CHECKING:
     from estimator.kind import OpenedEstimator, Sample
     from thermojoint.artefacts.arrays import Array
     from thermojoint.artefacts.log import Log
-
-
-class Kind(StrEnum):
-    """Kinds of estimators that can be calibrated."""
-
-    FCHS = "fchs"
-    JOINT_AWARE = "joint-aware"
 
 
 ModelFile = Annotated[Path, typer.Argument(help="Model file (JSON) written by 'calibrate'.")]
@@ -68,8 +60,9 @@ def calibrate(  # noqa: PLR0913 - the options of a command
         typer.Option(help="Regressions on the same data to write (JSON), for 'validate'."),
     ] = None,
     kind: Annotated[
-        Kind, typer.Option(help="fchs: the paper's models; joint-aware: the machine's own physics.")
-    ] = Kind.FCHS,
+        Literal["fchs", "joint-aware"],
+        typer.Option(help="fchs: the paper's models; joint-aware: the machine's own physics."),
+    ] = "fchs",
     case: Annotated[
         Path | None, typer.Option(help="Case file of the machine, for --kind joint-aware.")
     ] = None,
@@ -98,7 +91,7 @@ def calibrate(  # noqa: PLR0913 - the options of a command
 
     pairs = [arguments.level_and_file(text) for text in given or []]
     inputs = [reference, *(path for _, path in pairs)]
-    if kind is Kind.JOINT_AWARE:
+    if kind == "joint-aware":
         arguments.only_for("--kind fchs", {"--distances-mm": distances, "--baselines": baselines})
         joint_aware.calibrate(case, inputs, out, report_file)
         return

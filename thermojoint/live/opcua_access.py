@@ -25,6 +25,7 @@ from thermojoint.live.accounts import Accounts
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.opcua_internals import limit, watch_callers
 from thermojoint.live.rights import Principal, Role
+from thermojoint.live.settings import OpcuaServer
 from thermojoint.live.trust_list import TrustList
 
 #: Largest request, bytes.
@@ -201,26 +202,11 @@ class Door(UserManager):
             self.accounts.audit.written(who, origin, what, machine)
 
 
-def restrict(
-    server: Server, encrypted: bool, door: Door, sessions: int, subscriptions: int, items: int
-) -> None:
-    """Set security and limits of a server, before it starts.
-
-    Parameters
-    ----------
-    server : Server
-    encrypted : bool
-        Basic256Sha256, signed and encrypted, only; or no security at all.
-    door : Door
-        Access control.
-    sessions, subscriptions, items : int
-        Largest numbers at once.
-    """
-    policy = (
-        ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt
-        if encrypted
-        else ua.SecurityPolicyType.NoSecurity
-    )
+def restrict(server: Server, door: Door, section: OpcuaServer) -> None:
+    """Set security (Basic256Sha256, or none at all) and limits of a server, before it starts."""
+    policy = ua.SecurityPolicyType.NoSecurity
+    if section.security == "sign-and-encrypt":
+        policy = ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt
     server.set_security_policy([policy], permission_ruleset=Rules())
     token = ua.UserNameIdentityToken if door.asks else ua.AnonymousIdentityToken
     server.set_identity_tokens([token])
@@ -233,5 +219,5 @@ def restrict(
         max_chunk_count=_LARGEST // 65535 + 1,
         max_message_size=_LARGEST,
     )
-    limit(server, sessions, subscriptions, items)
+    limit(server, section.most_sessions, section.most_subscriptions, section.most_items)
     watch_callers(server, door)

@@ -9,7 +9,6 @@ from pathlib import Path
 
 from estimator.rows import Row
 from thermojoint.artefacts.errors import InputError
-from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.templates import templates_of
 from thermojoint.console import number, rounded
 from thermojoint.paper import paper_values
@@ -102,8 +101,3 @@ def report_html(data: ReportData) -> str:
         citation=paper_values.CITATION,
         paper_share=paper_values.PRESSURE_SHARE,
     )
-
-
-def write_report(data: ReportData, path: Path) -> None:
-    """Write the page to `path`, whole or not at all."""
-    write_text(Path(path), report_html(data))

@@ -43,7 +43,7 @@ from thermojoint.paper.long_runs import (
     without_nonlinear,
 )
 from thermojoint.paper.observers import fitted_text, observers_beside
-from thermojoint.paper.report import ReportData, write_report
+from thermojoint.paper.report import ReportData, report_html
 from thermojoint.paper.summary import compare_schemes, convergence, pressure_share
 from thermojoint.paper.tables import printed_tables, tables_json
 from thermojoint.paper.verdict import error_table, verdict
@@ -172,7 +172,7 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
             pictures=pictures,
             case=case.model_dump_json(indent=2),
         )
-        write_report(data, folder / "report.html")
+        write_text(folder / "report.html", report_html(data))
     show(console.out(), data)
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -73,7 +74,7 @@ def frames(scenes: Sequence[Scene], height: int) -> Generator[Pixels, None, None
     canvas = page.figure.canvas
     if not isinstance(canvas, FigureCanvasAgg):
         raise TypeError("a sheet has an Agg canvas")
-    for scene, images in zip(film, _and_then(first, pictures), strict=True):
+    for scene, images in zip(film, chain([first], pictures), strict=True):
         if images is None:
             images = [painted(panel, height) for panel in scene.panels]
         page.show(scene, images)
@@ -81,11 +82,6 @@ def frames(scenes: Sequence[Scene], height: int) -> Generator[Pixels, None, None
         pixels = np.asarray(canvas.buffer_rgba())[:, :, :3]
         rows, columns = (size - size % 2 for size in pixels.shape[:2])
         yield pixels[:rows, :columns].copy()
-
-
-def _and_then(first: Any, rest: Iterator[Any]) -> Iterator[Any]:  # noqa: ANN401
-    yield first
-    yield from rest
 
 
 def _writer(part: Path) -> Any:  # noqa: ANN401

@@ -17,12 +17,11 @@ from fesim.simulate import simulate
 from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
-from thermojoint.artefacts.response import columns_of
 from thermojoint.artefacts.units import MILLI
 from thermojoint.console import Report
 from thermojoint.pictures.camera import Camera, Vector
 from thermojoint.pictures.field_scenes import make_stage
-from thermojoint.pictures.scenes import Curve, Panel, Scene, Surface, mirror_of, whole
+from thermojoint.pictures.scenes import Panel, Scene, Surface, curves_of, mirror_of, whole
 from thermojoint.pictures.structure_scene import onto
 
 if TYPE_CHECKING:
@@ -117,15 +116,11 @@ def moving_scenes(case: Case, report: Report, count: int, up: Vector) -> list[Sc
     response = simulate(
         case, setup=ready, on_step=keep, progress=partial(report, "marching")
     ).response
-    axes = tuple(map(str, response["axis"].to_numpy()))
-    curve = partial(
-        Curve,
-        f"displacement of {response.attrs['displacement_of']}",
-        axes,
-        response["time"].to_numpy(),
-        columns_of(response, "displacement", axes),
-    )
-    return [Scene((panel,), f"{time / 60.0:.3g} min", curve(time)) for time, panel in moments]
+    curves = curves_of(response, (time for time, _ in moments))
+    return [
+        Scene((panel,), f"{time / 60.0:.3g} min", curve)
+        for (time, panel), curve in zip(moments, curves, strict=True)
+    ]
 
 
 def carried_nodes(case: Case, structure: Structure, nodes: NDArray[np.int64]) -> Array:

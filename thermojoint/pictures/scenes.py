@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +13,12 @@ from skfem import Mesh
 from meshes.faces import boundary_faces
 from meshes.structure import Structure
 from thermojoint.artefacts.errors import unknown_name
+from thermojoint.artefacts.response import columns_of
 from thermojoint.pictures.camera import Array, Camera, Vector, Window, window_around
 from thermojoint.pictures.colour_scale import ColourScale, colour_scale
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 BODY_COLOURS = ("#c9ccd1", "#9db7d5", "#8f8f8f", "#d9c39a", "#a9c9a4")
 _AXES = {"x": 0, "y": 1, "z": 2}
@@ -120,6 +125,14 @@ class Curve:
     times: Array
     displacement: Array
     now: float
+
+
+def curves_of(response: xr.Dataset, times: Iterable[float]) -> Iterator[Curve]:
+    """Yield the displacement of a response, for the fields of each of some times (s)."""
+    axes = tuple(map(str, response["axis"].to_numpy()))
+    title = f"displacement of {response.attrs['displacement_of']}"
+    moved = columns_of(response, "displacement", axes)
+    return (Curve(title, axes, response["time"].to_numpy(), moved, time) for time in times)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from fesim.setup.structure import build_structure, measured_points
 from fesim.simulate import at_rest, case_in, simulate
 from meshes.structure import Structure
 from thermojoint.artefacts.errors import InputError
-from thermojoint.artefacts.response import columns_of, read_response
+from thermojoint.artefacts.response import read_response
 from thermojoint.console import Report, warn
 from thermojoint.pictures.camera import Vector
 from thermojoint.pictures.field_scenes import (
@@ -41,10 +41,10 @@ from thermojoint.pictures.figures import (
 )
 from thermojoint.pictures.moving import moving_scenes, volume_figure
 from thermojoint.pictures.scenes import (
-    Curve,
     Marker,
     Panel,
     Scene,
+    curves_of,
     mirror_of,
     probe_position,
     up_direction,
@@ -204,10 +204,7 @@ def film_scenes(
             moments.append(fields_at(stage, step, len(case.sources)))
 
     marched = simulate(case, setup=setup, on_step=keep, progress=partial(report, "marching"))
-    response = marched.response
-    axes = tuple(map(str, response["axis"].to_numpy()))
-    title = f"displacement of {response.attrs['displacement_of']}"
-    moved = columns_of(response, "displacement", axes)
+    curves = curves_of(marched.response, (fields.time for fields in moments))
     factor = exaggeration(stage, max(map(largest_displacement, moments)))
     panels: Mapping[Show, Callable[[Fields], Panel]] = {
         Show.temperature: partial(cut_panel, stage),
@@ -215,12 +212,8 @@ def film_scenes(
         Show.pressure: partial(pressure_panel, stage),
     }
     return [
-        Scene(
-            tuple(panels[show](fields) for show in shows),
-            _caption(case, fields),
-            Curve(title, axes, response["time"].to_numpy(), moved, fields.time),
-        )
-        for fields in moments
+        Scene(tuple(panels[show](fields) for show in shows), _caption(case, fields), curve)
+        for fields, curve in zip(moments, curves, strict=True)
     ]
 
 

@@ -46,14 +46,6 @@ class RefusedError(InputError):
         super().__init__("\n".join(line for one in lines.values() for line in one))
 
 
-def _check_offsets(place: Place, data: Data) -> None:
-    settings_from_data(data, OFFSETS)
-
-
-def _check_target(place: Place, data: Data) -> None:
-    target_from_data(data, place.path(TARGET), _output(place))
-
-
 def _output(place: Place) -> OutputSettings | None:
     """Return the offsets, with the strokes of their slopes; None while either is unknown."""
     if not place.has(OFFSETS):
@@ -68,19 +60,12 @@ def _output(place: Place) -> OutputSettings | None:
     return settings.output
 
 
-def _check_service(place: Place, data: Data) -> None:
-    service_from_data(data, SERVICE, place.folder)
-
-
-def _check_case(place: Place, data: Data) -> None:
-    case_from_data(data, CASE, place.folder)
-
-
-_CHECKS: Mapping[str, Callable[[Place, Data], None]] = {
-    OFFSETS: _check_offsets,
-    TARGET: _check_target,
-    SERVICE: _check_service,
-    CASE: _check_case,
+#: What refuses the content of each file.
+_CHECKS: Mapping[str, Callable[[Place, Data], object]] = {
+    OFFSETS: lambda place, data: settings_from_data(data, OFFSETS),
+    TARGET: lambda place, data: target_from_data(data, place.path(TARGET), _output(place)),
+    SERVICE: lambda place, data: service_from_data(data, SERVICE, place.folder),
+    CASE: lambda place, data: case_from_data(data, CASE, place.folder),
 }
 
 

@@ -341,14 +341,7 @@ async def open_server(
     trust = TrustList(section.trusted, entry.folder / "rejected")
     door = Door(entry.accounts, asks, trust, entry.log, entry.controls, machines)
     server.iserver.set_user_manager(door)
-    restrict(
-        server,
-        encrypted,
-        door,
-        section.most_sessions,
-        section.most_subscriptions,
-        section.most_items,
-    )
+    restrict(server, door, section)
     companion = None
     if section.companion != "none":
         own = await server.register_namespace(NAMESPACE)
