@@ -17,7 +17,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.secret import create_private, refuse_open_to_others
 from thermojoint.live.settings import Certified, HttpServer, OpcuaServer, ServiceFile
-from thermojoint.live.trust_list import certificate_in
+from thermojoint.live.trust_list import certificate_in, span_of
 
 #: Application URI of the service in OPC UA.
 APPLICATION = "urn:thermojoint:live"
@@ -154,11 +154,8 @@ def _checked(identity: Identity, where: str, remedy: str, others: int) -> Identi
     refuse_open_to_others(identity.key, f"{where}: key", others)
     certificate = certificate_in(identity.certificate)
     if not certificate.not_valid_before_utc <= datetime.now(UTC) <= certificate.not_valid_after_utc:
-        span = (
-            f"{certificate.not_valid_before_utc:%Y-%m-%d} to "
-            f"{certificate.not_valid_after_utc:%Y-%m-%d}"
-        )
-        raise InputError(f"{identity.certificate}: is valid from {span}; {remedy}")
+        valid = f"is valid from {span_of(certificate)}"
+        raise InputError(f"{identity.certificate}: {valid}; {remedy}")
     try:
         key = serialization.load_pem_private_key(identity.key.read_bytes(), None)
     except (OSError, ValueError, TypeError) as error:

@@ -147,9 +147,13 @@ def without_option_sets(content: bytes) -> bytes:
 async def add_machine(server: Server, companion: Companion, machine: str) -> None:
     """Add a machine with its identification, its components and its building blocks."""
     identity, tool = companion.identities[machine], companion.machine_tool
-    place, blocks = ua.NodeId(machine, companion.own), f"{machine}.MachineryBuildingBlocks"
-    shown = ua.QualifiedName(machine, companion.own)
-    kind = ua.NodeId(_IDENTIFICATION, companion.machinery)
+    own, machinery = companion.own, companion.machinery
+    place, components, blocks = (
+        ua.NodeId(f"{machine}{part}", own)
+        for part in ("", ".Components", ".MachineryBuildingBlocks")
+    )
+    shown = ua.QualifiedName(machine, own)
+    kind = ua.NodeId(_IDENTIFICATION, machinery)
     items = []
     if tool is not None:
         # Its mandatory parts only: what is optional would promise values that nobody has.
@@ -159,52 +163,36 @@ async def add_machine(server: Server, companion: Companion, machine: str) -> Non
         kind = ua.NodeId(_TOOL_IDENTIFICATION, tool)
         unknown = ua.DataValue(StatusCode=ua.StatusCode(ua.StatusCodes.BadNotConnected))
         for name in _UNKNOWN:
-            node = ua.NodeId(f"{machine}.{name}", companion.own)
-            await server.write_attribute_value(node, unknown)
-        there = server.get_node(ua.NodeId(f"{machine}.Identification", companion.own))
+            await server.write_attribute_value(ua.NodeId(f"{machine}.{name}", own), unknown)
+        there = server.get_node(ua.NodeId(f"{machine}.Identification", own))
         await server.delete_nodes([there], recursive=True)
     else:
         items.append(object_item(place, shown, (companion.machines, ua.ObjectIds.Organizes)))
     given = identity.machine.model_dump(exclude_none=True)
     items += _identified(companion, machine, machine, kind, given)
     estimator = f"{machine}.Components.ThermalDisplacementEstimator"
-    components = ua.NodeId(f"{machine}.Components", companion.own)
-    items += [
-        object_item(
-            components,
-            ua.QualifiedName("Components", companion.machinery),
-            (place, ua.ObjectIds.HasAddIn),
-            ua.NodeId(_COMPONENTS, companion.machinery),
-        ),
-        object_item(
-            ua.NodeId(estimator, companion.own),
-            ua.QualifiedName("ThermalDisplacementEstimator", companion.own),
-            (components, ua.ObjectIds.HasComponent),
-        ),
-        *_identified(
-            companion,
-            machine,
-            estimator,
-            ua.NodeId(_OF_COMPONENT, companion.machinery),
-            {
-                "manufacturer": "thermojoint",
-                "serial_number": identity.digest[:16],
-                "model": identity.model,
-                "software_revision": version("thermojoint"),
-            },
-        ),
-        object_item(
-            ua.NodeId(blocks, companion.own),
-            ua.QualifiedName("MachineryBuildingBlocks", companion.machinery),
-            (place, ua.ObjectIds.HasComponent),
-            ua.NodeId(ua.ObjectIds.FolderType),
-        ),
-    ]
+    of_estimator = {
+        "manufacturer": "thermojoint",
+        "serial_number": identity.digest[:16],
+        "model": identity.model,
+        "software_revision": version("thermojoint"),
+    }
+    called = ua.QualifiedName("Components", machinery)
+    above = (place, ua.ObjectIds.HasAddIn)
+    items.append(object_item(components, called, above, ua.NodeId(_COMPONENTS, machinery)))
+    called = ua.QualifiedName("ThermalDisplacementEstimator", own)
+    above = (components, ua.ObjectIds.HasComponent)
+    items.append(object_item(ua.NodeId(estimator, own), called, above))
+    kind = ua.NodeId(_OF_COMPONENT, machinery)
+    items += _identified(companion, machine, estimator, kind, of_estimator)
+    called = ua.QualifiedName("MachineryBuildingBlocks", machinery)
+    above = (place, ua.ObjectIds.HasComponent)
+    items.append(object_item(blocks, called, above, ua.NodeId(ua.ObjectIds.FolderType)))
     for result in await server.iserver.isession.add_nodes(items):
         result.StatusCode.check()
-    folder = server.get_node(ua.NodeId(blocks, companion.own))
     for name in ("Identification", "Components"):
-        block = ua.NodeId(f"{machine}.{name}", companion.own)
+        block = ua.NodeId(f"{machine}.{name}", own)
+        folder = server.get_node(blocks)
         await folder.add_reference(block, ua.ObjectIds.HasAddIn, True, False)
 
 

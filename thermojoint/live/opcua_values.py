@@ -127,46 +127,45 @@ def variables_of(layout: Layout, readings: bool, wanted: int) -> Iterator[Variab
     """
     double, text = ua.VariantType.Double, ua.VariantType.String
     for k, name in enumerate(layout.axes):
-        yield Variable("Displacement", name, "µm", double, _scaled("displacement", k, MEGA))
-        yield Variable("Band", name, "µm", double, _scaled("band", k, MEGA))
+        yield Variable("Displacement", name, "µm", double, _entry("displacement", k, MEGA))
+        yield Variable("Band", name, "µm", double, _entry("band", k, MEGA))
     for k, name in enumerate(layout.controls):
-        yield Variable("Offset", name, "µm", double, _offset(k))
+        offset = _entry("offsets", k, MEGA, offset_status_of)
+        yield Variable("Offset", name, "µm", double, offset)
     for k, line in enumerate(layout.lines):
-        yield Variable("Slope", line.axis, "µm/m", double, _slope(k))
-        yield Variable("Reference", line.axis, "mm", double, _always(line.reference / MILLI))
+        slope, reference = _entry("slopes", k, MEGA, offset_status_of), line.reference / MILLI
+        yield Variable("Slope", line.axis, "µm/m", double, slope)
+        yield Variable("Reference", line.axis, "mm", double, _always(reference))
     for k, channel in enumerate(layout.details):
         unit = _SHOWN.get(channel.unit, channel.unit)
         scale = detail_scale(channel)
-        yield Variable("Detail", detail_name(channel), unit, double, _scaled("details", k, scale))
+        yield Variable("Detail", detail_name(channel), unit, double, _entry("details", k, scale))
     for k, name in enumerate(layout.readings[:wanted]):
         if readings:
             unit = name.rpartition("_")[2]
             yield Variable("Reading", name, _SHOWN.get(unit, unit), double, _reading(k))
     for k, name in enumerate(layout.readings[wanted:]):
         yield Variable("Probe", name, "µm", double, _reading(wanted + k), writable=True)
-    yield Variable("", "Status", "", text, lambda p: (p.status, int(_CODES.Good)))
-    yield Variable("", "Handshake", "", text, lambda p: (p.handshake, int(_CODES.Good)))
-    yield Variable("", "Quality", "", text, lambda p: (p.quality.word, int(_CODES.Good)))
-    yield Variable("", "NextReading", "", text, lambda p: (p.asked.axis, int(_CODES.Good)))
-    number = ua.VariantType.UInt64
-    yield Variable("", "SampleNumber", "", number, lambda p: (p.number, int(_CODES.Good)))
+    yield Variable("", "Status", "", text, _good(lambda p: p.status))
+    yield Variable("", "Handshake", "", text, _good(lambda p: p.handshake))
+    yield Variable("", "Quality", "", text, _good(lambda p: p.quality.word))
+    yield Variable("", "NextReading", "", text, _good(lambda p: p.asked.axis))
+    yield Variable("", "SampleNumber", "", ua.VariantType.UInt64, _good(lambda p: p.number))
 
 
-def _scaled(part: str, k: int, scale: float) -> Value:
-    return lambda p: (scale * float(getattr(p, part)[k]), status_of(p))
+def _entry(
+    part: str, k: int, scale: float, status: Callable[[Publication], int] = status_of
+) -> Value:
+    return lambda p: (scale * float(getattr(p, part)[k]), status(p))
 
 
-def _offset(k: int) -> Value:
-    return lambda p: (MEGA * float(p.offsets[k]), offset_status_of(p))
-
-
-def _slope(k: int) -> Value:
-    return lambda p: (MEGA * float(p.slopes[k]), offset_status_of(p))
+def _reading(k: int) -> Value:
+    return _entry("readings", k, 1.0, reading_status_of)
 
 
 def _always(value: float) -> Value:
     return lambda p: (value, int(_CODES.Good))
 
 
-def _reading(k: int) -> Value:
-    return lambda p: (float(p.readings[k]), reading_status_of(p))
+def _good(value: Callable[[Publication], Any]) -> Value:
+    return lambda p: (value(p), int(_CODES.Good))

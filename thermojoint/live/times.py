@@ -13,7 +13,9 @@ def seconds_of(text: str) -> float:
     ValueError
         It is no time.
     """
-    moment = datetime.fromisoformat(text)
-    if moment.tzinfo is None:
-        moment = moment.replace(tzinfo=UTC)
-    return moment.timestamp()
+    return since_1970(datetime.fromisoformat(text))
+
+
+def since_1970(moment: datetime) -> float:
+    """Return a moment, which is UTC if it has no zone, as s since 1970."""
+    return moment.replace(tzinfo=moment.tzinfo or UTC).timestamp()

@@ -49,8 +49,7 @@ class TrustList:
         except ValueError:
             return "not a certificate"
         if not given.not_valid_before_utc <= now <= given.not_valid_after_utc:
-            span = f"{given.not_valid_before_utc:%Y-%m-%d} to {given.not_valid_after_utc:%Y-%m-%d}"
-            return f"the certificate is valid from {span}"
+            return f"the certificate is valid from {span_of(given)}"
         if self.trusted is None:
             return ""
         try:
@@ -92,6 +91,13 @@ def contents_of(
     paths = [one for one in sorted(folder.iterdir()) if one.is_file() and one.name[0] != "."]
     lists = [_revocations(path) for path in paths if path.suffix == ".crl"]
     return [certificate_in(path) for path in paths if path.suffix != ".crl"], lists
+
+
+def span_of(certificate: x509.Certificate) -> str:
+    """Return the days on which a certificate becomes valid, and ends."""
+    return (
+        f"{certificate.not_valid_before_utc:%Y-%m-%d} to {certificate.not_valid_after_utc:%Y-%m-%d}"
+    )
 
 
 def certificate_in(path: Path) -> x509.Certificate:

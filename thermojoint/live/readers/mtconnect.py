@@ -45,7 +45,7 @@ from thermojoint.live.mtconnect_documents import (
     converted,
     document_of,
 )
-from thermojoint.live.reconnecting import FIRST_S, next_delay
+from thermojoint.live.reconnecting import FIRST_S, next_delay, shown
 from thermojoint.live.served import Served
 from thermojoint.live.settings import MtconnectSource
 
@@ -164,7 +164,7 @@ class MtconnectReader:
                 held = {machine: one._replace(instance=-1) for machine, one in held.items()}
                 yield [Note("overrun", f"MTConnect {self.url}: {error}; read on from now")]
             except LOST as error:
-                yield [Note("disconnected", f"MTConnect {self.url}: {_shown(error)}")]
+                yield [Note("disconnected", f"MTConnect {self.url}: {shown(error)}")]
             await asyncio.sleep(delay)
             delay = next_delay(delay)
 
@@ -410,10 +410,6 @@ def held_of(position: Any, fed: Fed) -> Held | None:  # noqa: ANN401
     if (device, names) != (fed.device, fed.items):
         return None
     return Held(int(instance), int(following), float(due), 0, values, since)
-
-
-def _shown(error: BaseException) -> str:
-    return f"{type(error).__name__} {error}".strip()[:200]
 
 
 def mtconnect_reader(

@@ -22,9 +22,10 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.live.arrivals import Arrival, Note
 from thermojoint.live.opcua_session import LOST, TIMEOUT_S, Reached, client_of, reached_of
 from thermojoint.live.readers.session import beside
-from thermojoint.live.reconnecting import FIRST_S, next_delay
+from thermojoint.live.reconnecting import FIRST_S, next_delay, shown
 from thermojoint.live.served import Served
 from thermojoint.live.settings import OpcuaSource, Service
+from thermojoint.live.times import since_1970
 
 #: Interval of the requests that check the connection, s.
 _ALIVE_S = 5.0
@@ -98,7 +99,7 @@ class OpcuaReader:
                     delay = FIRST_S
                     await self._listen(client)
             except LOST as error:
-                self._put(Note("disconnected", f"OPC UA {self.reached.url}: {_shown(error)}"))
+                self._put(Note("disconnected", f"OPC UA {self.reached.url}: {shown(error)}"))
             await asyncio.sleep(delay)
             delay = next_delay(delay)
 
@@ -235,9 +236,7 @@ def _item(node: Node, handle: int) -> ua.MonitoredItemCreateRequest:
 
 def _time(value: ua.DataValue) -> float:
     stamp = value.SourceTimestamp or value.ServerTimestamp
-    if stamp is None:
-        return math.nan
-    return stamp.replace(tzinfo=stamp.tzinfo or UTC).timestamp()
+    return math.nan if stamp is None else since_1970(stamp)
 
 
 def item_of(machine: str, k: int, count: int, value: ua.DataValue) -> Arrival | Note:
@@ -269,10 +268,6 @@ def item_of(machine: str, k: int, count: int, value: ua.DataValue) -> Arrival | 
     if not math.isfinite(at):
         return Note("malformed", f"reading {k}: a value without a time", machine)
     return Arrival(machine, at, readings, clock.time(), position=at)
-
-
-def _shown(error: BaseException) -> str:
-    return f"{type(error).__name__} {error}".strip()[:200]
 
 
 def opcua_reader(

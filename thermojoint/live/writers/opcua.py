@@ -12,7 +12,6 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from datetime import UTC
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +37,7 @@ from thermojoint.live.opcua_internals import disconnect_ended, limit_callers, va
 from thermojoint.live.opcua_values import Variable, data_value, variables_of
 from thermojoint.live.publication import Layout
 from thermojoint.live.settings import OpcuaServer
+from thermojoint.live.times import since_1970
 from thermojoint.live.trust_list import TrustList, contents_of
 from thermojoint.live.writers.opcua_alarms import Alarms, add_alarms, tell_alarms
 from thermojoint.live.writers.opcua_history import add_history, is_kept
@@ -180,8 +180,7 @@ def probe_reading(
     readings: list[float | None] = [None] * count
     readings[k] = float(value)
     stamp = written.SourceTimestamp
-    at = now if stamp is None else stamp.replace(tzinfo=stamp.tzinfo or UTC).timestamp()
-    return Arrival(machine, at, readings, now)
+    return Arrival(machine, now if stamp is None else since_1970(stamp), readings, now)
 
 
 def _object(

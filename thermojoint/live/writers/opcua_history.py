@@ -14,6 +14,7 @@ from asyncua.server.history import HistoryStorageInterface
 
 from thermojoint.live.archive import Archive
 from thermojoint.live.opcua_values import Variable, data_value
+from thermojoint.live.times import since_1970
 
 #: Values of one variable in a response; the others follow by continuation points.
 _MOST = 5_000
@@ -67,9 +68,7 @@ class ArchiveHistory(HistoryStorageInterface):
 
 
 def _seconds(time: datetime | None, otherwise: float) -> float:
-    if time is None or time.year < _FIRST_YEAR:
-        return otherwise
-    return time.replace(tzinfo=time.tzinfo or UTC).timestamp()
+    return otherwise if time is None or time.year < _FIRST_YEAR else since_1970(time)
 
 
 def is_kept(variable: Variable) -> bool:
