@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from asyncua import ua
 from live_parts import Broker, client_of, free_port, needs_broker, serving, until
+from machine_floor import floor_of, keep
 from machine_logs import along_log, as_csv
 from played_control import Played
 
@@ -19,26 +20,13 @@ from calibrate.learning.learn import learn
 from thermojoint.artefacts.errors import InputError
 from thermojoint.compensation.offsets.handshake import STANDS
 from thermojoint.compensation.offsets.settings import read_settings, with_slopes
-from thermojoint.live import floor as floors
 from thermojoint.live.access_store import open_access
 from thermojoint.live.arrivals import Arrival
-from thermojoint.live.floor import Floor, Place
-from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine import Times, at_rest, restored
-from thermojoint.live.metrics import fresh_metrics
 from thermojoint.live.publication import Layout, as_json, as_row, from_row
 from thermojoint.live.served import served
-from thermojoint.live.settings import ModelSection, WatchdogSection, service_from_data
-from thermojoint.live.store import (
-    Batch,
-    commit,
-    era_of,
-    kept_of,
-    layout_from,
-    layout_text,
-    open_store,
-    received_last,
-)
+from thermojoint.live.settings import ModelSection, service_from_data
+from thermojoint.live.store import kept_of, layout_from, layout_text, open_store, received_last
 from thermojoint.live.targets.dry_run import writes
 from thermojoint.live.targets.linuxcnc import files_for
 from thermojoint.live.targets.settings import lines_of, read_target
@@ -86,20 +74,11 @@ def readings(model, k):
     return tuple(float(columns[name][k]) if name != "x_um" else None for name in names)
 
 
-def floor_of(model, store):
-    era = era_of(store, "mill", model.digest, model.layout, START)
-    found = Place(model, era, at_rest("mill", model, START), None, START)
-    return Floor({"mill": found}, EventLog(), fresh_metrics(), 60.0, 60.0, WatchdogSection())
-
-
 def feed(floor, store, count):
     place = floor.places["mill"]
     for k in range(count):
         now = START + 60.0 * k
-        arrival = Arrival("mill", now, readings(place.served, k), now, position=k)
-        outcome = floors.absorb(floor, [arrival], now, now)
-        told = floors.received(floor, outcome.publications, now)
-        commit(store, Batch(outcome.taken, (), (), outcome.holes, told))
+        keep(floor, store, Arrival("mill", now, readings(place.served, k), now, position=k))
     return place.machine.latest
 
 
@@ -110,7 +89,7 @@ def correction(said, positions):
 
 def test_the_correction_cancels_the_displacement_at_every_position(place, tmp_path):
     model, store = opened(place), open_store(tmp_path / "history.sqlite")
-    said = feed(floor_of(model, store), store, 60)
+    said = feed(floor_of(model, store, START), store, 60)
     told = as_json(said)
     details = told["details"]
     assert told["offset_mode"] == "follow"
@@ -138,7 +117,7 @@ def test_what_is_kept_of_a_machine_without_a_line_is_as_before(place):
 def test_a_start_continues_the_line_that_the_control_received_last(place, tmp_path, more):
     """With another P0 as well: K0 is another one, and the correction is the same everywhere."""
     store = open_store(tmp_path / "history.sqlite")
-    floor = floor_of(opened(place), store)
+    floor = floor_of(opened(place), store, START)
     before = feed(floor, store, 60)
     era = floor.places["mill"].era
     other = opened(place, more)
@@ -210,9 +189,9 @@ async def by_mqtt(plant):
         await plant.publish("thermojoint/drill/control", said)
 
 
-def content(place, folder, names):
+def content(place, folder, names, offsets=OFFSETS):
     """Of the file of a service, whose machines have handshakes by these ways."""
-    (folder / "offsets.toml").write_text(OFFSETS)
+    (folder / "offsets.toml").write_text(offsets)
     for name in names:
         (folder / f"{name}.csv").write_text("")
     limits = {"heartbeat_s": 3.0, "differs_um": 5.0, "differs_s": 1.0}
@@ -334,18 +313,10 @@ SLOPES = "\n[slopes.Z]\nreference_mm = 50.0\nstroke_mm = [-160.0, 260.0]\n"
      ("beckhoff", {}, {"P-AXIS-00272": 500_000})],
 )  # fmt: skip
 def test_k0_and_slope_are_written_into_a_control(place, tmp_path, kind, switch, reference):
-    (tmp_path / "offsets.toml").write_text(LINE)
     played = Played(tmp_path / "target.toml", kind, STEP_UM, more=SLOPES)
+    data = content(place, tmp_path, {"mill": "target"}, LINE)
     handshake = {"by": "target", "heartbeat_s": 3.0, "differs_um": 10.0}
-    data = {
-        "folder": "state",
-        "models": {"m": {"file": str(place / "model.json"), "interval_s": 60.0,
-                         "lateness_s": 0.0, "offsets": "offsets.toml"}},
-        "machines": {"mill": {"model": "m", "source": "line", "target": "target.toml",
-                              "handshake": handshake}},
-        "sources": {"line": {"kind": "csv", "path": "mill.csv"}},
-        "behind_s": 1e12,
-    }  # fmt: skip
+    data["machines"]["mill"] |= {"target": "target.toml", "handshake": handshake}
 
     def events(running, text):
         found = running.archive.events("mill", 0.0, 1e11, 1000)
@@ -374,7 +345,6 @@ def test_k0_and_slope_are_written_into_a_control(place, tmp_path, kind, switch, 
             feeding.cancel()
         await played.server.stop()
 
-    (tmp_path / "mill.csv").write_text("")
     asyncio.run(live())
     record = [(at, "offset", um) for at, um in played.record]
     record += [(at, "slope", um) for at, um in played.slopes]

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from machine_floor import floor_of, keep
 from small_disk import fill, mounted
 
 from benchmarks import offset_invariant
@@ -16,10 +17,8 @@ from thermojoint.compensation.offsets.settings import read_settings
 from thermojoint.live import floor as floors
 from thermojoint.live.archive import Archive
 from thermojoint.live.arrivals import Arrival
-from thermojoint.live.floor import Floor, Place
 from thermojoint.live.log_lines import EventLog, limited, line_of
 from thermojoint.live.machine import Times, at_rest, restored, silent, taken
-from thermojoint.live.metrics import fresh_metrics
 from thermojoint.live.publication import as_json, as_row, from_row
 from thermojoint.live.rate_limit import AT_ONCE, LineLimit
 from thermojoint.live.recovery import is_damage
@@ -130,32 +129,39 @@ def test_what_is_no_temperature_is_a_missing_reading(model, value):
     assert math.isnan(model.intake.usable((value, *readings(1)[1:]))[0])
 
 
-def floor_of(model, store, now=START):
-    era = era_of(store, "mill", model.digest, model.layout, now)
-    place = Place(model, era, at_rest("mill", model, now), None, now)
-    return Floor({"mill": place}, EventLog(), fresh_metrics(), 60.0, 60.0, WatchdogSection())
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "history.sqlite"
 
 
-def feed(floor, store, first, last, step=1):
-    for k in range(first, last, step):
-        arrival = Arrival("mill", START + k, readings(k), START + k, position=k)
-        outcome = floors.absorb(floor, [arrival], START + k, START + k)
-        told = floors.received(floor, outcome.publications, START + k)
-        commit(store, Batch(outcome.taken, (), floor.log.fetched(), outcome.holes, told))
+@pytest.fixture
+def store(path):
+    return open_store(path)
 
 
-@pytest.mark.parametrize("checkpoint", [None, 0, 17, 40])
+@pytest.fixture
+def floor(model, store):
+    return floor_of(model, store, START)
+
+
+def feed(floor, store, first, last):
+    for k in range(first, last):
+        keep(floor, store, Arrival("mill", START + k, readings(k), START + k, position=k))
+
+
+def checkpoint(floor, store):
+    commit(store, Batch(checkpoints=[floors.checkpoint_of(floor.places["mill"])]))
+
+
+@pytest.mark.parametrize("at_sample", [None, 0, 17, 40])
 def test_a_machine_goes_on_bit_for_bit_wherever_its_last_checkpoint_was(
-    model, tmp_path, checkpoint
+    model, at_sample, path, store, floor
 ):
-    path = tmp_path / "history.sqlite"
-    store = open_store(path)
-    floor = floor_of(model, store)
     place = floor.places["mill"]
     for end in (17, 40):
         feed(floor, store, 0 if end == 17 else 17, end)
-        if checkpoint in (0, end):
-            commit(store, Batch(checkpoints=[floors.checkpoint_of(place)]))
+        if at_sample in (0, end):
+            checkpoint(floor, store)
     kept = kept_of(store, [place.era])[place.era]
     last = Archive(path).checkpointed("mill", place.era)
     received = received_last(store)["mill"]
@@ -170,16 +176,13 @@ def test_a_machine_goes_on_bit_for_bit_wherever_its_last_checkpoint_was(
     np.testing.assert_array_equal(history.numbers, np.arange(1, 41))
 
 
-def test_the_history_marks_what_is_missing_thins_and_forgets(model, tmp_path):
-    path = tmp_path / "history.sqlite"
-    store = open_store(path)
-    floor = floor_of(model, store)
+def test_the_history_marks_what_is_missing_thins_and_forgets(path, store, floor):
     place = floor.places["mill"]
     feed(floor, store, 0, 100)
-    commit(store, Batch(checkpoints=[floors.checkpoint_of(place)]))
+    checkpoint(floor, store)
     place.fresh = True
     feed(floor, store, 150, 250)
-    commit(store, Batch(checkpoints=[floors.checkpoint_of(place)]))
+    checkpoint(floor, store)
     feed(floor, store, 250, 260)
     archive = Archive(path)
     whole = archive.history("mill", 0.0, 1e11, 1000)
@@ -205,9 +208,7 @@ def test_the_history_marks_what_is_missing_thins_and_forgets(model, tmp_path):
     assert log.stat().st_size == size
 
 
-def test_another_model_begins_anew(model, tmp_path):
-    store = open_store(tmp_path / "history.sqlite")
-    floor = floor_of(model, store)
+def test_another_model_begins_anew(model, store, floor):
     feed(floor, store, 0, 10)
     era = floor.places["mill"].era
     assert era_of(store, "mill", model.digest, model.layout, START) == era
@@ -216,25 +217,23 @@ def test_another_model_begins_anew(model, tmp_path):
     assert kept_of(store, [other])[other].state is None
 
 
-def test_what_a_killed_service_had_of_a_former_model_stays_in_the_history(model, tmp_path):
-    path = tmp_path / "history.sqlite"
-    store = open_store(path)
-
+def test_what_a_killed_service_had_of_a_former_model_stays_in_the_history(
+    model, path, store, floor
+):
     def numbers():
         (end,) = store.execute("SELECT max(id) FROM journal").fetchone()
         forget(store, end, [], 1e6, START + 30.0)
         return Archive(path).history("mill", 0.0, 1e11, 1000).numbers.tolist()
 
-    floor = floor_of(model, store)
     feed(floor, store, 0, 10)
-    commit(store, Batch(checkpoints=[floors.checkpoint_of(floor.places["mill"])]))
+    checkpoint(floor, store)
     feed(floor, store, 10, 20)
     former = list(range(1, 21))
     assert numbers() == former
-    floor = floor_of(replace(model, digest="another"), store)
+    floor = floor_of(replace(model, digest="another"), store, START)
     feed(floor, store, 20, 30)
     assert numbers() == [*former, *range(1, 11)]
-    commit(store, Batch(checkpoints=[floors.checkpoint_of(floor.places["mill"])]))
+    checkpoint(floor, store)
     assert numbers() == [*former, *range(1, 11)]
     assert not store.execute("SELECT count(*) FROM journal").fetchone()[0]
 
@@ -246,9 +245,7 @@ def test_a_row_of_the_history_is_the_publication(model):
     assert as_json(back) == as_json(said) | {"offset_mode": None}
 
 
-def test_nothing_is_acknowledged_before_its_sample_is_kept(model, tmp_path):
-    store = open_store(tmp_path / "history.sqlite")
-    floor = floor_of(model, store)
+def test_nothing_is_acknowledged_before_its_sample_is_kept(model, store, floor):
     place = floor.places["mill"]
     place.served = replace(model, rule=Rule(1.0, 0.0, 0.0, 5))
     said = []
@@ -318,10 +315,9 @@ def test_refused_samples_neither_hold_an_offset_nor_hurry_it(model):
 
 
 @pytest.mark.parametrize("resolution", [0.1, 1.0, 10.0])
-def test_a_restart_with_another_resolution_keeps_the_offset(model, tmp_path, resolution):
-    path = tmp_path / "history.sqlite"
-    store = open_store(path)
-    floor = floor_of(model, store)
+def test_a_restart_with_another_resolution_keeps_the_offset(
+    model, tmp_path, resolution, store, floor
+):
     feed(floor, store, 0, 40)
     before = floor.places["mill"].machine.latest.offsets[0]
     assert abs(before) > 1e-6
@@ -331,9 +327,8 @@ def test_a_restart_with_another_resolution_keeps_the_offset(model, tmp_path, res
     assert machine.latest.offsets[0] == pytest.approx(before, abs=0.5e-6 * resolution * 1.001)
 
 
-def test_a_full_disk_is_no_damage(tmp_path):
+def test_a_full_disk_is_no_damage(store):
     """SQLite ends the transaction by itself; the next commit finds room again."""
-    store = open_store(tmp_path / "history.sqlite")
     (pages,) = store.execute("PRAGMA page_count").fetchone()
     store.execute(f"PRAGMA max_page_count = {pages}")
     batch = Batch(events=[Event(START, None, "status", 100_000 * "x")])
@@ -374,12 +369,11 @@ def test_a_store_goes_on_in_its_reserve_on_a_full_disk(tmp_path):
         store.close()
 
 
-def test_other_axes_of_the_control_leave_the_estimator_its_state(model, tmp_path):
-    path = tmp_path / "history.sqlite"
-    store = open_store(path)
-    floor = floor_of(model, store)
+def test_other_axes_of_the_control_leave_the_estimator_its_state(
+    model, tmp_path, path, store, floor
+):
     feed(floor, store, 0, 40)
-    commit(store, Batch(checkpoints=[floors.checkpoint_of(floor.places["mill"])]))
+    checkpoint(floor, store)
     feed(floor, store, 40, 50)
     place = floor.places["mill"]
     other = with_offsets(model, OFFSETS + '\n[axes.Z]\nfollows = "y"\n', tmp_path)
@@ -398,10 +392,8 @@ def test_other_axes_of_the_control_leave_the_estimator_its_state(model, tmp_path
     assert era_before(store, another) == (place.era, False)
 
 
-def test_a_start_sends_what_the_control_received_last_and_goes_on_from_there(model, tmp_path):
+def test_a_start_sends_what_the_control_received_last_and_goes_on_from_there(model, store, floor):
     """After any time, with any model; what silence would have done since comes at the rate."""
-    store = open_store(tmp_path / "history.sqlite")
-    floor = floor_of(model, store)
     feed(floor, store, 0, 40)
     place = floor.places["mill"]
     before = place.machine.latest.offsets
@@ -423,10 +415,8 @@ def test_a_start_sends_what_the_control_received_last_and_goes_on_from_there(mod
     assert machine.latest.offsets.tolist() == before.tolist()
 
 
-def test_readings_that_come_late_move_no_offset_and_are_not_good(model, tmp_path):
+def test_readings_that_come_late_move_no_offset_and_are_not_good(store, floor):
     """Fifteen hours of them at once: estimates of then, for the history."""
-    store = open_store(tmp_path / "history.sqlite")
-    floor = floor_of(model, store)
     feed(floor, store, 0, 40)
     before = floor.places["mill"].machine.latest.offsets
     now = START + 54_000.0
@@ -436,7 +426,7 @@ def test_readings_that_come_late_move_no_offset_and_are_not_good(model, tmp_path
     assert said.offsets.tolist() == before.tolist()
 
 
-def test_samples_without_any_reading_are_silence(tmp_path):
+def test_samples_without_any_reading_are_silence(store):
     """Whatever an estimator makes of them: the value becomes bad, and the offset fades."""
 
     class Deaf(offset_invariant.Gauge):
@@ -446,7 +436,7 @@ def test_samples_without_any_reading_are_silence(tmp_path):
 
     output = offset_invariant.settings_of({"oldest_s": 5.0, "freeze_s": 5.0, "decay_s": 5.0}, False)
     deaf = replace(offset_invariant.served_with(output, 1.0), estimator=Deaf(1.0))
-    floor = floor_of(deaf, open_store(tmp_path / "history.sqlite"))
+    floor = floor_of(deaf, store, START)
     found = []
     for k in range(100):
         told = (20.0 if k < 30 else math.nan, 0.0 if k < 30 else math.nan)
@@ -463,14 +453,11 @@ def test_samples_without_any_reading_are_silence(tmp_path):
     )
 
 
-def test_holes_and_eras_that_are_over_are_forgotten_like_the_rest(model, tmp_path):
-    path = tmp_path / "history.sqlite"
-    store = open_store(path)
-    floor = floor_of(model, store)
+def test_holes_and_eras_that_are_over_are_forgotten_like_the_rest(model, store, floor):
     place = floor.places["mill"]
     feed(floor, store, 0, 10)
     feed(floor, store, 50, 60)
-    commit(store, Batch(checkpoints=[floors.checkpoint_of(place)]))
+    checkpoint(floor, store)
     era = era_of(store, "mill", "another", model.layout, START + 100.0)
     for now in (START + 120.0, START + 200.0):
         forget(store, 0, [era], 90.0, now)

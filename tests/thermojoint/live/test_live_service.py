@@ -478,16 +478,18 @@ def test_messages_over_tls_come_once_although_broker_and_service_go_away(
             "password": secret(tmp_path, "password", "long-and-secret\n"),
         }
         data = file_of(model, {"kind": "mqtt", "topic": "plant/{machine}", **address}, mqtt=address)
-        tls = aiomqtt.TLSParameters(ca_certs=str(authority.certificate))
 
-        async def tell(some):
-            async with aiomqtt.Client(
+        def client():
+            return aiomqtt.Client(
                 "localhost",
                 broker.port,
                 username="service",
                 password="long-and-secret",
-                tls_params=tls,
-            ) as plant:
+                tls_params=aiomqtt.TLSParameters(ca_certs=str(authority.certificate)),
+            )
+
+        async def tell(some):
+            async with client() as plant:
                 for row in some:
                     told = dict(zip(NAMES, row[1:].tolist(), strict=True))
                     await plant.publish("plant/mill", message(row[0], told), qos=1)
@@ -499,16 +501,7 @@ def test_messages_over_tls_come_once_although_broker_and_service_go_away(
                 await until(lambda: running.hub.newest["mill"].number == 10)
 
         async def second():
-            async with (
-                serving(data, tmp_path) as running,
-                aiomqtt.Client(
-                    "localhost",
-                    broker.port,
-                    username="service",
-                    password="long-and-secret",
-                    tls_params=tls,
-                ) as panel,
-            ):
+            async with serving(data, tmp_path) as running, client() as panel:
                 await until(lambda: running.hub.newest["mill"].number == 30)
                 await tell(rows[25:])
                 await until(lambda: running.hub.newest["mill"].number == 40)
@@ -623,16 +616,12 @@ def opcua_day(model, tmp_path_factory):
                     found["silent"] = await node.read_data_value(raise_on_bad_status=False)
                 for one in idle:
                     one.close()
+                strangers = [("admin", ""), ("panel", "wrong"), ("nobody", "panel-secret")]
                 found["refused"] = [
-                    await _let_in(base, own, *who)
-                    for who in (
-                        ("admin", ""),
-                        ("panel", "wrong"),
-                        ("nobody", "panel-secret"),
-                        (None, None),
-                    )
+                    await _let_in(await client_of(base, own, *who))
+                    for who in (*strangers, (None, None))
                 ]
-                found["plain"] = await _let_in_plain(own)
+                found["plain"] = await _let_in(Client(f"opc.tcp://127.0.0.1:{own}/thermojoint"))
             # Nobody listens meanwhile; the machine's own history has it.
             await play(day()[60:100], 0.02)
             data.pop("opcua")
@@ -646,18 +635,9 @@ def opcua_day(model, tmp_path_factory):
     return base, found
 
 
-async def _let_in(base, port, name, password):
-    client = await client_of(base, port, name, password)
+async def _let_in(client):
     try:
         async with client:
-            return True
-    except ua.UaError:
-        return False
-
-
-async def _let_in_plain(port):
-    try:
-        async with Client(f"opc.tcp://127.0.0.1:{port}/thermojoint"):
             return True
     except ua.UaError:
         return False
