@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from nested_toml import as_toml
 from scipy.linalg import solve_discrete_are
 from typer.testing import CliRunner
 
@@ -166,18 +167,3 @@ def test_a_probe_to_be_kept_that_is_not_there_is_refused_in_one_line(data, tmp_p
     assert isinstance(result.exception, InputError)
     assert len(str(result.exception)) < 200
     assert not out.exists()
-
-
-def as_toml(data):
-    """Nested dictionaries as TOML: tables inline."""
-    return "".join(f"{key} = {inline(value)}\n" for key, value in data.items())
-
-
-def inline(value):
-    if isinstance(value, dict):
-        return "{" + ", ".join(f'"{key}" = {inline(one)}' for key, one in value.items()) + "}"
-    if isinstance(value, list):
-        return "[" + ", ".join(map(inline, value)) + "]"
-    if isinstance(value, bool):
-        return str(value).lower()
-    return f'"{value}"' if isinstance(value, str) else repr(value)

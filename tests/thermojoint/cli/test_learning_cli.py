@@ -12,12 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from in_process import undisturbed
+from in_process import run, undisturbed
 from machine_logs import along_log, as_csv, changed, machine_log
 from repository import ROOT
 
 from thermojoint import console
-from thermojoint.cli import main as cli
 from thermojoint.cli.app import app
 
 LEARN = ["--displacement", "x_um", "--displacement", "z_um"]
@@ -28,14 +27,10 @@ def command(monkeypatch, capsys, tmp_path):
     """Run the command line in a folder of its own; gives exit code and standard error."""
     monkeypatch.chdir(tmp_path)
 
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["thermojoint", *map(str, arguments)])
-        with undisturbed(), pytest.raises(SystemExit) as stop:
-            cli.main()
-        told = capsys.readouterr()
-        return int(stop.value.code or 0), told.err
+    def told(*arguments):
+        return run(*arguments), capsys.readouterr().err
 
-    return run
+    return told
 
 
 @pytest.fixture(scope="module")

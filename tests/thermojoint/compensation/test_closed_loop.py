@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from nested_toml import as_toml
 from observed import observed_data, observer, run
 from repository import ROOT
 from short_runs import QUICK
@@ -320,14 +321,9 @@ def test_a_delay_beyond_its_margin_makes_the_heater_swing(plant, estimator, tune
 
 @pytest.fixture
 def folder(tmp_path, data, estimator):
-    """A loop in files, the coarse machine of JSON's subset of TOML."""
+    """A loop in files."""
     write_observer(estimator.model, tmp_path / "estimator.h5")
-    given = copy.deepcopy(data)
-    lines = []
-    for key, value in given.items():
-        if value not in ([], {}):
-            lines.append(f"{key} = {inline(value)}")
-    (tmp_path / "machine.toml").write_text("\n".join(lines), "utf-8")
+    (tmp_path / "machine.toml").write_text(as_toml(data), "utf-8")
     (tmp_path / "offsets.toml").write_text(
         'cycle_s = 2.0\n[axes.X]\nfollows = "x"\n[axes.Y]\nfollows = "y"\n', "utf-8"
     )
@@ -336,14 +332,6 @@ def folder(tmp_path, data, estimator):
     text = re.sub(r"tried_delays_s = .*", "tried_delays_s = [30.0]", text)
     (tmp_path / "loop.toml").write_text(text, "utf-8")
     return tmp_path
-
-
-def inline(value):
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{json.dumps(k)} = {inline(v)}" for k, v in value.items()) + "}"
-    if isinstance(value, list):
-        return "[" + ", ".join(map(inline, value)) + "]"
-    return json.dumps(value)
 
 
 def test_the_command_writes_margins_residuals_and_a_page(folder):

@@ -56,12 +56,13 @@ PLAIN = OutputSettings(
     recover_time=0.0,
     longest_cycle=math.inf,
 )
+TWO = replace(PLAIN, names=("X", "Y"), estimated=("x", "y"), signs=(-1, 1))
 
 sizes = st.floats(1e-8, 1e-3)
 times = st.floats(0.01, 1e4)
 settings = st.builds(
     replace,
-    st.just(replace(PLAIN, names=("X", "Y"), estimated=("x", "y"), signs=(-1, 1))),
+    st.just(TWO),
     resolution=sizes,
     rate=st.floats(1e-9, 1e-3),
     dead_band=st.just(0.0) | sizes,
@@ -116,7 +117,7 @@ lined = st.builds(
     lined_settings,
     st.builds(
         replace,
-        st.just(replace(PLAIN, names=("X", "Y"), estimated=("x", "y"), signs=(-1, 1))),
+        st.just(TWO),
         resolution=st.floats(1e-8, 1e-6),
         rate=st.floats(3e-6, 1e-4),
         dead_band=st.sampled_from([0.0, 2e-6]),
@@ -162,22 +163,18 @@ def one_step(settings):
     return settings.resolution + np.append(of_slope, 0.0)
 
 
-def as_row(settings, state):
-    return offsets_of(settings, state)
-
-
 @given(settings, courses)
 def test_no_offset_is_ever_beyond_the_largest_total(settings, course):
     for state in run(settings, course):
-        assert np.abs(as_row(settings, state)).max() <= settings.largest * (1.0 + 1e-8)
+        assert np.abs(offsets_of(settings, state)).max() <= settings.largest * (1.0 + 1e-8)
 
 
 @given(settings, courses)
 def test_no_offset_is_between_two_steps_of_the_resolution(settings, course):
     for state in run(settings, course):
         assert state.steps.dtype == np.int64
-        assert as_row(settings, state) == pytest.approx(
-            settings.resolution * np.rint(as_row(settings, state) / settings.resolution),
+        assert offsets_of(settings, state) == pytest.approx(
+            settings.resolution * np.rint(offsets_of(settings, state) / settings.resolution),
             rel=1e-12,
             abs=0,
         )
@@ -186,7 +183,7 @@ def test_no_offset_is_between_two_steps_of_the_resolution(settings, course):
 @given(settings, courses)
 def test_over_any_time_an_offset_moves_by_the_rate_and_one_step_at_most(settings, course):
     states = run(settings, course)
-    rows = np.array([as_row(settings, state) for state in states])
+    rows = np.array([offsets_of(settings, state) for state in states])
     # The first cycle begins at no known time: nothing may move in it but a step saved before.
     for first in range(1, len(states)):
         passed = np.array([state.time for state in states[first:]]) - states[first].time
@@ -206,7 +203,7 @@ def test_without_an_estimate_offsets_freeze_then_decay_to_zero(settings, course,
     for state in after:
         if math.isnan(before.unusable_since) and state.time - since <= settings.freeze_time:
             assert (state.steps == before.steps).all()
-    way = np.abs(as_row(settings, after[-1])).max() / settings.rate
+    way = np.abs(offsets_of(settings, after[-1])).max() / settings.rate
     long = settings.freeze_time + 50.0 * settings.decay_time + 2.0 * way + 10.0 * length
     # One cycle of any length moves as far as its time allows.
     gone = run(settings, [(long, None), (long, None)], after[-1])[-1]
@@ -217,23 +214,23 @@ def test_without_an_estimate_offsets_freeze_then_decay_to_zero(settings, course,
 def test_no_change_of_the_settings_moves_an_offset_faster_than_the_rate(first, changes, course):
     """Whatever is changed between two cycles, axis by axis, by name; through JSON as it is kept."""
     state = run(first, course)[-1]
-    before = dict(zip(first.names, as_row(first, state), strict=True))
+    before = dict(zip(first.names, offsets_of(first, state), strict=True))
     content = content_of(first, state)
     for used, later in changes:
         start = content["time"] or 0.0
         state = restored(used, json.loads(json.dumps(content)), start, 0.0)
-        for name, offset in zip(used.names, as_row(used, state), strict=True):
+        for name, offset in zip(used.names, offsets_of(used, state), strict=True):
             assert abs(offset - before[name]) <= 0.5 * used.resolution * (1.0 + 1e-6)
         for length, target in later:
-            start, last = start + length, as_row(used, state)
+            start, last = start + length, offsets_of(used, state)
             state = cycle(used, state, start, target)
             allowed = used.rate * min(length, used.longest_cycle) + used.resolution
-            moved = np.abs(as_row(used, state) - last)
+            moved = np.abs(offsets_of(used, state) - last)
             assert (moved <= allowed * (1.0 + 1e-6)).all()
             # A limit that was lowered is reached at the rate, and never passed from within.
             most = np.maximum(np.abs(last), used.limits.most_steps * used.resolution)
-            assert (np.abs(as_row(used, state)) <= most * (1.0 + 1e-9)).all()
-        before = dict(zip(used.names, as_row(used, state), strict=True))
+            assert (np.abs(offsets_of(used, state)) <= most * (1.0 + 1e-9)).all()
+        before = dict(zip(used.names, offsets_of(used, state), strict=True))
         content = content_of(used, state)
 
 
@@ -284,8 +281,7 @@ def test_no_change_of_the_settings_moves_a_line_faster_than_the_rate(first, chan
 
 
 def test_a_line_is_followed_at_the_reference_of_the_control():
-    settings = lined_settings(replace(PLAIN, names=("X", "Y"), estimated=("x", "y"), signs=(-1, 1)),
-                              (0.5, 0.5, 0.5), 0.1, 1e4)  # fmt: skip
+    settings = lined_settings(TWO, (0.5, 0.5, 0.5), 0.1, 1e4)
     known = np.full(2, np.nan)
     known[0] = 40.0 * MICRO
     lines = Lines(known, 0.1 * known, np.array([0.3, np.nan]), *np.full((2, 2), np.nan))
@@ -340,7 +336,7 @@ def test_a_slow_rate_still_arrives():
 def test_the_filter_is_a_first_order_one():
     filtered = replace(PLAIN, filter_time=50.0)
     states = run(filtered, [(1.0, np.zeros(1)), *[(1.0, np.array([100.0 * MICRO]))] * 50])
-    assert as_row(filtered, states[-1])[0] == pytest.approx(
+    assert offsets_of(filtered, states[-1])[0] == pytest.approx(
         100.0 * MICRO * (1.0 - math.exp(-1.0)), abs=0.06 * MICRO
     )
 
@@ -400,14 +396,32 @@ def files(tmp_path):
     return tmp_path
 
 
-def test_the_preview_has_a_row_for_every_cycle_and_says_what_it_does(files):
+def compensate(files, estimate, *more):
+    """What the command came to, and the file that it writes."""
     out = files / "offsets.csv"
-    command = ["compensate", str(files / "estimate.csv"), "--out", str(out)]
-    done = CliRunner().invoke(app, [*command, "--settings", str(files / "offsets.toml"), "-v"])
+    command = ["compensate", estimate, "--settings", files / "offsets.toml", "--out", out, *more]
+    return CliRunner().invoke(app, [*map(str, command)]), out
+
+
+def compensated(files, *more):
+    """What the command said, and its rows."""
+    done, out = compensate(files, files / "estimate.csv", *more)
     assert done.exit_code == 0, done.output
-    assert "compensating: " in done.output
     with out.open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
+        return done.output, list(csv.DictReader(file))
+
+
+def refused(files, estimate):
+    """What the command said of a mistake; it has written nothing."""
+    done, out = compensate(files, estimate)
+    assert isinstance(done.exception, InputError)
+    assert not out.exists()
+    return str(done.exception)
+
+
+def test_the_preview_has_a_row_for_every_cycle_and_says_what_it_does(files):
+    said, rows = compensated(files, "-v")
+    assert "compensating: " in said
     assert [float(row["time_s"]) for row in rows] == pytest.approx(np.arange(63.0))
     by_time = {round(float(row["time_s"])): row for row in rows}
     assert float(by_time[20]["offset_X_um"]) == pytest.approx(-10.0)
@@ -429,15 +443,10 @@ def test_a_night_between_two_days_is_said_and_nothing_follows_it(files):
         "cycle_s = 1", "cycle_s = 5"
     )
     (files / "offsets.toml").write_text(slow, "utf-8")
-    out = files / "offsets.csv"
-    command = ["compensate", str(files / "estimate.csv"), "--out", str(out)]
-    done = CliRunner().invoke(app, [*command, "--settings", str(files / "offsets.toml")])
-    assert done.exit_code == 0, done.output
-    assert "2 runs, 1 pause: 12.91 h from 2026-03-02 06:59:00" in done.output
-    assert re.search(r"offsets: follow 13\.\d %, freeze \S+ %, decay 86\.\d % of", done.output)
-    with out.open(encoding="utf-8", newline="") as file:
-        times = [float(row["time_s"]) for row in csv.DictReader(file)]
-    assert np.diff(times) == pytest.approx(5.0)
+    said, rows = compensated(files)
+    assert "2 runs, 1 pause: 12.91 h from 2026-03-02 06:59:00" in said
+    assert re.search(r"offsets: follow 13\.\d %, freeze \S+ %, decay 86\.\d % of", said)
+    assert np.diff([float(row["time_s"]) for row in rows]) == pytest.approx(5.0)
 
 
 ALONG = f"""{SETTINGS}
@@ -457,15 +466,8 @@ def along_text(slopes, p0=300.0):
 def test_the_preview_of_an_axis_with_a_slope_has_k0_slope_and_p0(files):
     (files / "estimate.csv").write_text(along_text([60.0] * 100), "utf-8")
     (files / "offsets.toml").write_text(ALONG, "utf-8")
-    out = files / "offsets.csv"
-    command = ["compensate", str(files / "estimate.csv"), "--out", str(out)]
-    done = CliRunner().invoke(app, [*command, "--settings", str(files / "offsets.toml")])
-    assert done.exit_code == 0, done.output
-    assert (
-        "X: K0 at P0 = 300 mm and slope; from 100 to 600 mm at most 500 um, 2 um/s" in done.output
-    )
-    with out.open(encoding="utf-8", newline="") as file:
-        rows = [{key: row[key] for key in row} for row in csv.DictReader(file)]
+    said, rows = compensated(files)
+    assert "X: K0 at P0 = 300 mm and slope; from 100 to 600 mm at most 500 um, 2 um/s" in said
     named = ["offset_X_um", "offset_Z_um", "slope_X_um_per_m", "P0_X_mm"]
     assert [*rows[0]] == ["time_s", *named, "state"]
     assert [float(rows[-1][name]) for name in named] == pytest.approx([-20.0, 4.0, -60.0, 300.0])
@@ -507,13 +509,9 @@ def test_without_a_slope_in_the_settings_the_offset_is_k0(files):
 def test_a_slope_that_cannot_be_is_refused_in_one_line(files, old, new, told):
     (files / "estimate.csv").write_text(along_text([60.0] * 3), "utf-8")
     (files / "offsets.toml").write_text(ALONG.replace(old, new), "utf-8")
-    out = files / "offsets.csv"
-    command = ["compensate", str(files / "estimate.csv"), "--out", str(out)]
-    done = CliRunner().invoke(app, [*command, "--settings", str(files / "offsets.toml")])
-    assert isinstance(done.exception, InputError)
-    assert told in str(done.exception)
-    assert "\n" not in str(done.exception)
-    assert not out.exists()
+    error = refused(files, files / "estimate.csv")
+    assert told in error
+    assert "\n" not in error
 
 
 def test_an_old_estimate_is_no_estimate():
@@ -579,11 +577,7 @@ def test_an_estimate_that_a_spreadsheet_saved_is_the_same():
 
 
 def test_the_command_refuses_a_response_and_leaves_nothing(files):
-    out = files / "offsets.csv"
-    command = ["compensate", "r.nc", "--settings", str(files / "offsets.toml"), "--out", str(out)]
-    done = CliRunner().invoke(app, command)
-    assert isinstance(done.exception, InputError)
-    assert not out.exists()
+    refused(files, "r.nc")
 
 
 def test_the_settings_of_the_page_are_settings():
