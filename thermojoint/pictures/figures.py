@@ -257,11 +257,9 @@ def _figure(panels: int) -> tuple[Figure, list[Axes]]:
 
 def empty_grid(rows: int, columns: int, size: tuple[float, float]) -> Figure:
     """Return an empty figure of rows of panels, `size` in inches, without pyplot's global state."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=size, layout="constrained")
-    FigureCanvasAgg(figure)
     figure.subplots(rows, columns, squeeze=False)
     return figure
 
