@@ -58,10 +58,7 @@ CONTEXT = _Context()
 def process_pool(count: int) -> Iterator[ProcessPoolExecutor]:
     """Give a pool of `count` processes, which are killed if the main process is stopped."""
     _start_tracker()
-    with (
-        cleared_at_stop(_kill_children),
-        ProcessPoolExecutor(count, CONTEXT, begin_child) as pool,
-    ):
+    with cleared_at_stop(_kill_children), ProcessPoolExecutor(count, CONTEXT, begin_child) as pool:
         yield pool
 
 

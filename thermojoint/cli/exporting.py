@@ -35,8 +35,7 @@ def export(  # noqa: PLR0913 - the options of a command
         ),
     ] = "c",
     precision: Annotated[
-        Literal["double", "single"],
-        typer.Option(help="Precision of every number in the program."),
+        Literal["double", "single"], typer.Option(help="Precision of every number in the program.")
     ] = "double",
     name: Annotated[
         str, typer.Option(help="Prefix of the names of files and symbols.")

@@ -76,8 +76,7 @@ class Archive:
             marks = ",".join("?" * len(eras))
             within = f"era IN ({marks}) AND first <= ? AND last >= ?"
             (total,) = store.execute(
-                f"SELECT coalesce(sum(count), 0) FROM chunks WHERE {within}",
-                (*eras, until, since),
+                f"SELECT coalesce(sum(count), 0) FROM chunks WHERE {within}", (*eras, until, since)
             ).fetchone()
             recent = _journal(store, eras)
             every = max(1, -(-(total + len(recent)) // at_most))

@@ -243,9 +243,7 @@ def _write(
 ) -> None:
     """Write a key, which nobody but its owner can read at any moment, and its certificate."""
     content = key.private_bytes(
-        serialization.Encoding.PEM,
-        serialization.PrivateFormat.PKCS8,
-        serialization.NoEncryption(),
+        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )
     identity.key.parent.mkdir(parents=True, exist_ok=True)
     # A key without its certificate is made again; one beside the certificate of another is not.

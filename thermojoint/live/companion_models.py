@@ -197,11 +197,7 @@ async def add_machine(server: Server, companion: Companion, machine: str) -> Non
 
 
 def _identified(
-    companion: Companion,
-    machine: str,
-    of: str,
-    kind: ua.NodeId,
-    given: Mapping[str, Any],
+    companion: Companion, machine: str, of: str, kind: ua.NodeId, given: Mapping[str, Any]
 ) -> Iterable[ua.AddNodesItem]:
     """Yield the identification of a machine or of one of its components."""
     place = ua.NodeId(f"{of}.Identification", companion.own)

@@ -213,10 +213,7 @@ async def _opcua_server(running: Running, section: OpcuaServer) -> list[Coroutin
     )
     controls = {name: machines[name][0] for name in handshakes}
     heartbeat = await add_controls(server, controls, partial(_answer, running.floor))
-    return [
-        serve_nodes(server, nodes, running.hub),
-        tell_heartbeat(server, heartbeat, running.hub),
-    ]
+    return [serve_nodes(server, nodes, running.hub), tell_heartbeat(server, heartbeat, running.hub)]
 
 
 def _identities(running: Running) -> dict[str, Identity]:

@@ -102,10 +102,7 @@ async def _renew(
 
 
 def _written(
-    path: Path,
-    source: sqlite3.Connection | None,
-    eras: Sequence[Era],
-    batch: Batch,
+    path: Path, source: sqlite3.Connection | None, eras: Sequence[Era], batch: Batch
 ) -> Path:
     """Write a new store beside the one that is there."""
     new = path.with_name(f"{path.name}.new")

@@ -423,10 +423,7 @@ def pattern_of(source: Source) -> tuple[str, str]:
 
 
 def _check_pattern(
-    where: str,
-    source: Source,
-    name: str,
-    machines: Mapping[str, MachineSection],
+    where: str, source: Source, name: str, machines: Mapping[str, MachineSection]
 ) -> None:
     fed = [machine for machine, section in machines.items() if section.source == name]
     key, pattern = pattern_of(source)

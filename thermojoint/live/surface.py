@@ -26,13 +26,7 @@ from fesim.setup.machine import Setup
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import write_bytes
-from thermojoint.reduced.machine import (
-    Modes,
-    along,
-    diagonal_basis,
-    on_basis,
-    reduce_machine,
-)
+from thermojoint.reduced.machine import Modes, along, diagonal_basis, on_basis, reduce_machine
 from thermojoint.reduced.parameters import with_factors
 
 SCHEMA = "thermojoint-surface"

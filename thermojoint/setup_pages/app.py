@@ -73,18 +73,10 @@ PAGES: Mapping[str, Page] = {
         control_pages.is_complete,
     ),
     "try": Page(
-        "Dry run",
-        "log",
-        control_pages.show_try,
-        control_pages.do_try,
-        control_pages.is_tried,
+        "Dry run", "log", control_pages.show_try, control_pages.do_try, control_pages.is_tried
     ),
     "run": Page(
-        "Run",
-        "log",
-        control_pages.show_run,
-        control_pages.do_run,
-        control_pages.is_running,
+        "Run", "log", control_pages.show_run, control_pages.do_run, control_pages.is_running
     ),
     "part": Page("Part", "part", case_pages.show_part, case_pages.do_part),
     "names": Page("Names", "part", case_pages.show_names, case_pages.do_names, case_pages.is_named),

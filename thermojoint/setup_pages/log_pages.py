@@ -19,15 +19,7 @@ from thermojoint.artefacts.tables.clock import clock_word
 from thermojoint.artefacts.tables.dialect import dialect_of
 from thermojoint.artefacts.tables.layout import HEAD
 from thermojoint.artefacts.tables.source import lines_of
-from thermojoint.setup_pages.place import (
-    MAPPING,
-    RESPONSES,
-    ExistsError,
-    Given,
-    Place,
-    chosen,
-    one,
-)
+from thermojoint.setup_pages.place import MAPPING, RESPONSES, ExistsError, Given, Place, chosen, one
 
 _MOST_SENSORS = 4
 _NAMES = "name:"

@@ -13,11 +13,7 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.settings import toml
 from thermojoint.compensation.offsets.output import OutputSettings
-from thermojoint.compensation.offsets.settings import (
-    read_settings,
-    settings_from_data,
-    with_slopes,
-)
+from thermojoint.compensation.offsets.settings import read_settings, settings_from_data, with_slopes
 from thermojoint.live.settings import service_from_data
 from thermojoint.live.targets.settings import target_from_data
 from thermojoint.setup_pages.place import Given, Place, one

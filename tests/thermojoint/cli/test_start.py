@@ -116,10 +116,7 @@ def test_python_runs_the_package_as_the_command():
 
 def test_an_estimate_and_a_service_begin_without_statistics_and_signals():
     """Noise alone needs them; they take longer to load than all else that an estimator needs."""
-    commands = [
-        ["estimate", "no.json", "no.csv", "--out", "no.csv"],
-        ["serve", "no.toml"],
-    ]
+    commands = [["estimate", "no.json", "no.csv", "--out", "no.csv"], ["serve", "no.toml"]]
     before = ["numpy", "scipy.sparse", "estimator.registry", "thermojoint.live.service"]
     for arguments, found in zip(commands, loaded(commands, before), strict=True):
         assert not found & {"scipy.signal", "scipy.stats"}, arguments

@@ -91,11 +91,7 @@ def settings_of(port):
         },
         "machines": {"mill": {"model": "m", "source": "line"}},
         "sources": {
-            "line": {
-                "kind": "csv",
-                "path": "log.csv",
-                "columns": {"x_um": "x_um", "y_um": "y_um"},
-            }
+            "line": {"kind": "csv", "path": "log.csv", "columns": {"x_um": "x_um", "y_um": "y_um"}}
         },
         "http": {"port": port, "security": "none"},
     }

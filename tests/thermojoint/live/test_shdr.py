@@ -82,12 +82,7 @@ def test_an_agent_gets_every_value_and_an_answer_to_its_heartbeat():
 
 def test_what_is_bad_is_unavailable_from_now_and_the_offset_is_the_one_that_acts():
     bad = publication(
-        3,
-        AT,
-        published=AT + 60.0,
-        quality=Quality.BAD,
-        status="silent",
-        offset_mode="decay",
+        3, AT, published=AT + 60.0, quality=Quality.BAD, status="silent", offset_mode="decay"
     )
     values, offsets, condition = shdr.lines_of(bad)
     now = "2026-03-02T06:01:00.000000Z"

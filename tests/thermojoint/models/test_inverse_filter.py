@@ -12,11 +12,7 @@ from thermojoint.artefacts.errors import ConvergenceError, InputError
 from thermojoint.models import ring_source
 from thermojoint.models.argument_principle import count_right_zeros
 from thermojoint.models.filters.bank import respond_to_line
-from thermojoint.models.filters.inverse import (
-    inverse_bank,
-    regularised_transfer,
-    unstable_zeros,
-)
+from thermojoint.models.filters.inverse import inverse_bank, regularised_transfer, unstable_zeros
 from thermojoint.models.parameters import Regularisation, RingModel
 from thermojoint.models.regularisation import choose_regularisation
 

@@ -198,10 +198,7 @@ UNSUITED = {
         "sample times differ",
     ),
     "a sensor is missing": (
-        lambda: (
-            response(1.0),
-            {0.5: response(0.5).isel(probe=[0, 1, 2]), 2.0: response(2.0)},
-        ),
+        lambda: (response(1.0), {0.5: response(0.5).isel(probe=[0, 1, 2]), 2.0: response(2.0)}),
         "input 0.5: no probe named 'T2'",
     ),
     "nothing moves": (
@@ -246,12 +243,7 @@ def test_axes_along_which_nothing_moves_are_left_out_and_no_others():
 
 # Responses with candidates
 
-CANDIDATES = {
-    "hot": "a",
-    "cold": "b",
-    "low": "T1",
-    "high": "T2",
-}
+CANDIDATES = {"hot": "a", "cold": "b", "low": "T1", "high": "T2"}
 
 
 @pytest.fixture(scope="module")
@@ -273,10 +265,7 @@ def placeable(level, case, **options):
 
 UNPLACEABLE = {
     "wrong level": (lambda m: {0.6: m(0.5), 2.0: m(2.0)}, "input 0.6: its heat input is 0.5"),
-    "another duration": (
-        lambda m: {0.5: m(0.5, t=TIMES[:90]), 2.0: m(2.0)},
-        "sample times differ",
-    ),
+    "another duration": (lambda m: {0.5: m(0.5, t=TIMES[:90]), 2.0: m(2.0)}, "sample times differ"),
     "another interval": (
         lambda m: {0.5: m(0.5, t=0.5 * TIMES), 2.0: m(2.0)},
         "sample times differ",

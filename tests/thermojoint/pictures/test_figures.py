@@ -31,12 +31,7 @@ from thermojoint.pictures.figures import (
     response_figure,
     write_figure,
 )
-from thermojoint.pictures.scenes import (
-    boundary_faces,
-    finished,
-    mirror_of,
-    probe_position,
-)
+from thermojoint.pictures.scenes import boundary_faces, finished, mirror_of, probe_position
 from thermojoint.pictures.structure_scene import structure_scene
 from thermojoint.pictures.view import FIELDS, field_scene, named_surfaces, whole_structure
 
@@ -55,12 +50,7 @@ def settling(constants, changes, end=2100.0):
             "displacement": np.zeros((time.size, 1)),
             "pressure": 4.41e6 + moved * np.asarray(changes),
         },
-        {
-            "time": time,
-            "probe": ["a"],
-            "axis": ["x"],
-            "contact": np.arange(1, len(changes) + 1),
-        },
+        {"time": time, "probe": ["a"], "axis": ["x"], "contact": np.arange(1, len(changes) + 1)},
     )
 
 

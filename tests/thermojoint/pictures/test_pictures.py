@@ -17,14 +17,7 @@ from thermojoint.pictures.camera import Camera, facing, window_around
 from thermojoint.pictures.colour_scale import colour_scale
 from thermojoint.pictures.labels import place_labels
 from thermojoint.pictures.renderer import creases, painted, pixel_size
-from thermojoint.pictures.scenes import (
-    Panel,
-    Scene,
-    Surface,
-    bodies,
-    finished,
-    up_direction,
-)
+from thermojoint.pictures.scenes import Panel, Scene, Surface, bodies, finished, up_direction
 from thermojoint.pictures.stills import sheet
 from thermojoint.pictures.structure_scene import structure_scene
 from thermojoint.pictures.view import FIELDS, Up, film_scenes, whole_structure

@@ -266,10 +266,7 @@ def _values(settings: OutputSettings, steps: NDArray[np.int64]) -> Array:
 
 
 def followed(
-    settings: OutputSettings,
-    axes: Sequence[str],
-    displacement: Array,
-    lines: Lines | None = None,
+    settings: OutputSettings, axes: Sequence[str], displacement: Array, lines: Lines | None = None
 ) -> Array:
     """Return the targets of the offsets (m) and of the slopes (m/m), shape (channels,).
 

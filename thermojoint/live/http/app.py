@@ -25,13 +25,7 @@ from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.live.dashboard.assets import Asset, asset
 from thermojoint.live.dashboard.pages import page
 from thermojoint.live.former_models import SHOWN
-from thermojoint.live.http.bodies import (
-    Words,
-    about_body,
-    events_body,
-    history_body,
-    summary,
-)
+from thermojoint.live.http.bodies import Words, about_body, events_body, history_body, summary
 from thermojoint.live.http.gate import (
     Door,
     Gate,
@@ -272,11 +266,7 @@ class Site:
         )
         async with self._reading:
             events = await anyio.to_thread.run_sync(
-                self.sources.past.events,
-                given.get("machine"),
-                since,
-                until,
-                given.get("most", 100),
+                self.sources.past.events, given.get("machine"), since, until, given.get("most", 100)
             )
         user = request.user
         # Events of the service itself may name any machine.

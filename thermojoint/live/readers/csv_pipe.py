@@ -284,10 +284,7 @@ def _first_lines(file: BinaryIO, count: int) -> bytes:
 
 
 def _placed(
-    items: list[Arrival | Note],
-    position: dict[str, Any],
-    header: Header,
-    hands: Hands,
+    items: list[Arrival | Note], position: dict[str, Any], header: Header, hands: Hands
 ) -> list[Arrival | Note]:
     """Return the content of a line with the position after it and the state of its clock."""
     if header.layout.clock.form not in ("number", "excel"):

@@ -22,13 +22,7 @@ from typing import Any
 import aiomqtt
 
 from thermojoint.live.arrivals import Arrival, Note
-from thermojoint.live.mqtt_session import (
-    Address,
-    acknowledge,
-    address_of,
-    connected,
-    lost,
-)
+from thermojoint.live.mqtt_session import Address, acknowledge, address_of, connected, lost
 from thermojoint.live.readers.session import beside
 from thermojoint.live.reconnecting import FIRST_S, next_delay
 from thermojoint.live.settings import MqttSource

@@ -166,10 +166,7 @@ class OpcuaReader:
         return [(nodeid, value) for nodeid, values in found.items() for value in values]
 
     def _take(
-        self,
-        places: Mapping[ua.NodeId, tuple[str, int]],
-        nodeid: ua.NodeId,
-        value: ua.DataValue,
+        self, places: Mapping[ua.NodeId, tuple[str, int]], nodeid: ua.NodeId, value: ua.DataValue
     ) -> None:
         machine, k = places[nodeid]
         item = item_of(machine, k, self.counts[machine], value)

@@ -11,13 +11,7 @@ from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.live.arrivals import NEVER, Arrival, Note
 from thermojoint.live.readers.csv_pipe import Pipe, read_pipe
 from thermojoint.live.served import Served
-from thermojoint.live.settings import (
-    CsvSource,
-    MqttSource,
-    MtconnectSource,
-    OpcuaSource,
-    Service,
-)
+from thermojoint.live.settings import CsvSource, MqttSource, MtconnectSource, OpcuaSource, Service
 from thermojoint.live.times import seconds_of
 
 

@@ -15,13 +15,7 @@ import aiomqtt
 from thermojoint.live.audit import Audit
 from thermojoint.live.floor import Floor
 from thermojoint.live.hub import Hub
-from thermojoint.live.mqtt_session import (
-    Address,
-    connected,
-    is_behind,
-    lost,
-    publish,
-)
+from thermojoint.live.mqtt_session import Address, connected, is_behind, lost, publish
 from thermojoint.live.publication import as_json
 from thermojoint.live.reconnecting import FIRST_S, next_delay
 from thermojoint.live.settings import MqttTopics
