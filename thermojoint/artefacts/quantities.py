@@ -51,38 +51,25 @@ UNITS = {
     "Nm": Unit("torque", 1.0),
     "percent": Unit("load", 1e-2),
 }
-#: Spellings of loggers, after `_plain`.
-_ALIASES = {
-    "°C": "degC",
-    "Â°C": "degC",
-    "deg C": "degC",
-    "Grad C": "degC",
-    "C": "degC",
-    "°F": "degF",
-    "Â°F": "degF",
-    "deg F": "degF",
-    "Kelvin": "K",
-    "μm": "um",
-    "Âμm": "um",
-    "1/min": "rpm",
-    "/min": "rpm",
-    "U/min": "rpm",
-    "min-1": "rpm",
-    "min^-1": "rpm",
-    "RPM": "rpm",
-    "rad/s": "rad_s",
-    "°/s": "deg_s",
-    "deg/s": "deg_s",
-    "mm/s": "mm_s",
-    "mm/min": "mm_min",
-    "m/min": "m_min",
-    "N m": "Nm",
-    "%": "percent",
-    "sec": "s",
-    "Sek": "s",
-    "Min": "min",
-    "Std": "h",
+#: Spellings of loggers, after `_plain`, by the unit that they mean.
+_SPELLINGS = {
+    "degC": ("°C", "Â°C", "deg C", "Grad C", "C"),
+    "degF": ("°F", "Â°F", "deg F"),
+    "K": ("Kelvin",),
+    "um": ("μm", "Âμm"),
+    "rpm": ("1/min", "/min", "U/min", "min-1", "min^-1", "RPM"),
+    "rad_s": ("rad/s",),
+    "deg_s": ("°/s", "deg/s"),
+    "mm_s": ("mm/s",),
+    "mm_min": ("mm/min",),
+    "m_min": ("m/min",),
+    "Nm": ("N m",),
+    "percent": ("%",),
+    "s": ("sec", "Sek"),
+    "min": ("Min",),
+    "h": ("Std",),
 }
+_ALIASES = {spelling: unit for unit, found in _SPELLINGS.items() for spelling in found}
 _LONGEST_FIRST = sorted([*UNITS, *_ALIASES], key=len, reverse=True)
 _ENDING = re.compile(
     r"^(?P<base>.*?)(?:_|\s+in\s+|,?\s+|\s*/\s*|\s*[\[(]\s*)"

@@ -63,15 +63,8 @@ def test_an_estimate_has_a_column_for_each_displacement_named_as_in_the_log(here
     code, _ = command("estimate", "model.json", "day.csv", "--out", "estimate.csv")
     assert not code
     found, day = rows(here / "estimate.csv"), rows(here / "day.csv")
-    assert list(found[0]) == [
-        "time_s",
-        "x_um",
-        "z_um",
-        "x_band_um",
-        "z_band_um",
-        "status",
-        "quality",
-    ]
+    columns = ["time_s", "x_um", "z_um", "x_band_um", "z_band_um", "status", "quality"]
+    assert list(found[0]) == columns
     assert [float(one["time_s"]) for one in found] == [float(one["time_s"]) for one in day]
     for name in ("x_um", "z_um"):
         error = [float(a[name]) - float(b[name]) for a, b in zip(found, day, strict=True)]

@@ -8,19 +8,8 @@ from importlib.metadata import version
 import pytest
 
 HEAVY = {
-    *(
-        "control",
-        "h5py",
-        "jinja2",
-        "matplotlib",
-        "meshio",
-        "numba",
-        "numpy",
-        "pandas",
-        "scipy",
-        "skfem",
-    ),
-    *("xarray", "zarr"),
+    *("control", "h5py", "jinja2", "matplotlib", "meshio", "numba", "numpy", "pandas", "scipy"),
+    *("skfem", "xarray", "zarr"),
 }
 
 #: Each command in a process of its own, forked from one that has loaded the modules named first.

@@ -34,27 +34,20 @@ _SECONDS, _MILLISECONDS, _MICROSECONDS = (3e8, 5e9), (3e11, 5e12), (3e14, 5e15)
 _DAYS = (20_000.0, 80_000.0)
 #: Time zone abbreviations to their offset, h.
 _OFFSETS = {
-    "Z": 0.0,
-    "UTC": 0.0,
-    "GMT": 0.0,
-    "WET": 0.0,
-    "WEST": 1.0,
-    "BST": 1.0,
-    "CET": 1.0,
-    "MEZ": 1.0,
-    "CEST": 2.0,
-    "MESZ": 2.0,
-    "EET": 2.0,
-    "EEST": 3.0,
-    "EST": -5.0,
-    "EDT": -4.0,
-    "CST": -6.0,
-    "CDT": -5.0,
-    "MST": -7.0,
-    "MDT": -6.0,
-    "PST": -8.0,
-    "PDT": -7.0,
-    "JST": 9.0,
+    name: hours
+    for hours, names in {
+        0.0: ("Z", "UTC", "GMT", "WET"),
+        1.0: ("WEST", "BST", "CET", "MEZ"),
+        2.0: ("CEST", "MESZ", "EET"),
+        3.0: ("EEST",),
+        9.0: ("JST",),
+        -4.0: ("EDT",),
+        -5.0: ("EST", "CDT"),
+        -6.0: ("CST", "MDT"),
+        -7.0: ("MST", "PDT"),
+        -8.0: ("PST",),
+    }.items()
+    for name in names
 }
 _STAMP = re.compile(
     r"^(?:(?P<a>\d{1,4})(?P<sign>[-./])(?P<b>\d{1,2})(?P=sign)(?P<c>\d{2,4})\.?)?[T,;\s]*"
