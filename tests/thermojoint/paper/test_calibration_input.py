@@ -420,7 +420,7 @@ def test_a_cool_down_is_for_the_joint_aware_model_only(tmp_path):
             reference=tmp_path / "r1.nc",
             out=tmp_path / "m.h5",
             given=["0=cool-down.nc"],
-            kind=modelling.Kind.JOINT_AWARE,
+            kind="joint-aware",
         )
 
 
