@@ -7,6 +7,7 @@ seed. They are used for validation only, never for calibration.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -22,6 +23,7 @@ from fesim.case.thermal_sections import AmbientSection, SampledInput
 from fesim.setup.machine import Setup
 from fesim.simulate import simulate
 from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.response import probes_of
 from thermojoint.paper.inputs import COOL_DOWN, DAY, Report
@@ -39,6 +41,8 @@ AMBIENT_EVERY = 600.0
 EDGE = 1e-3
 #: Heat of the cool-down before it is switched off.
 COOLED_FROM = 2.0
+#: Error of the displacement that the steps may leave, um.
+TOLERANCE_UM = 0.01
 
 
 @dataclass(frozen=True)
@@ -112,15 +116,16 @@ def driven(
 ) -> Case:
     """Write histories to ``folder/NAME-COLUMN.csv`` and return the case that uses them.
 
-    `histories` maps ``heat_input``, and ``ambient_degC`` if it changes, to times (s) and values.
-    The time step is not changed; the length of the run is in min.
+    `histories` maps ``heat_input``, and ``ambient_degC`` if it changes, to times (s) and values;
+    the length of the run is in min. Steps are chosen by their error, where the case permits;
+    the response keeps its times.
     """
     files = {column: folder / f"{name}-{column}.csv" for column in histories}
     for column, (times, values) in histories.items():
         rows = (f"{float(t)!r},{float(v)!r}" for t, v in zip(times, values, strict=True))
         write_text(files[column], "\n".join([f"time_s,{column}", *rows]) + "\n")
     ambient = files.get("ambient_degC")
-    return case.model_copy(
+    long = case.model_copy(
         update={
             "title": f"{case.title}, {name}",
             "heat_input": SampledInput(kind="sampled", file=files["heat_input"]),
@@ -128,6 +133,9 @@ def driven(
             "march": case.march.model_copy(update={"duration_min": minutes}),
         }
     )
+    with suppress(InputError):
+        return long.replace(march={"method": "adaptive", "tolerance_um": TOLERANCE_UM})
+    return long
 
 
 def simulate_long(
