@@ -188,17 +188,25 @@ def _energy_checks(folder: Path) -> Iterator[Check]:
     response = _marched(folder, on_axes(data, _courses(folder)))
     way = sum(1e-3 * float(np.abs(np.diff(rows, axis=0)[:, 1]).sum()) for rows in WAYS.values())
     heat = RUNNING * PRELOAD * AREA * way
-    reference = heat / (IRON.density * IRON.heat_capacity * VOLUME)
+    compared = Quantity("temperature", "K", 1e-2, "mu F way, the pressures as at the start")
+    yield from friction_heat_checks("three axes", response, heat / VOLUME, compared)
+
+
+def friction_heat_checks(
+    name: str, response: xr.Dataset, heat: float, compared: Quantity
+) -> Iterator[Check]:
+    """Insulated bodies of iron that friction has heated by so much, J/m3, and their energy."""
+    reference = heat / (IRON.density * IRON.heat_capacity)
     last = response["temperature"][-1]
-    yield Quantity("temperature", "K", 1e-2, "mu F way, the pressures as at the start").check(
-        "three axes, friction heat in insulated bodies",
+    yield compared.check(
+        f"{name}, friction heat in insulated bodies",
         reference,
         float(last[0]),
         relative_error=float(np.abs(last - reference).max()) / reference,
     )
     left = float(np.abs(response["heat_balance"]).max())
     yield Quantity("heat balance", "1", 1e-8).check(
-        "three axes, energy in every step", 0.0, left, scale=1.0
+        f"{name}, energy in every step", 0.0, left, scale=1.0
     )
 
 

@@ -23,6 +23,7 @@ from meshes.structure import Probe, Structure
 from thermojoint.artefacts.files import temporary_folder
 from thermojoint.verification.check import Check, Quantity
 from thermojoint.verification.structures import box_grid, box_surfaces, facing_sides
+from thermojoint.verification.thermal_bar import METAL
 
 #: Half of the column, and its width, m.
 HALF, WIDTH = 0.2, 0.05
@@ -59,16 +60,7 @@ def column_case(folder: Path, split: bool, changes: dict[str, Any]) -> dict[str,
     data: dict[str, Any] = {
         "title": "column",
         "structure": {"kind": "mesh", "file": f"column{split:d}.vtu"},
-        "materials": {
-            "iron": {
-                "conductivity_W_mK": 47.0,
-                "density_kg_m3": DENSITY,
-                "heat_capacity_J_kgK": 500.0,
-                "youngs_modulus_GPa": 1e-9 * MODULUS,
-                "poisson_ratio": 0.0,
-                "expansion_1_K": 11e-6,
-            }
-        },
+        "materials": {"iron": METAL},
         "bodies": {"lower": "iron", "upper": "iron"} if split else {"lower": "iron"},
         "supports": {"symmetry": {"foot": "z", "back": "x", "side": "y"}},
         "march": {"step_s": 20.0, "duration_min": TIMES[-1] / 60.0},

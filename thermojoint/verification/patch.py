@@ -6,21 +6,17 @@ from collections.abc import Iterator
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.sparse import csr_array
 
 from fesim.joint.law import JointLaw
 from fesim.march.contact import ContactProblem
-from fesim.setup.elastic import reference_springs
-from fesim.solid.condensation import condense_elasticity
 from fesim.solid.elasticity import elastic_operators
 from fesim.solid.heat import ThermalLoads, heat_operators
-from fesim.solid.joint_operators import joint_operators
 from fesim.solid.spaces import Spaces, make_spaces
 from fesim.solid.stress import stress_at, stress_rows
-from meshes.pairing import pair_joint
 from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
 from thermojoint.verification.check import Check, Quantity
+from thermojoint.verification.rods import between_rollers
 from thermojoint.verification.series import law_at
 from thermojoint.verification.solving import solve_given
 from thermojoint.verification.structures import (
@@ -114,19 +110,13 @@ def contact_checks() -> Iterator[Check]:
     pressure = wall_pressure(rise, law)
     for kind in ELEMENTS:
         structure = shaken_bars(kind)
-        spaces = make_spaces(structure.mesh)
         materials = {"left": IRON, "right": IRON}
-        joints = [pair_joint(structure, "joint", 3, 2)]
-        operators = joint_operators(joints, spaces)
-        rollers = {"x0": "x", "x1": "x", "y0": "y", "z0": "z"}
-        elastic = elastic_operators(structure, spaces, materials, [], rollers)
-        springs = reference_springs(structure, materials, joints)
-        no_probes = csr_array((0, spaces.displacement_size))
-        condensed, field = condense_elasticity(elastic, operators, springs, no_probes)
+        spaces, operators, condensed, field = between_rollers(structure, materials, (3, 2))
+        count = len(operators.area)
         hot = np.full(spaces.heat.N, rise)
-        zero = np.zeros((3, len(operators.area)))
+        zero = np.zeros((3, count))
         # Far below the march's tolerance: the joint turns 1e-16 m into 1e-10 of the pressure.
-        contact = ContactProblem(condensed, [(law, len(operators.area))], 1e-16)
+        contact = ContactProblem(condensed, [(law, count)], 1e-16)
         settled = contact.settle(condensed.thermal_gap @ hot, zero[1:], zero)
         name = f"contact patch test, non-matching {kind}"
         source = "bars and joint in series"

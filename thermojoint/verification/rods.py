@@ -10,13 +10,19 @@ from fesim.joint.law import Friction, JointLaw
 from fesim.march.contact import ContactProblem
 from fesim.march.machine import CondensedMachine
 from fesim.setup.elastic import reference_springs
-from fesim.solid.condensation import ElasticCondensation, condense_elasticity, condense_heat
+from fesim.solid.condensation import (
+    DisplacementField,
+    ElasticCondensation,
+    condense_elasticity,
+    condense_heat,
+)
 from fesim.solid.elasticity import elastic_operators
 from fesim.solid.heat import HeatOperators, ThermalLoads, heat_operators
 from fesim.solid.joint_operators import JointOperators, joint_operators
 from fesim.solid.materials import Material
-from fesim.solid.spaces import make_spaces
+from fesim.solid.spaces import Spaces, make_spaces
 from meshes.pairing import pair_joint
+from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
 from thermojoint.verification.structures import box_grid, two_bars
 
@@ -49,6 +55,20 @@ class Rods:
         return CondensedMachine(thermal, ContactProblem(self.elastic, [(self.law, 1)]))
 
 
+def between_rollers(
+    structure: Structure, materials: dict[str, Material], grid: tuple[int, int]
+) -> tuple[Spaces, JointOperators, ElasticCondensation, DisplacementField]:
+    """Condense two bars on rollers, their joint in contact elements of a grid; no probes."""
+    spaces = make_spaces(structure.mesh)
+    joints = [pair_joint(structure, "joint", *grid)]
+    operators = joint_operators(joints, spaces)
+    rollers = {"x0": "x", "x1": "x", "y0": "y", "z0": "z"}
+    elastic = elastic_operators(structure, spaces, materials, [], rollers)
+    springs = reference_springs(structure, materials, joints)
+    no_probes = csr_array((0, spaces.displacement_size))
+    return spaces, operators, *condense_elasticity(elastic, operators, springs, no_probes)
+
+
 def rods(
     materials: tuple[Material, Material],
     lengths: tuple[float, float],
@@ -63,13 +83,6 @@ def rods(
     )
     structure = two_bars(first, second)
     by_body = dict(zip(("left", "right"), materials, strict=True))
-    spaces = make_spaces(structure.mesh)
-    joints = [pair_joint(structure, "joint", 1, 1)]
-    operators = joint_operators(joints, spaces)
-    rollers = {"x0": "x", "x1": "x", "y0": "y", "z0": "z"}
-    elastic = elastic_operators(structure, spaces, by_body, [], rollers)
-    springs = reference_springs(structure, by_body, joints)
-    no_probes = csr_array((0, spaces.displacement_size))
-    condensed, _ = condense_elasticity(elastic, operators, springs, no_probes)
+    spaces, operators, condensed, _ = between_rollers(structure, by_body, (1, 1))
     heat = heat_operators(structure, spaces.heat, by_body, ThermalLoads(held=dict.fromkeys(held)))
     return Rods(heat, operators, condensed, law, spaces.heat.doflocs[0], first.p.shape[1])

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from scipy.constants import Stefan_Boltzmann, zero_Celsius
 from scipy.optimize import brentq
-from scipy.sparse import csr_array
 from scipy.special import erfcinv
 
 from fesim.case.joint_sections import JointSection
@@ -24,16 +23,12 @@ from fesim.joint.law import (
 from fesim.march.contact import ContactProblem
 from fesim.march.machine import CondensedMachine
 from fesim.march.stepping import Advance, iterated, march, staggered
-from fesim.setup.elastic import reference_springs
 from fesim.setup.laws import law_of
-from fesim.solid.condensation import condense_elasticity, condense_heat
-from fesim.solid.elasticity import elastic_operators
+from fesim.solid.condensation import condense_heat
 from fesim.solid.heat import ThermalLoads, heat_operators
-from fesim.solid.joint_operators import joint_operators
-from fesim.solid.spaces import make_spaces
-from meshes.pairing import pair_joint
 from meshes.structure import Structure
 from thermojoint.verification.check import Check, Quantity
+from thermojoint.verification.rods import between_rollers
 from thermojoint.verification.structures import IRON, LEFT, RIGHT, SECTION, STEEL, bars
 
 #: Temperatures of the ends, K.
@@ -67,19 +62,11 @@ def steady_machine(structure: Structure) -> CondensedMachine:
     The bars do not expand, so that the joint keeps its preload.
     """
     materials = {"left": replace(IRON, expansion=0.0), "right": replace(STEEL, expansion=0.0)}
-    spaces = make_spaces(structure.mesh)
-    joints = [pair_joint(structure, "joint", 3, 2)]
-    operators = joint_operators(joints, spaces)
-    heat = heat_operators(
-        structure, spaces.heat, materials, ThermalLoads(held={"x0": None, "x1": None})
-    )
-    rollers = {"x0": "x", "x1": "x", "y0": "y", "z0": "z"}
-    elastic = elastic_operators(structure, spaces, materials, [], rollers)
-    springs = reference_springs(structure, materials, joints)
-    no_probes = csr_array((0, spaces.displacement_size))
-    condensed, _ = condense_elasticity(elastic, operators, springs, no_probes)
+    spaces, operators, condensed, _ = between_rollers(structure, materials, (3, 2))
+    ends = ThermalLoads(held={"x0": None, "x1": None})
+    heat = heat_operators(structure, spaces.heat, materials, ends)
     thermal = condense_heat(heat, operators, FOREVER)
-    laws = [(law_at(PRESSURES[0]), len(joints[0].area))]
+    laws = [(law_at(PRESSURES[0]), len(operators.area))]
     return CondensedMachine(thermal, ContactProblem(condensed, laws))
 
 
