@@ -8,13 +8,13 @@ of the step at heat input 3, and its nonlinear part.
 
 from __future__ import annotations
 
-import copy
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
 from benchmarks.study import case_data
+from fesim.batch.paths import with_values
 from fesim.batch.summary import is_open
 from fesim.case.schema import case_from_data
 from fesim.case.thermal_sections import StepInput
@@ -46,18 +46,6 @@ VARIANTS: dict[str, dict[str, object]] = {
 }
 
 
-def edited(data: dict, edits: dict[str, object]) -> dict:
-    """Return a copy of the case with some dotted keys set."""
-    result = copy.deepcopy(data)
-    for key, value in edits.items():
-        *path, last = key.split(".")
-        section = result
-        for part in path:
-            section = section.setdefault(part, {})
-        section[last] = value
-    return result
-
-
 def main() -> None:
     """Run the variants and print the table."""
     data = case_data("equal_heights")
@@ -65,7 +53,7 @@ def main() -> None:
     data["probes"] = {"nose": {"position_mm": [600.0, 1050.0, 250.0], "body": "column"}}
     table = Table("variant", "δx, µm", "δy, µm", "δNL x, µm", "δNL y, µm", "open elements")
     for name, edits in VARIANTS.items():
-        case = case_from_data(edited(data, edits), name, Path())
+        case = case_from_data(with_values(data, edits), name, Path())
         setup = set_up(case)
         found = {
             level: simulate(

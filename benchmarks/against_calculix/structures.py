@@ -8,27 +8,13 @@ from typing import Any
 import numpy as np
 
 from benchmarks.study import case_data, coarse_machine_data
+from fesim.batch.paths import with_values
 from fesim.case.schema import Case, case_from_data
 from meshes.box_grid import Box, box_mesh, put_side_by_side
 from meshes.exchange import write_structure
 from meshes.structure import Probe, Structure
+from thermojoint.verification.structures import IRON, STEEL, material_section
 
-IRON = {
-    "conductivity_W_mK": 47.0,
-    "density_kg_m3": 7200.0,
-    "heat_capacity_J_kgK": 500.0,
-    "youngs_modulus_GPa": 104.0,
-    "poisson_ratio": 0.27,
-    "expansion_1_K": 13.7e-6,
-}
-STEEL = {
-    "conductivity_W_mK": 16.0,
-    "density_kg_m3": 7800.0,
-    "heat_capacity_J_kgK": 460.0,
-    "youngs_modulus_GPa": 200.0,
-    "poisson_ratio": 0.31,
-    "expansion_1_K": 11.0e-6,
-}
 WIDTH, DEPTH = 0.06, 0.04
 LEFT, RIGHT = 0.10, 0.15
 
@@ -83,7 +69,7 @@ def bars(folder: Path, size: float = 0.025, **changes: Any) -> Case:
     data: dict[str, Any] = {
         "title": "Two bars",
         "structure": {"kind": "mesh", "file": str(file)},
-        "materials": {"iron": dict(IRON), "steel": dict(STEEL)},
+        "materials": {"iron": material_section(IRON), "steel": material_section(STEEL)},
         "bodies": {"left": "iron", "right": "steel"},
         "joints": {
             "joint": {
@@ -167,14 +153,8 @@ def knee(size: float, position: float) -> tuple[Case, Case]:
 
 
 def with_changes(data: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
-    """Set keys given as "section__key" in nested dictionaries, and return these."""
-    for key, value in changes.items():
-        *path, last = key.split("__")
-        section = data
-        for part in path:
-            section = section.setdefault(part, {})
-        section[last] = value
-    return data
+    """Return a copy with other values of keys given as "section__key"."""
+    return with_values(data, {key.replace("__", "."): value for key, value in changes.items()})
 
 
 def _mm(*metres: float) -> list[float]:
