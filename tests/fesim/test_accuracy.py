@@ -16,18 +16,12 @@ from fesim.solid.round_faces import bulges
 from meshes.exchange import write_structure
 from thermojoint.artefacts.errors import ConvergenceError
 from thermojoint.paper.summary import accuracy_line
+from thermojoint.verification import thermal_bar
 from thermojoint.verification.thermal_bar import CONDUCTIVITY, EXPANSION, LENGTH, WIDTH, bar_case
 
 #: Held all around, without lateral contraction: one-dimensional.
 SIDES = {"x0": "x", "y0": "y", "y1": "y", "z0": "z", "z1": "z"}
-METAL = {
-    "conductivity_W_mK": 47.0,
-    "density_kg_m3": 7200.0,
-    "heat_capacity_J_kgK": 500.0,
-    "youngs_modulus_GPa": 104.0,
-    "poisson_ratio": 0.3,
-    "expansion_1_K": 11e-6,
-}
+METAL = thermal_bar.METAL | {"poisson_ratio": 0.3}
 
 
 def parts_of(response):

@@ -25,6 +25,7 @@ from meshes.exchange import read_structure, write_structure
 from meshes.pairing import outward_areas, pair_joint
 from meshes.wall import face_of, with_wall
 from thermojoint.artefacts.errors import ConvergenceError, InputError
+from thermojoint.verification.thermal_bar import METAL
 
 ROD = ROOT / "examples" / "bistable_rod"
 SURFACE = {"along": 1, "across": 1}
@@ -194,18 +195,10 @@ def test_a_body_that_its_loads_carry_away_is_refused(tmp_path, force):
 
 
 def _bars(**joint):
-    steel = {
-        "conductivity_W_mK": 47.0,
-        "density_kg_m3": 7200.0,
-        "heat_capacity_J_kgK": 500.0,
-        "youngs_modulus_GPa": 104.0,
-        "poisson_ratio": 0.0,
-        "expansion_1_K": 13.7e-6,
-    }
     return {
         "title": "bars",
         "structure": {"kind": "mesh", "file": "bars.vtu"},
-        "materials": {"iron": steel},
+        "materials": {"iron": METAL | {"expansion_1_K": 13.7e-6}},
         "bodies": {"left": "iron", "right": "iron"},
         "joints": {"joint": OPEN | joint},
         "supports": {"symmetry": {"left_end": "x", "right_end": "x", "bottom": "y", "back": "z"}},

@@ -27,6 +27,16 @@ problems = {
 }
 
 
+def held_by_a_joint(law, compliance):
+    """The problem of one contact element with reference springs, of a body that hangs on it."""
+    return gap_problem(
+        compliance,
+        np.full(3, K_N),
+        stiffness_at_rest([(law, 1)]),
+        lambda gap, slip: evaluate(law, gap, slip),
+    )
+
+
 def structure_stiffness(rng, count, floating):
     """A random symmetric structure seen from its joint, N/m; semi-definite if it floats."""
     n = 3 * count

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from random_joints import (
     CONTACT_AREA,
     K_N,
+    held_by_a_joint,
     problem_of,
     problems,
     random_problem,
@@ -17,8 +18,7 @@ from random_joints import (
     structure_stiffness,
 )
 
-from fesim.joint.gap import TOLERANCE, gap_problem, solve_gap
-from fesim.joint.law import evaluate, stiffness_at_rest
+from fesim.joint.gap import TOLERANCE, solve_gap
 from thermojoint.artefacts.errors import ConvergenceError
 
 
@@ -74,13 +74,7 @@ def test_reference_springs_leave_no_trace(seed, count, size, springs):
 
 def test_a_gap_so_wide_that_its_residual_is_rounding_is_no_equilibrium():
     """1e9 m less 1e9 m is zero in floating point, whatever the forces are."""
-    law = surface_law()
-    problem = gap_problem(
-        np.eye(3) / K_N,
-        np.full(3, K_N),
-        stiffness_at_rest([(law, 1)]),
-        lambda gap, slip: evaluate(law, gap, slip),
-    )
+    problem = held_by_a_joint(surface_law(), np.eye(3) / K_N)
     far = np.full((3, 1), 2.0**40)
     with pytest.raises(ConvergenceError, match="has come loose"):
         solve_gap(problem, np.zeros(3), far[1:], far)

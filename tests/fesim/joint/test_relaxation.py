@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 from bars import surface_law
-from random_joints import K_N, random_problem
+from random_joints import K_N, held_by_a_joint, random_problem
 
-from fesim.joint.gap import TOLERANCE, gap_problem, solve_gap
-from fesim.joint.law import evaluate, stiffness_at_rest
+from fesim.joint.gap import TOLERANCE, solve_gap
 from fesim.joint.relaxation import relax
 from thermojoint.artefacts.errors import ConvergenceError
 
@@ -27,12 +26,7 @@ def test_it_ends_where_newtons_method_does():
 def test_a_body_pulled_off_by_more_than_its_preload_has_come_loose():
     """Nothing but the joint holds it: the joint bears its preload and no more."""
     law = surface_law()
-    problem = gap_problem(
-        np.eye(3) / K_N,
-        np.full(3, K_N),
-        stiffness_at_rest([(law, 1)]),
-        lambda gap, slip: evaluate(law, gap, slip),
-    )
+    problem = held_by_a_joint(law, np.eye(3) / K_N)
     zero = np.zeros((3, 1))
     for share in (0.9, 1.1):
         pulled = np.array([share * law.preload / K_N, 0.0, 0.0])
@@ -67,12 +61,7 @@ def test_a_wedge_of_high_friction_snaps_once_and_then_slides():
     law = surface_law(friction)
     stiffness = K_N * np.array([[across, between, 0.0], [between, along, 0.0], [0.0, 0.0, along]])
     compliance = np.linalg.inv(stiffness + np.diag(np.full(3, K_N)))
-    problem = gap_problem(
-        compliance,
-        np.full(3, K_N),
-        stiffness_at_rest([(law, 1)]),
-        lambda gap, slip: evaluate(law, gap, slip),
-    )
+    problem = held_by_a_joint(law, compliance)
     gap, slip, snaps = np.zeros((3, 1)), np.zeros((2, 1)), []
     for load in np.linspace(0.0, 6.0, 61) * law.preload:
         thermal_gap = compliance @ np.array([0.0, load, 0.0])

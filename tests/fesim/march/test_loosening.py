@@ -32,13 +32,22 @@ THREE_RODS = boxes(
     middle=rod(0.1, 0.3),
     right=rod(0.3, 0.4),
 )
-CASE = """
+JOINT = """\
+preload_MPa = 1.0
+along = 2
+across = 2
+roughness_um = 1.25
+asperity_slope = 0.14
+hardness_GPa = 1.961
+friction_coefficient = 0.6
+"""
+CASE = f"""
 title = "Three rods in line between walls"
-bodies = { left = "iron", middle = "iron", right = "iron" }
-supports = { fixed = ["left.x0", "right.x1"] }
-march = { step_s = 20.0, duration_min = 10.0, thermal = "full" }
-displacement = { point = "P" }
-probes = { P = { position_mm = [200.0, 0.0, 0.0] } }
+bodies = {{ left = "iron", middle = "iron", right = "iron" }}
+supports = {{ fixed = ["left.x0", "right.x1"] }}
+march = {{ step_s = 20.0, duration_min = 10.0, thermal = "full" }}
+displacement = {{ point = "P" }}
+probes = {{ P = {{ position_mm = [200.0, 0.0, 0.0] }} }}
 [structure]
 kind = "mesh"
 file = "rods.vtu"
@@ -50,21 +59,9 @@ youngs_modulus_GPa = 110.0
 poisson_ratio = 0.25
 expansion_1_K = 1.1e-5
 [joints.first]
-preload_MPa = 1.0
-along = 2
-across = 2
-roughness_um = 1.25
-asperity_slope = 0.14
-hardness_GPa = 1.961
-friction_coefficient = 0.6
+{JOINT}
 [joints.second]
-preload_MPa = 1.0
-along = 2
-across = 2
-roughness_um = 1.25
-asperity_slope = 0.14
-hardness_GPa = 1.961
-friction_coefficient = 0.6
+{JOINT}
 [held_temperatures."middle.z1"]
 rise_K = -30.0
 """

@@ -22,7 +22,7 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import read_response, write_response
 from thermojoint.paper.inputs import check_drivable
 from thermojoint.paper.summary import result_lines
-from thermojoint.verification.thermal_bar import bar_case, run
+from thermojoint.verification.thermal_bar import METAL, bar_case, run
 
 REFERENCE = ROOT / "thermojoint" / "cases" / "reference.toml"
 POINTS = np.array([[0.0, 0.1, 0.2], [0.0, 0.05, -0.1], [0.3, 0.0, 0.1]])
@@ -163,14 +163,7 @@ SURFACE = {
 def bars(folder, **changes):
     """Two bars with a joint, held at one end, whose right one starts warm."""
     write_structure(two_bars((4, 3, 2), (6, 2, 2)), folder / "bars.vtu")
-    iron = {
-        "conductivity_W_mK": 47.0,
-        "density_kg_m3": 7200.0,
-        "heat_capacity_J_kgK": 500.0,
-        "youngs_modulus_GPa": 104.0,
-        "poisson_ratio": 0.27,
-        "expansion_1_K": 13.7e-6,
-    }
+    iron = METAL | {"poisson_ratio": 0.27, "expansion_1_K": 13.7e-6}
     return {
         "title": "bars",
         "structure": {"kind": "mesh", "file": "bars.vtu"},
