@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from statistics import median
 
 
@@ -24,10 +24,6 @@ class Row:
     unit: str
     #: Measured quantity, number of runs, and scaling.
     note: str
-
-    def figures(self) -> dict[str, object]:
-        """Return the row as in ``bench.json``."""
-        return asdict(self)
 
 
 @dataclass(frozen=True)
