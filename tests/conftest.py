@@ -14,6 +14,7 @@ import hypothesis
 import pytest
 from in_process import run
 from own_process import FORKED
+from short_runs import few_starts as with_few_starts
 from threadpoolctl import threadpool_limits
 
 from fesim.batch import local
@@ -130,6 +131,13 @@ def forked_workers():
     with pytest.MonkeyPatch.context() as patch:
         for module in (processes, local):
             patch.setattr(module, "CONTEXT", FORKED)
+        yield
+
+
+@pytest.fixture(scope="module")
+def few_starts():
+    """For calibrations that are run for what becomes of them: their fits begin from few places."""
+    with with_few_starts():
         yield
 
 

@@ -1,7 +1,14 @@
-"""The whole chain made short for the tests: a day of forty minutes, few machines for the bands."""
+"""The whole chain made short for the tests: a day of forty minutes, few machines for the bands.
 
+Nor are fits searched from as many starts as a user's.
+"""
+
+from contextlib import contextmanager
 from functools import partial
 
+import pytest
+
+from calibrate import least_squares
 from calibrate.joint_aware.calibration import Effort
 from calibrate.joint_aware.open_band import Drawing
 from calibrate.joint_aware.physics_fit import Search
@@ -22,3 +29,16 @@ SHORT = LongRuns(
 )
 #: The placement of a and b, with fits to a fifth of the pairs.
 FEW_PAIRS = partial(choose_heat_pair, rule=Rule(shortlist=12))
+
+
+@contextmanager
+def few_starts():
+    """Meanwhile no fit begins from more than four places; `tests/calibrate` fits from all."""
+    every = least_squares._starts
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            least_squares,
+            "_starts",
+            lambda problem, count, seed: every(problem, min(count, 4), seed),
+        )
+        yield

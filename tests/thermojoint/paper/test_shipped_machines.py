@@ -57,7 +57,7 @@ del MACHINES[machine(CASES / "reference.toml")]
 
 
 @pytest.mark.parametrize("path", MACHINES.values(), ids=lambda path: path.parent.name + path.stem)
-def test_a_shipped_machine_calibrates_with_sensors_of_its_own(path, monkeypatch):
+def test_a_shipped_machine_calibrates_with_sensors_of_its_own(path, monkeypatch, few_starts):
     monkeypatch.setattr(chain, "choose_heat_pair", FEW_PAIRS)
     case = coarse(path)
     case = with_candidates(case, build_structure(case))
