@@ -182,7 +182,7 @@ def _energy_checks(folder: Path) -> Iterator[Check]:
     data = chain_data(folder, SHOWN)
     data["convection_W_m2K"] = {}
     data["heat_input"]["level"] = 0.0
-    data["march"] = {"step_s": 120.0, "duration_min": 2400.0}
+    data["march"] = {"step_s": 600.0, "duration_min": 2400.0}
     for joint in data["joints"].values():
         joint["running_friction_coefficient"] = RUNNING
     response = _marched(folder, on_axes(data, _courses(folder)))
