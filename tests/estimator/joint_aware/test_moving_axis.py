@@ -162,15 +162,15 @@ def test_a_log_and_a_service_name_the_position(estimator, samples):
 
 def test_a_calibration_finds_what_differs_and_its_band_holds_along_the_stroke(case, tmp_path):
     """The plant convects twice as much as the case says, and rests on other positions."""
-    plant = case.replace(convection_W_m2K={"exterior": 12.0}, march={"duration_min": 60.0})
+    plant = case.replace(convection_W_m2K={"exterior": 12.0}, march={"duration_min": 40.0})
     runs = {}
     for level, places in ((1.0, (200, -100, 50)), (2.0, (0, 150, -50))):
         path = tmp_path / f"course{level:g}.csv"
-        rows = [(1000.0 * k, at) for k, at in enumerate(places)]
+        rows = [(700.0 * k, at) for k, at in enumerate(places)]
         path.write_text("time_s,position_mm\n" + "".join(f"{t:g},{at}\n" for t, at in rows))
         one = plant.replace(heat_input={"level": level}, axes={"y": {"file": str(path)}})
         runs[f"{level:g}"] = simulate(one, accuracy=False).response
-    effort = Effort(Search(starts=0, steps=40, evaluations=6), Drawing(draws=4, duration=3600.0))
+    effort = Effort(Search(starts=0, steps=40, evaluations=6), Drawing(draws=2, duration=1800.0))
     found = calibrate_joint_aware(
         case, runs, SENSORS, fitted=["film", "heat", "expansion"], effort=effort
     )

@@ -126,13 +126,14 @@ def test_sensors_that_contradict_the_model_for_hours_widen_the_band(estimator, m
     wide = JointAware(replace(estimator.model, band=band))
     ends = []
     for sensed, moved in marched:
-        samples = np.column_stack([times, sensed, inputs[:, -1]]).tolist()
+        # A reading every twenty seconds.
+        samples = np.column_stack([times, sensed, inputs[:, -1]])[9::10].tolist()
         for one in (estimator, wide):
             found = [estimate for _, estimate in follow(one, samples, one.initial_state())]
             off = np.abs(found[-1].displacement - moved[-1])
-            ends.append((off, found[-1].band, found[30].band))
+            ends.append((off, found[-1].band, found[45].band))
     (_, own, _), (_, same, _), (off, narrow, _), (_, wider, before) = ends
-    assert same == pytest.approx(own)
+    assert same == pytest.approx(own, rel=1e-3)
     # In standard deviations, where the half-band is two of them.
     assert (off > 3.0 * narrow).any()
     assert (off < 2.0 * wider).all()
