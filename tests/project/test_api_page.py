@@ -15,7 +15,7 @@ BLOCKS = re.findall(r"^```python\n(.*?)^```", TEXT, re.M | re.S)
 
 
 @pytest.fixture(scope="module", autouse=True)
-def calibrated_once():
+def calibrated_once(few_starts):
     """Page and notebook calibrate from the same responses; it is done for the first of them."""
     calibrate, kept = thermojoint.calibrate, []
 

@@ -25,6 +25,8 @@ from thermojoint.paper import inputs, reproduce
 from thermojoint.paper.inputs import check_drivable, check_placeable
 from thermojoint.paper.verdict import paper_claim
 
+pytestmark = pytest.mark.usefixtures("few_starts")
+
 PAGE = (ROOT / "docs" / "calibration.md").read_text("utf-8")
 SECTION = PAGE[PAGE.index("## What a measured response must contain") :]
 BLOCKS = dict(re.findall(r"^```(\w+)[^\n]*\n(.*?)^```", SECTION, re.M | re.S))
