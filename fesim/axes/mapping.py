@@ -77,7 +77,8 @@ def _surveyed(moving: MovingMachine, state: State, alone: Array, places: Array) 
     free = np.empty((len(near.corners), held.size + probes))
     grown(table, pads, alone, free)
     found = Survey(*seen, np.empty((len(places), held.size)))
-    around_each = np.ascontiguousarray(places), near.touched, near.weight
+    # One layout, for which the sweep is compiled once.
+    around_each = np.ascontiguousarray(places), near.touched, np.ascontiguousarray(near.weight)
     settle_all(table, pads, free, around_each, trial_at(state.gap), found)
     return seen
 
