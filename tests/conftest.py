@@ -1,7 +1,6 @@
 """Fixtures that several test files share."""
 
 import copy
-import fcntl
 import gc
 import os
 import signal
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import hypothesis
 import pytest
+from compiled_once import compile_once
 from in_process import run
 from own_process import FORKED
 from short_runs import few_starts as with_few_starts
@@ -58,6 +58,7 @@ for ignored, usual in (
 if "PYTEST_XDIST_WORKER" not in os.environ:
     _KEPT = tempfile.TemporaryDirectory(prefix="thermojoint-", ignore_cleanup_errors=True)
     os.environ["THERMOJOINT_CACHE"] = _KEPT.name
+compile_once()
 
 #: What takes long begins first, so that the processes end at about the same time. The first module
 #: makes the machine code of the simulator, most of a minute where none is kept; the three after
@@ -180,19 +181,6 @@ def coarse_case(coarse_data):
 def coarse_setup(coarse_case):
     """Condensed once for all tests."""
     return set_up(coarse_case)
-
-
-@pytest.fixture(scope="session")
-def machine_code(coarse_data):
-    """The simulator's machine code, made by one process; another that needs it waits.
-
-    For what begins first: all processes would make the same.
-    """
-    data = copy.deepcopy(coarse_data)
-    data["march"] |= {"thermal": "reduced"}
-    with (Path(os.environ["THERMOJOINT_CACHE"]) / "machine-code.lock").open("w") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        simulate(case_from_data(data, "coarse case", Path()))
 
 
 @pytest.fixture(scope="session")

@@ -2,6 +2,8 @@
 
 from importlib import import_module
 
+from compiled_once import compile_once
+
 from thermojoint.artefacts.process_start import prepare_process
 
 prepare_process()
@@ -15,3 +17,4 @@ for _name in (
     "xarray",
 ):
     import_module(_name)
+compile_once()

@@ -55,7 +55,7 @@ def case(case_file):
 
 
 @pytest.fixture(scope="module")
-def results(case_file, machine_code, few_starts):
+def results(case_file, few_starts):
     """The folder that `reproduce` leaves."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(reproduce, "reproduce", partial(reproduce.reproduce, long=SHORT))

@@ -53,7 +53,7 @@ def named_on_page():
 
 
 @pytest.fixture(scope="session")
-def results(machine_code):
+def results():
     """The whole suite, run once."""
     return list(run())
 
