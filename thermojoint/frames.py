@@ -13,6 +13,7 @@ import pandas as pd
 import xarray as xr
 
 from calibrate.learning import learn as learning
+from calibrate.learning.transfer import learn_like
 from estimator import estimate_table
 from estimator.intake import axis_name
 from estimator.interface import follow
@@ -58,6 +59,7 @@ def learn(
     max_sensors: int = 4,
     kind: learning.Kind = "learned",
     ignored: Sequence[str] = (),
+    like: Sequence[LearnedModel] = (),
 ) -> LearnedModel:
     """Learn a model from the log of a machine.
 
@@ -73,6 +75,9 @@ def learn(
         ``learned``, or a baseline: ``linear``, ``ridge``, ``arx``.
     ignored : sequence of str
         Columns to ignore.
+    like : sequence of LearnedModel
+        Models of machines like this one, or of it before it aged: the log then needs few readings
+        of the displacements, and `max_sensors`, `kind` and `ignored` are theirs.
 
     Raises
     ------
@@ -82,11 +87,16 @@ def learn(
     names = [displacements] if isinstance(displacements, str) else displacements
     if isinstance(data, pd.DataFrame):
         data = log_from_frame(data)
+
+    def learned(log: Log) -> LearnedModel:
+        if like:
+            return learn_like([log], names, like)
+        return learning.learn([log], names, max_sensors, kind, ignored)
+
     if isinstance(data, Log):
-        return learning.learn([data], names, max_sensors, kind, ignored)
+        return learned(data)
     paths = [Path(data)] if isinstance(data, str | Path) else [Path(path) for path in data]
-    model = learning.learn([read_log(paths)], names, max_sensors, kind, ignored)
-    return learning.with_origin(model, [path.name for path in paths])
+    return learning.with_origin(learned(read_log(paths)), [path.name for path in paths])
 
 
 def estimate(

@@ -236,7 +236,7 @@ def _together(models: Sequence[LearnedModel], cleaned: Cleaned) -> LearnedModel:
             errors_um=errors("errors_um"),
             worst_um=errors("worst_um"),
         ),
-        log_end=_end_of(cleaned, features),
+        log_end=end_of(cleaned, features),
     )
 
 
@@ -531,7 +531,7 @@ def _model(
             {name: tuple(map(float, judged.worst)) for name, judged in errors.items()},
             {name: version(name) for name in ("thermojoint", "numpy")},
         ),
-        log_end=_end_of(cleaned, features),
+        log_end=end_of(cleaned, features),
     )
 
 
@@ -554,7 +554,7 @@ def _slope(along: Along, rows: _Rows, weights: Array, errors: Array) -> tuple[Ar
     )
 
 
-def _end_of(cleaned: Cleaned, features: tuple[Feature, ...]) -> LogEnd:
+def end_of(cleaned: Cleaned, features: tuple[Feature, ...]) -> LogEnd:
     """Return the state of the model at the end of the log's last run."""
     table = cleaned.table
     names = [column.name for column in table.columns]

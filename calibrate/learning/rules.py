@@ -237,6 +237,27 @@ class Moving:
 
 
 @dataclass(frozen=True)
+class Transfer:
+    """Learning from few readings with the models of other machines as prior.
+
+    Attributes
+    ----------
+    relative : tuple of float
+        Standard deviations of a weight between machines, relative to it, that are averaged over.
+    drifts : tuple of float
+        Sizes of the drift relative to the sisters', that are averaged over: their held-out error is
+        that of a shorter log.
+    fewest, most : int
+        Fewer readings are refused; of more, as many evenly.
+    """
+
+    relative: tuple[float, ...] = (0.03, 0.1, 0.3, 1.0)
+    drifts: tuple[float, ...] = (1.0, 2.0, 4.0, 8.0)
+    fewest: int = 4
+    most: int = 300
+
+
+@dataclass(frozen=True)
 class Rules:
     """All rules of learning."""
 
@@ -246,3 +267,4 @@ class Rules:
     fitting: Fitting = field(default_factory=Fitting)
     judging: Judging = field(default_factory=Judging)
     moving: Moving = field(default_factory=Moving)
+    transfer: Transfer = field(default_factory=Transfer)

@@ -120,7 +120,7 @@ def design(
         run = table.times[first:end], table.values[first:end]
         values = size[: len(features)] * features_of(features, names, run)
         measured = MEGA * table.values[first:end][:, at]
-        known = _known(cleaned, slice(first, end), rules)
+        known = known_rows(cleaned, slice(first, end), rules)
         if along:
             read = np.isfinite(measured + levers[first:end]) & known[:, None]
             # In the order of time, several readings of one row side by side.
@@ -138,10 +138,10 @@ def design(
         outputs.append(measured)
     if not inputs:
         raise InputError("log: no row has every displacement; record them together")
-    return Design(np.concatenate(rows), _within_runs(inputs), _within_runs(outputs))
+    return Design(np.concatenate(rows), within_runs(inputs), within_runs(outputs))
 
 
-def _known(cleaned: Cleaned, run: slice, rules: Features) -> NDArray[np.bool_]:
+def known_rows(cleaned: Cleaned, run: slice, rules: Features) -> NDArray[np.bool_]:
     """Return which rows of a run are independent of earlier heat, shape (k,) of bool.
 
     A run that starts at standstill is assumed to start at rest.
@@ -155,7 +155,7 @@ def _known(cleaned: Cleaned, run: slice, rules: Features) -> NDArray[np.bool_]:
     return np.asarray(since >= min(rules.before, rules.given_up * since[-1]) * warm)
 
 
-def _within_runs(runs: list[Array]) -> Array:
+def within_runs(runs: list[Array]) -> Array:
     """Return the rows of all runs, each run shifted to the common mean."""
     whole = np.concatenate(runs)
     if len(runs) == 1:

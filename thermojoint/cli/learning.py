@@ -42,6 +42,14 @@ def learn(  # noqa: PLR0913 - the options of a command
     ignore: Annotated[
         list[str] | None, typer.Option(help="A column to ignore; may be repeated.")
     ] = None,
+    like: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="MODEL",
+            help="Model of a machine like this one, or of it before it aged: few readings of the "
+            "displacement are enough; may be repeated.",
+        ),
+    ] = None,
     figure: Annotated[
         Path | None,
         typer.Option(help="Picture of measured and estimated displacement on held-out time."),
@@ -63,6 +71,12 @@ def learn(  # noqa: PLR0913 - the options of a command
 
     Example: [bold]thermojoint learn log.csv --displacement x_um@y_pos_mm --out model.json[/bold]
 
+    Few readings are enough beside the model of a machine like this one, learned from a log; leave
+    the displacement empty where it was not read.
+
+    Example: [bold]thermojoint learn readings.csv --displacement x_um --like sister.json
+    --out model.json[/bold]
+
     With a mesh, a joint-aware model learns from the same log: temperatures named after the
     probes, the heat as heat_W, every run from rest.
 
@@ -70,27 +84,36 @@ def learn(  # noqa: PLR0913 - the options of a command
     --case machine.toml --out model.h5[/bold]
     """
     from calibrate.learning.learn import learn_and_judge, with_origin
+    from calibrate.learning.transfer import learn_like
     from thermojoint import console
     from thermojoint.artefacts.log_file import log_pieces
     from thermojoint.cli.log_reading import reported
-    from thermojoint.models.learned import write_learned
+    from thermojoint.models.learned import read_learned, write_learned
     from thermojoint.pictures.figures import check_format
 
     renamed = renamed_by(column, mapping)
     if kind == "joint-aware":
-        arguments.only_for("a model learned without --case", {"--figure": figure})
+        arguments.only_for("a model learned without --case", {"--figure": figure, "--like": like})
         joint_aware.learn(case, logs, displacement, renamed, out)
         return
     arguments.only_for("--kind joint-aware", {"--case": case})
+    if like:
+        other = None if kind == "learned" else kind
+        without = {"--kind": other, "--ignore": ignore, "--figure": figure}
+        arguments.only_for("a model learned without --like", without)
     outputs = {"--out": (out, file_kinds.LEARNED)}
     if figure is not None:
         check_format(figure)
         outputs["--figure"] = (figure, file_kinds.PICTURE)
-    arguments.check_outputs(outputs, [*logs, mapping])
+    arguments.check_outputs(outputs, [*logs, *(like or ()), mapping])
+    sisters = [read_learned(path) for path in like or ()]
     pieces = reported(log_pieces(logs, renamed))
     files = [path.name for path in logs]
     with console.working("learning"):
-        model, held_out = learn_and_judge(pieces, displacement, max_sensors, kind, ignore or ())
+        if sisters:
+            model = learn_like(pieces, displacement, sisters)
+        else:
+            model, held_out = learn_and_judge(pieces, displacement, max_sensors, kind, ignore or ())
         model = with_origin(model, files, renamed)
     write_learned(model, out)
     if figure is not None:

@@ -41,6 +41,8 @@ FILE = JsonKind(
 
 #: Name of the mean displacement in the comparison of kinds of models.
 MEAN = "mean"
+#: Name of the given model as it is, with a zero of this log, in the same comparison.
+SISTER = "sister"
 #: A kind is preferred to the requested one if its error is below this fraction of the other's.
 _BETTER = 0.9
 #: Errors below this are measurement noise and count as equal, µm.
@@ -162,7 +164,7 @@ class LearnedFrom:
         Limitations of the log.
     errors_um, worst_um : dict
         Kind of model to the rms error of each displacement on all held-out blocks, and on the worst
-        one, µm; `MEAN` is the mean displacement without a model.
+        one, µm; `MEAN` is the mean displacement without a model, `SISTER` a given model as it is.
     versions : dict
         Package to version.
     """
@@ -191,7 +193,7 @@ class LearnedFrom:
                 for a, b in zip(worst, self.worst_um[own], strict=True)
             )
             for name, worst in self.worst_um.items()
-            if name not in (MEAN, own)
+            if name not in (MEAN, SISTER, own)
         }
         least = min(ratios, key=lambda name: ratios[name], default=own)
         return least if ratios.get(least, 1.0) < _BETTER else own
