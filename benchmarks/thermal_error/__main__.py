@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.thermal_error import leaderboard, making, tasks
 from benchmarks.thermal_error.methods import METHODS, method_named
-from benchmarks.thermal_error.plants import PLANTS
+from benchmarks.thermal_error.plants import NAMES
 from benchmarks.thermal_error.scoring import Method, NotApplicable, Score, score
 from thermojoint.artefacts.errors import ThermojointError
 
@@ -40,12 +40,12 @@ def _parser() -> argparse.ArgumentParser:
     folder = {"type": Path, "default": Path("thermal_error_data"), "help": "folder of the data"}
     make = commands.add_parser("make", help="simulate the data and check it against the hashes")
     make.add_argument("--data", **folder)
-    make.add_argument("--plant", action="append", choices=list(PLANTS), help="default: all")
+    make.add_argument("--plant", action="append", choices=list(NAMES), help="default: all")
     make.add_argument("--freeze", action="store_true", help="take these data as the frozen ones")
     make.set_defaults(run=_make)
     scored = commands.add_parser("score", help="judge methods, write the leaderboard")
     scored.add_argument("--data", **folder)
-    scored.add_argument("--plant", action="append", choices=list(PLANTS), help="default: all")
+    scored.add_argument("--plant", action="append", choices=list(NAMES), help="default: all")
     scored.add_argument("--measured", type=Path, help="CSV of the measured machine, if you have it")
     scored.add_argument("--method", action="append", help="name or package.module:function")
     scored.add_argument("--out", type=Path, default=Path("leaderboard"), help="writes .json, .md")
@@ -54,10 +54,11 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _make(options: argparse.Namespace) -> int:
+    plants = tuple(options.plant or NAMES)
     if options.freeze:
-        making.freeze(options.data, print)
+        making.freeze(options.data, print, plants)
         return 0
-    other = making.make(options.data, print, tuple(options.plant or PLANTS))
+    other = making.make(options.data, print, plants)
     return DIFFERENT if other else 0
 
 
@@ -76,7 +77,7 @@ def _score(options: argparse.Namespace) -> int:
 
 
 def _tasks(options: argparse.Namespace) -> Iterator[tasks.Task]:
-    yield from tasks.simulated(options.data, tuple(options.plant or PLANTS))
+    yield from tasks.simulated(options.data, tuple(options.plant or NAMES))
     if options.measured:
         yield from tasks.measured(options.measured)
 

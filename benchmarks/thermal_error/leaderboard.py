@@ -9,12 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.thermal_error.plants import STRUCTURAL
 from benchmarks.thermal_error.scoring import Score
 from thermojoint.artefacts.files import write_text
 
 #: How the tasks of measured machines begin.
 MEASURED = "measured"
-SCHEMA = {"schema": "thermojoint-thermal-error-benchmark", "schema_version": 1}
+SCHEMA = {"schema": "thermojoint-thermal-error-benchmark", "schema_version": 2}
 
 
 def as_json(scores: Iterable[Score], not_applicable: Iterable[tuple[str, str, str]]) -> str:
@@ -30,14 +31,33 @@ def as_json(scores: Iterable[Score], not_applicable: Iterable[tuple[str, str, st
 
 
 def as_markdown(scores: Sequence[Score]) -> str:
-    """Return a table for the simulated and one for the measured machines.
+    """Return tables of the machines with other parameters, other structure, and measured ones.
 
     A row for each method, a column for each task, RMS in µm by channel. The last column is the part
     removed of the uncompensated RMS, mean over tasks and channels, by which the rows are ranked.
+    Then a table of the bands: a row for each task, the share inside and the interval score.
     """
     measured = [one for one in scores if one.task.startswith(MEASURED)]
-    simulated = [one for one in scores if not one.task.startswith(MEASURED)]
-    return "\n".join(_table(part) for part in (simulated, measured) if part)
+    unlike = [one for one in scores if one.task.split(",")[0] in STRUCTURAL]
+    others = [one for one in scores if one not in measured and one not in unlike]
+    tables = [_table(part) for part in (others, unlike, measured) if part]
+    banded = [one for one in scores if one.cover is not None]
+    return "\n".join(tables + ([_bands(banded)] if banded else []))
+
+
+def _bands(scores: Sequence[Score]) -> str:
+    """Return the table of the bands: share of the samples inside, interval score in µm."""
+    methods = list(dict.fromkeys(one.method for one in scores))
+    heads = [f"{name}, inside, % | {name}, interval score" for name in methods]
+    lines = [f"| task | {' | '.join(heads)} |", "|---|" + "---|---|" * len(methods)]
+    for task in dict.fromkeys(one.task for one in scores):
+        cells = []
+        for method in methods:
+            found = [one for one in scores if (one.task, one.method) == (task, method)]
+            cells.append(" / ".join(f"{100 * (one.cover or 0.0):.0f}" for one in found) or "-")
+            cells.append(" / ".join(f"{one.interval_score_um:.3g}" for one in found) or "-")
+        lines.append(f"| {task} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
 
 
 def _table(scores: Sequence[Score]) -> str:

@@ -1,4 +1,4 @@
-"""The simulated machines: the reference, and two random variations unknown to the models."""
+"""The simulated machines: the reference, two of other parameters, two of another structure."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.plants import driving
+from benchmarks.plants.drawing import draw_unlike
+from benchmarks.plants.structural import structural_answers
 from benchmarks.thermal_error.drives import AMBIENT_DEGC, INTERVAL, Drive, heat_input
 from fesim.case.schema import Case, case_from_data
 from fesim.setup.machine import Setup, set_up
@@ -70,8 +73,15 @@ PLANTS: dict[str, dict[str, float]] = {
     },
 }
 
+#: Plants of the structural family of `benchmarks.plants`, by number. The seed is this benchmark's.
+STRUCTURAL = {"structural-1": 0, "structural-2": 1}
+STRUCTURAL_SEED = 2026
+NAMES = (*PLANTS, *STRUCTURAL)
 
-def machine_data(sizes_mm: tuple[float, float], changed: Mapping[str, float]) -> dict[str, Any]:
+
+def machine_data(
+    sizes_mm: tuple[float, float], changed: Mapping[str, float], thermal: str = "full"
+) -> dict[str, Any]:
     """Return the reference case on a mesh, with the sensors of the benchmark and values changed."""
     text = files("thermojoint").joinpath("cases/reference.toml").read_text("utf-8")
     data = tomllib.loads(text)
@@ -81,7 +91,7 @@ def machine_data(sizes_mm: tuple[float, float], changed: Mapping[str, float]) ->
         name: {"body": body, "position_mm": list(place)} for name, (body, place) in PLACES.items()
     }
     # The reduced model is chosen to a tolerance: its last digits may differ between processors.
-    data["march"] = {"step_s": INTERVAL, "duration_min": 35.0, "thermal": "full"}
+    data["march"] = {"step_s": INTERVAL, "duration_min": 35.0, "thermal": thermal}
     for path, value in changed.items():
         *way, key = path.split(".")
         section = data
@@ -93,9 +103,7 @@ def machine_data(sizes_mm: tuple[float, float], changed: Mapping[str, float]) ->
 
 def model_case() -> Case:
     """Return the machine as a method may know it: nominal values, another mesh than a plant's."""
-    data = machine_data(MODEL_MM, {})
-    data["march"]["thermal"] = "reduced"
-    return case_from_data(data, "nominal machine", Path())
+    return case_from_data(machine_data(MODEL_MM, {}, "reduced"), "nominal machine", Path())
 
 
 def set_up_plant(plant: str, sizes_mm: tuple[float, float] = PLANT_MM) -> tuple[dict, Setup]:
@@ -119,10 +127,40 @@ def driven(data: dict[str, Any], setup: Setup, drive: Drive, seed: int) -> dict[
     with tempfile.TemporaryDirectory() as name:
         case = _case(data, drive, Path(name))
         response = simulate(case, setup=setup, accuracy=False).response
-    rng = np.random.default_rng(seed)
-    rises = response["temperature"].to_numpy()
-    read = rises + NOISE_K * rng.standard_normal(rises.shape)
     moved = response["displacement"].sel(axis=list(AXES)).to_numpy()
+    return logged(drive, response["temperature"].to_numpy(), moved, seed)
+
+
+def driven_unlike(name: str, drives: Mapping[str, Drive], seed: int) -> dict[str, dict[str, Array]]:
+    """Return name of a run to what a logger would have read, as `driven`, of `STRUCTURAL[name]`.
+
+    Parameters
+    ----------
+    name : str
+        Of the plant.
+    drives : dict of str to Drive
+        Name to inputs.
+    seed : int
+        Of the noise of the first run; the others follow.
+    """
+    sensors = tuple(PLACES)
+    plant = draw_unlike(model_case(), sensors, STRUCTURAL_SEED, STRUCTURAL[name])
+    data = machine_data(PLANT_MM, {}, "reduced")
+    inputs = {
+        run: driving.Drive(heat_input(drive.rpm)[1:], drive.ambient[1:] - AMBIENT_DEGC)
+        for run, drive in drives.items()
+    }
+    answers = structural_answers(data, sensors, plant, inputs)
+    return {
+        run: logged(drives[run], one.temperature + plant.offset, one.displacement, seed + k)
+        for k, (run, one) in enumerate(answers.items())
+    }
+
+
+def logged(drive: Drive, rises: Array, moved: Array, seed: int) -> dict[str, Array]:
+    """Return the columns of rises above the first ambient, K, and displacements, m, with noise."""
+    rng = np.random.default_rng(seed)
+    read = rises + NOISE_K * rng.standard_normal(rises.shape)
     moved = moved + NOISE_M * rng.standard_normal(moved.shape)
     columns = {"time_s": drive.times, "spindle_rpm": drive.rpm, "ambient_degC": drive.ambient}
     columns |= {f"{name}_degC": AMBIENT_DEGC + read[:, k] for k, name in enumerate(PLACES)}

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.thermal_error.tasks import Task, actual, without_displacement
+from benchmarks.thermal_error.tasks import Task, actual, as_given
+from estimator.rows import interval_score
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
@@ -16,12 +17,13 @@ from thermojoint.artefacts.log import Log
 #: Column of displacement to what is predicted, m, shape (k,); or (k, 2), where the second column
 #: is half of the width in which the displacement lies with 95 %.
 Predictions = Mapping[str, Array]
-#: From a training log and a test log without displacement.
+#: From a training log and a test log without displacement, or with a few readings of it.
 Method = Callable[[Log, Log], Predictions]
 
 #: Two predictions of one moment may differ by this, m.
 SAME = 1e-9
-#: A method is run again on this part of the test, to see that it does not look ahead.
+#: A method is run again on this part of the test, and on what precedes every reading of the
+#: displacement, to see that it does not look ahead.
 HEARD = 0.5
 
 
@@ -42,8 +44,10 @@ class Score:
         1 - rms of the error / rms of the displacement itself.
     cover : float or None
         Part of the samples inside the band, where the method gives one.
+    interval_score_um : float or None
+        `estimator.rows.interval_score` of the band, µm.
     seconds : float
-        Learning and predicting, once.
+        Of the processor: learning, if no task before had the same training, and predicting.
     """
 
     task: str
@@ -53,6 +57,7 @@ class Score:
     max_um: float
     removed: float
     cover: float | None
+    interval_score_um: float | None
     seconds: float
 
 
@@ -74,22 +79,27 @@ def score(task: Task, name: str, method: Method) -> list[Score]:
     NotApplicable
         The method cannot learn from this log.
     """
-    test = without_displacement(task.test)
-    begun = time.perf_counter()
+    test = as_given(task)
+    begun = time.process_time()
     predicted = method(task.training, test)
-    taken = time.perf_counter() - begun
-    heard = round(HEARD * len(test.times))
-    again = method(task.training, test.part(slice(0, heard)))
+    taken = time.process_time() - begun
+    cuts = (round(HEARD * len(test.times)), *(at for at in task.read if at))
+    again = {cut: method(task.training, test.part(slice(0, cut))) for cut in cuts}
+    late = test.times >= test.times[0] + task.settled
     found = []
     for channel, true in actual(task).items():
         claim, band = _checked(predicted, channel, len(test.times), name)
-        past, _ = _checked(again, channel, heard, name)
-        if np.abs(past - claim[:heard]).max() > SAME:
-            raise InputError(f"{name}: {channel} changes if the future is withheld; look back only")
-        there = np.isfinite(true)
+        for cut, short in again.items():
+            past, _ = _checked(short, channel, cut, name)
+            if np.abs(past - claim[:cut]).max() > SAME:
+                raise InputError(
+                    f"{name}: {channel} changes if the future is withheld; look back only"
+                )
+        there = np.isfinite(true) & late
         error = np.abs(claim - true)[there]
         still = float(np.sqrt(np.mean(true[there] ** 2)))
         rms = float(np.sqrt(np.mean(error**2)))
+        within = None if band is None else band[there]
         found.append(
             Score(
                 task=task.name,
@@ -98,7 +108,10 @@ def score(task: Task, name: str, method: Method) -> list[Score]:
                 rms_um=1e6 * rms,
                 max_um=1e6 * float(error.max()),
                 removed=1.0 - rms / still,
-                cover=None if band is None else float(np.mean(error <= band[there])),
+                cover=None if within is None else float(np.mean(error <= within)),
+                interval_score_um=None
+                if within is None
+                else 1e6 * float(interval_score(error, within)),
                 seconds=taken,
             )
         )

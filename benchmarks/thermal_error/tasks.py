@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.thermal_error.faults import FAULTS
 from benchmarks.thermal_error.making import FAULTY, LEVELS, check
-from benchmarks.thermal_error.plants import PLANTS
+from benchmarks.thermal_error.plants import NAMES, STRUCTURAL
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.log_file import read_log
@@ -21,6 +21,12 @@ from thermojoint.artefacts.log_file import read_log
 MEASURED_SHA256 = "549cd09de09fab254f90109b51975eebf27b5c848a9f4eec1589b3825ba639cf"
 #: Where its log is split: a method learns on one side and is judged on the other.
 SPLIT = 0.6
+#: These machines are also started warm, and read twice a day.
+HARD = (FAULTY, *STRUCTURAL)
+#: A warm start is this part into the day, and judged from this long after it, s.
+WARM, SETTLED = 0.5, 1200.0
+#: Parts of the day at which the displacement is read.
+READ = (0.25, 0.75)
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,12 +39,30 @@ class Task:
     training : Log
         With everything.
     test : Log
-        With everything; a method is given `without_displacement(test)`.
+        With everything; a method is given `as_given(task)`. Its clock is zero where the machine was
+        cold.
+    read : tuple of int
+        Samples of the test at which the method is given the displacement.
+    settled : float
+        The method is judged from this long after the test's begin, s.
     """
 
     name: str
     training: Log
     test: Log
+    read: tuple[int, ...] = ()
+    settled: float = 0.0
+
+
+def as_given(task: Task) -> Log:
+    """Return the test as a method sees it: its lengths are NaN unless read, or left out."""
+    if not task.read:
+        return without_displacement(task.test)
+    values = task.test.values.copy()
+    hidden = np.setdiff1d(np.arange(len(values)), task.read)
+    lengths = [task.test.index(name) for name in task.test.of("length")]
+    values[np.ix_(hidden, lengths)] = np.nan
+    return replace(task.test, values=values)
 
 
 def without_displacement(log: Log) -> Log:
@@ -48,8 +72,10 @@ def without_displacement(log: Log) -> Log:
     return replace(log, columns=columns, values=log.values[:, kept])
 
 
-def simulated(folder: Path, plants: tuple[str, ...] = tuple(PLANTS)) -> Iterator[Task]:
-    """Yield the tasks of the simulated machines: an unseen day, and the same day with faults.
+def simulated(folder: Path, plants: tuple[str, ...] = NAMES) -> Iterator[Task]:
+    """Yield the tasks of the simulated machines, all of one unseen day.
+
+    As it is, with faults, begun in its middle on a warm machine, and with readings.
 
     Parameters
     ----------
@@ -70,6 +96,13 @@ def simulated(folder: Path, plants: tuple[str, ...] = tuple(PLANTS)) -> Iterator
         for name in tests:
             test = read_log([check(folder, f"{plant}-test-{name}")])
             yield Task(f"{plant}, {name}", training, test)
+        if plant in HARD:
+            day = read_log([check(folder, f"{plant}-test-day")])
+            count = len(day.times)
+            warm = day.part(slice(round(WARM * count), count))
+            yield Task(f"{plant}, warm", training, warm, settled=SETTLED)
+            read = tuple(round(part * count) for part in READ)
+            yield Task(f"{plant}, two readings", training, day, read)
 
 
 def measured(path: Path) -> Iterator[Task]:

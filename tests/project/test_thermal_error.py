@@ -14,7 +14,7 @@ from benchmarks.thermal_error import __main__ as command
 from benchmarks.thermal_error import drives, freezing, leaderboard, making, plants, tasks
 from benchmarks.thermal_error.faults import FAULTS, SENSOR
 from benchmarks.thermal_error.methods import METHODS, method_named
-from benchmarks.thermal_error.methods.logs import held, responses
+from benchmarks.thermal_error.methods.logs import held, moved_to_readings, responses
 from benchmarks.thermal_error.scoring import NotApplicable, Score, score
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
@@ -89,23 +89,24 @@ def test_a_day_is_the_same_day_whenever_it_is_drawn():
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory):
-    """The benchmark with one machine, coarse, whose days last half an hour."""
+    """The benchmark with one machine of each family, coarse, whose days last half an hour."""
     folder = tmp_path_factory.mktemp("thermal_error")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(making, "FROZEN", folder / "frozen.json")
-        patch.setattr(making, "PLANTS", {"reference": {}})
+        patch.setattr(plants, "PLANT_MM", (100.0, 100.0))
         patch.setattr(drives, "DAY_S", 1800.0)
         patch.setattr(drives, "STEP_S", 600.0)
+        patch.setattr(tasks, "SETTLED", 300.0)
         coarse = plants.set_up_plant("reference", (100.0, 100.0))
         patch.setattr(making, "set_up_plant", lambda plant: coarse)
-        making.freeze(folder / "data", print)
+        making.freeze(folder / "data", print, ("reference", "structural-1"))
         yield folder / "data"
 
 
 def test_data_made_again_are_the_frozen_ones(small, tmp_path):
     told = []
-    assert making.make(tmp_path, told.append, ("reference",)) == []
-    assert len(told) == len(making.read_frozen()) == 9
+    assert making.make(tmp_path, told.append, ("reference", "structural-1")) == []
+    assert len(told) == len(making.read_frozen()) == 9 + 5
     for path in tmp_path.iterdir():
         assert path.read_bytes() == (small / path.name).read_bytes()
 
@@ -121,12 +122,30 @@ def test_a_file_that_is_not_the_frozen_one_is_refused(small, tmp_path):
 
 
 def test_a_simulated_machine_is_learnt_from_its_steps_and_a_day(small):
-    day, *faulty = tasks.simulated(small, ("reference",))
+    day, *faulty, _, _ = tasks.simulated(small, ("reference",))
     assert day.training.starts == (0, 61, 122, 183)
     assert day.test.of("length") == ("x_um", "y_um")
     assert {one.name.split(", ")[1] for one in faulty} == set(FAULTS)
     found = [level for level, _ in responses(day.training, ("a", "b", "T1", "T2"))]
     assert found == [0.5, 1.0, 2.0, None]
+
+
+def test_a_plant_of_another_structure_is_no_reference_machine_in_the_same_runs(small):
+    day, _, _ = tasks.simulated(small, ("structural-1",))
+    (reference, *_) = tasks.simulated(small, ("reference",))
+    np.testing.assert_array_equal(day.test.at("spindle"), reference.test.at("spindle"))
+    moved, other = day.test.at("x_um"), reference.test.at("x_um")
+    assert np.abs(moved - other).max() > 0.05 * np.abs(other).max() > 0.0
+
+
+def test_a_warm_task_begins_within_the_day_and_another_is_read_twice(small):
+    day, warm, read = tasks.simulated(small, ("structural-1",))
+    assert warm.test.times[0] > 0.0
+    assert warm.test.times[-1] == day.test.times[-1]
+    shown = np.isfinite(tasks.as_given(read).at("x_um"))
+    assert np.flatnonzero(shown).tolist() == list(read.read)
+    assert len(read.read) == 2
+    assert not tasks.as_given(warm).of("length")
 
 
 def test_the_measured_machine_is_known_by_its_hash(tmp_path):
@@ -205,7 +224,49 @@ def test_a_band_is_judged_by_what_it_covers(task):
     def banded(training, test):
         return {"x_um": np.column_stack((np.zeros(len(test.times)), np.ones(len(test.times))))}
 
-    assert score(task, "banded", banded)[0].cover == pytest.approx(1.0)
+    (row,) = score(task, "banded", banded)
+    assert row.cover == pytest.approx(1.0)
+    # Twice the half-width of 1 m, as nothing is outside.
+    assert row.interval_score_um == pytest.approx(2e6)
+
+
+KNOWN = made_log(seed=2)
+
+
+def off_by(error):
+    """A method that is off by as much, m, in every sample."""
+
+    def predict(training, test):
+        return {"x_um": np.interp(test.times, KNOWN.times, KNOWN.at("x_um")) + error}
+
+    return predict
+
+
+def test_a_method_without_readings_is_moved_to_the_last_one(task):
+    read = tasks.Task("read", task.training, KNOWN, (450,))
+    (as_it_is,) = score(read, "off", off_by(1e-6))
+    (moved,) = score(read, "moved", moved_to_readings(off_by(1e-6)))
+    assert as_it_is.rms_um == pytest.approx(1.0)
+    assert moved.rms_um == pytest.approx(np.sqrt(0.5))
+
+
+def test_a_method_that_uses_a_reading_before_it_was_made_is_refused(task):
+    read = tasks.Task("read", task.training, KNOWN, (300, 600))
+
+    def prophet(training, test):
+        known = test.at("x_um")[np.isfinite(test.at("x_um"))]
+        return {"x_um": np.full(len(test.times), known[0] if known.size else 0.0)}
+
+    with pytest.raises(InputError, match="if the future is withheld"):
+        score(read, "prophet", prophet)
+
+
+def test_a_task_is_judged_from_when_it_has_settled(task):
+    def late(training, test):
+        return {"x_um": np.where(test.times < 1200.0, 1.0, test.times * 0.0)}
+
+    settled = tasks.Task("warm", task.training, KNOWN, settled=1200.0)
+    assert score(settled, "late", late)[0].removed == pytest.approx(0.0, abs=1e-12)
 
 
 @pytest.mark.parametrize("name", ["linear", "fchs", "joint-aware"])
@@ -253,7 +314,7 @@ def test_an_outsiders_method_as_on_the_page_is_scored_from_its_own_folder(
     assert command.main(["score", *chosen, *methods]) == 0
     rows = json.loads((tmp_path / "mine.json").read_text("utf-8"))["scores"]
     assert {row["method"] for row in rows} == {"outsider.mine:predict", "none"}
-    assert len(rows) == 2 * 2 * (1 + len(FAULTS))
+    assert len(rows) == 2 * 2 * (3 + len(FAULTS))
     assert "outsider.mine:predict" in (tmp_path / "mine.md").read_text("utf-8")
     assert command.main(["score", *chosen, "--method", "outsider.mine:nothing"]) == 2
     assert capsys.readouterr().err.splitlines()[-1].startswith("thermal_error: --method")

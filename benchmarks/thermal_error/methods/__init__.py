@@ -16,6 +16,7 @@ METHODS = {
     "learned": "benchmarks.thermal_error.methods.learning:learned",
     "linear": "benchmarks.thermal_error.methods.generalised:linear",
     "fchs": "benchmarks.thermal_error.methods.generalised:fchs",
+    "kalman-linear": "benchmarks.thermal_error.methods.machine_physics:kalman_linear",
     "joint-aware": "benchmarks.thermal_error.methods.machine_physics:joint_aware",
 }
 

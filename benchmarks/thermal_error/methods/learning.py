@@ -6,6 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from benchmarks.thermal_error.methods.logs import readings
 from benchmarks.thermal_error.scoring import NotApplicable
 from calibrate.learning.learn import learn
 from estimator.columns import samples_of
@@ -19,7 +20,8 @@ from thermojoint.artefacts.log import Log
 def learned(training: Log, test: Log) -> dict[str, Array]:
     """The learned model with at most four sensors."""
     estimator = _learned(training)
-    samples = samples_of(estimator.model.columns, [test])
+    columns = np.array(list(samples_of(estimator.model.columns, [test])))
+    samples = np.hstack((columns, readings(test, estimator.axes))).tolist()
     found = [one for _, one in follow(estimator, samples, estimator.initial_state())]
     claims = np.array([one.displacement for one in found])
     bands = np.array([one.band for one in found])

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import wraps
 
 import numpy as np
 import xarray as xr
 
 from benchmarks.thermal_error.drives import heat_input
 from benchmarks.thermal_error.plants import PLACES
-from benchmarks.thermal_error.scoring import NotApplicable
+from benchmarks.thermal_error.scoring import Method, NotApplicable, Predictions
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.response import make_response
@@ -52,8 +53,39 @@ def levels(log: Log) -> Array:
     return heat_input(_RPM * log.at(speeds[0]))
 
 
-def sensor_rises(log: Log, sensors: tuple[str, ...]) -> tuple[Array, Array]:
-    """Return rises of sensors above the initial ambient, and of the ambient, K.
+def moved_to_readings(method: Method) -> Method:
+    """Return a method that knows no readings, moved by the error at the last one from there on."""
+
+    @wraps(method)
+    def moved(training: Log, test: Log) -> Predictions:
+        claims = dict(method(training, test))
+        for name in test.of("length"):
+            error = held((test.at(name) - claims[name])[:, None])[:, 0]
+            claims[name] = claims[name] + np.nan_to_num(error)
+        return claims
+
+    return moved
+
+
+def readings(test: Log, columns: tuple[str, ...]) -> Array:
+    """Return the readings of a test log, m, NaN where there is none; shape (k, 0) for no task."""
+    names = columns if test.of("length") else ()
+    return np.stack([np.zeros(len(test.times))] + [test.at(name) for name in names], axis=1)[:, 1:]
+
+
+def sensor_rises(
+    log: Log, sensors: tuple[str, ...], cold: float | None = None
+) -> tuple[Array, Array]:
+    """Return rises of sensors above the ambient of the cold machine, and of the ambient, K.
+
+    Parameters
+    ----------
+    log : Log
+        Of one run.
+    sensors : tuple of str
+        Their names.
+    cold : float, optional
+        That ambient, K; the first of the log if it is not given.
 
     Raises
     ------
@@ -66,7 +98,13 @@ def sensor_rises(log: Log, sensors: tuple[str, ...]) -> tuple[Array, Array]:
         raise NotApplicable(f"log: no sensor {', '.join(sorted(missing))}")
     room = log.at(AMBIENT)
     read = np.stack([log.at(name) for name in sensors], axis=1)
-    return read - room[0], room - room[0]
+    cold = float(room[0]) if cold is None else cold
+    return read - cold, room - cold
+
+
+def cold_ambient(training: Log) -> float:
+    """Return the ambient at which the machine was cold, K: the first of the training."""
+    return float(training.at(AMBIENT)[0])
 
 
 def responses(log: Log, sensors: tuple[str, ...]) -> Iterator[tuple[float | None, xr.Dataset]]:

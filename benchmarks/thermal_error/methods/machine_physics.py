@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 
 import numpy as np
+import xarray as xr
 
-from benchmarks.thermal_error.methods.logs import responses, sensor_rises
+from benchmarks.thermal_error.methods.logs import (
+    cold_ambient,
+    readings,
+    responses,
+    sensor_rises,
+)
 from benchmarks.thermal_error.plants import AXES, model_case
-from calibrate.joint_aware.calibration import calibrate_machine
+from calibrate.joint_aware.calibration import JointAwareCalibration, calibrate_machine
+from calibrate.joint_aware.linear_joint import calibrate_linear_joint
 from estimator.interface import follow
 from estimator.joint_aware.estimator import JointAware
 from fesim.setup.machine import set_up
@@ -21,13 +29,25 @@ SENSORS = ("a", "b", "T1", "T2")
 
 def joint_aware(training: Log, test: Log) -> dict[str, Array]:
     """The joint-aware estimator with the four sensors of the paper, and its band."""
-    estimator = _fitted(training)
-    rises, room = sensor_rises(test, SENSORS)
-    samples = np.column_stack((test.times, rises, room)).tolist()
-    found = [one for _, one in follow(estimator, samples, estimator.initial_state())]
+    return _followed(_fitted(training, calibrate_machine), training, test)
+
+
+def kalman_linear(training: Log, test: Log) -> dict[str, Array]:
+    """The same on the machine with a linear joint: a Kalman filter."""
+    return _followed(_fitted(training, calibrate_linear_joint), training, test)
+
+
+def _followed(estimator: JointAware, training: Log, test: Log) -> dict[str, Array]:
+    rises, room = sensor_rises(test, SENSORS, cold_ambient(training))
+    names = {column.base: column.name for column in training.columns}
+    read = readings(test, tuple(names[axis] for axis in estimator.axes))
+    samples = np.column_stack((test.times, rises, room, read)).tolist()
+    # The clock counts from when the machine was cold.
+    warm = test.times[0] > 0.0
+    state = estimator.warm_state() if warm else estimator.initial_state()
+    found = [one for _, one in follow(estimator, samples, state)]
     claims = np.array([one.displacement for one in found])
     bands = np.array([one.band for one in found])
-    names = {column.base: column.name for column in training.columns}
     return {
         names[axis]: np.column_stack((claims[:, k], bands[:, k]))
         for k, axis in enumerate(estimator.axes)
@@ -40,8 +60,11 @@ def _machine() -> ReducedMachine:
     return along(reduce_machine(case, set_up(case), SENSORS), list(AXES))
 
 
-@lru_cache(maxsize=1)
-def _fitted(training: Log) -> JointAware:
+@lru_cache(maxsize=2)
+def _fitted(
+    training: Log,
+    calibrate: Callable[[ReducedMachine, Mapping[str, xr.Dataset]], JointAwareCalibration],
+) -> JointAware:
     # Before the machine is set up: the log may have nothing of it.
     runs = {f"run {k}": one for k, (_, one) in enumerate(responses(training, SENSORS))}
-    return JointAware(calibrate_machine(_machine(), runs).model)
+    return JointAware(calibrate(_machine(), runs).model)

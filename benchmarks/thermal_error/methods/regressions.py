@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter
 
-from benchmarks.thermal_error.methods.logs import displacements, temperatures
+from benchmarks.thermal_error.methods.logs import displacements, moved_to_readings, temperatures
 from calibrate.baselines import fit_autoregression
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.log import Log
@@ -28,12 +28,14 @@ def nothing(training: Log, test: Log) -> Predictions:
     return {name: np.zeros(len(test.times)) for name in training.of("length")}
 
 
+@moved_to_readings
 def multiple_linear(training: Log, test: Log) -> Predictions:
     """Multiple linear regression on the temperatures of the moment."""
     names, model = _least_squares(training)
     return _by_name(names, model.predict(temperatures(test)))
 
 
+@moved_to_readings
 def ridge(training: Log, test: Log) -> Predictions:
     """Ridge on temperatures and their low-passes, chosen with the penalty by blocks of time."""
     return {
@@ -42,6 +44,7 @@ def ridge(training: Log, test: Log) -> Predictions:
     }
 
 
+@moved_to_readings
 def autoregression(training: Log, test: Log) -> Predictions:
     """ARX on its own past estimates, from the steady state of the first temperatures."""
     names, models, mean = _arx(training)
