@@ -169,7 +169,7 @@ def machine_of(case: Case, sensors: Sequence[str]) -> ReducedMachine:
     drive = drive_on(section, material, moved.carried)
     moving = MovingAxis(moved.name, moved.asked, moved.reference, drive)
     machine = reduce_machine(
-        case, ready.setup, sensors, Guide(moving, ready.moving.guideway.whole(), first)
+        case, ready.setup, sensors, Guide(moving, ready.moving.guideway, first)
     )
     # Without those of a rotation.
     return machine.with_probes(range(len(machine.axes)))

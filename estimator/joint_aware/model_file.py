@@ -25,7 +25,7 @@ from estimator.joint_aware.observer_model import (
     Kind,
     ObserverModel,
 )
-from fesim.axes.condensation import WholeCondensations
+from fesim.axes.condensation import TiedCondensations, Ties
 from fesim.axes.guideway import GuideStations, Guideway
 from fesim.case.drive_sections import BallScrewSection, ScaleSection
 from fesim.case.joint_sections import JointSection
@@ -39,7 +39,7 @@ from thermojoint.reduced.axis_drive import AxisDrive
 from thermojoint.reduced.discrepancy import Discrepancy
 from thermojoint.reduced.machine import Joint, Modes, MovingAxis
 
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 
 #: Reads the kind; other values are refused.
 KIND: pydantic.TypeAdapter[Kind] = pydantic.TypeAdapter(Kind)
@@ -58,7 +58,7 @@ _ELASTIC = (
 )
 _LOADS = ("gap", "probes")
 _WAY = ("temperature", "means", "running")
-_STATIONS = ("positions", "place")
+_TIES = ("springs", "compliance", "area", "reference")
 _DRIVE = ("screw", "material", "scale")
 _TABLE = ("pressures", "rises", "values")
 _REMAINDER = ("rates", "temperature", "displacement")
@@ -173,10 +173,10 @@ def _arrays(model: ObserverModel) -> dict[str, Array]:
     way = model.modes.way
     if way is not None and model.moving_axis is not None:
         arrays |= {f"way/{name}": getattr(way, name) for name in _WAY}
-        arrays |= {f"way/{name}": getattr(way.stations, name)[0] for name in _STATIONS}
-        for name in _ELASTIC:
-            every = [getattr(elastic, name) for _, elastic in way.elastic.items()]
-            arrays[f"way/elastic/{name}"] = np.array(every)
+        arrays |= {f"way/ties/{name}": getattr(way.elastic.ties, name) for name in _TIES}
+        arrays |= {f"way/positions/{k}": each for k, each in enumerate(way.stations.positions)}
+        arrays |= {f"way/place/{k}": each for k, each in enumerate(way.stations.place)}
+        arrays |= {"way/thermal": way.elastic.thermal, "way/modulus": way.elastic.modulus}
         arrays["stroke/asked"] = model.moving_axis.asked
         if model.moving_axis.drive is not None:
             arrays["stroke/carried"] = model.moving_axis.drive.carried
@@ -295,12 +295,11 @@ def _drive(header: dict[str, Any] | None, arrays: Mapping[str, Array]) -> AxisDr
 
 
 def _way(arrays: Mapping[str, Array]) -> Guideway:
-    every = {name: arrays[f"way/elastic/{name}"] for name in _ELASTIC}
+    axes = range(sum(name.startswith("way/place/") for name in arrays))
+    place = tuple(arrays[f"way/place/{k}"].astype(np.int64) for k in axes)
+    ties = Ties(place=place, **{name: arrays[f"way/ties/{name}"] for name in _TIES})
     return Guideway(
         **{name: arrays[f"way/{name}"] for name in _WAY},
-        stations=GuideStations((arrays["way/positions"],), (arrays["way/place"].astype(np.int64),)),
-        elastic=WholeCondensations(
-            ((k,), ElasticCondensation(**{name: array[k] for name, array in every.items()}))
-            for k in range(len(arrays["way/positions"]))
-        ),
+        stations=GuideStations(tuple(arrays[f"way/positions/{k}"] for k in axes), place),
+        elastic=TiedCondensations(ties, arrays["way/thermal"], float(arrays["way/modulus"])),
     )

@@ -9,12 +9,12 @@ Between aligned positions the tied matrices are interpolated (`fesim.axes.guidew
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from functools import lru_cache, partial
-from itertools import product
-from typing import Protocol
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import block_diag, csr_array, eye_array, vstack
 
 from fesim.axes.operators import GuidedOperators, coupled, untied_springs
@@ -28,85 +28,120 @@ Corner = tuple[int, ...]
 KEPT_NUMBERS, KEPT = 100_000_000, 64
 
 
-class Condensations(Protocol):
-    """Condensations where all axes are aligned, on what is `felt` there of the temperatures."""
+@dataclass(frozen=True, eq=False)
+class Ties:
+    """What aligned positions tie, each when it is first wanted: m contact elements, n stations.
 
-    def __getitem__(self, corner: Corner, /) -> ElasticCondensation:
-        """Return the condensation at aligned positions."""
-
-    def items(self) -> Iterable[tuple[Corner, ElasticCondensation]]:
-        """Return all of them."""
-
-    def alone(self, temperatures: Array, /) -> Array:
-        """Return what temperatures (r, ...) do before anything is tied."""
-
-    def felt(self, corner: Corner, alone: Array, /) -> Array:
-        """Return the part of what is `alone` that counts at aligned positions."""
-
-
-class WholeCondensations(dict[Corner, ElasticCondensation]):
-    """Condensations on the temperatures themselves."""
-
-    def alone(self, temperatures: Array, /) -> Array:
-        """Return the temperatures."""
-        return temperatures
-
-    def felt(self, corner: Corner, alone: Array, /) -> Array:
-        """Return the temperatures."""
-        return alone
-
-
-class TiedCondensations:
-    """Condensations that are tied when they are first wanted.
-
-    They are small, because each is on its own rows and the probes as the temperatures displace them
-    untied, not on the temperatures.
-
-    Parameters
+    Attributes
     ----------
-    apart : UntiedCondensation
-        By `condense_apart`.
-    operators : GuidedOperators
-        Pads and stations.
+    springs : ndarray, shape (q,)
+        Of the rows condensed apart, N/m: none of 3 m of pads and 3 n of stations, then of anchors.
+    compliance : ndarray, shape (q + p, q)
+        Of these rows and p probes, m/N.
+    place : tuple of ndarray of int, shape (k, m)
+        As in `fesim.axes.operators.GuidedOperators`.
+    area : ndarray, shape (m,)
+        Of the contact elements, m2.
     reference : ndarray, shape (3 m,)
         Stiffness of the reference springs, Pa/m.
     """
 
-    def __init__(
-        self, apart: UntiedCondensation, operators: GuidedOperators, reference: Array
-    ) -> None:
-        self._apart, self._place = apart, operators.place
-        ties = reference.size + apart.springs.size - untied_springs(operators).size
-        probes = len(apart.compliance) - apart.springs.size
-        each = (reference.size + probes) * (reference.size + ties + probes)
+    springs: Array
+    compliance: Array
+    place: tuple[NDArray[np.int64], ...]
+    area: Array
+    reference: Array
+
+    def __post_init__(self) -> None:
+        """Keep what is tied."""
+        probes = len(self.compliance) - self.springs.size
+        ties = self.reference.size + self.springs.size - self.guided
+        each = (self.reference.size + probes) * (self.reference.size + ties + probes)
         kept = max(KEPT, KEPT_NUMBERS // each)
-        self._own = lru_cache(maxsize=kept)(partial(_own_rows, operators, apart))
-        self._tied = lru_cache(maxsize=kept)(
-            lambda corner: condense_aligned(apart, self._own(corner), operators, reference)
-        )
+        for name, made in (("_own", self._own_rows), ("_tied", self._condensed)):
+            object.__setattr__(self, name, lru_cache(maxsize=kept)(made))
+
+    def __reduce__(self) -> tuple[type[Ties], tuple[object, ...]]:
+        """Return what makes it anew in another process."""
+        return Ties, tuple(getattr(self, field.name) for field in fields(self))
+
+    @property
+    def guided(self) -> int:
+        """Number of rows of pads and stations."""
+        return 3 * (self.area.size + self.stations)
+
+    @property
+    def stations(self) -> int:
+        """Number of stations."""
+        return 1 + max(int(place.max(initial=-1)) for place in self.place)
+
+    def own(self, corner: Corner) -> csr_array:
+        """Return ties where all axes are aligned, then probes, on the rows condensed apart."""
+        rows: csr_array = vars(self)["_own"](corner)
+        return rows
+
+    def at(self, corner: Corner) -> ElasticCondensation:
+        """Return the condensation where all axes are aligned, on what its own rows do untied."""
+        elastic: ElasticCondensation = vars(self)["_tied"](corner)
+        return elastic
+
+    def _own_rows(self, corner: Corner) -> csr_array:
+        ties = coupled(self.place, corner, self.stations, self.springs.size - self.guided)
+        probes = eye_array(len(self.compliance) - self.springs.size)
+        return csr_array(block_diag([ties, probes], format="csr"))
+
+    def _condensed(self, corner: Corner) -> ElasticCondensation:
+        return condense_aligned(self, self.own(corner))
+
+
+@dataclass(frozen=True, eq=False)
+class TiedCondensations:
+    """Condensations where all axes are aligned, on what is `felt` there of r temperatures.
+
+    They are small, because each is on its own rows and the probes as the temperatures displace them
+    untied, not on the temperatures.
+
+    Attributes
+    ----------
+    ties : Ties
+        Of the structure.
+    thermal : ndarray, shape (q + p, r)
+        What the temperatures do to the rows condensed apart and the probes, m/K.
+    modulus : float
+        Factor on the elastic modulus of everything that `ties` has.
+    """
+
+    ties: Ties
+    thermal: Array
+    modulus: float = 1.0
 
     def __getitem__(self, corner: Corner, /) -> ElasticCondensation:
-        return self._tied(corner)
-
-    def items(self) -> Iterator[tuple[Corner, ElasticCondensation]]:
-        """Yield all condensations; each is tied if it has not been."""
-        corners = product(*(range(len(place)) for place in self._place))
-        return ((corner, self[corner]) for corner in corners)
+        elastic = self.ties.at(corner)
+        return elastic if self.modulus == 1.0 else elastic.strained(self.modulus, 1.0)
 
     def alone(self, temperatures: Array, /) -> Array:
         """Return displacements of all rows, pads, stations, anchors and probes, untied."""
-        return np.asarray(self._apart.thermal @ temperatures)
+        return np.asarray(self.thermal @ temperatures)
 
     def felt(self, corner: Corner, alone: Array, /) -> Array:
         """Return the displacements of the ties at aligned positions and of the probes."""
-        return np.asarray(self._own(corner) @ alone)
+        return np.asarray(self.ties.own(corner) @ alone)
 
+    def turned(self, rows: Callable[[Array], Array]) -> TiedCondensations:
+        """Return them on other temperatures, by what becomes of rows (..., r)."""
+        return replace(self, thermal=rows(self.thermal))
 
-def _own_rows(operators: GuidedOperators, apart: UntiedCondensation, corner: Corner) -> csr_array:
-    """Ties where all axes are aligned, then probes, on the rows condensed apart."""
-    springs = apart.springs.size
-    ties = coupled(operators, corner, springs - untied_springs(operators).size)
-    return csr_array(block_diag([ties, eye_array(len(apart.compliance) - springs)], format="csr"))
+    def strained(self, modulus: float, expansion: float) -> TiedCondensations:
+        """Return them with factors on elastic modulus and thermal expansion."""
+        thermal, modulus = expansion * self.thermal, modulus * self.modulus
+        return replace(self, thermal=thermal, modulus=modulus)
+
+    def with_probes(self, probes: Sequence[int]) -> TiedCondensations:
+        """Return them with some of their probes."""
+        size = self.ties.springs.size
+        rows = np.concatenate([np.arange(size), size + np.array(probes, dtype=np.int64)])
+        ties = replace(self.ties, compliance=self.ties.compliance[rows])
+        return replace(self, ties=ties, thermal=self.thermal[rows])
 
 
 def condense_apart(
@@ -129,36 +164,29 @@ def condense_apart(
     return untied(pieces, rows, untied_springs(operators), probes, temperatures)
 
 
-def condense_aligned(
-    apart: UntiedCondensation, own: csr_array, operators: GuidedOperators, reference: Array
-) -> ElasticCondensation:
+def condense_aligned(ties: Ties, own: csr_array) -> ElasticCondensation:
     """Return the condensation where all axes are aligned, on what ties and probes do untied.
 
     Parameters
     ----------
-    apart : UntiedCondensation
-        By `condense_apart`.
-    own : scipy.sparse.csr_array, shape (q + p, rows + p)
-        The q ties there, and the p probes, on the rows condensed apart and the probes.
-    operators : GuidedOperators
-        Pads and stations.
-    reference : ndarray, shape (3 m,)
-        Stiffness of the reference springs, Pa/m.
+    ties : Ties
+        Of the structure.
+    own : scipy.sparse.csr_array, shape (t + p, q + p)
+        The t ties there, and the p probes, on the rows condensed apart and the probes.
 
     Raises
     ------
     InputError
         Neither supports nor joints constrain the structure there.
     """
-    springs = apart.springs
-    ties = own[: own.shape[0] - len(apart.compliance) + springs.size, : springs.size]
-    area = np.tile(operators.pads.area, 3)
-    free = untied_springs(operators).size
+    springs, reference = ties.springs, ties.reference
+    bound = own[: own.shape[0] - len(ties.compliance) + springs.size, : springs.size]
+    area = np.tile(ties.area, 3)
     condensed = tied(
         UntiedCondensation(
-            np.concatenate([area * reference, springs[free:]]),
-            np.asarray(own @ (ties @ apart.compliance.T).T),
+            np.concatenate([area * reference, springs[ties.guided :]]),
+            np.asarray(own @ (bound @ ties.compliance.T).T),
             np.eye(own.shape[0]),
         )
     )
-    return elastic_condensation(condensed, operators.pads, reference)
+    return elastic_condensation(condensed, ties.area, reference)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from fesim.axes.condensation import Condensations, Corner, WholeCondensations
+from fesim.axes.condensation import Corner, TiedCondensations
 from fesim.axes.occupation import Shares, even, weights_at
 from fesim.march.passing import Touches
 from fesim.solid.condensation import ElasticCondensation
@@ -129,7 +129,7 @@ class Guideway:
     #: What the contact elements cover.
     stations: GuideStations
     #: Where all axes are aligned, by which position of each axis.
-    elastic: Condensations
+    elastic: TiedCondensations
     #: Shape (m + n, r): mean temperature of each contact element without its station, K, then of
     #: each station. Of one that rides on nothing, the jump across its joint.
     temperature: Array
@@ -144,31 +144,20 @@ class Guideway:
         """The elastic condensation at the first aligned position of every axis."""
         return self.elastic[(0,) * len(self.stations.positions)]
 
-    def whole(self) -> Guideway:
-        """Return it with every condensation on the temperatures, as estimators have it."""
-        alone = self.elastic.alone(np.eye(self.temperature.shape[1]))
-        return replace(
-            self,
-            elastic=WholeCondensations(
-                (corner, _on(of, self.elastic.felt(corner, alone)))
-                for corner, of in self.elastic.items()
-            ),
-        )
-
     def elastic_at(self, at: Place) -> ElasticCondensation:
-        """Return the elastic condensation at positions, m, of a guideway that is `whole`."""
-        names = ("compliance", "thermal_gap", "probe_compliance", "probe_thermal")
-        mixed = {name: self._mixed(name, at) for name in names}
-        return replace(self.first, **mixed)
+        """Return the elastic condensation at positions, m, on the temperatures."""
+        free, there = self.free_at(at, self.elastic.thermal), self.contact_at(at)
+        gaps = there.reference.size
+        return replace(there, thermal_gap=free[:gaps], probe_thermal=free[gaps:])
 
     def free_at(self, at: Place, alone: Array) -> Array:
-        """Return gaps without contact (3 m,), then displacements (p,), m, at positions, m.
+        """Return gaps without contact (3 m, ...), then displacements (p, ...), m, at positions, m.
 
         Parameters
         ----------
         at : tuple of float
             m.
-        alone : ndarray
+        alone : ndarray, shape (q + p, ...)
             What the temperatures do untied, by `elastic.alone`.
         """
         touched = [
@@ -225,27 +214,14 @@ class Guideway:
         """
         return np.asarray(self.running * pressure * way / length)
 
-    def turned(
-        self,
-        rows: Callable[[Array], Array],
-        elastic: Callable[[ElasticCondensation], ElasticCondensation],
-    ) -> Guideway:
-        """Return a whole one with changed rows (..., r) of temperatures, and changed elasticity."""
+    def turned(self, rows: Callable[[Array], Array]) -> Guideway:
+        """Return it on other temperatures, by what becomes of rows (..., r)."""
         return replace(
             self,
-            elastic=WholeCondensations((at, elastic(of)) for at, of in self.elastic.items()),
+            elastic=self.elastic.turned(rows),
             temperature=rows(self.temperature),
             means=rows(self.means),
         )
-
-
-def _on(elastic: ElasticCondensation, temperatures: Array) -> ElasticCondensation:
-    """A condensation on temperatures (r,), given what each of them does to its own (q, r)."""
-    return replace(
-        elastic,
-        thermal_gap=elastic.thermal_gap @ temperatures,
-        probe_thermal=elastic.probe_thermal @ temperatures,
-    )
 
 
 def sides(coefficients: Array | csr_array, temperature: Array, means: Array) -> tuple[Array, Array]:

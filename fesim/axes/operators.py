@@ -92,15 +92,19 @@ def places_at(place: Sequence[NDArray[np.int64]], corner: Sequence[int]) -> NDAr
     return np.asarray(np.maximum.reduce(rows))
 
 
-def coupled(operators: GuidedOperators, corner: Sequence[int], others: int) -> csr_array:
+def coupled(
+    places: Sequence[NDArray[np.int64]], corner: Sequence[int], stations: int, others: int
+) -> csr_array:
     """Return the ties at aligned positions as combinations of the rows condensed apart.
 
     Parameters
     ----------
-    operators : GuidedOperators
-        With m contact elements and n stations.
+    places : sequence of ndarray of int, shape (k, m)
+        As in `GuidedOperators`.
     corner : sequence of int
         Which aligned position of each axis.
+    stations : int
+        n.
     others : int
         Number of further rows, which remain as they are.
 
@@ -109,8 +113,8 @@ def coupled(operators: GuidedOperators, corner: Sequence[int], others: int) -> c
     scipy.sparse.csr_array, shape (3 m + others, 3 m + 3 n + others)
         On the rows of the pads, then those of the stations, then the others.
     """
-    place = places_at(operators.place, corner)
-    count, stations = place.size, operators.heat.shape[0]
+    place = places_at(places, corner)
+    count = place.size
     own = np.concatenate([np.arange(3 * count), 3 * count + np.arange(others)])
     columns = np.concatenate([np.arange(3 * count), 3 * (count + stations) + np.arange(others)])
     riding = np.flatnonzero(place >= 0)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, kron, vstack
 
 from fesim.axes.axis import Axis, Volume
-from fesim.axes.condensation import TiedCondensations, condense_apart
+from fesim.axes.condensation import TiedCondensations, Ties, condense_apart
 from fesim.axes.guideway import GuideStations, Guideway
 from fesim.axes.machine import MovingMachine
 from fesim.axes.operators import GuidedOperators, guided_operators, places_at
@@ -291,9 +291,9 @@ def _moving(whole: Discretised, keys: CacheKeys) -> tuple[MovingMachine, Thermal
     _check_size(whole, operators)
     apart = _apart(whole, operators, _probes(whole), keys.elasticity)
     modes = _modes(whole, operators, apart, keys.heat)
-    elastic = TiedCondensations(
-        replace(apart, thermal=apart.thermal @ modes.basis), operators, whole.springs
-    )
+    area = operators.pads.area
+    ties = Ties(apart.springs, apart.compliance, operators.place, area, whole.springs)
+    elastic = TiedCondensations(ties, apart.thermal @ modes.basis)
     thermal = project_heat(whole.heat, operators.pads, case.march.step_s, modes)
     thermal = _with_friction(thermal, len(positions))
     running = [

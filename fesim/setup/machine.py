@@ -342,7 +342,7 @@ def _condensed_elasticity(
         )
     if not again:
         field = cache(lambda: make().field(tied))
-    return elastic_condensation(tied, whole.operators, whole.springs), field, errors
+    return elastic_condensation(tied, whole.operators.area, whole.springs), field, errors
 
 
 def _undeformed(whole: Discretised) -> ElasticCondensation:

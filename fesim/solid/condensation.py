@@ -9,7 +9,8 @@ assembled: `fesim.solid.substructures` factorises body by body.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import csr_array, diags_array
@@ -98,6 +99,31 @@ class ElasticCondensation:
     reference: Array
     #: Shape (3 m,): area of the contact element of each gap component, m2.
     area: Array
+
+    def strained(self, modulus: float, expansion: float) -> ElasticCondensation:
+        """Return it with factors on elastic modulus and thermal expansion."""
+        return replace(
+            self,
+            compliance=self.compliance / modulus,
+            thermal_gap=expansion * self.thermal_gap,
+            probe_compliance=self.probe_compliance / modulus,
+            probe_thermal=expansion * self.probe_thermal,
+            reference=modulus * self.reference,
+        )
+
+    def turned(self, rows: Callable[[Array], Array]) -> ElasticCondensation:
+        """Return it on other temperatures, by what becomes of rows (..., n_heat)."""
+        return replace(
+            self, thermal_gap=rows(self.thermal_gap), probe_thermal=rows(self.probe_thermal)
+        )
+
+    def with_probes(self, probes: Sequence[int]) -> ElasticCondensation:
+        """Return it with some of its probes."""
+        return replace(
+            self,
+            probe_compliance=self.probe_compliance[probes],
+            probe_thermal=self.probe_thermal[probes],
+        )
 
 
 @dataclass(frozen=True)
@@ -251,23 +277,23 @@ def condense_elasticity(
         structure.substructures, joints.gap, area * reference, csr_array(probes), shape[1]
     )
     return (
-        elastic_condensation(condensed, joints, reference),
+        elastic_condensation(condensed, joints.area, reference),
         displacement_field(structure, condensed, joints),
     )
 
 
 def elastic_condensation(
-    condensed: TieCondensation, joints: JointOperators, reference: Array
+    condensed: TieCondensation, area: Array, reference: Array
 ) -> ElasticCondensation:
     """Return the condensation for time stepping from that on ties; see `condense_elasticity`."""
-    count = joints.gap.shape[0]
+    count = reference.size
     return ElasticCondensation(
         compliance=np.ascontiguousarray(condensed.compliance[:count, :count]),
         thermal_gap=condensed.thermal[:count],
         probe_compliance=np.ascontiguousarray(condensed.probe_compliance[:, :count]),
         probe_thermal=condensed.probe_thermal,
         reference=reference,
-        area=np.tile(joints.area, 3),
+        area=np.tile(area, 3),
     )
 
 

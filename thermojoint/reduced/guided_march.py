@@ -179,9 +179,9 @@ class Steps(NamedTuple):
 
 
 def aligned_elasticity(way: Guideway, laws: Laws) -> Aligned:
-    """Return the elasticity of a guideway with one axis, whole, of joints with these laws."""
+    """Return the elasticity of a guideway with one axis, of joints with these laws."""
     (positions,), (place,) = way.stations.positions, way.stations.place
-    each = [way.elastic[k,] for k in range(len(positions))]
+    each = [way.elastic_at((at,)) for at in positions.tolist()]
     slides = np.concatenate([np.full(n, law.friction.coefficient <= 0.0) for law, n in laws])
     smooth = np.concatenate([np.zeros(slides.size, dtype=bool), slides, slides])
     return Aligned(

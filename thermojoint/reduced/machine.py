@@ -6,12 +6,13 @@ parameters cost a small eigenvalue problem and no finite element (`parameters`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
+from fesim.axes.condensation import TiedCondensations
 from fesim.axes.guideway import Guideway
 from fesim.case.joint_sections import JointSection
 from fesim.case.schema import Case
@@ -157,6 +158,10 @@ class Guide:
     way: Guideway
     first: float
 
+    def on(self, elastic: TiedCondensations) -> Guide:
+        """Return it with other condensations at its aligned positions."""
+        return replace(self, way=replace(self.way, elastic=elastic))
+
 
 @dataclass(frozen=True, eq=False)
 class ReducedMachine:
@@ -266,30 +271,19 @@ class ReducedMachine:
         rest = rest_of(contact_of(modes, self.laws), modes)
         return conducted(self.laws, modes, rest, modes.start)
 
-    def with_elastic(
-        self, change: Callable[[ElasticCondensation], ElasticCondensation]
-    ) -> ReducedMachine:
-        """Return the machine with another elasticity, at every position of its axis."""
-        return replace(self, elastic=change(self.elastic), guide=_guided(self.guide, change))
+    def strained(self, modulus: float, expansion: float) -> ReducedMachine:
+        """Return the machine with factors on elastic modulus and thermal expansion."""
+        guide, elastic = self.guide, self.elastic.strained(modulus, expansion)
+        if guide is not None:
+            guide = guide.on(guide.way.elastic.strained(modulus, expansion))
+        return replace(self, elastic=elastic, guide=guide)
 
-    def with_probes(self, rows: Sequence[int]) -> ReducedMachine:
+    def with_probes(self, probes: Sequence[int]) -> ReducedMachine:
         """Return the machine with some displacement probes, by their places."""
-        return self.with_elastic(
-            lambda elastic: replace(
-                elastic,
-                probe_compliance=elastic.probe_compliance[rows],
-                probe_thermal=elastic.probe_thermal[rows],
-            )
-        )
-
-
-def _guided(
-    guide: Guide | None,
-    change: Callable[[ElasticCondensation], ElasticCondensation],
-    rows: Callable[[Array], Array] = np.asarray,
-) -> Guide | None:
-    """A guide with changed elasticity, and changed rows of temperatures."""
-    return None if guide is None else replace(guide, way=guide.way.turned(rows, change))
+        guide = self.guide
+        if guide is not None:
+            guide = guide.on(guide.way.elastic.with_probes(probes))
+        return replace(self, elastic=self.elastic.with_probes(probes), guide=guide)
 
 
 def conducted(laws: Laws, modes: Modes, joint: Rest, amplitudes: Array) -> Array:
@@ -691,13 +685,6 @@ def lagging(modes: Modes, lags: Array) -> Modes:
     def none(rows: Array) -> Array:
         return np.pad(rows, ((0, 0), (0, slow.size)))
 
-    def widened(elastic: ElasticCondensation) -> ElasticCondensation:
-        return replace(
-            elastic,
-            thermal_gap=none(elastic.thermal_gap),
-            probe_thermal=none(elastic.probe_thermal),
-        )
-
     return replace(
         modes,
         rates=np.append(modes.rates, 1.0 / lag),
@@ -707,8 +694,8 @@ def lagging(modes: Modes, lags: Array) -> Modes:
         mean=none(modes.mean),
         sensors=sensors,
         start=np.append(modes.start, (seen - followed) @ modes.start),
-        elastic=widened(modes.elastic),
-        way=None if modes.way is None else modes.way.turned(none, widened),
+        elastic=modes.elastic.turned(none),
+        way=None if modes.way is None else modes.way.turned(none),
     )
 
 
@@ -729,7 +716,7 @@ def _drive(
 
 def coupled_in(machine: ReducedMachine, basis: Array) -> ReducedMachine:
     """Return a machine on other modes, columns of `basis` (r, k), but for its r x r matrices."""
-    acting = machine.acting
+    acting, guide = machine.acting, machine.guide
     start: Array = np.zeros(basis.shape[1])
     if machine.start.any():
         capacity = basis.T @ machine.capacity
@@ -738,12 +725,8 @@ def coupled_in(machine: ReducedMachine, basis: Array) -> ReducedMachine:
         springs = replace(acting.springs, growth=acting.springs.growth @ basis)
         acting = replace(acting, springs=springs)
 
-    def turned(elastic: ElasticCondensation) -> ElasticCondensation:
-        return replace(
-            elastic,
-            thermal_gap=elastic.thermal_gap @ basis,
-            probe_thermal=elastic.probe_thermal @ basis,
-        )
+    def turned(rows: Array) -> Array:
+        return np.asarray(rows @ basis)
 
     return replace(
         machine,
@@ -753,7 +736,7 @@ def coupled_in(machine: ReducedMachine, basis: Array) -> ReducedMachine:
         mean=machine.mean @ basis,
         sensors=machine.sensors @ basis,
         start=start,
-        elastic=turned(machine.elastic),
-        guide=_guided(machine.guide, turned, lambda rows: rows @ basis),
+        elastic=machine.elastic.turned(turned),
+        guide=None if guide is None else replace(guide, way=guide.way.turned(turned)),
         acting=acting,
     )

@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from fesim.solid.bolts import BoltSprings
-from fesim.solid.condensation import ElasticCondensation, LoadInfluence
+from fesim.solid.condensation import LoadInfluence
 from thermojoint.artefacts.arrays import Array
 from thermojoint.reduced.films import Film
 from thermojoint.reduced.machine import Joint, ReducedMachine
@@ -174,19 +174,9 @@ def with_factors(machine: ReducedMachine, factors: dict[str, float]) -> ReducedM
         more *= by["film"] if film.nominal else 1.0
         convection, ambient = convection + more * film.convection, ambient + more * film.ambient
 
-    def strained(elastic: ElasticCondensation) -> ElasticCondensation:
-        return replace(
-            elastic,
-            compliance=elastic.compliance / by["modulus"],
-            thermal_gap=by["expansion"] * elastic.thermal_gap,
-            probe_compliance=elastic.probe_compliance / by["modulus"],
-            probe_thermal=by["expansion"] * elastic.probe_thermal,
-            reference=by["modulus"] * elastic.reference,
-        )
-
     lags = [by.get(lag_name(sensor), 0.0) for sensor in machine.sensor_names]
     return replace(
-        machine.with_elastic(strained),
+        machine.strained(by["modulus"], by["expansion"]),
         lags=tuple(lags) if any(lags) else (),
         capacity=by["capacity"] * machine.capacity,
         conduction=by["conduction"] * machine.conduction,

@@ -92,7 +92,9 @@ class Physics:
     def felt(self, amplitudes: Array, loads: Array) -> Array:
         """Return what the joints feel where the axis stands: of `standing`, its amplitudes."""
         way = self.modes.way
-        return amplitudes if way is None else way.free_at((float(loads[-1]),), amplitudes)
+        if way is None:
+            return amplitudes
+        return way.free_at((float(loads[-1]),), way.elastic.alone(amplitudes))
 
     @cached_property
     def held_exchange(self) -> Array:
