@@ -206,8 +206,7 @@ def fchs_figures(estimators: Sequence[Fchs], response: xr.Dataset) -> dict[str, 
 
 def figures(estimator: JointAware, response: xr.Dataset) -> dict[str, Any]:
     """Return errors at the present position, of the line there, and of a model that stands."""
-    axis = estimator.model.moving_axis
-    assert axis is not None  # of a machine that has one
+    (axis,) = estimator.model.moving_axes
     samples = np.array(list(samples_in(response, estimator.model.sensors, axes=[axis.name])))
     actual = columns_of(response, "displacement", estimator.axes)
     made = _estimates(estimator, samples.tolist())

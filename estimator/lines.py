@@ -26,6 +26,8 @@ DETAILS = (
 )
 #: Ends and units of the details of the displacement at the present position, and its band.
 HERE = (("here", "m"), ("here_band", "m"))
+#: Of each line along one of several moving axes, before the name of the axis.
+ALONG = (("K0", "m"), ("slope", "m/m"))
 
 
 class Stroke(NamedTuple):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -141,7 +142,7 @@ def observer_from_rest(
         axes=machine.axes,
         sources=machine.source_names,
         calibrated=calibrated,
-        moving_axis=None if machine.guide is None else machine.guide.axis,
+        moving_axes=() if machine.guide is None else machine.guide.axes,
         factors={
             parameter.name: (parameter.factor(float(value)), float(deviation))
             for parameter, value, deviation in zip(
@@ -152,13 +153,17 @@ def observer_from_rest(
 
 
 def _tangents(modes: Modes, machine: ReducedMachine) -> list[Array]:
-    """Displacement per amplitude, (axes, r), the joints sticking; at every aligned position."""
+    """Displacement per amplitude, (axes, r), the joints sticking.
+
+    At every aligned position of an axis; of several axes at the combinations of the ends and the
+    middle of their strokes.
+    """
     if modes.way is None:
         return [sticking_tangent(modes, machine.laws)]
-    return [
-        sticking_tangent(placed(modes, float(position)), machine.laws)
-        for position in modes.way.stations.positions[0]
-    ]
+    strokes = [positions.tolist() for positions in modes.way.stations.positions]
+    if len(strokes) > 1:
+        strokes = [[one[0], one[len(one) // 2], one[-1]] for one in strokes]
+    return [sticking_tangent(placed(modes, at), machine.laws) for at in product(*strokes)]
 
 
 def warm_columns(

@@ -18,10 +18,12 @@ from calibrate.joint_aware.readings import run_in
 from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.observer_model import Calibrated, ObserverModel
 from estimator.joint_aware.readings import temperatures_in
-from fesim.axes.axis import place_of
+from fesim.axes.axis import Axis, place_of
 from fesim.axes.setup import set_up_axes
 from fesim.case.schema import Case
 from fesim.setup.machine import set_up
+from fesim.setup.parts import unit_direction
+from fesim.solid.elasticity import DIRECTIONS
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import InputError
@@ -145,34 +147,34 @@ def calibrate_joint_aware(
 
 
 def machine_of(case: Case, sensors: Sequence[str]) -> ReducedMachine:
-    """Return the machine of a case, which may have an axis, with its `sensors`.
+    """Return the machine of a case, which may have axes, with its `sensors`.
 
     Raises
     ------
     InputError
-        As `fesim.setup.machine.set_up` and `reduce_machine`; or the axis has a drive.
+        As `fesim.setup.machine.set_up` and `reduce_machine`; or a drive feels the machine.
     """
     if not case.axes:
         return reduce_machine(case, set_up(case), sensors)
-    if len(case.axes) > 1:
-        raise InputError(
-            f"joint-aware: axes {', '.join(case.axes)}: it knows one axis so far; leave out the "
-            "others, with what rides on them, in the model's case"
-        )
-    ((name, section),) = case.axes.items()
-    screw = section.ball_screw
-    material = None if screw is None else case.materials[screw.material]
-    check_drive(name, section)
+    for name, section in case.axes.items():
+        check_drive(name, section)
     ready = set_up_axes(case)
-    (moved,) = ready.axes
-    (first,) = place_of(ready.axes, 0.0)
-    drive = drive_on(section, material, moved.carried)
-    moving = MovingAxis(moved.name, moved.asked, moved.reference, drive)
-    machine = reduce_machine(
-        case, ready.setup, sensors, Guide(moving, ready.moving.guideway, first)
-    )
+    axes = tuple(_moving_axis(case, axis) for axis in ready.axes)
+    guide = Guide(axes, ready.moving.guideway, place_of(ready.axes, 0.0))
+    machine = reduce_machine(case, ready.setup, sensors, guide)
     # Without those of a rotation.
     return machine.with_probes(range(len(machine.axes)))
+
+
+def _moving_axis(case: Case, axis: Axis) -> MovingAxis:
+    """What a model knows of an axis of its case."""
+    section = case.axes[axis.name]
+    screw = section.ball_screw
+    material = None if screw is None else case.materials[screw.material]
+    drive = drive_on(section, material, axis.carried)
+    own = np.abs(unit_direction(section)).round(9) == 1.0
+    along = "".join(one for one, moves in zip(DIRECTIONS, own, strict=True) if moves)
+    return MovingAxis(axis.name, along, axis.asked, axis.reference, drive)
 
 
 def calibrate_machine(
@@ -186,7 +188,7 @@ def calibrate_machine(
     machine = along(machine, _moving(machine, responses))
     whole = [run_in(response, machine, name) for name, response in responses.items()]
     # The runs are without what the drive adds, and so is all that is fitted to them.
-    moving, machine = None if machine.guide is None else machine.guide.axis, undriven(machine)
+    moving, machine = () if machine.guide is None else machine.guide.axes, undriven(machine)
     runs = [fewer(run) for run in whole]
     fit = fit_physics(machine, runs, fitted, effort.search)
     model = make_observer(machine, fit, calibrated_range(machine, responses), noise)
@@ -194,7 +196,7 @@ def calibrate_machine(
     model = replace(model, band=band)
     band, unchecked = widened(machine, whole, fit, model, noise, effort.drawing)
     names = tuple(responses)
-    model = replace(model, band=band, moving_axis=moving)
+    model = replace(model, band=band, moving_axes=moving)
     apart = tuple(names[k] for k in unchecked)
     return JointAwareCalibration(model, fit, machine, tuple(runs), apart)
 

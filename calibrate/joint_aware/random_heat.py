@@ -39,9 +39,10 @@ def random_levels(
 
 
 def random_course(rng: np.random.Generator, steps: int, step: float, way: Guideway) -> Array:
-    """Return positions of an axis at the end of each step, m, shape (n, 1).
+    """Return positions of x axes at the end of each step, m, shape (n, x).
 
-    Half of the time it stands anywhere on the stroke; else it goes to another place in every step.
+    Half of the time an axis stands anywhere on its stroke; else it goes to another place in every
+    step.
 
     Parameters
     ----------
@@ -52,13 +53,18 @@ def random_course(rng: np.random.Generator, steps: int, step: float, way: Guidew
     step : float
         s.
     way : Guideway
-        Its stroke.
+        Their strokes.
     """
-    low, high = way.stations.positions[0][[0, -1]]
+    strokes = [positions[[0, -1]] for positions in way.stations.positions]
+    return np.column_stack([_course(rng, steps, step, *stroke) for stroke in strokes])
+
+
+def _course(rng: np.random.Generator, steps: int, step: float, low: float, high: float) -> Array:
+    """Positions (n,) of one of them, between two."""
     course, at = np.empty(steps), 0
     while at < steps:
         lasts = max(1, round(rng.uniform(*LASTS) / step))
         part = course[at : at + lasts]
         part[:] = rng.uniform(low, high, 1 if rng.uniform() < 0.5 else part.size)
         at += lasts
-    return course[:, None]
+    return course

@@ -15,7 +15,7 @@ from estimator.joint_aware.readings import (
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import columns_of
-from thermojoint.reduced.axis_drive import carried_along
+from thermojoint.reduced.axis_drive import AxisDrives, carried_along
 from thermojoint.reduced.machine import ReducedMachine
 from thermojoint.reduced.physics import at_start
 
@@ -38,8 +38,10 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
         Time starts before 0, the run is too short, a drive that the model does not know moves the
         axis, or a probe, an axis or a load is missing.
     """
-    drive = None if machine.guide is None else machine.guide.axis.drive
-    if drive is None and "positioning_error" in response:
+    guide = machine.guide
+    drives = AxisDrives(() if guide is None else tuple(axis.drive for axis in guide.axes))
+    driven = any(drive is not None for drive in drives.each)
+    if not driven and "positioning_error" in response:
         raise InputError(
             f"{where}: its displacement has the error of a ball screw or a scale, which the model "
             "does not know; record where the body is"
@@ -55,7 +57,7 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     grid = machine.step * np.arange(1, count + 1)
     # A value of the heat applies to the interval that ends at its sample.
     at = np.minimum(np.searchsorted(times, grid * (1.0 - 1e-9)), times.size - 1)
-    driven = _powers(response, machine)[at]
+    powers = _powers(response, machine)[at]
     ambient = np.interp(grid, times, ambient_in(response))
     held = held_in(response, machine)[at]
     loads = loads_in(response, machine.load_names)
@@ -65,12 +67,11 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     if not displacement[0].any():
         # A log counts from its beginning, a machine under loads from where nothing acts.
         displacement = displacement + at_start(physics_with(machine, {}))[1]
-    if drive is not None:
-        displacement = displacement - carried_along(
-            drive, times, ambient_in(response), positions[:, 0]
-        )
+    if driven:
+        added = carried_along(drives, times, ambient_in(response), positions)
+        displacement = displacement - added
     return Run(
-        inputs=np.column_stack([driven, held, ambient, *factors]),
+        inputs=np.column_stack([powers, held, ambient, *factors]),
         times=times,
         temperature=temperatures_in(response, machine.sensor_names),
         displacement=displacement,

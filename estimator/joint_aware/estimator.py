@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator import lines, sensor_faults
-from estimator.interface import READING_NOISE, Channel, Estimate, Status, follow
+from estimator.interface import READING_NOISE, Channel, Estimate, Status
 from estimator.joint_aware import compiled_sample, displacement_readings, fault_isolation
 from estimator.joint_aware.displacement_readings import (
     DisplacementProbe,
@@ -31,12 +31,12 @@ from estimator.joint_aware.observer_state import (
 from estimator.joint_aware.thresholds import USUAL, Thresholds
 from estimator.joint_aware.trust import Moment, Trusted, channels_of, trusted
 from estimator.span import SLACK
-from fesim.axes.line import line_over
+from fesim.axes.line import Line, line_over
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.units import MILLI
-from thermojoint.reduced.axis_drive import AxisDrive
+from thermojoint.reduced.axis_drive import AxisDrives
 from thermojoint.reduced.physics import heat_step
 
 #: Half-width of the 95 % interval, in standard deviations.
@@ -117,7 +117,7 @@ class JointAware(Described):
     def channels(self) -> tuple[Channel, ...]:
         """Sensors and the ambient, above the ambient at which the machine was cold, K.
 
-        Then factors of the loads that change, and the position of a moving axis, m. Displacement
+        Then factors of the loads that change, and the positions of moving axes, m. Displacement
         readings come last, m; a sample may end before them.
         """
         return (
@@ -131,9 +131,11 @@ class JointAware(Described):
     def details(self) -> tuple[Channel, ...]:
         """Heat of every source, the ambient, and the lowest and highest pressure in the joints.
 
-        With a moving axis the line of each displacement over its stroke, and the displacement at
-        the present position.
+        With moving axes, of each displacement with a line for its control that line, and the
+        displacement at the present position. With several, the lines of every displacement along
+        each of them, the others where they stand.
         """
+        along = [axis.name for axis in self.model.moving_axes]
         return (
             *(Channel(f"heat_{name}", "W") for name in self.model.sources),
             *(Channel(f"held_{name}", "K") for name in self.model.surfaces),
@@ -142,9 +144,15 @@ class JointAware(Described):
             Channel("highest_pressure", "Pa"),
             *(
                 one
-                for axis in self.axes
-                if self.model.stroke is not None
+                for axis in self.model.sloped
                 for one in (*lines.channels_of(axis), *lines.channels_here(axis))
+            ),
+            *(
+                Channel(f"{axis}_{name}_{moving}", unit)
+                for axis in self.axes
+                for moving in along
+                if len(along) > 1
+                for name, unit in lines.ALONG
             ),
         )
 
@@ -164,22 +172,21 @@ class JointAware(Described):
         system = self.observer.system
         return layout(
             system.size,
-            (self.model.modes.factors.size, self._cold.size),
+            (self.model.modes.factors.size, self._drives.cold.size),
             self.observer.physics.contacts,
             self.model.warm.shape[1],
             len(system.rows),
             self._nothing_read,
         )
 
-    @property
-    def _drive(self) -> AxisDrive | None:
-        """What positions the axis, if its error is known."""
-        return None if self.model.moving_axis is None else self.model.moving_axis.drive
+    @cached_property
+    def _drives(self) -> AxisDrives:
+        """What positions the axes, where its error is known."""
+        return AxisDrives(tuple(axis.drive for axis in self.model.moving_axes))
 
-    @property
-    def _cold(self) -> Array:
-        """Temperatures of the drive at the initial ambient, K."""
-        return np.zeros(0) if self._drive is None else self._drive.cold
+    def _place(self, loads: Array) -> Array:
+        """Where the axes stand, (x,), m, by the factors (l,) of a sample."""
+        return loads[loads.size - len(self.model.moving_axes) :]
 
     @property
     def _nothing_read(self) -> ModelError:
@@ -220,7 +227,7 @@ class JointAware(Described):
             loads=modes.factors,
             **self.observer.physics.at_rest()._asdict(),
             covariance_factor=factor,
-            drive=self._cold,
+            drive=self._drives.cold,
             watch=sensor_faults.fresh(len(self.observer.system.rows), self.thresholds.faults),
             model_error=self._nothing_read,
             pending=fault_isolation.none(size),
@@ -232,7 +239,7 @@ class JointAware(Described):
         return channels_of(self.observer, self.calibrated_readings)
 
     @cached_property
-    def _place(self) -> compiled_sample.Place | None:
+    def _compiled(self) -> compiled_sample.Place | None:
         """Data for usual samples in compiled code; None where it does not apply."""
         model, observer = self.model, self.observer
         kernel = observer.physics.kernel
@@ -272,6 +279,13 @@ class JointAware(Described):
         ConvergenceError
             The joint has no equilibrium that is found at these temperatures.
         """
+        flat, taken, readings, factors = self._processed(state, time, values)
+        return flat, self._estimate(taken, time, readings, factors)
+
+    def _processed(
+        self, state: Array, time: float, values: Sequence[float]
+    ) -> tuple[Array, Taken, Array, Array]:
+        """The state after a sample, how it was taken, its readings, K, and factors as read."""
         readings, factors, probed = self.separated(values)
         flat = state.copy()
         after = unpacked(flat, self.parts)
@@ -284,7 +298,7 @@ class JointAware(Described):
             before = unpacked(state, self.parts)
             taken = self._taken(before, replace(moment, loads=after.loads), readings, probed)
             flat = taken.after.flat()
-        return flat, self._estimate(taken, time, readings, factors)
+        return flat, taken, readings, factors
 
     def displacements(self, samples: Array) -> Array:
         """Return the displacements in a run from rest without their bands, (n, axes), m.
@@ -301,30 +315,46 @@ class JointAware(Described):
         InputError, ConvergenceError
             As `sample`.
         """
-        before, first = self.sample(self.initial_state(), samples[0, 0], samples[0, 1:].tolist())
+        times, values = samples[:, 0].tolist(), samples[:, 1:].tolist()
+        state, taken, *_ = self._processed(self.initial_state(), times[0], values[0])
+        moved = np.empty((len(times), len(self.axes)))
+        moved[0] = taken.displacement + self._known(taken)
         thermal, step = len(self.observer.system.rows), self.model.step
         evenly = bool(np.all(np.abs(np.diff(samples[:, 0]) - step) <= 1e-6 * step))
-        if self._place is not None and evenly and samples.shape[1] == 1 + thermal:
-            times, state = samples[1:, 0].copy(), unpacked(before.copy(), self.parts)
-            readings = samples[1:, 1:] - np.append(self.model.offset, 0.0)
-            moved = np.empty((times.size, len(self.axes)))
-            if compiled_sample.usual_samples(self._place, state, times, step, readings, moved):
-                return np.vstack([first.displacement, moved])
-        rows = map(tuple, samples[1:].tolist())
-        after = [estimate for _, estimate in follow(self, rows, before)]
-        return lines.here(self.axes, self.details, [first, *after])[0]
+        if self._compiled is not None and evenly and samples.shape[1] == 1 + thermal:
+            after, readings = unpacked(state.copy(), self.parts), samples[1:, 1:]
+            readings = readings - np.append(self.model.offset, 0.0)
+            place, later = self._compiled, samples[1:, 0].copy()
+            if compiled_sample.usual_samples(place, after, later, step, readings, moved[1:]):
+                return moved
+        # Without the lines along moving axes, which take longer than the sample.
+        for k in range(1, len(times)):
+            state, taken, *_ = self._processed(state, times[k], values[k])
+            moved[k] = taken.displacement + self._known(taken)
+        return moved
+
+    def _known(self, taken: Taken) -> Array:
+        """What displacement readings have told of the model's error, (axes,), m."""
+        parts = self._error_parts(taken)
+        return np.asarray(parts @ mean_of(taken.after.model_error))
+
+    def _error_parts(self, taken: Taken) -> Array:
+        """The model error per part (`Observer.model_error`)."""
+        count, dynamic = self.model.modes.rates.size, self.observer.system.decay.size
+        relaxed, lasting = taken.after.linear[count:dynamic], taken.after.watch.lasting
+        return self.observer.model_error(relaxed, taken.memory, lasting)
 
     def _usual(
         self, state: ObserverState, moment: Moment, readings: Array, probed: Array
     ) -> Taken | None:
         """Process a usual sample in compiled code, in place; None if it is unusual."""
-        if self._place is None or moment.steps != 1 or moment.length != self.model.step:
+        if self._compiled is None or moment.steps != 1 or moment.length != self.model.step:
             return None
         if not np.isnan(probed).all():
             return None
         displacement, times = np.empty(len(self.axes)), np.array([moment.time])
         if not compiled_sample.usual_samples(
-            self._place, state, times, moment.length, readings[None], displacement[None]
+            self._compiled, state, times, moment.length, readings[None], displacement[None]
         ):
             return None
         memory, everything = float(state.memory), np.ones(readings.size, dtype=bool)
@@ -346,10 +376,10 @@ class JointAware(Described):
         settled = self.observer.read(linear, expected.joint, expected.memory, loads)
         elapsed, probe = moment.length * moment.steps, self.thresholds.probe
         drive = before.drive
-        if self._drive is not None and elapsed > 0.0:
-            way = float(before.loads[-1]), float(loads[-1])
-            drive = self._drive.later(drive, float(linear[-1]), way, elapsed)
-        driven = self._driven(drive, loads[-1:])
+        if elapsed > 0.0:
+            way = self._place(before.loads), self._place(loads)
+            drive = self._drives.later(drive, float(linear[-1]), way, elapsed)
+        driven = self._drives.displacement(drive, self._place(loads)[None])[0]
         known = displacement_readings.later(before.model_error, elapsed, probe)
         refused = False
         if np.isfinite(probed).any():
@@ -375,20 +405,11 @@ class JointAware(Described):
         moved = settled.displacement + driven
         return Taken(after, moved, expected.memory, factor, used.believed, refused)
 
-    def _driven(self, state: Array, positions: Array) -> Array:
-        """What the drive adds to the displacement at positions (k,), m, (k, axes) or (axes,)."""
-        if self._drive is None:
-            return np.zeros(len(self.axes))
-        added = self._drive.displacement(state, positions)
-        return added[0] if positions.size == 1 else added
-
     def _estimate(self, taken: Taken, time: float, readings: Array, factors: Array) -> Estimate:
         """The estimate after a sample."""
         after, factor = taken.after, taken.covariance_factor
-        count, dynamic = self.model.modes.rates.size, self.observer.system.decay.size
-        relaxed, lasting = after.linear[count:dynamic], after.watch.lasting
-        parts = self.observer.model_error(relaxed, taken.memory, lasting)
-        inputs = after.linear[dynamic:]
+        parts = self._error_parts(taken)
+        inputs = after.linear[self.observer.system.decay.size :]
         pressure = after.pressure if after.pressure.size else np.array([np.nan])
         missing, distrusted = self._left_out(readings, taken.believed)
         given = self.channels[readings.size :][: factors.size]
@@ -407,8 +428,8 @@ class JointAware(Described):
         known = parts @ mean_of(after.model_error)
         band = self.half_band(parts, after.model_error, factor) + self._undecided(after)
         moved, line = taken.displacement + known, np.empty(0)
-        if self.model.stroke is not None:
-            moved, line = self._line(taken, known, band)
+        if self.model.moving_axes:
+            moved, line = self._lines(taken, known, band)
         return Estimate(
             time=time,
             displacement=moved,
@@ -419,27 +440,39 @@ class JointAware(Described):
             distrusted=distrusted,
         )
 
-    def _line(self, taken: Taken, known: Array, band: Array) -> tuple[Array, Array]:
-        """K0 (axes,) and the details of the lines; the model is off by `known` (axes,), m.
+    def _lines(self, taken: Taken, known: Array, band: Array) -> tuple[Array, Array]:
+        """The displacement (axes,) and the details of lines; the model is off by `known`, m.
 
+        The displacement is K0 where a control is given the line, else that at the present position.
         The band (axes,) holds at every position: a slope is not off by more than both ends are.
         """
-        after, stroke, axis = taken.after, self.model.stroke, self.model.moving_axis
-        assert stroke is not None  # asked for on an axis only
-        assert axis is not None  # the same
-        joint = after.joint._replace(change=np.zeros_like(after.change))
-        there = [
-            self.observer.read(after.linear, joint, taken.memory, np.array([at])).displacement
-            for at in axis.asked
+        along = self._along(taken, known)
+        here, details = taken.displacement + known, list[float]()
+        moved = here.copy()
+        for axis, stroke in self.model.strokes.items():
+            c, line = self.axes.index(axis), along[self.model.sloped[axis]]
+            moved[c], half = line.offset[c], float(band[c])
+            details += [line.slope[c], 2.0 * half / (stroke.high - stroke.low)]
+            details += [*(np.array(stroke) / MILLI), here[c], half]
+        if len(along) > 1:
+            each = [np.stack([line.offset, line.slope], axis=1) for line in along]
+            details += np.stack(each, axis=1).ravel().tolist()
+        return moved, np.array(details)
+
+    def _along(self, taken: Taken, known: Array) -> list[Line]:
+        """The line along each of the moving axes, the others where they stand."""
+        after, moving, places = taken.after, self.model.moving_axes, list[Array]()
+        for k, axis in enumerate(moving):
+            places.append(np.tile(self._place(after.loads), (axis.asked.size, 1)))
+            places[k][:, k] = axis.asked
+        every = np.vstack(places)
+        asked = self.observer.seen_from(after.linear, after.joint, taken.memory, every)
+        asked = asked + known + self._drives.displacement(after.drive, every)
+        ends = np.cumsum([axis.asked.size for axis in moving])[:-1]
+        return [
+            line_over(axis.asked, own, axis.reference)
+            for axis, own in zip(moving, np.split(asked, ends), strict=True)
         ]
-        asked = np.array(there) + known + self._driven(after.drive, axis.asked)
-        line = line_over(axis.asked, asked, axis.reference)
-        places = np.array(stroke) / MILLI
-        details = [
-            np.array([slope, 2.0 * half / (stroke.high - stroke.low), *places, at, half])
-            for slope, at, half in zip(line.slope, taken.displacement + known, band, strict=True)
-        ]
-        return line.offset, np.concatenate(details)
 
     def _lost(self, after: ObserverState, time: float) -> bool:
         """Whether every thermometer has been missing or distrusted for too long."""
@@ -477,11 +510,10 @@ class JointAware(Described):
         given[: thermal - 1] -= self.model.offset
         if self.model.modes.way is not None:
             # Where an axis cannot stand, its position was not read.
-            low, high = self.model.modes.way.stations.positions[0][[0, -1]] + (
-                -OVERTRAVEL,
-                OVERTRAVEL,
-            )
-            given[wanted - 1] = given[wanted - 1] if low <= given[wanted - 1] <= high else np.nan
+            ends = [one[[0, -1]] for one in self.model.modes.way.stations.positions]
+            low, high = np.array(ends).T
+            place = given[wanted - len(ends) : wanted]
+            place[(place < low - OVERTRAVEL) | (place > high + OVERTRAVEL)] = np.nan
         return given[:thermal], given[thermal:wanted], given[wanted:]
 
     def _moment(self, last: float, time: float) -> Moment:

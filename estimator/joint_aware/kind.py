@@ -34,7 +34,7 @@ JointAwareEstimator = JointAware | AgeingJointAware
 
 
 def _start(model: ObserverModel, options: Options) -> JointAwareEstimator:
-    if options.ageing and model.moving_axis is not None:
+    if options.ageing and model.moving_axes:
         raise InputError("ageing: not of a machine with a moving axis; leave it out")
     observer = JointAware(model, options.noise)
     return AgeingJointAware(observer, options.ageing) if options.ageing else observer
@@ -94,7 +94,7 @@ def _log(
 
 
 def _response(model: ObserverModel, response: xr.Dataset) -> Iterator[tuple[float, ...]]:
-    axes = () if model.moving_axis is None else (model.moving_axis.name,)
+    axes = [axis.name for axis in model.moving_axes]
     return samples_in(response, model.sensors, model.loads, axes)
 
 
@@ -140,7 +140,7 @@ def _program(
 
 
 def _strokes(model: ObserverModel) -> Mapping[str, Stroke]:
-    return {} if model.stroke is None else dict.fromkeys(model.axes, model.stroke)
+    return model.strokes
 
 
 KIND: Kind[ObserverModel, JointAwareEstimator] = Kind(

@@ -8,8 +8,8 @@ ignored, missing readings are NaN:
 - time, ``NAME_degC``, ..., ``ambient_degC``, or °F: as thermometers read. The machine was cold at
   the first ambient temperature in the log.
 
-Loads that change have columns ``NAME_percent``, of the load in the case; the position of a moving
-axis is ``NAME_pos_mm``.
+Loads that change have columns ``NAME_percent``, of the load in the case; the positions of
+moving axes are ``NAME_pos_mm``.
 """
 
 from __future__ import annotations

@@ -171,15 +171,16 @@ def _arrays(model: ObserverModel) -> dict[str, Array]:
         "first": model.first,
     }
     way = model.modes.way
-    if way is not None and model.moving_axis is not None:
+    if way is not None:
         arrays |= {f"way/{name}": getattr(way, name) for name in _WAY}
         arrays |= {f"way/ties/{name}": getattr(way.elastic.ties, name) for name in _TIES}
         arrays |= {f"way/positions/{k}": each for k, each in enumerate(way.stations.positions)}
         arrays |= {f"way/place/{k}": each for k, each in enumerate(way.stations.place)}
         arrays |= {"way/thermal": way.elastic.thermal, "way/modulus": way.elastic.modulus}
-        arrays["stroke/asked"] = model.moving_axis.asked
-        if model.moving_axis.drive is not None:
-            arrays["stroke/carried"] = model.moving_axis.drive.carried
+    for k, axis in enumerate(model.moving_axes):
+        arrays[f"strokes/{k}/asked"] = axis.asked
+        if axis.drive is not None:
+            arrays[f"strokes/{k}/carried"] = axis.drive.carried
     for k, joint in enumerate(model.joints):
         arrays[f"joints/{k}"] = joint.conductivity
         if joint.opening is not None:
@@ -188,10 +189,16 @@ def _arrays(model: ObserverModel) -> dict[str, Array]:
 
 
 def _header(model: ObserverModel) -> str:
-    known, axis = model.calibrated, model.moving_axis
-    moving: dict[str, Any] = {}
-    if axis is not None:
-        moving = {"axis": axis.name, "reference_m": axis.reference, **_drive_header(axis.drive)}
+    known = model.calibrated
+    moving = [
+        {
+            "axis": axis.name,
+            "along": axis.along,
+            "reference_m": axis.reference,
+            **_drive_header(axis.drive),
+        }
+        for axis in model.moving_axes
+    ]
     return json.dumps(
         {
             "schema": SCHEMA,
@@ -210,7 +217,7 @@ def _header(model: ObserverModel) -> str:
                 "temperatures": known.temperatures,
             },
             "factors": model.factors,
-            **({"stroke": moving} if moving else {}),
+            "strokes": moving,
         },
         allow_nan=False,
     )
@@ -230,7 +237,7 @@ def _model(header: dict[str, Any], arrays: Mapping[str, Array]) -> ObserverModel
             **part("modes", _MODES),
             elastic=ElasticCondensation(**part("elastic", _ELASTIC)),
             loads=LoadInfluence(**part("loads", _LOADS)),
-            way=_way(arrays) if "stroke" in header else None,
+            way=_way(arrays) if header["strokes"] else None,
         ),
         held=arrays["held"],
         joints=tuple(
@@ -262,14 +269,16 @@ def _model(header: dict[str, Any], arrays: Mapping[str, Array]) -> ObserverModel
         ),
         factors={name: (value, spread) for name, (value, spread) in header["factors"].items()},
         kind=KIND.validate_python(header["kind"]),
-        moving_axis=MovingAxis(
-            str(header["stroke"]["axis"]),
-            arrays["stroke/asked"],
-            float(header["stroke"]["reference_m"]),
-            _drive(header["stroke"].get("drive"), arrays),
-        )
-        if "stroke" in header
-        else None,
+        moving_axes=tuple(
+            MovingAxis(
+                str(stroke["axis"]),
+                str(stroke["along"]),
+                arrays[f"strokes/{k}/asked"],
+                float(stroke["reference_m"]),
+                _drive(stroke.get("drive"), arrays.get(f"strokes/{k}/carried")),
+            )
+            for k, stroke in enumerate(header["strokes"])
+        ),
     )
 
 
@@ -281,8 +290,8 @@ def _drive_header(drive: AxisDrive | None) -> dict[str, Any]:
     return {"drive": {"zero_m": drive.zero, **given}}
 
 
-def _drive(header: dict[str, Any] | None, arrays: Mapping[str, Array]) -> AxisDrive | None:
-    if header is None:
+def _drive(header: dict[str, Any] | None, carried: Array | None) -> AxisDrive | None:
+    if header is None or carried is None:
         return None
     screw, material, scale = (header.get(name) for name in _DRIVE)
     return AxisDrive(
@@ -290,7 +299,7 @@ def _drive(header: dict[str, Any] | None, arrays: Mapping[str, Array]) -> AxisDr
         material=None if material is None else MaterialSection.model_validate(material),
         scale=None if scale is None else ScaleSection.model_validate(scale),
         zero=header["zero_m"],
-        carried=arrays["stroke/carried"],
+        carried=carried,
     )
 
 

@@ -18,8 +18,10 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.reduced.physics import (
     JointState,
     Physics,
+    Way,
     conduct,
     make_physics,
+    seen_from,
     settle_joint,
     way_of,
 )
@@ -128,7 +130,7 @@ class Observer:
     def expected(self, before: ObserverState, length: float, steps: int, loads: Array) -> Expected:
         """Prediction `steps` of `length` (s) after the previous sample.
 
-        Loads are those before until they are read again (`loads`); an axis moves evenly meanwhile.
+        Loads are those before until they are read again (`loads`); axes move evenly meanwhile.
         """
         linear, joint, factor = before.linear, before.joint, before.covariance_factor
         memory, last = float(before.memory), before.loads
@@ -142,16 +144,14 @@ class Observer:
         return Expected(linear, joint, factor, memory)
 
     def _meanwhile(self, before: Array, after: Array, share: float) -> Array:
-        """Loads (l,) between two samples: as before, but for the position of an axis."""
-        if self.model.modes.way is None:
+        """Loads (l,) between two samples: as before, but for the positions of axes."""
+        if not (axes := len(self.model.moving_axes)):
             return before
         now = before.copy()
-        now[-1] += share * (after[-1] - before[-1])
+        now[-axes:] += share * (after[-axes:] - before[-axes:])
         return now
 
-    def _later(
-        self, linear: Array, joint: JointState, length: float, way: tuple[float, float] | None
-    ) -> Array:
+    def _later(self, linear: Array, joint: JointState, length: float, way: Way | None) -> Array:
         """The linear state one step later, with the joint unchanged."""
         count, dynamic = self.model.modes.rates.size, self.system.decay.size
         inputs = linear[dynamic:]
@@ -230,6 +230,15 @@ class Observer:
         joint, moved = self._settled(joint, linear, memory, loads)
         relaxed = linear[count : self.system.decay.size]
         return Settled(joint, relaxed, moved + self.model.discrepancy.displacement @ relaxed)
+
+    def seen_from(self, linear: Array, joint: JointState, memory: float, places: Array) -> Array:
+        """Return the displacement (n, axes), m, if the axes stood at places (n, x), m."""
+        if memory == UNKNOWN:
+            joint = joint._replace(slip=self.physics.rest.slip)
+        count = self.model.modes.rates.size
+        moved = seen_from(self.physics, joint, linear[:count], places)
+        relaxed = linear[count : self.system.decay.size]
+        return np.asarray(moved + self.model.discrepancy.displacement @ relaxed)
 
     def model_error(self, relaxed: Array, memory: float, lasting: Array) -> Array:
         """Displacement per part of the model error, m, shape (axes, d + axes).

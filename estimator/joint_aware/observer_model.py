@@ -106,8 +106,8 @@ class ObserverModel(Described):
         logarithm.
     kind : str
         Name of the kind of estimator.
-    moving_axis : MovingAxis, optional
-        Of a machine that has one.
+    moving_axes : tuple of MovingAxis
+        Of a machine that has any.
     """
 
     modes: Modes
@@ -139,17 +139,29 @@ class ObserverModel(Described):
         }
 
     kind: Kind = "joint-aware"
-    moving_axis: MovingAxis | None = None
+    moving_axes: tuple[MovingAxis, ...] = ()
 
     @property
     def positions(self) -> tuple[str, ...]:
         """Names of the positions that are read, after the loads: ``y_pos``."""
-        return () if self.moving_axis is None else (f"{self.moving_axis.name}_pos",)
+        return tuple(f"{axis.name}_pos" for axis in self.moving_axes)
 
     @property
-    def stroke(self) -> Stroke | None:
-        """Of the lines of its displacements; None without a moving axis."""
-        along = self.moving_axis
-        if along is None:
-            return None
-        return Stroke(along.reference, float(along.asked.min()), float(along.asked.max()))
+    def sloped(self) -> dict[str, int]:
+        """Axes of the displacement whose line a control is given, and along which moving axis.
+
+        With one moving axis its own, with several the one that moves along it, if any does.
+        """
+        if len(self.moving_axes) == 1:
+            return dict.fromkeys(self.axes, 0)
+        moving = {axis.along: k for k, axis in enumerate(self.moving_axes)}
+        return {axis: moving[axis] for axis in self.axes if axis in moving}
+
+    @property
+    def strokes(self) -> dict[str, Stroke]:
+        """Of these lines."""
+        strokes = [
+            Stroke(axis.reference, float(axis.asked.min()), float(axis.asked.max()))
+            for axis in self.moving_axes
+        ]
+        return {axis: strokes[k] for axis, k in self.sloped.items()}

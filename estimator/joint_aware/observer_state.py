@@ -42,7 +42,7 @@ class ObserverState(NamedTuple):
     covariance_factor : ndarray, shape (n, k)
         Covariance factor L of P + L L^T.
     drive : ndarray, shape (d,)
-        Temperatures of an axis's drive, K.
+        Temperatures of the axes' drives, K.
     watch : Watch
         Memory of every channel.
     model_error : ModelError
@@ -120,7 +120,7 @@ def layout(
 ) -> Layout:
     """Return the layout of an observer's state, with a model error of the shapes of `error`.
 
-    `given` are the numbers of loads and of the temperatures of an axis's drive.
+    `given` are the numbers of loads and of the temperatures of the axes' drives.
     """
     loads, drive = given
     return placed(

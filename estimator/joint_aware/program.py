@@ -84,7 +84,7 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
     InputError
         It has a moving axis; the joints have no compiled law, or there are none.
     """
-    if estimator.model.moving_axis is not None:
+    if estimator.model.moving_axes:
         raise InputError("export: not for a moving axis so far; run it with 'thermojoint estimate'")
     kernel = estimator.observer.physics.kernel
     if kernel is None:

@@ -67,7 +67,7 @@ class Moment:
     steps : int
         Number of these steps; 0 at the first sample.
     loads : ndarray, shape (l,)
-        Factors of the loads, and the position of an axis, m, at the sample.
+        Factors of the loads, and the positions of axes, m, at the sample.
     """
 
     time: float

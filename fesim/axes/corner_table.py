@@ -77,7 +77,7 @@ class CornerTables:
     """Tables of the combinations that are wanted, each packed when it is first wanted."""
 
     def __init__(self, guideway: Guideway) -> None:
-        elastic, self._guideway = guideway.first, guideway
+        elastic, self.guideway = guideway.first, guideway
         gaps, probes = elastic.reference.size, len(elastic.probe_compliance)
         self.held = np.flatnonzero(np.diagonal(elastic.compliance) > 0.0)
         self._anchors = slice(gaps, elastic.thermal_gap.shape[1] - probes)
@@ -98,9 +98,9 @@ class CornerTables:
         return CornerTable(*(np.array(of_all) for of_all in zip(*parts, strict=True)))
 
     def _pack(self, corner: Corner) -> CornerTable:
-        elastic: ElasticCondensation = self._guideway.elastic[corner]
+        elastic: ElasticCondensation = self.guideway.elastic[corner]
         held, anchors = self.held, self._anchors
-        places = zip(self._guideway.stations.place, corner, strict=True)
+        places = zip(self.guideway.stations.place, corner, strict=True)
         return CornerTable(
             elastic.compliance[np.ix_(held, held)][self._upper],
             elastic.probe_compliance[:, held],

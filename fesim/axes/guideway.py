@@ -64,6 +64,13 @@ class GuideStations:
         """Contact elements that pass stations, of every axis."""
         return tuple(np.flatnonzero(place[0] >= 0) for place in self.place)
 
+    def ridden(self, ways: Sequence[float]) -> Array:
+        """Return the ways (axes, m) of contact elements along each axis, of axes' ways, m."""
+        along = np.zeros((len(ways), self.count))
+        for row, riding, way in zip(along, self.riding, ways, strict=True):
+            row[riding] = way
+        return along
+
     def passage(self, start: Place, end: Place) -> Passage:
         """Return what is passed while axes move evenly between two positions, m."""
         return _passage(self, start, end)

@@ -8,10 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fesim.axes.corner_table import around
+from fesim.axes.corner_table import CornerTables, around
 from fesim.axes.guideway import Place
 from fesim.axes.machine import MovingMachine
-from fesim.march.machine import State, Step
+from fesim.march.contact import ContactProblem
+from fesim.march.machine import Step
 from fesim.march.settling import displaced, settle_along
 from thermojoint.artefacts.arrays import Array
 
@@ -48,38 +49,62 @@ def seen_from(moving: MovingMachine, step: Step, places: Sequence[Place]) -> See
         There is no equilibrium there.
     """
     alone = moving.guideway.elastic.alone(step.state.temperature)
-    found = _surveyed(moving, step.state, alone, np.array(places))
+    contact, tables = moving.machine.contact, moving.tables
+    joint = step.state.gap, step.state.slip
+    found = surveyed(contact, tables, joint, alone, np.array(places))
     for at in np.flatnonzero(np.isnan(found.residual)).tolist():
         found.displacement[at], found.residual[at] = _settled_at(moving, step, alone, places[at])
     return found
 
 
-def _surveyed(moving: MovingMachine, state: State, alone: Array, places: Array) -> Seen:
-    """All places in one sweep; the residual is NaN where it does not converge."""
+def surveyed(
+    contact: ContactProblem,
+    tables: CornerTables,
+    joint: tuple[Array, Array],
+    alone: Array,
+    places: Array,
+) -> Seen:
+    """Return what is displaced at all places in one sweep.
+
+    The residual is NaN where it does not converge, and everywhere for laws that are not compiled.
+
+    Parameters
+    ----------
+    contact : ContactProblem
+        The joints, at the first positions.
+    tables : CornerTables
+        Of the same machine.
+    joint : tuple of ndarray, shapes (3, m) and (2, m)
+        Gaps and irreversible slips where the axes stand, m.
+    alone : ndarray, shape (q + p,)
+        What the temperatures do untied.
+    places : ndarray, shape (n, axes)
+        m.
+    """
     # Imported here because they load a compiler, as in `fesim.march.contact.gap_solver`.
     from fesim.axes.survey import Pads, Survey, grown, settle_all
     from fesim.joint.compiled_gap import compile_gap, trial_at
 
-    contact, tables = moving.machine.contact, moving.tables
     nothing = np.full(len(places), np.nan)
     probes = len(contact.elastic.probe_compliance)
     seen = Seen(np.empty((len(places), probes)), nothing)
     law = compile_gap(contact.gap_problem, contact.laws)
     if law is None or not len(places):
         return seen
-    near = around(moving.guideway.stations, places)
+    near = around(tables.guideway.stations, places)
     if len(places) > 1 and len(near.corners) * tables.each > AT_ONCE:
-        halves = (_surveyed(moving, state, alone, part) for part in np.array_split(places, 2))
+        parts = np.array_split(places, 2)
+        halves = (surveyed(contact, tables, joint, alone, part) for part in parts)
         return Seen(*map(np.concatenate, zip(*halves, strict=True)))
     table, held = tables.table(near.corners), tables.held
     elastic = contact.elastic
-    pads = Pads(held, law.laws, state.slip, elastic.reference, elastic.area, contact.tolerance)
+    pads = Pads(held, law.laws, joint[1], elastic.reference, elastic.area, contact.tolerance)
     free = np.empty((len(near.corners), held.size + probes))
     grown(table, pads, alone, free)
     found = Survey(*seen, np.empty((len(places), held.size)))
     # One layout, for which the sweep is compiled once.
     around_each = np.ascontiguousarray(places), near.touched, np.ascontiguousarray(near.weight)
-    settle_all(table, pads, free, around_each, trial_at(state.gap), found)
+    settle_all(table, pads, free, around_each, trial_at(joint[0]), found)
     return seen
 
 

@@ -80,10 +80,7 @@ def _in_step(
     if not any(ways):
         return moving.standing(at), np.zeros(len(axes))
     stations, step = moving.guideway.stations, moving.machine.thermal.step
-    along = np.zeros((len(axes), stations.count))
-    for row, riding, way in zip(along, stations.riding, ways, strict=True):
-        row[riding] = way
-    heat = moving.guideway.friction_heat(state.pressure, along, step)
+    heat = moving.guideway.friction_heat(state.pressure, stations.ridden(ways), step)
     total = heat.sum(axis=1)
     shares = [
         shares_of(positions, axis.course, *ends)

@@ -1,13 +1,15 @@
-"""The positioning error of an axis's drive, apart from the machine: seats that stand, no surfaces.
+"""The positioning error of the drives of axes, apart from the machine.
 
-A ball screw warms up by its own motion, and a scale follows the ambient; both depend on the way of
-the axis alone, as in `fesim.axes.positioning`.
+Their seats stand and no surface feels them. A ball screw warms up by its own motion, and a scale
+follows the ambient; both depend on the way of the axis alone, as in `fesim.axes.positioning`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -112,6 +114,53 @@ class AxisDrive:
         least = 0.0 if self.zero is None else error[-1]
         return np.asarray((error[:-1] - least)[:, None] * self.carried)
 
+    def along(self, kept: Sequence[int]) -> AxisDrive:
+        """Return the drive for some of the axes of the displacement."""
+        return replace(self, carried=self.carried[kept])
+
+
+@dataclass(frozen=True, eq=False)
+class AxisDrives:
+    """The drives of all axes of a machine; None for an axis that has none.
+
+    Attributes
+    ----------
+    each : tuple of (AxisDrive or None)
+        In the order of the axes.
+    """
+
+    each: tuple[AxisDrive | None, ...]
+
+    @cached_property
+    def _parts(self) -> list[tuple[int, AxisDrive, slice]]:
+        """Axis, drive, and its part of the state of all."""
+        driven = [(a, drive) for a, drive in enumerate(self.each) if drive is not None]
+        ends = np.cumsum([0, *(drive.cold.size for _, drive in driven)]).tolist()
+        return [(*one, slice(*part)) for one, part in zip(driven, pairwise(ends), strict=True)]
+
+    @property
+    def cold(self) -> Array:
+        """Their temperatures (d,) at the initial ambient, K, one after the other."""
+        return np.concatenate([np.zeros(0), *(drive.cold for _, drive, _ in self._parts)])
+
+    def later(self, state: Array, air: float, way: tuple[Array, Array], length: float) -> Array:
+        """Return their temperatures (d,), K, after a step; as `AxisDrive.later`, ways (x,) each."""
+        after = state.copy()
+        for a, drive, part in self._parts:
+            own = float(way[0][a]), float(way[1][a])
+            after[part] = drive.later(state[part], air, own, length)
+        return after
+
+    def displacement(self, state: Array, places: Array) -> Array:
+        """Return what the errors add to the displacement (k, axes), m, at places (k, x), m.
+
+        Without any drive it is zero, of shape (k, 1).
+        """
+        added = np.zeros((len(places), 1))
+        for a, drive, part in self._parts:
+            added = added + drive.displacement(state[part], places[:, a])
+        return added
+
 
 def check_drive(name: str, axis: AxisSection) -> None:
     """Refuse the drive of an axis that heats the machine, or is moved or warmed by it.
@@ -154,23 +203,23 @@ def drive_on(
     return AxisDrive(axis.ball_screw, material, axis.scale, zero, carried)
 
 
-def carried_along(drive: AxisDrive, times: Array, air: Array, positions: Array) -> Array:
-    """Return what the error of a drive adds to a displacement (n, axes), m, from a cold start.
+def carried_along(drives: AxisDrives, times: Array, air: Array, positions: Array) -> Array:
+    """Return what the errors of drives add to a displacement (n, axes), m, from a cold start.
 
     Parameters
     ----------
-    drive : AxisDrive
-        The drive.
+    drives : AxisDrives
+        The drives.
     times : ndarray, shape (n,)
         From the start, s.
     air : ndarray, shape (n,)
         The ambient, K.
-    positions : ndarray, shape (n,)
-        Of the axis, between which it moves evenly, m.
+    positions : ndarray, shape (n, x)
+        Of the axes, between which they move evenly, m.
     """
-    state, found = drive.cold, [drive.displacement(drive.cold, positions[:1])[0]]
+    state, found = drives.cold, [drives.displacement(drives.cold, positions[:1])[0]]
     for k in range(1, times.size):
-        way = float(positions[k - 1]), float(positions[k])
-        state = drive.later(state, float(air[k]), way, float(times[k] - times[k - 1]))
-        found.append(drive.displacement(state, positions[k : k + 1])[0])
+        way = positions[k - 1], positions[k]
+        state = drives.later(state, float(air[k]), way, float(times[k] - times[k - 1]))
+        found.append(drives.displacement(state, positions[k : k + 1])[0])
     return np.array(found)

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from fesim.axes.condensation import TiedCondensations
-from fesim.axes.guideway import Guideway
+from fesim.axes.guideway import Guideway, Place
 from fesim.case.joint_sections import JointSection
 from fesim.case.schema import Case
 from fesim.joint.conductance import ConductanceTable
@@ -126,6 +126,8 @@ class MovingAxis:
     ----------
     name : str
         Of the axis.
+    along : str
+        The axis of the displacement that it moves along, "" if it is oblique.
     asked : ndarray, shape (k,)
         Positions, m.
     reference : float
@@ -135,6 +137,7 @@ class MovingAxis:
     """
 
     name: str
+    along: str
     asked: Array
     reference: float
     drive: AxisDrive | None = None
@@ -142,25 +145,30 @@ class MovingAxis:
 
 @dataclass(frozen=True, eq=False)
 class Guide:
-    """What a machine with a moving axis has beside one that stands.
+    """What a machine with moving axes has beside one that stands.
 
     Attributes
     ----------
-    axis : MovingAxis
-        The axis.
+    axes : tuple of MovingAxis
+        In the case's order.
     way : Guideway
         On the machine's modes.
-    first : float
-        Position at time zero, m.
+    first : tuple of float
+        Positions at time zero, m.
     """
 
-    axis: MovingAxis
+    axes: tuple[MovingAxis, ...]
     way: Guideway
-    first: float
+    first: Place
 
     def on(self, elastic: TiedCondensations) -> Guide:
         """Return it with other condensations at its aligned positions."""
         return replace(self, way=replace(self.way, elastic=elastic))
+
+    def positioned(self, drives: Sequence[AxisDrive | None]) -> Guide:
+        """Return it with other drives of its axes."""
+        pairs = zip(self.axes, drives, strict=True)
+        return replace(self, axes=tuple(replace(axis, drive=drive) for axis, drive in pairs))
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,14 +187,14 @@ class ReducedMachine:
         V^T h, W/K.
     jump, mean : ndarray, shape (m, r)
         Temperature jump at every contact element, and the mean of its sides, K. On an axis, `jump`
-        has the temperatures of the guideway's q rows, and `mean` holds at the first position.
+        has the temperatures of the guideway's q rows, and `mean` holds at the first positions.
     sensors : ndarray, shape (p, r)
         Temperature at every sensor, K.
     start : ndarray, shape (r,)
         Amplitudes at time zero.
     elastic : ElasticCondensation
         Gaps and displacement on the modes; before the bolts are tightened, with their ends behind.
-        On an axis, at the first position.
+        On axes, at the first positions.
     joints : tuple of Joint
         In the order of the contact elements.
     sensor_names, axes, source_names : tuple of str
@@ -204,7 +212,7 @@ class ReducedMachine:
     lags : tuple of float
         Time constant of each sensor in its mounting, s; empty if none lags.
     guide : Guide, optional
-        Of a machine with a moving axis.
+        Of a machine with moving axes.
     """
 
     capacity: Array
@@ -242,7 +250,7 @@ class ReducedMachine:
         power : ndarray, shape (n, s)
             Of the sources, W.
         course : ndarray, shape (n, x), optional
-            Positions of the axis, m. Default: loads and axis are as at time zero.
+            Positions of the axes, m. Default: loads and axes are as at time zero.
         """
         held, ambient = np.tile(self.held.first, (len(power), 1)), np.zeros((len(power), 1))
         return np.hstack([power, held, ambient, ambient[:, :0] if course is None else course])
@@ -255,7 +263,7 @@ class ReducedMachine:
     @property
     def axis_names(self) -> tuple[str, ...]:
         """Axes whose positions are inputs, after the loads."""
-        return () if self.guide is None else (self.guide.axis.name,)
+        return () if self.guide is None else tuple(axis.name for axis in self.guide.axes)
 
     @property
     def laws(self) -> list[tuple[JointLaw, int]]:
@@ -354,7 +362,7 @@ def reduce_machine(
     sensors : sequence of str
         Temperature probes and held surfaces that will be read, in the order of the channels.
     guide : Guide, optional
-        Of a case with an axis, whose set-up stands at the first position.
+        Of a case with axes, whose set-up stands at the first positions.
 
     Raises
     ------
@@ -403,7 +411,7 @@ def reduce_machine(
         mean=np.asarray(ready.thermal.mean),
         sensors=np.array([rows[name] for name in sensors]).reshape(-1, basis.shape[1]),
         start=_start(case, ready),
-        elastic=loose.contact.elastic if guide is None else guide.way.elastic_at((guide.first,)),
+        elastic=loose.contact.elastic if guide is None else guide.way.elastic_at(guide.first),
         joints=joints,
         sensor_names=tuple(sensors),
         axes=DIRECTIONS,
@@ -449,20 +457,19 @@ def along(machine: ReducedMachine, axes: Sequence[str]) -> ReducedMachine:
         probes = acting.influence.probes[rows]
         acting = replace(acting, influence=replace(acting.influence, probes=probes))
     turned = replace(machine.with_probes(rows), acting=acting, axes=tuple(axes))
-    guide = turned.guide
-    if guide is None or guide.axis.drive is None:
+    if (guide := turned.guide) is None:
         return turned
-    carried = guide.axis.drive.carried[[machine.axes.index(axis) for axis in axes]]
-    drive = replace(guide.axis.drive, carried=carried)
-    return replace(turned, guide=replace(guide, axis=replace(guide.axis, drive=drive)))
+    kept = [machine.axes.index(axis) for axis in axes]
+    drives = [axis.drive and axis.drive.along(kept) for axis in guide.axes]
+    return replace(turned, guide=guide.positioned(drives))
 
 
 def undriven(machine: ReducedMachine) -> ReducedMachine:
-    """Return the machine with an axis that stands where its control believes."""
+    """Return the machine with axes that stand where their control believes."""
     guide = machine.guide
     if guide is None:
         return machine
-    return replace(machine, guide=replace(guide, axis=replace(guide.axis, drive=None)))
+    return replace(machine, guide=guide.positioned([None] * len(guide.axes)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -488,12 +495,12 @@ class Modes:
         Of l factors on gaps and displacement: loads, forces of the bolts, and what bolts count
         from (`fesim.solid.bolts.fastened`).
     factors : ndarray, shape (l,)
-        At time zero; of a machine on an axis its position, m, is the last.
+        At time zero; of a machine on axes their positions, m, are the last.
     tight : ndarray, shape (6, m)
         Gap (m), slip (m) and pressure (Pa) of the joints after the bolts have been tightened; zero
         without bolts.
     way : Guideway, optional
-        Of a machine with a moving axis.
+        Of a machine with moving axes.
     """
 
     rates: Array
@@ -511,19 +518,19 @@ class Modes:
     way: Guideway | None = None
 
 
-def placed(modes: Modes, position: float) -> Modes:
-    """Return the modes of a machine with an axis as one that stands at a position, m."""
+def placed(modes: Modes, at: Place) -> Modes:
+    """Return the modes of a machine with axes as one that stands at positions, m."""
     way = modes.way
     if way is None:
         return modes
-    coefficients = way.stations.passage((position,), (position,)).coefficients
+    coefficients = way.stations.passage(at, at).coefficients
     jump, mean = way.sides(coefficients)
     return replace(
         modes,
         jump=jump,
         entry=modes.entry @ coefficients.T,
         mean=mean,
-        elastic=way.elastic_at((position,)),
+        elastic=way.elastic_at(at),
         way=None,
     )
 
@@ -597,7 +604,7 @@ def _conducting(machine: ReducedMachine, held: Array | None) -> Array:
 
 
 def evenly_exchanged(way: Guideway, held: Array) -> Array:
-    """Return L (q, q), W/K, of an axis that is everywhere equally often, at conductances (m,)."""
+    """Return L (q, q), W/K, of axes that are everywhere equally often, at conductances (m,)."""
     return exchange(way.stations.everywhere.touches, held, way.stations.size)
 
 
@@ -636,9 +643,8 @@ def on_basis(
         tight = np.vstack([assembly.gap, assembly.slip, assembly.pressure])
     if machine.guide is not None:
         # A position displaces nothing by itself.
-        loads = LoadInfluence(
-            np.pad(loads.gap, ((0, 0), (0, 1))), np.pad(loads.probes, ((0, 0), (0, 1)))
-        )
+        more = ((0, 0), (0, len(machine.guide.first)))
+        loads = LoadInfluence(np.pad(loads.gap, more), np.pad(loads.probes, more))
         factors = np.append(factors, machine.guide.first)
     modes = Modes(
         rates=rates,

@@ -14,7 +14,9 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from fesim.axes.guideway import rubbed, sides
+from fesim.axes.corner_table import CornerTables
+from fesim.axes.guideway import Place, rubbed, sides
+from fesim.axes.mapping import surveyed
 from fesim.joint.blocks import one_block
 from fesim.joint.law import JointLaw
 from fesim.joint.loosening import UNWATCHED
@@ -55,9 +57,11 @@ from thermojoint.reduced.machine import (
     rest_of,
 )
 
+#: Positions of axes, m, from which to which they move evenly.
+Way = tuple[Place, Place]
 #: Steps that alternate are halved down to this length, s.
 SHORTEST = 0.05
-#: Positions of an axis at which the joints are kept ready.
+#: Positions of axes at which the joints are kept ready.
 KEPT = 64
 
 
@@ -74,7 +78,7 @@ class Physics:
     held : ndarray, shape (m,)
         Conductance times area that belongs to the modes, W/K.
     contact : ContactProblem
-        Its gap equations: they do not see the heat. On an axis, those at the first position.
+        Its gap equations: they do not see the heat. On axes, those at the first positions.
     """
 
     modes: Modes
@@ -83,18 +87,19 @@ class Physics:
     contact: ContactProblem
 
     def standing(self, loads: Array) -> Physics:
-        """Return the joints where the axis stands, the last of the factors (l,), m.
+        """Return the joints where the axes stand, the last of the factors (l,), m.
 
         Their amplitudes are those of `felt`; they conduct nothing.
         """
-        return self if self.modes.way is None else _standing(self, float(loads[-1]))
+        place = place_in(self.modes, loads)
+        return self if place is None else _standing(self, place)
 
     def felt(self, amplitudes: Array, loads: Array) -> Array:
-        """Return what the joints feel where the axis stands: of `standing`, its amplitudes."""
-        way = self.modes.way
-        if way is None:
+        """Return what the joints feel where the axes stand: of `standing`, its amplitudes."""
+        way, place = self.modes.way, place_in(self.modes, loads)
+        if way is None or place is None:
             return amplitudes
-        return way.free_at((float(loads[-1]),), way.elastic.alone(amplitudes))
+        return way.free_at(place, way.elastic.alone(amplitudes))
 
     @cached_property
     def held_exchange(self) -> Array:
@@ -109,8 +114,19 @@ class Physics:
         return aligned_elasticity(self.modes.way, self.laws)
 
     @cached_property
+    def tables(self) -> CornerTables:
+        """Combinations of aligned positions of axes, packed for many places at once."""
+        assert self.modes.way is not None  # asked for on an axis only
+        return CornerTables(self.modes.way)
+
+    @cached_property
     def guided_joint(self) -> JointKernel | None:
-        """Data of its compiled steps on an axis, at the first position; None as for `kernel`."""
+        """Data of its compiled steps on an axis, at the first position.
+
+        None for laws that are not compiled, and with several axes.
+        """
+        if self.modes.way is None or len(self.modes.way.stations.positions) > 1:
+            return None
         return joint_kernel(self.contact, np.zeros((self.contacts, 0)), self.held)
 
     @property
@@ -147,10 +163,10 @@ class Physics:
 
 
 @lru_cache(maxsize=KEPT)
-def _standing(physics: Physics, position: float) -> Physics:
+def _standing(physics: Physics, place: Place) -> Physics:
     way = physics.modes.way
     assert way is not None  # asked for on an axis only
-    elastic = way.contact_at((position,))
+    elastic = way.contact_at(place)
     unused = np.zeros((physics.contacts, elastic.thermal_gap.shape[1]))
     modes = replace(physics.modes, elastic=elastic, jump=unused, mean=unused, way=None)
     held, contact = np.zeros_like(physics.held), contact_of(modes, physics.laws)
@@ -180,7 +196,7 @@ def conduct(
     inputs: Array,
     joint: JointState,
     length: float,
-    way: tuple[float, float] | None = None,
+    way: Way | None = None,
 ) -> Array:
     """Return the amplitudes (r,) after `length` (s) at the joint's conductance of before.
 
@@ -196,8 +212,8 @@ def conduct(
         After the last step.
     length : float
         s.
-    way : (float, float), optional
-        Positions of the axis at the start and at the end, between which it moves evenly, m.
+    way : (tuple of float, tuple of float), optional
+        Positions of the axes at the start and at the end, between which they move evenly, m.
     """
     step = heat_step(physics.modes, length)
     if way is not None:
@@ -218,9 +234,17 @@ def conduct(
     return np.asarray(alone - step.influence @ flow)
 
 
-def way_of(modes: Modes, before: Array, loads: Array) -> tuple[float, float] | None:
-    """Return the way of an axis between two samples, m, by their factors (l,); None without one."""
-    return None if modes.way is None else (float(before[-1]), float(loads[-1]))
+def place_in(modes: Modes, loads: Array) -> Place | None:
+    """Return where axes stand, m, by the factors (l,) of a sample; None without any."""
+    if modes.way is None:
+        return None
+    return tuple(loads[loads.size - len(modes.way.stations.positions) :].tolist())
+
+
+def way_of(modes: Modes, before: Array, loads: Array) -> Way | None:
+    """Return the way of axes between two samples, m, by their factors (l,); None without any."""
+    start, end = place_in(modes, before), place_in(modes, loads)
+    return None if start is None or end is None else (start, end)
 
 
 def _conduct_passing(
@@ -229,7 +253,7 @@ def _conduct_passing(
     alone: Array,
     joint: JointState,
     length: float,
-    way: tuple[float, float],
+    way: Way,
 ) -> Array:
     """As `conduct` where pads and the stations that they pass exchange heat, and rub.
 
@@ -239,12 +263,13 @@ def _conduct_passing(
     modes, step = physics.modes, heat_step(physics.modes, length)
     assert modes.way is not None  # there is a way on an axis only
     stations, temperature = modes.way.stations, modes.jump @ amplitudes
-    passage = stations.passage(way[:1], way[1:])
+    passage = stations.passage(*way)
     jump, rise = sides(passage.coefficients, temperature, modes.way.means @ amplitudes)
     each = conductances(physics.laws, Rest(*joint), rise, jump, modes.elastic.area)
     beyond = exchange(passage.touches, each, stations.size) - physics.held_exchange
     if way[0] != way[1]:
-        rubbing = modes.way.friction_heat(joint.pressure, abs(way[1] - way[0]), length)
+        ridden = stations.ridden([abs(end - start) for start, end in zip(*way, strict=True)])
+        rubbing = modes.way.friction_heat(joint.pressure, ridden.sum(axis=0), length)
         alone = alone + step.influence @ rubbed(rubbing, passage.coefficients)
     left = leaving(beyond, step.joint_influence, modes.jump @ alone)
     return np.asarray(alone - step.influence @ left)
@@ -275,6 +300,7 @@ def settle_joint(
         settled = _settle_guided(physics, joint, amplitudes, float(loads[-1]))
         if settled is not None:
             return settled
+        physics, amplitudes = physics.standing(loads), physics.felt(amplitudes, loads)
     kernel = physics.kernel
     if kernel is not None:
         after = JointState(*map(np.array, joint))
@@ -289,9 +315,9 @@ def _settle_guided(
     physics: Physics, joint: JointState, amplitudes: Array, position: float
 ) -> tuple[JointState, Array] | None:
     """As `settle_joint`, the axis standing at a position, m; None where it takes the plain way."""
-    kernel, aligned = physics.guided_joint, physics.aligned
-    if kernel is None:
+    if (kernel := physics.guided_joint) is None:
         return None
+    aligned = physics.aligned
     there = there_of(aligned, kernel)
     after = JointState(*map(np.array, joint))
     alone, work = np.ascontiguousarray(amplitudes), joint_work(there.joint)
@@ -316,6 +342,34 @@ def settle_plainly(
         settled.gap - joint.gap,
     )
     return after, moved_by(physics, after, amplitudes, loads)
+
+
+def seen_from(physics: Physics, joint: JointState, amplitudes: Array, places: Array) -> Array:
+    """Return the displacement (n, axes), m, if the axes of a machine stood at places (n, x), m.
+
+    Parameters
+    ----------
+    physics : Physics
+        The machine.
+    joint : JointState
+        Where they stand; it settles anew at every place.
+    amplitudes : ndarray, shape (r,)
+        Temperatures.
+    places : ndarray, shape (n, x)
+        m.
+
+    Raises
+    ------
+    ConvergenceError
+        As `settle_joint`.
+    """
+    assert physics.modes.way is not None  # asked for on an axis only
+    alone = physics.modes.way.elastic.alone(amplitudes)
+    found = surveyed(physics.contact, physics.tables, (joint.gap, joint.slip), alone, places)
+    joint = joint._replace(change=np.zeros_like(joint.change))
+    for at in np.flatnonzero(np.isnan(found.residual)):
+        found.displacement[at] = settle_joint(physics, joint, amplitudes, places[at])[1]
+    return found.displacement
 
 
 def moved_by(physics: Physics, joint: JointState, amplitudes: Array, loads: Array) -> Array:
@@ -346,8 +400,8 @@ def simulate_known(physics: Physics, inputs: Array, length: float) -> tuple[Arra
         The machine.
     inputs : ndarray, shape (n, s + h + 1 + v)
         Heat of each source, W, the held surfaces and the ambient, K, at the end of each step;
-        factors of the first loads, where they are not those of time zero; the position of an axis,
-        m, stands behind them.
+        factors of the first loads, where they are not those of time zero; the positions of axes,
+        m, stand behind them.
     length : float
         Of a step, s.
 
@@ -400,7 +454,7 @@ def simulate_known(physics: Physics, inputs: Array, length: float) -> tuple[Arra
 
 
 def guided_steps(physics: Physics, length: float) -> tuple[Guided, Steps] | None:
-    """Return what a compiled march along an axis needs; None for laws that are not compiled."""
+    """Return what a compiled march along an axis needs; None where there is no `guided_joint`."""
     way, joint = physics.modes.way, physics.guided_joint
     if way is None or joint is None:
         return None
@@ -410,13 +464,13 @@ def guided_steps(physics: Physics, length: float) -> tuple[Guided, Steps] | None
 
 
 def _simulate_moving(physics: Physics, inputs: Array, length: float) -> tuple[Array, Array]:
-    """As `simulate_known` of a machine with an axis; without a position it stands."""
+    """As `simulate_known` of a machine with axes; without positions they stand."""
     modes = physics.modes
-    known = modes.drive.shape[1]
+    known, first = modes.drive.shape[1], np.array(place_in(modes, modes.factors))
     if inputs.shape[1] == known:
-        inputs = np.column_stack([inputs, np.full(len(inputs), modes.factors[-1])])
-    ends = inputs[:, -1]
-    ways = np.column_stack([inputs[:, :known], np.append(modes.factors[-1], ends)[:-1], ends])
+        inputs = np.column_stack([inputs, np.tile(first, (len(inputs), 1))])
+    ends = inputs[:, known:]
+    ways = np.column_stack([inputs[:, :known], np.vstack([first, ends])[:-1], ends])
     now, k = Moving(modes.start.copy(), physics.at_rest()), 0
     history = np.empty((len(ways), modes.start.size))
     displacement = np.empty((len(ways), len(modes.elastic.probe_thermal)))
@@ -426,9 +480,9 @@ def _simulate_moving(physics: Physics, inputs: Array, length: float) -> tuple[Ar
             k += march_along(*guide, ways[k:], now, (history[k:], displacement[k:]))
             if k == len(ways):
                 break
-        # Laws that are not compiled, or a joint that snaps.
-        row, loads = ways[k], ways[k, -1:]
-        way = float(row[-2]), float(row[-1])
+        # Several axes, laws that are not compiled, or a joint that snaps.
+        row, (begun, loads) = ways[k], np.split(ways[k, known:], 2)
+        way = way_of(modes, begun, loads)
         amplitudes = conduct(physics, now.amplitudes, row[:known], now.joint, length, way)
         joint, displacement[k] = settle_joint(physics, now.joint, amplitudes, loads)
         now, history[k] = Moving(amplitudes, JointState(*map(owned, joint))), amplitudes

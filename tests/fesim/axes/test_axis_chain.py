@@ -1,5 +1,6 @@
 """A column that carries a ram, and a table: three axes in one march."""
 
+import pickle
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
@@ -8,7 +9,6 @@ import numpy as np
 import pytest
 from in_process import run
 
-from calibrate.joint_aware.calibration import machine_of
 from fesim.axes import condensation
 from fesim.axes.setup import set_up_axes
 from fesim.case.identity import thermal_key
@@ -239,10 +239,20 @@ def test_a_carried_axis_without_a_seat_is_warned_of(folder):
     assert of_case(read_case(PATH), "three_axes.toml") == []
 
 
-def test_a_joint_aware_model_of_a_chain_is_refused_in_one_line(folder):
-    with pytest.raises(InputError, match="it knows one axis so far") as error:
-        machine_of(chain(folder, (0.0, 0.0, 0.0)), ["guide"])
-    assert "\n" not in str(error.value)
+def test_a_model_in_other_units_of_stiffness_ties_alike_in_another_process(driven):
+    """A factor on the modulus is one on every spring and compliance."""
+    elastic, corner = driven[1].moving.guideway.elastic, (1, 4, 2)
+    ties = elastic.ties
+    stiff = replace(
+        ties,
+        springs=2.0 * ties.springs,
+        compliance=0.5 * ties.compliance,
+        reference=2.0 * ties.reference,
+    )
+    anew = pickle.loads(pickle.dumps(replace(elastic, ties=stiff)))[corner]
+    for name, value in vars(elastic.strained(2.0, 1.0)[corner]).items():
+        size = np.abs(value).max()
+        assert np.allclose(getattr(anew, name), value, rtol=0.0, atol=1e-9 * size), name
 
 
 def test_the_shipped_mesh_is_that_of_its_machine():

@@ -37,7 +37,9 @@ def plainly(physics, inputs, length):
     amplitudes, joint = physics.modes.start, physics.at_rest()
     sensed, moved = [], []
     for row in inputs:
-        amplitudes = conduct(physics, amplitudes, row[:known], joint, length, (place, row[-1]))
+        amplitudes = conduct(
+            physics, amplitudes, row[:known], joint, length, ((place,), (row[-1],))
+        )
         joint, displacement = settle_plainly(physics, joint, amplitudes, row[-1:])
         sensed.append(physics.modes.sensors @ amplitudes)
         moved.append(displacement)
@@ -59,7 +61,7 @@ def test_the_compiled_march_takes_the_plain_steps(machine, factors):
 
 def test_without_a_position_the_axis_stands_where_it_is(machine):
     heat = np.tile(machine.power, (5, 1))
-    standing = np.full((5, 1), machine.guide.first)
+    standing = np.full((5, 1), machine.guide.first[0])
     physics = physics_with(machine, {})
     one = simulate_known(physics, machine.inputs(heat), STEP)
     other = simulate_known(physics, machine.inputs(heat, standing), STEP)
@@ -87,7 +89,7 @@ def test_a_joint_settles_at_any_position_as_plainly(machine, place):
     physics = physics_with(machine, FACTORS)
     heat = machine.inputs(np.tile(machine.power, (1, 1)))[0]
     joint, at = physics.at_rest(), np.array([place])
-    warm = conduct(physics, physics.modes.start, heat, joint, 600.0, (0.0, 0.0))
+    warm = conduct(physics, physics.modes.start, heat, joint, 600.0, ((0.0,), (0.0,)))
     one, other = (settle(physics, joint, warm, at) for settle in (settle_joint, settle_plainly))
     np.testing.assert_allclose(one[1], other[1], rtol=0.0, atol=1e-12)
     np.testing.assert_allclose(one[0].pressure, other[0].pressure, rtol=1e-6, atol=1.0)
