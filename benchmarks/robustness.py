@@ -67,9 +67,9 @@ BOLTS: dict[bool, tuple[tuple[str, str], list[tuple[Point, Point]]]] = {
 }
 DIAMETERS, TIGHTENING = (8.0, 24.0), (10.0, 100.0)
 TURNS = (None, "0,1\n100,1\n101,0.6", "0,1\n100,1\n101,1.5")
-#: How a march ends in which nothing holds a body any more, or a bolt, or whose surfaces yield: a
-#: result, and no failure.
-RESULTS = ("has come loose", "yield as a whole")
+#: How a march ends in which nothing holds a body any more, or a bolt, or whose surfaces yield:
+#: results, and no failures.
+LOOSE, YIELDS = "has come loose", "yield as a whole"
 #: Upper ends of the bands of friction that the table tells apart.
 BANDS = (0.3, 1.0, 3.0, 10.0)
 FLANGE = ROOT / "examples" / "bolted_flange"
@@ -327,7 +327,7 @@ HEADER = (
 
 def is_result(end: str) -> bool:
     """Return whether a march that ended early ended with a result."""
-    return any(words in end for words in RESULTS)
+    return LOOSE in end or YIELDS in end
 
 
 def rows(found: list[tuple[Drawn, Figures | str]]) -> list[tuple[str, ...]]:

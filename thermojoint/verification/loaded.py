@@ -60,7 +60,7 @@ def column_case(folder: Path, split: bool, changes: dict[str, Any]) -> dict[str,
     data: dict[str, Any] = {
         "title": "column",
         "structure": {"kind": "mesh", "file": f"column{split:d}.vtu"},
-        "materials": {"iron": METAL},
+        "materials": {"iron": dict(METAL)},
         "bodies": {"lower": "iron", "upper": "iron"} if split else {"lower": "iron"},
         "supports": {"symmetry": {"foot": "z", "back": "x", "side": "y"}},
         "march": {"step_s": 20.0, "duration_min": TIMES[-1] / 60.0},
