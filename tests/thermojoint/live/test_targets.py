@@ -84,7 +84,7 @@ def test_a_mistake_in_the_file_of_a_target_is_one_line(lines, told, tmp_path):
 @needs_broker
 def test_no_control_jumps_or_hears_a_lie_with_kills_on_either_side(tmp_path, monkeypatch, command):
     """By OPC UA, by MQTT, and in a Siemens and a Beckhoff; a LinuxCNC has its own test."""
-    monkeypatch.setattr(target_kills, "command", lambda *words: command(*words)[1])
+    monkeypatch.setattr(target_kills, "run", lambda *words: command(*words)[1])
     target_kills.learned(tmp_path)
     names = target_kills.names_of(None)
     rounds = [(*names, "broker"), ("service",)]
