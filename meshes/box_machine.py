@@ -13,23 +13,15 @@ from meshes.structure import Structure
 
 @dataclass(frozen=True)
 class BoxMachine:
-    """Boxes, surfaces and axes of a machine; every axis moves along its own coordinate.
+    """Boxes, surfaces and axes of a machine; every axis moves along its own coordinate."""
 
-    Attributes
-    ----------
-    bodies : mapping
-        Name to boxes where the axes are at zero, m.
-    moved : mapping
-        Body to which of the axes x, y, z move it: 0 or 1 each.
-    faces : mapping
-        Surface to body, normal (0, 1, 2), and its coordinate where the axes are at zero, m.
-    covered : tuple of str
-        What pads cover, and what they cover it with.
-    """
-
+    #: Name to boxes where the axes are at zero, m.
     bodies: Mapping[str, tuple[Box, ...]]
+    #: Body to which of the axes x, y, z move it: 0 or 1 each.
     moved: Mapping[str, tuple[int, int, int]]
+    #: Surface to body, normal (0, 1, 2), and its coordinate where the axes are at zero, m.
     faces: Mapping[str, tuple[str, int, float]]
+    #: What pads cover, and what they cover it with.
     covered: tuple[str, ...]
 
 

@@ -30,26 +30,18 @@ KEPT_NUMBERS, KEPT = 100_000_000, 64
 
 @dataclass(frozen=True, eq=False)
 class Ties:
-    """What aligned positions tie, each when it is first wanted: m contact elements, n stations.
+    """What aligned positions tie, each when it is first wanted: m contact elements, n stations."""
 
-    Attributes
-    ----------
-    springs : ndarray, shape (q,)
-        Of the rows condensed apart, N/m: none of 3 m of pads and 3 n of stations, then of anchors.
-    compliance : ndarray, shape (q + p, q)
-        Of these rows and p probes, m/N.
-    place : tuple of ndarray of int, shape (k, m)
-        As in `fesim.axes.operators.GuidedOperators`.
-    area : ndarray, shape (m,)
-        Of the contact elements, m2.
-    reference : ndarray, shape (3 m,)
-        Stiffness of the reference springs, Pa/m.
-    """
-
+    #: Shape (q,): of the rows condensed apart, N/m: none of 3 m of pads and 3 n of stations, then
+    #: of anchors.
     springs: Array
+    #: Shape (q + p, q): of these rows and p probes, m/N.
     compliance: Array
+    #: Shape (k, m): as in `fesim.axes.operators.GuidedOperators`.
     place: tuple[NDArray[np.int64], ...]
+    #: Shape (m,): of the contact elements, m2.
     area: Array
+    #: Shape (3 m,): stiffness of the reference springs, Pa/m.
     reference: Array
 
     def __post_init__(self) -> None:
@@ -100,19 +92,13 @@ class TiedCondensations:
 
     They are small, because each is on its own rows and the probes as the temperatures displace them
     untied, not on the temperatures.
-
-    Attributes
-    ----------
-    ties : Ties
-        Of the structure.
-    thermal : ndarray, shape (q + p, r)
-        What the temperatures do to the rows condensed apart and the probes, m/K.
-    modulus : float
-        Factor on the elastic modulus of everything that `ties` has.
     """
 
+    #: Of the structure.
     ties: Ties
+    #: Shape (q + p, r): what the temperatures do to the rows condensed apart and the probes, m/K.
     thermal: Array
+    #: Factor on the elastic modulus of everything that `ties` has.
     modulus: float = 1.0
 
     def __getitem__(self, corner: Corner, /) -> ElasticCondensation:

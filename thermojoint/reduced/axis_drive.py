@@ -35,26 +35,17 @@ from thermojoint.artefacts.units import MILLI
 
 @dataclass(frozen=True, eq=False)
 class AxisDrive:
-    """A ball screw or a scale, or both.
+    """A ball screw or a scale, or both."""
 
-    Attributes
-    ----------
-    screw : BallScrewSection, optional
-        As the case has it.
-    material : MaterialSection, optional
-        Of the screw.
-    scale : ScaleSection, optional
-        As the case has it; the control then reads it.
-    zero : float, optional
-        Position at which the error is zero at all times, m.
-    carried : ndarray, shape (axes,)
-        Displacement per m that the bodies on the axis move along it.
-    """
-
+    #: As the case has it.
     screw: BallScrewSection | None
+    #: Of the screw.
     material: MaterialSection | None
+    #: As the case has it; the control then reads it.
     scale: ScaleSection | None
+    #: Position at which the error is zero at all times, m.
     zero: float | None
+    #: Shape (axes,): displacement per m that the bodies on the axis move along it.
     carried: Array
 
     @cached_property
@@ -121,14 +112,9 @@ class AxisDrive:
 
 @dataclass(frozen=True, eq=False)
 class AxisDrives:
-    """The drives of all axes of a machine; None for an axis that has none.
+    """The drives of all axes of a machine; None for an axis that has none."""
 
-    Attributes
-    ----------
-    each : tuple of (AxisDrive or None)
-        In the order of the axes.
-    """
-
+    #: In the order of the axes.
     each: tuple[AxisDrive | None, ...]
 
     @cached_property

@@ -21,47 +21,31 @@ class Known:
 
 @dataclass(frozen=True)
 class Holder:
-    """What carries a probe.
+    """What carries a probe."""
 
-    Attributes
-    ----------
-    growth : float
-        By which its temperature moves the probe, m/K: length times expansion.
-    rise : float or str
-        Range of its temperature in the test, K, or the channel of the record that has it.
-    basis : str
-        Where this comes from.
-    """
-
+    #: By which its temperature moves the probe, m/K: length times expansion.
     growth: float
+    #: Range of its temperature in the test, K, or the channel of the record that has it.
     rise: float | str
+    #: Where this comes from.
     basis: str
 
 
 @dataclass(frozen=True)
 class Instruments:
-    """The instruments of a test.
+    """The instruments of a test."""
 
-    Attributes
-    ----------
-    probe, thermometer : Known
-        Limit of the error of a reading, m, K.
-    drift : Known
-        Range of a probe's reading over a time like the test's while its target does not move, m.
-    distance : Known
-        Limit of the error of the distance between two probes, m.
-    repeat : mapping
-        Quantity to standard deviation of a parameter over repeated tests, m, rad, K; without it,
-        the scatter of the readings counts.
-    holder : Holder or None
-        None leaves its expansion out.
-    """
-
+    #: Limit of the error of a reading, m, K.
     probe: Known = Known(0.5e-6, "assumed, 0.1 % of a measuring range of 0.5 mm")
     thermometer: Known = Known(0.2, "assumed, Pt100 of class A (IEC 60751) near 25 °C")
+    #: Range of a probe's reading over a time like the test's while its target does not move, m.
     drift: Known = Known(0.5e-6, "assumed, as large as the error; no drift test was given")
+    #: Limit of the error of the distance between two probes, m.
     distance: Known = Known(0.5e-3, "assumed, read from a steel rule")
+    #: Quantity to standard deviation of a parameter over repeated tests, m, rad, K; without it, the
+    #: scatter of the readings counts.
     repeat: Mapping[str, Known] = field(default_factory=dict)
+    #: None leaves its expansion out.
     holder: Holder | None = None
 
 

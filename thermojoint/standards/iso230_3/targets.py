@@ -14,20 +14,13 @@ if TYPE_CHECKING:
 
 
 class Reading(NamedTuple):
-    """Displacement and rotation at one place.
+    """Displacement and rotation at one place."""
 
-    Attributes
-    ----------
-    mark : str
-        Suffix of its channels: nothing, ``P1`` or ``P2``.
-    displacement : ndarray, shape (n, axes)
-        m.
-    rotation : ndarray, shape (n, axes), or None
-        rad; None if the response has none.
-    """
-
+    #: Suffix of its channels: nothing, ``P1`` or ``P2``.
     mark: str
+    #: Shape (n, axes): m.
     displacement: Array
+    #: Shape (n, axes): rad; None if the response has none.
     rotation: Array | None
 
 

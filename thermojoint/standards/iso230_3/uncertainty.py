@@ -28,20 +28,13 @@ _MEDIAN = 1.4826
 
 @dataclass(frozen=True)
 class Contribution:
-    """One source of uncertainty.
+    """One source of uncertainty."""
 
-    Attributes
-    ----------
-    source : str
-        E.g. ``probe``.
-    standard : float
-        Standard uncertainty of the parameter from it, m, rad or K.
-    basis : str
-        Where it comes from.
-    """
-
+    #: E.g. ``probe``.
     source: str
+    #: Standard uncertainty of the parameter from it, m, rad or K.
     standard: float
+    #: Where it comes from.
     basis: str
 
 
