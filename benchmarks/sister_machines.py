@@ -17,7 +17,6 @@ on the day of the next month.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 from collections.abc import Iterator, Sequence
@@ -32,6 +31,7 @@ from threadpoolctl import threadpool_limits
 from benchmarks.plants import driving
 from benchmarks.plants.drawing import Plant
 from benchmarks.plants.responding import answers
+from benchmarks.study import options_of, write_json
 from benchmarks.thermal_error import drives, tasks
 from benchmarks.thermal_error.making import LEVELS, TRAIN_DAY
 from benchmarks.thermal_error.plants import (
@@ -52,7 +52,6 @@ from estimator.learned.estimator import Learned
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from thermojoint.artefacts.arrays import Array
-from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.log import Log, joined
 from thermojoint.artefacts.units import MEGA
 from thermojoint.frames import log_from_frame
@@ -190,9 +189,8 @@ def year() -> Iterator[dict[str, Any]]:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run both studies and write their rows."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = options_of(__doc__, "sisters.json")
     parser.add_argument("--data", type=Path, default=Path("thermal_error_data"))
-    parser.add_argument("--out", type=Path, default=Path("sisters.json"))
     options = parser.parse_args(arguments)
     rows: dict[str, list[dict[str, Any]]] = {"year": [], "transfers": []}
     with threadpool_limits(limits=1):
@@ -207,7 +205,7 @@ def main(arguments: list[str] | None = None) -> None:
                 mean = np.exp(np.log(every).mean(axis=0)).round(2)
                 worst = every.max(axis=0)
                 print(f"{name}, {way}: geometric mean {mean.tolist()}, largest {worst.tolist()}")
-    write_text(options.out, json.dumps(rows, indent=1, allow_nan=False) + "\n")
+    write_json(options.out, rows)
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from benchmarks.plants import driving
 from benchmarks.plants.drawing import draw_unlike
 from benchmarks.plants.structural import structural_answers
 from benchmarks.thermal_error.drives import AMBIENT_DEGC, INTERVAL, Drive, heat_input
+from fesim.batch.paths import with_values
 from fesim.case.schema import Case, case_from_data
 from fesim.setup.machine import Setup, set_up
 from fesim.simulate import simulate
@@ -92,13 +93,7 @@ def machine_data(
     }
     # The reduced model is chosen to a tolerance: its last digits may differ between processors.
     data["march"] = {"step_s": INTERVAL, "duration_min": 35.0, "thermal": thermal}
-    for path, value in changed.items():
-        *way, key = path.split(".")
-        section = data
-        for name in way:
-            section = section[name]
-        section[key] = value
-    return data
+    return with_values(data, changed)
 
 
 def model_case() -> Case:
