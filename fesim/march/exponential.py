@@ -12,11 +12,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import diags_array
 
 from fesim.march.heat_step import heat_balance, heat_step
 from fesim.march.machine import CondensedMachine
-from fesim.march.reduced import diagonal_factor
+from fesim.march.reduced import with_diagonal
 from fesim.solid.condensation import ThermalCondensation
 from thermojoint.artefacts.arrays import Array
 
@@ -187,11 +186,5 @@ def exponential_step(machine: CondensedMachine, rates: Array, length: float) -> 
     jump = np.asarray(thermal.jump)
     influence = np.zeros((len(diagonal), len(jump)))
     influence[:count] = late[:, None] * jump[:, :count].T
-    condensed = replace(
-        thermal,
-        factor=diagonal_factor(diagonal),
-        capacity_rate=diags_array(kept, format="csr"),
-        influence=influence,
-        joint_influence=jump @ influence,
-    )
+    condensed = with_diagonal(thermal, diagonal, kept, influence)
     return ExponentialStep(length, rates, weights, replace(machine, thermal=condensed))

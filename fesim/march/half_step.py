@@ -9,10 +9,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.sparse import diags_array
 
 from fesim.march.machine import CondensedMachine, Step
-from fesim.march.reduced import diagonal_factor
+from fesim.march.reduced import with_diagonal
 from fesim.solid.condensation import FULL
 
 
@@ -30,15 +29,10 @@ def halved(machine: CondensedMachine) -> CondensedMachine:
     thermal = machine.thermal
     rate = thermal.capacity_rate.diagonal()
     diagonal = thermal.factor.matrix.diagonal() + rate
-    jump = np.asarray(thermal.jump)
-    influence = np.where(rate > 0.0, jump / diagonal, 0.0).T
+    influence = np.where(rate > 0.0, np.asarray(thermal.jump) / diagonal, 0.0).T
     sums = thermal.balance
     shorter = replace(
-        thermal,
-        factor=diagonal_factor(diagonal),
-        capacity_rate=diags_array(2.0 * rate, format="csr"),
-        influence=influence,
-        joint_influence=jump @ influence,
+        with_diagonal(thermal, diagonal, 2.0 * rate, influence),
         balance=replace(sums, after=sums.after + sums.before, before=2.0 * sums.before),
         step=0.5 * thermal.step,
     )

@@ -198,6 +198,30 @@ def _held_surfaces(heat: HeatOperators) -> Array:
     return surfaces
 
 
+def with_diagonal(
+    thermal: ThermalCondensation, diagonal: Array, kept: Array, influence: Array
+) -> ThermalCondensation:
+    """Return a heat step on the modes with another diagonal of A0, as for another length.
+
+    Parameters
+    ----------
+    thermal : ThermalCondensation
+        By `project_heat`.
+    diagonal, kept : ndarray, shape (r + s,)
+        Of A0, and of what multiplies the unknowns at the start of the step; zero where they are
+        held.
+    influence : ndarray, shape (r + s, m)
+        W = A0^-1 B^T.
+    """
+    return replace(
+        thermal,
+        factor=diagonal_factor(diagonal),
+        capacity_rate=diags_array(kept, format="csr"),
+        influence=influence,
+        joint_influence=np.asarray(thermal.jump) @ influence,
+    )
+
+
 def diagonal_factor(diagonal: Array) -> Factor:
     """Return the factorisation of a diagonal matrix, given by its diagonal (n,)."""
     inverse = 1.0 / diagonal
