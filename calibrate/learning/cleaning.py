@@ -54,7 +54,7 @@ def clean(table: Table, displacements: tuple[str, ...], rules: Cleaning) -> Clea
         constant, mostly missing, or jumps.
     """
     names = [column.name for column in table.columns]
-    length = _length(table)
+    length = longest_run(table, read_time(table))
     if length < rules.shortest:
         raise InputError(
             f"log: {length / 3600.0:.1f} h long; to learn from, give "
@@ -121,11 +121,11 @@ def read_time(table: Table) -> Array:
     return np.cumsum(np.where(steps > PAUSE * table.interval, 0.0, steps))
 
 
-def _length(table: Table) -> float:
-    read = read_time(table)
-    ends = [*table.starts[1:], len(table.times)]
+def longest_run(table: Table, times: Array) -> float:
+    """Return how long the longest run of a log is, s, by the times (k,) of its rows."""
+    ends = [*table.starts[1:], len(times)]
     return max(
-        float(read[end - 1] - read[first]) for first, end in zip(table.starts, ends, strict=True)
+        float(times[end - 1] - times[first]) for first, end in zip(table.starts, ends, strict=True)
     )
 
 

@@ -14,7 +14,7 @@ from scipy.optimize import nnls
 
 from calibrate.learning import baselines
 from calibrate.learning.blocks import blocks_of
-from calibrate.learning.cleaning import Cleaned, clean, read_time
+from calibrate.learning.cleaning import Cleaned, clean, longest_run, read_time
 from calibrate.learning.positions import Along, checked, sorted_out
 from calibrate.learning.rules import Judging, Rules
 from calibrate.learning.selection import Fitted, choose, fit
@@ -47,7 +47,7 @@ Kind = Literal["learned", "linear", "ridge", "arx"]
 KINDS: tuple[Kind, ...] = ("learned", "linear", "ridge", "arx")
 
 #: Half-width of the 95 % interval, in standard deviations.
-_QUANTILE = 1.96
+QUANTILE = 1.96
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +183,7 @@ def _learned(
 
 def _held_out(times: Array, rows: _Rows, judged: _Judged) -> HeldOut:
     """Estimates of the model of a kind for each block, learned without it, m."""
-    truth, band = rows.outputs, _QUANTILE * judged.widening * judged.deviations
+    truth, band = rows.outputs, QUANTILE * judged.widening * judged.deviations
     estimate = truth - judged.errors
     return HeldOut(times, *(values / MEGA for values in (truth, estimate, band)))
 
@@ -398,7 +398,7 @@ def _wide(
 ) -> list[str]:
     """Return warnings about displacements whose band is wider than their range in the log."""
     about = rows.inputs - rows.inputs.mean(axis=0)
-    band = _QUANTILE * judged.widening * _deviation(fitted, about, rules).mean(axis=0)
+    band = QUANTILE * judged.widening * _deviation(fitted, about, rules).mean(axis=0)
     return [
         f"{name}: the 95 % band, +-{half:.2g} um, is wider than the range in the log, "
         f"{range_:.2g} um: the model explains little of it"
@@ -464,7 +464,7 @@ def _judge(rows: _Rows, rules: Judging) -> _Judged:
         deviations.append(_deviation(fitted, about, rules))
     whole = np.concatenate(deviations)
     ratios = np.abs(np.concatenate(errors)) / whole
-    widening = np.quantile(ratios, rules.within, axis=0) / _QUANTILE
+    widening = np.quantile(ratios, rules.within, axis=0) / QUANTILE
     return _judged(errors, np.maximum(widening, 1.0), whole)
 
 
@@ -506,12 +506,6 @@ def _model(
                 slope and replace(slope, drift=max(slope.drift, rules.least_drift / MEGA)),
             )
         )
-    table = cleaned.table
-    ends = [*table.starts[1:], len(table.times)]
-    duration = max(
-        float(table.times[end - 1] - table.times[first])
-        for first, end in zip(table.starts, ends, strict=True)
-    )
     return LearnedModel(
         kind,
         features,
@@ -521,15 +515,11 @@ def _model(
             for column in (*cleaned.sensors, *cleaned.drives)
             if column in columns
         },
-        duration,
-        LearnedFrom(
-            table.samples,
-            (),
-            cleaned.faults,
-            cleaned.warnings,
-            {name: tuple(map(float, judged.rms)) for name, judged in errors.items()},
-            {name: tuple(map(float, judged.worst)) for name, judged in errors.items()},
-            {name: version(name) for name in ("thermojoint", "numpy")},
+        longest_run(cleaned.table, cleaned.table.times),
+        learned_from(
+            cleaned,
+            {name: judged.rms for name, judged in errors.items()},
+            {name: judged.worst for name, judged in errors.items()},
         ),
         log_end=end_of(cleaned, features),
     )
@@ -551,6 +541,24 @@ def _slope(along: Along, rows: _Rows, weights: Array, errors: Array) -> tuple[Ar
         float(own[0]),
         tuple(map(float, own[1:])),
         float(np.sqrt(parts[1])) / MEGA / along.lever,
+    )
+
+
+def learned_from(
+    cleaned: Cleaned,
+    rms: Mapping[str, Array],
+    worst: Mapping[str, Array],
+    warnings: Sequence[str] = (),
+) -> LearnedFrom:
+    """Return what a model was learned from, with the errors (axes,), um, of each kind of model."""
+    return LearnedFrom(
+        cleaned.table.samples,
+        (),
+        cleaned.faults,
+        (*cleaned.warnings, *warnings),
+        {name: tuple(map(float, errors)) for name, errors in rms.items()},
+        {name: tuple(map(float, errors)) for name, errors in worst.items()},
+        {name: version(name) for name in ("thermojoint", "numpy")},
     )
 
 

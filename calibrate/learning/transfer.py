@@ -14,15 +14,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from importlib.metadata import version
 from itertools import pairwise, product
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calibrate.learning.cleaning import Cleaned, clean
-from calibrate.learning.learn import end_of
+from calibrate.learning.cleaning import Cleaned, clean, longest_run
+from calibrate.learning.learn import QUANTILE, end_of, learned_from
 from calibrate.learning.rules import Rules, Transfer
 from calibrate.learning.structures import known_rows, within_runs
 from calibrate.learning.thinning import thinned
@@ -37,13 +36,10 @@ from thermojoint.models.learned import (
     MEAN,
     SISTER,
     LearnedChannel,
-    LearnedFrom,
     LearnedModel,
     features_of,
 )
 
-#: Half-width of the 95 % interval, in standard deviations.
-_QUANTILE = 1.96
 #: The kind of the model.
 LEARNED = "learned"
 
@@ -125,29 +121,20 @@ def learn_like(
                 tuple(tuple(map(float, row)) for row in posterior.covariance),
                 max(posterior.drift, rules.judging.least_drift / MEGA),
                 _union(own.span, readings.displacements),
-                max(float(ratio) / _QUANTILE, 1.0),
+                max(float(ratio) / QUANTILE, 1.0),
             )
         )
     rms = {
-        kind: tuple(MEGA * float(np.sqrt(np.mean(one[kind] ** 2))) for one in errors)
+        kind: np.array([MEGA * np.sqrt(np.mean(one[kind] ** 2)) for one in errors])
         for kind in errors[0]
     }
-    table = cleaned.table
     return LearnedModel(
         LEARNED,
         first.features,
         tuple(channels),
         {name: _union(first.spans[name], cleaned.at(name)) for name in first.columns},
-        max(first.duration_s, float(np.ptp(table.times))),
-        LearnedFrom(
-            table.samples,
-            (),
-            cleaned.faults,
-            (*cleaned.warnings, *_no_better(wanted, rms)),
-            rms,
-            rms,
-            {name: version(name) for name in ("thermojoint", "numpy")},
-        ),
+        max(first.duration_s, longest_run(cleaned.table, cleaned.table.times)),
+        learned_from(cleaned, rms, rms, _no_better(wanted, rms)),
         log_end=end_of(cleaned, first.features),
     )
 
@@ -305,7 +292,7 @@ def _judged(readings: Readings, prior: Prior, rules: Rules) -> tuple[dict[str, A
     return {kind: np.concatenate(own) for kind, own in errors.items()}, np.concatenate(deviations)
 
 
-def _no_better(names: Sequence[str], rms: dict[str, tuple[float, ...]]) -> list[str]:
+def _no_better(names: Sequence[str], rms: dict[str, Array]) -> list[str]:
     """Return the displacements that the sisters' weights estimate as well, with the errors."""
     return [
         f"{name}: on readings held out the given model is as good as it is, {sister:.2g} um "

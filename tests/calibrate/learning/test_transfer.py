@@ -82,6 +82,12 @@ def test_each_run_has_its_own_zero(sister):
     assert model.learned_from.errors_um["learned"][0] < 2.0
 
 
+def test_a_model_is_known_for_as_long_as_its_longest_run_wherever_clocks_begin(sister):
+    other = read_at(machine_log(hours=10.0, seed=5, start=20000.0), range(240, 600, 75))
+    model = learn_like([read_at(LOG, FEW), other], AXES, [sister])
+    assert model.duration_s == sister.duration_s
+
+
 def test_two_sisters_are_one_prior_with_their_spread(sister):
     other = learn_like([read_at(WEAKER, FEW)], AXES, [sister])
     between = like_it(LOG, 0.85)
