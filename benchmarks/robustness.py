@@ -405,9 +405,9 @@ def page(lines: list[tuple[str, ...]], ended: list[str], first: int, count: int)
             "Iterations are Newton iterations of the gap equations, including all sweeps of "
             "iterated coupling. After snap-through, viscous steps lead to the next equilibrium "
             "([march.md](march.md)). A failed simulation is printed with its number; "
-            "`--first NUMBER --count 1` repeats it. One whose pressures alternate counts as failed. "
-            "A body comes loose where heat opens all of its "
-            "constraints, and surfaces yield where a pressure passes half of their hardness; the "
+            "`--first NUMBER --count 1` repeats it. One whose pressures alternate counts as "
+            "failed. A body comes loose where heat opens all of its constraints, and surfaces "
+            "yield where a pressure passes half of their hardness; the "
             "simulation then ends with a message. Simulations under loads, with "
             "bolts and joints that start open, are in [loads.md](loads.md#subdivided-steps). Ended "
             "early:",
