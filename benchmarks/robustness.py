@@ -28,7 +28,7 @@ from rich.table import Table
 from benchmarks.study import ROOT, coarse_machine_data, options_of
 from fesim.batch.summary import OPEN_BELOW, is_open, preloads
 from fesim.case.schema import Case, case_from_data
-from fesim.march.alternation import alternating
+from fesim.march.alternation import STUBBORN
 from fesim.setup.machine import Setup, set_up, with_laws
 from fesim.simulate import simulate
 from thermojoint.artefacts.errors import ThermojointError
@@ -70,6 +70,10 @@ TURNS = (None, "0,1\n100,1\n101,0.6", "0,1\n100,1\n101,1.5")
 #: How a march ends in which nothing holds a body any more, or a bolt, or whose surfaces yield:
 #: results, and no failures.
 LOOSE, YIELDS = "has come loose", "yield as a whole"
+#: How one ends that turns to and fro between steps as it does in much shorter ones: a result, too.
+OSCILLATES = "oscillates by itself, faster than its steps resolve"
+#: Parts of a step in which it is marched once more.
+FINER = (10, 100)
 #: Upper ends of the bands of friction that the table tells apart.
 BANDS = (0.3, 1.0, 3.0, 10.0)
 FLANGE = ROOT / "examples" / "bolted_flange"
@@ -268,16 +272,29 @@ def figures(response: xr.Dataset) -> Figures:
     )
 
 
-def alternates(response: xr.Dataset) -> bool:
-    """Return whether pressures alternate between two events that the response tells of.
+def alternates(case: Case, response: xr.Dataset) -> bool:
+    """Return whether pressures alternate that do not in shorter steps.
 
-    These are snaps, which lead to another equilibrium, and the step from which on they are iterated
-    because they had alternated.
+    Where heat and pressure drive each other, a machine oscillates by itself. Steps that are too
+    long for it show that as alternation, much shorter ones as an oscillation of the same size.
     """
-    events = response["cuts"].to_numpy() > 0
-    events[1:] |= np.diff(response["taken_over"].to_numpy().astype(int)) > 0
-    pressure = response["pressure"].to_numpy() / preloads(response)
-    return any(map(alternating, np.split(pressure, np.flatnonzero(events))))
+    begin = response.attrs["unresolved_from_s"]
+    end = begin + 3 * STUBBORN * case.march.step_s
+    swing = _to_and_fro(response, begin, end)
+    for parts in FINER:
+        march = {"step_s": case.march.step_s / parts, "duration_min": end / 60.0}
+        fine = simulate(case.replace(march=march), accuracy=False).response
+        if "unresolved_steps" not in fine.attrs:
+            return _to_and_fro(fine, begin, end) < 0.5 * swing
+    return True
+
+
+def _to_and_fro(response: xr.Dataset, begin: float, end: float) -> float:
+    """Way of a pressure, in preloads, beyond that from its first to its last value (s)."""
+    within = (response["time"] >= begin) & (response["time"] <= end)
+    pressure = response["pressure"].to_numpy()[within.to_numpy()] / preloads(response)
+    way = np.abs(np.diff(pressure, axis=0)).sum(axis=0)
+    return float((way - np.abs(pressure[-1] - pressure[0])).max())
 
 
 def sweep(
@@ -300,11 +317,11 @@ def sweep(
             console.print(f"{one.number} failed, friction {one.friction:.2g}: {error}")
             found.append((one, str(error)))
         else:
-            if alternates(response):
-                console.print(f"{one.number} alternates, friction {one.friction:.2g}")
-                found.append((one, "alternates"))
-            else:
-                found.append((one, figures(response)))
+            end: Figures | str = figures(response)
+            if "unresolved_steps" in response.attrs:
+                end = "alternates" if alternates(one.case, response) else OSCILLATES
+                console.print(f"{one.number} {end}, friction {one.friction:.2g}")
+            found.append((one, end))
     return found
 
 
@@ -312,7 +329,7 @@ HEADER = (
     "structure",
     "highest friction",
     "simulations",
-    "a body or bolt comes loose, or surfaces yield",
+    "a body or bolt comes loose, surfaces yield, or oscillates by itself",
     "failed",
     "steps",
     "iterations per step",
@@ -326,8 +343,8 @@ HEADER = (
 
 
 def is_result(end: str) -> bool:
-    """Return whether a march that ended early ended with a result."""
-    return LOOSE in end or YIELDS in end
+    """Return whether the end of a march is a result."""
+    return LOOSE in end or YIELDS in end or end == OSCILLATES
 
 
 def rows(found: list[tuple[Drawn, Figures | str]]) -> list[tuple[str, ...]]:
@@ -405,9 +422,12 @@ def page(lines: list[tuple[str, ...]], ended: list[str], first: int, count: int)
             "Iterations are Newton iterations of the gap equations, including all sweeps of "
             "iterated coupling. After snap-through, viscous steps lead to the next equilibrium "
             "([march.md](march.md)). A failed simulation is printed with its number; "
-            "`--first NUMBER --count 1` repeats it. One whose pressures alternate counts as "
-            "failed. A body comes loose where heat opens all of its constraints, and surfaces "
-            "yield where a pressure passes half of their hardness; the "
+            "`--first NUMBER --count 1` repeats it. One whose pressures alternate from step to "
+            "step counts as failed, unless they go to and fro by as much in steps of a tenth or a "
+            "hundredth, which resolve it: heat and pressure then drive each other, and the "
+            "structure oscillates by itself. Its summary says that the steps are "
+            "too long. A body comes loose where heat opens all of its constraints, and "
+            "surfaces yield where a pressure passes half of their hardness; the "
             "simulation then ends with a message. Simulations under loads, with "
             "bolts and joints that start open, are in [loads.md](loads.md#subdivided-steps). Ended "
             "early:",

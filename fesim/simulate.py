@@ -29,6 +29,7 @@ from fesim.case.schema import (
 from fesim.forces import mechanical_values, outputs_of
 from fesim.march.adaptive import march_adaptively
 from fesim.march.adaptive_state import Effort, Passed
+from fesim.march.alternation import unresolved
 from fesim.march.heat_step import each
 from fesim.march.machine import State, Step
 from fesim.march.settling import at_rest, initial_state
@@ -191,6 +192,8 @@ def simulate(
     course = _joined(parts)
     response = _response(case, given, inputs, course)
     known = None
+    if passed is None and moving is None:
+        response.attrs |= _unresolved(ready, course.track)
     if passed is not None:
         response.attrs |= _spent(passed.effort)
         known = passed.effort.displacement
@@ -256,6 +259,19 @@ def _spent(effort: Effort) -> dict[str, float | int]:
         "estimated_error_um": MEGA * effort.displacement,
         "estimated_error_K": effort.temperature,
     }
+
+
+def _unresolved(ready: Setup, track: Track) -> dict[str, float | int]:
+    """Attributes of a response whose steps do not resolve an oscillation; others have none."""
+    events = track.cuts > 0
+    events[1:] |= np.diff(track.taken_over.astype(int)) > 0
+    steps = unresolved(
+        track.pressure / ready.machine.contact.reference_pressure, track.inputs, events
+    )
+    if not steps.size:
+        return {}
+    first, last = (float(ready.machine.thermal.step * track.index[at]) for at in steps[[0, -1]])
+    return {"unresolved_steps": steps.size, "unresolved_from_s": first, "unresolved_to_s": last}
 
 
 def _good_to(accuracy: Accuracy) -> dict[str, float | str]:

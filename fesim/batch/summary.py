@@ -46,9 +46,10 @@ FIGURES = {
     "iterations": "Newton iterations",
     "cuts": "viscous steps where a joint snapped",
     "taken_over": "steps iterated because staggered ones alternate",
+    "unresolved_steps": "steps whose pressures alternate although no input does",
 }
 #: Integer columns.
-COUNTS = ("steps", "iterations", "cuts", "taken_over")
+COUNTS = ("steps", "iterations", "cuts", "taken_over", "unresolved_steps")
 
 
 def is_open(
@@ -139,4 +140,5 @@ def figures_of(response: xr.Dataset) -> Figures:
     figures["iterations"] = int(response["iterations"].sum())
     for name in ("cuts", "taken_over"):
         figures[name] = int(response[name].sum()) if name in response else 0
+    figures["unresolved_steps"] = int(response.attrs.get("unresolved_steps", 0))
     return figures

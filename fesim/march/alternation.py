@@ -56,25 +56,66 @@ def suspected(turning: Array) -> Array:
 
 
 def alternating(values: Array) -> bool:
-    """Return whether relative values (n, m) of known steps come to oscillate without end.
+    """Return whether relative values (n, m) of known steps come to oscillate: `oscillating`."""
+    return bool(oscillating(values).any())
 
-    Either their increments turn in `STUBBORN` steps in a row and hardly decay; or they turn in half
-    of three times as many and come back to about where they were, by swings of which each third is
+
+def oscillating(values: Array) -> Flags:
+    """Return which of n steps belong to an oscillation of steps that does not end by itself.
+
+    Either increments turn in `STUBBORN` steps in a row and hardly decay; or they turn in half of
+    three times as many and come back to about where they were, by swings of which each third is
     hardly less than the one before: periods of two, three, four or six steps.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n, m)
+        Relative values at the ends of the steps.
     """
+    marked = np.zeros(len(values), dtype=np.bool_)
+    # Few columns turn often enough, and looking at all of them would cost much.
+    often = _turned(np.diff(values, axis=0)).sum(axis=0) >= STUBBORN - 1
+    if len(values) < STUBBORN + 2 or not often.any():
+        return marked
+    values = values[:, often]
     moved = np.diff(values, axis=0)
     size = np.abs(moved)
     turned = (moved[1:] * moved[:-1] < 0.0) & (size[1:] > GAIN * size[:-1]) & (size[1:] > LEAST)
-    if len(turned) >= STUBBORN and _windows(turned, STUBBORN).all(axis=-1).any():
-        return True
+    for first in np.flatnonzero(_windows(turned, STUBBORN).all(axis=-1).any(axis=-1)):
+        marked[first : first + STUBBORN + 2] = True
     if len(moved) < 3 * STUBBORN:
-        return False
+        return marked
     swing = np.ptp(_windows(values, STUBBORN + 1), axis=-1)
     lasts = swing[STUBBORN:] > GAIN**STUBBORN * swing[:-STUBBORN]
-    often = _windows(_turned(moved), 3 * STUBBORN - 1).sum(axis=-1) >= 3 * STUBBORN // 2 - 1
+    turns = _windows(_turned(moved), 3 * STUBBORN - 1).sum(axis=-1) >= 3 * STUBBORN // 2 - 1
     moved_on = np.abs(values[2 * STUBBORN :] - values[: -2 * STUBBORN])
     back = _windows(moved_on, STUBBORN + 1).max(axis=-1) < 0.5 * swing[: -2 * STUBBORN]
-    return bool((often & back & lasts[STUBBORN:] & lasts[:-STUBBORN]).any())
+    found = turns & back & lasts[STUBBORN:] & lasts[:-STUBBORN]
+    for first in np.flatnonzero(found.any(axis=-1)):
+        marked[first : first + 3 * STUBBORN + 1] = True
+    return marked
+
+
+def unresolved(pressure: Array, inputs: Array, events: Flags) -> NDArray[np.intp]:
+    """Return the steps whose pressures oscillate from step to step although no input does.
+
+    Iterated steps that do so are in balance, each of them, but too long for what they follow: heat
+    and pressure drive each other (Barber, Dundurs and Comninou 1980), and the machine oscillates.
+
+    Parameters
+    ----------
+    pressure : ndarray, shape (n, m)
+        At the ends of the steps, relative to the reference pressures.
+    inputs : ndarray, shape (n, k)
+        Of the steps.
+    events : ndarray of bool, shape (n,)
+        Steps from which on a march takes another course: at a snap, or as it is taken over.
+    """
+    largest = np.abs(inputs).max(axis=0)
+    driven = inputs / np.where(largest > 0.0, largest, 1.0)
+    parts = np.split(np.arange(len(pressure)), np.flatnonzero(events))
+    own = [oscillating(pressure[part]) & ~oscillating(driven[part]) for part in parts]
+    return np.flatnonzero(np.concatenate(own))
 
 
 def _turned(moved: Array) -> Flags:

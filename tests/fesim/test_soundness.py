@@ -247,6 +247,34 @@ def test_heat_that_alternates_is_no_coupling_that_does(tmp_path, data):
     moves = np.diff(found["pressure"].to_numpy()[:, 0])
     assert (moves[2:] * moves[1:-1] < 0.0).any()
     assert not found["taken_over"].any()
+    assert figures_of(found)["unresolved_steps"] == 0
+
+
+def test_steps_too_long_for_an_oscillation_are_said(tmp_path, data):
+    """Dissimilar rods whose pressure oscillates by itself, every 140 s (Barber and Zhang 1988)."""
+    light = {"conductivity_W_mK": 200.0, "density_kg_m3": 2700.0, "heat_capacity_J_kgK": 900.0}
+    light |= {"youngs_modulus_GPa": 70.0, "poisson_ratio": 0.0, "expansion_1_K": 23e-6}
+    data["materials"] |= {"aluminium": light}
+    data["materials"]["steel"]["poisson_ratio"] = 0.0
+    data["bodies"]["high"] = "aluminium"
+    squared = {"law": "constants", "constant": 97.0, "exponent": 2.0}
+    law = {"normal_law": "back-burdekin", "back_burdekin": {"coefficient_um": 3.0, "exponent": 0.5}}
+    data["joints"]["j"] |= {"preload_MPa": 9.5, "conductance": squared} | law
+    data["held_temperatures"] = {"low.z0": {"rise_K": 100.0}, "high.z1": {"rise_K": -47.0}}
+    data["heat_input"]["level"] = 0.0
+    rods = boxes({}, low=((0, 0, 0), (SIDE, SIDE, 0.06)), high=((0, 0, 0.06), (SIDE, SIDE, 0.13)))
+
+    def marched(step_s):
+        data["march"] = {"step_s": step_s, "duration_min": 21.0, "coupling": "iterated"}
+        return run(tmp_path, data, rods)
+
+    coarse, fine = marched(35.0), marched(7.0)
+    assert figures_of(coarse)["unresolved_steps"] > 18
+    assert "from 105 to 1260 s pressures" in "".join(result_lines(coarse, figures_of(coarse)))
+    assert figures_of(fine)["unresolved_steps"] == 0
+    later = [one["pressure"].sel(time=slice(600.0, None)) for one in (coarse, fine)]
+    swings = [float(one.max() - one.min()) for one in later]
+    assert swings[1] > swings[0]
 
 
 def test_no_heat_is_lost_between_steps(tmp_path, data):

@@ -173,7 +173,19 @@ def _joint_lines(response: xr.Dataset, figures: Mapping[str, float]) -> list[str
             f"Coupling: staggered steps alternated; {count} steps, from "
             f"{_lasting(response, first)} on, were iterated instead."
         )
+    if "unresolved_steps" in response.attrs:
+        lines.append(unresolved_line(response.attrs))
     return lines
+
+
+def unresolved_line(attrs: Mapping[str, Any]) -> str:
+    """Return a line on an oscillation that the steps of a march do not resolve."""
+    first, last = (attrs[f"unresolved_{end}_s"] for end in ("from", "to"))
+    return (
+        f"Steps: from {first:g} to {last:g} s pressures rise and fall from step to step though no "
+        "input does: pressure and heat flow drive each other faster than the steps are long. Take "
+        'march.method = "adaptive", or a shorter march.step_s.'
+    )
 
 
 def axis_lines(response: xr.Dataset) -> list[str]:

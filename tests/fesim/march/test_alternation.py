@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fesim.march.alternation import alternating, gain_of
+from fesim.march.alternation import alternating, gain_of, oscillating, unresolved
 
 STEPS = np.arange(30.0)[:, None]
 
@@ -29,3 +29,12 @@ def test_the_gain_is_that_of_the_element_that_alternates_most():
     assert gain_of(once, twice) == pytest.approx(1.1)
     assert gain_of(once, -twice) == 0.0
     assert gain_of(np.zeros(2), np.zeros(2)) == 0.0
+
+
+def test_only_the_steps_that_oscillate_are_named_and_none_that_an_input_drives():
+    values = np.where(STEPS < 10.0, 0.0, 0.1 * (-1.0) ** STEPS)
+    assert np.flatnonzero(oscillating(values)).tolist() == list(range(9, 30))
+    still, driven = np.ones((30, 2)), np.hstack([np.ones((30, 1)), 5.0 * (STEPS % 2)])
+    snaps = STEPS[:, 0] == 20.0
+    assert unresolved(values, still, snaps).tolist() == list(range(9, 30))
+    assert not unresolved(values, driven, snaps).size
