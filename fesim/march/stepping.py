@@ -15,6 +15,7 @@ from functools import partial
 import numpy as np
 
 from fesim.march.alternation import GAIN, gain_of, suspected, turnings
+from fesim.march.anderson import accelerated
 from fesim.march.half_step import can_be_halved, halved, joined
 from fesim.march.machine import CondensedMachine, State, Step
 from fesim.march.passing import pass_heat
@@ -43,8 +44,9 @@ SEEKING = 400
 RELAXING = 300 * (0.3,) + 400 * (0.1,) + 800 * (0.03,)
 #: From this sweep on, agreement within the tolerance of the gap equations is sufficient.
 PATIENCE = 20
-#: Sweeps after which a step is divided into halves, where it can be, and how often it may be.
-UNSETTLED, HALVINGS = 100, 8
+#: Sweeps after which a step that can be halved is taken anew with accelerated ones, the number of
+#: these after which it is halved, and how often it may be.
+UNSETTLED, ACCELERATED, HALVINGS = 30, 60, 8
 #: Largest change of the heat of friction between sweeps, relative to it, and number of sweeps.
 FRICTION_TOLERANCE, FRICTION_SWEEPS = 1e-9, 50
 #: Steps in a block, whose amplitudes fit into the processor's cache.
@@ -194,7 +196,7 @@ def _watching(machine: CondensedMachine, take: Take) -> Take:
     def watching(state: State, inputs: Array) -> Track:
         if not state.taken_over and not _alternates(machine, state, inputs[0]):
             return _watched(machine, state, take(state, inputs))
-        step = _divided(machine, state, inputs[0], HALVINGS)
+        step, _ = _divided(machine, state, inputs[0], HALVINGS)
         return track_of(replace(step, state=replace(step.state, taken_over=True)))
 
     return watching
@@ -232,37 +234,53 @@ def _alternates(machine: CondensedMachine, state: State, inputs: Array) -> bool:
 
 def iterated(machine: CondensedMachine) -> Take:
     """Steps with the conductance of the pressure at their end, unless the joint snaps."""
-    return lambda state, inputs: track_of(_divided(machine, state, inputs[0], HALVINGS))
+    return lambda state, inputs: track_of(_divided(machine, state, inputs[0], HALVINGS)[0])
 
 
-def _divided(machine: CondensedMachine, state: State, inputs: Array, halvings: int) -> Step:
-    """Take an iterated step, in halves of halves where its sweeps do not settle."""
+def _divided(
+    machine: CondensedMachine, state: State, inputs: Array, halvings: int, least: int = 0
+) -> tuple[Step, int]:
+    """Take an iterated step, in halves of halves where its sweeps do not settle.
+
+    Returns the step and how often its shortest part was halved, at least `least` times: the second
+    half of a step is not tried in longer parts than the first one needed.
+    """
     if not halvings or not can_be_halved(machine):
-        return iterated_step(machine, state, inputs)
-    with suppress(_UnsettledError):
-        return iterated_step(machine, state, inputs, UNSETTLED, ())
+        return iterated_step(machine, state, inputs), 0
+    if not least:
+        for seeking, accelerating in ((UNSETTLED, 0), (0, ACCELERATED)):
+            with suppress(_UnsettledError):
+                return iterated_step(machine, state, inputs, Sweeps(seeking, (), accelerating)), 0
     shorter = halved(machine)
-    first = _divided(shorter, state, inputs, halvings - 1)
+    first, needed = _divided(shorter, state, inputs, halvings - 1, max(least - 1, 0))
     begun = replace(first.state, index=state.index)
-    return joined(first, _divided(shorter, begun, inputs, halvings - 1))
+    second, deepest = _divided(shorter, begun, inputs, halvings - 1, needed)
+    return joined(first, second), 1 + deepest
 
 
 class _UnsettledError(ConvergenceError):
     """Pressure and heat flow of a step still change after all sweeps."""
 
 
+@dataclass(frozen=True)
+class Sweeps:
+    """How the value that is carried is found: by these sweeps, one kind after the other."""
+
+    #: Number of sweeps with weights by Aitken's method.
+    seeking: int = SEEKING
+    #: Weights of further ones.
+    relaxing: tuple[float, ...] = RELAXING
+    #: Number of sweeps with Anderson acceleration.
+    accelerating: int = 0
+
+
 def iterated_step(
-    machine: CondensedMachine,
-    state: State,
-    inputs: Array,
-    seeking: int = SEEKING,
-    relaxing: tuple[float, ...] = RELAXING,
+    machine: CondensedMachine, state: State, inputs: Array, sweeps: Sweeps = Sweeps()
 ) -> Step:
     """Take one step of `iterated`.
 
     Fixed-point iteration. Every sweep starts from the state at the start of the step, so that
-    friction sees one increment only; the first takes the pressure of the state. `seeking` sweeps
-    have weights by Aitken's method, further ones those of `relaxing`.
+    friction sees one increment only; the first takes the pressure of the state.
 
     Raises
     ------
@@ -273,7 +291,10 @@ def iterated_step(
     value = carried.of(state)
     weight, last = 1.0, np.zeros_like(value)
     iterations = cuts = 0
-    for sweep in range(seeking + len(relaxing)):
+    taken: list[Array] = []
+    misfits: list[Array] = []
+    weighted = sweeps.seeking + len(sweeps.relaxing)
+    for sweep in range(weighted + sweeps.accelerating):
         step = _step_with(machine, state, inputs, carried.conductance(value))
         iterations += step.iterations
         cuts += step.cuts
@@ -288,12 +309,17 @@ def iterated_step(
         # keep changing them within the tolerance of the gap equations.
         state = replace(state, change=step.state.change)
         slow = change > 0.5 * float(np.abs(last).max(initial=0.0))
-        if sweep >= seeking:
-            weight = relaxing[sweep - seeking]
+        ends = 0.5 * np.minimum(value, after), 2.0 * np.maximum(value, after)
+        if sweep >= weighted:
+            taken.append(value / carried.scale)
+            misfits.append(misfit)
+            value = np.clip(carried.scale * accelerated(taken, misfits), *ends)
+            continue
+        if sweep >= sweeps.seeking:
+            weight = sweeps.relaxing[sweep - sweeps.seeking]
         elif slow:
             weight = _aitken(weight, last, misfit)
         last = misfit
-        ends = 0.5 * np.minimum(value, after), 2.0 * np.maximum(value, after)
         value = np.clip(value + weight * (after - value), *ends)
     raise _UnsettledError(
         f"in-step iteration: pressure and heat flow drive each other: {change:.1e} of the preload "

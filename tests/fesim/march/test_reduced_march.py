@@ -79,12 +79,17 @@ def test_a_step_halved_is_the_step_of_half_the_length():
         np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-14 * size)
 
 
-def test_a_step_that_does_not_settle_is_taken_in_halves(reduced_setup, monkeypatch):
-    """They are those of a march of half the step under the same heat; their balance is kept."""
+def test_a_step_that_does_not_settle_is_accelerated_then_taken_in_halves(
+    reduced_setup, monkeypatch
+):
+    """Halves are those of a march of half the step under the same heat; their balance is kept."""
     machine = reduced_setup.machine
     inputs = driven(machine, step_history(1200.0))
     first = next(march(machine, inputs, iterated))
     monkeypatch.setattr(stepping, "UNSETTLED", 1)
+    accelerated = next(march(machine, inputs, iterated))
+    np.testing.assert_allclose(accelerated.displacement, first.displacement, rtol=1e-7)
+    monkeypatch.setattr(stepping, "ACCELERATED", 1)
     monkeypatch.setattr(stepping, "HALVINGS", 1)
     divided = next(march(machine, inputs, iterated))
     monkeypatch.undo()
