@@ -133,9 +133,14 @@ def driven(
             "march": case.march.model_copy(update={"duration_min": minutes}),
         }
     )
+    return adaptively(long)
+
+
+def adaptively(case: Case) -> Case:
+    """Return a case whose steps are chosen by their error, where it permits that."""
     with suppress(InputError):
-        return long.replace(march={"method": "adaptive", "tolerance_um": TOLERANCE_UM})
-    return long
+        return case.replace(march={"method": "adaptive", "tolerance_um": TOLERANCE_UM})
+    return case
 
 
 def simulate_long(

@@ -37,6 +37,7 @@ from thermojoint.paper.drawing import draw, estimate_figures, paper_figures
 from thermojoint.paper.inputs import check_drivable, check_placeable
 from thermojoint.paper.long_runs import (
     LongRuns,
+    adaptively,
     at_sensors,
     simulate_long,
     warm_part,
@@ -198,8 +199,7 @@ def _steady(
     folder: Path,
 ) -> Model:
     """Return the model calibrated with the same sensors by steps until the machine is steady."""
-    march = case.march.model_copy(update={"duration_min": runs.steady})
-    lasting = case.model_copy(update={"march": march})
+    lasting = adaptively(case.replace(march={"duration_min": runs.steady}))
     steps = {f"{name}-steady": heat for name, heat in inputs.CALIBRATION.items()}
     made = inputs.simulate_inputs(lasting, steps, setup=setup, progress=report)
     kept = {name.removesuffix("-steady"): at_sensors(r, roles) for name, r in made.items()}
