@@ -74,9 +74,10 @@ def table(values: ArrayLike, precision: Precision) -> str:
     return _braces(array, precision)
 
 
-def _braces(array: np.ndarray, precision: Precision) -> str:
+def _braces(array: np.ndarray, precision: Precision | None) -> str:
+    """An initialiser; without a precision of integers."""
     if array.ndim == 0:
-        return literal(float(array), precision)
+        return literal(float(array), precision) if precision else str(int(array))
     parts = [_braces(entry, precision) for entry in array]
     if array.ndim == 1:
         return "{" + ", ".join(parts) + "}"
@@ -95,5 +96,7 @@ def environment(precision: Precision) -> Environment:
 
     templates.filters["c"] = c
     templates.filters["table"] = as_table
+    templates.filters["integers"] = lambda values: _braces(np.asarray(values), None)
     templates.filters["wide"] = lambda values: table(values, Precision.DOUBLE)
+    templates.filters["double"] = lambda value: literal(value, Precision.DOUBLE)
     return templates

@@ -13,11 +13,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estimator.export.recorded import Recorded, check_answerable, even, recorded
-from estimator.interface import Estimator, Status
+from estimator.interface import Estimate, Estimator, Status
+from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 
-#: Tolerance of the self-test: in double precision relative to the largest displacement, in single
-#: precision in m.
+#: Tolerance of the self-test: in double precision relative to the largest displacement, unless a
+#: kind has its own, in single precision in m.
 RELATIVE, ABSOLUTE = 1e-12, 1e-8
 #: Status bits shared with the estimators in Python.
 COMMON = 0xFFF
@@ -65,6 +66,13 @@ class Operations:
         return Operations(*(count * own for own in astuple(self)))
 
 
+def solving(size: int) -> Operations:
+    """Return the operations of Gaussian elimination with this many unknowns."""
+    square = size * (size - 1)
+    inner = square * (2 * size - 1) // 6
+    return Operations(inner + 2 * square, inner + 2 * square + size, 2 * size)
+
+
 class Variable(NamedTuple):
     """Input or output of a program.
 
@@ -79,6 +87,24 @@ class Variable(NamedTuple):
     name: str
     unit: str
     place: str
+
+
+class Compared(NamedTuple):
+    """Output that the self-test compares with the estimator in Python.
+
+    Attributes
+    ----------
+    variable : Variable
+        The output.
+    metres : float
+        Factor that makes it m.
+    held : int
+        Status bit under which it is that of a sample before, which is not compared.
+    """
+
+    variable: Variable
+    metres: float = 1.0
+    held: int = 0
 
 
 @dataclass(frozen=True)
@@ -101,6 +127,10 @@ class Interface:
         Status bits shared with the estimator in Python.
     approximate : tuple of Status
         Those under which the program is near the estimator in Python, but not the same.
+    lines : tuple of Compared
+        What the self-test compares beside the displacements.
+    held : int
+        `Compared.held` of the displacements.
     """
 
     kind: str
@@ -112,6 +142,19 @@ class Interface:
     axes: tuple[str, ...]
     statuses: tuple[Status, ...]
     approximate: tuple[Status, ...] = ()
+    lines: tuple[Compared, ...] = ()
+    held: int = 0
+
+    @property
+    def compared(self) -> tuple[Compared, ...]:
+        """What the self-test compares: displacements first."""
+        moved = [Compared(one, held=self.held) for one in self.outputs[: len(self.axes)]]
+        return (*moved, *self.lines)
+
+
+def no_lines(estimate: Estimate) -> Array:
+    """Return the values of `Interface.lines` in an estimate where there are none."""
+    return np.zeros(0)
 
 
 @dataclass(frozen=True)
@@ -136,6 +179,10 @@ class Contents:
         Generates time, s, and readings for a self-test if none are recorded.
     origin : str
         Description of these readings.
+    lines : callable
+        Values of `Interface.lines` in an estimate in Python, m.
+    relative : float
+        Tolerance of the self-test in double precision, relative to the largest value compared.
     """
 
     estimator: Estimator
@@ -148,6 +195,8 @@ class Contents:
     labels: tuple[str, str]
     duty: Callable[[], Iterable[Sequence[float]]]
     origin: str = "a day of a duty cycle"
+    lines: Callable[[Estimate], Array] = no_lines
+    relative: float = RELATIVE
 
 
 @dataclass(frozen=True)
@@ -174,6 +223,8 @@ class Program:
         Descriptions of these two.
     version : str
         Of the exporting program.
+    relative : float
+        As in `Contents`.
     """
 
     name: str
@@ -187,6 +238,7 @@ class Program:
     worst: Operations
     labels: tuple[str, str]
     version: str
+    relative: float = RELATIVE
 
     @property
     def samples(self) -> int:
@@ -214,12 +266,13 @@ class Program:
             "constants": self.constants,
             "state": self.state,
             "samples": self.kept.samples,
-            "expected": self.kept.displacement,
+            "compared": interface.compared,
+            "expected": self.kept.compared,
             "words": self.kept.words,
             # It is written into a comment, which a file name must not end.
             "origin": re.sub(r"[^\w .,-]", "_", self.kept.origin),
             "relative": self.precision is Precision.DOUBLE,
-            "allowed": RELATIVE if self.precision is Precision.DOUBLE else ABSOLUTE,
+            "allowed": self.relative if self.precision is Precision.DOUBLE else ABSOLUTE,
             **self.values,
         }
 
@@ -257,7 +310,8 @@ def program(
         samples, origin = contents.duty(), contents.origin
     if not interface.timed:
         samples = even(samples, interface.interval, origin)
-    kept = recorded(contents.estimator, samples, interface.interval, origin)
+    follows = contents.estimator, contents.lines
+    kept = recorded(follows, samples, interface.interval, origin)
     check_answerable(kept, [one for one in interface.statuses if one not in interface.approximate])
     return Program(
         name,
@@ -271,6 +325,7 @@ def program(
         worst=contents.worst,
         labels=contents.labels,
         version=version("thermojoint"),
+        relative=contents.relative,
     )
 
 

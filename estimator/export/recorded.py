@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
 
-from estimator.interface import Estimator, Status, follow
+from estimator.interface import Estimate, Estimator, Status, follow
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 
@@ -32,8 +32,8 @@ class Recorded:
     ----------
     samples : ndarray, shape (n, 1 + channels)
         Interval since the previous sample (nominal for the first), s, and readings.
-    displacement : ndarray, shape (n, axes)
-        m.
+    compared : ndarray, shape (n, axes + lines)
+        Displacements, then what else is compared, m.
     words : tuple of int
         Status words.
     origin : str
@@ -41,30 +41,35 @@ class Recorded:
     """
 
     samples: Array
-    displacement: Array
+    compared: Array
     words: tuple[int, ...]
     origin: str
 
 
 def recorded(
-    estimator: Estimator, samples: Iterable[Sequence[float]], interval: float, origin: str
+    follows: tuple[Estimator, Callable[[Estimate], Array]],
+    samples: Iterable[Sequence[float]],
+    interval: float,
+    origin: str,
 ) -> Recorded:
     """Return at most `MOST` samples with the estimates, starting from the initial state.
 
-    Samples are time, s, and a value of each channel; the first has the given interval, s.
+    Samples are time, s, and a value of each channel; the first has the given interval, s. Beside
+    the displacements of the estimator, what the function finds in its estimates is compared, m.
 
     Raises
     ------
     InputError
         A sample is unusable, or there are none.
     """
+    estimator, lines = follows
     rows, shifts, words = [], [], []
     last = math.nan
     kept = list(islice(samples, MOST))
     states = follow(estimator, kept, estimator.initial_state())
     for sample, (_, estimate) in zip(kept, states, strict=True):
         rows.append((interval if math.isnan(last) else sample[0] - last, *sample[1:]))
-        shifts.append(estimate.displacement)
+        shifts.append(np.concatenate([estimate.displacement, lines(estimate)]))
         words.append(int(estimate.status))
         last = sample[0]
     if not rows:
