@@ -33,6 +33,7 @@ _OTHERS = (
 #: Units as exponents of the base units, in FMI notation.
 BASES = {
     "1": "",
+    "m/m": "",
     "K": ' K="1"',
     "m": ' m="1"',
     "W": ' kg="1" m="2" s="-3"',

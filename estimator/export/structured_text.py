@@ -137,5 +137,8 @@ def _environment(precision: Precision) -> Environment:
     templates.filters["wide"] = lambda values: initial(values, Precision.DOUBLE)
     templates.filters["exact"] = lambda value: decimal(value, Precision.DOUBLE)
     templates.filters["words"] = words
+    templates.filters["integers"] = lambda values: _listed(
+        [str(number) for number in np.ravel(values).tolist()]
+    )
     templates.filters["size"] = numbers_in
     return templates

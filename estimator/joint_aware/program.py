@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from estimator.export import erfc
 from estimator.export.program import (
+    RELATIVE,
     Contents,
     Interface,
     Operations,
@@ -23,15 +24,19 @@ from estimator.export.program import (
     Variable,
     distinct,
     listed,
+    no_lines,
+    solving,
 )
 from estimator.interface import Status
+from estimator.joint_aware import guided_program
 from estimator.joint_aware.estimator import WIDTH, JointAware
+from estimator.joint_aware.guided_program import Guided, Table, kernel_of
 from estimator.joint_aware.model_file import fingerprint
 from estimator.joint_aware.observer import ANSWER
 from estimator.joint_aware.observer_state import KNOWN
 from estimator.joint_aware.trust import channels_of
 from estimator.span import SETTLING, SLACK
-from fesim.march.compiled_step import JointKernel
+from fesim.march.compiled_step import HeatStep, JointKernel
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.reduced.discrepancy import relaxed
@@ -63,50 +68,43 @@ _STATUSES = (
 _APPROXIMATE = (Status.UNSETTLED, Status.SENSOR_DISTRUSTED, Status.READINGS_LOST)
 
 
-class Table(NamedTuple):
-    """An array of the program."""
-
-    name: str
-    what: str
-    values: Array
-
-    @property
-    def shape(self) -> str:
-        """Dimensions in C notation."""
-        return "".join(f"[{size}]" for size in self.values.shape)
-
-
 def contents(estimator: JointAware, precision: Precision) -> Contents:
     """Return the program contents of a joint-aware estimator.
 
     Raises
     ------
     InputError
-        It has a moving axis; the joints have no compiled law, or there are none.
+        The joints have no compiled law, or there are none; something of a moving axis has no
+        program (`guided_program`).
     """
-    if estimator.model.moving_axes:
-        raise InputError("export: not for a moving axis so far; run it with 'thermojoint estimate'")
-    kernel = estimator.observer.physics.kernel
+    kernel = kernel_of(estimator.observer.physics)
     if kernel is None:
         raise InputError(
             "export: the machine has no joint, or one whose law is not a surface or Back-Burdekin "
             "with a power law of the conductance; run it with 'thermojoint estimate'"
         )
     modes, rest = estimator.model.modes, estimator.observer.physics.rest
-    acts = modes.factors.size or estimator.model.surfaces
+    moving = len(estimator.model.moving_axes)
+    acts = modes.factors.size > moving or estimator.model.surfaces
     if acts or modes.start.any() or rest.gap.any():
         raise InputError(
             "export: the machine has loads, bolts, initial or held temperatures or a joint without "
             "preload; run it with 'thermojoint estimate'"
         )
-    tolerance = kernel.tolerance
+    tolerance = kernel.tolerance * (guided_program.CLOSER if moving else 1.0)
     if precision is Precision.SINGLE:
         tolerance = max(tolerance, SINGLE_TOLERANCE)
     model, faults = estimator.model, estimator.thresholds.faults
-    tables = _tables(estimator, kernel, tolerance)
+    way = guided_program.guided(estimator, kernel) if moving else None
+    tables = _tables(estimator, kernel, tolerance, way)
     linear, contacts = estimator.observer.system.size, kernel.preload.size
     axes, draws, _ = model.band.open.shape
-    fixed = _every_sample(estimator, linear, contacts) + Operations(20, 20, 8, 8).times(axes)
+    own = _standing(estimator, contacts) if way is None else way.usual
+    fixed = _every_sample(estimator, linear) + Operations(20, 20, 8, 8).times(axes)
+    # Where the axes stand, and at every position asked for.
+    places = 1 if way is None else 1 + way.values["asked"]
+    usual = _newton(contacts, contacts, 0).times(2) + _look(contacts)
+    worst = _newton(contacts, 3 * contacts, HALVINGS).times(ITERATIONS) + _look(contacts)
     count = len(estimator.observer.system.rows)
     start = _start(estimator)
     slowest = 1.0 / float(model.modes.rates.min())
@@ -115,6 +113,8 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
         estimator,
         _interface(estimator),
         values={
+            "moving": 0,
+            "readings": count,
             "sources": distinct(model.sources, "sources"),
             "jumped": READING_JUMPED,
             "not_settled": NOT_SETTLED,
@@ -138,6 +138,7 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             "iterations": ITERATIONS,
             "halvings": HALVINGS,
             "tables": tables,
+            "indices": [] if way is None else way.indices,
             "tolerance": tolerance,
             "erfc": _erfc(kernel, precision),
             "width": WIDTH,
@@ -148,29 +149,38 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             "root2pi": math.sqrt(2.0 * math.pi),
             # Beyond it, exp underflows (`fesim.joint.law`).
             "underflow": 700.0 if precision is Precision.DOUBLE else 80.0,
+            **({} if way is None else way.values),
         },
         constants=sum(table.values.size for table in tables),
-        state=5 * linear + 44 * contacts + 9 * contacts**2 + 14 * count + 11,
-        usual=fixed + _newton(contacts, contacts, 0).times(2) + _look(contacts),
-        worst=fixed
-        + judged
-        + _newton(contacts, 3 * contacts, HALVINGS).times(ITERATIONS)
-        + _look(contacts),
+        state=5 * linear
+        + 44 * contacts
+        + 9 * contacts**2
+        + 14 * count
+        + 11
+        + (0 if way is None else way.state),
+        usual=fixed + own + usual.times(places),
+        worst=fixed + (own if way is None else way.worst) + judged + worst.times(places),
         labels=("a sample of two Newton steps, nothing slides", "any sample, at most"),
         duty=lambda: _duty_cycle(estimator),
         origin="a duty cycle",
+        lines=partial(guided_program.compared_in, estimator) if moving else no_lines,
+        relative=guided_program.RELATIVE if moving else RELATIVE,
     )
 
 
 def _interface(estimator: JointAware) -> Interface:
     model, axes = estimator.model, distinct(estimator.axes, "axes")
-    readings = distinct((*model.sensors, "ambient"), "sensors")
+    readings = distinct((*model.sensors, "ambient", *model.positions), "sensors")
+    moving = bool(model.moving_axes)
     return Interface(
         kind="joint_aware",
         fingerprint=fingerprint(model),
         interval=model.step,
         timed=False,
-        inputs=tuple(Variable(sensor, "K", "") for sensor in readings),
+        inputs=tuple(
+            Variable(name, channel.unit, "")
+            for name, channel in zip(readings, estimator.channels, strict=False)
+        ),
         outputs=(
             *listed("displacement", "m", axes),
             *listed("band", "m", axes),
@@ -178,10 +188,13 @@ def _interface(estimator: JointAware) -> Interface:
             Variable("estimated_ambient", "K", "ambient"),
             Variable("lowest_pressure", "Pa", "lowest_pressure"),
             Variable("highest_pressure", "Pa", "highest_pressure"),
+            *(guided_program.outputs(estimator) if moving else ()),
         ),
         axes=axes,
         statuses=(*_STATUSES, *_APPROXIMATE),
         approximate=_APPROXIMATE,
+        lines=guided_program.compared(estimator) if moving else (),
+        held=guided_program.LINE_HELD if moving else 0,
     )
 
 
@@ -197,7 +210,9 @@ def _erfc(kernel: JointKernel, precision: Precision) -> dict[str, Any] | None:
     }
 
 
-def _tables(estimator: JointAware, kernel: JointKernel, tolerance: float) -> list[Table]:
+def _tables(
+    estimator: JointAware, kernel: JointKernel, tolerance: float, way: Guided | None
+) -> list[Table]:
     model, observer = estimator.model, estimator.observer
     heat = heat_step(model.modes, model.step)
     system = observer.system
@@ -214,11 +229,8 @@ def _tables(estimator: JointAware, kernel: JointKernel, tolerance: float) -> lis
     return [
         Table("loss", "What a mode loses in a step.", loss),
         Table("drive", "Modes per W of each source and K of the ambient.", heat.drive),
-        Table("influence", "Modes per W across each contact element.", heat.influence),
-        Table("joint_influence", "Temperature jumps per W, K/W.", heat.joint_influence),
-        Table("jump", "Temperature jumps per mode, K.", kernel.jump),
-        Table("held", "Conductance times area that the modes have, W/K.", kernel.held),
         Table("conductance", "Factor times area, W/K, hardness, Pa, exponent.", kernel.conductance),
+        *(_standing_tables(kernel, heat) if way is None else way.tables),
         Table("power", "Of each source at heat input 1, W.", model.power),
         Table("relaxing", "What a relaxation gains in a step.", relaxing),
         Table("rows_read", "What the sensors read of the linear state, K.", system.rows),
@@ -238,13 +250,7 @@ def _tables(estimator: JointAware, kernel: JointKernel, tolerance: float) -> lis
         Table("calibrated", "Readings that were calibrated, K.", np.stack(calibrated, 1)),
         Table("possible", "Readings that can be, K.", np.stack([readable.low, readable.high], 1)),
         Table("laws", "Kind, scale, shape, start, preload, friction, stiffness.", kernel.laws),
-        Table("springs", "As stiff as the joint at its preload, Pa/m.", kernel.springs),
-        Table("compliance", "Gaps per traction, m/Pa.", kernel.compliance),
-        Table("free_gap", "Gaps per mode, m.", kernel.gap),
         Table("preload", "Pa.", kernel.preload),
-        Table("reference", "Pa/m.", kernel.reference),
-        Table("moved_by", "Displacement per traction, m/Pa.", kernel.moved),
-        Table("free_moved", "Displacement per mode, m.", kernel.free),
         Table("remainder_moved", "... per relaxation, m.", model.discrepancy.displacement),
         Table("steady", "Variance of the state after a reading, m2.", band.steady),
         Table("constant", "What the calibration left, m2.", band.constant),
@@ -252,6 +258,22 @@ def _tables(estimator: JointAware, kernel: JointKernel, tolerance: float) -> lis
         Table("surprise", "... per square of an innovation that lasts, m2/K2.", band.surprise),
         Table("open_band", "Error of machines not told apart, m.", band.open),
         Table("tolerance", "Of the gap equations, m.", np.array(tolerance)),
+    ]
+
+
+def _standing_tables(kernel: JointKernel, heat: HeatStep) -> list[Table]:
+    """Those of a machine that stands at one place."""
+    return [
+        Table("influence", "Modes per W across each contact element.", heat.influence),
+        Table("joint_influence", "Temperature jumps per W, K/W.", heat.joint_influence),
+        Table("jump", "Temperature jumps per mode, K.", kernel.jump),
+        Table("held", "Conductance times area that the modes have, W/K.", kernel.held),
+        Table("springs", "As stiff as the joint at its preload, Pa/m.", kernel.springs),
+        Table("compliance", "Gaps per traction, m/Pa.", kernel.compliance),
+        Table("free_gap", "Gaps per mode, m.", kernel.gap),
+        Table("reference", "Pa/m.", kernel.reference),
+        Table("moved_by", "Displacement per traction, m/Pa.", kernel.moved),
+        Table("free_moved", "Displacement per mode, m.", kernel.free),
     ]
 
 
@@ -350,25 +372,32 @@ def _duty_cycle(estimator: JointAware) -> Iterator[tuple[float, ...]]:
     level = LOAD * model.calibrated.heat * (at % PERIOD < ON * PERIOD)
     ambient = 0.5 * np.sin(2.0 * np.pi * at / SAMPLES)
     heat = np.repeat(level[:, None], model.power.size, axis=1)
-    inputs = np.column_stack([heat * model.power, ambient])
+    places = guided_program.course(model.moving_axes, SAMPLES)
+    inputs = np.column_stack([heat * model.power, ambient, places[1:]])
     read, _ = simulate_known(observer.physics, inputs, model.step)
     read += relaxed(heat, model.discrepancy.rates, model.step) @ model.discrepancy.temperature.T
     rows = np.vstack([np.zeros(read.shape[1] + 1), np.column_stack([read, ambient])])
     rows[:, :-1] += model.offset
+    rows = np.hstack([rows, places])
     for k, row in enumerate(rows.tolist()):
         yield (k * model.step, *row)
 
 
-def _every_sample(estimator: JointAware, linear: int, contacts: int) -> Operations:
-    """Prediction, correction, band and displacement."""
+def _every_sample(estimator: JointAware, linear: int) -> Operations:
+    """Prediction without joints, correction and band."""
     model = estimator.model
     modes, inputs = model.modes.rates.size, model.power.size + 1
     read, (axes, draws, twice) = model.offset.size + 1, model.band.open.shape
-    products = modes * (1 + inputs + 2 * contacts) + 2 * contacts**2
-    products += 3 * contacts * modes + linear * 2 * read
-    products += axes * (modes + 3 * contacts + twice + draws * (twice + 2) + twice + 2 * read)
-    sums = products + 8 * linear + modes * 4 + contacts**2 + 20 * read
-    return Operations(products, sums, 2 * linear, contacts) + _solve(contacts)
+    products = modes * (1 + inputs) + linear * 2 * read
+    products += axes * (twice + draws * (twice + 2) + twice + 2 * read)
+    return Operations(products, products + 8 * linear + modes * 4 + 20 * read, 2 * linear)
+
+
+def _standing(estimator: JointAware, contacts: int) -> Operations:
+    """Heat across the joints, gaps and displacement at one place."""
+    modes, axes = estimator.model.modes.rates.size, len(estimator.axes)
+    products = 5 * contacts * modes + 2 * contacts**2 + axes * (modes + 3 * contacts)
+    return Operations(products, products + contacts**2, 0, contacts) + solving(contacts)
 
 
 def _judging(estimator: JointAware, linear: int, contacts: int) -> Operations:
@@ -385,13 +414,6 @@ def _judging(estimator: JointAware, linear: int, contacts: int) -> Operations:
     return excluded.times(count + 1) + look + Operations(pending, 2 * pending, sources, 4)
 
 
-def _solve(size: int) -> Operations:
-    """Gaussian elimination with this many unknowns."""
-    square = size * (size - 1)
-    inner = square * (2 * size - 1) // 6
-    return Operations(inner + 2 * square, inner + 2 * square + size, 2 * size)
-
-
 def _look(contacts: int) -> Operations:
     """One evaluation of law and residual."""
     unknowns = 3 * contacts
@@ -405,4 +427,4 @@ def _newton(contacts: int, size: int, halvings: int) -> Operations:
     build = Operations(3 * size * size + 3 * size, 2 * size * size + 4 * size)
     move = Operations(unknowns * size + unknowns, unknowns * size + unknowns)
     trial = _look(contacts) + Operations(2 * unknowns + 4, 2 * unknowns + 4, 0, 1)
-    return build + _solve(size) + move + trial.times(halvings + 1)
+    return build + solving(size) + move + trial.times(halvings + 1)

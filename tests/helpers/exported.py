@@ -4,6 +4,7 @@ import ctypes
 import re
 import shutil
 import subprocess
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 
 from estimator.export.c_source import c_files
 from estimator.export.fmu import write_fmu
+from estimator.export.program import Precision
 
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc (Debian: gcc)")
 needs_gxx = pytest.mark.skipif(shutil.which("g++") is None, reason="needs g++ (Debian: g++)")
@@ -32,6 +34,31 @@ def library(found, folder):
     command = ["gcc", "-std=c99", "-O1", "-shared", "-fPIC", f"{found.name}.c", "-lm", "-o", "p.so"]
     subprocess.run(command, cwd=folder, check=True)
     return ctypes.CDLL(str(folder / "p.so"))
+
+
+def compiled(found, folder):
+    """The function of a joint-aware program that takes rows of readings and gives estimates."""
+    number = ctypes.c_double if found.precision is Precision.DOUBLE else ctypes.c_float
+    sizes = Counter(one.place.partition("[")[0] for one in found.interface.outputs)
+    arrays = {one.place.partition("[")[0] for one in found.interface.outputs if "[" in one.place}
+    fields = (
+        *((name, number * size if name in arrays else number) for name, size in sizes.items()),
+        ("newton_steps", ctypes.c_int),
+        ("status", ctypes.c_uint),
+    )
+    estimate = type("Estimate", (ctypes.Structure,), {"_fields_": fields})
+    loaded = library(found, folder)
+
+    def estimates(rows):
+        state, readings = ctypes.create_string_buffer(found.state), number * len(rows[0])
+        loaded.m_init(state)
+        for row in rows:
+            result = estimate()
+            word = loaded.m_step(state, ctypes.byref(readings(*row)), ctypes.byref(result))
+            assert word == result.status
+            yield result
+
+    return estimates
 
 
 def co_simulated(found, path, standard, rows):

@@ -1,6 +1,5 @@
 """An exported joint-aware estimator is the one in Python, and near it where a sensor is faulty."""
 
-import ctypes
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,8 +8,8 @@ import pytest
 from exported import (
     SANITISED,
     co_simulated,
+    compiled,
     counts,
-    library,
     needs_gcc,
     needs_gxx,
     operations,
@@ -56,31 +55,6 @@ def expected(estimator, samples):
     return found
 
 
-def compiled(found, folder, number=ctypes.c_double, sources=1, axes=2):
-    """The function of a program that takes rows of readings and gives estimates."""
-    fields = (
-        ("displacement", number * axes),
-        ("band", number * axes),
-        ("heat", number * sources),
-        *((name, number) for name in ("ambient", "lowest_pressure", "highest_pressure")),
-        ("newton_steps", ctypes.c_int),
-        ("status", ctypes.c_uint),
-    )
-    estimate = type("Estimate", (ctypes.Structure,), {"_fields_": fields})
-    loaded = library(found, folder)
-
-    def estimates(rows):
-        state, readings = ctypes.create_string_buffer(found.state), number * len(rows[0])
-        loaded.m_init(state)
-        for row in rows:
-            result = estimate()
-            word = loaded.m_step(state, ctypes.byref(readings(*row)), ctypes.byref(result))
-            assert word == result.status
-            yield result
-
-    return estimates
-
-
 @pytest.fixture(scope="module")
 def program(joint_aware_program, tmp_path_factory):
     return compiled(joint_aware_program, tmp_path_factory.mktemp("program"))
@@ -110,7 +84,7 @@ def test_a_joint_that_slides_to_and_fro_is_followed(
     estimates = program
     if not double:
         single = export_program(estimator, precision, "m")
-        estimates = compiled(single, tmp_path, ctypes.c_float)
+        estimates = compiled(single, tmp_path)
     got = list(estimates([row[1:] for row in samples]))
     for name in ("displacement", "band"):
         here = np.array([list(getattr(one, name)) for one in got])

@@ -1,12 +1,27 @@
-"""The joint-aware estimator of a machine with a moving axis: told its position, it follows it."""
+"""The joint-aware estimator of a machine with a moving axis: told its position, it follows it.
+
+So does its program for a control.
+"""
 
 import pickle
 
 import numpy as np
 import pytest
+from exported import (
+    SANITISED,
+    compiled,
+    counts,
+    needs_gcc,
+    needs_gxx,
+    operations,
+    selftest,
+    written,
+)
 from in_process import run
+from matiec import needs_matiec, selftest_by_matiec
 from moving_knee import moving
 from observed import estimates, observer
+from structured_text import run as run_structured_text
 
 from calibrate.joint_aware.calibration import Effort, calibrate_joint_aware, machine_of
 from calibrate.joint_aware.linear_joint import with_linear_joint
@@ -14,6 +29,9 @@ from calibrate.joint_aware.misfit import physics_with
 from calibrate.joint_aware.open_band import Drawing
 from calibrate.joint_aware.physics_fit import Search
 from calibrate.joint_aware.readings import run_in
+from estimator.export.program import COMMON, Precision
+from estimator.export.structured_text import st_files
+from estimator.exporting import export_program
 from estimator.interface import Status
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.kind import KIND
@@ -189,8 +207,6 @@ def test_what_knows_no_axis_says_so_in_one_line(machine, estimator):
     with pytest.raises(InputError, match="no moving axis"):
         with_linear_joint(machine)
     with pytest.raises(InputError, match="moving axis"):
-        KIND.program(estimator, "double", 10.0)
-    with pytest.raises(InputError, match="moving axis"):
         KIND.start(estimator.model, Options(ageing=("film",)))
 
 
@@ -233,3 +249,85 @@ def test_a_machine_goes_to_other_processes(machine):
     here_marched = simulate_known(physics, inputs, machine.step)
     there = simulate_known(pickle.loads(pickle.dumps(physics)), inputs, machine.step)
     assert all(map(np.array_equal, here_marched, there))
+
+
+@pytest.fixture(scope="module")
+def program(estimator, samples):
+    return export_program(estimator, name="m", samples=samples)
+
+
+@needs_gcc
+@pytest.mark.parametrize("precision", Precision)
+def test_its_program_follows_the_axis_with_every_warning_and_sanitiser(
+    estimator, samples, precision, tmp_path
+):
+    found = export_program(estimator, precision, "m", samples)
+    checked = SANITISED if precision is Precision.DOUBLE else []
+    done, figures = selftest(written(found, tmp_path), "m", "-O1", *checked)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert figures["state"] == found.state
+    assert figures["largest displacement"] > 20e-6
+
+
+@needs_gcc
+def test_its_program_gives_the_line_and_the_place_with_their_bands(
+    estimator, samples, program, tmp_path
+):
+    got = list(compiled(program, tmp_path)([row[1:] for row in samples]))
+    _, there = estimates(estimator, samples)
+    for k, axis in enumerate("xy"):
+        for name, scale, allowed in (
+            ("here", 1.0, 1e-11),
+            ("slope", 1.0, 1e-10),
+            ("P0", 1e3, 1e-9),
+        ):
+            found = scale * np.array([getattr(one, name)[k] for one in got])
+            known = detail(estimator, there, f"{axis}_{name}")
+            np.testing.assert_allclose(found, known, rtol=0.0, atol=allowed)
+        # The state without a reading that jumps at the onset is only near that of Python.
+        found = np.array([one.slope_band[k] for one in got[5:]])
+        known = detail(estimator, there[5:], f"{axis}_slope_band")
+        np.testing.assert_allclose(found, known, rtol=1e-9)
+
+
+@needs_gcc
+def test_a_position_that_is_none_is_missing_in_its_program(estimator, samples, program, tmp_path):
+    """As in Python, where the axis stays; the next one is that of a way from there."""
+    given = np.array(samples[:40])
+    given[10, -1], given[20:23, -1], given[30, -1] = np.nan, 0.3, -5.0
+    got = list(compiled(program, tmp_path)(given[:, 1:].tolist()))
+    _, there = estimates(estimator, given.tolist())
+    missing = [k for k, one in enumerate(got) if one.status & Status.READING_MISSING]
+    assert missing == [10, 20, 21, 22, 30]
+    for one, other in zip(got, there, strict=True):
+        assert one.status & COMMON == int(other.status)
+        assert list(one.displacement) == pytest.approx(list(other.displacement), rel=0.0, abs=1e-11)
+
+
+@needs_gcc
+@needs_matiec
+def test_its_function_block_follows_the_axis(program, tmp_path):
+    pytest.importorskip("tree_sitter_iec61131_3_st", reason="needs tree-sitter-iec61131-3-st")
+    files = st_files(program)
+    done, figures = run_structured_text(files, "m", tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert figures["agrees"] == selftest_by_matiec(files, "m", tmp_path)["agrees"] == 1
+    assert figures["samples"] == program.samples
+
+
+@needs_gxx
+def test_no_sample_of_its_program_costs_more_than_is_printed(program, tmp_path):
+    rows = ",\n".join(
+        "{" + ", ".join(map(repr, row[1:])) + "}" for row in program.kept.samples.tolist()
+    )
+    body = f"""
+static const m_real rows[{program.samples}][5] = {{ {rows} }};
+int main() {{ static m_state state; static m_estimate found;
+  m_init(&state);
+  for (int k = 0; k < {program.samples}; k++) {{
+    CLEAR(); m_step(&state, rows[k], &found); PRINT(); }} }}
+"""
+    counted = np.array(counts(program, tmp_path, "m", body))
+    assert (counted <= operations(program.worst)).all()
+    assert (np.median(counted, axis=0) >= 0.3 * np.array(operations(program.usual))).all()
+    assert (counted.min(axis=0) <= operations(program.usual)).all()

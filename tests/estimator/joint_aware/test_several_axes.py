@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from exported import SANITISED, needs_gcc, selftest, written
 from observed import estimates, observer
 from three_axes import coarse
 
@@ -12,6 +13,8 @@ from calibrate.joint_aware.misfit import physics_with
 from calibrate.joint_aware.open_band import Drawing
 from calibrate.joint_aware.physics_fit import Search
 from calibrate.joint_aware.readings import run_in
+from estimator.export.program import Precision
+from estimator.exporting import export_program
 from estimator.interface import Status
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.kind import KIND
@@ -164,3 +167,16 @@ def test_calibrated_it_runs_free_on_a_plant_that_differs(case, tmp_path):
     assert off[20:].max() > 0.1 * np.abs(actual).max()
     assert error[20:].max() < 0.2 * off[20:].max()
     assert (error <= band).mean() > 0.8
+
+
+@needs_gcc
+def test_its_program_follows_all_axes(estimator, samples, tmp_path):
+    axes = tuple(replace(axis, drive=None) for axis in estimator.model.moving_axes)
+    undriven = JointAware(replace(estimator.model, moving_axes=axes))
+    found = export_program(undriven, Precision.DOUBLE, "m", samples[:80])
+    names = [one.name for one in found.interface.outputs]
+    assert {"here_z", "slope_y", "along_K0_x_z"} <= set(names)
+    done, figures = selftest(written(found, tmp_path), "m", "-O1", *SANITISED)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert figures["own status words"] == 0
+    assert figures["largest displacement"] > 5e-6
