@@ -37,24 +37,30 @@ def library(found, folder):
 
 
 def compiled(found, folder):
-    """The function of a joint-aware program that takes rows of readings and gives estimates."""
+    """The function of a program that takes rows of readings and gives estimates.
+
+    With the interval of every row, s, where any is supported.
+    """
     number = ctypes.c_double if found.precision is Precision.DOUBLE else ctypes.c_float
     sizes = Counter(one.place.partition("[")[0] for one in found.interface.outputs)
     arrays = {one.place.partition("[")[0] for one in found.interface.outputs if "[" in one.place}
+    steps = [] if found.interface.timed else [("newton_steps", ctypes.c_int)]
     fields = (
         *((name, number * size if name in arrays else number) for name, size in sizes.items()),
-        ("newton_steps", ctypes.c_int),
+        *steps,
         ("status", ctypes.c_uint),
     )
     estimate = type("Estimate", (ctypes.Structure,), {"_fields_": fields})
     loaded = library(found, folder)
 
     def estimates(rows):
-        state, readings = ctypes.create_string_buffer(found.state), number * len(rows[0])
+        state = ctypes.create_string_buffer(found.state)
         loaded.m_init(state)
         for row in rows:
             result = estimate()
-            word = loaded.m_step(state, ctypes.byref(readings(*row)), ctypes.byref(result))
+            values = (number * len(found.interface.inputs))(*row[-len(found.interface.inputs) :])
+            interval = [number(row[0])] if found.interface.timed else []
+            word = loaded.m_step(state, *interval, ctypes.byref(values), ctypes.byref(result))
             assert word == result.status
             yield result
 

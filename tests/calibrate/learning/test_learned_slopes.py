@@ -2,16 +2,21 @@
 
 import numpy as np
 import pytest
+from exported import SANITISED, compiled, needs_gcc, selftest, written
 from machine_logs import NAMES, along_log, made
+from matiec import needs_matiec, selftest_by_matiec
 from moving_knee import coarse_data
+from structured_text import run as run_structured_text
 
 from calibrate.learning.learn import learn, learn_and_judge
 from estimator.columns import samples_of
 from estimator.export.program import Precision
+from estimator.export.structured_text import st_files
+from estimator.exporting import export_program
 from estimator.interface import Status, follow
 from estimator.learned.estimator import Learned
 from estimator.learned.judging import judge
-from estimator.learned.kind import KIND
+from estimator.learned.program import UNPLACED
 from estimator.probe_readings import with_probe_readings
 from fesim.case.schema import case_from_data
 from fesim.simulate import simulate
@@ -149,8 +154,6 @@ def test_a_slope_that_was_seldom_seen_is_flagged():
 def test_arx_and_export_are_for_one_place(model):
     with pytest.raises(InputError, match="not for a displacement along an axis"):
         learn([LOG], WANTED, 4, "arx")
-    with pytest.raises(InputError, match="slopes along an axis"):
-        KIND.program(Learned(model), Precision.DOUBLE, 60.0)
 
 
 def test_a_file_keeps_it(model, tmp_path):
@@ -193,3 +196,43 @@ def test_the_line_of_a_simulated_knee_is_learned_from_its_thermometers(tmp_path)
     tangent = 1e6 * response["line_slope"].sel(axis="x").to_numpy()[1:, 0]
     assert np.sqrt(((k0 - truth) ** 2).mean()) < 0.1 * truth.std()
     assert np.sqrt(((slope - tangent) ** 2).mean()) < 0.1 * tangent.std()
+
+
+@needs_gcc
+def test_its_program_is_the_estimator_along_the_axis(model, tmp_path):
+    """A position that was not read is the last one in the program; Python says nothing of it."""
+    samples = np.array(list(samples_of(model.columns, [DAY], model.positions)))
+    step = samples[1, 0] - samples[0, 0]
+    found = export_program(Learned(model), name="m", samples=samples.tolist(), interval=step)
+    done, _ = selftest(written(found, tmp_path), "m", "-O1", *SANITISED)
+    assert done.returncode == 0, done.stdout + done.stderr
+    given = samples[:60].copy()
+    given[20:30, -1] = np.nan
+    rows = np.column_stack([np.full(60, step), given[:, 1:]]).tolist()
+    got = list(compiled(found, tmp_path)(rows))
+    estimator = Learned(model)
+    followed = follow(estimator, given.tolist(), estimator.initial_state())
+    names = [channel.name for channel in estimator.details]
+    for k, (one, (_, there)) in enumerate(zip(got, followed, strict=True)):
+        missing = 20 <= k < 30
+        assert one.status == int(there.status) | missing * UNPLACED
+        known = dict(zip(names, there.details, strict=True))
+        assert one.band[0] == pytest.approx(there.band[0], rel=1e-9)
+        assert one.slope_band[0] == pytest.approx(known["x_slope_band"], rel=1e-9)
+        assert 1e3 * one.P0[0] == pytest.approx(known["x_P0"], rel=1e-9)
+        if not missing:
+            assert one.here_band[0] == pytest.approx(known["x_here_band"], rel=1e-9)
+        # The place is that of the last position.
+        line = one.displacement[0] + one.slope[0] * (samples[19 if missing else k, -1] - one.P0[0])
+        assert one.here[0] == pytest.approx(line, rel=1e-9)
+
+
+@needs_gcc
+@needs_matiec
+@pytest.mark.parametrize("precision", Precision)
+def test_its_function_block_is_the_estimator_along_the_axis(model, precision, tmp_path):
+    pytest.importorskip("tree_sitter_iec61131_3_st", reason="needs tree-sitter-iec61131-3-st")
+    files = st_files(export_program(Learned(model), precision, "m"))
+    done, figures = run_structured_text(files, "m", tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert figures["agrees"] == selftest_by_matiec(files, "m", tmp_path)["agrees"] == 1

@@ -1,6 +1,5 @@
 """An exported learned model is the one in Python where no displacement is read."""
 
-import ctypes
 from dataclasses import replace
 
 import numpy as np
@@ -8,8 +7,8 @@ import pytest
 from exported import (
     SANITISED,
     co_simulated,
+    compiled,
     counts,
-    library,
     needs_gcc,
     needs_gxx,
     operations,
@@ -70,31 +69,16 @@ def test_the_gains_of_an_interval_are_those_of_the_relaxation():
     np.testing.assert_allclose(ours, relaxed(before, old, new, 60.0, taus), rtol=1e-12)
 
 
-class Estimate(ctypes.Structure):
-    _fields_ = (
-        ("displacement", ctypes.c_double * 2),
-        ("band", ctypes.c_double * 2),
-        ("status", ctypes.c_uint),
-    )
-
-
 @pytest.fixture(scope="module")
 def program(learned, tmp_path_factory):
     """Gives what the compiled program says of samples, from its start on."""
-    folder = tmp_path_factory.mktemp("program")
     found = export_program(learned, Precision.DOUBLE, "m", interval=DT)
-    loaded = library(found, folder)
-    loaded.m_step.argtypes = [ctypes.c_void_p, ctypes.c_double] + 2 * [ctypes.c_void_p]
+    estimates = compiled(found, tmp_path_factory.mktemp("program"))
 
-    def run(rows):
-        state, last = ctypes.create_string_buffer(found.state), None
-        loaded.m_init(state)
-        for time, *values in rows:
-            one, interval = Estimate(), DT if last is None else time - last
-            readings = (ctypes.c_double * len(values))(*values)
-            loaded.m_step(state, interval, readings, ctypes.byref(one))
-            last = time
-            yield one
+    def run(samples):
+        rows = np.array(samples)
+        rows[:, 0] = np.diff(rows[:, 0], prepend=rows[0, 0] - DT)
+        return estimates(rows.tolist())
 
     return run
 
