@@ -11,6 +11,7 @@ from operator import add
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.export.recorded import Recorded, check_answerable, even, recorded
 from estimator.interface import Estimate, Estimator, Status
@@ -87,6 +88,19 @@ class Variable(NamedTuple):
     name: str
     unit: str
     place: str
+
+
+class Table(NamedTuple):
+    """An array of the program."""
+
+    name: str
+    what: str
+    values: Array | NDArray[np.int64]
+
+    @property
+    def shape(self) -> str:
+        """Dimensions in C notation."""
+        return "".join(f"[{size}]" for size in self.values.shape)
 
 
 class Compared(NamedTuple):

@@ -16,8 +16,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.export.program import Compared, Operations, Variable, identifier, listed, solving
+from estimator.export.program import (
+    Compared,
+    Operations,
+    Table,
+    Variable,
+    identifier,
+    listed,
+    solving,
+)
 from estimator.interface import Estimate
+from estimator.joint_aware.driven_program import TERMS, driven
 from estimator.joint_aware.estimator import OVERTRAVEL, JointAware
 from fesim.axes.corner_table import CornerTable
 from fesim.axes.guideway import Guideway
@@ -39,19 +48,6 @@ CLOSER = 1e-3
 #: Tolerance of the self-test, relative to the largest displacement: both settle the joints anew at
 #: every position, to a tolerance.
 RELATIVE = 1e-7
-
-
-class Table(NamedTuple):
-    """An array of the program."""
-
-    name: str
-    what: str
-    values: Array | NDArray[np.int64]
-
-    @property
-    def shape(self) -> str:
-        """Dimensions in C notation."""
-        return "".join(f"[{size}]" for size in self.values.shape)
 
 
 class Guided(NamedTuple):
@@ -83,15 +79,11 @@ def guided(estimator: JointAware, kernel: JointKernel) -> Guided:
     Raises
     ------
     InputError
-        It has drives, or too many combinations of aligned positions.
+        It has too many combinations of aligned positions.
     """
     model, physics = estimator.model, estimator.observer.physics
     way = physics.modes.way
     assert way is not None  # asked for on an axis only
-    if any(axis.drive is not None for axis in model.moving_axes):
-        raise InputError(
-            "export: not for an axis with a drive so far; run it with 'thermojoint estimate'"
-        )
     counts = [len(positions) for positions in way.stations.positions]
     corners, tables = list(product(*map(range, counts))), physics.tables
     if len(corners) * tables.each > MOST:
@@ -114,6 +106,8 @@ def guided(estimator: JointAware, kernel: JointKernel) -> Guided:
     for axis, riding in enumerate(way.stations.riding):
         rides[riding] = axis
     count = physics.contacts
+    drives = driven(model.moving_axes, model.step)
+    more = drives.step + drives.place.times(len(model.axes) * (1 + values["asked"]))
     sizes = _Sizes(
         count,
         len(model.axes),
@@ -134,6 +128,9 @@ def guided(estimator: JointAware, kernel: JointKernel) -> Guided:
         values
         | {
             "moving": len(counts),
+            "drives": drives.drives,
+            "cells": max((drive["cells"] for drive in drives.drives), default=0),
+            "terms": TERMS,
             "line_held": LINE_HELD,
             "counts": counts,
             "pairs": _pairs(estimator),
@@ -167,6 +164,7 @@ def guided(estimator: JointAware, kernel: JointKernel) -> Guided:
             Table("probes_at", "Displacement per force of the ties there, m/N.", packed.probes),
             Table("anchored_at", "Ties and displacement per anchor there.", _anchored(packed)),
             *asked,
+            *drives.tables,
         ],
         [
             Table("first_stop", "First aligned position of every axis.", first),
@@ -176,9 +174,9 @@ def guided(estimator: JointAware, kernel: JointKernel) -> Guided:
             Table("station_of", "What the station below a tie adds to it, or -1.", below),
             Table("asked_axis", "Axis of every position asked for.", _asked_axes(estimator)),
         ],
-        _state(sizes),
-        _operations(sizes, 2),
-        _operations(sizes, max(counts)),
+        _state(sizes) + drives.state,
+        _operations(sizes, 2) + more,
+        _operations(sizes, max(counts)) + more,
     )
 
 
@@ -201,7 +199,7 @@ class _Sizes(NamedTuple):
 
 def _state(of: _Sizes) -> int:
     """Numbers of the state beyond those of a machine that stands at one place."""
-    kept = of.moving + of.asked * (3 * of.contacts + of.axes) - 3 * of.contacts
+    kept = 2 * of.moving + of.asked * (3 * of.contacts + of.axes) - 3 * of.contacts
     frame = (of.held + of.axes) * (of.held + 1) + 3 * of.held + 1
     room = 2 * of.contacts + 9 * of.contacts**2 + frame + of.grown + 3 * of.rows + 3 * of.stops
     return kept + room + max(0, of.rows**2 - 9 * of.contacts**2)

@@ -21,6 +21,7 @@ from estimator.export.program import (
     Interface,
     Operations,
     Precision,
+    Table,
     Variable,
     distinct,
     listed,
@@ -30,7 +31,7 @@ from estimator.export.program import (
 from estimator.interface import Status
 from estimator.joint_aware import guided_program
 from estimator.joint_aware.estimator import WIDTH, JointAware
-from estimator.joint_aware.guided_program import Guided, Table, kernel_of
+from estimator.joint_aware.guided_program import Guided, kernel_of
 from estimator.joint_aware.model_file import fingerprint
 from estimator.joint_aware.observer import ANSWER
 from estimator.joint_aware.observer_state import KNOWN

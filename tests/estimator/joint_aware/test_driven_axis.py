@@ -2,11 +2,15 @@
 
 import numpy as np
 import pytest
+from exported import SANITISED, needs_gcc, selftest, written
 from moving_knee import moving
 from observed import observer
+from structured_text import run as run_structured_text
 
 from calibrate.joint_aware.calibration import machine_of
 from calibrate.joint_aware.readings import run_in
+from estimator.export.structured_text import st_files
+from estimator.exporting import export_program
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.model_file import fingerprint, read_observer, write_observer
 from estimator.joint_aware.readings import samples_in
@@ -78,6 +82,20 @@ def test_told_its_heat_it_is_the_simulator_with_its_drive(driven, tmp_path):
     np.testing.assert_allclose(moved, actual["displacement"], rtol=0.0, atol=1e-9)
     offsets = np.array([estimate.displacement for estimate in found])
     np.testing.assert_allclose(offsets, actual["line_offset"][:, 0], rtol=0.0, atol=1e-9)
+
+
+@needs_gcc
+def test_its_program_has_the_drive(driven, tmp_path):
+    """In C and in Structured Text."""
+    pytest.importorskip("tree_sitter_iec61131_3_st", reason="needs tree-sitter-iec61131-3-st")
+    machine, response = driven
+    made = observer(machine, {"run": response})
+    samples = list(samples_in(response, SENSORS, axes=["y"]))
+    program = export_program(made, name="m", samples=samples)
+    done, _ = selftest(written(program, tmp_path / "c"), "m", "-O1", *SANITISED)
+    assert done.returncode == 0, done.stdout + done.stderr
+    done, _ = run_structured_text(st_files(program), "m", tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_a_calibration_run_is_without_what_the_drive_adds(driven):

@@ -170,10 +170,8 @@ def test_calibrated_it_runs_free_on_a_plant_that_differs(case, tmp_path):
 
 
 @needs_gcc
-def test_its_program_follows_all_axes(estimator, samples, tmp_path):
-    axes = tuple(replace(axis, drive=None) for axis in estimator.model.moving_axes)
-    undriven = JointAware(replace(estimator.model, moving_axes=axes))
-    found = export_program(undriven, Precision.DOUBLE, "m", samples[:80])
+def test_its_program_follows_all_axes_with_their_drives(estimator, samples, tmp_path):
+    found = export_program(estimator, Precision.DOUBLE, "m", samples[:80])
     names = [one.name for one in found.interface.outputs]
     assert {"here_z", "slope_y", "along_K0_x_z"} <= set(names)
     done, figures = selftest(written(found, tmp_path), "m", "-O1", *SANITISED)
