@@ -18,17 +18,11 @@ AMBIENT_DEGC = 20.0
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """Speed and room of a run; speed holds over the interval that ends at its sample.
+    """Speed and room of a run; speed holds over the interval that ends at its sample."""
 
-    Attributes
-    ----------
-    times : ndarray, shape (k,)
-        s, from 0 in intervals of `INTERVAL`.
-    rpm, ambient : ndarray, shape (k,)
-        1/min, °C.
-    """
-
+    #: Shape (k,): s, from 0 in intervals of `INTERVAL`.
     times: Array
+    #: Shape (k,): 1/min, °C.
     rpm: Array
     ambient: Array
 

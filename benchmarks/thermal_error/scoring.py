@@ -33,31 +33,21 @@ class NotApplicable(InputError):
 
 @dataclass(frozen=True)
 class Score:
-    """Of one method on one channel of one task.
-
-    Attributes
-    ----------
-    task, method, channel : str
-    rms_um, max_um : float
-        Of the error, µm.
-    removed : float
-        1 - rms of the error / rms of the displacement itself.
-    cover : float or None
-        Part of the samples inside the band, where the method gives one.
-    interval_score_um : float or None
-        `estimator.rows.interval_score` of the band, µm.
-    seconds : float
-        Of the processor: learning, if no task before had the same training, and predicting.
-    """
+    """Of one method on one channel of one task."""
 
     task: str
     method: str
     channel: str
+    #: Of the error, µm.
     rms_um: float
     max_um: float
+    #: 1 - rms of the error / rms of the displacement itself.
     removed: float
+    #: Part of the samples inside the band, where the method gives one.
     cover: float | None
+    #: `estimator.rows.interval_score` of the band, µm.
     interval_score_um: float | None
+    #: Of the processor: learning, if no task before had the same training, and predicting.
     seconds: float
 
 

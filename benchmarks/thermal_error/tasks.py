@@ -31,26 +31,17 @@ READ = (0.25, 0.75)
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """One row of the leaderboard for each method.
-
-    Attributes
-    ----------
-    name : str
-    training : Log
-        With everything.
-    test : Log
-        With everything; a method is given `as_given(task)`. Its clock is zero where the machine was
-        cold.
-    read : tuple of int
-        Samples of the test at which the method is given the displacement.
-    settled : float
-        The method is judged from this long after the test's begin, s.
-    """
+    """One row of the leaderboard for each method."""
 
     name: str
+    #: With everything.
     training: Log
+    #: With everything; a method is given `as_given(task)`. Its clock is zero where the machine was
+    #: cold.
     test: Log
+    #: Samples of the test at which the method is given the displacement.
     read: tuple[int, ...] = ()
+    #: The method is judged from this long after the test's begin, s.
     settled: float = 0.0
 
 

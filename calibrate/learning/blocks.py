@@ -22,16 +22,11 @@ from thermojoint.artefacts.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """Products of some rows.
+    """Products of some rows."""
 
-    Attributes
-    ----------
-    products : ndarray, shape (n, n)
-    total : ndarray, shape (n,)
-    count : int
-    """
-
+    #: Shape (n, n).
     products: Array
+    #: Shape (n,).
     total: Array
     count: int
 
@@ -54,27 +49,18 @@ class Sums:
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Rows of a log in blocks of time.
+    """Rows of a log in blocks of time."""
 
-    Attributes
-    ----------
-    whole : Sums
-        Of all rows; features first, then displacements.
-    fits, held : tuple of Sums
-        For each block: the rows that are fitted when it is held out, and its own.
-    features : int
-        Number of columns that are features.
-    interval : float
-        Between rows, s.
-    rules : Fitting
-        Rules of the fit.
-    """
-
+    #: Of all rows; features first, then displacements.
     whole: Sums
+    #: For each block: the rows that are fitted when it is held out, and its own.
     fits: tuple[Sums, ...]
     held: tuple[Sums, ...]
+    #: Number of columns that are features.
     features: int
+    #: Between rows, s.
     interval: float
+    #: Rules of the fit.
     rules: Fitting
 
     @property

@@ -17,25 +17,17 @@ from thermojoint.artefacts.units import MEGA
 
 @dataclass(frozen=True, eq=False)
 class Cleaned:
-    """A log to learn from.
+    """A log to learn from."""
 
-    Attributes
-    ----------
-    table : Table
-        Its rows; missing readings are replaced by the previous ones.
-    sensors, drives, displacements : tuple of str
-        Columns used as features, and columns to learn.
-    faults : tuple of str
-        One for each sensor that is excluded or repaired.
-    warnings : tuple of str
-        Limitations of the log.
-    """
-
+    #: Its rows; missing readings are replaced by the previous ones.
     table: Table
+    #: Columns used as features, and columns to learn.
     sensors: tuple[str, ...]
     drives: tuple[str, ...]
     displacements: tuple[str, ...]
+    #: One for each sensor that is excluded or repaired.
     faults: tuple[str, ...]
+    #: Limitations of the log.
     warnings: tuple[str, ...]
 
     def at(self, name: str) -> Array:

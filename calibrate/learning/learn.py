@@ -76,17 +76,11 @@ def learn(
 
 
 class HeldOut(NamedTuple):
-    """Estimates for blocks of time that a model was not learned from.
+    """Estimates for blocks of time that a model was not learned from."""
 
-    Attributes
-    ----------
-    times : ndarray, shape (k,)
-        s; they begin again where a run does.
-    truth, estimate, band : ndarray, shape (k, axes)
-        m; the half-width of the 95 % band.
-    """
-
+    #: Shape (k,): s; they begin again where a run does.
     times: Array
+    #: Shape (k, axes): m; the half-width of the 95 % band.
     truth: Array
     estimate: Array
     band: Array
@@ -340,21 +334,15 @@ def _rows(cleaned: Cleaned, along: Along | None, kind: Kind, most: int, rules: R
 
 
 class _Judged(NamedTuple):
-    """Errors on held-out blocks.
+    """Errors on held-out blocks."""
 
-    Attributes
-    ----------
-    rms, worst : ndarray, shape (axes,)
-        Of all blocks and of the worst one, µm.
-    widening : ndarray, shape (axes,)
-        Factor on the band.
-    errors, deviations : ndarray, shape (k, axes)
-        Truth less estimate, and the standard deviation of the estimate before it is widened, µm.
-    """
-
+    #: Shape (axes,): of all blocks and of the worst one, µm.
     rms: Array
     worst: Array
+    #: Shape (axes,): factor on the band.
     widening: Array
+    #: Shape (k, axes): truth less estimate, and the standard deviation of the estimate before it is
+    #: widened, µm.
     errors: Array
     deviations: Array
 

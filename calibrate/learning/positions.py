@@ -26,24 +26,16 @@ _SIDES = (" low", " high")
 
 @dataclass(frozen=True)
 class Along:
-    """A displacement along an axis.
+    """A displacement along an axis."""
 
-    Attributes
-    ----------
-    name, position : str
-        The displacement and the position, with their units.
-    displacements : tuple of str
-        Columns of a table with its readings.
-    positions : tuple of (str or float)
-        Column of the position of each of them, or the position, m.
-    stroke : tuple of float
-        Outermost positions that were read, m; NaN before they are known.
-    """
-
+    #: The displacement and the position, with their units.
     name: str
     position: str
+    #: Columns of a table with its readings.
     displacements: tuple[str, ...]
+    #: Column of the position of each of them, or the position, m.
     positions: tuple[str | float, ...]
+    #: Outermost positions that were read, m; NaN before they are known.
     stroke: tuple[float, float] = (np.nan, np.nan)
 
     @property

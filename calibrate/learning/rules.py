@@ -14,25 +14,17 @@ from thermojoint.models.learned import POSSIBLE
 
 @dataclass(frozen=True)
 class Thinning:
-    """Averaging of a log to a table of bounded size.
+    """Averaging of a log to a table of bounded size."""
 
-    Attributes
-    ----------
-    interval : float
-        Shortest interval, s.
-    most_rows : int
-        Longer logs have longer intervals.
-    uneven : float
-        Mean times of uneven samples vary by up to this factor around the interval.
-    spike, neighbours, least_spike : float
-        A value is a spike if it is above, or below, the medians of `neighbours` values on either
-        side by `spike` times their usual distance and by `least_spike`, K. The latter grows with
-        the interval of a slower log, since the machine warms up between its samples.
-    """
-
+    #: Shortest interval, s.
     interval: float = 60.0
+    #: Longer logs have longer intervals.
     most_rows: int = 100_000
+    #: Mean times of uneven samples vary by up to this factor around the interval.
     uneven: float = 1.5
+    #: A value is a spike if it is above, or below, the medians of `neighbours` values on either
+    #: side by `spike` times their usual distance and by `least_spike`, K. The latter grows with the
+    #: interval of a slower log, since the machine warms up between its samples.
     spike: float = 12.0
     neighbours: int = 4
     least_spike: float = 0.5
@@ -40,219 +32,150 @@ class Thinning:
 
 @dataclass(frozen=True)
 class Cleaning:
-    """Exclusion of sensors and refusal of logs.
+    """Exclusion of sensors and refusal of logs."""
 
-    Attributes
-    ----------
-    shortest : float
-        A shorter log, s, contains no information on relaxations of an hour.
-    coarsest : float
-        A longer interval between samples, s, is more than half of the slowest relaxation.
-    fewest : int
-        Fewer rows cannot be held out block by block.
-    still, still_length : float
-        A sensor within this range has not moved, K; a displacement, m.
-    warms : float
-        Without a drive, one temperature must have this standard deviation, K.
-    stuck, shortest_stuck, unchanged : float
-        A sensor is excluded if it stays within `unchanged`, K (rounding of what it shows), for this
-        fraction of the log and for this time, s.
-    missing, displacement_missing : float
-        A sensor is excluded, a displacement refused, if more than this is missing.
-    spikes : float
-        More spikes than this share of the samples are a fault.
-    moved, usual, least_usual : float
-        A jump within one interval, K, as a multiple of usual changes; these are at least the
-        resolution of a thermometer, K.
-    side, candidates : int
-        Rows on either side used to distinguish a jump from a spike; largest changes looked at.
-    lasting : float
-        A jump remains by this part of its size between the medians of both sides.
-    jump : float
-        A displacement that jumps by this fraction of its range has lost its zero.
-    pace : float
-        Longest interval for these limits of jumps, s; for a longer one they grow with it, since the
-        machine moves between samples.
-    constant : float
-        A drive that varies by less than this part of its largest value has no identifiable effect.
-    level, stopped, seldom : float
-        Levels of a speed differ by this part of the largest; below `stopped` the spindle stands;
-        a level held in fewer than this share of the rows is a ramp.
-    stepped, beside, gap : float
-        A drive that changes by this part of its largest value explains a jump within so many rows,
-        and so does a gap of so many intervals.
-    possible : (float, float)
-        Temperatures of a machine tool lie within this range, K.
-    """
-
+    #: A shorter log, s, contains no information on relaxations of an hour.
     shortest: float = 3.0 * 3600.0
+    #: A longer interval between samples, s, is more than half of the slowest relaxation.
     coarsest: float = 3600.0
+    #: Fewer rows cannot be held out block by block.
     fewest: int = 48
+    #: A sensor within this range has not moved, K; a displacement, m.
     still: float = 0.1
     still_length: float = 0.5e-6
+    #: Without a drive, one temperature must have this standard deviation, K.
     warms: float = 0.5
+    #: A sensor is excluded if it stays within `unchanged`, K (rounding of what it shows), for this
+    #: fraction of the log and for this time, s.
     stuck: float = 0.1
     shortest_stuck: float = 1800.0
     unchanged: float = 1e-9
+    #: A sensor is excluded, a displacement refused, if more than this is missing.
     missing: float = 0.2
     displacement_missing: float = 0.5
+    #: More spikes than this share of the samples are a fault.
     spikes: float = 1e-2
+    #: A jump within one interval, K, as a multiple of usual changes; these are at least the
+    #: resolution of a thermometer, K.
     moved: float = 1.0
     usual: float = 15.0
     least_usual: float = 1e-3
+    #: Rows on either side used to distinguish a jump from a spike; largest changes looked at.
     side: int = 20
     candidates: int = 5
+    #: A jump remains by this part of its size between the medians of both sides.
     lasting: float = 0.7
+    #: A displacement that jumps by this fraction of its range has lost its zero.
     jump: float = 0.15
+    #: Longest interval for these limits of jumps, s; for a longer one they grow with it, since the
+    #: machine moves between samples.
     pace: float = 600.0
+    #: A drive that varies by less than this part of its largest value has no identifiable effect.
     constant: float = 1e-3
+    #: Levels of a speed differ by this part of the largest; below `stopped` the spindle stands; a
+    #: level held in fewer than this share of the rows is a ramp.
     level: float = 0.1
     stopped: float = 0.05
     seldom: float = 0.02
+    #: A drive that changes by this part of its largest value explains a jump within so many rows,
+    #: and so does a gap of so many intervals.
     stepped: float = 0.02
     beside: int = 2
     gap: float = 2.5
+    #: Temperatures of a machine tool lie within this range, K.
     possible: tuple[float, float] = POSSIBLE
 
 
 @dataclass(frozen=True)
 class Features:
-    """Features on which a displacement may depend.
+    """Features on which a displacement may depend."""
 
-    Attributes
-    ----------
-    slow, heat : tuple of float
-        Relaxations of a temperature, in addition to itself, and of a heat, s.
-    exponents : tuple of float
-        Heat of a bearing as a power of the speed; a power or load counts as heat directly.
-    slowest_share : float
-        Relaxations slower than this fraction of the run are not observable in it.
-    gain, heat_gain : float
-        A priori size of a weight, um: per kelvin (steel over half a metre), and of the largest
-        heat.
-    slope_gain : float
-        A priori size of the constant part of a slope, um at the end of the stroke: hardly any.
-    before, given_up : float
-        Time for which heat from before a run has an effect, s (twice the slowest relaxation of a
-        heat), and the largest fraction of the run discarded for it.
-    standstill : float
-        A run that starts below this fraction of the largest drive starts at rest.
-    """
-
+    #: Relaxations of a temperature, in addition to itself, and of a heat, s.
     slow: tuple[float, ...] = (3600.0, 7200.0)
     heat: tuple[float, ...] = (900.0, 5400.0)
+    #: Heat of a bearing as a power of the speed; a power or load counts as heat directly.
     exponents: tuple[float, ...] = (1.0, 1.5, 2.0)
+    #: Relaxations slower than this fraction of the run are not observable in it.
     slowest_share: float = 1.0 / 3.0
+    #: A priori size of a weight, um: per kelvin (steel over half a metre), and of the largest heat.
     gain: float = 5.0
     heat_gain: float = 20.0
+    #: A priori size of the constant part of a slope, um at the end of the stroke: hardly any.
     slope_gain: float = 200.0
+    #: Time for which heat from before a run has an effect, s (twice the slowest relaxation of a
+    #: heat), and the largest fraction of the run discarded for it.
     before: float = 10800.0
     given_up: float = 0.2
+    #: A run that starts below this fraction of the largest drive starts at rest.
     standstill: float = 0.02
 
 
 @dataclass(frozen=True)
 class Fitting:
-    """Fitting of weights with held-out blocks of time.
+    """Fitting of weights with held-out blocks of time."""
 
-    Attributes
-    ----------
-    hours, fewest, most : float
-        Blocks inside a fit: duration in hours, least and largest number.
-    independent : float
-        Correlation time of errors, s.
-    margin : float
-        Gap between a held-out block and the fit, s.
-    priors : tuple of float
-        Prior weights over which a fit is averaged, um2.
-    sharpness : float
-        A structure is weighted by this power of its mean square error.
-    noise : float
-        Errors below this are measurement noise, um.
-    penalties : tuple of float
-        Candidates of the baseline `ridge`, for standardised temperatures; held-out blocks decide.
-    """
-
+    #: Blocks inside a fit: duration in hours, least and largest number.
     hours: float = 2.5
     fewest: int = 6
     most: int = 24
+    #: Correlation time of errors, s.
     independent: float = 3600.0
+    #: Gap between a held-out block and the fit, s.
     margin: float = 1800.0
+    #: Prior weights over which a fit is averaged, um2.
     priors: tuple[float, ...] = (0.1, 1.0)
+    #: A structure is weighted by this power of its mean square error.
     sharpness: float = 2.0
+    #: Errors below this are measurement noise, um.
     noise: float = 0.1
+    #: Candidates of the baseline `ridge`, for standardised temperatures; held-out blocks decide.
     penalties: tuple[float, ...] = tuple(10.0 ** (0.5 * k) for k in range(-10, 3))
 
 
 @dataclass(frozen=True)
 class Judging:
-    """Validation of the whole procedure, and its band.
+    """Validation of the whole procedure, and its band."""
 
-    Attributes
-    ----------
-    blocks : int
-        Number of blocks; the whole procedure is repeated without each of them.
-    open : float
-        Factor on the variance of the weights, which similar structures, and errors that last longer
-        than an hour, make too small. Without it the band contained too few samples on rolling
-        origins of a measured log.
-    within : float
-        Fraction of the errors that lies within the band.
-    useful : float
-        A model must have less than this fraction of the mean's error.
-    least_drift : float
-        A displacement drifts at least as much as a probe resolves, um.
-    costly : float
-        A speed that was left out is worth a warning if the error there grows by this factor.
-    """
-
+    #: Number of blocks; the whole procedure is repeated without each of them.
     blocks: int = 4
+    #: Factor on the variance of the weights, which similar structures, and errors that last longer
+    #: than an hour, make too small. Without it the band contained too few samples on rolling
+    #: origins of a measured log.
     open: float = 4.0
+    #: Fraction of the errors that lies within the band.
     within: float = 0.95
+    #: A model must have less than this fraction of the mean's error.
     useful: float = 0.9
+    #: A displacement drifts at least as much as a probe resolves, um.
     least_drift: float = 0.05
+    #: A speed that was left out is worth a warning if the error there grows by this factor.
     costly: float = 1.5
 
 
 @dataclass(frozen=True)
 class Moving:
-    """What a log must have read along an axis for a slope.
+    """What a log must have read along an axis for a slope."""
 
-    Attributes
-    ----------
-    shortest : float
-        Distance between the outermost positions, m.
-    half : float
-        An hour shows the slope if it was read over this fraction of that distance.
-    hours : float
-        Number of such hours needed.
-    share : float
-        Share of all hours with readings; with fewer the model is flagged.
-    """
-
+    #: Distance between the outermost positions, m.
     shortest: float = 0.02
+    #: An hour shows the slope if it was read over this fraction of that distance.
     half: float = 0.5
+    #: Number of such hours needed.
     hours: int = 3
+    #: Share of all hours with readings; with fewer the model is flagged.
     share: float = 0.5
 
 
 @dataclass(frozen=True)
 class Transfer:
-    """Learning from few readings with the models of other machines as prior.
+    """Learning from few readings with the models of other machines as prior."""
 
-    Attributes
-    ----------
-    relative : tuple of float
-        Standard deviations of a weight between machines, relative to it, that are averaged over.
-    drifts : tuple of float
-        Sizes of the drift relative to the sisters', that are averaged over: their held-out error is
-        that of a shorter log.
-    fewest, most : int
-        Fewer readings are refused; of more, as many evenly.
-    """
-
+    #: Standard deviations of a weight between machines, relative to it, that are averaged over.
     relative: tuple[float, ...] = (0.03, 0.1, 0.3, 1.0)
+    #: Sizes of the drift relative to the sisters', that are averaged over: their held-out error is
+    #: that of a shorter log.
     drifts: tuple[float, ...] = (1.0, 2.0, 4.0, 8.0)
+    #: Fewer readings are refused; of more, as many evenly.
     fewest: int = 4
     most: int = 300
 

@@ -21,26 +21,18 @@ from thermojoint.models.learned import Feature
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """Weights averaged over structures.
+    """Weights averaged over structures."""
 
-    Attributes
-    ----------
-    weights : ndarray, shape (features, axes)
-        In units of the prior.
-    covariance : ndarray, shape (axes, features, features)
-        Of the weights.
-    offset : ndarray, shape (axes,)
-        Displacement where every feature is zero, µm.
-    errors : ndarray, shape (axes,)
-        Rms error on held-out blocks.
-    doubt : ndarray, shape (axes,)
-        Square of `errors`, and the mean variance of the estimate in the log by the covariance, µm².
-    """
-
+    #: Shape (features, axes): in units of the prior.
     weights: Array
+    #: Shape (axes, features, features): of the weights.
     covariance: Array
+    #: Shape (axes,): displacement where every feature is zero, µm.
     offset: Array
+    #: Shape (axes,): rms error on held-out blocks.
     errors: Array
+    #: Shape (axes,): square of `errors`, and the mean variance of the estimate in the log by the
+    #: covariance, µm².
     doubt: Array
 
 

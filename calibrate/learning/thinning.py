@@ -16,32 +16,21 @@ from thermojoint.artefacts.quantities import Column
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Means of a log over intervals.
+    """Means of a log over intervals."""
 
-    Attributes
-    ----------
-    times : ndarray, shape (k,)
-        Mean time of the samples in each interval, s.
-    columns : tuple of Column
-        As in the log.
-    values : ndarray, shape (k, columns)
-        SI; NaN where nothing was read.
-    starts : tuple of int
-        First row of each run.
-    interval : float
-        Usual step between rows, s: that of the logger where it is slower than the means.
-    samples : int
-        Of the log.
-    spikes, missing : ndarray of int, shape (columns,)
-        Removed samples, and missing ones.
-    """
-
+    #: Shape (k,): mean time of the samples in each interval, s.
     times: Array
+    #: As in the log.
     columns: tuple[Column, ...]
+    #: Shape (k, columns): SI; NaN where nothing was read.
     values: Array
+    #: First row of each run.
     starts: tuple[int, ...]
+    #: Usual step between rows, s: that of the logger where it is slower than the means.
     interval: float
+    #: Of the log.
     samples: int
+    #: Shape (columns,): removed samples, and missing ones.
     spikes: Array
     missing: Array
 

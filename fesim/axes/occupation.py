@@ -20,20 +20,13 @@ STILL = 1e-9
 
 @dataclass(frozen=True)
 class Shares:
-    """Means over a step of the weights w of k aligned positions, at most two at a time not zero.
+    """Means over a step of the weights w of k aligned positions, at most two at a time not zero."""
 
-    Attributes
-    ----------
-    mean : ndarray, shape (k,)
-        Of w_i; they add up to one.
-    square : ndarray, shape (k,)
-        Of w_i^2.
-    product : ndarray, shape (k - 1,)
-        Of w_i w_(i+1).
-    """
-
+    #: Shape (k,): of w_i; they add up to one.
     mean: Array
+    #: Shape (k,): of w_i^2.
     square: Array
+    #: Shape (k - 1,): of w_i w_(i+1).
     product: Array
 
 

@@ -44,7 +44,7 @@ class Watched(NamedTuple):
     #: Shape (m, 6): smallest effective pressure (Pa), tangential stiffness while sticking (Pa/m; 0
     #: without friction), group of elements between the same bodies, centre (m).
     table: Array
-    #: Shape (groups,): Number of sticking elements of a group, clearly off each other's line, that
+    #: Shape (groups,): number of sticking elements of a group, clearly off each other's line, that
     #: constrain as much as the whole group: 1 to 3.
     needed: NDArray[np.int64]
     #: Shape (m, 3, 6 p): displacement of each contact element along normal and tangents under unit

@@ -35,7 +35,7 @@ class Snapshot:
     path: Path
     #: Of first order.
     mesh: Mesh
-    #: Shape (cells,): Number of the body of each cell.
+    #: Shape (cells,): number of the body of each cell.
     body: NDArray[np.int64]
     #: Shape (nodes,): above the initial ambient of that simulation, K.
     temperature: Array
