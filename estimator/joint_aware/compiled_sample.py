@@ -32,35 +32,23 @@ from thermojoint.artefacts.arrays import Array, Flags
 
 
 class Filter(NamedTuple):
-    """Filter data of a sample; n states, of which d are dynamic.
+    """Filter data of a sample; n states, of which d are dynamic."""
 
-    Attributes
-    ----------
-    relaxing : ndarray, shape (s, q)
-        Decay of the relaxations of the model discrepancy over a step.
-    power : ndarray, shape (s,)
-        Heat of each source at heat input 1, W.
-    rows : ndarray, shape (p + 1, n)
-        Rows of the readings.
-    gain : ndarray, shape (n, p + 1)
-        Of all readings with the steady covariance.
-    discrepancy : ndarray, shape (axes, s q)
-        Displacement per relaxation, m.
-    channels : Channels
-        Properties of the readings.
-    rules : Thresholds
-        Thresholds for rejecting a reading.
-    forgetting : ndarray, shape (d + axes,)
-        Decay rates of the corrections by displacement readings, 1/s.
-    """
-
+    #: Shape (s, q): decay of the relaxations of the model discrepancy over a step.
     relaxing: Array
+    #: Shape (s,): heat of each source at heat input 1, W.
     power: Array
+    #: Shape (p + 1, n): rows of the readings.
     rows: Array
+    #: Shape (n, p + 1): of all readings with the steady covariance.
     gain: Array
+    #: Shape (axes, s q): displacement per relaxation, m.
     discrepancy: Array
+    #: Properties of the readings.
     channels: Channels
+    #: Thresholds for rejecting a reading.
     rules: Thresholds
+    #: Shape (d + axes,): decay rates of the corrections by displacement readings, 1/s.
     forgetting: Array
 
 

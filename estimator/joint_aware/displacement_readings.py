@@ -23,26 +23,18 @@ from thermojoint.artefacts.arrays import Array
 
 @dataclass(frozen=True)
 class DisplacementProbe:
-    """Properties of displacement readings (docs/faulty-sensors.md).
+    """Properties of displacement readings (docs/faulty-sensors.md)."""
 
-    Attributes
-    ----------
-    noise : float
-        Standard deviation of a reading, m.
-    memory, machine_memory : float
-        Correlation times of the model's error, s: of its rest, and of what the calibration did not
-        determine.
-    gate : float
-        Innovation gate in standard deviations, beyond which a reading is refused.
-    alike : float
-        A second reading beyond the gate confirms the first if it differs by no more than this share
-        from it.
-    """
-
+    #: Standard deviation of a reading, m.
     noise: float = READING_NOISE
+    #: Correlation times of the model's error, s: of its rest, and of what the calibration did not
+    #: determine.
     memory: float = 4.0 * 3600.0
     machine_memory: float = 8.0 * 3600.0
+    #: Innovation gate in standard deviations, beyond which a reading is refused.
     gate: float = 5.0
+    #: A second reading beyond the gate confirms the first if it differs by no more than this share
+    #: from it.
     alike: float = 0.5
 
 
@@ -50,20 +42,14 @@ class ModelError(NamedTuple):
     """Estimate of the parts e of the model error: those of d drawn machines, then of the axes.
 
     `refused` is what the last refused reading differed by from the estimate, m; NaN for none.
-
-    Attributes
-    ----------
-    mean, variance : ndarray, shape (axes,)
-        Of the axes' own parts; 0 and 1 without any reading.
-    drawn : ndarray, shape (d,)
-        Mean of the drawn machines' parts; 0 without any reading.
-    shared : ndarray, shape (d + axes, d + axes)
-        Covariance of all parts, less `variance` on its diagonal.
     """
 
+    #: Shape (axes,): of the axes' own parts; 0 and 1 without any reading.
     mean: Array
     variance: Array
+    #: Shape (d,): mean of the drawn machines' parts; 0 without any reading.
     drawn: Array
+    #: Shape (d + axes, d + axes): covariance of all parts, less `variance` on its diagonal.
     shared: Array
     refused: Array
 
@@ -105,23 +91,15 @@ def forgetting(draws: int, axes: int, probe: DisplacementProbe) -> Array:
 
 
 class Correction(NamedTuple):
-    """Correction by a displacement reading.
+    """Correction by a displacement reading."""
 
-    Attributes
-    ----------
-    state : ndarray, shape (n,)
-        Increment of the linear state.
-    covariance_factor : ndarray, shape (n, k)
-        L after it.
-    known : ModelError
-        After it.
-    refused : bool
-        The reading is inconsistent: the estimate is not changed.
-    """
-
+    #: Shape (n,): increment of the linear state.
     state: Array
+    #: Shape (n, k): L after it.
     covariance_factor: Array
+    #: After it.
     known: ModelError
+    #: The reading is inconsistent: the estimate is not changed.
     refused: bool
 
 

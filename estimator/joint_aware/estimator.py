@@ -49,29 +49,19 @@ Names = tuple[str, ...]
 
 
 class Taken(NamedTuple):
-    """Result of processing a sample.
+    """Result of processing a sample."""
 
-    Attributes
-    ----------
-    after : ObserverState
-        State after the sample.
-    displacement : ndarray, shape (axes,)
-        m, without the correction by displacement readings.
-    memory : float
-        Knowledge of the joint's slips before it.
-    covariance_factor : ndarray, shape (n, k)
-        Covariance factor in addition to the steady covariance, after the readings.
-    believed : ndarray of bool, shape (p + 1,)
-        Readings that were used.
-    refused : bool
-        Whether a displacement reading was refused.
-    """
-
+    #: State after the sample.
     after: ObserverState
+    #: Shape (axes,): m, without the correction by displacement readings.
     displacement: Array
+    #: Knowledge of the joint's slips before it.
     memory: float
+    #: Shape (n, k): covariance factor in addition to the steady covariance, after the readings.
     covariance_factor: Array
+    #: Shape (p + 1,): readings that were used.
     believed: sensor_faults.Flags
+    #: Whether a displacement reading was refused.
     refused: bool
 
 

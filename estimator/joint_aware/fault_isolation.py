@@ -20,29 +20,19 @@ from thermojoint.artefacts.arrays import Array
 
 
 class PendingJump(NamedTuple):
-    """A jump whose cause is still unknown.
+    """A jump whose cause is still unknown."""
 
-    Attributes
-    ----------
-    channel : ndarray, shape ()
-        Index of the reading that jumped; NaN if none, and so the others.
-    since : ndarray, shape ()
-        Time of the jump, s.
-    interval : ndarray, shape ()
-        Interval from the previous sample, s.
-    jump : ndarray, shape ()
-        Size, K.
-    samples : ndarray, shape ()
-        Number of samples since.
-    linear : ndarray, shape (n,)
-        Linear state without that channel.
-    """
-
+    #: Shape (): index of the reading that jumped; NaN if none, and so the others.
     channel: Array
+    #: Shape (): time of the jump, s.
     since: Array
+    #: Shape (): interval from the previous sample, s.
     interval: Array
+    #: Shape (): size, K.
     jump: Array
+    #: Shape (): number of samples since.
     samples: Array
+    #: Shape (n,): linear state without that channel.
     linear: Array
 
 

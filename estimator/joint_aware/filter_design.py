@@ -24,53 +24,35 @@ from thermojoint.reduced.machine import Modes
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations assumed by the filter; per step for random walks.
+    """Standard deviations assumed by the filter; per step for random walks."""
 
-    Attributes
-    ----------
-    sensor : float or ndarray, shape (p,)
-        Of one reading of each sensor, K.
-    ambient_sensor : float
-        Of one reading of the ambient, K.
-    heat_walk : float
-        Of the heat of each source relative to its reference, per step.
-    ambient_walk : float
-        K per step.
-    held_walk : float
-        Of the temperature of each held surface that changes, K per step.
-    joint_flow : float
-        Heat flow across each contact element, W, that the frozen conductance misses.
-    lasting : float
-        Model errors of the readings that last for minutes, K, as an equivalent white noise. Only
-        deviations from the steady covariance take it into account: an unknown start is learned from
-        many samples, whose errors are not independent.
-    """
-
+    #: Shape (p,): of one reading of each sensor, K.
     sensor: float | Array = 0.03
+    #: Of one reading of the ambient, K.
     ambient_sensor: float = 0.05
+    #: Of the heat of each source relative to its reference, per step.
     heat_walk: float = 0.05
+    #: K per step.
     ambient_walk: float = 0.01
+    #: Of the temperature of each held surface that changes, K per step.
     held_walk: float = 0.1
+    #: Heat flow across each contact element, W, that the frozen conductance misses.
     joint_flow: float = 0.5
+    #: Model errors of the readings that last for minutes, K, as an equivalent white noise. Only
+    #: deviations from the steady covariance take it into account: an unknown start is learned from
+    #: many samples, whose errors are not independent.
     lasting: float | Array = 3.0
 
 
 @dataclass(frozen=True, eq=False)
 class LinearSystem:
-    """x' = F x with F = [[diag(decay), drive], [0, 1]], and the rows H of the readings.
+    """x' = F x with F = [[diag(decay), drive], [0, 1]], and the rows H of the readings."""
 
-    Attributes
-    ----------
-    decay : ndarray, shape (d,)
-        Of the amplitudes and the relaxations over one step.
-    drive : ndarray, shape (d, s + h + 1)
-        Per W of each source and K of the held surfaces and the ambient.
-    rows : ndarray, shape (p + 1, d + s + 1)
-        Sensors, then the ambient's own.
-    """
-
+    #: Shape (d,): of the amplitudes and the relaxations over one step.
     decay: Array
+    #: Shape (d, s + h + 1): per W of each source and K of the held surfaces and the ambient.
     drive: Array
+    #: Shape (p + 1, d + s + 1): sensors, then the ambient's own.
     rows: Array
 
     @property
@@ -95,30 +77,20 @@ class LinearSystem:
 
 @dataclass(frozen=True, eq=False)
 class SteadyFilter:
-    """Precomputed data of the steady covariance P.
+    """Precomputed data of the steady covariance P."""
 
-    Attributes
-    ----------
-    cross : ndarray, shape (n, p + 1)
-        P H^T.
-    innovation : ndarray, shape (p + 1, p + 1)
-        H P H^T, without the readings' noise.
-    noise : ndarray, shape (p + 1,)
-        Variance of a reading, K2.
-    lasting : ndarray, shape (p + 1,)
-        Variance of lasting errors, K2 (`Noise`).
-    scale : ndarray, shape (n,)
-        Scale of every state, used to compare columns of a covariance.
-    walk : ndarray, shape (s + h + 1,)
-        Standard deviation of the inputs' random walk per step: W and K; zero for those that are
-        known and constant.
-    """
-
+    #: Shape (n, p + 1): P H^T.
     cross: Array
+    #: Shape (p + 1, p + 1): H P H^T, without the readings' noise.
     innovation: Array
+    #: Shape (p + 1,): variance of a reading, K2.
     noise: Array
+    #: Shape (p + 1,): variance of lasting errors, K2 (`Noise`).
     lasting: Array
+    #: Shape (n,): scale of every state, used to compare columns of a covariance.
     scale: Array
+    #: Shape (s + h + 1,): standard deviation of the inputs' random walk per step: W and K; zero for
+    #: those that are known and constant.
     walk: Array
 
 

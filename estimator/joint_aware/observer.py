@@ -49,17 +49,11 @@ class Settled(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Observer:
-    """Predictions and corrections of a model; independent of the source of the readings.
+    """Predictions and corrections of a model; independent of the source of the readings."""
 
-    Attributes
-    ----------
-    model : ObserverModel
-        Model of the machine and the filter.
-    thresholds : Thresholds
-        Thresholds of the observer.
-    """
-
+    #: Model of the machine and the filter.
     model: ObserverModel
+    #: Thresholds of the observer.
     thresholds: Thresholds = USUAL
 
     @cached_property

@@ -20,33 +20,23 @@ Kind = Literal["joint-aware", "kalman-linear"]
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """Variances of the unknown part of the displacement; axes in rows.
+    """Variances of the unknown part of the displacement; axes in rows."""
 
-    Attributes
-    ----------
-    tangent : ndarray, shape (axes, n)
-        Displacement per state, the joint sticking at its preload, m.
-    steady : ndarray, shape (axes,)
-        Of the state after a reading, m2.
-    constant : ndarray, shape (axes,)
-        Residual of the calibration, m2.
-    history : ndarray, shape (axes,)
-        Unknown slips after a warm start, m2.
-    open : ndarray, shape (axes, draws, 2 s q)
-        Error of machines that the calibration cannot distinguish, per relaxation of the heat and
-        per square of it, m.
-    square : ndarray, shape (axes, q)
-        Remaining error, per square of the heat relaxed at each rate, m2.
-    surprise : ndarray, shape (axes, p + 1)
-        Error per square of the innovation of each reading that lasts (`Watch.lasting`), m2/K2.
-    """
-
+    #: Shape (axes, n): displacement per state, the joint sticking at its preload, m.
     tangent: Array
+    #: Shape (axes,): of the state after a reading, m2.
     steady: Array
+    #: Shape (axes,): residual of the calibration, m2.
     constant: Array
+    #: Shape (axes,): unknown slips after a warm start, m2.
     history: Array
+    #: Shape (axes, draws, 2 s q): error of machines that the calibration cannot distinguish, per
+    #: relaxation of the heat and per square of it, m.
     open: Array
+    #: Shape (axes, q): remaining error, per square of the heat relaxed at each rate, m2.
     square: Array
+    #: Shape (axes, p + 1): error per square of the innovation of each reading that lasts
+    #: (`Watch.lasting`), m2/K2.
     surprise: Array
 
 

@@ -23,47 +23,32 @@ _FIRST = 2
 
 
 class ObserverState(NamedTuple):
-    """State of the observer between samples.
+    """State of the observer between samples."""
 
-    Attributes
-    ----------
-    time : ndarray, shape ()
-        Of the last sample, s; NaN before the first.
-    begun : ndarray, shape ()
-        Of the first sample, s; NaN before it.
-    memory : ndarray, shape ()
-        Knowledge of the joint's slips: `KNOWN`, `UNKNOWN` or `FOLLOWED`.
-    linear : ndarray, shape (n,)
-        Amplitudes, relaxations, heat of the sources (W), ambient (K): `filter_design`.
-    loads : ndarray, shape (l,)
-        Factors of the loads: the last that were read, and those that are constant.
-    gap, slip, pressure, change : ndarray
-        Of the joint: `physics.JointState`.
-    covariance_factor : ndarray, shape (n, k)
-        Covariance factor L of P + L L^T.
-    drive : ndarray, shape (d,)
-        Temperatures of the axes' drives, K.
-    watch : Watch
-        Memory of every channel.
-    model_error : ModelError
-        Model error estimated from displacement readings.
-    pending : PendingJump
-        A jump whose cause is still unknown.
-    """
-
+    #: Shape (): of the last sample, s; NaN before the first.
     time: Array
+    #: Shape (): of the first sample, s; NaN before it.
     begun: Array
+    #: Shape (): knowledge of the joint's slips: `KNOWN`, `UNKNOWN` or `FOLLOWED`.
     memory: Array
+    #: Shape (n,): amplitudes, relaxations, heat of the sources (W), ambient (K): `filter_design`.
     linear: Array
+    #: Shape (l,): factors of the loads: the last that were read, and those that are constant.
     loads: Array
+    #: Of the joint: `physics.JointState`.
     gap: Array
     slip: Array
     pressure: Array
     change: Array
+    #: Shape (n, k): covariance factor L of P + L L^T.
     covariance_factor: Array
+    #: Shape (d,): temperatures of the axes' drives, K.
     drive: Array
+    #: Memory of every channel.
     watch: Watch
+    #: Model error estimated from displacement readings.
     model_error: ModelError
+    #: A jump whose cause is still unknown.
     pending: PendingJump
 
     @property
@@ -80,14 +65,9 @@ class ObserverState(NamedTuple):
 
 @dataclass(frozen=True)
 class Layout:
-    """Positions of the parts of a flat state.
+    """Positions of the parts of a flat state."""
 
-    Attributes
-    ----------
-    parts : tuple of (str, slice, tuple of int)
-        Name, place and shape of each, in order.
-    """
-
+    #: Name, place and shape of each, in order.
     parts: tuple[tuple[str, slice, tuple[int, ...]], ...]
 
     @property

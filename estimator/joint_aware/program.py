@@ -279,23 +279,15 @@ def _standing_tables(kernel: JointKernel, heat: HeatStep) -> list[Table]:
 
 
 class _Start(NamedTuple):
-    """What the readings make known after a start in the middle of any past.
+    """What the readings make known after a start in the middle of any past."""
 
-    Attributes
-    ----------
-    known : ndarray, shape (k, 1 + axes)
-        Time, s, and from then on the variance of the displacement, m2.
-    gain : ndarray, shape (k, n, p + 1)
-        From then on; the last one is the steady gain.
-    spread : ndarray, shape (k, p + 1)
-        Variance of the innovations, K2; of the steady covariance at the end.
-    followed : float
-        From this time on, s, the joint's slips are those of its path.
-    """
-
+    #: Shape (k, 1 + axes): time, s, and from then on the variance of the displacement, m2.
     known: Array
+    #: Shape (k, n, p + 1): from then on; the last one is the steady gain.
     gain: Array
+    #: Shape (k, p + 1): variance of the innovations, K2; of the steady covariance at the end.
     spread: Array
+    #: From this time on, s, the joint's slips are those of its path.
     followed: float
 
 

@@ -14,17 +14,11 @@ from thermojoint.artefacts.errors import InputError, unknown_name
 
 @dataclass(frozen=True)
 class Slow:
-    """Random process of the logarithm of a parameter's factor: dx = -x dt / lasts + noise.
+    """Random process of the logarithm of a parameter's factor: dx = -x dt / lasts + noise."""
 
-    Attributes
-    ----------
-    spread : float
-        Long-term standard deviation.
-    lasts : float
-        Correlation time, s.
-    """
-
+    #: Long-term standard deviation.
     spread: float
+    #: Correlation time, s.
     lasts: float
 
 
@@ -43,27 +37,19 @@ class Learning:
     """Settings of online learning (``python -m benchmarks.ageing``, docs/ageing.md).
 
     All were determined together on the first plant of that study, with another history of heat.
-
-    Attributes
-    ----------
-    step : float
-        Offset of the copies' parameters, in the logarithm.
-    window : float
-        Innovations are averaged over this time, s, ...
-    lasting_K, lasting_m : float
-        ... and then have errors of this size, K and m.
-    bias : Slow
-        Bias of a sensor's innovations, K. Without it the factor drifted to 0.90 on a machine that
-        had not aged; at 0.5 K it went the wrong way.
-    farthest : float
-        Largest change of a logarithm from the calibration, and largest bias, K.
     """
 
+    #: Offset of the copies' parameters, in the logarithm.
     step: float = 0.03
+    #: Innovations are averaged over this time, s, ...
     window: float = 600.0
+    #: ... and then have errors of this size, K and m.
     lasting_K: float = 0.1
     lasting_m: float = 0.5e-6
+    #: Bias of a sensor's innovations, K. Without it the factor drifted to 0.90 on a machine that
+    #: had not aged; at 0.5 K it went the wrong way.
     bias: Slow = Slow(0.15, 6.0 * 3600.0)
+    #: Largest change of a logarithm from the calibration, and largest bias, K.
     farthest: float = 1.5
 
 

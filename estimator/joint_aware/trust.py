@@ -34,45 +34,29 @@ from thermojoint.artefacts.arrays import Array, Flags
 
 @dataclass(frozen=True, eq=False)
 class Trusted:
-    """Usable readings of a sample.
+    """Usable readings of a sample."""
 
-    Attributes
-    ----------
-    believed : ndarray of bool, shape (p + 1,)
-        Readings to be used.
-    watch : Watch
-        Memory of every channel, after the sample.
-    pending : PendingJump
-        Pending jump after the sample.
-    expected : Expected
-        Prediction to be corrected by them.
-    """
-
+    #: Shape (p + 1,): readings to be used.
     believed: Flags
+    #: Memory of every channel, after the sample.
     watch: Watch
+    #: Pending jump after the sample.
     pending: PendingJump
+    #: Prediction to be corrected by them.
     expected: Expected
 
 
 @dataclass(frozen=True)
 class Moment:
-    """Time of a sample, and what acts on the machine then.
+    """Time of a sample, and what acts on the machine then."""
 
-    Attributes
-    ----------
-    time : float
-        s.
-    length : float
-        Step length since the previous sample, s.
-    steps : int
-        Number of these steps; 0 at the first sample.
-    loads : ndarray, shape (l,)
-        Factors of the loads, and the positions of axes, m, at the sample.
-    """
-
+    #: s.
     time: float
+    #: Step length since the previous sample, s.
     length: float
+    #: Number of these steps; 0 at the first sample.
     steps: int
+    #: Shape (l,): factors of the loads, and the positions of axes, m, at the sample.
     loads: Array = field(default_factory=lambda: np.zeros(0))
 
 
