@@ -27,22 +27,14 @@ SHORTEST_TOKEN = 32
 
 @dataclass(eq=False)
 class Accounts:
-    """Users, tokens and sessions of a service, and its audit log.
+    """Users, tokens and sessions of a service, and its audit log."""
 
-    Attributes
-    ----------
-    store : Connection
-        `thermojoint.live.access_store`.
-    audit : Audit
-    users_file : Path or None
-        Read again whenever it changes.
-    given : mapping of str to Principal
-        The token of the settings by its digest.
-    """
-
+    #: `thermojoint.live.access_store`.
     store: sqlite3.Connection
     audit: Audit
+    #: Read again whenever it changes.
     users_file: Path | None = None
+    #: The token of the settings by its digest.
     given: Mapping[str, Principal] = field(default_factory=dict)
     gate: Gate = field(default_factory=lambda: Gate({}))
     _read: int = -1

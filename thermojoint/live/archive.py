@@ -24,42 +24,27 @@ MOST_ROWS = 20_000
 
 @dataclass(frozen=True)
 class History:
-    """Samples of a machine in a time span, oldest first.
+    """Samples of a machine in a time span, oldest first."""
 
-    Attributes
-    ----------
-    layout : Layout
-        Names of the columns.
-    columns : Columns
-        The samples whose number is a multiple of `every`.
-    numbers : ndarray of int, shape (n,)
-        Of the samples.
-    status : tuple of str
-        In words.
-    holes : tuple of Hole
-        Times without samples within the span.
-    every : int
-        1 if nothing was left out.
-    """
-
+    #: Names of the columns.
     layout: Layout
+    #: The samples whose number is a multiple of `every`.
     columns: Columns
+    #: Shape (n,): of the samples.
     numbers: NDArray[np.int64]
+    #: In words.
     status: tuple[str, ...]
+    #: Times without samples within the span.
     holes: tuple[Hole, ...]
+    #: 1 if nothing was left out.
     every: int
 
 
 @dataclass(frozen=True)
 class Archive:
-    """The store of a service, read only; may be used from any thread.
+    """The store of a service, read only; may be used from any thread."""
 
-    Attributes
-    ----------
-    path : Path
-        The SQLite file.
-    """
-
+    #: The SQLite file.
     path: Path
 
     def history(self, machine: str, since: float, until: float, at_most: int) -> History:

@@ -12,46 +12,29 @@ NEVER = "\0"
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """Readings of one machine at one time.
+    """Readings of one machine at one time."""
 
-    Attributes
-    ----------
-    machine : str
-        Its name.
-    time : float
-        By the source's clock, s since 1970.
-    readings : sequence of float or None
-        One for each of its readings; None: did not come, NaN: reported as missing.
-    came : float
-        When it arrived, s since 1970.
-    position : JSON value
-        Read position of the source after it; None for a source that cannot be read again.
-    kept : callable or None
-        Called once it is stored.
-    """
-
+    #: Its name.
     machine: str
+    #: By the source's clock, s since 1970.
     time: float
+    #: One for each of its readings; None: did not come, NaN: reported as missing.
     readings: Sequence[float | None]
+    #: When it arrived, s since 1970.
     came: float
+    #: Read position of the source after it; None for a source that cannot be read again.
     position: Any = None
+    #: Called once it is stored.
     kept: Callable[[], None] | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """Event reported by a reader.
+    """Event reported by a reader."""
 
-    Attributes
-    ----------
-    kind : str
-        E.g. ``malformed``.
-    text : str
-        What happened and where, in one line.
-    machine : str or None
-        The machine that it concerns, if it is one.
-    """
-
+    #: E.g. ``malformed``.
     kind: str
+    #: What happened and where, in one line.
     text: str
+    #: The machine that it concerns, if it is one.
     machine: str | None = None

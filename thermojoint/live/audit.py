@@ -32,20 +32,13 @@ _SPARE = 1 << 20
 
 @dataclass(eq=False)
 class Audit:
-    """The audit log of a service.
+    """The audit log of a service."""
 
-    Attributes
-    ----------
-    path : Path
-        The file that is written now; earlier ones beside it carry the time of their end.
-    largest : int
-        The next file begins when this one is so large, bytes.
-    keep : float
-        Earlier files are deleted after this time, s.
-    """
-
+    #: The file that is written now; earlier ones beside it carry the time of their end.
     path: Path
+    #: The next file begins when this one is so large, bytes.
     largest: int = 10_000_000
+    #: Earlier files are deleted after this time, s.
     keep: float = 365.0 * 86400.0
     _limit: LineLimit = field(default_factory=LineLimit)
 

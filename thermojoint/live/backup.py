@@ -41,19 +41,12 @@ _CHUNK = 1 << 20
 
 
 class Named(NamedTuple):
-    """A file or folder that the settings name.
+    """A file or folder that the settings name."""
 
-    Attributes
-    ----------
-    key : str
-        Where they name it.
-    path : Path
-    secret : bool
-        A password, a token or a private key.
-    """
-
+    #: Where they name it.
     key: str
     path: Path
+    #: A password, a token or a private key.
     secret: bool
 
 

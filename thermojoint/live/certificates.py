@@ -31,14 +31,9 @@ ANNOUNCED = timedelta(days=30)
 
 @dataclass(frozen=True)
 class Identity:
-    """A certificate and its key.
+    """A certificate and its key."""
 
-    Attributes
-    ----------
-    certificate, key : Path
-        PEM.
-    """
-
+    #: PEM.
     certificate: Path
     key: Path
 

@@ -31,17 +31,11 @@ _LOOKED_AT = ("models", "certificate.pem", "key.pem", "access.sqlite", "access.s
 
 
 class Findings(NamedTuple):
-    """Results of a check, one line each.
+    """Results of a check, one line each."""
 
-    Attributes
-    ----------
-    refused : list of str
-        What a start would refuse.
-    warnings : list of str
-        What it would warn of, and certificates that end soon.
-    """
-
+    #: What a start would refuse.
     refused: list[str]
+    #: What it would warn of, and certificates that end soon.
     warnings: list[str]
 
 

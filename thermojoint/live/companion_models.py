@@ -61,41 +61,27 @@ _UNKNOWN = (
 
 
 class Identity(NamedTuple):
-    """Identification of a machine, and of the model that estimates its displacement.
-
-    Attributes
-    ----------
-    machine : IdentificationSection
-    model, digest : str
-        Name of the model's file, and what tells it from others.
-    """
+    """Identification of a machine, and of the model that estimates its displacement."""
 
     machine: IdentificationSection
+    #: Name of the model's file, and what tells it from others.
     model: str
     digest: str
 
 
 @dataclass(frozen=True)
 class Companion:
-    """Loaded specifications.
+    """Loaded specifications."""
 
-    Attributes
-    ----------
-    machines : NodeId
-        The Machines folder.
-    devices, machinery, own : int
-        Indices of the namespaces of DI and Machinery, and of the service's own.
-    machine_tool : int or None
-        Index of that of Machine Tools, if it is loaded.
-    identities : dict of str to Identity
-        By machine.
-    """
-
+    #: The Machines folder.
     machines: ua.NodeId
+    #: Indices of the namespaces of DI and Machinery, and of the service's own.
     devices: int
     machinery: int
     own: int
+    #: Index of that of Machine Tools, if it is loaded.
     machine_tool: int | None
+    #: By machine.
     identities: Mapping[str, Identity]
 
 

@@ -42,98 +42,63 @@ _GAP = 1.5
 
 @dataclass(eq=False, slots=True)
 class Place:
-    """State of a machine in the service.
+    """State of a machine in the service."""
 
-    Attributes
-    ----------
-    served : Served
-        Its model.
-    era : int
-        Its number in the store.
-    machine : Machine
-        Its state.
-    position : JSON value
-        Read position of its source.
-    heard : float
-        When its last usable sample was taken, by the service's own clock, s.
-    fresh : bool
-        No sample has come since the service began.
-    reported : tuple of Quality and str
-        Quality and status as last published.
-    mode : str
-        Mode of the offsets then.
-    handshake : str
-        Its state when it was last looked at; empty before.
-    rows : list of (ndarray, str)
-        Samples since the last checkpoint.
-    unkept : list of callable
-        Called once the next sample is stored.
-    waits_since : float
-        When the first of them came, by the service's own clock, s.
-    """
-
+    #: Its model.
     served: Served
+    #: Its number in the store.
     era: int
+    #: Its state.
     machine: Machine
+    #: Read position of its source.
     position: Any
+    #: When its last usable sample was taken, by the service's own clock, s.
     heard: float
+    #: No sample has come since the service began.
     fresh: bool = True
+    #: Quality and status as last published.
     reported: tuple[Quality, str] = (Quality.BAD, "no-sample")
+    #: Mode of the offsets then.
     mode: str = ""
+    #: Its state when it was last looked at; empty before.
     handshake: str = ""
+    #: Samples since the last checkpoint.
     rows: list[tuple[Any, str]] = field(default_factory=list)
+    #: Called once the next sample is stored.
     unkept: list[Callable[[], None]] = field(default_factory=list)
+    #: When the first of them came, by the service's own clock, s.
     waits_since: float = math.inf
 
 
 @dataclass(eq=False)
 class Outcome:
-    """Result of arrivals.
+    """Result of arrivals."""
 
-    Attributes
-    ----------
-    taken, holes : list
-        To be stored in one transaction.
-    publications : dict of str to Publication
-        The newest of each machine, to be published afterwards.
-    kept : list of callable
-        Called afterwards.
-    came : list of float
-        Times of the arrivals of the samples, s since 1970.
-    """
-
+    #: To be stored in one transaction.
     taken: list[Taken] = field(default_factory=list)
     holes: list[Hole] = field(default_factory=list)
+    #: The newest of each machine, to be published afterwards.
     publications: dict[str, Publication] = field(default_factory=dict)
+    #: Called afterwards.
     kept: list[Callable[[], None]] = field(default_factory=list)
+    #: Times of the arrivals of the samples, s since 1970.
     came: list[float] = field(default_factory=list)
 
 
 @dataclass(frozen=True, eq=False)
 class Floor:
-    """The machines of a service, with log and metrics.
+    """The machines of a service, with log and metrics."""
 
-    Attributes
-    ----------
-    places : dict of str to Place
-        By machine.
-    log : EventLog
-        Events.
-    metrics : Metrics
-        Figures.
-    ahead : float
-        Readings further in the future are refused, s.
-    behind : float
-        Samples further in the past count as old, s.
-    watchdog : WatchdogSection
-        Limits of silence.
-    """
-
+    #: By machine.
     places: Mapping[str, Place]
     log: EventLog
+    #: Figures.
     metrics: Metrics
+    #: Readings further in the future are refused, s.
     ahead: float
+    #: Samples further in the past count as old, s.
     behind: float
+    #: Limits of silence.
     watchdog: WatchdogSection
 
 

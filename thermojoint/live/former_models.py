@@ -28,35 +28,22 @@ _PINNED = re.compile(rf"@[0-9a-f]{{{SHOWN}}}$")
 
 
 class Deployment(NamedTuple):
-    """A model that a machine has run with.
+    """A model that a machine has run with."""
 
-    Attributes
-    ----------
-    fingerprint : str
-        SHA-256 of its file.
-    file : str
-        Name of the file.
-    since : float
-        s since 1970.
-    """
-
+    #: SHA-256 of its file.
     fingerprint: str
+    #: Name of the file.
     file: str
+    #: s since 1970.
     since: float
 
 
 class Pin(NamedTuple):
-    """A rollback.
+    """A rollback."""
 
-    Attributes
-    ----------
-    fingerprint : str
-        Of the model that the machine goes back to.
-    instead_of : str
-        Of the file of the settings; the pin ends when that file changes.
-    """
-
+    #: Of the model that the machine goes back to.
     fingerprint: str
+    #: Of the file of the settings; the pin ends when that file changes.
     instead_of: str
 
 

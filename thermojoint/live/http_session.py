@@ -31,36 +31,21 @@ LOST = (OSError, TimeoutError, h11.RemoteProtocolError, UnusableError)
 
 
 class Address(NamedTuple):
-    """Connection data of a server.
-
-    Attributes
-    ----------
-    host : str
-    port : int
-    path : str
-        What every request begins with.
-    context : SSLContext or None
-        None: no TLS.
-    """
+    """Connection data of a server."""
 
     host: str
     port: int
+    #: What every request begins with.
     path: str
+    #: None: no TLS.
     context: ssl.SSLContext | None
 
 
 class Response(NamedTuple):
-    """A response whose body is still to be read.
-
-    Attributes
-    ----------
-    status : int
-    kind : Message
-        Its Content-Type.
-    chunks : async iterator of bytes
-    """
+    """A response whose body is still to be read."""
 
     status: int
+    #: Its Content-Type.
     kind: Message
     chunks: AsyncIterator[bytes]
 

@@ -16,14 +16,9 @@ from thermojoint.live.publication import Publication
 
 @dataclass(eq=False)
 class Follower:
-    """A subscriber.
+    """A subscriber."""
 
-    Attributes
-    ----------
-    changed : set of str
-        Machines with a publication that has not been fetched.
-    """
-
+    #: Machines with a publication that has not been fetched.
     changed: set[str] = field(default_factory=set)
     _published: asyncio.Event = field(default_factory=asyncio.Event)
 
@@ -42,17 +37,11 @@ class Follower:
 
 @dataclass(eq=False)
 class Hub:
-    """Newest publications, shared; used only from the service's event loop.
+    """Newest publications, shared; used only from the service's event loop."""
 
-    Attributes
-    ----------
-    newest : dict of str to Publication
-        By machine; read it, publish by `publish`.
-    heartbeat : int
-        Counts on while the service looks after its machines: `beat`.
-    """
-
+    #: By machine; read it, publish by `publish`.
     newest: dict[str, Publication] = field(default_factory=dict)
+    #: Counts on while the service looks after its machines: `beat`.
     heartbeat: int = 0
     _followers: set[Follower] = field(default_factory=set)
 

@@ -18,17 +18,11 @@ _LONGEST = 500
 
 @dataclass(eq=False)
 class EventLog:
-    """Events on their way to the log and the store.
+    """Events on their way to the log and the store."""
 
-    Attributes
-    ----------
-    pending : list of Event
-        Not stored yet.
-    limit : LineLimit
-        By machine and kind.
-    """
-
+    #: Not stored yet.
     pending: list[Event] = field(default_factory=list)
+    #: By machine and kind.
     limit: LineLimit = field(default_factory=LineLimit)
 
     def say(self, time: float, kind: str, text: str, machine: str | None = None) -> bool:

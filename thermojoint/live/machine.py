@@ -49,54 +49,35 @@ from thermojoint.live.watchdog import REFUSED, quality_at, silenced
 
 
 class Times(NamedTuple):
-    """One moment by two clocks.
+    """One moment by two clocks."""
 
-    Attributes
-    ----------
-    now : float
-        s since 1970, by a clock that may be set.
-    clock : float
-        The service's own clock, which is never set, s. Offsets move by it, whatever times the
-        readings have: their rate counts in the time in which the control receives them.
-    """
-
+    #: s since 1970, by a clock that may be set.
     now: float
+    #: The service's own clock, which is never set, s. Offsets move by it, whatever times the
+    #: readings have: their rate counts in the time in which the control receives them.
     clock: float
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Machine:
-    """State of a machine.
-
-    Attributes
-    ----------
-    name : str
-    state : ndarray
-        Of its estimator.
-    cold : float
-        Temperature of the cold machine, in the unit of its readings; NaN if not known yet.
-    output : OutputState or None
-        Of its compensation output.
-    handshake : Handshake
-        With its control; nothing comes of it where the settings have none.
-    waiting : Waiting
-        Readings that are in no sample yet.
-    latest : Publication
-        The newest publication.
-    usable : Publication
-        The newest publication with an estimate.
-    asked : Request
-        The displacement reading that is asked for.
-    """
+    """State of a machine."""
 
     name: str
+    #: Of its estimator.
     state: Array
+    #: Temperature of the cold machine, in the unit of its readings; NaN if not known yet.
     cold: float
+    #: Of its compensation output.
     output: OutputState | None
+    #: With its control; nothing comes of it where the settings have none.
     handshake: Handshake
+    #: Readings that are in no sample yet.
     waiting: Waiting
+    #: The newest publication.
     latest: Publication
+    #: The newest publication with an estimate.
     usable: Publication
+    #: The displacement reading that is asked for.
     asked: Request = NOTHING_ASKED
 
 

@@ -12,39 +12,27 @@ _SECONDS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 5.0, 30.0
 
 @dataclass(frozen=True, eq=False)
 class Metrics:
-    """Counters of one service.
+    """Counters of one service."""
 
-    Attributes
-    ----------
-    registry : CollectorRegistry
-        Of all metrics, for ``/metrics``.
-    samples, arrivals, events : Counter
-        Samples by model; arrivals by verdict; events by kind.
-    latency, commit : Histogram
-        From an arrival to its publication; duration of a transaction, s.
-    quality : Gauge
-        Machines by quality.
-    modes : Counter
-        Time of the offsets of each machine in each mode, s.
-    next_readings : Counter
-        Displacement readings asked for, by machine and outcome.
-    waiting, log_size : Gauge
-        Arrivals in the queue; size of the store's write-ahead log, bytes.
-    disk_full, reserve : Gauge
-        1 if the disk of the store is full; how long the store's own reserve lasts, s.
-    """
-
+    #: Of all metrics, for ``/metrics``.
     registry: CollectorRegistry
+    #: Samples by model; arrivals by verdict; events by kind.
     samples: Counter
     arrivals: Counter
     events: Counter
+    #: From an arrival to its publication; duration of a transaction, s.
     latency: Histogram
     commit: Histogram
+    #: Machines by quality.
     quality: Gauge
+    #: Time of the offsets of each machine in each mode, s.
     modes: Counter
+    #: Displacement readings asked for, by machine and outcome.
     next_readings: Counter
+    #: Arrivals in the queue; size of the store's write-ahead log, bytes.
     waiting: Gauge
     log_size: Gauge
+    #: 1 if the disk of the store is full; how long the store's own reserve lasts, s.
     disk_full: Gauge
     reserve: Gauge
 

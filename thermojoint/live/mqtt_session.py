@@ -28,24 +28,15 @@ _MOST_WAITING = 1000
 
 @dataclass(frozen=True)
 class Address:
-    """Connection data of a broker, including secrets; never displayed.
-
-    Attributes
-    ----------
-    host : str
-    port : int
-    context : SSLContext or None
-        None: no TLS.
-    user, password : str or None
-    client_id : str
-        The broker keeps messages for this name while it is not connected.
-    """
+    """Connection data of a broker, including secrets; never displayed."""
 
     host: str
     port: int
+    #: None: no TLS.
     context: ssl.SSLContext | None
     user: str | None
     password: str | None
+    #: The broker keeps messages for this name while it is not connected.
     client_id: str
 
     def __repr__(self) -> str:

@@ -40,42 +40,27 @@ _UNITS = {
 
 
 class Header(NamedTuple):
-    """Header of a document.
+    """Header of a document."""
 
-    Attributes
-    ----------
-    instance : int
-        Changes when the agent starts anew.
-    created : float
-        By the agent's clock, s since 1970.
-    size : int
-        Observations that the agent keeps.
-    next, last : int
-        First observation after this document; last one that the agent has. -1 without.
-    """
-
+    #: Changes when the agent starts anew.
     instance: int
+    #: By the agent's clock, s since 1970.
     created: float
+    #: Observations that the agent keeps.
     size: int
+    #: First observation after this document; last one that the agent has. -1 without.
     next: int
     last: int
 
 
 class Item(NamedTuple):
-    """A data item.
+    """A data item."""
 
-    Attributes
-    ----------
-    ident : str
-        Unique in the agent.
-    unit : str
-        Empty for none.
-    single : bool
-        Its observations are single values.
-    """
-
+    #: Unique in the agent.
     ident: str
+    #: Empty for none.
     unit: str
+    #: Its observations are single values.
     single: bool
 
 

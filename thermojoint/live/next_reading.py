@@ -18,46 +18,30 @@ from thermojoint.artefacts.units import MEGA
 
 @dataclass(frozen=True)
 class Asking:
-    """When readings are asked for.
+    """When readings are asked for."""
 
-    Attributes
-    ----------
-    limit : float
-        Largest half-width of the band, m.
-    interval : float
-        Shortest time between two requests, s.
-    ask : callable
-        State of the estimator to the reading to take, or None.
-    """
-
+    #: Largest half-width of the band, m.
     limit: float
+    #: Shortest time between two requests, s.
     interval: float
+    #: State of the estimator to the reading to take, or None.
     ask: Callable[[Array], NextReading | None]
 
 
 class Request(NamedTuple):
-    """The present request of a machine, or its last one.
+    """The present request of a machine, or its last one."""
 
-    Attributes
-    ----------
-    axis : str
-        To be read; empty if nothing is asked for.
-    since : float
-        When the last request was made, s since 1970.
-    band, narrowed : float
-        Half-band of the axis then, and what a reading would have left of it, m.
-    quiet : float
-        No request before this time, s since 1970.
-    outcome : str
-        ``asked``, or how the last request ended: ``taken``, ``postponed``, ``withdrawn``; empty
-        before the first.
-    """
-
+    #: To be read; empty if nothing is asked for.
     axis: str = ""
+    #: When the last request was made, s since 1970.
     since: float = math.nan
+    #: Half-band of the axis then, and what a reading would have left of it, m.
     band: float = math.nan
     narrowed: float = math.nan
+    #: No request before this time, s since 1970.
     quiet: float = -math.inf
+    #: ``asked``, or how the last request ended: ``taken``, ``postponed``, ``withdrawn``; empty
+    #: before the first.
     outcome: str = ""
 
     @property

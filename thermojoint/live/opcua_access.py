@@ -44,17 +44,11 @@ _ANYBODY = Principal("anybody")
 
 @dataclass
 class Known(User):
-    """A user who has logged in.
+    """A user who has logged in."""
 
-    Attributes
-    ----------
-    principal : Principal
-        Rights at that time.
-    origin : str
-        Address, as the audit log has it.
-    """
-
+    #: Rights at that time.
     principal: Principal = _ANYBODY
+    #: Address, as the audit log has it.
     origin: str = "opcua"
 
 
@@ -78,32 +72,21 @@ class Rules(SimpleRoleRuleset):
 
 @dataclass(eq=False)
 class Door(UserManager):
-    """Asks for name and password and for a trusted certificate, and checks rights on machines.
+    """Asks for name and password and for a trusted certificate, and checks rights on machines."""
 
-    Attributes
-    ----------
-    accounts : Accounts
-        Users, and the audit log.
-    asks : bool
-        False: anybody may read.
-    trust : TrustList
-        Of the clients' certificates.
-    log : EventLog
-        Receives everybody who is refused.
-    controls : mapping of str to str
-        By machine: the only user who may write its control's side of the handshake.
-    machines : collection of str
-        Names of the machines.
-    peer : str
-        Address of the client that logs in now.
-    """
-
+    #: Users, and the audit log.
     accounts: Accounts
+    #: False: anybody may read.
     asks: bool
+    #: Of the clients' certificates.
     trust: TrustList
+    #: Receives everybody who is refused.
     log: EventLog
+    #: By machine: the only user who may write its control's side of the handshake.
     controls: Mapping[str, str]
+    #: Names of the machines.
     machines: Collection[str]
+    #: Address of the client that logs in now.
     peer: str = ""
 
     def get_user(

@@ -23,17 +23,11 @@ LOST = (OSError, TimeoutError, asyncio.TimeoutError, ua.UaError, ConnectionError
 
 @dataclass(frozen=True)
 class Reached:
-    """Connection data of a server; secrets are never displayed.
-
-    Attributes
-    ----------
-    url : str
-    certificate, key, server : Path or None
-        Own certificate and key, and the server's certificate; None without security.
-    user, password : str or None
-    """
+    """Connection data of a server; secrets are never displayed."""
 
     url: str
+    #: `certificate`, `key`, `server`: own certificate and key, and the server's certificate; None
+    #: without security.
     certificate: Path | None
     key: Path | None
     server: Path | None

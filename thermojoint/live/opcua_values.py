@@ -26,26 +26,17 @@ Value = Callable[[Publication], tuple[Any, int]]
 
 @dataclass(frozen=True)
 class Variable:
-    """One variable of a machine.
+    """One variable of a machine."""
 
-    Attributes
-    ----------
-    folder, name : str
-        ``Displacement``, ``x``; an empty folder for variables beside the folders.
-    unit : str
-        As shown; empty for none.
-    kind : VariantType
-    value : callable
-        From a publication.
-    writable : bool
-        Operators may write it.
-    """
-
+    #: ``Displacement``, ``x``; an empty folder for variables beside the folders.
     folder: str
     name: str
+    #: As shown; empty for none.
     unit: str
     kind: ua.VariantType
+    #: From a publication.
     value: Value
+    #: Operators may write it.
     writable: bool = False
 
 

@@ -23,44 +23,28 @@ _LEADING = 3
 
 
 class AxisLine(NamedTuple):
-    """An axis of the control that receives a line: K0, its offset, and a slope.
-
-    Attributes
-    ----------
-    axis : str
-    reference : float
-        P0, m.
-    lever : float
-        Largest distance from it on the stroke, m.
-    """
+    """An axis of the control that receives a line: K0, its offset, and a slope."""
 
     axis: str
+    #: P0, m.
     reference: float
+    #: Largest distance from it on the stroke, m.
     lever: float
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Names of the published values of a machine; machines of a model share one.
+    """Names of the published values of a machine; machines of a model share one."""
 
-    Attributes
-    ----------
-    axes : tuple of str
-        Of the displacement, without units.
-    controls : tuple of str
-        Axes of the control that receive an offset; empty without a compensation output.
-    details : tuple of Channel
-        Internal signals of the estimator, in SI.
-    readings : tuple of str
-        Readings of the machine, with units in the names: ``T1_degC``.
-    lines : tuple of AxisLine
-        Axes among `controls` that receive a slope as well.
-    """
-
+    #: Of the displacement, without units.
     axes: tuple[str, ...]
+    #: Axes of the control that receive an offset; empty without a compensation output.
     controls: tuple[str, ...]
+    #: Internal signals of the estimator, in SI.
     details: tuple[Channel, ...]
+    #: Readings of the machine, with units in the names: ``T1_degC``.
     readings: tuple[str, ...]
+    #: Axes among `controls` that receive a slope as well.
     lines: tuple[AxisLine, ...] = ()
 
     @property
@@ -83,59 +67,41 @@ class Layout:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Publication:
-    """Values published for one machine at one instant.
+    """Values published for one machine at one instant."""
 
-    Attributes
-    ----------
-    machine : str
-        Its name.
-    number : int
-        Number of the sample, counted from 1; 0 before the first.
-    time : float
-        Of the sample by its source, s since 1970 (UTC); NaN before the first.
-    published : float
-        Time of publication, s since 1970 (UTC).
-    quality : Quality
-        Of displacement, band and offsets.
-    layout : Layout
-        Names of the following values.
-    displacement, band : ndarray, shape (axes,)
-        m; NaN where unknown.
-    offsets : ndarray, shape (controls,)
-        Offsets that the control receives, m; K0 of an axis that receives a slope as well.
-    details : ndarray, shape (details,)
-        In SI.
-    readings : ndarray, shape (readings,)
-        In the units of their names; NaN for missing ones.
-    status : str
-        ``ok``, or the reasons in words, with their channels.
-    offset_mode : str
-        Mode of the offsets (`thermojoint.compensation.offsets.output.Mode`); empty without
-        offsets, and in the history.
-    handshake : str
-        State of the handshake with the control
-        (`thermojoint.compensation.offsets.handshake.Handshake`); empty where there is none.
-    asked : Request
-        The displacement reading that is asked for; none in the history.
-    slopes : ndarray, shape (lines,)
-        Slopes that the control receives, m/m.
-    """
-
+    #: Its name.
     machine: str
+    #: Number of the sample, counted from 1; 0 before the first.
     number: int
+    #: Of the sample by its source, s since 1970 (UTC); NaN before the first.
     time: float
+    #: Time of publication, s since 1970 (UTC).
     published: float
+    #: Of displacement, band and offsets.
     quality: Quality
+    #: Names of the following values.
     layout: Layout
+    #: Shape (axes,): m; NaN where unknown.
     displacement: Array
     band: Array
+    #: Shape (controls,): offsets that the control receives, m; K0 of an axis that receives a slope
+    #: as well.
     offsets: Array
+    #: Shape (details,): in SI.
     details: Array
+    #: Shape (readings,): in the units of their names; NaN for missing ones.
     readings: Array
+    #: ``ok``, or the reasons in words, with their channels.
     status: str
+    #: Mode of the offsets (`thermojoint.compensation.offsets.output.Mode`); empty without offsets,
+    #: and in the history.
     offset_mode: str = ""
+    #: State of the handshake with the control
+    #: (`thermojoint.compensation.offsets.handshake.Handshake`); empty where there is none.
     handshake: str = ""
+    #: The displacement reading that is asked for; none in the history.
     asked: Request = NOTHING_ASKED
+    #: Shape (lines,): slopes that the control receives, m/m.
     slopes: Array = field(default_factory=lambda: np.empty(0))
 
     @property
@@ -244,34 +210,23 @@ def as_row(publication: Publication) -> Array:
 
 @dataclass(frozen=True)
 class Columns:
-    """Rows of the history by quantity; n rows, oldest first.
+    """Rows of the history by quantity; n rows, oldest first."""
 
-    Attributes
-    ----------
-    times, published : ndarray, shape (n,)
-        s since 1970.
-    quality : ndarray, shape (n,)
-        Numbers of `Quality`.
-    displacement, band : ndarray, shape (n, axes)
-        m.
-    offsets : ndarray, shape (n, controls)
-        m.
-    slopes : ndarray, shape (n, lines)
-        m/m.
-    details : ndarray, shape (n, details)
-        SI.
-    readings : ndarray, shape (n, readings)
-        In the units of their names.
-    """
-
+    #: Shape (n,): s since 1970.
     times: Array
     published: Array
+    #: Shape (n,): numbers of `Quality`.
     quality: Array
+    #: Shape (n, axes): m.
     displacement: Array
     band: Array
+    #: Shape (n, controls): m.
     offsets: Array
+    #: Shape (n, lines): m/m.
     slopes: Array
+    #: Shape (n, details): SI.
     details: Array
+    #: Shape (n, readings): in the units of their names.
     readings: Array
 
 

@@ -13,14 +13,9 @@ _MOST = 20_000
 
 @dataclass(eq=False)
 class LineLimit:
-    """Counts of lines by kind.
+    """Counts of lines by kind."""
 
-    Attributes
-    ----------
-    seen : dict
-        Kind to lines written in a row, time of the last one, lines left out since.
-    """
-
+    #: Kind to lines written in a row, time of the last one, lines left out since.
     seen: dict[Hashable, list[float]] = field(default_factory=dict)
 
     def left_out(self, kind: Hashable, time: float) -> int | None:

@@ -25,17 +25,11 @@ RESERVE = "CREATE TABLE IF NOT EXISTS reserve (id INTEGER PRIMARY KEY, room BLOB
 
 
 class Room(NamedTuple):
-    """Room for a store.
+    """Room for a store."""
 
-    Attributes
-    ----------
-    full : bool
-        The disk is full, up to a margin.
-    reserve : int
-        What the file itself has, bytes.
-    """
-
+    #: The disk is full, up to a margin.
     full: bool = False
+    #: What the file itself has, bytes.
     reserve: int = 0
 
 

@@ -15,23 +15,15 @@ ALL_MACHINES = ("*",)
 
 @dataclass(frozen=True)
 class Principal:
-    """A user or a token that has been recognised.
+    """A user or a token that has been recognised."""
 
-    Attributes
-    ----------
-    name : str
-        Of the user or the token, for the audit log.
-    role : str
-        One of `ROLES`.
-    machines : tuple of str
-        Names or patterns (``mill-*``) of the machines for which the role holds; others are hidden.
-    credential : str
-        Digest of the password's hash or of the token: a session lives as long as it is in use.
-    """
-
+    #: Of the user or the token, for the audit log.
     name: str
+    #: One of `ROLES`.
     role: Role = "viewer"
+    #: Names or patterns (``mill-*``) of the machines for which the role holds; others are hidden.
     machines: tuple[str, ...] = ALL_MACHINES
+    #: Digest of the password's hash or of the token: a session lives as long as it is in use.
     credential: str = field(default="", repr=False)
 
     @property

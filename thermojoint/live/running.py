@@ -53,65 +53,44 @@ Result = TypeVar("Result")
 
 @dataclass(eq=False)
 class Running:
-    """A service that runs.
+    """A service that runs."""
 
-    Attributes
-    ----------
-    service : Service
-        Its file.
-    floor : Floor
-        Its machines.
-    hub : Hub
-        Newest publications.
-    archive : Archive
-        Stored history.
-    metrics : Metrics
-        Figures.
-    accounts : Accounts
-        Who may come in.
-    store : Connection
-        Used in `keeper` only.
-    keeper : ThreadPoolExecutor
-        One thread, so that batches are stored in order.
-    arrivals : asyncio.Queue
-        From the readers.
-    stop : asyncio.Event
-        Set when the service is to end.
-    journal_end : int
-        Last entry of the store's journal.
-    round, round_from, share
-        Of the checkpoints: machines that still wait for theirs, the journal's end when this round
-        began, and the part of a machine whose turn it is.
-    behind : int
-        Last entry of the journal that every machine has a checkpoint behind.
-    reload : callable
-        Makes the service read its file again.
-    identity : tuple of int or None
-        Tells the store's file from another of its name.
-    mending : asyncio.Lock
-        Held while a store is replaced.
-    room : Room
-        Of the store, when it was last looked at.
-    """
-
+    #: Its file.
     service: Service
+    #: Its machines.
     floor: Floor
+    #: Newest publications.
     hub: Hub
+    #: Stored history.
     archive: Archive
+    #: Figures.
     metrics: Metrics
+    #: Who may come in.
     accounts: Accounts
+    #: Used in `keeper` only.
     store: sqlite3.Connection
+    #: One thread, so that batches are stored in order.
     keeper: ThreadPoolExecutor
+    #: From the readers.
     arrivals: asyncio.Queue[list[Arrival | Note]]
+    #: Set when the service is to end.
     stop: asyncio.Event
+    #: Last entry of the store's journal.
     journal_end: int = 0
+    #: Of the checkpoints: machines that still wait for theirs, the journal's end when this round
+    #: began, and the part of a machine whose turn it is.
     round: list[Place] = field(default_factory=list)
     round_from: int = 0
     share: float = 0.0
+    #: Last entry of the journal that every machine has a checkpoint behind.
     behind: int = 0
+    #: Makes the service read its file again.
     reload: Callable[[], None] = lambda: None
+    #: Tells the store's file from another of its name.
     identity: tuple[int, ...] | None = None
+    #: Held while a store is replaced.
     mending: asyncio.Lock = field(default_factory=asyncio.Lock)
+    #: Of the store, when it was last looked at.
     room: Room = field(default_factory=Room)
 
     async def kept(self, work: Callable[..., Result], *arguments: object) -> Result:

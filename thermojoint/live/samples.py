@@ -25,74 +25,47 @@ _PARTS = 16.0
 
 
 class Rule(NamedTuple):
-    """Rules for assembling samples.
+    """Rules for assembling samples."""
 
-    Attributes
-    ----------
-    interval : float
-        Between two instants, s.
-    lateness : float
-        Allowed delay of a reading, in the source's time, s.
-    hold : float
-        How long a value stays valid without a new one, s.
-    wanted : int
-        The first so many readings complete a sample; those after them are occasional.
-    """
-
+    #: Between two instants, s.
     interval: float
+    #: Allowed delay of a reading, in the source's time, s.
     lateness: float
+    #: How long a value stays valid without a new one, s.
     hold: float
+    #: The first so many readings complete a sample; those after them are occasional.
     wanted: int
 
 
 class Waiting(NamedTuple):
-    """Readings not yet assigned to a sample.
+    """Readings not yet assigned to a sample."""
 
-    Attributes
-    ----------
-    last : float
-        Instant of the last sample, s; NaN before the first.
-    newest : float
-        Latest time of a reading, s; -inf before the first.
-    cells : tuple
-        (instant, readings) of every sample that is not closed, oldest first.
-    held : tuple of (float, float)
-        Time and value of the last of each reading; empty if none is held.
-    phase : float
-        Of the instants beyond the multiples of the interval, s; NaN before the first reading.
-    probed : float
-        Latest time of an occasional reading, s; -inf before the first.
-    doubted : tuple, optional
-        Time and readings from the future; they count once another reading confirms them.
-    """
-
+    #: Instant of the last sample, s; NaN before the first.
     last: float = math.nan
+    #: Latest time of a reading, s; -inf before the first.
     newest: float = -math.inf
+    #: (instant, readings) of every sample that is not closed, oldest first.
     cells: tuple[tuple[float, tuple[float | None, ...]], ...] = ()
+    #: Time and value of the last of each reading; empty if none is held.
     held: tuple[tuple[float, float], ...] = ()
+    #: Of the instants beyond the multiples of the interval, s; NaN before the first reading.
     phase: float = math.nan
+    #: Latest time of an occasional reading, s; -inf before the first.
     probed: float = -math.inf
+    #: Time and readings from the future; they count once another reading confirms them.
     doubted: tuple[float, tuple[float | None, ...]] | None = None
 
 
 class Arrived(NamedTuple):
-    """Result of arriving readings.
+    """Result of arriving readings."""
 
-    Attributes
-    ----------
-    waiting : Waiting
-        After them.
-    samples : list of (float, tuple of float)
-        Instant and readings of every sample that was closed, NaN for what is missing.
-    verdict : str
-        ``taken``, ``late`` (its sample is closed), ``ahead`` (later than the limit), ``no-time``.
-    doubted : float
-        Time of a reading from the future that was not confirmed and is left out, s; NaN for none.
-    """
-
+    #: After them.
     waiting: Waiting
+    #: Instant and readings of every sample that was closed, NaN for what is missing.
     samples: list[tuple[float, tuple[float, ...]]]
+    #: ``taken``, ``late`` (its sample is closed), ``ahead`` (later than the limit), ``no-time``.
     verdict: str
+    #: Time of a reading from the future that was not confirmed and is left out, s; NaN for none.
     doubted: float = math.nan
 
 

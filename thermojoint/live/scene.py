@@ -22,17 +22,11 @@ FRONT, ABOVE = 2.0, 0.5
 
 
 class Scene(NamedTuple):
-    """A machine in 3-D.
+    """A machine in 3-D."""
 
-    Attributes
-    ----------
-    shape : dict
-        Points, triangles and contact elements, ready for JSON.
-    fields : callable
-        Returns temperatures and pressures of the newest state, ready for JSON; None before any.
-    """
-
+    #: Points, triangles and contact elements, ready for JSON.
     shape: dict[str, Any]
+    #: Returns temperatures and pressures of the newest state, ready for JSON; None before any.
     fields: Callable[[], dict[str, Any] | None]
 
 

@@ -28,44 +28,29 @@ from thermojoint.live.settings import HandshakeSection, ModelSection, Service
 
 @dataclass(frozen=True, eq=False)
 class Served:
-    """A model with everything that its machines share.
+    """A model with everything that its machines share."""
 
-    Attributes
-    ----------
-    estimator : Estimator
-        Of any kind.
-    digest : str
-        A state continues with a model of the same digest.
-    file : str
-        Name of its file.
-    intake : Intake
-        Readings of its machines.
-    ranges : tuple of Range
-        For which it was calibrated.
-    residuals : callable, optional
-        (estimator, state, sample) to reading minus model; None for a kind without residuals.
-    rule : Rule
-        How samples are assembled.
-    layout : Layout
-        Names of the published values.
-    output : Settings or None
-        Of the compensation output.
-    handshake : HandshakeSettings or None
-        With the control of a machine: `single`.
-    asking : Asking or None
-        When displacement readings are asked for.
-    """
-
+    #: Of any kind.
     estimator: Estimator
+    #: A state continues with a model of the same digest.
     digest: str
+    #: Name of its file.
     file: str
+    #: Readings of its machines.
     intake: Intake
+    #: For which it was calibrated.
     ranges: tuple[Range, ...]
+    #: (estimator, state, sample) to reading minus model; None for a kind without residuals.
     residuals: Callable[[Any, Array, Array], Array] | None
+    #: How samples are assembled.
     rule: Rule
+    #: Names of the published values.
     layout: Layout
+    #: Of the compensation output.
     output: Settings | None
+    #: With the control of a machine: `single`.
     handshake: HandshakeSettings | None = None
+    #: When displacement readings are asked for.
     asking: Asking | None = None
 
 

@@ -299,17 +299,10 @@ class ServiceFile(Section):
 
 @dataclass(frozen=True)
 class Service:
-    """A service as its file says.
-
-    Attributes
-    ----------
-    given : ServiceFile
-        The file.
-    machines : dict of str to MachineSection
-        Every single machine by its name.
-    """
+    """A service as its file says."""
 
     given: ServiceFile
+    #: Every single machine by its name.
     machines: Mapping[str, MachineSection]
 
     @property

@@ -79,26 +79,17 @@ CREATE TABLE IF NOT EXISTS received (
 
 
 class Taken(NamedTuple):
-    """A sample that was taken.
+    """A sample that was taken."""
 
-    Attributes
-    ----------
-    era : int
-        Of its machine: `era_of`.
-    number : int
-        Number of the sample, counted from 1.
-    row : bytes
-        `thermojoint.live.publication.as_row`.
-    status : str
-        In words.
-    rest : str
-        Everything else that the next sample depends on, with the read position: JSON.
-    """
-
+    #: Of its machine: `era_of`.
     era: int
+    #: Number of the sample, counted from 1.
     number: int
+    #: `thermojoint.live.publication.as_row`.
     row: bytes
+    #: In words.
     status: str
+    #: Everything else that the next sample depends on, with the read position: JSON.
     rest: str
 
 
@@ -145,19 +136,12 @@ class Hole(NamedTuple):
 
 
 class Received(NamedTuple):
-    """Last values received by a control for a machine, whatever its model and settings were.
-
-    Attributes
-    ----------
-    machine : str
-    at : float
-        When, s since 1970.
-    content : str
-        State of the compensation output: JSON.
-    """
+    """Last values received by a control for a machine, whatever its model and settings were."""
 
     machine: str
+    #: When, s since 1970.
     at: float
+    #: State of the compensation output: JSON.
     content: str
 
 
@@ -174,29 +158,19 @@ class Batch:
 
 @dataclass(frozen=True)
 class Kept:
-    """Stored data of an era.
+    """Stored data of an era."""
 
-    Attributes
-    ----------
-    era : int
-        Its number.
-    layout : Layout
-        Columns of each sample.
-    number : int
-        Samples at the last checkpoint.
-    state : bytes, optional
-        Of the estimator at the checkpoint; None before the first.
-    rest : str
-        As in `Taken`, at the checkpoint.
-    later : tuple of Taken
-        The samples since, in order.
-    """
-
+    #: Its number.
     era: int
+    #: Columns of each sample.
     layout: Layout
+    #: Samples at the last checkpoint.
     number: int
+    #: Of the estimator at the checkpoint; None before the first.
     state: bytes | None
+    #: As in `Taken`, at the checkpoint.
     rest: str
+    #: The samples since, in order.
     later: tuple[Taken, ...]
 
     @property

@@ -40,33 +40,22 @@ _ARRAYS = ("points", "triangles", "rows", "contact_points", "contact_triangles",
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Data of a picture; n corners, t triangles, r modes.
+    """Data of a picture; n corners, t triangles, r modes."""
 
-    Attributes
-    ----------
-    model : str
-        Fingerprint of the model it belongs to.
-    points : ndarray, shape (n, 3)
-        m.
-    triangles : ndarray of int, shape (t, 3)
-        Corners.
-    rows : ndarray, shape (n, r)
-        Temperature at the corners per amplitude, single precision.
-    contact_points, contact_triangles
-        The same of side a of all joints.
-    contacts : ndarray of int
-        Contact element of each of these triangles.
-    up : ndarray, shape (3,)
-        Direction that is up.
-    """
-
+    #: Fingerprint of the model it belongs to.
     model: str
+    #: Shape (n, 3): m.
     points: Array
+    #: Shape (t, 3): corners.
     triangles: NDArray[np.int64]
+    #: Shape (n, r): temperature at the corners per amplitude, single precision.
     rows: NDArray[np.float32]
+    #: The same of side a of all joints.
     contact_points: Array
     contact_triangles: NDArray[np.int64]
+    #: Contact element of each of these triangles.
     contacts: NDArray[np.int64]
+    #: Shape (3,): direction that is up.
     up: Array
 
 

@@ -19,21 +19,14 @@ _USED_S = 60.0
 
 @dataclass(frozen=True)
 class Token:
-    """A token without its secret.
+    """A token without its secret."""
 
-    Attributes
-    ----------
-    principal : Principal
-        Its name and rights.
-    created, expires : float
-        s since 1970.
-    used : float or None
-        When it was used last, to a minute; s since 1970.
-    """
-
+    #: Its name and rights.
     principal: Principal
+    #: s since 1970.
     created: float
     expires: float
+    #: When it was used last, to a minute; s since 1970.
     used: float | None
 
 

@@ -27,17 +27,11 @@ _MOST_REJECTED = 100
 
 @dataclass(frozen=True)
 class TrustList:
-    """Folders of certificates.
+    """Folders of certificates."""
 
-    Attributes
-    ----------
-    trusted : Path or None
-        None: any client whose certificate is valid now, as the password decides.
-    rejected : Path
-        Where unknown certificates are put, for somebody to move them to `trusted`.
-    """
-
+    #: None: any client whose certificate is valid now, as the password decides.
     trusted: Path | None
+    #: Where unknown certificates are put, for somebody to move them to `trusted`.
     rejected: Path
 
     def refusal(self, certificate: bytes | None, now: datetime) -> str:

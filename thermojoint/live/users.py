@@ -31,20 +31,13 @@ MOST_TRIALS, TRIALS_S = 20, 60.0
 
 @dataclass(frozen=True)
 class UserLine:
-    """A user.
+    """A user."""
 
-    Attributes
-    ----------
-    role : str
-        One of `thermojoint.live.rights.ROLES`.
-    password : str
-        Hashed.
-    machines : tuple of str
-        Names or patterns.
-    """
-
+    #: One of `thermojoint.live.rights.ROLES`.
     role: Role
+    #: Hashed.
     password: str = field(repr=False)
+    #: Names or patterns.
     machines: tuple[str, ...] = ALL_MACHINES
 
 
@@ -170,12 +163,7 @@ def principal_of(name: str, user: UserLine) -> Principal:
 
 @dataclass(eq=False)
 class Gate:
-    """Checks passwords, and slows down guessing.
-
-    Attributes
-    ----------
-    users : mapping of str to UserLine
-    """
+    """Checks passwords, and slows down guessing."""
 
     users: Mapping[str, UserLine]
     _right: dict[str, bytes] = field(default_factory=dict)

@@ -26,21 +26,14 @@ PLOTLY = "plotly.min.js"
 
 @dataclass(frozen=True, eq=False)
 class Asset:
-    """One file.
+    """One file."""
 
-    Attributes
-    ----------
-    kind : str
-        Its media type.
-    plain, packed : bytes
-        As it is, and by gzip.
-    digest : str
-        The start of its SHA-256.
-    """
-
+    #: Its media type.
     kind: str
+    #: As it is, and by gzip.
     plain: bytes
     packed: bytes
+    #: The start of its SHA-256.
     digest: str
 
 

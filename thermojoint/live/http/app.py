@@ -64,20 +64,13 @@ def asset_answer(request: Request, content: Asset | None) -> Response:
 
 @dataclass(eq=False)
 class Site:
-    """Handlers of requests.
+    """Handlers of requests."""
 
-    Attributes
-    ----------
-    sources : Sources
-        Data shown.
-    door : Door
-        Access control.
-    most_streams, streams : int
-        Largest and present number of streams.
-    """
-
+    #: Data shown.
     sources: Sources
+    #: Access control.
     door: Door
+    #: `most_streams`, `streams`: largest and present number of streams.
     most_streams: int
     streams: int = 0
     _whole: Words = field(default_factory=lambda: Words(as_json))

@@ -43,17 +43,11 @@ def summary(publication: Publication) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class Words:
-    """Messages of publications, formatted once for all listeners.
+    """Messages of publications, formatted once for all listeners."""
 
-    Attributes
-    ----------
-    body : callable
-        Publication to the content of its message.
-    kept : dict
-        Machine to its newest publication and its message.
-    """
-
+    #: Publication to the content of its message.
     body: Callable[[Publication], dict[str, Any]]
+    #: Machine to its newest publication and its message.
     kept: dict[str, tuple[Publication, bytes]] = field(default_factory=dict)
 
     def __call__(self, publication: Publication) -> bytes:

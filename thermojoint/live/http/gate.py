@@ -44,26 +44,17 @@ HEADERS = {
 
 @dataclass(eq=False)
 class Door:
-    """Access rights and rate limits.
+    """Access rights and rate limits."""
 
-    Attributes
-    ----------
-    accounts : Accounts
-        Users, tokens and sessions.
-    hosts : frozenset of str
-        Names under which the service is reached.
-    secure : bool
-        With TLS; the session's cookie is then sent over TLS only.
-    session : float
-        How long a browser stays logged in, s.
-    requests, failures : Buckets
-        Requests and refused log-ins of each client.
-    """
-
+    #: Users, tokens and sessions.
     accounts: Accounts
+    #: Names under which the service is reached.
     hosts: frozenset[str]
+    #: With TLS; the session's cookie is then sent over TLS only.
     secure: bool
+    #: How long a browser stays logged in, s.
     session: float
+    #: `requests`, `failures`: requests and refused log-ins of each client.
     requests: Buckets
     failures: Buckets = field(default_factory=lambda: Buckets(1.0 / FORGOTTEN_S, WRONG_TOKENS))
     _heard: dict[tuple[str, str], None] = field(default_factory=dict)

@@ -12,20 +12,13 @@ MOST_CLIENTS = 4096
 
 @dataclass
 class Buckets:
-    """Token buckets, one per client, full at first.
+    """Token buckets, one per client, full at first."""
 
-    Attributes
-    ----------
-    rate : float
-        Tokens per second.
-    size : float
-        Largest number of tokens.
-    levels : OrderedDict of str to (float, float)
-        Client to its level and the time of that level, s.
-    """
-
+    #: Tokens per second.
     rate: float
+    #: Largest number of tokens.
     size: float
+    #: Client to its level and the time of that level, s.
     levels: OrderedDict[str, tuple[float, float]] = field(default_factory=OrderedDict)
 
     def wait(self, client: str, now: float) -> float:

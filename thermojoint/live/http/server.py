@@ -80,17 +80,10 @@ def make_server(app: Starlette, section: HttpServer, own: Identity | None) -> Se
 
 @dataclass(frozen=True, eq=False)
 class Opened:
-    """A server that has its address and is ready to run.
-
-    Attributes
-    ----------
-    server : Server
-        The server.
-    socket : socket.socket
-        Its listening socket.
-    """
+    """A server that has its address and is ready to run."""
 
     server: Server
+    #: Its listening socket.
     socket: socket.socket
 
     @property

@@ -18,72 +18,47 @@ from thermojoint.live.scene import Scene
 
 @dataclass(frozen=True)
 class About:
-    """Constant data of a machine while the service runs.
+    """Constant data of a machine while the service runs."""
 
-    Attributes
-    ----------
-    layout : Layout
-        Names of its published values.
-    kind : str
-        Kind of its estimator.
-    model : str
-        Name of the model's file.
-    since : float
-        When it began to run on this model, s since 1970.
-    valid : tuple of Range
-        Calibrated ranges of the model.
-    """
-
+    #: Names of its published values.
     layout: Layout
+    #: Kind of its estimator.
     kind: str
+    #: Name of the model's file.
     model: str
+    #: When it began to run on this model, s since 1970.
     since: float
+    #: Calibrated ranges of the model.
     valid: tuple[Range, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """Data shown by the server.
+    """Data shown by the server."""
 
-    Attributes
-    ----------
-    hub : Hub
-        Newest publications.
-    past : Archive
-        History and events.
-    machines : mapping
-        Name to its constant data.
-    registry : CollectorRegistry
-        Metrics for Prometheus.
-    scenes : mapping
-        3-D scenes of the machines that have one.
-    residuals : mapping
-        Residuals (reading minus model, K) of the machines whose estimator predicts readings; None
-        before the first sample.
-    handshakes : mapping
-        What the controls have said, of the machines that have a handshake.
-    former : callable
-        Machine to the last model before its present one; None without any.
-    roll_back : callable
-        Makes a machine go back to that model.
-    controls : mapping
-        The machines whose controls answer here (the handshake): the only user who may, None for
-        any that may write, and what takes the answer.
-    postpone : callable
-        Postpones the displacement reading that a machine asks for; False if it asks for none.
-    disk : callable
-        What the health check says of the disk.
-    """
-
+    #: Newest publications.
     hub: Hub
+    #: History and events.
     past: Archive
+    #: Name to its constant data.
     machines: Mapping[str, About]
+    #: Metrics for Prometheus.
     registry: CollectorRegistry
+    #: 3-D scenes of the machines that have one.
     scenes: Mapping[str, Scene]
+    #: Residuals (reading minus model, K) of the machines whose estimator predicts readings; None
+    #: before the first sample.
     residuals: Mapping[str, Callable[[], dict[str, float | None] | None]]
+    #: What the controls have said, of the machines that have a handshake.
     handshakes: Mapping[str, Callable[[], dict[str, Any]]] = field(default_factory=dict)
+    #: Machine to the last model before its present one; None without any.
     former: Callable[[str], Deployment | None] = lambda machine: None
+    #: Makes a machine go back to that model.
     roll_back: Callable[[str], object] = lambda machine: None
+    #: The machines whose controls answer here (the handshake): the only user who may, None for any
+    #: that may write, and what takes the answer.
     controls: Mapping[str, tuple[str | None, Callable[[bytes], None]]] = field(default_factory=dict)
+    #: Postpones the displacement reading that a machine asks for; False if it asks for none.
     postpone: Callable[[str], bool] = lambda machine: False
+    #: What the health check says of the disk.
     disk: Callable[[], dict[str, str | float]] = dict

@@ -28,20 +28,13 @@ AT_ONCE = 64
 
 @dataclass(frozen=True)
 class Reader:
-    """Who reads a stream.
+    """Who reads a stream."""
 
-    Attributes
-    ----------
-    machines : frozenset of str
-        Those that the reader wants.
-    every : float
-        Shortest time between two events, s.
-    check : callable
-        Returns None once the reader's session or token has ended.
-    """
-
+    #: Those that the reader wants.
     machines: frozenset[str]
+    #: Shortest time between two events, s.
     every: float
+    #: Returns None once the reader's session or token has ended.
     check: Callable[[], object]
 
 

@@ -41,29 +41,19 @@ _PATIENCE = 8
 
 @dataclass(frozen=True)
 class Pipe:
-    """Source of the lines of one machine.
-
-    Attributes
-    ----------
-    machine : str
-    path : Path
-        ``-`` for standard input.
-    names : mapping of str to str
-        Readings with their units, in the estimator's order, to their names in the header;
-        ``time_s`` for the clock, if the header gives it another name.
-    wanted : int
-        The first so many must be in the header.
-    starts : float
-        Added to the times of a clock without a date, s.
-    follow : bool
-        Wait for more lines at the end of the file.
-    """
+    """Source of the lines of one machine."""
 
     machine: str
+    #: ``-`` for standard input.
     path: Path
+    #: Readings with their units, in the estimator's order, to their names in the header; ``time_s``
+    #: for the clock, if the header gives it another name.
     names: Mapping[str, str]
+    #: The first so many must be in the header.
     wanted: int
+    #: Added to the times of a clock without a date, s.
     starts: float
+    #: Wait for more lines at the end of the file.
     follow: bool
 
     @property
@@ -129,17 +119,11 @@ def _header(layout: Layout, pipe: Pipe) -> Header:
 
 
 class _Beginning(NamedTuple):
-    """The first lines of a table, until they give its header.
+    """The first lines of a table, until they give its header."""
 
-    Attributes
-    ----------
-    lines : tuple of str
-        A malformed line is left empty.
-    refused : int
-        Number of malformed lines.
-    """
-
+    #: A malformed line is left empty.
     lines: tuple[str, ...] = ()
+    #: Number of malformed lines.
     refused: int = 0
 
 

@@ -34,40 +34,25 @@ _AT_ONCE = 64
 
 @dataclass(frozen=True)
 class Topics:
-    """Names that a source uses.
+    """Names that a source uses."""
 
-    Attributes
-    ----------
-    pattern : Pattern
-        Of a topic; it may have the groups ``machine`` and ``reading``.
-    filter : str
-        Of the subscription.
-    names : dict of str to tuple of str
-        Names of each machine's readings in the messages.
-    largest : int
-        Longest message, bytes.
-    """
-
+    #: Of a topic; it may have the groups ``machine`` and ``reading``.
     pattern: re.Pattern[str]
+    #: Of the subscription.
     filter: str
+    #: Names of each machine's readings in the messages.
     names: Mapping[str, tuple[str, ...]]
+    #: Longest message, bytes.
     largest: int
 
 
 @dataclass(eq=False)
 class MqttReader:
-    """All machines of one broker.
-
-    Attributes
-    ----------
-    address : Address
-    topics : Topics
-    most : int
-        Messages that may be queued.
-    """
+    """All machines of one broker."""
 
     address: Address
     topics: Topics
+    #: Messages that may be queued.
     most: int
     _found: deque[Arrival | Note] = field(default_factory=deque)
     _came: asyncio.Event = field(default_factory=asyncio.Event)

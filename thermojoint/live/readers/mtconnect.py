@@ -66,49 +66,32 @@ class OverrunError(UnusableError):
 
 
 class Fed(NamedTuple):
-    """A machine as its source knows it.
+    """A machine as its source knows it."""
 
-    Attributes
-    ----------
-    device : str
-        Name or uuid.
-    readings, items : tuple of str
-        Names of the readings, and of their data items.
-    wanted : int
-        The first so many readings hold; those after them are occasional.
-    interval : float
-        Between two instants, s.
-    """
-
+    #: Name or uuid.
     device: str
+    #: Names of the readings, and of their data items.
     readings: tuple[str, ...]
     items: tuple[str, ...]
+    #: The first so many readings hold; those after them are occasional.
     wanted: int
+    #: Between two instants, s.
     interval: float
 
 
 class Held(NamedTuple):
-    """What holds of a machine; its position in the source.
+    """What holds of a machine; its position in the source."""
 
-    Attributes
-    ----------
-    instance : int
-        Of the agent.
-    next : int
-        First observation that is not taken yet.
-    start, number : float, int
-        The next arrival is ``number`` intervals after the start, s since 1970.
-    values : tuple of float
-        NaN for what is unavailable, and for occasional readings that did not come.
-    since : tuple of float
-        When they were last observed, s since 1970.
-    """
-
+    #: Of the agent.
     instance: int
+    #: First observation that is not taken yet.
     next: int
+    #: The next arrival is ``number`` intervals after the start, s since 1970.
     start: float
     number: int
+    #: NaN for what is unavailable, and for occasional readings that did not come.
     values: tuple[float, ...]
+    #: When they were last observed, s since 1970.
     since: tuple[float, ...]
 
     def due(self, fed: Fed) -> float:
@@ -122,23 +105,14 @@ Places = Mapping[str, Sequence[tuple[str, int, Place]]]
 
 @dataclass(frozen=True, eq=False)
 class MtconnectReader:
-    """All machines of one agent.
-
-    Attributes
-    ----------
-    url : str
-    address : Address
-    fed : dict of str to Fed
-    unchanged : float
-        How long a value may stay without a new observation, s.
-    ahead : float
-        Documents further in the future are refused, s.
-    """
+    """All machines of one agent."""
 
     url: str
     address: Address
     fed: Mapping[str, Fed]
+    #: How long a value may stay without a new observation, s.
     unchanged: float
+    #: Documents further in the future are refused, s.
     ahead: float
 
     @property

@@ -44,25 +44,16 @@ _QUEUE = 1000
 
 @dataclass(eq=False)
 class OpcuaReader:
-    """All machines of one server.
-
-    Attributes
-    ----------
-    reached : Reached
-    nodes : dict of str to (str, int)
-        Node id to machine and reading.
-    counts : dict of str to int
-        Readings of each machine.
-    most : int
-        Values that may be queued.
-    publishing_ms : float
-        Between two publications of the server.
-    """
+    """All machines of one server."""
 
     reached: Reached
+    #: Node id to machine and reading.
     nodes: Mapping[str, tuple[str, int]]
+    #: Readings of each machine.
     counts: Mapping[str, int]
+    #: Values that may be queued.
     most: int
+    #: Between two publications of the server.
     publishing_ms: float
     _found: deque[Arrival | Note] = field(default_factory=deque)
     _came: asyncio.Event = field(default_factory=asyncio.Event)

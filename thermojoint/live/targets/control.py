@@ -10,68 +10,44 @@ from thermojoint.artefacts.errors import InputError
 
 @dataclass(frozen=True)
 class Quantity:
-    """One quantity of an axis.
+    """One quantity of an axis."""
 
-    Attributes
-    ----------
-    name : str
-        As in the manual of the control.
-    unit : str
-    metres : float
-        One unit in SI: of a length, m; of a slope, m/m.
-    step, largest : float
-        The step of a value that is written, and the largest of either sign, in the unit.
-    whole : bool
-        The control has a 32-bit integer, not a double.
-    node : str
-        Node id by OPC UA; ``{axis}`` is the number of the axis.
-    line : str
-        Line of a file for the control; ``{axis}`` and ``{value}``.
-    """
-
+    #: As in the manual of the control.
     name: str
     unit: str
+    #: One unit in SI: of a length, m; of a slope, m/m.
     metres: float
+    #: The step of a value that is written, and the largest of either sign, in the unit.
     step: float
     largest: float
+    #: The control has a 32-bit integer, not a double.
     whole: bool
+    #: Node id by OPC UA; ``{axis}`` is the number of the axis.
     node: str
+    #: Line of a file for the control; ``{axis}`` and ``{value}``.
     line: str
 
 
 @dataclass(frozen=True)
 class Control:
-    """Temperature compensation of a control: value = offset + slope (position - reference).
-
-    Attributes
-    ----------
-    title : str
-    offset : Quantity
-        What is written.
-    slope : Quantity
-        What is written for an axis with a slope; of the others it must be 0.
-    reference : Quantity
-        The position at which the compensation is the offset: P0 of the slope, or 0.
-    switch : Quantity
-        What activates the compensation: 1 by the offset alone.
-    with_slope : float
-        And by offset and slope.
-    comment : str
-        What begins a comment in a file for the control.
-    heading : str
-        First line of an axis in such a file; ``{axis}``.
-    ending : tuple of str
-        Its last lines.
-    """
+    """Temperature compensation of a control: value = offset + slope (position - reference)."""
 
     title: str
+    #: What is written.
     offset: Quantity
+    #: What is written for an axis with a slope; of the others it must be 0.
     slope: Quantity
+    #: The position at which the compensation is the offset: P0 of the slope, or 0.
     reference: Quantity
+    #: What activates the compensation: 1 by the offset alone.
     switch: Quantity
+    #: And by offset and slope.
     with_slope: float
+    #: What begins a comment in a file for the control.
     comment: str
+    #: First line of an axis in such a file; ``{axis}``.
     heading: str = ""
+    #: Its last lines.
     ending: tuple[str, ...] = ()
 
     @property

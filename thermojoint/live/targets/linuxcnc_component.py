@@ -48,20 +48,13 @@ FOLLOW, HOLD, RETURN = "follow", "hold", "return"
 
 
 class Limits(NamedTuple):
-    """Limits of the component.
+    """Limits of the component."""
 
-    Attributes
-    ----------
-    rate : float
-        µm/s.
-    largest : float
-        An offset beyond this is refused, µm.
-    silence, hold : float
-        The service counts as lost after this silence, s; the offsets are then held for so long.
-    """
-
+    #: µm/s.
     rate: float
+    #: An offset beyond this is refused, µm.
     largest: float
+    #: The service counts as lost after this silence, s; the offsets are then held for so long.
     silence: float
     hold: float
 

@@ -42,19 +42,12 @@ class SlopeSection(Section):
 
 
 class Write(NamedTuple):
-    """A value that is written into a control.
-
-    Attributes
-    ----------
-    quantity : Quantity
-    axis : str
-        Of the offsets.
-    most : float
-        Largest change by one write, m or m/m.
-    """
+    """A value that is written into a control."""
 
     quantity: Quantity
+    #: Of the offsets.
     axis: str
+    #: Largest change by one write, m or m/m.
     most: float
 
 

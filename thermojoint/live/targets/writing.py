@@ -51,24 +51,13 @@ def target_of(service: Service, machine: str, served: Served) -> tuple[TargetFil
 
 @dataclass(frozen=True, eq=False)
 class Writer:
-    """What writes into one control.
-
-    Attributes
-    ----------
-    machine : str
-    names : tuple of str
-        Axes of the offsets.
-    given : TargetFile
-    reached : Reached
-        How its server is reached.
-    hub : Hub
-    floor : Floor
-    audit : Audit
-    """
+    """What writes into one control."""
 
     machine: str
+    #: Axes of the offsets.
     names: tuple[str, ...]
     given: TargetFile
+    #: How its server is reached.
     reached: Reached
     hub: Hub
     floor: Floor

@@ -51,17 +51,11 @@ _FOLDERS = ("Displacement", "Band", "Offset", "Slope", "Reference", "Detail", "R
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """The variables of every machine in a server's address space.
+    """The variables of every machine in a server's address space."""
 
-    Attributes
-    ----------
-    of : dict of str to list
-        By machine: (variable, its value attribute).
-    alarms : Alarms
-        Of the machines.
-    """
-
+    #: By machine: (variable, its value attribute).
     of: Mapping[str, list[tuple[Variable, Any]]]
+    #: Of the machines.
     alarms: Alarms
 
 
@@ -275,26 +269,17 @@ def fresh_server(section: OpcuaServer) -> Server:
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """Access control of the server.
+    """Access control of the server."""
 
-    Attributes
-    ----------
-    accounts : Accounts
-        Users, and the audit log.
-    folder : Path
-        Of the service: its certificate, and the certificates of clients that were rejected.
-    log : EventLog
-        Receives refused log-ins.
-    controls : mapping of str to str
-        By machine: the only user who may write its control's side of the handshake.
-    archive : Archive
-        Stored history.
-    """
-
+    #: Users, and the audit log.
     accounts: Accounts
+    #: Of the service: its certificate, and the certificates of clients that were rejected.
     folder: Path
+    #: Receives refused log-ins.
     log: EventLog
+    #: By machine: the only user who may write its control's side of the handshake.
     controls: Mapping[str, str]
+    #: Stored history.
     archive: Archive
 
 

@@ -30,28 +30,18 @@ _NAME = "ThermalDisplacementBad"
 
 @dataclass(frozen=True, eq=False)
 class Alarms:
-    """Alarms of a server.
-
-    Attributes
-    ----------
-    server : Server
-    door : Door
-        Knows who sees a machine.
-    index : int
-        Of the service's namespace.
-    template : Event
-        With all fields of the type.
-    active : dict of str to Event
-        By machine.
-    above : tuple of NodeId
-        Where everybody's events are listened to: the Server object, the Machines folder.
-    """
+    """Alarms of a server."""
 
     server: Server
+    #: Knows who sees a machine.
     door: Door
+    #: Of the service's namespace.
     index: int
+    #: With all fields of the type.
     template: Any
+    #: By machine.
     active: dict[str, Any]
+    #: Where everybody's events are listened to: the Server object, the Machines folder.
     above: tuple[ua.NodeId, ...]
 
 
