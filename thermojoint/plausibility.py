@@ -29,44 +29,29 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Slip:
-    """A unit that may have been used by mistake.
+    """A unit that may have been used by mistake."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the unit, as printed after the number.
-    factor, offset : float
-        factor * number + offset is the number in the expected unit.
-    into : str
-        Text after the converted number, if it is not the expected unit.
-    """
-
+    #: Name of the unit, as printed after the number.
     name: str
+    #: factor * number + offset is the number in the expected unit.
     factor: float
     offset: float = 0.0
+    #: Text after the converted number, if it is not the expected unit.
     into: str = ""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """Plausible range of a quantity, and common mistakes of units.
+    """Plausible range of a quantity, and common mistakes of units."""
 
-    Attributes
-    ----------
-    unit : str
-        The expected unit; empty for ratios.
-    low, high : float
-        Plausible values.
-    typical : float
-        Of the slips that make a value plausible, the one closest to this value is suggested.
-    slips : tuple of Slip
-        Units that are commonly used by mistake.
-    """
-
+    #: The expected unit; empty for ratios.
     unit: str
+    #: Plausible values.
     low: float
     high: float
+    #: Of the slips that make a value plausible, the one closest to this value is suggested.
     typical: float
+    #: Units that are commonly used by mistake.
     slips: tuple[Slip, ...] = ()
 
 

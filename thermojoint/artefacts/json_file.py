@@ -17,24 +17,16 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class JsonKind:
-    """A kind of JSON file.
+    """A kind of JSON file."""
 
-    Attributes
-    ----------
-    schema, version
-        Values of ``schema`` and ``schema_version``.
-    name : str
-        Name for messages, e.g. "model".
-    made_by : str
-        Origin, e.g. "written by 'thermojoint calibrate'".
-    remedy : str
-        Advice for a damaged or old file, e.g. "calibrate again".
-    """
-
+    #: Values of ``schema`` and ``schema_version``.
     schema: str
     version: int
+    #: Name for messages, e.g. "model".
     name: str
+    #: Origin, e.g. "written by 'thermojoint calibrate'".
     made_by: str
+    #: Advice for a damaged or old file, e.g. "calibrate again".
     remedy: str
 
     @property

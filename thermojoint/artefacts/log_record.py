@@ -21,48 +21,32 @@ _NAMES_SHOWN = 12
 
 @dataclass(frozen=True)
 class Record:
-    """Report on one file.
+    """Report on one file."""
 
-    Attributes
-    ----------
-    where : str
-        Name of the file.
-    form : str
-        Encoding, separator and clock in words.
-    columns : tuple of Column
-        The readings.
-    ignored : tuple of str
-        Columns whose names end in no unit, and further clocks.
-    dated : bool
-        Whether times are s since 1970.
-    rows : int
-        Number of rows used.
-    first, last : float
-        Time of the first and of the last row, s.
-    interval : float
-        Median of the steps in the first rows, s; NaN for a single row.
-    pauses : tuple of (float, float)
-        Start and end of each pause: a time without rows much longer than the interval, s.
-    missing : mapping
-        (column, text in place of a reading) to the number of occurrences.
-    twice : int
-        Number of repeated rows, which were dropped.
-    notes : tuple of str
-        Further assumptions and ignored data.
-    """
-
+    #: Name of the file.
     where: str
+    #: Encoding, separator and clock in words.
     form: str = ""
+    #: The readings.
     columns: tuple[Column, ...] = ()
+    #: Columns whose names end in no unit, and further clocks.
     ignored: tuple[str, ...] = ()
+    #: Whether times are s since 1970.
     dated: bool = False
+    #: Number of rows used.
     rows: int = 0
+    #: Time of the first and of the last row, s.
     first: float = float("nan")
     last: float = float("nan")
+    #: Median of the steps in the first rows, s; NaN for a single row.
     interval: float = float("nan")
+    #: Start and end of each pause: a time without rows much longer than the interval, s.
     pauses: tuple[tuple[float, float], ...] = ()
+    #: (column, text in place of a reading) to the number of occurrences.
     missing: Mapping[tuple[str, str], int] = field(default_factory=dict)
+    #: Number of repeated rows, which were dropped.
     twice: int = 0
+    #: Further assumptions and ignored data.
     notes: tuple[str, ...] = ()
 
 

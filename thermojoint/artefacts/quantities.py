@@ -87,20 +87,13 @@ _USUAL = re.compile(
 
 @dataclass(frozen=True)
 class Column:
-    """One column of a log.
+    """One column of a log."""
 
-    Attributes
-    ----------
-    name : str
-        Name with its unit, as in the log or given by the user.
-    base : str
-        The name without its unit.
-    unit : str
-        A key of `UNITS`.
-    """
-
+    #: Name with its unit, as in the log or given by the user.
     name: str
+    #: The name without its unit.
     base: str
+    #: A key of `UNITS`.
     unit: str
 
     @property

@@ -15,20 +15,13 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of output.
+    """A kind of output."""
 
-    Attributes
-    ----------
-    name : str
-        Description for messages.
-    holds : callable
-        Returns whether an existing file is of this kind.
-    suffix : str
-        Required suffix of the name; empty if its writer checks that.
-    """
-
+    #: Description for messages.
     name: str
+    #: Returns whether an existing file is of this kind.
     holds: Callable[[Path], bool]
+    #: Required suffix of the name; empty if its writer checks that.
     suffix: str = ""
 
 

@@ -33,65 +33,44 @@ FILE = JsonKind(
 
 @dataclass(frozen=True)
 class Regression:
-    """δ as a weighted sum of temperatures and of their low-passes.
-
-    Attributes
-    ----------
-    time_constants : tuple of float
-        τ of each low-pass 1/(1 + τ s), s; none for a regression on the temperatures alone.
-    weights : dict
-        Axis to the weight of every feature, m/K: the channels, then the channels through the first
-        low-pass, and so on.
-    """
+    """δ as a weighted sum of temperatures and of their low-passes."""
 
     __pydantic_config__ = STRICT
 
+    #: τ of each low-pass 1/(1 + τ s), s; none for a regression on the temperatures alone.
     time_constants: tuple[PositiveFloat, ...]
+    #: Axis to the weight of every feature, m/K: the channels, then the channels through the first
+    #: low-pass, and so on.
     weights: dict[str, tuple[float, ...]]
 
 
 @dataclass(frozen=True)
 class Autoregression:
-    """ARX: δ_k = Σ_i a_i δ_{k-i} + Σ_j b_j · T_{k-j}, run on its own past estimates.
-
-    Attributes
-    ----------
-    past : tuple of float
-        a_1, a_2 ...; every root of z^n - Σ a_i z^(n-i) lies inside the unit circle.
-    inputs : tuple of tuple of float
-        b_0, b_1 ..., each with a weight per channel, m/K.
-    """
+    """ARX: δ_k = Σ_i a_i δ_{k-i} + Σ_j b_j · T_{k-j}, run on its own past estimates."""
 
     __pydantic_config__ = STRICT
 
+    #: a_1, a_2 ...; every root of z^n - Σ a_i z^(n-i) lies inside the unit circle.
     past: tuple[float, ...]
+    #: b_0, b_1 ..., each with a weight per channel, m/K.
     inputs: tuple[tuple[float, ...], ...]
 
 
 @dataclass(frozen=True)
 class Baselines:
-    """All regressions of one calibration.
-
-    Attributes
-    ----------
-    mlr : Regression
-        Multiple linear regression on the current temperatures.
-    ridge : Regression
-        Ridge regression on the temperatures and their low-passes.
-    arx : dict
-        Axis to its autoregression.
-    interval_s : float
-        Step of the autoregressions, s.
-    span : Span
-        Calibrated ranges, by channel.
-    """
+    """All regressions of one calibration."""
 
     __pydantic_config__ = STRICT
 
+    #: Multiple linear regression on the current temperatures.
     mlr: Regression
+    #: Ridge regression on the temperatures and their low-passes.
     ridge: Regression
+    #: Axis to its autoregression.
     arx: dict[str, Autoregression]
+    #: Step of the autoregressions, s.
     interval_s: PositiveFloat
+    #: Calibrated ranges, by channel.
     span: Span
 
     @property

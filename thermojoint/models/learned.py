@@ -51,28 +51,19 @@ _NOISE = 0.1
 
 @dataclass(frozen=True)
 class Feature:
-    """Input of a weight.
-
-    Attributes
-    ----------
-    column : str
-        Column of the log, with its unit.
-    tau_s : float
-        Time constant of the relaxation, s; 0 for the unfiltered signal.
-    exponent : float
-        p of a heat; 0 for a temperature.
-    reference : float
-        Reference of a temperature rise, K.
-    scale : float
-        Reference of a speed or power, SI.
-    """
+    """Input of a weight."""
 
     __pydantic_config__ = STRICT
 
+    #: Column of the log, with its unit.
     column: str
+    #: Time constant of the relaxation, s; 0 for the unfiltered signal.
     tau_s: NonNegativeFloat
+    #: p of a heat; 0 for a temperature.
     exponent: NonNegativeFloat = 0.0
+    #: Reference of a temperature rise, K.
     reference: float = 0.0
+    #: Reference of a speed or power, SI.
     scale: PositiveFloat = 1.0
 
     def signal(self, values: Array) -> Array:
@@ -84,99 +75,67 @@ class Feature:
 
 @dataclass(frozen=True)
 class LearnedSlope:
-    """How a displacement changes with the position of an axis: slope = zero + Σ_f v_f φ_f.
-
-    Attributes
-    ----------
-    position : str
-        Column of the position, with its unit.
-    reference : float
-        P0, m: there the displacement is that of the channel, K0.
-    stroke : tuple of float
-        Smallest and largest position that was read, m.
-    zero : float
-        Slope with all features zero, m/m.
-    weights : tuple of float
-        Weight of each feature, m/m.
-    drift : float
-        Standard deviation of the unexplained slope, m/m.
-    """
+    """How a displacement changes with the position of an axis: slope = zero + Σ_f v_f φ_f."""
 
     __pydantic_config__ = STRICT
 
+    #: Column of the position, with its unit.
     position: str
+    #: P0, m: there the displacement is that of the channel, K0.
     reference: float
+    #: Smallest and largest position that was read, m.
     stroke: tuple[float, float]
+    #: Slope with all features zero, m/m.
     zero: float
+    #: Weight of each feature, m/m.
     weights: tuple[float, ...]
+    #: Standard deviation of the unexplained slope, m/m.
     drift: PositiveFloat
 
 
 @dataclass(frozen=True)
 class LearnedChannel:
-    """One displacement; with a slope, that at the reference position.
-
-    Attributes
-    ----------
-    name : str
-        Column of the log, with its unit.
-    zero : float
-        Displacement with all features zero, m, relative to the zero of the learning log.
-    weights : tuple of float
-        Weight of each feature, m.
-    covariance : tuple of tuple of float
-        Covariance of the weights, m2; with a slope, of (weights, its zero, its weights).
-    drift : float
-        Standard deviation of the unexplained displacement, m: the error on held-out blocks.
-    span : tuple of float
-        Smallest and largest displacement of the log, m.
-    widening : float
-        Factor on the band so that it covers the held-out blocks.
-    slope : LearnedSlope, optional
-        If it was read at several positions of an axis.
-    """
+    """One displacement; with a slope, that at the reference position."""
 
     __pydantic_config__ = STRICT
 
+    #: Column of the log, with its unit.
     name: str
+    #: Displacement with all features zero, m, relative to the zero of the learning log.
     zero: float
+    #: Weight of each feature, m.
     weights: tuple[float, ...]
+    #: Covariance of the weights, m2; with a slope, of (weights, its zero, its weights).
     covariance: tuple[tuple[float, ...], ...]
+    #: Standard deviation of the unexplained displacement, m: the error on held-out blocks.
     drift: PositiveFloat
+    #: Smallest and largest displacement of the log, m.
     span: tuple[float, float]
+    #: Factor on the band so that it covers the held-out blocks.
     widening: PositiveFloat = 1.0
+    #: If it was read at several positions of an axis.
     slope: LearnedSlope | None = None
 
 
 @dataclass(frozen=True)
 class LearnedFrom:
-    """Provenance of a model, and its error compared with others.
-
-    Attributes
-    ----------
-    samples : int
-        Number of samples of the log.
-    files : tuple of str
-        Names of its files.
-    faults : tuple of str
-        Faults of sensors, and their treatment.
-    warnings : tuple of str
-        Limitations of the log.
-    errors_um, worst_um : dict
-        Kind of model to the rms error of each displacement on all held-out blocks, and on the worst
-        one, µm; `MEAN` is the mean displacement without a model, `SISTER` a given model as it is.
-    versions : dict
-        Package to version.
-    """
+    """Provenance of a model, and its error compared with others."""
 
     __pydantic_config__ = STRICT
 
+    #: Number of samples of the log.
     samples: int = 0
+    #: Names of its files.
     files: tuple[str, ...] = ()
+    #: Faults of sensors, and their treatment.
     faults: tuple[str, ...] = ()
+    #: Limitations of the log.
     warnings: tuple[str, ...] = ()
+    #: Kind of model to the rms error of each displacement on all held-out blocks, and on the worst
+    #: one, µm; `MEAN` is the mean displacement without a model, `SISTER` a given model as it is.
     errors_um: dict[str, tuple[float, ...]] = field(default_factory=dict)
     worst_um: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    #: Package to version.
     versions: dict[str, str] = field(default_factory=dict)
 
     def best(self, own: str) -> str:
@@ -201,22 +160,15 @@ class LearnedFrom:
 
 @dataclass(frozen=True)
 class LogEnd:
-    """State at the end of the log: a log that continues its clock starts from this state.
-
-    Attributes
-    ----------
-    time_s : float
-        Time on the log's clock, s.
-    values : tuple of float
-        Value of each column of the model, SI.
-    relaxations : tuple of float
-        Relaxation of each feature.
-    """
+    """State at the end of the log: a log that continues its clock starts from this state."""
 
     __pydantic_config__ = STRICT
 
+    #: Time on the log's clock, s.
     time_s: float
+    #: Value of each column of the model, SI.
     values: tuple[float, ...]
+    #: Relaxation of each feature.
     relaxations: tuple[float, ...]
 
 

@@ -21,25 +21,17 @@ STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 @dataclass(frozen=True)
 class RingModel:
-    """Generalised thermal model (Eqs. 1-3): a ring source on a plate that convects.
-
-    Attributes
-    ----------
-    K : float
-        Gain, K per unit heat input.
-    a : float
-        Convection parameter, 1/m2.
-    alpha : float
-        Apparent diffusivity, m2/s.
-    r, r0 : float
-        Distance of the point and radius of the ring, m.
-    """
+    """Generalised thermal model (Eqs. 1-3): a ring source on a plate that convects."""
 
     __pydantic_config__ = STRICT
 
+    #: Gain, K per unit heat input.
     K: float
+    #: Convection parameter, 1/m2.
     a: PositiveFloat
+    #: Apparent diffusivity, m2/s.
     alpha: PositiveFloat
+    #: Distance of the point and radius of the ring, m.
     r: NonNegativeFloat
     r0: PositiveFloat
 
@@ -60,19 +52,13 @@ class Regularisation:
 
 @dataclass(frozen=True)
 class Relaxation:
-    """Direct thermal model as a relaxation spectrum: sum of c_k (1 - exp(-lambda_k t)).
-
-    Attributes
-    ----------
-    amplitudes : tuple of float
-        c_k, K per unit heat input.
-    rates : tuple of float
-        lambda_k, 1/s, positive.
-    """
+    """Direct thermal model as a relaxation spectrum: sum of c_k (1 - exp(-lambda_k t))."""
 
     __pydantic_config__ = STRICT
 
+    #: c_k, K per unit heat input.
     amplitudes: tuple[float, ...]
+    #: lambda_k, 1/s, positive.
     rates: tuple[PositiveFloat, ...]
 
 
@@ -98,56 +84,39 @@ class DeformationModel:
 
 @dataclass(frozen=True)
 class LinearModel:
-    """Table 1: the linear response of the structure, calibrated at the reference input.
-
-    Attributes
-    ----------
-    thermal : RingModel
-        Heat input to temperature difference (a) - (b).
-    regularisation : Regularisation
-        f_R of its inverse.
-    deformation : dict
-        Axis name (e.g. "x", "y") to its Eq. 8 model.
-    direct : dict
-        Sensor role ("T1", "T2") to the model of its temperature rise (block 3 of Figure 5).
-    """
+    """Table 1: the linear response of the structure, calibrated at the reference input."""
 
     __pydantic_config__ = STRICT
 
+    #: Heat input to temperature difference (a) - (b).
     thermal: RingModel
+    #: f_R of its inverse.
     regularisation: Regularisation
+    #: Axis name (e.g. "x", "y") to its Eq. 8 model.
     deformation: dict[str, DeformationModel]
+    #: Sensor role ("T1", "T2") to the model of its temperature rise (block 3 of Figure 5).
     direct: dict[str, RingModel | Relaxation]
 
 
 @dataclass(frozen=True)
 class FictitiousSource:
-    """One fictitious contact heat source: its row of Tables 2 and 3.
-
-    Attributes
-    ----------
-    K, a, alpha, r0 : float
-        As in `RingModel`; the distances are in `Model.distances`.
-    strengths : dict
-        Calibration heat input to the source's step strength q there.
-    regularisation : Regularisation
-        f_R of its inverse.
-    deformation : dict
-        Axis name to the Eq. 18 model per unit strength, calibrated to steps (Table 3).
-    driven : dict
-        The same, calibrated to the strengths that the inverse filters estimate
-        (`calibrate.driven_deformation`). Preferred by the estimator; empty in the paper's scheme.
-    """
+    """One fictitious contact heat source: its row of Tables 2 and 3."""
 
     __pydantic_config__ = STRICT
 
+    #: As in `RingModel`; the distances are in `Model.distances`.
     K: float
     a: PositiveFloat
     alpha: PositiveFloat
     r0: PositiveFloat
+    #: Calibration heat input to the source's step strength q there.
     strengths: dict[float, float]
+    #: f_R of its inverse.
     regularisation: Regularisation
+    #: Axis name to the Eq. 18 model per unit strength, calibrated to steps (Table 3).
     deformation: dict[str, DeformationModel]
+    #: The same, calibrated to the strengths that the inverse filters estimate
+    #: (`calibrate.driven_deformation`). Preferred by the estimator; empty in the paper's scheme.
     driven: dict[str, DeformationModel] = field(default_factory=dict)
 
     @property
@@ -158,22 +127,15 @@ class FictitiousSource:
 
 @dataclass(frozen=True)
 class Span:
-    """Calibrated ranges; beyond them a model extrapolates.
-
-    Attributes
-    ----------
-    duration_s : float
-        Length of the calibration runs from rest, s.
-    heat : tuple of float
-        Smallest and largest heat input, rest included, 1.
-    temperatures : dict
-        Channel ("delta_T", "T1", ...) to its smallest and largest value, K.
-    """
+    """Calibrated ranges; beyond them a model extrapolates."""
 
     __pydantic_config__ = STRICT
 
+    #: Length of the calibration runs from rest, s.
     duration_s: PositiveFloat
+    #: Smallest and largest heat input, rest included, 1.
     heat: tuple[float, float]
+    #: Channel ("delta_T", "T1", ...) to its smallest and largest value, K.
     temperatures: dict[str, tuple[float, float]]
 
 

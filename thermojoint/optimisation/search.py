@@ -28,42 +28,27 @@ HOPELESS = 1e9
 
 @dataclass(frozen=True)
 class Effort:
-    """Length of a search.
+    """Length of a search."""
 
-    Attributes
-    ----------
-    population : int
-        Cases of a generation, 5 or more.
-    generations : int
-        At most; fewer where the whole generation agrees to a hundredth.
-    seed : int
-        Of all that is random.
-    """
-
+    #: Cases of a generation, 5 or more.
     population: int = 12
+    #: At most; fewer where the whole generation agrees to a hundredth.
     generations: int = 15
+    #: Of all that is random.
     seed: int = 1
 
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """Cases of a search.
+    """Cases of a search."""
 
-    Attributes
-    ----------
-    rows : list of dict
-        Values of the cases, in the order of their generations.
-    figures : ndarray, shape (cases, figures)
-        As `Run`.
-    measured : ndarray, shape (cases, 1 + limits)
-        As `Measure`.
-    sizes : list of int
-        Numbers of cases after each generation.
-    """
-
+    #: Values of the cases, in the order of their generations.
     rows: list[Values]
+    #: Shape (cases, figures): as `Run`.
     figures: Array
+    #: Shape (cases, 1 + limits): as `Measure`.
     measured: Array
+    #: Numbers of cases after each generation.
     sizes: list[int]
 
     def best(self, count: int | None = None) -> int | None:

@@ -47,36 +47,24 @@ TOLERANCE_UM = 0.01
 
 @dataclass(frozen=True)
 class LongRuns:
-    """Durations of the cases, min, and what is spent on them.
+    """Durations of the cases, min, and what is spent on them."""
 
-    Attributes
-    ----------
-    day : float
-        Length of the day.
-    warm : float
-        From its start to the start on the warm machine.
-    settled : float
-        Time from there until errors count.
-    cool_down, heated : float
-        Length of the cool-down, and of the heating at its beginning.
-    seed : int
-        Seed of the day's heat and ambient.
-    steady : float
-        Length of the steps of the calibration until the machine is steady.
-    effort : Effort
-        Effort of the calibration of the observers.
-    processes : int
-        For the validation.
-    """
-
+    #: Length of the day.
     day: float = 480.0
+    #: From its start to the start on the warm machine.
     warm: float = 240.0
+    #: Time from there until errors count.
     settled: float = 20.0
+    #: Length of the cool-down, and of the heating at its beginning.
     cool_down: float = 240.0
     heated: float = 35.0
+    #: Seed of the day's heat and ambient.
     seed: int = 10
+    #: Length of the steps of the calibration until the machine is steady.
     steady: float = 480.0
+    #: Effort of the calibration of the observers.
     effort: Effort = USUAL
+    #: For the validation.
     processes: int = 2
 
 

@@ -29,33 +29,22 @@ LEAST_SHOWN_UM = 1e-6
 
 @dataclass(frozen=True)
 class Convergence:
-    """Solver statistics of a response.
+    """Solver statistics of a response."""
 
-    Attributes
-    ----------
-    gap_residual : float
-        Largest residual of the gap equations, m.
-    heat_balance : float
-        Largest |in - stored - convected|, relative.
-    iterations, most_iterations : int
-        Newton iterations in total, and largest number in a step.
-    cuts : int
-        Number of viscous steps after a snap-through of a joint.
-    steps : int
-        Number of time steps.
-    modes : int
-        Number of modes of the reduced thermal model; 0 for the full one.
-    reduction_error : float
-        Largest error of an output of the reduced model, relative to the tolerance.
-    """
-
+    #: Largest residual of the gap equations, m.
     gap_residual: float
+    #: Largest |in - stored - convected|, relative.
     heat_balance: float
+    #: Newton iterations in total, and largest number in a step.
     iterations: int
     most_iterations: int
+    #: Number of viscous steps after a snap-through of a joint.
     cuts: int
+    #: Number of time steps.
     steps: int
+    #: Number of modes of the reduced thermal model; 0 for the full one.
     modes: int
+    #: Largest error of an output of the reduced model, relative to the tolerance.
     reduction_error: float
 
     @property
@@ -86,17 +75,11 @@ class ElementShare:
 
 @dataclass(frozen=True)
 class PressureShare:
-    """Fraction of the final change that each contact pressure has reached at a given time.
+    """Fraction of the final change that each contact pressure has reached at a given time."""
 
-    Attributes
-    ----------
-    at_s : float
-        The time, s.
-    rows : tuple of ElementShare
-        (p(at) - p(0)) / (p(end) - p(0)) and both differences; rising pressure is positive.
-    """
-
+    #: The time, s.
     at_s: float
+    #: (p(at) - p(0)) / (p(end) - p(0)) and both differences; rising pressure is positive.
     rows: tuple[ElementShare, ...]
 
     @property
@@ -108,24 +91,16 @@ class PressureShare:
 
 @dataclass(frozen=True)
 class SchemeErrors:
-    """Largest errors of one validation case, µm.
+    """Largest errors of one validation case, µm."""
 
-    Attributes
-    ----------
-    case, axis : str
-        The axis is "vector" for the length of the error in all directions together.
-    linear : float
-        Of the linear estimator.
-    steps : float or None
-        Of FCHS with Eq. 18 calibrated to steps, as the paper does.
-    estimated : float
-        Of FCHS with Eq. 18 calibrated to estimated strengths, the estimator's default.
-    """
-
+    #: The axis is "vector" for the length of the error in all directions together.
     case: str
     axis: str
+    #: Of the linear estimator.
     linear: float
+    #: Of FCHS with Eq. 18 calibrated to steps, as the paper does.
     steps: float | None
+    #: Of FCHS with Eq. 18 calibrated to estimated strengths, the estimator's default.
     estimated: float
 
 

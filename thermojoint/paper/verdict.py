@@ -21,36 +21,23 @@ Key = tuple[str, str]
 
 @dataclass(frozen=True)
 class CaseErrors:
-    """Largest errors of every estimator in one case along one axis, µm.
-
-    Attributes
-    ----------
-    case, axis : str
-    errors : tuple of float
-        In the order of the table's estimators.
-    paper : float or None
-        Value that the paper reports for its machine.
-    """
+    """Largest errors of every estimator in one case along one axis, µm."""
 
     case: str
     axis: str
+    #: In the order of the table's estimators.
     errors: tuple[float, ...]
+    #: Value that the paper reports for its machine.
     paper: float | None
 
 
 @dataclass(frozen=True)
 class ErrorTable:
-    """Largest errors of all estimators.
+    """Largest errors of all estimators."""
 
-    Attributes
-    ----------
-    estimators : tuple of str
-        The columns.
-    rows : tuple of CaseErrors
-        The lines.
-    """
-
+    #: The columns.
     estimators: tuple[str, ...]
+    #: The lines.
     rows: tuple[CaseErrors, ...]
 
 

@@ -20,17 +20,11 @@ _MARGIN = 0.03
 
 @dataclass(frozen=True)
 class Camera:
-    """A parallel projection.
+    """A parallel projection."""
 
-    Attributes
-    ----------
-    view : (float, float, float)
-        From the object towards the eye, any length.
-    up : (float, float, float)
-        Upward direction of the picture, as far as compatible with `view`.
-    """
-
+    #: From the object towards the eye, any length.
     view: Vector
+    #: Upward direction of the picture, as far as compatible with `view`.
     up: Vector
 
     @property

@@ -31,20 +31,13 @@ _DECADES = 2.7
 
 @dataclass(frozen=True)
 class ColourScale:
-    """Bands of colour.
+    """Bands of colour."""
 
-    Attributes
-    ----------
-    label : str
-        Quantity and unit.
-    levels : tuple of float
-        Limits of the bands, increasing; two or more.
-    even : bool
-        Whether the bands are equally wide.
-    """
-
+    #: Quantity and unit.
     label: str
+    #: Limits of the bands, increasing; two or more.
     levels: tuple[float, ...]
+    #: Whether the bands are equally wide.
     even: bool
 
     @property

@@ -31,26 +31,17 @@ _EXAGGERATED = 0.06
 
 @dataclass(frozen=True)
 class Fields:
-    """Fields of one step.
+    """Fields of one step."""
 
-    Attributes
-    ----------
-    time : float
-        s.
-    heat : ndarray, shape (sources,)
-        Power of the sources of the whole structure, W.
-    temperature : ndarray, shape (n,)
-        Above the initial ambient, K, at the nodes of `Stage.skin`.
-    displacement : ndarray, shape (n, 3)
-        m, at the same nodes.
-    pressure : ndarray, shape (m,)
-        Of the contact elements, Pa.
-    """
-
+    #: s.
     time: float
+    #: Shape (sources,): power of the sources of the whole structure, W.
     heat: Array
+    #: Shape (n,): above the initial ambient, K, at the nodes of `Stage.skin`.
     temperature: Array
+    #: Shape (n, 3): m, at the same nodes.
     displacement: Array
+    #: Shape (m,): of the contact elements, Pa.
     pressure: Array
 
 

@@ -17,20 +17,13 @@ _HOUR = 3600.0
 
 
 class Judged(NamedTuple):
-    """One displacement of one run.
+    """One displacement of one run."""
 
-    Attributes
-    ----------
-    title : str
-        Run and displacement.
-    times : ndarray, shape (k,)
-        s; a further run follows the one before it.
-    truth, estimate, band : ndarray, shape (k,)
-        m; NaN where unknown.
-    """
-
+    #: Run and displacement.
     title: str
+    #: Shape (k,): s; a further run follows the one before it.
     times: Array
+    #: Shape (k,): m; NaN where unknown.
     truth: Array
     estimate: Array
     band: Array

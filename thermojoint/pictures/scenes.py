@@ -30,26 +30,17 @@ _UP_WITHOUT_SUPPORTS: Vector = (0.0, 0.0, 1.0)
 
 @dataclass(frozen=True)
 class Surface:
-    """Faces to be drawn.
+    """Faces to be drawn."""
 
-    Attributes
-    ----------
-    points : ndarray, shape (n, 3)
-        m.
-    faces : ndarray of int, shape (m, 3 or 4)
-        Corners in order around each face.
-    colour : str
-        Used where there are no values.
-    opacity : float
-        0 to 1; at 0 only the edges are drawn.
-    values : ndarray, shape (n,) or (m,), optional
-        Values for the colour map, at the points or on the faces.
-    """
-
+    #: Shape (n, 3): m.
     points: Array
+    #: Shape (m, 3 or 4): corners in order around each face.
     faces: NDArray[np.int64]
+    #: Used where there are no values.
     colour: str = BODY_COLOURS[0]
+    #: 0 to 1; at 0 only the edges are drawn.
     opacity: float = 1.0
+    #: Shape (n,) or (m,): values for the colour map, at the points or on the faces.
     values: Array | None = None
 
 
@@ -63,35 +54,23 @@ class Marker:
 
 @dataclass(frozen=True)
 class Panel:
-    """One view.
+    """One view."""
 
-    Attributes
-    ----------
-    title : str
-        Title above the panel.
-    surfaces : tuple of Surface
-        Surfaces of the panel.
-    camera : Camera
-        Projection.
-    markers : tuple of Marker
-        Labelled points.
-    shows : str
-        Quantity and unit of the values on its surfaces; empty if there are none.
-    close_to : ndarray, shape (n, 3), optional
-        Points that must be visible, m; default all.
-    window : Window, optional
-        Visible window in the plane of projection; set by `finished`.
-    scale : ColourScale, optional
-        Set by `finished` if there are values.
-    """
-
+    #: Title above the panel.
     title: str
+    #: Surfaces of the panel.
     surfaces: tuple[Surface, ...]
+    #: Projection.
     camera: Camera
+    #: Labelled points.
     markers: tuple[Marker, ...] = ()
+    #: Quantity and unit of the values on its surfaces; empty if there are none.
     shows: str = ""
+    #: Shape (n, 3): points that must be visible, m; default all.
     close_to: Array | None = None
+    #: Visible window in the plane of projection; set by `finished`.
     window: Window | None = None
+    #: Set by `finished` if there are values.
     scale: ColourScale | None = None
 
     @property
@@ -104,26 +83,17 @@ class Panel:
 
 @dataclass(frozen=True)
 class Curve:
-    """Displacement over the whole run, beside the fields of one time of it.
+    """Displacement over the whole run, beside the fields of one time of it."""
 
-    Attributes
-    ----------
-    title : str
-        What is displaced.
-    axes : tuple of str
-        Of the displacement.
-    times : ndarray, shape (k,)
-        s.
-    displacement : ndarray, shape (k, axes)
-        m.
-    now : float
-        Time of the fields, s.
-    """
-
+    #: What is displaced.
     title: str
+    #: Of the displacement.
     axes: tuple[str, ...]
+    #: Shape (k,): s.
     times: Array
+    #: Shape (k, axes): m.
     displacement: Array
+    #: Time of the fields, s.
     now: float
 
 

@@ -18,23 +18,15 @@ _RISES, _FALLS = "#b2341f", "#1f5fa8"
 
 @dataclass(frozen=True)
 class Panel:
-    """One panel.
+    """One panel."""
 
-    Attributes
-    ----------
-    title : str
-        Name of the figure.
-    axis : str
-        Label of the effects, with their unit.
-    names : sequence of str
-        Of the bars, the largest first.
-    effects, errors : sequence of float
-        Lengths of the bars, and of their error bars.
-    """
-
+    #: Name of the figure.
     title: str
+    #: Label of the effects, with their unit.
     axis: str
+    #: Of the bars, the largest first.
     names: Sequence[str]
+    #: Lengths of the bars, and of their error bars.
     effects: Sequence[float]
     errors: Sequence[float]
 

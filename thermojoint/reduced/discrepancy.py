@@ -26,20 +26,14 @@ SHARE = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Discrepancy:
-    """Gains on relaxations of the heat.
+    """Gains on relaxations of the heat."""
 
-    Attributes
-    ----------
-    rates : ndarray, shape (q,)
-        rho, 1/s.
-    temperature : ndarray, shape (p, s q)
-        Gains of each sensor, K: all rates of the first source, then of the second ...
-    displacement : ndarray, shape (axes, s q)
-        Gains of each axis, m.
-    """
-
+    #: Shape (q,): rho, 1/s.
     rates: Array
+    #: Shape (p, s q): gains of each sensor, K: all rates of the first source, then of the second
+    #: ...
     temperature: Array
+    #: Shape (axes, s q): gains of each axis, m.
     displacement: Array
 
 
@@ -80,20 +74,15 @@ class Ridge:
 
     min_G |(y - Z G)/sigma|^2 + |G/(tau shape)|^2. What is left of a y at its minimum is
     |whitened(y)|^2, so that a fit of other parameters may be made as if there were no Z.
-
-    Attributes
-    ----------
-    left : ndarray, shape (n, k)
-    values : ndarray, shape (k,)
-    right : ndarray, shape (k, c)
-        Z diag(shape) = left diag(values) right.
-    shape : ndarray, shape (c,)
-        Prior standard deviation of each gain, relative to tau.
     """
 
+    #: Shape (n, k).
     left: Array
+    #: Shape (k,).
     values: Array
+    #: Shape (k, c): Z diag(shape) = left diag(values) right.
     right: Array
+    #: Shape (c,): prior standard deviation of each gain, relative to tau.
     shape: Array
 
     def whitened(self, signal: Array, sigma: float, tau: float) -> Array:

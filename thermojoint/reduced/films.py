@@ -24,23 +24,16 @@ MOST = 6
 
 @dataclass(frozen=True, eq=False)
 class Film:
-    """Convection of a surface.
+    """Convection of a surface."""
 
-    Attributes
-    ----------
-    surface : str
-        Its name.
-    nominal : float
-        Its factor in the case: 1, or 0 where the case has no convection.
-    convection : ndarray, shape (r, r)
-        V^T H V at factor 1, W/K: at the case's coefficient, or at 1 W/(m2 K) where it has none.
-    ambient : ndarray, shape (r,)
-        V^T h likewise, W/K.
-    """
-
+    #: Its name.
     surface: str
+    #: Its factor in the case: 1, or 0 where the case has no convection.
     nominal: float
+    #: Shape (r, r): V^T H V at factor 1, W/K: at the case's coefficient, or at 1 W/(m2 K) where it
+    #: has none.
     convection: Array
+    #: Shape (r,): V^T h likewise, W/K.
     ambient: Array
 
 

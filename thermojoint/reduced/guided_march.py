@@ -45,136 +45,89 @@ _place_of = compiled_part(place_of)
 
 
 class Aligned(NamedTuple):
-    """Elasticity at k aligned positions; rows as in `ElasticCondensation`.
+    """Elasticity at k aligned positions; rows as in `ElasticCondensation`."""
 
-    Attributes
-    ----------
-    positions : ndarray, shape (k,)
-        Evenly spaced, ascending, m.
-    place : ndarray of int, shape (k, m)
-        Row of the station under each contact element; -1 for none.
-    compliance : ndarray, shape (k, 3 m, 3 m)
-        C A: gap per traction, m/Pa.
-    gap : ndarray, shape (k, 3 m, r)
-        S_T, m/K.
-    moved : ndarray, shape (k, axes, 3 m)
-        D_C A, m/Pa.
-    free : ndarray, shape (k, axes, r)
-        D_T, m/K.
-    smooth, rough : ndarray of int, shapes (s,) and (3 m - s,)
-        Gaps whose traction is always zero, and the others.
-    reference : ndarray, shape (3 m,)
-        Springs of the condensation, Pa/m.
-    """
-
+    #: Shape (k,): evenly spaced, ascending, m.
     positions: Array
+    #: Shape (k, m): row of the station under each contact element; -1 for none.
     place: NDArray[np.int64]
+    #: Shape (k, 3 m, 3 m): C A: gap per traction, m/Pa.
     compliance: Array
+    #: Shape (k, 3 m, r): s_T, m/K.
     gap: Array
+    #: Shape (k, axes, 3 m): d_C A, m/Pa.
     moved: Array
+    #: Shape (k, axes, r): d_T, m/K.
     free: Array
+    #: Shapes (s,) and (3 m - s,): gaps whose traction is always zero, and the others.
     smooth: NDArray[np.int64]
     rough: NDArray[np.int64]
+    #: Shape (3 m,): springs of the condensation, Pa/m.
     reference: Array
 
 
 class Guided(NamedTuple):
-    """Data of a march along an axis, with steps of one length.
+    """Data of a march along an axis, with steps of one length."""
 
-    Attributes
-    ----------
-    heat : HeatStep
-        Its influences are those of the guideway's q rows.
-    rows : ndarray, shape (q, r)
-        R, K.
-    held, without : ndarray, shape (q, q)
-        L0, W/K, which the modes have, and I - L0 S.
-    running : ndarray, shape (m,)
-        Heat of running friction per pressure and metre of way in a step, W/(Pa m).
-    aligned : Aligned
-        Elasticity.
-    """
-
+    #: Its influences are those of the guideway's q rows.
     heat: HeatStep
+    #: Shape (q, r): R, K.
     rows: Array
+    #: Shape (q, q): L0, W/K, which the modes have, and I - L0 S.
     held: Array
     without: Array
+    #: Shape (m,): heat of running friction per pressure and metre of way in a step, W/(Pa m).
     running: Array
+    #: Elasticity.
     aligned: Aligned
 
 
 class There(NamedTuple):
-    """Elasticity where the axis stands; written in place.
+    """Elasticity where the axis stands; written in place."""
 
-    Attributes
-    ----------
-    joint : JointKernel
-        Its compliance, `columns`, `moved` and `free` are those there; its `gap` is not used.
-    weights : ndarray, shape (k,)
-        Of the aligned positions.
-    freed : ndarray, shape (s, s)
-        Smooth gaps without springs, per those with the condensation's.
-    coupled : ndarray, shape (3 m - s, s)
-        What the smooth gaps' springs do to the others, per gap.
-    partly, apart, others : ndarray, shapes (3 m,), (2, s) and (3 m - s,)
-        Storage of gaps, m.
-    displacement : ndarray, shape (axes,)
-        With the joint in equilibrium there, m.
-    """
-
+    #: Its compliance, `columns`, `moved` and `free` are those there; its `gap` is not used.
     joint: JointKernel
+    #: Shape (k,): of the aligned positions.
     weights: Array
+    #: Shape (s, s): smooth gaps without springs, per those with the condensation's.
     freed: Array
+    #: Shape (3 m - s, s): what the smooth gaps' springs do to the others, per gap.
     coupled: Array
+    #: Shapes (3 m,), (2, s) and (3 m - s,): storage of gaps, m.
     partly: Array
     apart: Array
     others: Array
+    #: Shape (axes,): with the joint in equilibrium there, m.
     displacement: Array
 
 
 class Passed(NamedTuple):
-    """Storage of the heat step; its content is not used afterwards.
+    """Storage of the heat step; its content is not used afterwards."""
 
-    Attributes
-    ----------
-    mean, square, product : ndarray, shapes (k,), (k,) and (k - 1,)
-        Shares of a way, as in `fesim.axes.occupation`.
-    conducted : ndarray, shape (m,)
-        Conductance times area, W/K.
-    rubbed, warm, right : ndarray, shape (q,)
-        Heat of friction, W, the rows without joints, K, and what they would exchange, W.
-    system : ndarray, shape (q, q)
-        I + (L - L0) S.
-    drawn : ndarray, shape (r,)
-        Amplitudes that heat of the rows gives.
-    """
-
+    #: Shapes (k,), (k,) and (k - 1,): shares of a way, as in `fesim.axes.occupation`.
     mean: Array
     square: Array
     product: Array
+    #: Shape (m,): conductance times area, W/K.
     conducted: Array
+    #: Shape (q,): heat of friction, W, the rows without joints, K, and what they would exchange, W.
     rubbed: Array
     warm: Array
     right: Array
+    #: Shape (q, q): I + (L - L0) S.
     system: Array
+    #: Shape (r,): amplitudes that heat of the rows gives.
     drawn: Array
 
 
 class Steps(NamedTuple):
-    """Storage of a march.
+    """Storage of a march."""
 
-    Attributes
-    ----------
-    kept : Kept
-        Of the joints.
-    there : There
-        At the end of a step.
-    passed : Passed
-        In a step.
-    """
-
+    #: Of the joints.
     kept: Kept
+    #: At the end of a step.
     there: There
+    #: In a step.
     passed: Passed
 
 

@@ -47,23 +47,15 @@ NEAR = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """One joint as data.
+    """One joint as data."""
 
-    Attributes
-    ----------
-    section : JointSection
-        As the case has it.
-    conductivity : ndarray, shape (m,)
-        k_h of Eq. 11 at its contact elements, W/(m K).
-    opening : ndarray, shape (m,), optional
-        At the start, m, of a joint without preload.
-    table : ConductanceTable, optional
-        Of a joint whose conductance is measured.
-    """
-
+    #: As the case has it.
     section: JointSection
+    #: Shape (m,): k_h of Eq. 11 at its contact elements, W/(m K).
     conductivity: Array
+    #: Shape (m,): at the start, m, of a joint without preload.
     opening: Array | None = None
+    #: Of a joint whose conductance is measured.
     table: ConductanceTable | None = None
 
     @property
@@ -79,86 +71,55 @@ class Joint:
 
 @dataclass(frozen=True, eq=False)
 class Acting:
-    """What acts on a machine besides heat: l mechanical loads and b bolts.
+    """What acts on a machine besides heat: l mechanical loads and b bolts."""
 
-    Attributes
-    ----------
-    influence : LoadInfluence
-        Of the loads at factor one, then of each bolt per N; its last b probes are the bolts' ends.
-    factors : ndarray, shape (l + b,)
-        Of the loads at time zero, and the forces of the bolts after tightening, N.
-    springs : BoltSprings
-        Of the bolts, on the modes.
-    names : tuple of str
-        Loads whose factors are inputs: the first ones. The others are constant.
-    """
-
+    #: Of the loads at factor one, then of each bolt per N; its last b probes are the bolts' ends.
     influence: LoadInfluence
+    #: Shape (l + b,): of the loads at time zero, and the forces of the bolts after tightening, N.
     factors: Array
+    #: Of the bolts, on the modes.
     springs: BoltSprings
+    #: Loads whose factors are inputs: the first ones. The others are constant.
     names: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """Surfaces whose temperature is held; their amplitudes stand behind those of the modes.
+    """Surfaces whose temperature is held; their amplitudes stand behind those of the modes."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Of the h surfaces.
-    first : ndarray, shape (h,)
-        Temperatures at time zero, K.
-    varies : ndarray of bool, shape (h,)
-        Whether they change with time.
-    """
-
+    #: Of the h surfaces.
     names: tuple[str, ...] = ()
+    #: Shape (h,): temperatures at time zero, K.
     first: Array = field(default_factory=lambda: np.zeros(0))
+    #: Shape (h,): whether they change with time.
     varies: Flags = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
 
 @dataclass(frozen=True, eq=False)
 class MovingAxis:
-    """A moving axis: where displacements are wanted, and what its control counts from.
+    """A moving axis: where displacements are wanted, and what its control counts from."""
 
-    Attributes
-    ----------
-    name : str
-        Of the axis.
-    along : str
-        The axis of the displacement that it moves along, "" if it is oblique.
-    asked : ndarray, shape (k,)
-        Positions, m.
-    reference : float
-        P0 of the line through them, m.
-    drive : AxisDrive, optional
-        What positions it; without one the bodies stand where the control believes.
-    """
-
+    #: Of the axis.
     name: str
+    #: The axis of the displacement that it moves along, "" if it is oblique.
     along: str
+    #: Shape (k,): positions, m.
     asked: Array
+    #: P0 of the line through them, m.
     reference: float
+    #: What positions it; without one the bodies stand where the control believes.
     drive: AxisDrive | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Guide:
-    """What a machine with moving axes has beside one that stands.
+    """What a machine with moving axes has beside one that stands."""
 
-    Attributes
-    ----------
-    axes : tuple of MovingAxis
-        In the case's order.
-    way : Guideway
-        On the machine's modes.
-    first : tuple of float
-        Positions at time zero, m.
-    """
-
+    #: In the case's order.
     axes: tuple[MovingAxis, ...]
+    #: On the machine's modes.
     way: Guideway
+    #: Positions at time zero, m.
     first: Place
 
     def on(self, elastic: TiedCondensations) -> Guide:
@@ -176,65 +137,47 @@ class ReducedMachine:
     """M da/dt + (K + H) a = P u + h T_amb - B^T j on r modes, and what the joint needs.
 
     The last of the modes are held surfaces at 1 K: their amplitudes are given.
-
-    Attributes
-    ----------
-    capacity, conduction, convection : ndarray, shape (r, r)
-        V^T M V (J/K for modes in K), V^T K V and V^T H V (W/K).
-    sources : ndarray, shape (r, s)
-        V^T P, per W of each source.
-    ambient : ndarray, shape (r,)
-        V^T h, W/K.
-    jump, mean : ndarray, shape (m, r)
-        Temperature jump at every contact element, and the mean of its sides, K. On an axis, `jump`
-        has the temperatures of the guideway's q rows, and `mean` holds at the first positions.
-    sensors : ndarray, shape (p, r)
-        Temperature at every sensor, K.
-    start : ndarray, shape (r,)
-        Amplitudes at time zero.
-    elastic : ElasticCondensation
-        Gaps and displacement on the modes; before the bolts are tightened, with their ends behind.
-        On axes, at the first positions.
-    joints : tuple of Joint
-        In the order of the contact elements.
-    sensor_names, axes, source_names : tuple of str
-        What rows and columns belong to.
-    power : ndarray, shape (s,)
-        Heat of each source at heat input 1, W.
-    step : float
-        Longest time step, s.
-    films : tuple of Film
-        Convection of single surfaces: what of `convection` and `ambient` is theirs, or could be.
-    acting : Acting, optional
-        Loads and bolts.
-    held : Held
-        Held surfaces.
-    lags : tuple of float
-        Time constant of each sensor in its mounting, s; empty if none lags.
-    guide : Guide, optional
-        Of a machine with moving axes.
     """
 
+    #: Shape (r, r): V^T M V (J/K for modes in K), V^T K V and V^T H V (W/K).
     capacity: Array
     conduction: Array
     convection: Array
+    #: Shape (r, s): V^T P, per W of each source.
     sources: Array
+    #: Shape (r,): V^T h, W/K.
     ambient: Array
+    #: Shape (m, r): temperature jump at every contact element, and the mean of its sides, K. On an
+    #: axis, `jump` has the temperatures of the guideway's q rows, and `mean` holds at the first
+    #: positions.
     jump: Array
     mean: Array
+    #: Shape (p, r): temperature at every sensor, K.
     sensors: Array
+    #: Shape (r,): amplitudes at time zero.
     start: Array
+    #: Gaps and displacement on the modes; before the bolts are tightened, with their ends behind.
+    #: On axes, at the first positions.
     elastic: ElasticCondensation
+    #: In the order of the contact elements.
     joints: tuple[Joint, ...]
+    #: What rows and columns belong to.
     sensor_names: tuple[str, ...]
     axes: tuple[str, ...]
     source_names: tuple[str, ...]
+    #: Shape (s,): heat of each source at heat input 1, W.
     power: Array
+    #: Longest time step, s.
     step: float
+    #: Convection of single surfaces: what of `convection` and `ambient` is theirs, or could be.
     films: tuple[Film, ...] = ()
+    #: Loads and bolts.
     acting: Acting | None = None
+    #: Held surfaces.
     held: Held = field(default_factory=Held)
+    #: Time constant of each sensor in its mounting, s; empty if none lags.
     lags: tuple[float, ...] = ()
+    #: Of a machine with moving axes.
     guide: Guide | None = None
 
     @property

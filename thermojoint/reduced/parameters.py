@@ -31,17 +31,11 @@ from thermojoint.reduced.machine import Joint, ReducedMachine
 
 @dataclass(frozen=True)
 class Parameter:
-    """A factor on the case's value.
+    """A factor on the case's value."""
 
-    Attributes
-    ----------
-    name : str
-        What is scaled.
-    spread : float
-        Standard deviation of the logarithm of the factor before any calibration.
-    """
-
+    #: What is scaled.
     name: str
+    #: Standard deviation of the logarithm of the factor before any calibration.
     spread: float
     #: Lower bound of a coordinate, in units of `spread`.
     least: ClassVar[float] = -3.0

@@ -67,23 +67,15 @@ KEPT = 64
 
 @dataclass(frozen=True, eq=False)
 class Physics:
-    """A machine on the modes that diagonalise it with its joint at the preload.
+    """A machine on the modes that diagonalise it with its joint at the preload."""
 
-    Attributes
-    ----------
-    modes : Modes
-        With the joint held at its preload.
-    laws : sequence of (JointLaw, int)
-        The law of each joint and its number of contact elements.
-    held : ndarray, shape (m,)
-        Conductance times area that belongs to the modes, W/K.
-    contact : ContactProblem
-        Its gap equations: they do not see the heat. On axes, those at the first positions.
-    """
-
+    #: With the joint held at its preload.
     modes: Modes
+    #: The law of each joint and its number of contact elements.
     laws: Sequence[tuple[JointLaw, int]]
+    #: Shape (m,): conductance times area that belongs to the modes, W/K.
     held: Array
+    #: Its gap equations: they do not see the heat. On axes, those at the first positions.
     contact: ContactProblem
 
     def standing(self, loads: Array) -> Physics:

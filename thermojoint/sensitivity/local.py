@@ -17,20 +17,12 @@ WIDE, NARROW = 2.0, 1.0
 
 @dataclass(frozen=True)
 class Effect:
-    """Effect of one parameter on every figure.
-
-    Attributes
-    ----------
-    parameter : Parameter
-        The parameter.
-    change : ndarray, shape (figures,)
-        Of each figure by the parameter's unit change, in the unit of the figure.
-    error : ndarray, shape (figures,)
-        By how much the effect depends on the size of the change.
-    """
+    """Effect of one parameter on every figure."""
 
     parameter: Parameter
+    #: Shape (figures,): of each figure by the parameter's unit change, in the unit of the figure.
     change: Array
+    #: Shape (figures,): by how much the effect depends on the size of the change.
     error: Array
 
 

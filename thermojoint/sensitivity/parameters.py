@@ -21,20 +21,13 @@ _POINT = "_mm."
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number of a case.
+    """A number of a case."""
 
-    Attributes
-    ----------
-    path : str
-        Its path in the case file, with dots.
-    value : float
-        In the unit that the path names.
-    unit_change : float
-        Change that effects are given for: a hundredth of the value, or 1 mm of a coordinate.
-    """
-
+    #: Its path in the case file, with dots.
     path: str
+    #: In the unit that the path names.
     value: float
+    #: Change that effects are given for: a hundredth of the value, or 1 mm of a coordinate.
     unit_change: float
 
     @property

@@ -21,23 +21,14 @@ SHARES = (0.25, 0.5, 1.0)
 
 @dataclass(frozen=True)
 class Design:
-    """Samples of the ranges.
+    """Samples of the ranges."""
 
-    Attributes
-    ----------
-    method : str
-        ``"morris"`` or ``"sobol"``.
-    ranges : tuple of RangeSection
-        The ranges.
-    unit : ndarray, shape (samples, ranges)
-        Samples in the unit cube.
-    seed : int
-        Of the samples and of the intervals.
-    """
-
+    #: ``"morris"`` or ``"sobol"``.
     method: Method
     ranges: tuple[RangeSection, ...]
+    #: Shape (samples, ranges): samples in the unit cube.
     unit: Array
+    #: Of the samples and of the intervals.
     seed: int
 
     @property

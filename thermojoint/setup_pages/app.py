@@ -37,25 +37,16 @@ _OWN = ("setup.css", "upload.js")
 
 
 class Page(NamedTuple):
-    """One step.
-
-    Attributes
-    ----------
-    title : str
-    way : str
-        ``log`` or ``part``.
-    show : callable
-        From the folder and what was sent: what its template needs.
-    do : callable
-        Acts on what was sent; raises InputError.
-    done : callable or None
-        Whether it is done; None: as its record says.
-    """
+    """One step."""
 
     title: str
+    #: ``log`` or ``part``.
     way: str
+    #: From the folder and what was sent: what its template needs.
     show: Callable[[Place, Given], dict[str, Any]]
+    #: Acts on what was sent; raises InputError.
     do: Callable[[Place, Given], None]
+    #: Whether it is done; None: as its record says.
     done: Callable[[Place], bool] | None = None
 
 

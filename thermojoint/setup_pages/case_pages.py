@@ -27,22 +27,14 @@ _SECTIONS = ("bodies_mm", "joints", "surfaces_mm")
 
 
 class Named(NamedTuple):
-    """A body, a joint or a face of the part.
+    """A body, a joint or a face of the part."""
 
-    Attributes
-    ----------
-    key : str
-        Its place in the draft, ``SECTION:NAME``; its name in the form.
-    value : Any
-        What the draft has: points, or bodies.
-    hint : str
-    name : str
-        Given to it; empty for a face that has none.
-    """
-
+    #: Its place in the draft, ``SECTION:NAME``; its name in the form.
     key: str
+    #: What the draft has: points, or bodies.
     value: Any
     hint: str
+    #: Given to it; empty for a face that has none.
     name: str
 
 

@@ -17,21 +17,13 @@ from thermojoint.live.http.hosts import misdirected
 
 @dataclass(eq=False)
 class Key:
-    """The link's token, good for one browser, and the sessions that such links have begun.
+    """The link's token, good for one browser, and the sessions that such links have begun."""
 
-    Attributes
-    ----------
-    hosts : frozenset of str
-        Names under which the pages are reached.
-    port : int
-        Cookies do not tell ports apart, so theirs does.
-    token : str
-        Of the next link.
-    sessions : set of str
-    """
-
+    #: Names under which the pages are reached.
     hosts: frozenset[str]
+    #: Cookies do not tell ports apart, so theirs does.
     port: int
+    #: Of the next link.
     token: str = field(default_factory=lambda: secrets.token_urlsafe(32))
     sessions: set[str] = field(default_factory=set)
 

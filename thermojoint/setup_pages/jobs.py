@@ -34,23 +34,15 @@ Command = Sequence[str]
 
 @dataclass(frozen=True)
 class Record:
-    """What is on record of a step.
+    """What is on record of a step."""
 
-    Attributes
-    ----------
-    commands : tuple of list of str
-        Without ``thermojoint``.
-    output : str
-        Command lines and what they said, without the exit code.
-    code : int or None
-        Exit code; None while it runs, or where it was interrupted.
-    ended : float
-        When the record was last written, s since 1970.
-    """
-
+    #: Without ``thermojoint``.
     commands: tuple[list[str], ...] = ()
+    #: Command lines and what they said, without the exit code.
     output: str = ""
+    #: Exit code; None while it runs, or where it was interrupted.
     code: int | None = None
+    #: When the record was last written, s since 1970.
     ended: float = 0.0
 
     @property

@@ -26,18 +26,12 @@ _NAMES = "name:"
 
 
 class NamedColumn(NamedTuple):
-    """A column of a log.
+    """A column of a log."""
 
-    Attributes
-    ----------
-    theirs, ours : str
-        Its name in the file, and the new one; empty where it keeps its own.
-    quantity : str
-        What it is read as; empty for one that is ignored.
-    """
-
+    #: Its name in the file, and the new one; empty where it keeps its own.
     theirs: str
     ours: str
+    #: What it is read as; empty for one that is ignored.
     quantity: str
 
     @property

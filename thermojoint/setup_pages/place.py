@@ -51,15 +51,9 @@ class ExistsError(InputError):
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """The folder and the commands that run in it.
+    """The folder and the commands that run in it."""
 
-    Attributes
-    ----------
-    folder : Path
-        Absolute.
-    jobs : Jobs
-    """
-
+    #: Absolute.
     folder: Path
     jobs: Jobs
 

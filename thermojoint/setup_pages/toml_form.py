@@ -22,28 +22,18 @@ _CHOICES = re.compile(r"one of: ([^;]*)")
 
 @dataclass(frozen=True)
 class Field:
-    """One value of a file.
+    """One value of a file."""
 
-    Attributes
-    ----------
-    path : tuple of str
-        Keys from the outside in.
-    value : Any
-        As in the file; that of the comment where it is left out.
-    hint : str
-    choices : tuple of str
-        Empty where anything may be written.
-    given : bool
-        Not left out.
-    line : int
-        Its index in the file.
-    """
-
+    #: Keys from the outside in.
     path: tuple[str, ...]
+    #: As in the file; that of the comment where it is left out.
     value: Any
     hint: str
+    #: Empty where anything may be written.
     choices: tuple[str, ...]
+    #: Not left out.
     given: bool
+    #: Its index in the file.
     line: int
 
     @property

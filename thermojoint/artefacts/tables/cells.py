@@ -48,20 +48,13 @@ _NEVER = tuple(value for value in (*_NINES, -32768.0) if value < 0.0 or value > 
 
 
 class Numbers(NamedTuple):
-    """Cells of one column as numbers.
+    """Cells of one column as numbers."""
 
-    Attributes
-    ----------
-    values : ndarray, shape (k,)
-        NaN where a reading is missing.
-    missing : Counter
-        Text in place of a number to its count; an empty cell is ``empty``.
-    unreadable : int or None
-        Index of the first cell that is neither a number nor missing.
-    """
-
+    #: Shape (k,): NaN where a reading is missing.
     values: Array
+    #: Text in place of a number to its count; an empty cell is ``empty``.
     missing: Counter[str]
+    #: Index of the first cell that is neither a number nor missing.
     unreadable: int | None
 
 

@@ -72,30 +72,20 @@ def tells_date(seconds: float) -> bool:
 
 @dataclass(frozen=True)
 class Clock:
-    """Representation of time in a table.
+    """Representation of time in a table."""
 
-    Attributes
-    ----------
-    columns : tuple of int
-        Indices; two for a date and a time of day.
-    form : str
-        ``number``, ``excel``, ``stamp`` or ``time of day``.
-    dated : bool
-        Whether times are s since 1970.
-    factor, divisor : float
-        A number times `factor` / `divisor` is in s.
-    order : str
-        Order of a date with dots or slashes: ``dmy`` or ``mdy``; empty if the year comes first.
-    zone : tzinfo or None
-        Time zone of cells without one; None if it is unknown: they are taken as UTC.
-    """
-
+    #: Indices; two for a date and a time of day.
     columns: tuple[int, ...]
+    #: ``number``, ``excel``, ``stamp`` or ``time of day``.
     form: str
+    #: Whether times are s since 1970.
     dated: bool = False
+    #: A number times `factor` / `divisor` is in s.
     factor: float = 1.0
     divisor: float = 1.0
+    #: Order of a date with dots or slashes: ``dmy`` or ``mdy``; empty if the year comes first.
     order: str = ""
+    #: Time zone of cells without one; None if it is unknown: they are taken as UTC.
     zone: tzinfo | None = None
 
     @property
@@ -118,20 +108,13 @@ class Moment(NamedTuple):
 
 
 class Hands(NamedTuple):
-    """State of a clock between two rows.
+    """State of a clock between two rows."""
 
-    Attributes
-    ----------
-    last : float
-        Time of the previous row, s.
-    shift : float
-        Sum of the shifts by midnights and changes of summer time, s.
-    step : float
-        Interval before the previous row, s.
-    """
-
+    #: Time of the previous row, s.
     last: float = -float("inf")
+    #: Sum of the shifts by midnights and changes of summer time, s.
     shift: float = 0.0
+    #: Interval before the previous row, s.
     step: float = float("inf")
 
 

@@ -31,30 +31,20 @@ _COMMENT = re.compile(r"^\s*#(?!N/A|NA|DIV|VALUE|WERT|REF|BEZUG|NUM|ZAHL|NAME)",
 
 @dataclass(frozen=True)
 class Dialect:
-    """Dialect of a table.
+    """Dialect of a table."""
 
-    Attributes
-    ----------
-    separator : str
-        One of `SEPARATORS`.
-    decimal : str
-        ``.`` or ``,``; empty if it is undetermined.
-    names : tuple of str
-        Names of the columns, with a unit from the row of units in brackets.
-    given, units : tuple of str
-        Names as in the header, and the row of units below it, which may be empty.
-    first : int
-        Number of lines before the first row.
-    skipped : int
-        Number of these that are neither header nor units.
-    """
-
+    #: One of `SEPARATORS`.
     separator: str
+    #: ``.`` or ``,``; empty if it is undetermined.
     decimal: str
+    #: Names of the columns, with a unit from the row of units in brackets.
     names: tuple[str, ...]
+    #: Names as in the header, and the row of units below it, which may be empty.
     given: tuple[str, ...]
     units: tuple[str, ...]
+    #: Number of lines before the first row.
     first: int
+    #: Number of these that are neither header nor units.
     skipped: int
 
     @property

@@ -23,32 +23,21 @@ HEAD = 256
 
 @dataclass(frozen=True)
 class Layout:
-    """Layout of a log.
+    """Layout of a log."""
 
-    Attributes
-    ----------
-    where : str
-        Name of the file.
-    dialect : Dialect
-        Dialect of its lines.
-    names : tuple of str
-        All columns, renamed and with their units.
-    clock : Clock
-        Columns and form of the clock.
-    kept : tuple of int
-        Indices of the readings.
-    columns : tuple of Column
-        The readings.
-    notes : tuple of str
-        Assumptions.
-    """
-
+    #: Name of the file.
     where: str
+    #: Dialect of its lines.
     dialect: Dialect
+    #: All columns, renamed and with their units.
     names: tuple[str, ...]
+    #: Columns and form of the clock.
     clock: Clock
+    #: Indices of the readings.
     kept: tuple[int, ...]
+    #: The readings.
     columns: tuple[Column, ...]
+    #: Assumptions.
     notes: tuple[str, ...]
 
     @property

@@ -21,23 +21,15 @@ from thermojoint.artefacts.tables.layout import Layout
 
 
 class StreamedRow(NamedTuple):
-    """Content of a row.
+    """Content of a row."""
 
-    Attributes
-    ----------
-    time : float
-        s; since 1970 if the clock has a date.
-    readings : list of float
-        Requested columns in the requested units; NaN where missing.
-    hands : Hands
-        State of the clock after the row.
-    note : str
-        A shift of the clock, e.g. ``midnight passed``; usually empty.
-    """
-
+    #: s; since 1970 if the clock has a date.
     time: float
+    #: Requested columns in the requested units; NaN where missing.
     readings: list[float]
+    #: State of the clock after the row.
     hands: Hands
+    #: A shift of the clock, e.g. ``midnight passed``; usually empty.
     note: str
 
 

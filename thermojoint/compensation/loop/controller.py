@@ -17,61 +17,40 @@ from typing import NamedTuple
 
 @dataclass(frozen=True)
 class Controller:
-    """Settings of the controller.
+    """Settings of the controller."""
 
-    Attributes
-    ----------
-    gain : float
-        K, W/m; positive.
-    integral_time, derivative_time : float
-        T_i and T_d, s.
-    derivative_filter : float
-        T_f, s.
-    sign : float
-        1 if heat increases the displacement, else -1.
-    feed_forward : float
-        k_g, W per W of the disturbing heat.
-    feed_forward_filter : float
-        Time constant of F, s.
-    largest : float
-        Largest heat, W; the smallest is 0.
-    resolution : float
-        Step of the heat, W; 0 for none.
-    interval : float
-        Between samples, s.
-    setpoint : float
-        δ0, m. A setpoint other than zero keeps the heater warm, so that its heat can be reduced.
-    """
-
+    #: K, W/m; positive.
     gain: float
+    #: T_i and T_d, s.
     integral_time: float
     derivative_time: float
+    #: T_f, s.
     derivative_filter: float
+    #: 1 if heat increases the displacement, else -1.
     sign: float
+    #: k_g, W per W of the disturbing heat.
     feed_forward: float
+    #: Time constant of F, s.
     feed_forward_filter: float
+    #: Largest heat, W; the smallest is 0.
     largest: float
+    #: Step of the heat, W; 0 for none.
     resolution: float
+    #: Between samples, s.
     interval: float
+    #: δ0, m. A setpoint other than zero keeps the heater warm, so that its heat can be reduced.
     setpoint: float = 0.0
 
 
 class ControllerState(NamedTuple):
-    """State of the controller between two samples.
+    """State of the controller between two samples."""
 
-    Attributes
-    ----------
-    integral : float
-        W.
-    error, derivative : float
-        e, m, and the filtered derivative term, m.
-    fed : float
-        F Q_d, W.
-    """
-
+    #: W.
     integral: float
+    #: e, m, and the filtered derivative term, m.
     error: float
     derivative: float
+    #: F Q_d, W.
     fed: float
 
 

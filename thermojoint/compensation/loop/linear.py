@@ -35,58 +35,38 @@ COUNT = 300
 
 @dataclass(frozen=True)
 class Channels:
-    """Inputs and output of a loop.
+    """Inputs and output of a loop."""
 
-    Attributes
-    ----------
-    heater, disturbance : int
-        Columns of the inputs.
-    axis : int
-        Of the displacement.
-    """
-
+    #: Columns of the inputs.
     heater: int
     disturbance: int
+    #: Of the displacement.
     axis: int
 
 
 class SourceResponse(NamedTuple):
-    """Frequency response to one heat source.
+    """Frequency response to one heat source."""
 
-    Attributes
-    ----------
-    displacement, estimate : ndarray, shape (f,)
-        δ, and its estimate, m/W.
-    heat : ndarray, shape (f,)
-        Estimated disturbing heat, W/W.
-    """
-
+    #: Shape (f,): δ, and its estimate, m/W.
     displacement: Complex
     estimate: Complex
+    #: Shape (f,): estimated disturbing heat, W/W.
     heat: Complex
 
 
 @dataclass(frozen=True, eq=False)
 class Responses:
-    """Frequency responses at the estimator's own sampling.
+    """Frequency responses at the estimator's own sampling."""
 
-    Attributes
-    ----------
-    frequencies : ndarray, shape (f,)
-        1/s (radians), up to half of the sampling.
-    heater, disturbance : SourceResponse
-        Per W of the heater, and of the disturbance.
-    noise_estimate, noise_heat : ndarray, shape (f, p + 1)
-        The same per K of each reading: m/K and W/K.
-    step : float
-        T, s.
-    """
-
+    #: Shape (f,): 1/s (radians), up to half of the sampling.
     frequencies: Array
+    #: Per W of the heater, and of the disturbance.
     heater: SourceResponse
     disturbance: SourceResponse
+    #: Shape (f, p + 1): the same per K of each reading: m/K and W/K.
     noise_estimate: Complex
     noise_heat: Complex
+    #: T, s.
     step: float
 
 
@@ -198,23 +178,15 @@ def open_loop(responses: Responses, controller: Controller, delay: float) -> Com
 
 @dataclass(frozen=True)
 class Margins:
-    """Stability margins of a loop.
+    """Stability margins of a loop."""
 
-    Attributes
-    ----------
-    gain : float
-        Factor on the gain, 1; infinite if there is none.
-    phase : float
-        rad.
-    delay : float
-        Additional delay until instability, s.
-    crossover : float
-        Frequency at which the loop has gain 1, 1/s.
-    """
-
+    #: Factor on the gain, 1; infinite if there is none.
     gain: float
+    #: rad.
     phase: float
+    #: Additional delay until instability, s.
     delay: float
+    #: Frequency at which the loop has gain 1, 1/s.
     crossover: float
 
 

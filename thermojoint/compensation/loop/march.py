@@ -35,63 +35,41 @@ from thermojoint.compensation.offsets.usable import usable
 
 @dataclass(frozen=True)
 class Plant:
-    """The compensated machine.
+    """The compensated machine."""
 
-    Attributes
-    ----------
-    case : Case
-        The heater, if there is one, has no heat input in the case.
-    setup : Setup
-        Of the case.
-    """
-
+    #: The heater, if there is one, has no heat input in the case.
     case: Case
+    #: Of the case.
     setup: Setup
 
 
 @dataclass(frozen=True)
 class Acting:
-    """Actuators of a closed loop.
+    """Actuators of a closed loop."""
 
-    Attributes
-    ----------
-    controller : Controller or None
-        None if there is no heater.
-    heater, disturbance, axis : int
-        Indices of the plant's source, of the estimator's source, and of the estimate's axis.
-    offsets : Settings or None
-        None if no axis is moved.
-    delay : int
-        Of the estimates on their way, samples.
-    """
-
+    #: None if there is no heater.
     controller: Controller | None
+    #: Indices of the plant's source, of the estimator's source, and of the estimate's axis.
     heater: int
     disturbance: int
     axis: int
+    #: None if no axis is moved.
     offsets: Settings | None
+    #: Of the estimates on their way, samples.
     delay: int
 
 
 class Course(NamedTuple):
-    """Time histories of a run; one row per step of the plant.
+    """Time histories of a run; one row per step of the plant."""
 
-    Attributes
-    ----------
-    times : ndarray, shape (n,)
-        s.
-    displacement, estimate : ndarray, shape (n, axes)
-        Of the machine, and the newest estimate of it, m.
-    moved : ndarray, shape (n, axes)
-        Contribution of the axis offsets to the displacement, m.
-    heater, disturbing : ndarray, shape (n,)
-        W.
-    """
-
+    #: Shape (n,): s.
     times: Array
+    #: Shape (n, axes): of the machine, and the newest estimate of it, m.
     displacement: Array
     estimate: Array
+    #: Shape (n, axes): contribution of the axis offsets to the displacement, m.
     moved: Array
+    #: Shape (n,): W.
     heater: Array
     disturbing: Array
 

@@ -39,18 +39,11 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """The heater's loop near the preload.
-
-    Attributes
-    ----------
-    tuned : Tuned
-    responses : Responses
-    late : dict of float to Margins
-        Delay of the estimates (s) to the margins of the same controller.
-    """
+    """The heater's loop near the preload."""
 
     tuned: Tuned
     responses: Responses
+    #: Delay of the estimates (s) to the margins of the same controller.
     late: dict[float, Margins]
 
 

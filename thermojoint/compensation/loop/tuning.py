@@ -39,51 +39,33 @@ INTEGRAL = 4.0
 
 @dataclass(frozen=True)
 class Requirements:
-    """Requirements for a tuned loop.
+    """Requirements for a tuned loop."""
 
-    Attributes
-    ----------
-    gain_margin : float
-        Smallest gain margin, a factor.
-    phase_margin : float
-        Smallest phase margin, rad.
-    gain_error : float
-        Relative error of the model's gain to be tolerated, either way.
-    delay, delay_error : float
-        Delay of the estimates, and its possible increase, s.
-    noise : ndarray, shape (p + 1,)
-        Standard deviation of each reading, K.
-    most_noise : float
-        Largest standard deviation of the heat caused by it, W.
-    """
-
+    #: Smallest gain margin, a factor.
     gain_margin: float
+    #: Smallest phase margin, rad.
     phase_margin: float
+    #: Relative error of the model's gain to be tolerated, either way.
     gain_error: float
+    #: Delay of the estimates, and its possible increase, s.
     delay: float
     delay_error: float
+    #: Shape (p + 1,): standard deviation of each reading, K.
     noise: Array
+    #: Largest standard deviation of the heat caused by it, W.
     most_noise: float
 
 
 @dataclass(frozen=True)
 class Tuned:
-    """A controller, its margins with the nominal model, and the smallest under model errors.
-
-    Attributes
-    ----------
-    controller : Controller
-    nominal : Margins
-    worst_gain, worst_phase : float
-        Factor, and rad.
-    heat_noise : float
-        Standard deviation of the heat caused by sensor noise, W.
-    """
+    """A controller, its margins with the nominal model, and the smallest under model errors."""
 
     controller: Controller
     nominal: Margins
+    #: Factor, and rad.
     worst_gain: float
     worst_phase: float
+    #: Standard deviation of the heat caused by sensor noise, W.
     heat_noise: float
 
 

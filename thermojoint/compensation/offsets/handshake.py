@@ -28,74 +28,47 @@ STANDS = "stands"
 
 @dataclass(frozen=True)
 class HandshakeSettings:
-    """Limits of a handshake.
+    """Limits of a handshake."""
 
-    Attributes
-    ----------
-    oldest : float
-        A heartbeat that has not changed for longer breaks it, s.
-    differs : float
-        An acknowledged offset may be this far from those sent last, m; infinite: none is needed.
-    differs_time : float
-        An acknowledgement may lag behind by this time, and differ for so long, s.
-    """
-
+    #: A heartbeat that has not changed for longer breaks it, s.
     oldest: float
+    #: An acknowledged offset may be this far from those sent last, m; infinite: none is needed.
     differs: float
+    #: An acknowledgement may lag behind by this time, and differ for so long, s.
     differs_time: float
 
 
 class Answer(NamedTuple):
-    """Message of a control, whole or in parts.
+    """Message of a control, whole or in parts."""
 
-    Attributes
-    ----------
-    enabled : bool or None
-        Whether it takes over offsets; None: not said now.
-    heartbeat : int or None
-        A counter; any change is a sign of life.
-    acknowledged : sequence of float
-        The offsets that it has taken over, m, shape (channels,); NaN, or empty: not said now.
-    """
-
+    #: Whether it takes over offsets; None: not said now.
     enabled: bool | None = None
+    #: A counter; any change is a sign of life.
     heartbeat: int | None = None
+    #: The offsets that it has taken over, m, shape (channels,); NaN, or empty: not said now.
     acknowledged: Sequence[float] = ()
 
 
 class Handshake(NamedTuple):
-    """State of a handshake.
-
-    Attributes
-    ----------
-    enabled : bool
-    heartbeat : int or None
-        The last one; None before the first.
-    beaten : float
-        When it changed last, s; -inf for never. A first one may be years old.
-    acknowledged : ndarray, shape (channels,)
-        m; NaN where the control has not acknowledged since it was away.
-    sent : tuple of (float, ndarray)
-        Time (s) and offsets (m) of what was sent in the last `differs_time`, oldest first.
-    low, high : ndarray, shape (channels,)
-        Range of what was sent since the control last agreed, m.
-    agreed : float
-        When it did, s.
-    away : bool
-        It has been away, and has not returned.
-    state : str
-        `STANDS`, or why it is broken.
-    """
+    """State of a handshake."""
 
     enabled: bool
+    #: The last one; None before the first.
     heartbeat: int | None
+    #: When it changed last, s; -inf for never. A first one may be years old.
     beaten: float
+    #: Shape (channels,): m; NaN where the control has not acknowledged since it was away.
     acknowledged: Array
+    #: Time (s) and offsets (m) of what was sent in the last `differs_time`, oldest first.
     sent: tuple[tuple[float, Array], ...]
+    #: Shape (channels,): range of what was sent since the control last agreed, m.
     low: Array
     high: Array
+    #: When it did, s.
     agreed: float
+    #: It has been away, and has not returned.
     away: bool
+    #: `STANDS`, or why it is broken.
     state: str
 
 

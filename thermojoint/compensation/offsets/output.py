@@ -36,23 +36,15 @@ _KEPT = ("frozen", "filtered", "wanted")
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of an offset (m), or of a slope (m/m).
+    """Limits of an offset (m), or of a slope (m/m)."""
 
-    Attributes
-    ----------
-    resolution : float
-        Step.
-    rate : float
-        Largest rate, 1/s.
-    dead_band : float
-        The target changes only if the estimate has changed by more than this.
-    largest : float
-        Of either sign.
-    """
-
+    #: Step.
     resolution: float
+    #: Largest rate, 1/s.
     rate: float
+    #: The target changes only if the estimate has changed by more than this.
     dead_band: float
+    #: Of either sign.
     largest: float
 
     @property
@@ -64,23 +56,15 @@ class Limits:
 
 @dataclass(frozen=True)
 class AxisSlope:
-    """A slope that an axis of the control takes.
+    """A slope that an axis of the control takes."""
 
-    Attributes
-    ----------
-    axis : str
-        Of the control.
-    reference, low, high : float
-        Position at which the correction is the offset, and the ends of the stroke, m.
-    offset : Limits
-        Of this axis; in place of those of the axes without a slope.
-    slope : Limits
-    """
-
+    #: Of the control.
     axis: str
+    #: Position at which the correction is the offset, and the ends of the stroke, m.
     reference: float
     low: float
     high: float
+    #: Of this axis; in place of those of the axes without a slope.
     offset: Limits
     slope: Limits
 
@@ -91,76 +75,52 @@ class AxisSlope:
 
 
 class Channels(NamedTuple):
-    """Limits of all values that a control receives: the offsets, then the slopes.
+    """Limits of all values that a control receives: the offsets, then the slopes."""
 
-    Attributes
-    ----------
-    shares : ndarray of int, shape (channels,)
-        Which of the travels each one uses.
-    resolution, dead_band, most : ndarray, shape (channels,)
-        Steps (m, m/m), dead bands, and most steps.
-    levers : ndarray, shape (channels,)
-        Correction at the far end of the stroke per value: 1, and for slopes the lever, m.
-    rates, steps : ndarray, shape (travels,)
-        The offsets of all axes without a slope share a travel.
-    """
-
+    #: Shape (channels,): which of the travels each one uses.
     shares: NDArray[np.int64]
+    #: Shape (channels,): steps (m, m/m), dead bands, and most steps.
     resolution: Array
     dead_band: Array
     most: NDArray[np.int64]
+    #: Shape (channels,): correction at the far end of the stroke per value: 1, and for slopes the
+    #: lever, m.
     levers: Array
+    #: Shape (travels,): the offsets of all axes without a slope share a travel.
     rates: Array
     steps: Array
 
 
 @dataclass(frozen=True)
 class OutputSettings:
-    """Settings of the output stage.
+    """Settings of the output stage."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Axes of the control.
-    estimated : tuple of str
-        Axis of the estimate that each of them follows.
-    signs : tuple of int
-        1 or -1: offset per estimated displacement.
-    resolution : float
-        Step of an offset, m.
-    rate : float
-        Largest rate of an offset, m/s.
-    dead_band : float
-        The target changes only if the estimate has changed by more than this, m.
-    filter_time : float
-        Time constant of the low-pass, s; 0 for none.
-    largest : float
-        Largest offset of either sign, m.
-    freeze_time : float
-        Time for which offsets are held without a usable estimate, s.
-    decay_time : float
-        Time constant of their decay to zero after that, s.
-    recover_time : float
-        Time for which estimates must be usable again before offsets follow them, s.
-    longest_cycle : float
-        Upper limit of a cycle's duration in the rate limit, s, so that offsets do not jump after a
-        pause.
-    slopes : tuple of AxisSlope
-        Of the axes that take one, in their order.
-    """
-
+    #: Axes of the control.
     names: tuple[str, ...]
+    #: Axis of the estimate that each of them follows.
     estimated: tuple[str, ...]
+    #: 1 or -1: offset per estimated displacement.
     signs: tuple[int, ...]
+    #: Step of an offset, m.
     resolution: float
+    #: Largest rate of an offset, m/s.
     rate: float
+    #: The target changes only if the estimate has changed by more than this, m.
     dead_band: float
+    #: Time constant of the low-pass, s; 0 for none.
     filter_time: float
+    #: Largest offset of either sign, m.
     largest: float
+    #: Time for which offsets are held without a usable estimate, s.
     freeze_time: float
+    #: Time constant of their decay to zero after that, s.
     decay_time: float
+    #: Time for which estimates must be usable again before offsets follow them, s.
     recover_time: float
+    #: Upper limit of a cycle's duration in the rate limit, s, so that offsets do not jump after a
+    #: pause.
     longest_cycle: float
+    #: Of the axes that take one, in their order.
     slopes: tuple[AxisSlope, ...] = ()
 
     @property
@@ -202,34 +162,24 @@ class Mode(Enum):
 
 
 class OutputState(NamedTuple):
-    """State carried from one cycle to the next.
+    """State carried from one cycle to the next."""
 
-    Attributes
-    ----------
-    time : float
-        Time of the last cycle, s; NaN before the first.
-    steps : ndarray of int, shape (channels,)
-        The offsets, then the slopes, in steps of their resolution.
-    filtered, wanted : ndarray, shape (channels,)
-        Target after the low-pass, and after the dead band, m and m/m; NaN before the first
-        estimate.
-    credit : ndarray, shape (travels,)
-        Unused travel carried over from previous cycles, m and m/m; at most one step.
-    unusable_since : float
-        Time at which the offsets stopped following, s; NaN while they follow.
-    frozen : ndarray of int, shape (channels,)
-        The offsets at that time.
-    usable_since : float
-        Time at which estimates became usable again, s; NaN if they have not.
-    """
-
+    #: Time of the last cycle, s; NaN before the first.
     time: float
+    #: Shape (channels,): the offsets, then the slopes, in steps of their resolution.
     steps: NDArray[np.int64]
+    #: Shape (channels,): target after the low-pass, and after the dead band, m and m/m; NaN before
+    #: the first estimate.
     filtered: Array
     wanted: Array
+    #: Shape (travels,): unused travel carried over from previous cycles, m and m/m; at most one
+    #: step.
     credit: Array
+    #: Time at which the offsets stopped following, s; NaN while they follow.
     unusable_since: float
+    #: Shape (channels,): the offsets at that time.
     frozen: NDArray[np.int64]
+    #: Time at which estimates became usable again, s; NaN if they have not.
     usable_since: float
 
     @property

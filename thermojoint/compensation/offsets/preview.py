@@ -26,24 +26,16 @@ from thermojoint.compensation.offsets.usable import usable
 
 
 class Cycle(NamedTuple):
-    """Offsets of one cycle.
+    """Offsets of one cycle."""
 
-    Attributes
-    ----------
-    time : float
-        s.
-    offsets : ndarray, shape (control's axes,)
-        m.
-    slopes, references : ndarray, shape (slopes,)
-        Slopes (m/m) and their reference positions (m), of the axes that take them.
-    state : str
-        ``follow``, ``freeze``, or ``decay``; ``wait`` before the first usable estimate.
-    """
-
+    #: s.
     time: float
+    #: Shape (control's axes,): m.
     offsets: Array
+    #: Shape (slopes,): slopes (m/m) and their reference positions (m), of the axes that take them.
     slopes: Array
     references: Array
+    #: ``follow``, ``freeze``, or ``decay``; ``wait`` before the first usable estimate.
     state: str
 
 

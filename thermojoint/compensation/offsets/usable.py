@@ -18,20 +18,13 @@ UNUSABLE = ("beyond-temperature", "unsettled")
 
 @dataclass(frozen=True)
 class Trust:
-    """Conditions for using an estimate.
+    """Conditions for using an estimate."""
 
-    Attributes
-    ----------
-    unusable : tuple of str
-        Reasons of a status (`estimator.interface.Status`) that make an estimate unusable.
-    widest_band : float
-        Largest usable half-width of the 95 % band, m; infinite to ignore the band.
-    oldest : float
-        Largest usable age of an estimate, s.
-    """
-
+    #: Reasons of a status (`estimator.interface.Status`) that make an estimate unusable.
     unusable: tuple[str, ...]
+    #: Largest usable half-width of the 95 % band, m; infinite to ignore the band.
     widest_band: float
+    #: Largest usable age of an estimate, s.
     oldest: float
 
 

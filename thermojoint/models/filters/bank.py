@@ -27,32 +27,22 @@ from thermojoint.models.filters.phi import divided_differences, phi_functions
 
 @dataclass(frozen=True, eq=False)
 class Bank:
-    """A stable linear system with ``n_in`` inputs, ``n_out`` outputs and ``m`` modes.
+    """A stable linear system with ``n_in`` inputs, ``n_out`` outputs and ``m`` modes."""
 
-    Attributes
-    ----------
-    poles : ndarray of complex, shape (m,)
-        p_k in 1/s, Re < 0, Im >= 0 (the conjugate is understood).
-    drive : ndarray, shape (m, n_in)
-        Weight of each input in each mode.
-    gain, double : ndarray of complex, shape (n_out, m)
-        Coefficients of 1/(s - p_k) and 1/(s - p_k)²; the output is the real part of the sum, so a
-        pair with residues R and conj(R) has gain 2 R.
-    constant, slope : ndarray, shape (n_out, n_in)
-        Coefficients of 1 and of s.
-    leak : float
-        λ of the high-pass s/(s + λ) at the inputs, 1/s; 0 for none.
-    error : float
-        Largest relative error of the rational approximation that it is; 0 for an exact bank.
-    """
-
+    #: Shape (m,): p_k in 1/s, Re < 0, Im >= 0 (the conjugate is understood).
     poles: np.ndarray
+    #: Shape (m, n_in): weight of each input in each mode.
     drive: np.ndarray
+    #: Shape (n_out, m): coefficients of 1/(s - p_k) and 1/(s - p_k)²; the output is the real part
+    #: of the sum, so a pair with residues R and conj(R) has gain 2 R.
     gain: np.ndarray
     double: np.ndarray
+    #: Shape (n_out, n_in): coefficients of 1 and of s.
     constant: np.ndarray
     slope: np.ndarray
+    #: λ of the high-pass s/(s + λ) at the inputs, 1/s; 0 for none.
     leak: float = 0.0
+    #: Largest relative error of the rational approximation that it is; 0 for an exact bank.
     error: float = 0.0
 
     def __post_init__(self) -> None:

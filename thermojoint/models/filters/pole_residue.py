@@ -37,26 +37,17 @@ _BELOW = 0.1
 
 @dataclass(frozen=True, eq=False)
 class PoleResidue:
-    """constant + Σ_k residue_k / (s - p_k), conjugates understood.
+    """constant + Σ_k residue_k / (s - p_k), conjugates understood."""
 
-    Attributes
-    ----------
-    poles : ndarray of complex, shape (m,)
-        1/s, Re < 0, Im >= 0.
-    residues : ndarray of complex, shape (m, n_out, n_in)
-        Of the pole with Im >= 0; a real pole's are real.
-    constant : ndarray, shape (n_out, n_in)
-        Value at infinite frequency.
-    error : float
-        Largest relative error over the band.
-    band : tuple of float
-        Lowest and highest angular frequency of the fit, 1/s.
-    """
-
+    #: Shape (m,): 1/s, Re < 0, Im >= 0.
     poles: np.ndarray
+    #: Shape (m, n_out, n_in): of the pole with Im >= 0; a real pole's are real.
     residues: np.ndarray
+    #: Shape (n_out, n_in): value at infinite frequency.
     constant: np.ndarray
+    #: Largest relative error over the band.
     error: float
+    #: Lowest and highest angular frequency of the fit, 1/s.
     band: tuple[float, float]
 
     @property

@@ -16,24 +16,15 @@ from thermojoint.standards.iso230_3.uncertainty import Uncertainty, uncertainty
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Result of evaluating a record.
-
-    Attributes
-    ----------
-    protocol : Protocol
-    period : Period
-        Of the test.
-    parameters : tuple of Parameter
-    unsettled : dict
-        Channel to range over the last 60 min, relative to the first 60 min; empty for ETVE.
-    uncertainties : mapping
-        Symbol of a parameter to its uncertainty; empty if nothing is said of the instruments.
-    """
+    """Result of evaluating a record."""
 
     protocol: Protocol
+    #: Of the test.
     period: Period
     parameters: tuple[Parameter, ...]
+    #: Channel to range over the last 60 min, relative to the first 60 min; empty for ETVE.
     unsettled: dict[str, float]
+    #: Symbol of a parameter to its uncertainty; empty if nothing is said of the instruments.
     uncertainties: Mapping[str, Uncertainty] = field(default_factory=dict)
 
 

@@ -12,18 +12,12 @@ from thermojoint.artefacts.errors import InputError
 
 @dataclass(frozen=True)
 class Extremes:
-    """Extremes of a signal.
+    """Extremes of a signal."""
 
-    Attributes
-    ----------
-    low, high : float
-        In the signal's unit.
-    low_at, high_at : float
-        Their times, s.
-    """
-
+    #: In the signal's unit.
     low: float
     high: float
+    #: Their times, s.
     low_at: float
     high_at: float
 

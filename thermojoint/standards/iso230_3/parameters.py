@@ -23,26 +23,17 @@ Quantity = Literal["displacement", "tilt", "temperature"]
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of a test.
+    """One parameter of a test."""
 
-    Attributes
-    ----------
-    symbol : str
-        E.g. ``d(X)60``.
-    quantity : str
-        ``displacement`` (m), ``tilt`` (rad) or ``temperature`` (K).
-    channel : str
-        Channel of the record.
-    period : Period
-        Period of the range.
-    extremes : Extremes
-        Its `range` is the value.
-    """
-
+    #: E.g. ``d(X)60``.
     symbol: str
+    #: ``displacement`` (m), ``tilt`` (rad) or ``temperature`` (K).
     quantity: Quantity
+    #: Channel of the record.
     channel: str
+    #: Period of the range.
     period: Period
+    #: Its `range` is the value.
     extremes: Extremes
 
     @property

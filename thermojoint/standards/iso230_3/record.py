@@ -31,29 +31,19 @@ STILL = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """A recorded test.
+    """A recorded test."""
 
-    Attributes
-    ----------
-    times : ndarray, shape (n,)
-        s, strictly increasing.
-    displacements : mapping
-        Channel to displacement, m, shape (n,); NaN for a missing reading.
-    temperatures : mapping
-        Channel to temperature, °C or K above the start, shape (n,); NaN for a missing reading.
-    tilts : mapping
-        Channel to angle, rad, shape (n,); see `with_tilts`.
-    drive : ndarray, shape (n,), optional
-        Speed or heat input: 0 at standstill.
-    distances : mapping
-        Tilt to the distance of the two probes that it is from, m.
-    """
-
+    #: Shape (n,): s, strictly increasing.
     times: Array
+    #: Channel to displacement, m, shape (n,); NaN for a missing reading.
     displacements: Mapping[str, Array]
+    #: Channel to temperature, °C or K above the start, shape (n,); NaN for a missing reading.
     temperatures: Mapping[str, Array]
+    #: Channel to angle, rad, shape (n,); see `with_tilts`.
     tilts: Mapping[str, Array] = field(default_factory=dict)
+    #: Shape (n,): speed or heat input: 0 at standstill.
     drive: Array | None = None
+    #: Tilt to the distance of the two probes that it is from, m.
     distances: Mapping[str, float] = field(default_factory=dict)
 
 
