@@ -40,20 +40,13 @@ def named_sensors(probes: Collection[str]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Readings:
-    """Input of the estimator of Figure 5.
+    """Input of the estimator of Figure 5."""
 
-    Attributes
-    ----------
-    times : ndarray, shape (k,)
-        s.
-    delta_T : ndarray, shape (k,)
-        T_a - T_b, K.
-    temperatures : ndarray, shape (k, n)
-        T1, T2, ... above the current ambient, K.
-    """
-
+    #: Shape (k,): s.
     times: Array
+    #: Shape (k,): T_a - T_b, K.
     delta_T: Array
+    #: Shape (k, n): T1, T2, ... above the current ambient, K.
     temperatures: Array
 
 

@@ -53,11 +53,11 @@ class Aligned(NamedTuple):
     place: NDArray[np.int64]
     #: Shape (k, 3 m, 3 m): C A: gap per traction, m/Pa.
     compliance: Array
-    #: Shape (k, 3 m, r): s_T, m/K.
+    #: Shape (k, 3 m, r): S_T, m/K.
     gap: Array
-    #: Shape (k, axes, 3 m): d_C A, m/Pa.
+    #: Shape (k, axes, 3 m): D_C A, m/Pa.
     moved: Array
-    #: Shape (k, axes, r): d_T, m/K.
+    #: Shape (k, axes, r): D_T, m/K.
     free: Array
     #: Shapes (s,) and (3 m - s,): gaps whose traction is always zero, and the others.
     smooth: NDArray[np.int64]
