@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, lru_cache
+from functools import cache, cached_property, lru_cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -54,7 +54,7 @@ from fesim.solid.linear_solver import default_solver
 from meshes.covered import covered_areas
 from thermojoint.artefacts.display import Described, as_html, curves
 from thermojoint.artefacts.errors import ConvergenceError, InputError
-from thermojoint.artefacts.response import make_response
+from thermojoint.artefacts.response import ArrayResponse, array_response
 from thermojoint.artefacts.units import MEGA, MICRO
 
 if TYPE_CHECKING:
@@ -74,14 +74,19 @@ class Simulation(Described):
 
     Attributes
     ----------
-    response : xarray.Dataset
+    arrays : ArrayResponse
         See `thermojoint.artefacts.response`.
     state : State
         At the end; `simulate` continues from it with identical results.
     """
 
-    response: xr.Dataset
+    arrays: ArrayResponse
     state: State
+
+    @cached_property
+    def response(self) -> xr.Dataset:
+        """The response as a labelled dataset of the same arrays."""
+        return self.arrays.dataset()
 
     def _facts(self) -> dict[str, str]:
         times, moved = self.response["time"], MEGA * self.response["displacement"][-1]
@@ -195,13 +200,13 @@ def simulate(
     if passed is None and moving is None:
         response.attrs |= _unresolved(ready, course.track)
     if passed is not None:
-        response.attrs |= _spent(passed.effort)
+        response.attrs.update(_spent(passed.effort))
         known = passed.effort.displacement
         state = replace(state, course=passed.now.packed())
     if accuracy and case.displacement is not None and moving is None:
         taken = course.track.displacement[-count:]
         marched = Marched(case, ready, COUPLINGS[case.march.coupling], start, taken)
-        response.attrs |= _good_to(accuracy_of(marched, known))
+        response.attrs.update(_good_to(accuracy_of(marched, known)))
     return Simulation(response, state)
 
 
@@ -382,7 +387,7 @@ def _check_pressures(ready: Setup, track: Track) -> None:
 
 def _response(
     case: Case, given: Setup | MovingSetup, inputs: MarchInputs, course: _Course
-) -> xr.Dataset:
+) -> ArrayResponse:
     setup = standing(given)
     machine, track = setup.machine, course.track
     names = [joint.name for joint in setup.joints for _ in joint.area]
@@ -457,7 +462,7 @@ def _response(
         ),
         "friction": ", ".join(f"{law.friction.coefficient:g}" for law, _ in machine.contact.laws),
     }
-    return make_response(values, coords, attrs)
+    return array_response(values, coords, attrs)
 
 
 # The cases of a study have one structure.

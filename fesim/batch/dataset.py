@@ -26,7 +26,7 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import VARIABLES
 
 if TYPE_CHECKING:
-    import xarray as xr
+    from thermojoint.artefacts.response import AnyResponse
 
 #: Status of a case, as a number and in words.
 STATUS = {"pending": 0, "done": 1, "failed": 2, "broken": 3}
@@ -105,7 +105,7 @@ def _variables(
     }
 
 
-def store_response(dataset: Dataset, case: str, response: xr.Dataset) -> None:
+def store_response(dataset: Dataset, case: str, response: AnyResponse) -> None:
     """Write one response into its row; idempotent."""
     at = dataset.row[case]
     for name, (dims, _, _) in VARIABLES.items():

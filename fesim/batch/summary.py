@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from thermojoint.artefacts.units import MEGA, MICRO
 
 if TYPE_CHECKING:
-    import xarray as xr
+    from thermojoint.artefacts.response import AnyResponse
 
 Figures = dict[str, float]
 
@@ -83,7 +83,7 @@ def is_sliding(slip: NDArray[np.float64]) -> NDArray[np.bool_]:
     return np.linalg.norm(np.diff(slip, axis=0), axis=2) > SLIDES_ABOVE
 
 
-def preloads(response: xr.Dataset) -> NDArray[np.float64]:
+def preloads(response: AnyResponse) -> NDArray[np.float64]:
     """Return the preload of every contact element, Pa, from the case that a response carries.
 
     Where there is none it is the reference pressure.
@@ -96,22 +96,20 @@ def preloads(response: xr.Dataset) -> NDArray[np.float64]:
     return np.array([each[str(name)] for name in response["contact_joint"].to_numpy()])
 
 
-def taken_steps(response: xr.Dataset) -> int:
+def taken_steps(response: AnyResponse) -> int:
     """Return the number of steps of the march: of an adaptive one it is not that of the times."""
     taken = int(np.count_nonzero(response["time"].to_numpy() > 0.0))
     return int(response.attrs.get("march_steps", taken))
 
 
-def figures_of(response: xr.Dataset) -> Figures:
+def figures_of(response: AnyResponse) -> Figures:
     """Return the figures of a simulated response, by the names of `FIGURES`.
 
     Those of the contact elements are missing where a structure has none.
     """
     figures: Figures = {}
-    place = response.get_index("axis")
     displacement = MEGA * response["displacement"].to_numpy()
-    for axis in place:
-        track = displacement[:, place.get_loc(axis)]
+    for axis, track in zip(response["axis"].to_numpy(), displacement.T, strict=True):
         figures[f"displacement_{axis}_peak_um"] = float(track[np.abs(track).argmax()])
         figures[f"displacement_{axis}_final_um"] = float(track[-1])
     pressure = response["pressure"].to_numpy()
@@ -130,15 +128,15 @@ def figures_of(response: xr.Dataset) -> Figures:
     figures["gap_residual_m"] = float(response["gap_residual"].to_numpy().max())
     figures["heat_balance"] = float(np.abs(response["heat_balance"].to_numpy()).max())
     if "bolt_force" in response:
-        figures["bolt_force_min_N"] = float(response["bolt_force"].min())
-        figures["bolt_force_max_N"] = float(response["bolt_force"].max())
+        figures["bolt_force_min_N"] = float(response["bolt_force"].to_numpy().min())
+        figures["bolt_force_max_N"] = float(response["bolt_force"].to_numpy().max())
     if "secant_residual" in response:
-        figures["secant_residual_K"] = float(response["secant_residual"].max())
+        figures["secant_residual_K"] = float(response["secant_residual"].to_numpy().max())
     if "force_balance" in response:
-        figures["force_balance"] = float(response["force_balance"].max())
+        figures["force_balance"] = float(response["force_balance"].to_numpy().max())
     figures["steps"] = taken_steps(response)
-    figures["iterations"] = int(response["iterations"].sum())
+    figures["iterations"] = int(response["iterations"].to_numpy().sum())
     for name in ("cuts", "taken_over"):
-        figures[name] = int(response[name].sum()) if name in response else 0
+        figures[name] = int(response[name].to_numpy().sum()) if name in response else 0
     figures["unresolved_steps"] = int(response.attrs.get("unresolved_steps", 0))
     return figures

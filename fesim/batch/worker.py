@@ -23,7 +23,7 @@ from thermojoint.artefacts.errors import ConvergenceError, InputError, Unreadabl
 from thermojoint.artefacts.response import response_bytes
 
 if TYPE_CHECKING:
-    import xarray as xr
+    from thermojoint.artefacts.response import AnyResponse
 
 #: Number of set-ups that a worker keeps: the current and the previous one.
 KEPT = 2
@@ -68,7 +68,7 @@ class Outcome:
     #: See `fesim.batch.summary`.
     figures: Figures = field(default_factory=dict)
     #: Response of the case, as far as it is stored.
-    response: xr.Dataset | None = None
+    response: AnyResponse | None = None
     #: The response as a NetCDF file; empty if only its displacement is stored.
     encoded: bytes = b""
     #: What was said of its structure when that was condensed.
@@ -94,10 +94,10 @@ def run(task: Task) -> Outcome:
                 with catch_warnings(record=True) as said:
                     simplefilter("always", UserWarning)
                     shared, condensing = _condensation(_Shared(task.key, case))
-                response = simulate(case, setup=with_laws(shared, case), accuracy=False).response
+                response = simulate(case, setup=with_laws(shared, case), accuracy=False).arrays
         figures, encoded = figures_of(response), b""
         if task.keep == "displacement":
-            response = response[["displacement"]]
+            response = response.only("displacement")
         else:
             encoded = response_bytes(response)
     except (*PASSING, *LASTING) as error:

@@ -4,25 +4,30 @@ One labelled dataset with units in its metadata, stored as NetCDF; the only inpu
 measured response needs `heat_input`, `temperature` and `displacement` only; a simulated one also
 contains the joint and solver statistics.
 
-xarray is imported where a response is created or read: importing it takes most of a command's
-start.
+A march makes plain arrays (`ArrayResponse`), which are checked, summarised and written as they are;
+xarray is imported where its dataset is asked for or a file is read: that takes a fifth of a
+command's start.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from io import BytesIO
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.files import write_bytes
+from thermojoint.artefacts.netcdf import Variable, netcdf_bytes
 
 if TYPE_CHECKING:
     import xarray as xr
+
+    #: Both have the same names, arrays and metadata.
+    AnyResponse: TypeAlias = "xr.Dataset | ArrayResponse"
 
 SCHEMA = "thermojoint-response"
 SCHEMA_VERSION = 1
@@ -125,6 +130,44 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
 REQUIRED = ("heat_input", "temperature", "displacement")
 
 
+@dataclass(frozen=True, eq=False)
+class ArrayResponse:
+    """A response as plain arrays."""
+
+    #: Coordinates and data by their names.
+    variables: Mapping[str, Variable]
+    #: Metadata of the whole.
+    attrs: dict[str, Any]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.variables
+
+    def __getitem__(self, name: str) -> Variable:
+        return self.variables[name]
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Length of every dimension."""
+        return {
+            name: len(self.variables[name].values)
+            for variable in self.variables.values()
+            for name in variable.dims
+        }
+
+    def only(self, name: str) -> ArrayResponse:
+        """Return it with one variable and its coordinates."""
+        kept = (*self.variables[name].dims, name)
+        return replace(self, variables={key: self.variables[key] for key in kept})
+
+    def dataset(self) -> xr.Dataset:
+        """Return it as a labelled dataset, which shares the arrays."""
+        import xarray as xr
+
+        parts = {name: tuple(variable) for name, variable in self.variables.items()}
+        coords = {name: parts.pop(name) for name in list(parts) if name not in VARIABLES}
+        return xr.Dataset(parts, coords, self.attrs)
+
+
 def check_response(response: xr.Dataset, where: str) -> xr.Dataset:
     """Return a response if it agrees with `VARIABLES` and its ``time`` (s) increases strictly.
 
@@ -134,26 +177,38 @@ def check_response(response: xr.Dataset, where: str) -> xr.Dataset:
         A variable, a dimension or ``time`` is missing, a unit differs, a value is not finite, or
         time does not increase.
     """
-    for name in REQUIRED:
-        if name not in response:
-            raise InputError(f"{where}: variable {name!r} is missing; a response needs {REQUIRED}")
+    known = {}
     # Without data arrays, whose creation takes longer than checking all values.
     for key, variable in response.variables.items():
         name = str(key)
+        if name in VARIABLES or name == "time":
+            # xarray converts dates and durations to other types and stores their unit elsewhere.
+            stored = {k: variable.encoding[k] for k in ("units",) if k in variable.encoding}
+            dims = tuple(map(str, variable.dims))
+            known[name] = Variable(dims, variable.values, stored | variable.attrs)
+    _check_variables(known, where)
+    return response
+
+
+def _check_variables(variables: Mapping[str, Variable], where: str) -> None:
+    """Check data and ``time`` as `check_response` says."""
+    for name in REQUIRED:
+        if name not in variables:
+            raise InputError(f"{where}: variable {name!r} is missing; a response needs {REQUIRED}")
+    for name, (given, values, attrs) in variables.items():
         if name not in VARIABLES:
             continue
         dims, unit, _ = VARIABLES[name]
-        if variable.dims != dims:
-            raise InputError(f"{where}: {name!r} has dimensions {variable.dims}, expected {dims}")
-        if unit and variable.attrs.get("units") != unit:
-            given = variable.attrs.get("units", "no unit")
-            raise InputError(f"{where}: {name!r} is in {given!r}, expected {unit!r}; convert it")
-        if variable.dtype.kind == "f" and not bool(np.isfinite(variable.values).all()):
+        if given != dims:
+            raise InputError(f"{where}: {name!r} has dimensions {given}, expected {dims}")
+        if unit and attrs.get("units") != unit:
+            other = attrs.get("units", "no unit")
+            raise InputError(f"{where}: {name!r} is in {other!r}, expected {unit!r}; convert it")
+        if values.dtype.kind == "f" and not bool(np.isfinite(values).all()):
             raise InputError(f"{where}: {name!r} has values that are not finite; remove them")
-    time = _checked_time(response, where)
+    time = _checked_time(variables, where)
     if time.size < 2 or not bool((np.diff(time) > 0.0).all()):
         raise InputError(f"{where}: time must increase strictly and have two samples or more")
-    return response
 
 
 def _plain(value: object) -> object:
@@ -162,19 +217,18 @@ def _plain(value: object) -> object:
     return array.item() if array.ndim == 0 else array.tolist()
 
 
-def _checked_time(response: xr.Dataset, where: str) -> np.ndarray:
+def _checked_time(variables: Mapping[str, Variable], where: str) -> np.ndarray:
     """Return the times of a response, in s."""
-    if "time" not in response.coords:
+    if "time" not in variables:
         raise InputError(f"{where}: coordinate 'time' is missing; give the time of each sample, s")
-    time = response["time"]
-    # xarray converts dates and durations to other types and stores their unit elsewhere.
-    unit = time.attrs.get("units", time.encoding.get("units", "no unit"))
+    _, time, attrs = variables["time"]
+    unit = attrs.get("units", "no unit")
     if unit != "s" or time.dtype.kind not in "fi":
         given = repr(unit) if unit != "s" else f"'s' as {time.dtype}"
         raise InputError(f"{where}: 'time' is in {given}, expected 's' as numbers; convert it")
     if not bool(np.isfinite(time).all()):
         raise InputError(f"{where}: 'time' has values that are not finite; remove them")
-    return time.to_numpy()
+    return time
 
 
 def make_response(
@@ -193,30 +247,37 @@ def make_response(
     attrs : dict, optional
         Further metadata, e.g. ``reference_power_W`` and ``case``.
     """
-    import xarray as xr
+    return array_response(values, coords, attrs).dataset()
 
-    data = {}
+
+def array_response(
+    values: Mapping[str, np.ndarray],
+    coords: Mapping[str, np.ndarray | list[str]],
+    attrs: Mapping[str, str | float | int] | None = None,
+) -> ArrayResponse:
+    """Return the same as `make_response`, but as `ArrayResponse`."""
+    variables = {}
     for name, value in values.items():
         if name not in VARIABLES:
             raise unknown_name("response variable", name, VARIABLES, "make_response")
         dims, unit, long_name = VARIABLES[name]
         meta = {"long_name": long_name} | ({"units": unit} if unit else {})
-        data[name] = (dims, value, meta)
-    response = xr.Dataset(
-        data,
-        coords=dict(coords),
-        attrs={"schema": SCHEMA, "schema_version": SCHEMA_VERSION} | (attrs or {}),
+        variables[name] = Variable(dims, value, meta)
+    for name, labels in coords.items():
+        meta = {"units": "s", "long_name": "time"} if name == "time" else {}
+        variables[name] = Variable((name,), np.asarray(labels), meta)
+    _check_variables(variables, "make_response")
+    return ArrayResponse(
+        variables, {"schema": SCHEMA, "schema_version": SCHEMA_VERSION} | dict(attrs or {})
     )
-    response["time"].attrs = {"units": "s", "long_name": "time"}
-    return check_response(response, "make_response")
 
 
-def write_response(response: xr.Dataset, path: Path | str) -> None:
+def write_response(response: AnyResponse, path: Path | str) -> None:
     """Write a response, whole or not at all.
 
     Parameters
     ----------
-    response : xarray.Dataset
+    response : xarray.Dataset or ArrayResponse
         See `check_response`.
     path : Path or str
         NetCDF to write.
@@ -224,21 +285,20 @@ def write_response(response: xr.Dataset, path: Path | str) -> None:
     write_bytes(Path(path), response_bytes(response))
 
 
-def response_bytes(response: xr.Dataset) -> bytes:
+def response_bytes(response: AnyResponse) -> bytes:
     """Return the content of a response's NetCDF file."""
-    import h5netcdf
-    from xarray.backends import H5NetCDFStore
+    if isinstance(response, ArrayResponse):
+        return netcdf_bytes(response.variables, response.attrs)
+    from xarray import conventions
 
-    packed = {
-        str(name): {"zlib": True, "complevel": 4}
-        for name, variable in response.data_vars.items()
-        if variable.dtype.kind == "f"
+    # What the files of others have besides, such as dates, as xarray itself would store it.
+    encoded, attrs = conventions.encode_dataset_coordinates(response)
+    encoded, attrs = conventions.cf_encoder(encoded, attrs)
+    variables = {
+        str(name): Variable(tuple(map(str, variable.dims)), variable.values, variable.attrs)
+        for name, variable in encoded.items()
     }
-    made = BytesIO()
-    # Not `to_netcdf`: on a cluster's worker it would request a lock from the cluster.
-    with h5netcdf.File(made, "w") as file:
-        response.dump_to_store(H5NetCDFStore(file), encoding=packed)
-    return made.getvalue()
+    return netcdf_bytes(variables, {str(name): value for name, value in attrs.items()})
 
 
 def read_response(path: Path | str) -> xr.Dataset:

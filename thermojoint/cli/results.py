@@ -10,12 +10,10 @@ from rich.console import Console
 from rich.table import Table
 
 from thermojoint.console import number, numeric, titled
-from thermojoint.reduced.parameters import shown
 
 if TYPE_CHECKING:
-    import xarray as xr
-
     from calibrate.placement.joint_aware import Placement
+    from thermojoint.artefacts.response import AnyResponse
 
 #: An axis with less than this fraction of the largest band does not move.
 STILL = 1e-6
@@ -98,6 +96,8 @@ def show_placement(console: Console, placement: Placement, axes: Sequence[str]) 
 
 def show_physics(console: Console, report: Mapping[str, Any]) -> None:
     """Print the machine's fitted parameters, and the combinations that the data determine."""
+    from thermojoint.reduced.parameters import shown
+
     table = Table("parameter", *numeric("factor on the case", "uncertainty", "before"))
     for parameter in report["parameters"]:
         name = parameter["parameter"]
@@ -148,7 +148,7 @@ def further_run_line(further_runs: Sequence[Mapping[str, Any]]) -> str:
     )
 
 
-def show_results(console: Console, response: xr.Dataset) -> None:
+def show_results(console: Console, response: AnyResponse) -> None:
     """Print the results of a simulated response: displacement, temperature, joints."""
     from fesim.batch.summary import figures_of
     from thermojoint.paper.summary import result_lines
@@ -161,7 +161,7 @@ def show_results(console: Console, response: xr.Dataset) -> None:
 
 
 def _show_displacement(
-    console: Console, response: xr.Dataset, figures: Mapping[str, float]
+    console: Console, response: AnyResponse, figures: Mapping[str, float]
 ) -> None:
     table = Table("axis", *numeric("final", "peak"))
     for axis in response["axis"].to_numpy():

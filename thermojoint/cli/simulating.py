@@ -90,21 +90,23 @@ def simulate(
             else None,
             progress=lambda done, total: report("marching", done, total),
         )
-        write_response(finished.response, out)
+        response = finished.arrays
+        write_response(response, out)
         if save:
             save_state(finished.state, given, save)
-    results.show_results(console.out(), finished.response)
-    printing.show_convergence(console.out(), {out.name: convergence(finished.response)})
-    if covered := covered_areas(finished.response):
+    results.show_results(console.out(), response)
+    printing.show_convergence(console.out(), {out.name: convergence(response)})
+    if covered := covered_areas(response):
         parts = ", ".join(f"{1e4 * area:.4g} cm2 of {name!r}" for name, area in covered.items())
         console.say(f"joints cover {parts} of the meshed part: no convection there")
-    if "secant_residual" in finished.response:
-        left = float(finished.response["secant_residual"].max())
+    if "secant_residual" in response:
+        left = float(response["secant_residual"].to_numpy().max())
         console.say(f"last secant step: temperatures changed by {left:.1e} K at most")
-    for line in axis_lines(finished.response) + drive_lines(finished.response):
-        console.say(line)
-    if "error_total_um" in finished.response.attrs:
-        console.say(accuracy_line(finished.response.attrs))
+    if given.axes:
+        for line in axis_lines(finished.response) + drive_lines(finished.response):
+            console.say(line)
+    if "error_total_um" in response.attrs:
+        console.say(accuracy_line(response.attrs))
     console.wrote(out, save, folder)
 
 

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from estimator.rows import Row
+    from thermojoint.artefacts.response import AnyResponse
 
 #: A contact element with less than this fraction of the largest final change gets no share.
 STILL = 0.1
@@ -104,7 +105,7 @@ class SchemeErrors:
     estimated: float
 
 
-def result_lines(response: xr.Dataset, figures: Mapping[str, float]) -> list[str]:
+def result_lines(response: AnyResponse, figures: Mapping[str, float]) -> list[str]:
     """Return a description of temperatures, bolts and joints at the end."""
     temperature = response["temperature"].to_numpy()
     step, probe = np.unravel_index(temperature.argmax(), temperature.shape)
@@ -128,7 +129,7 @@ def result_lines(response: xr.Dataset, figures: Mapping[str, float]) -> list[str
     return lines
 
 
-def _joint_lines(response: xr.Dataset, figures: Mapping[str, float]) -> list[str]:
+def _joint_lines(response: AnyResponse, figures: Mapping[str, float]) -> list[str]:
     """Return a description of the joints at the end."""
     lines = []
     last = 1e-6 * response["pressure"].to_numpy()[-1]
@@ -165,8 +166,6 @@ def unresolved_line(attrs: Mapping[str, Any]) -> str:
 
 def axis_lines(response: xr.Dataset) -> list[str]:
     """Return a line for each moving axis and each direction in which its displacement varies."""
-    if "moving_axis" not in response.coords:
-        return []
     last = response.isel(time=-1)
     lines = []
     for name in response["moving_axis"].to_numpy():
@@ -264,13 +263,13 @@ def rocking_lines(joints: Mapping[str, Mapping[str, Any]]) -> list[str]:
     ]
 
 
-def _lasting(response: xr.Dataset, step: int) -> str:
+def _lasting(response: AnyResponse, step: int) -> str:
     """Return the time of a sample as text, in s or min."""
-    seconds = float(response["time"][step])
+    seconds = float(response["time"].to_numpy()[step])
     return f"{seconds:.4g} s" if seconds < 60.0 else f"{seconds / 60.0:.4g} min"
 
 
-def convergence(response: xr.Dataset) -> Convergence:
+def convergence(response: AnyResponse) -> Convergence:
     """Return the solver statistics of a simulated response.
 
     Raises
@@ -282,18 +281,18 @@ def convergence(response: xr.Dataset) -> Convergence:
         _need(response, name)
     iterations = response["iterations"].to_numpy()
     return Convergence(
-        gap_residual=float(response["gap_residual"].max()),
-        heat_balance=float(np.abs(response["heat_balance"]).max()),
+        gap_residual=float(response["gap_residual"].to_numpy().max()),
+        heat_balance=float(np.abs(response["heat_balance"].to_numpy()).max()),
         iterations=int(iterations.sum()),
         most_iterations=int(iterations.max()),
-        cuts=int(response["cuts"].sum()),
+        cuts=int(response["cuts"].to_numpy().sum()),
         steps=taken_steps(response),
         modes=int(response.attrs.get("thermal_modes", 0)),
         reduction_error=float(response.attrs.get("reduction_error", 0.0)),
     )
 
 
-def covered_areas(response: xr.Dataset) -> dict[str, float]:
+def covered_areas(response: AnyResponse) -> dict[str, float]:
     """Return the area of each convecting surface that joints cover, m2; it does not convect."""
     areas: dict[str, float] = json.loads(response.attrs.get("covered_area_m2", "{}"))
     return areas
@@ -350,6 +349,6 @@ def compare_schemes(
     return errors
 
 
-def _need(response: xr.Dataset, name: str) -> None:
+def _need(response: AnyResponse, name: str) -> None:
     if name not in response:
         raise InputError(f"response: variable {name!r} is missing; give a simulated response")

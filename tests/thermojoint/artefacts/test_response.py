@@ -5,25 +5,46 @@ import pytest
 import xarray as xr
 
 from thermojoint.artefacts.errors import InputError
-from thermojoint.artefacts.response import make_response, read_response, write_response
+from thermojoint.artefacts.response import array_response, read_response, write_response
 
 TIMES = np.array([0.0, 2.0, 4.0])
 
 
+def arrays():
+    values = {
+        "heat_input": np.ones(3),
+        "temperature": np.linspace(0.0, 1.0, 3)[:, None],
+        "displacement": np.zeros((3, 1)),
+        "contact_joint": np.array(["knee", "über"]),
+        "pressure": np.ones((3, 2)),
+    }
+    coords = {"time": TIMES, "probe": ["a"], "axis": ["x"], "contact": np.arange(2)}
+    return array_response(values, coords, {"title": "Größe", "thermal_modes": 3, "error": 0.5})
+
+
 def good():
-    return make_response(
-        {
-            "heat_input": np.ones(3),
-            "temperature": np.zeros((3, 1)),
-            "displacement": np.zeros((3, 1)),
-        },
-        {"time": TIMES, "probe": ["a"], "axis": ["x"]},
+    return arrays().dataset()
+
+
+def test_a_response_survives_its_file_as_arrays_and_as_a_dataset(tmp_path):
+    for name, given in {"arrays.nc": arrays(), "dataset.nc": good()}.items():
+        write_response(given, tmp_path / name)
+        xr.testing.assert_identical(read_response(tmp_path / name), good())
+
+
+def test_what_a_response_has_besides_survives_its_file(tmp_path):
+    dates = np.array(["2026-01-01", "2026-01-02", "2026-01-03"], dtype="datetime64[ns]")
+    given = good().assign(
+        when=("time", dates), on=("time", [True, False, True]), unnamed=(("time", "k"), np.eye(3))
     )
+    write_response(given, tmp_path / "given.nc")
+    xr.testing.assert_identical(read_response(tmp_path / "given.nc"), given)
 
 
-def test_a_response_survives_its_file(tmp_path):
-    write_response(good(), tmp_path / "good.nc")
-    xr.testing.assert_identical(read_response(tmp_path / "good.nc"), good())
+def test_a_response_without_contact_elements_survives_its_file(tmp_path):
+    given = good().isel(contact=[])
+    write_response(given, tmp_path / "given.nc")
+    assert read_response(tmp_path / "given.nc").sizes == given.sizes
 
 
 @pytest.mark.parametrize(
@@ -66,7 +87,10 @@ def test_samples_without_times_are_refused(tmp_path):
     [
         (lambda given: given.drop_vars("displacement"), "variable 'displacement' is missing"),
         (lambda given: given.assign(heat_input=("time", np.ones(3))), "in 'no unit', expected '1'"),
-        (lambda given: given * np.nan, "values that are not finite"),
+        (
+            lambda given: given.assign(heat_input=np.nan * given["heat_input"]),
+            "values that are not finite",
+        ),
         (lambda given: given.isel(time=[0]), "two samples or more"),
         (lambda given: given.assign_attrs(schema_version=99), "version 99"),
         (lambda given: given.assign_attrs(schema_version="one"), "version 'one', expected"),

@@ -6,6 +6,7 @@ import sys
 from importlib.metadata import version
 
 import pytest
+from repository import ROOT
 
 HEAVY = {
     *("control", "h5py", "jinja2", "matplotlib", "meshio", "numba", "numpy", "pandas", "scipy"),
@@ -83,6 +84,13 @@ def test_a_command_loads_what_it_works_with_and_nothing_else():
     for arguments, found in zip(commands, loaded(commands, ["numpy", "scipy.sparse"]), strict=True):
         assert not found & drawn_or_kept, arguments
         assert arguments not in without_elements or not found & elements, arguments
+
+
+def test_a_simulation_loads_neither_xarray_nor_pandas(tmp_path):
+    case = ROOT / "examples" / "two_rods" / "case.toml"
+    (found,) = loaded([["simulate", str(case), "--out", str(tmp_path / "rods.nc")]])
+    assert (tmp_path / "rods.nc").is_file()
+    assert not found & {"xarray", "pandas", "h5netcdf"}
 
 
 def test_python_runs_the_package_as_the_command():
