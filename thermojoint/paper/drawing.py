@@ -132,15 +132,14 @@ def estimate_figures(validated: Validated) -> dict[str, Figure]:
     }
 
 
-def draw(
+def draw_views(
     folder: Path,
-    figures: Mapping[str, Figure],
     case: Case,
     setup: Setup,
     sensors: Mapping[str, tuple[float, float, float]],
     report: Report,
-) -> list[Picture]:
-    """Write the figures and the 3-D pictures of the end of `case`, a file for each of its views."""
+) -> list[str]:
+    """Write the 3-D pictures of the end of `case`, a file for each view; return their names."""
     from thermojoint.pictures.stills import write_pictures
 
     _, _, last = run_to_end(case, report, setup)
@@ -152,9 +151,14 @@ def draw(
         for name, scene in scenes.items()
         for k, panel in enumerate(scene.panels, start=1)
     }
+    write_pictures({folder / f"{name}.png": scene for name, scene in views.items()})
+    return list(views)
+
+
+def draw_figures(folder: Path, figures: Mapping[str, Figure], views: list[str]) -> list[Picture]:
+    """Write the figures and return all pictures; `views` are there already."""
     for name, figure in figures.items():
         write_figure(figure, folder / f"{name}.png")
-    write_pictures({folder / f"{name}.png": scene for name, scene in views.items()})
     drawn = [*figures, *views]
     return [
         Picture(folder / f"{name}.png", text)

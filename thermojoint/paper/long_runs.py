@@ -64,7 +64,7 @@ class LongRuns:
     steady: float = 480.0
     #: Effort of the calibration of the observers.
     effort: Effort = USUAL
-    #: For the validation.
+    #: For calibrations and the validation.
     processes: int = 2
 
 

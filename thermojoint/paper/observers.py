@@ -7,8 +7,8 @@ every other estimator.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,7 +29,6 @@ from fesim.setup.machine import set_up
 from meshes.structure import Probe
 from thermojoint.artefacts.errors import ThermojointError
 from thermojoint.artefacts.files import write_text
-from thermojoint.artefacts.processes import process_pool
 from thermojoint.reduced.machine import reduce_machine
 from thermojoint.reduced.parameters import ABSOLUTE, shown
 
@@ -74,43 +73,41 @@ def _section(probe: Probe) -> ProbeSection:
     return ProbeSection(position_mm=(x, y, z), body=probe.body)
 
 
-@contextmanager
 def observers_beside(
+    crew: Executor,
     case: Case,
     sensors: Mapping[str, Probe],
     responses: Mapping[str, xr.Dataset],
     folder: Path,
     effort: Effort = USUAL,
-) -> Iterator[Callable[[], tuple[list[JointAware], dict[str, str]]]]:
-    """Calibrate the observers of a machine in separate processes while the caller continues.
+) -> Callable[[], tuple[list[JointAware], dict[str, str]]]:
+    """Calibrate the observers of a machine in the processes of `crew` while the caller continues.
 
-    Yields a function that waits for the observers and returns them, and the reasons for those that
+    Returns a function that waits for the observers and returns them, and the reasons for those that
     cannot be had: the case has a feature that they do not support, or a calibration failed. The
     models ``joint_aware.h5`` and ``kalman_linear.h5`` and the reports on their parameters
     (``.json``) are written to `folder`.
     """
     if case.held_temperatures or secant_sections(case) or solid_sections(case):
         reason = "held temperatures and properties that vary have no reduced-order model"
-        yield lambda: ([], dict.fromkeys(KINDS, reason))
-        return
+        return lambda: ([], dict.fromkeys(KINDS, reason))
     known = observer_case(case, sensors)
-    with process_pool(len(KINDS)) as crew:
-        paths = {
-            kind: crew.submit(_calibrated, kind, known, tuple(sensors), responses, folder, effort)
-            for kind in KINDS
-        }
+    paths = {
+        kind: crew.submit(_calibrated, kind, known, tuple(sensors), responses, folder, effort)
+        for kind in KINDS
+    }
 
-        def wait() -> tuple[list[JointAware], dict[str, str]]:
-            had: list[JointAware] = []
-            left_out: dict[str, str] = {}
-            for kind, path in paths.items():
-                try:
-                    had.append(JointAware(read_observer(path.result())))
-                except ThermojointError as error:
-                    left_out[kind] = str(error)
-            return had, left_out
+    def wait() -> tuple[list[JointAware], dict[str, str]]:
+        had: list[JointAware] = []
+        left_out: dict[str, str] = {}
+        for kind, path in paths.items():
+            try:
+                had.append(JointAware(read_observer(path.result())))
+            except ThermojointError as error:
+                left_out[kind] = str(error)
+        return had, left_out
 
-        yield wait
+    return wait
 
 
 def _calibrated(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,7 +34,12 @@ from thermojoint.models.parameters import Model
 from thermojoint.models.sensors import ROLES, named_sensors
 from thermojoint.paper import inputs, printing
 from thermojoint.paper.candidates import with_candidates
-from thermojoint.paper.drawing import draw, estimate_figures, paper_figures
+from thermojoint.paper.drawing import (
+    draw_figures,
+    draw_views,
+    estimate_figures,
+    paper_figures,
+)
 from thermojoint.paper.inputs import check_drivable, check_placeable
 from thermojoint.paper.long_runs import (
     LongRuns,
@@ -84,7 +90,11 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
     check_placeable(case)
     runs = long or LongRuns()
     left_out: dict[str, str] = {}
-    with whole_folder(out) as folder, console.progress_bars() as report:
+    with (
+        whole_folder(out) as folder,
+        console.progress_bars() as report,
+        process_pool(runs.processes) as crew,
+    ):
         report("setting up", 0, 1)
         if not (case.candidates or named_sensors(case.probes)):
             case = with_candidates(case, build_structure(case))
@@ -92,20 +102,26 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
         report("setting up", 1, 1)
         heats = inputs.CALIBRATION | inputs.VALIDATION
         responses = inputs.simulate_inputs(case, heats, setup=setup, progress=report)
-        _write_responses(responses, folder)
+        known = {name: responses[name] for name in inputs.CALIBRATION}
+        fitted = crew.submit(_calibrate, case, known)
+        # What needs no calibration, while the other process fits.
+        lasting = simulate_long(case, runs, folder / "responses", setup, report)
+        steps = _steady_steps(case, runs, setup, report)
 
         report("calibrating", 0, 3)
         calibrated: chain.Calibrated | None = None
         provenance: Provenance | None = None
         try:
-            calibrated, provenance = _calibrate(case, responses)
+            calibrated, provenance = fitted.result()
             write_model(calibrated.model, folder / "model.json", provenance)
         except ThermojointError as error:
             left_out |= dict.fromkeys(("linear", "fchs"), str(error))
         roles = _roles(calibrated, responses[inputs.REFERENCE])
         responses = {name: with_roles(response, roles) for name, response in responses.items()}
-        _write_responses(responses, folder)
         known = {name: responses[name] for name in inputs.CALIBRATION}
+        sensors = {role: setup.probes[name] for role, name in roles.items()}
+        observed = observers_beside(crew, case, sensors, known, folder, runs.effort)
+        _write_responses(responses, folder)
         report("calibrating", 1, 3)
         axes = moving_axes(known[inputs.REFERENCE], _others(known))
         baselines: Baselines | None = None
@@ -119,27 +135,29 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
             tables = tables_json(calibrated.model, provenance)
             _write_json(folder / "tables.json", tables)
         report("calibrating", 2, 3)
-        sensors = {role: setup.probes[name] for role, name in roles.items()}
-        with observers_beside(case, sensors, known, folder, runs.effort) as calibrated_beside:
-            lasting = simulate_long(case, runs, folder / "responses", setup, report)
-            lasting = {
-                name: _kept(at_sensors(response, roles), folder, out)
-                for name, response in lasting.items()
-            }
-            _write_responses(lasting, folder)
-            steady: Model | None = None
-            try:
-                steady = _steady(case, runs, setup, roles, report, folder)
-            except ThermojointError as error:
-                left_out |= dict.fromkeys(("linear-steady", "fchs-steady"), str(error))
-            observers, failed = calibrated_beside()
-            left_out |= failed
+        lasting = {
+            name: _kept(at_sensors(response, roles), folder, out)
+            for name, response in lasting.items()
+        }
+        _write_responses(lasting, folder)
+        steady: Model | None = None
+        try:
+            steady = _steady(case, steps, roles, folder)
+        except ThermojointError as error:
+            left_out |= dict.fromkeys(("linear-steady", "fchs-steady"), str(error))
+        observers, failed = observed()
+        left_out |= failed
         report("calibrating", 3, 3)
 
         report("validating", 0, 1)
         model = None if calibrated is None else calibrated.model
         beside = judge.Beside(baselines, steady)
-        validated = _judged(model, responses, lasting, runs, beside, observers)
+        judged = _judged(crew, (model, responses, lasting), runs, beside, observers)
+        # The fields' pictures meanwhile.
+        hot = case.model_copy(update={"heat_input": heats[inputs.PRESSURE]})
+        places = {role: probe.position for role, probe in sensors.items()}
+        views = draw_views(folder / "figures", hot, setup, places, report)
+        validated = judged()
         figures_of_run = validated.figures() | {"left_out": left_out}
         _write_json(folder / "validation.json", figures_of_run)
         report("validating", 1, 1)
@@ -148,9 +166,7 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
         figures = estimate_figures(validated)
         if model is not None:
             figures |= paper_figures(model, responses, validated.estimates)
-        hot = case.model_copy(update={"heat_input": heats[inputs.PRESSURE]})
-        places = {role: probe.position for role, probe in sensors.items()}
-        pictures = draw(folder / "figures", figures, hot, setup, places, report)
+        pictures = draw_figures(folder / "figures", figures, views)
         report("drawing", 1, 1)
 
         reports = {} if provenance is None else provenance.reports
@@ -190,19 +206,28 @@ def _roles(calibrated: chain.Calibrated | None, reference: xr.Dataset) -> dict[s
     return dict(zip(ROLES, (hot_first[0], hot_first[-1], at_joint[0], at_joint[-1]), strict=True))
 
 
+def _steady_steps(
+    case: Case, runs: LongRuns, setup: Setup, report: inputs.Report
+) -> dict[str, xr.Dataset] | ThermojointError:
+    """Return responses to the calibration's steps until the machine is steady, or why none."""
+    lasting = adaptively(case.replace(march={"duration_min": runs.steady}))
+    steps = {f"{name}-steady": heat for name, heat in inputs.CALIBRATION.items()}
+    try:
+        return inputs.simulate_inputs(lasting, steps, setup=setup, progress=report)
+    except ThermojointError as error:
+        return error
+
+
 def _steady(
     case: Case,
-    runs: LongRuns,
-    setup: Setup,
+    steps: Mapping[str, xr.Dataset] | ThermojointError,
     roles: Mapping[str, str],
-    report: inputs.Report,
     folder: Path,
 ) -> Model:
     """Return the model calibrated with the same sensors by steps until the machine is steady."""
-    lasting = adaptively(case.replace(march={"duration_min": runs.steady}))
-    steps = {f"{name}-steady": heat for name, heat in inputs.CALIBRATION.items()}
-    made = inputs.simulate_inputs(lasting, steps, setup=setup, progress=report)
-    kept = {name.removesuffix("-steady"): at_sensors(r, roles) for name, r in made.items()}
+    if isinstance(steps, ThermojointError):
+        raise steps
+    kept = {name.removesuffix("-steady"): at_sensors(r, roles) for name, r in steps.items()}
     _write_responses({f"{name}-steady": response for name, response in kept.items()}, folder)
     calibrated, provenance = _calibrate(case, kept)
     write_model(calibrated.model, folder / "model_steady.json", provenance)
@@ -211,32 +236,39 @@ def _steady(
 
 
 def _judged(
-    model: Model | None,
-    responses: Mapping[str, xr.Dataset],
-    lasting: Mapping[str, xr.Dataset],
+    crew: Executor,
+    known: tuple[Model | None, Mapping[str, xr.Dataset], Mapping[str, xr.Dataset]],
     runs: LongRuns,
     beside: judge.Beside,
     observers: Sequence[JointAware],
-) -> Validated:
-    """Validate every estimator in every case; those without a warm start begin at rest."""
+) -> Callable[[], Validated]:
+    """Validate every estimator in every case; those without a warm start begin at rest.
+
+    `known` are the model, its responses and the long ones. Returns a function that waits for the
+    processes of `crew`.
+    """
+    model, responses, lasting = known
     at_rest = [(observer, observer.initial_state()) for observer in observers]
     warm = [(observer, observer.warm_state()) for observer in observers]
     started = {inputs.WARM_START: warm_part(lasting[inputs.DAY], runs)}
     cold = replace(beside, observers=at_rest)
     begun = replace(beside, observers=warm, settled_s=60.0 * runs.settled)
-    with process_pool(runs.processes) as crew:
-        long = crew.submit(judge.validate_model, model, None, lasting, beside=cold)
-        warmed = crew.submit(judge.validate_model, model, None, started, beside=begun)
-        short = crew.submit(
-            judge.validate_model,
-            model,
-            responses[inputs.REFERENCE],
-            {name: responses[name] for name in inputs.VALIDATION},
-            noisy=[inputs.TRIANGLE],
-            beside=cold,
-        )
+    long = crew.submit(judge.validate_model, model, None, lasting, beside=cold)
+    warmed = crew.submit(judge.validate_model, model, None, started, beside=begun)
+    short = crew.submit(
+        judge.validate_model,
+        model,
+        responses[inputs.REFERENCE],
+        {name: responses[name] for name in inputs.VALIDATION},
+        noisy=[inputs.TRIANGLE],
+        beside=cold,
+    )
+
+    def wait() -> Validated:
         hours = [without_nonlinear(run.result()) for run in (long, warmed)]
         return judge.joined([short.result(), *hours])
+
+    return wait
 
 
 def show(terminal: Console, data: ReportData) -> None:

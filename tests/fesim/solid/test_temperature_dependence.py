@@ -1,5 +1,7 @@
 """Conductivity, film, radiation and expansion that depend on temperature."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from batch_cases import case_text, grid
@@ -240,8 +242,8 @@ def test_a_copy_of_a_case_is_refused_as_the_case_would_be(tmp_path):
     march = case.march.model_copy(update={"thermal": "reduced"})
     with pytest.raises(InputError, match=r"radiation\.x1: the reduced thermal model"):
         set_up(case.model_copy(update={"march": march}))
-    with observers_beside(case, {}, {}, tmp_path) as observers:
-        assert observers()[0] == []
+    with ThreadPoolExecutor() as crew:
+        assert observers_beside(crew, case, {}, {}, tmp_path)()[0] == []
 
 
 def test_a_batch_has_a_place_for_the_error_of_secant_steps(tmp_path):

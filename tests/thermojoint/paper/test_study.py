@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from importlib.resources import files
@@ -159,8 +160,8 @@ def test_a_mesh_from_a_file_has_to_serve_its_observers(case):
 def test_a_machine_with_held_temperatures_has_no_observers(case, tmp_path):
     held = {"bearings": HeldTemperatureSection(rise_K=0.0)}
     unlike = case.model_copy(update={"held_temperatures": held})
-    with observers_beside(unlike, {}, {}, tmp_path) as observers:
-        had, left_out = observers()
+    with ThreadPoolExecutor() as crew:
+        had, left_out = observers_beside(crew, unlike, {}, {}, tmp_path)()
     assert had == []
     assert set(left_out) == OBSERVERS
     assert not list(tmp_path.iterdir())
