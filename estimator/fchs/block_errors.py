@@ -6,6 +6,8 @@ The difference between two rows is the error of the replaced block.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,7 +33,23 @@ def assembled_for(model: Model, times: Array) -> Assembly:
     sources is known to be stable.
     """
     length = max(float(times[-1] - times[0]), model.span.duration_s)
-    return assemble(model, float(np.diff(times).min()), length)
+    return _assembled(_Asked(model.digest, float(np.diff(times).min()), length, model))
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """An estimator to be assembled: interval and length in s; the model is compared by digest."""
+
+    digest: str
+    interval: float
+    length: float
+    model: Model = field(compare=False)
+
+
+# Responses of one length are judged one after the other, each by a few models.
+@lru_cache(maxsize=4)
+def _assembled(asked: _Asked) -> Assembly:
+    return assemble(asked.model, asked.interval, asked.length)
 
 
 def block_errors(
@@ -59,7 +77,8 @@ def block_errors(
     linear = superposed(reference, response, "displacement")[:, order]
     known = probes_of(response)
     probes = [known.index((roles or {}).get(role, role)) for role in model.linear.direct]
-    on_linear = superposed(reference, response, "temperature")[:, probes]
+    same = [probes_of(reference).index(known[probe]) for probe in probes]
+    on_linear = superposed(reference.isel(probe=same), response.isel(probe=probes), "temperature")
 
     estimated_heat = blocks.heat_part(assembly, times, seen.delta_T)
     true_deviation = seen.temperatures - on_linear

@@ -152,5 +152,10 @@ def without_heat(
         Bounds on the change of heat, W.
     """
     root = np.linalg.inv(np.linalg.cholesky(covariance[np.ix_(at, at)]))
-    heat = lsq_linear(root @ onset[at], root @ innovation[at], bounds=bounds)
-    return np.asarray(innovation - onset @ heat.x)
+    low, high = bounds
+    given = root @ onset[at], root @ innovation[at]
+    heat = np.linalg.lstsq(*given, rcond=-1)[0]
+    # Mostly it is possible: `lsq_linear` would find the same.
+    if not ((heat >= low) & (heat <= high)).all():
+        heat = lsq_linear(*given, bounds=bounds).x
+    return np.asarray(innovation - onset @ heat)
