@@ -102,17 +102,12 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
         report("setting up", 1, 1)
         heats = inputs.CALIBRATION | inputs.VALIDATION
         responses = inputs.simulate_inputs(case, heats, setup=setup, progress=report)
-        known = {name: responses[name] for name in inputs.CALIBRATION}
-        fitted = crew.submit(_calibrate, case, known)
-        # What needs no calibration, while the other process fits.
-        lasting = simulate_long(case, runs, folder / "responses", setup, report)
-        steps = _steady_steps(case, runs, setup, report)
 
         report("calibrating", 0, 3)
         calibrated: chain.Calibrated | None = None
         provenance: Provenance | None = None
         try:
-            calibrated, provenance = fitted.result()
+            calibrated, provenance = _calibrate(case, responses)
             write_model(calibrated.model, folder / "model.json", provenance)
         except ThermojointError as error:
             left_out |= dict.fromkeys(("linear", "fchs"), str(error))
@@ -120,8 +115,8 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
         responses = {name: with_roles(response, roles) for name, response in responses.items()}
         known = {name: responses[name] for name in inputs.CALIBRATION}
         sensors = {role: setup.probes[name] for role, name in roles.items()}
-        observed = observers_beside(crew, case, sensors, known, folder, runs.effort)
         _write_responses(responses, folder)
+        observed = observers_beside(crew, case, sensors, known, folder, runs.effort)
         report("calibrating", 1, 3)
         axes = moving_axes(known[inputs.REFERENCE], _others(known))
         baselines: Baselines | None = None
@@ -135,6 +130,7 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
             tables = tables_json(calibrated.model, provenance)
             _write_json(folder / "tables.json", tables)
         report("calibrating", 2, 3)
+        lasting = simulate_long(case, runs, folder / "responses", setup, report)
         lasting = {
             name: _kept(at_sensors(response, roles), folder, out)
             for name, response in lasting.items()
@@ -142,7 +138,7 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
         _write_responses(lasting, folder)
         steady: Model | None = None
         try:
-            steady = _steady(case, steps, roles, folder)
+            steady = _steady(case, runs, setup, roles, report, folder)
         except ThermojointError as error:
             left_out |= dict.fromkeys(("linear-steady", "fchs-steady"), str(error))
         observers, failed = observed()
@@ -206,28 +202,19 @@ def _roles(calibrated: chain.Calibrated | None, reference: xr.Dataset) -> dict[s
     return dict(zip(ROLES, (hot_first[0], hot_first[-1], at_joint[0], at_joint[-1]), strict=True))
 
 
-def _steady_steps(
-    case: Case, runs: LongRuns, setup: Setup, report: inputs.Report
-) -> dict[str, xr.Dataset] | ThermojointError:
-    """Return responses to the calibration's steps until the machine is steady, or why none."""
-    lasting = adaptively(case.replace(march={"duration_min": runs.steady}))
-    steps = {f"{name}-steady": heat for name, heat in inputs.CALIBRATION.items()}
-    try:
-        return inputs.simulate_inputs(lasting, steps, setup=setup, progress=report)
-    except ThermojointError as error:
-        return error
-
-
 def _steady(
     case: Case,
-    steps: Mapping[str, xr.Dataset] | ThermojointError,
+    runs: LongRuns,
+    setup: Setup,
     roles: Mapping[str, str],
+    report: inputs.Report,
     folder: Path,
 ) -> Model:
     """Return the model calibrated with the same sensors by steps until the machine is steady."""
-    if isinstance(steps, ThermojointError):
-        raise steps
-    kept = {name.removesuffix("-steady"): at_sensors(r, roles) for name, r in steps.items()}
+    lasting = adaptively(case.replace(march={"duration_min": runs.steady}))
+    steps = {f"{name}-steady": heat for name, heat in inputs.CALIBRATION.items()}
+    made = inputs.simulate_inputs(lasting, steps, setup=setup, progress=report)
+    kept = {name.removesuffix("-steady"): at_sensors(r, roles) for name, r in made.items()}
     _write_responses({f"{name}-steady": response for name, response in kept.items()}, folder)
     calibrated, provenance = _calibrate(case, kept)
     write_model(calibrated.model, folder / "model_steady.json", provenance)

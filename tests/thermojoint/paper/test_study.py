@@ -252,14 +252,14 @@ def test_validation_noise_is_seeded(command, results, tmp_path):
 def test_results_stay_as_they_were_until_all_of_the_new_ones_are_there(
     command, results, tmp_path, monkeypatch
 ):
-    """Something fails when the new responses are written."""
+    """Something fails once the new responses are written."""
     out = tmp_path / "results"
     shutil.copytree(results, out)
     (out / "figures" / "notes.txt").write_text("mine")
     before = {one: one.read_bytes() for one in out.rglob("*") if one.is_file()}
     (tmp_path / "short.toml").write_text(lasting(0.5))
 
-    def failing(calibrated, reference):
+    def failing(*given):
         [beside] = tmp_path.glob(".results.*")
         assert len(list(beside.rglob("*.nc"))) == 6
         raise InputError("these responses determine nothing")
@@ -268,7 +268,7 @@ def test_results_stay_as_they_were_until_all_of_the_new_ones_are_there(
         raise InputError("no model")
 
     monkeypatch.setattr(reproduce, "_calibrate", refused)
-    monkeypatch.setattr(reproduce, "_roles", failing)
+    monkeypatch.setattr(reproduce, "observers_beside", failing)
     code, _, err = command("reproduce", "--case", tmp_path / "short.toml", "--out", out)
     # Where the set-up is slow, its progress stands before.
     assert (code, err.splitlines()[-1]) == (2, "thermojoint: these responses determine nothing")
