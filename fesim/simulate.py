@@ -198,7 +198,7 @@ def simulate(
     response = _response(case, given, inputs, course)
     known = None
     if passed is None and moving is None:
-        response.attrs |= _unresolved(ready, course.track)
+        response.attrs.update(_unresolved(ready, course.track))
     if passed is not None:
         response.attrs.update(_spent(passed.effort))
         known = passed.effort.displacement
