@@ -115,6 +115,7 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
         _interface(estimator),
         values={
             "moving": 0,
+            "drives": (),
             "readings": count,
             "sources": distinct(model.sources, "sources"),
             "jumped": READING_JUMPED,
