@@ -149,14 +149,14 @@ class ArrayResponse:
     def sizes(self) -> dict[str, int]:
         """Length of every dimension."""
         return {
-            name: len(self.variables[name].values)
+            name: length
             for variable in self.variables.values()
-            for name in variable.dims
+            for name, length in zip(variable.dims, variable.values.shape, strict=True)
         }
 
     def only(self, name: str) -> ArrayResponse:
         """Return it with one variable and its coordinates."""
-        kept = (*self.variables[name].dims, name)
+        kept = (*(dim for dim in self.variables[name].dims if dim in self), name)
         return replace(self, variables={key: self.variables[key] for key in kept})
 
     def dataset(self) -> xr.Dataset:
