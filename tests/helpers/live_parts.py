@@ -81,7 +81,7 @@ async def serving(data, base):
         yield ready.result()
     finally:
         stop.set()
-        await task
+        await asyncio.wait_for(task, PATIENCE_S)
 
 
 def history_in(base):

@@ -11,7 +11,7 @@ import httpx
 import numpy as np
 import pytest
 from asyncua import ua
-from live_parts import Broker, client_of, free_port, needs_broker, serving, until
+from live_parts import PATIENCE_S, Broker, client_of, free_port, needs_broker, serving, until
 from machine_floor import floor_of, keep
 from machine_logs import along_log, as_csv
 from played_control import Played
@@ -345,7 +345,7 @@ def test_k0_and_slope_are_written_into_a_control(place, tmp_path, kind, switch, 
             feeding.cancel()
         await played.server.stop()
 
-    asyncio.run(live())
+    asyncio.run(asyncio.wait_for(live(), 4 * PATIENCE_S))
     record = [(at, "offset", um) for at, um in played.record]
     record += [(at, "slope", um) for at, um in played.slopes]
     positions = np.linspace(-0.16, 0.26, 7) - 0.05
