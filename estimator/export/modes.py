@@ -36,33 +36,25 @@ _MEAN_SERIES, _MEAN_RECURSION = Operations(27 * 12, 27 * 8, 27 * 2), Operations(
 
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """A bank with its modes with double poles first; m modes, d of them double.
+    """A bank with its modes with double poles first; m modes, d of them double."""
 
-    Attributes
-    ----------
-    poles : ndarray of complex, shape (m,)
-        1/s.
-    drive : ndarray, shape (m, n_in)
-    gain : ndarray of complex, shape (m, n_out)
-    double : ndarray of complex, shape (d, n_out)
-    rest, slope : ndarray, shape (n_out, n_in)
-        Response to a constant input, and its slope.
-    leak : float
-        λ, 1/s.
-    flow : ndarray, shape (2,)
-        dt φ_1 and dt φ_2 of -λ dt, at the nominal interval, s.
-    nominal : ndarray of complex, shape (m, columns)
-        Propagation over the nominal interval; columns as in the structures of the template.
-    """
-
+    #: Shape (m,): 1/s.
     poles: np.ndarray
+    #: Shape (m, n_in).
     drive: np.ndarray
+    #: Shape (m, n_out).
     gain: np.ndarray
+    #: Shape (d, n_out).
     double: np.ndarray
+    #: Shape (n_out, n_in): response to a constant input, and its slope.
     rest: np.ndarray
     slope: np.ndarray
+    #: Shape (m, columns): propagation over the nominal interval; columns as in the structures of
+    #: the template.
     nominal: np.ndarray
+    #: λ, 1/s.
     leak: float = 0.0
+    #: Shape (2,): dt φ_1 and dt φ_2 of -λ dt, at the nominal interval, s.
     flow: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @property

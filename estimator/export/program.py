@@ -46,14 +46,9 @@ class Precision(StrEnum):
 
 @dataclass(frozen=True)
 class Operations:
-    """Operations on real numbers of one sample; a subtraction is an addition.
+    """Operations on real numbers of one sample; a subtraction is an addition."""
 
-    Attributes
-    ----------
-    multiplications, additions, divisions, functions : int
-        Functions are those of math.h: exp, sin, cos.
-    """
-
+    #: Functions are those of math.h: exp, sin, cos.
     multiplications: int = 0
     additions: int = 0
     divisions: int = 0
@@ -75,18 +70,12 @@ def solving(size: int) -> Operations:
 
 
 class Variable(NamedTuple):
-    """Input or output of a program.
+    """Input or output of a program."""
 
-    Attributes
-    ----------
-    name, unit : str
-        The unit in SI, ``1`` if it has none.
-    place : str
-        Of a reading or estimate member in C, e.g. ``displacement[0]``.
-    """
-
+    #: The unit in SI, ``1`` if it has none.
     name: str
     unit: str
+    #: Of a reading or estimate member in C, e.g. ``displacement[0]``.
     place: str
 
 
@@ -104,59 +93,39 @@ class Table(NamedTuple):
 
 
 class Compared(NamedTuple):
-    """Output that the self-test compares with the estimator in Python.
+    """Output that the self-test compares with the estimator in Python."""
 
-    Attributes
-    ----------
-    variable : Variable
-        The output.
-    metres : float
-        Factor that makes it m.
-    held : int
-        Status bit under which it is that of a sample before, which is not compared.
-    """
-
+    #: The output.
     variable: Variable
+    #: Factor that makes it m.
     metres: float = 1.0
+    #: Status bit under which it is that of a sample before, which is not compared.
     held: int = 0
 
 
 @dataclass(frozen=True)
 class Interface:
-    """Interface of a program.
+    """Interface of a program."""
 
-    Attributes
-    ----------
-    kind, fingerprint : str
-        Kind and fingerprint of the estimator.
-    interval : float
-        Nominal, s.
-    timed : bool
-        Whether other intervals are accepted.
-    inputs, outputs : tuple of Variable
-        Inputs, and outputs beside the status; displacements first.
-    axes : tuple of str
-        Of the displacement.
-    statuses : tuple of Status
-        Status bits shared with the estimator in Python.
-    approximate : tuple of Status
-        Those under which the program is near the estimator in Python, but not the same.
-    lines : tuple of Compared
-        What the self-test compares beside the displacements.
-    held : int
-        `Compared.held` of the displacements.
-    """
-
+    #: Kind and fingerprint of the estimator.
     kind: str
     fingerprint: str
+    #: Nominal, s.
     interval: float
+    #: Whether other intervals are accepted.
     timed: bool
+    #: Inputs, and outputs beside the status; displacements first.
     inputs: tuple[Variable, ...]
     outputs: tuple[Variable, ...]
+    #: Of the displacement.
     axes: tuple[str, ...]
+    #: Status bits shared with the estimator in Python.
     statuses: tuple[Status, ...]
+    #: Those under which the program is near the estimator in Python, but not the same.
     approximate: tuple[Status, ...] = ()
+    #: What the self-test compares beside the displacements.
     lines: tuple[Compared, ...] = ()
+    #: `Compared.held` of the displacements.
     held: int = 0
 
     @property
@@ -173,43 +142,28 @@ def no_lines(estimate: Estimate) -> Array:
 
 @dataclass(frozen=True)
 class Contents:
-    """Kind-specific contents of a program.
+    """Kind-specific contents of a program."""
 
-    Attributes
-    ----------
-    estimator : Estimator
-        The estimator in Python, as the reference.
-    interface : Interface
-        Its interface.
-    values : dict
-        Template values specific to this kind.
-    constants, state : int
-        Numbers in the tables and in the state.
-    usual, worst : Operations
-        Of a typical sample, and upper bound.
-    labels : pair of str
-        Descriptions of these two.
-    duty : callable
-        Generates time, s, and readings for a self-test if none are recorded.
-    origin : str
-        Description of these readings.
-    lines : callable
-        Values of `Interface.lines` in an estimate in Python, m.
-    relative : float
-        Tolerance of the self-test in double precision, relative to the largest value compared.
-    """
-
+    #: The estimator in Python, as the reference.
     estimator: Estimator
     interface: Interface
+    #: Template values specific to this kind.
     values: Mapping[str, Any]
+    #: Numbers in the tables and in the state.
     constants: int
     state: int
+    #: Of a typical sample, and upper bound.
     usual: Operations
     worst: Operations
+    #: Descriptions of these two.
     labels: tuple[str, str]
+    #: Generates time, s, and readings for a self-test if none are recorded.
     duty: Callable[[], Iterable[Sequence[float]]]
+    #: Description of these readings.
     origin: str = "a day of a duty cycle"
+    #: Values of `Interface.lines` in an estimate in Python, m.
     lines: Callable[[Estimate], Array] = no_lines
+    #: Tolerance of the self-test in double precision, relative to the largest value compared.
     relative: float = RELATIVE
 
 

@@ -26,23 +26,16 @@ MOST = 5000
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """Samples and the estimates for them.
+    """Samples and the estimates for them."""
 
-    Attributes
-    ----------
-    samples : ndarray, shape (n, 1 + channels)
-        Interval since the previous sample (nominal for the first), s, and readings.
-    compared : ndarray, shape (n, axes + lines)
-        Displacements, then what else is compared, m.
-    words : tuple of int
-        Status words.
-    origin : str
-        Where the samples come from.
-    """
-
+    #: Shape (n, 1 + channels): interval since the previous sample (nominal for the first), s, and
+    #: readings.
     samples: Array
+    #: Shape (n, axes + lines): displacements, then what else is compared, m.
     compared: Array
+    #: Status words.
     words: tuple[int, ...]
+    #: Where the samples come from.
     origin: str
 
 
