@@ -278,8 +278,7 @@ def program(
         samples, origin = contents.duty(), contents.origin
     if not interface.timed:
         samples = even(samples, interface.interval, origin)
-    follows = contents.estimator, contents.lines
-    kept = recorded(follows, samples, interface.interval, origin)
+    kept = recorded(contents.estimator, contents.lines, samples, interface.interval, origin)
     check_answerable(kept, [one for one in interface.statuses if one not in interface.approximate])
     return Program(
         name,

@@ -40,7 +40,8 @@ class Recorded:
 
 
 def recorded(
-    follows: tuple[Estimator, Callable[[Estimate], Array]],
+    estimator: Estimator,
+    lines: Callable[[Estimate], Array],
     samples: Iterable[Sequence[float]],
     interval: float,
     origin: str,
@@ -48,14 +49,13 @@ def recorded(
     """Return at most `MOST` samples with the estimates, starting from the initial state.
 
     Samples are time, s, and a value of each channel; the first has the given interval, s. Beside
-    the displacements of the estimator, what the function finds in its estimates is compared, m.
+    the displacements of the estimator, what `lines` returns of its estimates is compared, m.
 
     Raises
     ------
     InputError
         A sample is unusable, or there are none.
     """
-    estimator, lines = follows
     rows, shifts, words = [], [], []
     last = math.nan
     kept = list(islice(samples, MOST))

@@ -50,15 +50,15 @@ CLOSER = 1e-3
 RELATIVE = 1e-7
 
 
-class Guided(NamedTuple):
-    """What a template needs of moving axes."""
+class Placed(NamedTuple):
+    """What a template needs of where the axes stand, or of a machine that has none."""
 
     #: Numbers and tables.
     values: dict[str, Any]
     tables: list[Table]
     #: Tables of integers.
     indices: list[Table]
-    #: Numbers of the state beyond those of a machine that stands.
+    #: Numbers of the state beyond those of a machine without moving axes.
     state: int
     #: Of a sample, usually and at most, without Newton's method.
     usual: Operations
@@ -73,7 +73,7 @@ def kernel_of(physics: Physics) -> JointKernel | None:
     return joint_kernel(physics.contact, np.zeros((physics.contacts, 0)), physics.held)
 
 
-def guided(estimator: JointAware, kernel: JointKernel) -> Guided:
+def guided(estimator: JointAware, kernel: JointKernel) -> Placed:
     """Return what the program of a machine with moving axes has beside that of one without.
 
     Raises
@@ -124,7 +124,7 @@ def guided(estimator: JointAware, kernel: JointKernel) -> Guided:
     passed = np.vstack(
         [np.where(of_axis < 0, 0, of_axis + count) for of_axis in way.stations.place]
     )
-    return Guided(
+    return Placed(
         values
         | {
             "moving": len(counts),

@@ -31,13 +31,13 @@ from estimator.export.program import (
 from estimator.interface import Status
 from estimator.joint_aware import guided_program
 from estimator.joint_aware.estimator import WIDTH, JointAware
-from estimator.joint_aware.guided_program import Guided, kernel_of
+from estimator.joint_aware.guided_program import Placed, kernel_of
 from estimator.joint_aware.model_file import fingerprint
 from estimator.joint_aware.observer import ANSWER
 from estimator.joint_aware.observer_state import KNOWN
 from estimator.joint_aware.trust import channels_of
 from estimator.span import SETTLING, SLACK
-from fesim.march.compiled_step import HeatStep, JointKernel
+from fesim.march.compiled_step import JointKernel
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.reduced.discrepancy import relaxed
@@ -96,14 +96,13 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
     if precision is Precision.SINGLE:
         tolerance = max(tolerance, SINGLE_TOLERANCE)
     model, faults = estimator.model, estimator.thresholds.faults
-    way = guided_program.guided(estimator, kernel) if moving else None
+    way = (guided_program.guided if moving else _standing)(estimator, kernel)
     tables = _tables(estimator, kernel, tolerance, way)
     linear, contacts = estimator.observer.system.size, kernel.preload.size
     axes, draws, _ = model.band.open.shape
-    own = _standing(estimator, contacts) if way is None else way.usual
     fixed = _every_sample(estimator, linear) + Operations(20, 20, 8, 8).times(axes)
     # Where the axes stand, and at every position asked for.
-    places = 1 if way is None else 1 + way.values["asked"]
+    places = 1 + way.values["asked"]
     usual = _newton(contacts, contacts, 0).times(2) + _look(contacts)
     worst = _newton(contacts, 3 * contacts, HALVINGS).times(ITERATIONS) + _look(contacts)
     count = len(estimator.observer.system.rows)
@@ -114,8 +113,6 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
         estimator,
         _interface(estimator),
         values={
-            "moving": 0,
-            "drives": (),
             "readings": count,
             "sources": distinct(model.sources, "sources"),
             "jumped": READING_JUMPED,
@@ -140,7 +137,7 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             "iterations": ITERATIONS,
             "halvings": HALVINGS,
             "tables": tables,
-            "indices": [] if way is None else way.indices,
+            "indices": way.indices,
             "tolerance": tolerance,
             "erfc": _erfc(kernel, precision),
             "width": WIDTH,
@@ -151,17 +148,12 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             "root2pi": math.sqrt(2.0 * math.pi),
             # Beyond it, exp underflows (`fesim.joint.law`).
             "underflow": 700.0 if precision is Precision.DOUBLE else 80.0,
-            **({} if way is None else way.values),
+            **way.values,
         },
         constants=sum(table.values.size for table in tables),
-        state=5 * linear
-        + 44 * contacts
-        + 9 * contacts**2
-        + 14 * count
-        + 11
-        + (0 if way is None else way.state),
-        usual=fixed + own + usual.times(places),
-        worst=fixed + (own if way is None else way.worst) + judged + worst.times(places),
+        state=5 * linear + 44 * contacts + 9 * contacts**2 + 14 * count + 11 + way.state,
+        usual=fixed + way.usual + usual.times(places),
+        worst=fixed + way.worst + judged + worst.times(places),
         labels=("a sample of two Newton steps, nothing slides", "any sample, at most"),
         duty=lambda: _duty_cycle(estimator),
         origin="a duty cycle",
@@ -213,7 +205,7 @@ def _erfc(kernel: JointKernel, precision: Precision) -> dict[str, Any] | None:
 
 
 def _tables(
-    estimator: JointAware, kernel: JointKernel, tolerance: float, way: Guided | None
+    estimator: JointAware, kernel: JointKernel, tolerance: float, way: Placed
 ) -> list[Table]:
     model, observer = estimator.model, estimator.observer
     heat = heat_step(model.modes, model.step)
@@ -232,7 +224,7 @@ def _tables(
         Table("loss", "What a mode loses in a step.", loss),
         Table("drive", "Modes per W of each source and K of the ambient.", heat.drive),
         Table("conductance", "Factor times area, W/K, hardness, Pa, exponent.", kernel.conductance),
-        *(_standing_tables(kernel, heat) if way is None else way.tables),
+        *way.tables,
         Table("power", "Of each source at heat input 1, W.", model.power),
         Table("relaxing", "What a relaxation gains in a step.", relaxing),
         Table("rows_read", "What the sensors read of the linear state, K.", system.rows),
@@ -263,9 +255,14 @@ def _tables(
     ]
 
 
-def _standing_tables(kernel: JointKernel, heat: HeatStep) -> list[Table]:
-    """Those of a machine that stands at one place."""
-    return [
+def _standing(estimator: JointAware, kernel: JointKernel) -> Placed:
+    """Return what the program of a machine without moving axes has of its joints."""
+    model, contacts = estimator.model, kernel.preload.size
+    heat = heat_step(model.modes, model.step)
+    modes, axes = model.modes.rates.size, len(estimator.axes)
+    products = 5 * contacts * modes + 2 * contacts**2 + axes * (modes + 3 * contacts)
+    own = Operations(products, products + contacts**2, 0, contacts) + solving(contacts)
+    tables = [
         Table("influence", "Modes per W across each contact element.", heat.influence),
         Table("joint_influence", "Temperature jumps per W, K/W.", heat.joint_influence),
         Table("jump", "Temperature jumps per mode, K.", kernel.jump),
@@ -277,6 +274,7 @@ def _standing_tables(kernel: JointKernel, heat: HeatStep) -> list[Table]:
         Table("moved_by", "Displacement per traction, m/Pa.", kernel.moved),
         Table("free_moved", "Displacement per mode, m.", kernel.free),
     ]
+    return Placed({"moving": 0, "drives": (), "asked": 0}, tables, [], 0, own, own)
 
 
 class _Start(NamedTuple):
@@ -385,13 +383,6 @@ def _every_sample(estimator: JointAware, linear: int) -> Operations:
     products = modes * (1 + inputs) + linear * 2 * read
     products += axes * (twice + draws * (twice + 2) + twice + 2 * read)
     return Operations(products, products + 8 * linear + modes * 4 + 20 * read, 2 * linear)
-
-
-def _standing(estimator: JointAware, contacts: int) -> Operations:
-    """Heat across the joints, gaps and displacement at one place."""
-    modes, axes = estimator.model.modes.rates.size, len(estimator.axes)
-    products = 5 * contacts * modes + 2 * contacts**2 + axes * (modes + 3 * contacts)
-    return Operations(products, products + contacts**2, 0, contacts) + solving(contacts)
 
 
 def _judging(estimator: JointAware, linear: int, contacts: int) -> Operations:
