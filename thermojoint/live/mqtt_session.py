@@ -142,7 +142,8 @@ async def lost(client: aiomqtt.Client) -> None:
     gone = asyncio.shield(client._disconnected)
     while True:
         try:
-            await asyncio.wait_for(asyncio.shield(gone), 2.0 * KEEPALIVE_S)
+            async with asyncio.timeout(2.0 * KEEPALIVE_S):
+                await asyncio.shield(gone)
         except TimeoutError:
             # A response shows that the broker is there; a timeout is an error.
             await client.unsubscribe("thermojoint/is-anybody-there", timeout=TIMEOUT_S)

@@ -1,9 +1,11 @@
 """Controls by OPC UA: what is written into them, and what never is."""
 
 import asyncio
+import contextlib
 import random
 import re
 import shlex
+from types import SimpleNamespace
 from typing import get_args
 
 import numpy as np
@@ -18,6 +20,7 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.settings import toml
 from thermojoint.compensation.offsets.settings import settings_from_data
 from thermojoint.live.settings import ServiceFile, Source
+from thermojoint.live.targets import writing
 from thermojoint.live.targets.beckhoff import BECKHOFF
 from thermojoint.live.targets.control import in_units, next_value
 from thermojoint.live.targets.settings import CONTROLS, read_target
@@ -52,6 +55,41 @@ def test_an_offset_is_rounded_to_the_unit_of_the_control(control, metres, value)
 def test_what_a_control_cannot_take_is_refused(metres):
     with pytest.raises(InputError, match="beyond"):
         in_units(SINUMERIK.offset, metres)
+
+
+def test_a_writer_that_is_cancelled_as_a_value_arrives_ends(tmp_path, monkeypatch):
+    given = Played(tmp_path / "target.toml", "sinumerik", STEP_UM).given
+    tasks = []
+
+    class Answering:
+        """A control whose first answer and the end of the service come together."""
+
+        def get_node(self, name):
+            return name
+
+        async def read_values(self, nodes):
+            await asyncio.sleep(0.0)
+            if len(tasks) == 1:
+                tasks.append(tasks[0].cancel())
+            return [given.control.with_slope]
+
+    @contextlib.asynccontextmanager
+    async def reached(_):
+        yield Answering()
+
+    async def client_of(reach):
+        return reached(reach)
+
+    async def live():
+        said = SimpleNamespace(log=SimpleNamespace(say=lambda *_: None))
+        writer = writing.Writer("mill", ("Z",), given, None, None, said, None)
+        tasks.append(asyncio.create_task(writer.run()))
+        done, _ = await asyncio.wait(tasks[:1], timeout=5.0)
+        tasks[0].cancel()
+        return done
+
+    monkeypatch.setattr(writing, "client_of", client_of)
+    assert asyncio.run(live())
 
 
 def test_a_single_write_changes_a_value_by_no_more_than_its_limit():

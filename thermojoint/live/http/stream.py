@@ -47,7 +47,8 @@ async def stream(
     with hub.follow() as follower:
         while time.monotonic() - begun < LONGEST_S and reader.check() is not None:
             try:
-                changed = await asyncio.wait_for(follower.wait(), BEAT_S)
+                async with asyncio.timeout(BEAT_S):
+                    changed = await follower.wait()
             except TimeoutError:
                 changed = set()
             news = []

@@ -119,7 +119,8 @@ class OpcuaReader:
         handler.take = lambda nodeid, value: self._take(places, nodeid, value)
         while True:
             await asyncio.sleep(_ALIVE_S)
-            await asyncio.wait_for(client.nodes.server_state.read_value(), TIMEOUT_S)
+            async with asyncio.timeout(TIMEOUT_S):
+                await client.nodes.server_state.read_value()
 
     async def _stored(
         self, client: Client, nodes: Sequence[Node], places: Mapping[ua.NodeId, tuple[str, int]]

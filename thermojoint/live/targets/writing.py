@@ -136,7 +136,10 @@ class Writer:
 
     async def _read(self, client: Client, values: Sequence[Write]) -> list[float]:
         nodes = [client.get_node(self.given.node(one.quantity, one.axis)) for one in values]
-        found = await asyncio.wait_for(client.read_values(nodes), TIMEOUT_S)
+        # Not asyncio.wait_for: before Python 3.12 it loses a cancellation, with which the service
+        # ends, if a value arrives at the same moment.
+        async with asyncio.timeout(TIMEOUT_S):
+            found = await client.read_values(nodes)
         for one, value in zip(values, found, strict=True):
             if not isinstance(value, int | float) or not math.isfinite(value):
                 raise InputError(f"{one.quantity.name} of axis {one.axis} is {value!r}, no number")
@@ -148,8 +151,8 @@ class Writer:
             self.audit.written("service", self.given.url, f"write {node} = {goal:g}", self.machine)
             kind = ua.VariantType.Int32 if quantity.whole else ua.VariantType.Double
             value = ua.Variant(int(goal) if quantity.whole else goal, kind)
-            write = client.get_node(node).write_value(ua.DataValue(value))
-            await asyncio.wait_for(write, TIMEOUT_S)
+            async with asyncio.timeout(TIMEOUT_S):
+                await client.get_node(node).write_value(ua.DataValue(value))
 
     def _show(
         self, writes: Sequence[Write], found: Sequence[float], goals: Sequence[float]
