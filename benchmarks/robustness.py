@@ -6,8 +6,8 @@ march follows from the seed and its number alone, so ``--first N --count 1`` mar
 With ``--loaded`` machine and flange stand on springs, carry gravity and a force that comes and
 goes, and half of their joints start open by 1 um to 0.5 mm, with friction of 0 to 2; half of the
 structures have bolts, tightened to a force of their own in each march, some of which settle.
-With ``--wide`` steps are of 0.1 to 600 s, and half of the machines have 120 elements in a strip.
-Exit code 1 if one fails or alternates.
+In one of three structures steps are of 0.1 to 600 s, and half of its machines have 120 elements in
+a strip. Exit code 1 if one fails or alternates.
 """
 
 from __future__ import annotations
@@ -45,8 +45,9 @@ LAWS = 40
 FLANGES = 5
 STEPS = 200
 STEP_SECONDS = (1.0, 2.0, 5.0, 10.0)
-#: With --wide: steps, s, and contact elements along and across each strip of every other machine.
-WIDE_STEPS, MANY = (0.1, 600.0), (20, 6)
+#: Of this many structures one has a wide range of steps, s; every other machine among them has so
+#: many contact elements along and across each strip.
+WIDE, WIDE_STEPS, MANY = 3, (0.1, 600.0), (20, 6)
 #: Initial openings, um, and friction of the marches under load; the stiffness, N/um, of springs
 #: under a body that an open joint does not hold; forces, N.
 OPENINGS, FRICTIONS = (1.0, 500.0), (0.0, 0.2, 0.6, 1.0, 2.0)
@@ -235,15 +236,13 @@ def write_histories(folder: Path) -> None:
         (folder / name).write_text(f"time_s,factor\n{rows}\n", "utf-8")
 
 
-def marches(
-    first: int, count: int, loads: Path | None = None, wide: bool = False
-) -> Iterator[Drawn]:
+def marches(first: int, count: int, loads: Path | None = None) -> Iterator[Drawn]:
     """Yield the marches from number `first` on; under load with a folder of its histories."""
-    group, data, flange = -1, {}, False
+    group, data, flange, wide = -1, {}, False, False
     for number in range(first, first + count):
         if number // LAWS != group:
             group = number // LAWS
-            flange = group % FLANGES == FLANGES - 1
+            flange, wide = group % FLANGES == FLANGES - 1, group % WIDE == WIDE - 1
             data = drawn_structure(np.random.default_rng([SEED, 0, group]), flange)
             if wide:
                 widened(np.random.default_rng([SEED, 4, group]), data, flange)
@@ -253,7 +252,7 @@ def marches(
         if loads is not None:
             own = np.random.default_rng([SEED, 3, number])
             friction = load_march(own, data, flange, loads)
-        name = "bolted flange" if flange else "milling machine"
+        name = ("bolted flange" if flange else "milling machine") + wide * ", wide steps"
         yield Drawn(number, name, friction, case_from_data(data, f"march {number}", FLANGE))
 
 
@@ -297,16 +296,12 @@ def _to_and_fro(response: xr.Dataset, begin: float, end: float) -> float:
     return float((way - np.abs(pressure[-1] - pressure[0])).max())
 
 
-def sweep(
-    first: int, count: int, loads: Path | None = None, wide: bool = False
-) -> list[tuple[Drawn, Figures | str]]:
+def sweep(first: int, count: int, loads: Path | None = None) -> list[tuple[Drawn, Figures | str]]:
     """March; return the figures of each, or why it failed."""
     found: list[tuple[Drawn, Figures | str]] = []
     setup: Setup | None = None
     console = Console(stderr=True, markup=False)
-    for one in track(
-        marches(first, count, loads, wide), "simulations", total=count, console=console
-    ):
+    for one in track(marches(first, count, loads), "simulations", total=count, console=console):
         if one.number % LAWS == 0:
             setup = None
         try:
@@ -405,7 +400,9 @@ def page(lines: list[tuple[str, ...]], ended: list[str], first: int, count: int)
             "body conductivity 10 to 400 W/(m K), heat capacity 31 to 1000 J/(kg K), modulus 50 to "
             "250 GPa, expansion 5 to 25e-6 1/K; one body a hundred times softer to a million times "
             "stiffer; convection 2 to 50 W/(m² K); the height of the source; a step of "
-            f"{STEP_SECONDS[0]:g} to {STEP_SECONDS[-1]:g} s. Drawn for each simulation: for each "
+            f"{STEP_SECONDS[0]:g} to {STEP_SECONDS[-1]:g} s, in one of {WIDE} structures of "
+            f"{WIDE_STEPS[0]:g} to {WIDE_STEPS[1]:g} s (wide steps; half of these machines have "
+            f"{MANY[0] * MANY[1]} contact elements). Drawn for each simulation: for each "
             "joint friction 0.05 to 10 (on the machine one in ten without), preload 0.1 to 20 MPa, "
             "both normal laws, roughness 0.2 to 5 µm, tangential stiffness 0.2 to 1 of the normal "
             "one; heat input 0.1 to 6, one in four cooling; step, ramp or triangle; one in five "
@@ -445,13 +442,12 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=COUNT)
     parser.add_argument("--markdown", type=Path)
     parser.add_argument("--loaded", action="store_true")
-    parser.add_argument("--wide", action="store_true", help="steps of 0.1 to 600 s, more elements")
     asked = parser.parse_args()
-    if (asked.loaded or asked.wide) and asked.markdown:
-        parser.error("the page is that of the marches without --loaded and --wide")
+    if asked.loaded and asked.markdown:
+        parser.error("the page is that of the marches without --loaded")
     with TemporaryDirectory() as folder:
         write_histories(Path(folder))
-        found = sweep(asked.first, asked.count, Path(folder) if asked.loaded else None, asked.wide)
+        found = sweep(asked.first, asked.count, Path(folder) if asked.loaded else None)
     lines = rows(found)
     table = Table(*HEADER)
     for line in lines:

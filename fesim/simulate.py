@@ -269,7 +269,7 @@ def _spent(effort: Effort) -> dict[str, float | int]:
 def _unresolved(ready: Setup, track: Track) -> dict[str, float | int]:
     """Attributes of a response whose steps do not resolve an oscillation; others have none."""
     events = track.cuts > 0
-    events[1:] |= np.diff(track.taken_over.astype(int)) > 0
+    events[1:] |= np.diff(track.parts) > 0
     steps = unresolved(
         track.pressure / ready.machine.contact.reference_pressure, track.inputs, events
     )
@@ -414,7 +414,7 @@ def _response(
         "gap_residual": track.residual,
         "iterations": track.iterations,
         "cuts": track.cuts,
-        "taken_over": track.taken_over.astype(np.int64),
+        "taken_over": (track.parts > 0).astype(np.int64),
         "heat_balance": track.heat_balance,
     }
     if case.held_temperatures:

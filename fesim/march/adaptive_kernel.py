@@ -115,7 +115,7 @@ class FreeMarch:
             change=np.broadcast_to(still[:3], (count, 3, still.shape[1])),
             frozen=np.broadcast_to(still, (count, *still.shape)),
             turning=np.broadcast_to(state.turning, (count, *state.turning.shape)),
-            taken_over=np.broadcast_to(state.taken_over, count),
+            parts=np.broadcast_to(state.parts, count),
             drive=np.broadcast_to(state.drive, (count, state.drive.size)),
             model=state.model,
         )

@@ -2,8 +2,8 @@
 
 A staggered step takes the conductance of the one before: a fixed-point map. If its gain is above
 one, pressures alternate between too high and too low although every step is in balance. The sign of
-such increments changes in every step. Since an intermittent heat input does the same, the gain is
-then computed (`fesim.march.stepping`).
+such increments changes in every step, except where a joint stays open for one. Since an
+intermittent heat input does the same, the gain is then computed (`fesim.march.stepping`).
 """
 
 from __future__ import annotations
@@ -20,39 +20,54 @@ from thermojoint.artefacts.arrays import Array, Flags
 LEAST = 1e-5
 #: Consecutive changes of sign after which the gain is computed.
 SUSPECTED = 2
+#: Steps between them in which nothing moves.
+STILL = 1
 #: From this gain on steps alternate without end: it is one where they do so evenly.
 GAIN = 0.9
 #: And in so many steps in a row, where the gain is seen in the increments themselves.
 STUBBORN = 6
 #: Increments below this part of the largest one tell no gain.
 LEADING = 0.1
+#: Increments from which on periods of more than two steps are looked for, of what they are relative
+#: to.
+LARGE = 0.1
 
 
 def turnings(last: Array, moved: Array) -> Array:
-    """Return the increments of steps, and their numbers of consecutive changes of sign.
+    """Return the record of alternating increments after each step.
+
+    Its rows are the last increment above `LEAST`, its number of consecutive changes of sign (up to
+    `SUSPECTED`, and then from the start), and the number of steps since then. An open joint may
+    stand still between two increments, for at most `STILL` steps.
 
     Parameters
     ----------
-    last : ndarray, shape (2, m)
-        The same of the step before.
+    last : ndarray, shape (3, m)
+        Record of the step before; zeros at the start of a march.
     moved : ndarray, shape (n, m)
         Relative increments of n steps.
 
     Returns
     -------
-    ndarray, shape (n, 2, m)
-        Counts go up to `SUSPECTED`, and then start again.
+    ndarray, shape (n, 3, m)
     """
-    moves = np.concatenate([last[:1], moved])
-    counted = np.abs(moves) > LEAST
-    turned = (moves[1:] * moves[:-1] < 0.0) & counted[1:] & counted[:-1]
-    before = np.concatenate([(last[1:] > 0.0) & (last[1:] < SUSPECTED), turned[:-1]])
-    return np.stack([moved, np.where(turned, 1.0 + before, 0.0)], axis=1)
+    time = np.arange(1.0, 1.0 + len(moved))[:, None]
+    counted = np.abs(moved) > LEAST
+    began = np.where(last[0] != 0.0, -last[2], -np.inf)
+    # Time of the last increment that counts, at the start and after each step, and its place.
+    when = np.maximum.accumulate(np.vstack([began, np.where(counted, time, -np.inf)]), axis=0)
+    at = np.maximum(when, 0.0).astype(np.intp) * moved.shape[1] + np.arange(moved.shape[1])
+    increment = np.vstack([last[0], moved]).ravel()[at]
+    turned = counted & (moved * increment[:-1] < 0.0) & (time - when[:-1] <= 1.0 + STILL)
+    once = np.vstack([(last[1] > 0.0) & (last[1] < SUSPECTED), turned]).ravel()[at[:-1]]
+    counts = np.vstack([last[1], np.where(turned, 1.0 + once, 0.0)]).ravel()[at[1:]]
+    since = np.where(np.isfinite(when[1:]), time - when[1:], 0.0)
+    return np.stack([increment[1:], counts, since], axis=1)
 
 
 def suspected(turning: Array) -> Array:
-    """Return which elements may alternate, by the result (..., 2, m) of `turnings`."""
-    return np.asarray(turning[..., 1, :] >= SUSPECTED)
+    """Return which elements may alternate, by the result (..., 3, m) of `turnings`."""
+    return np.asarray((turning[..., 1, :] >= SUSPECTED) & (turning[..., 2, :] == 0.0))
 
 
 def alternating(values: Array) -> bool:

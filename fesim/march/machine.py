@@ -118,10 +118,11 @@ class State:
     #: Shape (7, m): state at which the stored inverses were computed: six entries of the joint
     #: law's tangent (Pa/m), conductance times area (W/K); zero where there are none.
     frozen: Array
-    #: Shape (2, m): record of alternating increments of the last steps (`fesim.march.alternation`).
+    #: Shape (3, m): record of alternating increments of the last steps (`fesim.march.alternation`).
     turning: Array
-    #: Whether this step and all later ones are iterated because the staggered ones alternated.
-    taken_over: bool
+    #: Parts in which this step and all later ones are iterated at least, because staggered ones, or
+    #: iterated ones in fewer parts, alternated; zero while steps are staggered.
+    parts: int
     #: Shape (d,): temperatures of the drive of a moving axis above the initial ambient, K
     #: (`fesim.axes.positioning`); empty without one.
     drive: Array

@@ -127,8 +127,8 @@ def _at_zero(machine: CondensedMachine, inputs: Array) -> tuple[State, Array | N
         **first_equilibrium(contact, bolted, opened)._asdict(),
         model=machine.thermal.model,
         frozen=np.zeros((7, count)),
-        turning=np.zeros((2, count)),
-        taken_over=False,
+        turning=np.zeros((3, count)),
+        parts=0,
         drive=np.zeros(0),
     )
     return state, None if lift is None else lift.probes

@@ -21,7 +21,7 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import DAMAGED_ARCHIVE, whole_file
 
 SCHEMA = "thermojoint-march-state"
-SCHEMA_VERSION = 9
+SCHEMA_VERSION = 10
 
 _RECORDING = {"title", "heat_input", "displacement", "probes", "candidates", "output", "volume"}
 _ARRAYS = (
@@ -65,7 +65,7 @@ def save_state(state: State, case: Case, path: Path) -> None:
         "case": fingerprint(case),
         "index": state.index,
         "model": state.model,
-        "taken_over": state.taken_over,
+        "parts": state.parts,
     }
     with whole_file(Path(path)) as part, part.open("wb") as file:
         # To an open file: np.savez adds a suffix to names.
@@ -105,26 +105,27 @@ def load_state(path: Path, case: Case) -> State:
         )
     index: Any = header.get("index")
     model: Any = header.get("model")
-    taken_over: Any = header.get("taken_over")
+    parts: Any = header.get("parts")
     count = arrays["pressure"].size if "pressure" in arrays else 0
     shapes: dict[str, tuple[int, ...]] = {
         "gap": (3, count),
         "slip": (2, count),
         "change": (3, count),
         "frozen": (7, count),
-        "turning": (2, count),
+        "turning": (3, count),
     }
     shapes |= {name: (arrays[name].size,) for name in ("drive", "course") if name in arrays}
     usable = (
         arrays.keys() == set(_ARRAYS)
         and isinstance(index, int)
         and isinstance(model, str)
-        and isinstance(taken_over, bool)
+        and isinstance(parts, int)
         and index >= 0
+        and parts >= 0
         and all(arrays[name].shape == shape for name, shape in shapes.items())
         and all(array.dtype == np.float64 for array in arrays.values())
         and all(bool(np.isfinite(array).all()) for array in arrays.values())
     )
     if not usable:
         raise InputError(f"{path}: the state's values are damaged; start afresh")
-    return State(index=index, model=model, taken_over=taken_over, **arrays)
+    return State(index=index, model=model, parts=parts, **arrays)

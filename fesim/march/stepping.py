@@ -7,14 +7,22 @@ identical results.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
-from fesim.march.alternation import GAIN, gain_of, suspected, turnings
+from fesim.march.alternation import (
+    GAIN,
+    LARGE,
+    STUBBORN,
+    alternating,
+    gain_of,
+    suspected,
+    turnings,
+)
 from fesim.march.anderson import accelerated
 from fesim.march.half_step import can_be_halved, halved, joined
 from fesim.march.machine import CondensedMachine, State, Step
@@ -47,6 +55,11 @@ PATIENCE = 20
 #: Sweeps after which a step that can be halved is taken anew with accelerated ones, the number of
 #: these after which it is halved, and how often it may be.
 UNSETTLED, ACCELERATED, HALVINGS = 30, 60, 8
+#: Largest change of a pressure in the shortest parts, relative to the preload, for a joint that
+#: snaps between two values of the conductance.
+SNAPS = 1e-2
+#: Parts into which steps are divided at most because longer ones alternate.
+MOST_PARTS = 16
 #: Largest change of the heat of friction between sweeps, relative to it, and number of sweeps.
 FRICTION_TOLERANCE, FRICTION_SWEEPS = 1e-9, 50
 #: Steps in a block, whose amplitudes fit into the processor's cache.
@@ -189,17 +202,34 @@ def _plain(machine: CondensedMachine) -> Take:
 
 
 def _watching(machine: CondensedMachine, take: Take) -> Take:
-    """Take steps until they alternate, then iterated ones."""
+    """Take steps until they alternate, then iterated ones; these in more parts if they do, too."""
     if not machine.contact.count:
         return take
 
     def watching(state: State, inputs: Array) -> Track:
-        if not state.taken_over and not _alternates(machine, state, inputs[0]):
+        if not state.parts and not _alternates(machine, state, inputs[0]):
             return _watched(machine, state, take(state, inputs))
-        step, _ = _divided(machine, state, inputs[0], HALVINGS)
-        return track_of(replace(step, state=replace(step.state, taken_over=True)))
+        parts = max(state.parts, 1)
+        step, _ = _divided(machine, state, inputs[0], HALVINGS, parts.bit_length() - 1)
+        carried = _carried(machine, state)
+        moved = (carried.of(step.state) - carried.of(state)) / carried.scale
+        turning = turnings(state.turning, moved[None])[0]
+        if state.parts and _lasts(state.turning, turning) and can_be_halved(machine):
+            parts = min(2 * parts, MOST_PARTS)
+        return track_of(replace(step, state=replace(step.state, turning=turning, parts=parts)))
 
     return watching
+
+
+def _record(carried: _Carried, values: Sequence[Array]) -> Array:
+    """Record (n, 3, m) of alternating increments from n + 1 values (m,)."""
+    return turnings(np.zeros((3, values[0].size)), np.diff(values, axis=0) / carried.scale)
+
+
+def _lasts(before: Array, turning: Array) -> bool:
+    """Whether increments of steps turn and hardly decay, by the records (3, m) of the last two."""
+    which = suspected(turning)
+    return bool(which.any()) and gain_of(before[0, which], turning[0, which]) > GAIN
 
 
 def _watched(machine: CondensedMachine, before: State, track: Track) -> Track:
@@ -228,8 +258,27 @@ def _alternates(machine: CondensedMachine, state: State, inputs: Array) -> bool:
             step = _step_with(machine, state, inputs, carried.conductance(values[-1]))
             values.append(carried.of(step.state))
         once, twice = (np.diff(values, axis=0) / carried.scale)[:, which]
-        return gain_of(once, twice) > GAIN
+        if gain_of(once, twice) > GAIN:
+            return True
+        large = np.abs(state.turning[0, which]) > LARGE
+        return bool(large.any()) and _goes_on(machine, state, inputs)
     return True
+
+
+def _goes_on(machine: CondensedMachine, state: State, inputs: Array) -> bool:
+    """Whether staggered steps oscillate while these inputs are held.
+
+    Where the joint opens and the bodies must warm up before it closes, the period is of three steps
+    or more, and the gain over one step says nothing.
+    """
+    carried = _carried(machine, state)
+    values = [carried.of(state)]
+    for _ in range(3 * STUBBORN):
+        state = _step_with(machine, state, inputs, machine.conductance_in(state)).state
+        values.append(carried.of(state))
+        if len(values) > STUBBORN and not suspected(_record(carried, values))[-STUBBORN:].any():
+            return False
+    return alternating(np.array(values) / carried.scale)
 
 
 def iterated(machine: CondensedMachine) -> Take:
@@ -245,8 +294,12 @@ def _divided(
     Returns the step and how often its shortest part was halved, at least `least` times: the second
     half of a step is not tried in longer parts than the first one needed.
     """
-    if not halvings or not can_be_halved(machine):
+    if not can_be_halved(machine):
         return iterated_step(machine, state, inputs), 0
+    if not halvings:
+        with suppress(_UnsettledError):
+            return iterated_step(machine, state, inputs, Sweeps(UNSETTLED, (), 0, SNAPS)), 0
+        return iterated_step(machine, state, inputs, Sweeps(snaps=SNAPS)), 0
     if not least:
         for seeking, accelerating in ((UNSETTLED, 0), (0, ACCELERATED)):
             with suppress(_UnsettledError):
@@ -272,6 +325,9 @@ class Sweeps:
     relaxing: tuple[float, ...] = RELAXING
     #: Number of sweeps with Anderson acceleration.
     accelerating: int = 0
+    #: Largest change of a pressure, relative to the preload, in the sweep that is taken where none
+    #: settles.
+    snaps: float = 0.0
 
 
 def iterated_step(
@@ -280,7 +336,9 @@ def iterated_step(
     """Take one step of `iterated`.
 
     Fixed-point iteration. Every sweep starts from the state at the start of the step, so that
-    friction sees one increment only; the first takes the pressure of the state.
+    friction sees one increment only; the first takes the pressure of the state. Where a joint snaps
+    between two values of the conductance no sweep settles: the one that changes least can be taken,
+    with at least one viscous step counted.
 
     Raises
     ------
@@ -293,6 +351,7 @@ def iterated_step(
     iterations = cuts = 0
     taken: list[Array] = []
     misfits: list[Array] = []
+    least, closest = np.inf, None
     weighted = sweeps.seeking + len(sweeps.relaxing)
     for sweep in range(weighted + sweeps.accelerating):
         step = _step_with(machine, state, inputs, carried.conductance(value))
@@ -305,6 +364,8 @@ def iterated_step(
         # Where the joint snaps, the pressure jumps: it cannot agree with the conductance before.
         if change <= enough or step.cuts > 0:
             return replace(step, iterations=iterations, cuts=cuts)
+        if change < least:
+            least, closest = change, step
         # First guess of the next sweep: equal gaps give equal pressures, while another guess would
         # keep changing them within the tolerance of the gap equations.
         state = replace(state, change=step.state.change)
@@ -321,6 +382,8 @@ def iterated_step(
             weight = _aitken(weight, last, misfit)
         last = misfit
         value = np.clip(value + weight * (after - value), *ends)
+    if closest is not None and least <= sweeps.snaps:
+        return replace(closest, iterations=iterations, cuts=cuts + 1)
     raise _UnsettledError(
         f"in-step iteration: pressure and heat flow drive each other: {change:.1e} of the preload "
         f"after {sweep + 1} sweeps; take a shorter march.step_s"
@@ -445,7 +508,7 @@ def _step_heated(
             model=machine.thermal.model,
             frozen=np.zeros_like(state.frozen),
             turning=state.turning,
-            taken_over=state.taken_over,
+            parts=state.parts,
             drive=state.drive,
         ),
         inputs=inputs,

@@ -46,7 +46,7 @@ class Track:
     change: Array
     frozen: Array
     turning: Array
-    taken_over: NDArray[np.bool_]
+    parts: NDArray[np.int64]
     drive: Array
     model: str
 
@@ -66,7 +66,7 @@ class Track:
             model=self.model,
             frozen=self.frozen[at],
             turning=self.turning[at],
-            taken_over=bool(self.taken_over[at]),
+            parts=int(self.parts[at]),
             drive=self.drive[at],
         )
         return Step(
@@ -160,7 +160,7 @@ def _kernel_track(
         change=record.change,
         frozen=record.frozen,
         turning=np.broadcast_to(state.turning, (taken, *state.turning.shape)),
-        taken_over=np.broadcast_to(state.taken_over, taken),
+        parts=np.broadcast_to(state.parts, taken),
         drive=np.broadcast_to(state.drive, (taken, state.drive.size)),
         model=state.model,
     )

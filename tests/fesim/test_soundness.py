@@ -200,6 +200,17 @@ def test_steps_that_alternate_are_iterated_and_it_is_said(tmp_path, data, therma
     assert f"{figures['taken_over']} steps" in result_lines(found, figures)[-1]
 
 
+def test_steps_that_open_and_close_the_joint_in_turn_are_iterated(tmp_path, data):
+    """The bodies must warm up before it closes: a period of four steps, without gain over one."""
+    rod = cooled_rod(data, thermal="reduced", step_s=240.0, duration_min=120.0)
+    data["held_temperatures"]["high.z1"]["rise_K"] = -100.0
+    found = run(tmp_path, data, rod)
+    data["march"]["coupling"] = "iterated"
+    settled = run(tmp_path, data, rod)
+    assert found["taken_over"][-9:].all()
+    np.testing.assert_allclose(found["pressure"][-5:], settled["pressure"][-5:], rtol=1e-3)
+
+
 @pytest.mark.parametrize(("step_s", "rise_K"), [(120.0, -20.0), (240.0, -60.0)], ids=["2", "3"])
 def test_known_inputs_are_marched_by_halves_where_steps_oscillate(tmp_path, data, step_s, rise_K):
     """The joint-aware model's march, against the simulator; periods of two and of three steps."""

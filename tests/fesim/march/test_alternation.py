@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from fesim.march.alternation import alternating, gain_of, oscillating, unresolved
+from fesim.march.alternation import (
+    SUSPECTED,
+    alternating,
+    gain_of,
+    oscillating,
+    suspected,
+    turnings,
+    unresolved,
+)
 
 STEPS = np.arange(30.0)[:, None]
 
@@ -22,6 +30,32 @@ def test_values_that_come_back_after_a_few_steps_oscillate(period):
 )
 def test_what_is_resolved_by_the_steps_does_not_oscillate(values):
     assert not alternating(values)
+
+
+def test_increments_that_change_their_sign_twice_in_a_row_are_suspected():
+    moved = np.array(
+        [
+            [1.0, 1.0, 1.0, 1.0, 1.0],
+            [-1.0, -1.0, 0.0, 1e-6, -1.0],
+            [1.0, 0.0, -1.0, 0.0, -1.0],
+            [-1.0, 1.0, 0.0, -1.0, 1.0],
+            [1.0, -1.0, 1.0, 1.0, -1.0],
+        ]
+    )
+    found = suspected(turnings(np.zeros((3, 5)), moved))
+    at = {element: np.flatnonzero(found[:, element]).tolist() for element in range(5)}
+    assert at == {0: [2, 3, 4], 1: [3, 4], 2: [4], 3: [], 4: [4]}
+
+
+def test_a_record_goes_on_from_any_step():
+    moved = np.random.default_rng(2).choice([-1.0, 0.0, 1.0], (40, 30))
+    whole = turnings(np.zeros((3, 30)), moved)
+    for first in range(1, 40):
+        rest = turnings(whole[first - 1], moved[first:])
+        np.testing.assert_array_equal(rest[:, ::2], whole[first:, ::2])
+        # A count that has been reached starts again.
+        beyond = whole[first - 1, 1] < SUSPECTED
+        np.testing.assert_array_equal(rest[:, 1, beyond], whole[first:, 1, beyond])
 
 
 def test_the_gain_is_that_of_the_element_that_alternates_most():

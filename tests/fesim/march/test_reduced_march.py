@@ -24,13 +24,21 @@ from fesim.march.reduced import (
 )
 from fesim.march.settling import initial_state
 from fesim.march.state_file import load_state, save_state
-from fesim.march.stepping import iterated, march, march_along, plainly_staggered, staggered
+from fesim.march.stepping import (
+    Sweeps,
+    iterated,
+    iterated_step,
+    march,
+    march_along,
+    plainly_staggered,
+    staggered,
+)
 from fesim.march.track import joined
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 from fesim.snapshots import structure_snapshot
 from fesim.solid.condensation import condense_heat
-from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.errors import ConvergenceError, InputError
 from thermojoint.console import out
 from thermojoint.paper.printing import show_convergence
 from thermojoint.paper.report import ReportData, report_html
@@ -91,6 +99,7 @@ def test_a_step_that_does_not_settle_is_accelerated_then_taken_in_halves(
     np.testing.assert_allclose(accelerated.displacement, first.displacement, rtol=1e-7)
     monkeypatch.setattr(stepping, "ACCELERATED", 1)
     monkeypatch.setattr(stepping, "HALVINGS", 1)
+    monkeypatch.setattr(stepping, "SNAPS", 0.0)
     divided = next(march(machine, inputs, iterated))
     monkeypatch.undo()
     two = list(islice(march(halved(machine), inputs, iterated), 2))
@@ -99,6 +108,36 @@ def test_a_step_that_does_not_settle_is_accelerated_then_taken_in_halves(
     assert divided.state.index == first.state.index == 1
     assert abs(divided.heat_balance) <= 1e-12
     assert 0.0 < np.abs(divided.displacement - first.displacement).max() < 1e-7
+
+
+def test_iterated_steps_that_alternate_and_hardly_decay_are_divided_from_then_on(reduced_setup):
+    machine = reduced_setup.machine
+    inputs = driven(machine, step_history(1200.0))
+    iterating = replace(initial_state(machine), parts=1)
+    first = next(march(machine, inputs, staggered, iterating)).state
+    moved = first.turning[0]
+
+    def after(last):
+        turned = np.array([-last * moved, np.ones_like(moved), np.zeros_like(moved)])
+        return next(march(machine, inputs, staggered, replace(iterating, turning=turned))).state
+
+    assert first.parts == after(2.0).parts == 1
+    assert after(1.0).parts == 2
+    divided = next(march(machine, inputs, staggered, replace(iterating, parts=4)))
+    quarters = list(islice(march(halved(halved(machine)), inputs, iterated), 4))
+    np.testing.assert_allclose(divided.displacement, quarters[-1].displacement, rtol=1e-9)
+    assert divided.state.parts == 4
+
+
+def test_where_a_joint_snaps_between_two_conductances_the_closest_sweep_is_taken(reduced_setup):
+    machine = reduced_setup.machine
+    start, inputs = initial_state(machine), driven(machine, step_history(10.0))(2.0)
+    settled = iterated_step(machine, start, inputs)
+    with pytest.raises(ConvergenceError, match="in-step iteration"):
+        iterated_step(machine, start, inputs, Sweeps(1, (), 0, 1e-12))
+    closest = iterated_step(machine, start, inputs, Sweeps(1, (), 0, 1e-2))
+    assert (settled.cuts, closest.cuts) == (0, 1)
+    np.testing.assert_allclose(closest.displacement, settled.displacement, rtol=1e-2)
 
 
 def both(case, full=None, reduced=None):
