@@ -9,7 +9,7 @@ EXTRAS := pardiso view excel gmsh batch sensitivity dask control serve
 empty :=
 comma := ,
 
-.PHONY: install reproduce test portable portable-plain portable-avx2 portable-threads lint types docs constraints sbom wheel check bench plants images clean
+.PHONY: install reproduce test test-long coverage portable portable-plain portable-avx2 portable-threads lint types docs constraints sbom wheel check bench plants images clean
 
 install: $(INSTALLED)
 
@@ -22,12 +22,25 @@ SHARED := -n 4 --dist loadscope --no-loadscope-reorder --max-worker-restart 0
 
 # Bytecode is written whatever the environment says: each of the many processes that tests start would
 # compile all sources.
+PYTEST := env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest
+
+# What is marked `long` is left out here alone: whoever names a test or a folder runs all of it.
 test: $(INSTALLED)
-	env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest $(SHARED)
+	$(PYTEST) $(SHARED) -m 'not long'
+
+test-long: $(INSTALLED)
+	$(PYTEST) $(SHARED) -m long
+
+# Lines of the program that `make test` runs; with ALL=1, the long tests as well.
+coverage: $(INSTALLED)
+	$(BIN)/coverage erase
+	$(BIN)/coverage run -m pytest $(SHARED) $(if $(ALL),,-m 'not long')
+	$(BIN)/coverage combine --quiet
+	$(BIN)/coverage report --sort=miss
 
 # What is computed, as other processors compute it: without vector instructions and with the other
 # direct solver; with those of AVX2, MKL's most compatible under PARDISO; and with two threads where
-# matrices are large (elsewhere they only wait for each other).
+# matrices are large (elsewhere they only wait for each other). Long tests among them, too.
 NUMERICAL := tests/fesim/solid tests/fesim/joint tests/fesim/march tests/calibrate tests/estimator/fchs \
 	tests/thermojoint/models tests/thermojoint/verification
 THREADED := $(patsubst %,tests/fesim/solid/test_%.py,condensation elasticity heat linear_solver) \
@@ -82,7 +95,7 @@ wheel: $(INSTALLED)
 	$(MAKE) sbom
 	.ci/wheel_alone dist/*.whl
 
-check: lint types docs test
+check: lint types docs test test-long
 
 # Half an hour to an hour; alone on the machine, or both sides wait for others.
 bench: $(INSTALLED)

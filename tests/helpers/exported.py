@@ -17,6 +17,9 @@ from estimator.export.program import Precision
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc (Debian: gcc)")
 needs_gxx = pytest.mark.skipif(shutil.which("g++") is None, reason="needs g++ (Debian: g++)")
 
+#: Where double precision alone runs the same lines, and takes as long.
+PRECISIONS = [Precision.DOUBLE, pytest.param(Precision.SINGLE, marks=pytest.mark.long)]
+
 STRICT = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-Wshadow", "-Wconversion"]
 SANITISED = ["-fsanitize=address,undefined,float-divide-by-zero", "-fno-sanitize-recover=all"]
 

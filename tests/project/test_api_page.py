@@ -60,6 +60,7 @@ def test_the_table_of_the_page_has_every_public_name_once():
     assert sorted(re.findall(r"`(\w+)`", table)) == sorted(thermojoint.__all__)
 
 
+@pytest.mark.long
 def test_the_notebook_runs(tmp_path, monkeypatch):
     path = ROOT / "examples" / "notebook" / "first_steps.ipynb"
     cells = json.loads(path.read_text("utf-8"))["cells"]

@@ -252,6 +252,7 @@ def test_a_size_that_does_not_fit_into_memory_is_refused(monkeypatch):
     assert scaling.lacking_memory(25.0, last) is None
 
 
+@pytest.mark.long
 def test_the_largest_mesh_has_half_a_million_displacements():
     """Which is what the row of its memory says."""
     case = with_elements(reference_case(), scaling.ELEMENTS[-1], None)
@@ -283,6 +284,7 @@ def test_growth_is_told_against_the_smallest_size():
     assert "unknowns x 10.0, this x 15.0" in setup.note
 
 
+@pytest.mark.long
 def test_a_set_up_of_which_the_heat_changes_has_all_rows():
     rows = list(set_up.changed_rows(1, with_elements(coarse_case(), 160.0, None)))
     assert [row.name for row in rows] == [

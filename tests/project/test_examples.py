@@ -58,6 +58,7 @@ def forces(response, joint):
     return response["pressure"].to_numpy()[:, own] @ area
 
 
+@pytest.mark.long
 def test_the_bolt_pulls_at_its_nut_as_at_its_head(flange):
     """Only its two joints hold the bolt: its forces balance in every step."""
     head, nut = forces(flange, "head"), forces(flange, "nut")
@@ -65,6 +66,7 @@ def test_the_bolt_pulls_at_its_nut_as_at_its_head(flange):
     np.testing.assert_allclose(head, nut, rtol=1e-6)
 
 
+@pytest.mark.long
 def test_the_bolt_is_stretched_first_and_slackens_when_it_is_warm(flange):
     """The flange is warm before the bolt; steel grows more than iron in the end."""
     head = forces(flange, "head")
@@ -72,6 +74,7 @@ def test_the_bolt_is_stretched_first_and_slackens_when_it_is_warm(flange):
     assert head[-1] < 0.98 * head[0]
 
 
+@pytest.mark.long
 def test_heat_goes_from_the_heated_flange_into_the_other_and_into_the_bolt(flange):
     joints = flange["contact_joint"].to_numpy()
     at = 60
@@ -83,6 +86,7 @@ def test_heat_goes_from_the_heated_flange_into_the_other_and_into_the_bolt(flang
     assert flange["gap_residual"].max().item() < 1e-11
 
 
+@pytest.mark.long
 def test_the_flange_grows_away_from_its_base(flange):
     rise = flange["displacement"].sel(axis="z").to_numpy()
     warm = flange["temperature"].sel(probe="top").to_numpy()
@@ -107,6 +111,7 @@ def test_the_script_makes_an_equivalent_mesh(tmp_path):
     assert made.mesh.nelements == pytest.approx(kept.mesh.nelements, rel=0.2)
 
 
+@pytest.mark.long
 def test_bolts_of_the_machine_press_its_knee_and_follow_it():
     """Joint, bolts and screw keep the table in balance; a bolt that settles presses less."""
     response = simulate(read_case(EXAMPLES / "bolted_machine" / "machine.toml")).response
@@ -126,6 +131,7 @@ def test_bolts_of_the_machine_press_its_knee_and_follow_it():
     assert response["force_balance"].max().item() < 1e-6
 
 
+@pytest.mark.long
 def test_the_loaded_machine_stands_on_its_foot_and_its_screw():
     """In every step supports bear weight and cutting force; half of the machine is meshed."""
     response = simulate(read_case(EXAMPLES / "loaded_machine" / "machine.toml")).response

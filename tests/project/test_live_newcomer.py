@@ -28,6 +28,7 @@ def test_the_file_of_the_page_is_the_examples():
     }
 
 
+@pytest.mark.long
 @pytest.mark.skipif(shutil.which("curl") is None, reason="needs curl")
 def test_every_command_of_the_page_works_and_a_kill_changes_nothing(tmp_path):
     for name in ("live", "measured_machine"):

@@ -117,11 +117,13 @@ def test_the_environment_is_set_up_by_one_command():
     assert activate == ". .venv/bin/activate"
 
 
+@pytest.mark.long
 def test_every_command_of_the_page_leaves_its_file(followed):
     for name in re.findall(r"--(?:out|case|save-state|snapshots) (\S+)", PAGE.read_text("utf-8")):
         assert (followed / name).exists(), name
 
 
+@pytest.mark.long
 def test_the_clamp_does_what_physics_says(followed):
     response = xr.load_dataset(followed / "clamp.nc")
     assert float(np.abs(response["heat_balance"]).max()) < 1e-8
@@ -151,6 +153,7 @@ def test_the_readme_shows_every_command():
     assert shown == set(typer.main.get_command(app).commands)
 
 
+@pytest.mark.long
 def test_the_python_of_the_page_runs(followed, capsys, monkeypatch):
     monkeypatch.chdir(followed)
     for language, _, content in BLOCKS:

@@ -72,6 +72,7 @@ def test_a_day_has_levels_within_their_range_and_an_ambient_of_three_kelvin():
     assert np.abs(day.ambient).max() == pytest.approx(3.0, rel=0.1)
 
 
+@pytest.mark.long
 def test_a_plant_on_the_modes_of_the_case_answers_as_one_set_up_anew(data, case):
     setup = set_up(case)
     axes = ["x", "y"]
@@ -92,6 +93,7 @@ def test_a_plant_on_the_modes_of_the_case_answers_as_one_set_up_anew(data, case)
     assert shaken.std() == pytest.approx(5e-8, rel=0.1)
 
 
+@pytest.mark.long
 def test_a_plant_like_the_case_in_structure_answers_as_one_with_parameters_only(data, case):
     machine = along(reduce_machine(case, set_up(case), ROLES), ["x", "y"])
     plant = FAMILIES["structural"](case, ROLES, 1, 3)

@@ -78,6 +78,7 @@ def test_machine_code_is_kept_in_a_temporary_folder_where_there_is_no_home(
     assert stat.S_IMODE(own.stat().st_mode) == 0o700
 
 
+@pytest.mark.long
 def test_machine_code_of_another_source_is_not_read(tmp_path, temporary, read_only):
     """It may name classes that have moved since; what nobody used for long is dropped."""
     environment = without_home(tmp_path, temporary) | {"PYTHONPATH": str(read_only)}
@@ -94,6 +95,7 @@ def test_machine_code_of_another_source_is_not_read(tmp_path, temporary, read_on
     assert not other.exists()
 
 
+@pytest.mark.long
 def test_machine_code_is_made_where_nothing_can_be_kept(tmp_path, temporary, read_only):
     (temporary / f"thermojoint-{os.geteuid()}").touch()  # no folder
     environment = without_home(tmp_path, temporary) | {"PYTHONPATH": str(read_only)}

@@ -103,6 +103,7 @@ def small(tmp_path_factory):
         yield folder / "data"
 
 
+@pytest.mark.long
 def test_data_made_again_are_the_frozen_ones(small, tmp_path):
     told = []
     assert making.make(tmp_path, told.append, ("reference", "structural-1")) == []
@@ -111,6 +112,7 @@ def test_data_made_again_are_the_frozen_ones(small, tmp_path):
         assert path.read_bytes() == (small / path.name).read_bytes()
 
 
+@pytest.mark.long
 def test_a_file_that_is_not_the_frozen_one_is_refused(small, tmp_path):
     name = "reference-test-day"
     text = (small / f"{name}.csv").read_text()
@@ -121,6 +123,7 @@ def test_a_file_that_is_not_the_frozen_one_is_refused(small, tmp_path):
         making.check(tmp_path, "reference-train-day")
 
 
+@pytest.mark.long
 def test_a_simulated_machine_is_learnt_from_its_steps_and_a_day(small):
     day, *faulty, _, _ = tasks.simulated(small, ("reference",))
     assert day.training.starts == (0, 61, 122, 183)
@@ -130,6 +133,7 @@ def test_a_simulated_machine_is_learnt_from_its_steps_and_a_day(small):
     assert found == [0.5, 1.0, 2.0, None]
 
 
+@pytest.mark.long
 def test_a_plant_of_another_structure_is_no_reference_machine_in_the_same_runs(small):
     day, _, _ = tasks.simulated(small, ("structural-1",))
     (reference, *_) = tasks.simulated(small, ("reference",))
@@ -138,6 +142,7 @@ def test_a_plant_of_another_structure_is_no_reference_machine_in_the_same_runs(s
     assert np.abs(moved - other).max() > 0.05 * np.abs(other).max() > 0.0
 
 
+@pytest.mark.long
 def test_a_warm_task_begins_within_the_day_and_another_is_read_twice(small):
     day, warm, read = tasks.simulated(small, ("structural-1",))
     assert warm.test.times[0] > 0.0
@@ -301,6 +306,7 @@ def test_the_page_shows_the_leaderboard_of_the_scores_that_are_kept():
     assert {row["method"] for row in kept} == set(METHODS)
 
 
+@pytest.mark.long
 def test_an_outsiders_method_as_on_the_page_is_scored_from_its_own_folder(
     small, tmp_path, monkeypatch, capsys
 ):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from exported import SANITISED, compiled, needs_gcc, selftest, written
+from exported import PRECISIONS, SANITISED, compiled, needs_gcc, selftest, written
 from machine_logs import NAMES, along_log, made
 from matiec import needs_matiec, selftest_by_matiec
 from moving_knee import coarse_data
@@ -10,7 +10,6 @@ from structured_text import run as run_structured_text
 
 from calibrate.learning.learn import learn, learn_and_judge
 from estimator.columns import samples_of
-from estimator.export.program import Precision
 from estimator.export.structured_text import st_files
 from estimator.exporting import export_program
 from estimator.interface import Status, follow
@@ -229,7 +228,7 @@ def test_its_program_is_the_estimator_along_the_axis(model, tmp_path):
 
 @needs_gcc
 @needs_matiec
-@pytest.mark.parametrize("precision", Precision)
+@pytest.mark.parametrize("precision", PRECISIONS)
 def test_its_function_block_is_the_estimator_along_the_axis(model, precision, tmp_path):
     pytest.importorskip("tree_sitter_iec61131_3_st", reason="needs tree-sitter-iec61131-3-st")
     files = st_files(export_program(Learned(model), precision, "m"))

@@ -184,7 +184,9 @@ def long_log():
     return machine_log(hours=60.0, seed=3)
 
 
-@pytest.mark.parametrize("minutes", [15, 30, 60])
+@pytest.mark.parametrize(
+    "minutes", [*(pytest.param(often, marks=pytest.mark.long) for often in (15, 30)), 60]
+)
 def test_a_slow_logger_is_learned_from(long_log, minutes):
     """As long as the slowest relaxation that is learned, two hours, has two samples."""
     model = learn([every(long_log, minutes)], AXES, 4)
@@ -249,7 +251,12 @@ def test_what_the_log_cannot_tell_is_said():
 
 
 @pytest.mark.parametrize(
-    ("name", "largest"), [("I_A", 30.0), ("load_percent", 0.6), ("Xfeed_m_min", 0.5)]
+    ("name", "largest"),
+    [
+        pytest.param("I_A", 30.0, marks=pytest.mark.long),
+        pytest.param("load_percent", 0.6, marks=pytest.mark.long),
+        ("Xfeed_m_min", 0.5),
+    ],
 )
 def test_a_motor_current_a_load_or_a_feed_drives_a_model_as_a_speed_does(name, largest):
     """In SI: a current and a load that are as the heat, a feed that is as the speed."""
@@ -380,7 +387,10 @@ def estimates(model, log):
     return [one for _, one in follow(estimator, samples, estimator.initial_state())]
 
 
-@pytest.mark.parametrize("kind", ["learned", "ridge", "arx"])
+@pytest.mark.parametrize(
+    "kind",
+    ["learned", *(pytest.param(other, marks=pytest.mark.long) for other in ("ridge", "arx"))],
+)
 def test_ten_hours_without_any_reading_widen_the_band_and_make_the_estimate_bad(kind):
     model = learn([LOG], AXES, 4, kind)
     day = machine_log(hours=16.0, seed=5, start=500000.0)

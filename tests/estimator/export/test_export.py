@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from exported import (
+    PRECISIONS,
     SANITISED,
     counts,
     library,
@@ -33,7 +34,7 @@ DT = 20.0
 
 
 @needs_gcc
-@pytest.mark.parametrize("precision", Precision)
+@pytest.mark.parametrize("precision", PRECISIONS)
 def test_a_day_of_the_coarse_machine_is_the_same_in_c(fchs, coarse_day, precision, tmp_path):
     samples = list(response_samples(coarse_day, fchs.assembly.model))[1:]
     found = export_program(fchs, precision, "spindle", samples)

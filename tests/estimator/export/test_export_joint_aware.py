@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from exported import (
+    PRECISIONS,
     SANITISED,
     co_simulated,
     compiled,
@@ -76,7 +77,7 @@ def test_the_self_test_agrees_with_every_warning_and_sanitiser(
 
 
 @needs_gcc
-@pytest.mark.parametrize("precision", Precision)
+@pytest.mark.parametrize("precision", PRECISIONS)
 def test_a_joint_that_slides_to_and_fro_is_followed(
     estimator, samples, expected, program, precision, tmp_path
 ):
@@ -142,7 +143,9 @@ def left_out(one):
 
 
 @needs_gcc
-@pytest.mark.parametrize("sensor", [0, 2], ids=lambda k: SENSORS[k])
+@pytest.mark.parametrize(
+    "sensor", [0, pytest.param(2, marks=pytest.mark.long)], ids=lambda k: SENSORS[k]
+)
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_faulty_sensor_is_left_out_when_python_leaves_it_out(
     estimator, stepped, program, fault, sensor

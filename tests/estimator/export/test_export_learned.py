@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from exported import (
+    PRECISIONS,
     SANITISED,
     co_simulated,
     compiled,
@@ -41,7 +42,7 @@ def samples(learned):
 
 
 @needs_gcc
-@pytest.mark.parametrize("precision", Precision)
+@pytest.mark.parametrize("precision", PRECISIONS)
 def test_a_day_that_was_not_learned_is_the_same_in_c(learned, samples, precision, tmp_path):
     found = export_program(learned, precision, "m", samples, interval=DT)
     done, figures = selftest(written(found, tmp_path), "m", "-O1", *SANITISED)

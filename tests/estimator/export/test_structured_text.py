@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import structured_text
-from exported import needs_gcc, with_no_step
+from exported import PRECISIONS, needs_gcc, with_no_step
 from machine_logs import machine_log
 from matiec import needs_matiec, selftest_by_matiec
 from observed import estimates, faulty
@@ -44,7 +44,7 @@ def agrees(program, folder, flags=FLAGS):
     return figures
 
 
-@pytest.mark.parametrize("precision", Precision)
+@pytest.mark.parametrize("precision", PRECISIONS)
 def test_a_day_of_the_coarse_machine_is_the_same(fchs, coarse_day, precision, tmp_path):
     samples = list(response_samples(coarse_day, fchs.assembly.model))[6::6]
     figures = agrees(export_program(fchs, precision, "spindle", samples), tmp_path)
@@ -57,7 +57,7 @@ def test_a_leaking_estimator_is_the_same_at_any_interval(hand_made_model, precis
     agrees(export_program(model, precision, "spindle"), tmp_path)
 
 
-@pytest.mark.parametrize("precision", Precision)
+@pytest.mark.parametrize("precision", PRECISIONS)
 def test_a_day_that_was_not_learned_is_the_same(learned, precision, tmp_path):
     log = machine_log(hours=24.0, interval=240.0, seed=5, start=500000.0)
     samples = list(samples_of(learned.model.columns, [log]))
@@ -65,12 +65,13 @@ def test_a_day_that_was_not_learned_is_the_same(learned, precision, tmp_path):
     agrees(export_program(learned, precision, "m"), tmp_path / "uneven")
 
 
-@pytest.mark.parametrize("precision", Precision)
+@pytest.mark.parametrize("precision", PRECISIONS)
 def test_a_joint_aware_estimator_is_the_same(estimator, precision, tmp_path):
     duty = list(joint_aware.contents(estimator, precision).duty())[:300]
     agrees(export_program(estimator, precision, "machine", duty), tmp_path)
 
 
+@pytest.mark.long
 def test_innovations_that_last_widen_the_band_as_in_python(estimator, tmp_path):
     band = estimator.model.band
     surprise = np.full(band.surprise.shape, 1e-12)
@@ -85,7 +86,13 @@ def test_innovations_that_last_widen_the_band_as_in_python(estimator, tmp_path):
 
 
 @needs_matiec
-@pytest.mark.parametrize("kind", ["fchs", "learned", "joint_aware_program"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        *(pytest.param(kind, marks=pytest.mark.long) for kind in ("fchs", "learned")),
+        "joint_aware_program",
+    ],
+)
 def test_matiec_compiles_it_and_it_is_the_same(kind, request, tmp_path):
     """That compiler runs a loop of a single pass not at all."""
     program = request.getfixturevalue(kind)

@@ -54,7 +54,9 @@ def case_with(folder, drive):
     return knee.replace(march={"duration_min": 20.0, "step_s": 10.0})
 
 
-@pytest.fixture(scope="module", params=DRIVES)
+@pytest.fixture(
+    scope="module", params=["screw", pytest.param("set right", marks=pytest.mark.long), "scale"]
+)
 def driven(request, tmp_path_factory):
     """The machine, and its response."""
     case = case_with(tmp_path_factory.mktemp("drive"), DRIVES[request.param])

@@ -8,6 +8,7 @@ import pickle
 import numpy as np
 import pytest
 from exported import (
+    PRECISIONS,
     SANITISED,
     compiled,
     counts,
@@ -257,7 +258,7 @@ def program(estimator, samples):
 
 
 @needs_gcc
-@pytest.mark.parametrize("precision", Precision)
+@pytest.mark.parametrize("precision", PRECISIONS)
 def test_its_program_follows_the_axis_with_every_warning_and_sanitiser(
     estimator, samples, precision, tmp_path
 ):

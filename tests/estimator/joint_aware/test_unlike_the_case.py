@@ -37,7 +37,10 @@ def follows(values, lag):
     return np.array(read)
 
 
-@pytest.mark.parametrize("lag", [3.0, 20.0, 60.0])
+@pytest.mark.parametrize(
+    "lag",
+    [pytest.param(3.0, marks=pytest.mark.long), 20.0, pytest.param(60.0, marks=pytest.mark.long)],
+)
 def test_a_sensor_that_lags_follows_its_place(machine, lag):
     _, still, moved = marched(machine, {})
     _, read, same = marched(machine, {lag_name("s"): lag})
@@ -114,6 +117,7 @@ def test_a_step_of_heat_is_no_fault_of_a_sensor_that_lags(machine):
     assert np.abs(errors[-1]).max() < 0.05 * np.abs(moved[-1]).max()
 
 
+@pytest.mark.long
 def test_sensors_that_contradict_the_model_for_hours_widen_the_band(estimator, machine):
     """A machine with another film: its temperatures stay away from the model's."""
     inputs = np.zeros((3600, 2))

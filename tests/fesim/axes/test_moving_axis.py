@@ -31,7 +31,7 @@ def response(case, setup):
     return simulate(case, setup=setup).response
 
 
-@pytest.mark.parametrize("position", [-100.0, 100.0])
+@pytest.mark.parametrize("position", [pytest.param(-100.0, marks=pytest.mark.long), 100.0])
 def test_where_positions_are_aligned_it_is_the_machine_meshed_there(position):
     on_axis = simulate(standing_at(position)).response
     meshed = simulate(meshed_at(position), accuracy=False).response

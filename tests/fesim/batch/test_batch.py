@@ -458,6 +458,7 @@ def test_a_bad_command_ends_with_one_line_and_exit_code_2(
 EXAMPLE = ROOT / "examples" / "batch"
 
 
+@pytest.mark.long
 def test_the_example_study_runs_and_its_script_reads_the_results(tmp_path):
     for name, old, new in (
         ("study.toml", "samples = 20", "samples = 3"),

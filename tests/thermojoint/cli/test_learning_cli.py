@@ -176,6 +176,7 @@ def test_readings_go_with_learned_models_only(here, command):
     assert len(told.strip().splitlines()) == 1
 
 
+@pytest.mark.long
 def test_the_guide_does_what_it_says(tmp_path, monkeypatch, capsys):
     """Its commands in their order, then its Python, whose errors are those of its table."""
     monkeypatch.setenv("MPLBACKEND", "Agg")

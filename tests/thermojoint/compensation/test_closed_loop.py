@@ -303,6 +303,7 @@ def test_the_heater_holds_its_axis_and_offsets_do_the_rest(plant, estimator, tun
     assert held.heater[0] == pytest.approx(0.0)
 
 
+@pytest.mark.long
 def test_a_setpoint_is_reached_and_kept(plant, estimator, tuned):
     controller = replace(tuned.controller, setpoint=15.0 * MICRO)
     off = course(plant, estimator, replace(tuned, controller=controller))
@@ -310,6 +311,7 @@ def test_a_setpoint_is_reached_and_kept(plant, estimator, tuned):
     assert off.heater.mean() > course(plant, estimator, tuned).heater.mean()
 
 
+@pytest.mark.long
 def test_a_delay_beyond_its_margin_makes_the_heater_swing(plant, estimator, tuned):
     most = math.ceil(2.5 * tuned.nominal.delay / estimator.model.step)
     good, bad = course(plant, estimator, tuned), course(plant, estimator, tuned, delay=most)
@@ -416,6 +418,7 @@ def test_the_example_loops_fit_their_machine(name):
     assert all(getattr(known, part) == getattr(case, part) for part in kept)
 
 
+@pytest.mark.long
 def test_the_commands_of_the_page_follow_one_another(tmp_path, monkeypatch):
     """Short, on coarser meshes, in longer steps; the estimator does not have the plant's mesh."""
     for path in EXAMPLE.glob("*.*"):

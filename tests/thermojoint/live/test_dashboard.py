@@ -22,7 +22,7 @@ from thermojoint.reduced.machine import reduce_machine
 PHONE, PANEL = {"width": 390, "height": 844}, {"width": 1024, "height": 768}
 WAIT_MS = 15_000
 
-pytestmark = browser.needs_chromium
+pytestmark = [pytest.mark.long, browser.needs_chromium]
 
 
 @pytest.fixture(scope="module")

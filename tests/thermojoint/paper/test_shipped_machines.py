@@ -18,6 +18,8 @@ from thermojoint.models.sensors import roles_in
 from thermojoint.paper.candidates import with_candidates
 from thermojoint.paper.inputs import StepInput, simulate_inputs
 
+pytestmark = pytest.mark.long
+
 CASES = Path(str(files("thermojoint").joinpath("cases")))
 FLANGE = ROOT / "examples" / "bolted_flange" / "case.toml"
 #: Nothing is calibrated on a machine that moves so far.

@@ -34,7 +34,10 @@ PHONE, DESKTOP = {"width": 400, "height": 844}, {"width": 1200, "height": 800}
 WAIT_MS = 240_000
 INTERVAL = 300.0
 
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium to look with")
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium to look with"),
+]
 
 
 @pytest.fixture(scope="module")

@@ -222,7 +222,9 @@ def test_all_tests_are_run_on_the_reference_machine():
         assert machine(case_data(name)) == reference
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    "name", [*NAMES[:2], *(pytest.param(name, marks=pytest.mark.long) for name in NAMES[2:])]
+)
 def test_a_case_of_a_test_gives_the_parameters_of_that_test(name):
     """On a coarse mesh, in long steps, the first hours of it."""
     text = CASES.joinpath(f"iso230_3_{name}.toml").read_text("utf-8")

@@ -86,6 +86,7 @@ def test_the_screw_makes_the_far_target_move_further(z_axis):
     assert not [symbol for symbol in found if symbol.startswith("d(x")]
 
 
+@pytest.mark.long
 def test_a_turning_spindle_lifts_its_workpiece():
     record = response_record(simulated("iso13041_8_spindle"))
     found = by_symbol(Protocol.SPINDLE, record)
@@ -95,6 +96,7 @@ def test_a_turning_spindle_lifts_its_workpiece():
     assert {"A", "B", "C"} <= set(record.tilts)
 
 
+@pytest.mark.long
 def test_a_rotary_table_grows_and_tilts_in_its_plane_of_symmetry():
     record = response_record(simulated("iso230_3_rotary_axis"))
     found = by_symbol(Protocol.ROTARY_AXIS, record)
