@@ -168,7 +168,7 @@ def _gap_equations(program: Program, kept: bool) -> Solve:
         gap, free = 2.0 * gaps[1] - gaps[0], program.free_gaps[step]
         kernel, trial = gap_kernel(joint), trial_at(gap)
         if kept:
-            settle_near(kernel, joint.columns, anchors, free, slip, trial)
+            settle_near(kernel, anchors, free, slip, trial)
         else:
             solve_in_place(kernel, free, slip, trial, work)
         slip[:], gaps[0], gaps[1] = trial.moved, gaps[1], trial.gap

@@ -32,7 +32,7 @@ from fesim.joint.gap import (
     stalled,
     unconverged,
 )
-from fesim.joint.in_place import put
+from fesim.joint.in_place import add, put
 from fesim.joint.law import (
     ACROSS,
     ALONG,
@@ -45,7 +45,7 @@ from fesim.joint.law import (
     SurfaceNormalLaw,
     Traction,
 )
-from fesim.joint.linear_system import solve
+from fesim.joint.linear_system import solve_columns
 from fesim.joint.opening import OpenLaw
 from thermojoint.artefacts.arrays import Array
 
@@ -60,8 +60,9 @@ class GapKernel(NamedTuple):
 
     #: Shape (3 m,): k0, Pa/m.
     springs: Array
-    #: Shape (3 m, 3 m): F, m/Pa.
+    #: Shape (3 m, 3 m): F and its transpose, m/Pa.
     compliance: Array
+    columns: Array
     #: Shape (m, 7): parameters of the law of each contact element.
     laws: Array
     #: Largest residual accepted, m.
@@ -94,7 +95,8 @@ class CompiledGap:
     ) -> Equilibrium:
         """Find the gaps in equilibrium with a thermal gap; see `fesim.joint.gap.solve_gap`."""
         trial, problem = trial_at(guess), self.problem
-        kernel = GapKernel(problem.springs, problem.compliance, self.laws, tolerance)
+        columns = np.ascontiguousarray(problem.compliance.T)
+        kernel = GapKernel(problem.springs, problem.compliance, columns, self.laws, tolerance)
         try:
             outcome, size, iterations = solve_in_place(
                 kernel, problem.exchange @ thermal_gap, slip, trial, newton_work(slip.shape[1])
@@ -251,23 +253,31 @@ def lacking(springs: Array, tangent: Array, row: int) -> tuple[float, float, flo
 
 
 @compiled_part
-def lacking_system(
-    springs: Array, compliance: Array, tangent: Array, rows: NDArray[np.int64], matrix: Array
+def lacking_entries(
+    springs: Array, tangent: Array, rows: NDArray[np.int64], entries: Array
 ) -> None:
-    """I - dT F on the first rows of `rows`, as many as `matrix` has."""
-    count, size = tangent.shape[1], matrix.shape[0]
-    for k in range(size):
-        normal, along, across = lacking(springs, tangent, rows[k])
-        e = rows[k] % count
-        first, second = count + e, 2 * count + e
-        for j in range(size):
-            column = rows[j]
-            matrix[k, j] = -normal * compliance[e, column]
-            if rows[k] >= count:
-                matrix[k, j] -= (
-                    along * compliance[first, column] + across * compliance[second, column]
-                )
-        matrix[k, k] += 1.0
+    """`lacking` of the first rows of `rows`, as many as `entries` (3, n) has columns."""
+    for k in range(entries.shape[1]):
+        entries[0, k], entries[1, k], entries[2, k] = lacking(springs, tangent, rows[k])
+
+
+@compiled_part
+def lacking_system(columns: Array, entries: Array, rows: NDArray[np.int64], system: Array) -> None:
+    """I - dT F of `lacking_entries` (3, n), column after column, into `system` (n, n).
+
+    `columns` (3 m, 3 m) is F transposed. The pressures are the first rows: theirs are read and
+    written as they are stored.
+    """
+    count = columns.shape[0] // 3
+    for j in range(system.shape[0]):
+        column, into = columns[rows[j]], system[j]
+        for k in range(count):
+            into[k] = -entries[0, k] * column[k]
+        for k in range(count, into.size):
+            e = rows[k] % count
+            into[k] = -entries[0, k] * column[e]
+            into[k] -= entries[1, k] * column[count + e] + entries[2, k] * column[2 * count + e]
+        into[j] += 1.0
 
 
 class NewtonWork(NamedTuple):
@@ -279,9 +289,11 @@ class NewtonWork(NamedTuple):
     step: Array
     before: Array
     forces: Array
+    moved: Array
     #: Shape (3 m,): of dT.
     rows: NDArray[np.int64]
-    #: Shape (9 m^2,): of the tractions that the springs lack.
+    #: Shapes (9 m,) and (9 m^2,): of the tractions that the springs lack.
+    entries: Array
     system: Array
 
 
@@ -295,7 +307,9 @@ def newton_work(count: int) -> NewtonWork:
         np.empty(size),
         np.empty(size),
         np.empty(size),
+        np.empty(size),
         np.empty(size, dtype=np.int64),
+        np.empty(3 * size),
         np.empty(size * size),
     )
 
@@ -307,23 +321,26 @@ def _newton_step(kernel: GapKernel, tangent: Array, work: NewtonWork) -> None:
     With y = dT step, the tractions missing in the springs: (I - dT F) y = -dT r on the nonzero rows
     of dT, and step = F y - r.
     """
-    springs, compliance, rows, step = kernel.springs, kernel.compliance, work.rows, work.step
+    columns, rows, step, moved = kernel.columns, work.rows, work.step, work.moved
     count = tangent.shape[1]
     for i in range(3 * count):
-        step[i] = -work.residual[i]
-    size = lacking_rows(springs, tangent, rows)
-    matrix, right_side = work.system[: size * size].reshape(size, size), work.forces[:size]
-    lacking_system(springs, compliance, tangent, rows, matrix)
+        step[i], moved[i] = -work.residual[i], 0.0
+    size = lacking_rows(kernel.springs, tangent, rows)
+    entries, forces = work.entries[: 3 * size].reshape(3, size), work.forces[:size]
+    system = work.system[: size * size].reshape(size, size)
+    lacking_entries(kernel.springs, tangent, rows, entries)
+    lacking_system(columns, entries, rows, system)
     for k in range(size):
-        normal, along, across = lacking(springs, tangent, rows[k])
         e = rows[k] % count
-        right_side[k] = normal * step[e] + along * step[count + e] + across * step[2 * count + e]
-    solved = solve(matrix, right_side)
-    for i in range(3 * count):
-        total = 0.0
-        for k in range(size):
-            total += compliance[i, rows[k]] * solved[k]
-        step[i] += total
+        forces[k] = entries[0, k] * step[e] + entries[1, k] * step[count + e]
+        forces[k] += entries[2, k] * step[2 * count + e]
+    solve_columns(system, forces)
+    # Column after column, so that several sums are made at once.
+    for k in range(size):
+        column, force = columns[rows[k]], forces[k]
+        for i in range(3 * count):
+            moved[i] += column[i] * force
+    add(moved, step)
 
 
 @compiled_part

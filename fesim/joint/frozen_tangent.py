@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from fesim.jit import compiled, compiled_part
 from fesim.joint.blocks import Block, Blocks
-from fesim.joint.compiled_gap import lacking, lacking_rows, lacking_system
+from fesim.joint.compiled_gap import lacking, lacking_entries, lacking_rows, lacking_system
 from fesim.joint.in_place import fill, put
 from fesim.joint.law import ALONG
 from fesim.joint.linear_system import solve
@@ -206,8 +206,10 @@ def freeze_tangent(frozen: FrozenTangent, block: Block) -> None:
     for k in range(size):
         frozen.place[frozen.rows[k]] = k
     matrix = frozen.inverse[: size * size].reshape(size, size)
-    lacking_system(block.springs, block.compliance, frozen.tangent, frozen.rows, matrix)
-    inverse = np.linalg.inv(matrix)
+    entries = np.empty((3, size))
+    lacking_entries(block.springs, frozen.tangent, frozen.rows, entries)
+    lacking_system(block.columns, entries, frozen.rows, matrix)
+    inverse = np.linalg.inv(matrix.T)
     for i in range(size):
         for j in range(size):
             matrix[i, j] = inverse[i, j]

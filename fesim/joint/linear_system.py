@@ -30,18 +30,34 @@ def solve(matrix: Array, right_side: Array) -> NDArray[np.floating]:
         The matrix is singular, or something is not finite.
     """
     size = right_side.size
-    if size == 0:
-        return right_side.copy()
-    factors, pivots, found = np.empty((size, size)), np.empty(size, np.int32), right_side.copy()
+    columns, found = np.empty((size, size)), right_side.copy()
     # LAPACK counts along columns.
     for i in range(size):
         for j in range(size):
-            factors[j, i] = matrix[i, j]
-    failed = _gesv(_DOUBLE, size, 1, factors.ctypes, size, pivots.ctypes, found.ctypes, size)
+            columns[j, i] = matrix[i, j]
+    solve_columns(columns, found)
+    return found
+
+
+@compiled_part
+def solve_columns(columns: Array, found: Array) -> None:
+    """Solve a system given column after column (n, n) for a right side (n,).
+
+    The solution takes the place of the right side, factors that of the columns.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        As `solve`.
+    """
+    size = found.size
+    if size == 0:
+        return
+    pivots = np.empty(size, np.int32)
+    failed = _gesv(_DOUBLE, size, 1, columns.ctypes, size, pivots.ctypes, found.ctypes, size)
     finite = failed == 0
     for i in range(size):
         finite = finite and np.isfinite(found[i])
     # To name the arrays here keeps them until LAPACK is done with them.
-    if not finite or factors.size + pivots.size < 0:
+    if not finite or columns.size + pivots.size < 0:
         raise np.linalg.LinAlgError("the matrix is singular, or something is not finite")
-    return found

@@ -149,7 +149,6 @@ def _lack(springs: Array, trial: Trial, force: Array, lack: Array) -> float:
 @compiled
 def settle_near(
     kernel: GapKernel,
-    columns: Array,
     tangents: FrozenTangents,
     free_gap: Array,
     slip: Array,
@@ -157,10 +156,11 @@ def settle_near(
 ) -> tuple[bool, float, int]:
     """Iterate from the gaps of a trial: whether it is solved, the residual and the iterations.
 
-    Arguments as in `fesim.joint.compiled_gap.solve_in_place`; `columns` is F transposed. An
-    accepted state has a residual g - J0^-1 g_T - F (z(g) + k0 g) within the tolerance.
+    Arguments as in `fesim.joint.compiled_gap.solve_in_place`. An accepted state has
+    a residual g - J0^-1 g_T - F (z(g) + k0 g) within the tolerance.
     """
     springs, tolerance, gap = kernel.springs, kernel.tolerance, trial.gap
+    columns = kernel.columns
     flat, storage = gap.reshape(-1), tangents.iteration
     force, lack, step, shift = storage.force, storage.lack, storage.step, storage.shift
     correction = Correction(step, shift)

@@ -102,7 +102,7 @@ def settle(joint: JointKernel, kept: Kept, now: JointState) -> tuple[bool, float
     add(now.change, trial.gap)
     try:
         solved, residual, iterations = settle_near(
-            gap_kernel(joint), joint.columns, kept.tangents, free_gap, now.slip, trial
+            gap_kernel(joint), kept.tangents, free_gap, now.slip, trial
         )
     except Exception:  # a singular tangent
         solved, residual, iterations = False, np.nan, 0

@@ -180,7 +180,7 @@ def conduct_step(
 @compiled
 def gap_kernel(joint: JointKernel) -> GapKernel:
     """The gap equations of a joint."""
-    return GapKernel(joint.springs, joint.compliance, joint.laws, joint.tolerance)
+    return GapKernel(joint.springs, joint.compliance, joint.columns, joint.laws, joint.tolerance)
 
 
 @compiled_part

@@ -109,8 +109,8 @@ TIGHT = 1e-16
 def settled(problem, laws, thermal_gap, slip, guess, tangents, tolerance=TIGHT):
     """Whether it is solved, the residual, the gaps and the slip."""
     trial, law = trial_at(guess), compile_gap(problem, laws).laws
-    kernel = GapKernel(problem.springs, problem.compliance, law, tolerance)
     columns = np.ascontiguousarray(problem.compliance.T)
+    kernel = GapKernel(problem.springs, problem.compliance, columns, law, tolerance)
     free_gap = problem.exchange @ thermal_gap
-    found, residual, _ = settle_near(kernel, columns, tangents, free_gap, slip, trial)
+    found, residual, _ = settle_near(kernel, tangents, free_gap, slip, trial)
     return found, residual, trial.gap, trial.moved
