@@ -32,7 +32,7 @@ from fesim.march.adaptive_state import Effort, Passed
 from fesim.march.alternation import unresolved
 from fesim.march.heat_step import each
 from fesim.march.machine import State, Step
-from fesim.march.settling import at_rest, initial_state
+from fesim.march.settling import at_rest
 from fesim.march.step_control import Tolerance
 from fesim.march.stepping import (
     Advance,
@@ -156,9 +156,11 @@ def simulate(
     _check_forces(case, ready)
     (at_zero,) = inputs.at(np.zeros(1))
     at_first = cold_drives(moving.axes if moving is not None else ())
-    first = start
+    parts, first = [], start
     if first is None:
-        first = replace(initial_state(ready.machine, at_zero), drive=at_first)
+        rest = at_rest(ready.machine, at_zero)
+        first = replace(rest.state, drive=at_first)
+        parts.append(_kept(given, first.slip, replace(track_of(rest), drive=at_first[None])))
     if first.model != ready.machine.thermal.model:
         raise InputError(
             "start: the state is of another reduced thermal model, built elsewhere; simulate from "
@@ -176,10 +178,6 @@ def simulate(
             "than two steps before the end; make march.duration_min longer"
         )
     ends = case.march.step_s * (first.index + 1.0 + np.arange(count, dtype=np.float64))
-    parts = []
-    if start is None:
-        rest = replace(track_of(at_rest(ready.machine, at_zero)), drive=at_first[None])
-        parts.append(_kept(given, first.slip, rest))
     state, done, passed = first, 0, None
     with one_thread():
         for track, adaptive in _marching(case, given, inputs, ends, first):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from copy import deepcopy
 from dataclasses import fields
 from typing import Any
 
@@ -32,7 +31,7 @@ def _paths(value: Any, above: str) -> Iterator[str]:  # noqa: ANN401 - any JSON 
 
 
 def with_values(data: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a copy of a case's data with other values at some paths.
+    """Return a case's data with other values at some paths; the rest is shared, not copied.
 
     Parameters
     ----------
@@ -41,11 +40,17 @@ def with_values(data: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str,
     values : mapping of str to value
         By path; each path is one of `known_paths`.
     """
-    changed = deepcopy(dict(data))
+    changed: Any = data
     for path, value in values.items():
-        *above, last = path.split(".")
-        place: Any = changed
-        for key in above:
-            place = place[int(key)] if isinstance(place, list) else place.setdefault(key, {})
-        place[int(last) if isinstance(place, list) else last] = deepcopy(value)
-    return changed
+        changed = _with_value(changed, path.split("."), value)
+    return dict(changed)
+
+
+def _with_value(data: Any, path: list[str], value: Any) -> Any:  # noqa: ANN401 - any TOML value
+    """A copy of a list or of a section, in which what the path leads through is copied, too."""
+    key, *below = path
+    if isinstance(data, list):
+        at = int(key)
+        changed = _with_value(data[at], below, value) if below else value
+        return [*data[:at], changed, *data[at + 1 :]]
+    return {**data, key: _with_value(data.get(key, {}), below, value) if below else value}

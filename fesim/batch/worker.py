@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
+from pathlib import Path
 from threading import Lock
 from time import perf_counter
 from typing import TYPE_CHECKING, Literal
@@ -15,7 +16,7 @@ import numpy as np
 
 from fesim.batch.study import Keep
 from fesim.batch.summary import Figures, figures_of
-from fesim.case.identity import case_id, condensation_key
+from fesim.case.identity import case_id, condensation_key, file_digest
 from fesim.case.schema import Case
 from fesim.setup.machine import Setup, set_up, with_laws
 from fesim.simulate import simulate
@@ -127,12 +128,19 @@ def _files_as_read(task: Task, case: Case) -> Iterator[None]:
     Otherwise a file that is edited meanwhile, or an older copy on another machine, would give a
     result under the id of other input.
     """
-    _compare(case_id(case), task.id)
+    files: list[Path] = []
+
+    def digest(path: Path) -> str:
+        files.append(path)
+        return file_digest(path)
+
+    _compare(case_id(case, digest), task.id)
     try:
         yield
     finally:
         # After an error, too: a file that is being written may be its cause.
-        _compare(case_id(case), task.id)
+        if files:
+            _compare(case_id(case), task.id)
 
 
 def _compare(present: str, expected: str) -> None:

@@ -86,6 +86,8 @@ def bent_steps(history: History, step: float) -> NDArray[np.int64]:
     Step k ends at k times `step` (s); the values at its ends do not determine the history within.
     """
     knots, number = _within_steps(history.times[history.times > 0.0], step)
+    if not knots.size:  # a step, of which every case of a study has its own
+        return np.empty(0, dtype=np.int64)
     before, after = history((number - 1.0) * step), history(number * step)
     line = before + (after - before) * (knots / step - (number - 1.0))
     off = np.abs(history(knots) - line) > ROUNDING * float(np.abs(history.values).max())
@@ -111,8 +113,10 @@ def mean_over_steps(history: History, step: float, ends: Array) -> Array:
     ndarray, shape (n,)
         In the unit of the history.
     """
-    values = history(ends)
-    bent = np.isin(np.rint(ends / step), bent_steps(history, step))
+    values, settled = history(ends), bent_steps(history, step)
+    if not settled.size:
+        return values
+    bent = np.isin(np.rint(ends / step), settled)
     last = ends[bent]
     values[bent] = (history.integral(last) - history.integral(last - step)) / step
     return values
@@ -125,8 +129,10 @@ def entering_in_steps(history: History, step: float, ends: Array) -> Array:
     time zero: the value is the mean over the step, less the excess of the linear steps before it,
     which take the value at their end. Arguments and result as for `mean_over_steps`.
     """
-    values = mean_over_steps(history, step, ends)
-    number, settled = np.rint(ends / step), bent_steps(history, step)
+    values, settled = mean_over_steps(history, step, ends), bent_steps(history, step)
+    if not settled.size:
+        return values
+    number = np.rint(ends / step)
     bent = np.isin(number, settled)
     before = np.concatenate([[0], settled])[np.searchsorted(settled, number[bent])]
     excess = history(ends[bent] - step) - history(before * step)

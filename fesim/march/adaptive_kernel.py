@@ -162,9 +162,9 @@ class FreeMarch:
         known = taken.inputs[:, : thermal.inputs.shape[1]]
         balances = heat_balances(thermal, taken.mean - change, taken.mean, known, taken.flow)
         of_rows, needed, given = np.empty((2, count)), np.zeros(count, dtype=np.int64), 0
-        for k, end in enumerate(ends.astype(int).tolist()):
-            own = Solving(float(residuals[k]), float(balances[k]), int(iterations[k]))
-            solving = solving.and_of(own)
+        counts = iterations.astype(int).tolist(), ends.astype(int).tolist()
+        for *own, end in zip(residuals.tolist(), balances.tolist(), *counts, strict=True):
+            solving = solving.and_of(Solving(*own))
             if end > given:
                 of_rows[:, given:end] = [[solving.residual], [solving.heat_balance]]
                 needed[given] = solving.iterations

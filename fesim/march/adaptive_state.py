@@ -69,8 +69,7 @@ class Asked:
     tolerance: Tolerance
 
 
-@dataclass(frozen=True)
-class Solving:
+class Solving(NamedTuple):
     """What the solvers say of the steps since the last row of a response; fields as in `Step`."""
 
     residual: float = 0.0

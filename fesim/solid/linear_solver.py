@@ -12,6 +12,7 @@ import site
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from weakref import finalize
@@ -66,7 +67,13 @@ def default_solver() -> str:
     named = os.environ.get(VARIABLE)
     if named and named not in SOLVERS:
         raise InputError(f"{VARIABLE}: {named!r} is unknown; use one of {', '.join(SOLVERS)}")
-    return named or ("pardiso" if find_spec("pypardiso") else "superlu")
+    return named or _installed()
+
+
+@cache
+def _installed() -> str:
+    """The best installed solver; looked up once, as every folder of modules is searched for it."""
+    return "pardiso" if find_spec("pypardiso") else "superlu"
 
 
 def factorise(matrix: sparray, what: str, solver: str | None = None) -> Factor:

@@ -72,6 +72,14 @@ def test_a_dimension_that_the_case_leaves_to_its_default_can_be_varied(tmp_path)
     assert len({one.key for one in study.cases}) == 2
 
 
+def test_other_values_leave_the_data_of_the_case_as_they_were():
+    """Cases share what they do not vary: it must not change under another case's hands."""
+    data = {"a": {"b": [{"c": 1.0}, {"c": 2.0}]}, "d": {"e": 3.0}}
+    first = with_values(data, {"a.b.1.c": 5.0, "a.f.g": 6.0, "d": {"h": 7.0}})
+    assert first == {"a": {"b": [{"c": 1.0}, {"c": 5.0}], "f": {"g": 6.0}}, "d": {"h": 7.0}}
+    assert data == {"a": {"b": [{"c": 1.0}, {"c": 2.0}]}, "d": {"e": 3.0}}
+
+
 @given(samples=st.integers(1, 40), seed=st.integers(0, 2**32), log=st.booleans())
 def test_every_strip_of_a_latin_hypercube_has_one_sample(samples, seed, log):
     section = LatinHypercubeSection(

@@ -137,7 +137,7 @@ def test_an_unknown_solver_is_named_with_the_known_ones():
 
 def test_superlu_is_the_default_where_pardiso_is_not_installed(monkeypatch):
     monkeypatch.delenv("THERMOJOINT_SOLVER", raising=False)
-    monkeypatch.setattr("fesim.solid.linear_solver.find_spec", lambda name: None)
+    monkeypatch.setattr("fesim.solid.linear_solver._installed", lambda: "superlu")
     assert default_solver() == "superlu"
 
 
