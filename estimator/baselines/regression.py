@@ -70,8 +70,8 @@ class RegressionEstimator:
 
     def sample(self, state: Array, time: float, values: Sequence[float]) -> tuple[Array, Estimate]:
         """Take one sample; see `estimator.interface.Estimator`."""
-        head, features, until = np.split(state, [len(Clock()), len(state) - 1])
-        last = Clock(*head.tolist())
+        head = len(Clock())
+        last, features, until = Clock(*state[:head].tolist()), state[head:-1], state[-1:].copy()
         clock, dt = advanced(last, time, values, CHANNELS, self.dt_s)
         times = len(self._taus) // len(CHANNELS)
         old, new = np.tile(features[: len(CHANNELS)], times), np.tile(values, times)

@@ -1,7 +1,7 @@
 """JIT-compiled processing of an ordinary sample: all readings present and trusted, one step.
 
 The same arithmetic as `observer.Observer`, which handles all exceptions: an unknown start or a long
-gap that still has an effect, a missing or distrusted reading, one far from its prediction, a
+gap that still has an effect, a missing or distrusted reading, one that the others contradict, a
 pending jump. Whether a sample is ordinary is decided here, before anything is changed.
 """
 
@@ -16,7 +16,8 @@ from estimator.joint_aware.displacement_readings import ModelError
 from estimator.joint_aware.observer_state import UNKNOWN, ObserverState
 from estimator.sensor_faults import Channels, Sample, Thresholds, certainly_alike, look
 from fesim.jit import compiled, compiled_part
-from fesim.joint.in_place import add
+from fesim.joint.in_place import add, put
+from fesim.joint.linear_system import solve
 from fesim.march.compiled_step import (
     HeatStep,
     HeatWork,
@@ -29,6 +30,20 @@ from fesim.march.compiled_step import (
     settle_step,
 )
 from thermojoint.artefacts.arrays import Array, Flags
+
+
+class Possible(NamedTuple):
+    """What changes of heat may explain of the innovations (`trust.possible_heat`)."""
+
+    #: Shape (p + 1, s): readings per W of a change since the sample before, K/W.
+    onset: Array
+    #: Shape (s, p + 1): change that explains most of innovations, W/K.
+    found: Array
+    #: Shape (s,): most heat of each source, and how far a change may lead beyond it or zero, W.
+    most: Array
+    slack: Array
+    #: Shape (p + 1, p + 1): covariance of the innovations with the steady covariance, K2.
+    covariance: Array
 
 
 class Filter(NamedTuple):
@@ -48,6 +63,8 @@ class Filter(NamedTuple):
     channels: Channels
     #: Thresholds for rejecting a reading.
     rules: Thresholds
+    #: What changes of heat explain.
+    possible: Possible
     #: Shape (d + axes,): decay rates of the corrections by displacement readings, 1/s.
     forgetting: Array
 
@@ -62,6 +79,11 @@ class SampleWork(NamedTuple):
     odd: Flags
     near: Flags
     discrepancy: Array
+    #: Shapes (s,), (p + 1,), (p + 1,) and (p + 1, p + 1): of `_alike`.
+    heat_change: Array
+    rest: Array
+    unit: Array
+    system: Array
 
 
 class Place(NamedTuple):
@@ -84,6 +106,10 @@ def place_of(own: Filter, heat: HeatStep, joint: JointKernel) -> Place:
         np.empty(count, np.bool_),
         np.empty(count, np.bool_),
         np.empty(axes),
+        np.empty(own.power.size),
+        np.empty(count),
+        np.zeros(count),
+        np.empty((count, count)),
     )
     return Place(own, heat, joint, work)
 
@@ -160,7 +186,10 @@ def _usual(
     np.dot(own.rows, linear, predicted)
     for c in range(channels):
         innovation[c] = readings[c] - predicted[c]
-    if not certainly_alike(innovation, own.rules):
+    if not (
+        certainly_alike(innovation, own.rules)
+        or _alike(own.possible, own.rules, work, inputs[:sources])
+    ):
         return False
     sample = Sample(time, readings, predicted)
     look(state.watch, sample, own.channels, own.rules, odd, near)
@@ -176,6 +205,40 @@ def _usual(
     add(work.discrepancy, displacement)
     forget(state.model_error, own.forgetting, length)
     state.time[()] = time
+    return True
+
+
+@compiled_part
+def _alike(possible: Possible, rules: Thresholds, work: SampleWork, heat: Array) -> bool:
+    """Whether no innovation is a contradiction or a jump, as `sensor_faults` and `trust` find.
+
+    False as well where the change of heat (s,), W, that explains most is not possible: then bounds
+    have to be kept, which is left to the observer.
+    """
+    innovation, change, rest, unit = work.innovation, work.heat_change, work.rest, work.unit
+    for s in range(heat.size):
+        change[s] = 0.0
+        for c in range(innovation.size):
+            change[s] += possible.found[s, c] * innovation[c]
+        least = min(-heat[s], 0.0) - possible.slack[s]
+        most = max(possible.most[s] - heat[s], 0.0) + possible.slack[s]
+        if not least <= change[s] <= most:
+            return False
+    put(possible.covariance, work.system)
+    for c in range(innovation.size):
+        imperfect = rules.model_error + rules.model_share * abs(work.predicted[c])
+        if abs(innovation[c]) > rules.gate * imperfect:
+            return False
+        work.system[c, c] += imperfect * imperfect
+        rest[c] = innovation[c]
+        for s in range(heat.size):
+            rest[c] -= possible.onset[c, s] * change[s]
+    for c in range(innovation.size):
+        unit[c] = 1.0
+        row = solve(work.system, unit)  # of the inverse, which is symmetric
+        unit[c] = 0.0
+        if not abs(np.dot(row, rest)) <= rules.gate * math.sqrt(row[c]):
+            return False
     return True
 
 

@@ -29,9 +29,10 @@ from estimator.joint_aware.observer_state import (
     unpacked,
 )
 from estimator.joint_aware.thresholds import USUAL, Thresholds
-from estimator.joint_aware.trust import Moment, Trusted, channels_of, trusted
+from estimator.joint_aware.trust import Moment, Trusted, channels_of, possible_heat, trusted
 from estimator.span import SLACK
 from fesim.axes.line import Line, line_over
+from fesim.march.kernel import owned
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import InputError
@@ -244,11 +245,20 @@ class JointAware(Described):
             discrepancy=np.ascontiguousarray(model.discrepancy.displacement),
             channels=self._readable,
             rules=self.thresholds.faults,
+            possible=self._possible,
             forgetting=displacement_readings.forgetting(
                 model.band.open.shape[1], len(self.axes), self.thresholds.probe
             ),
         )
         return compiled_sample.place_of(own, heat_step(model.modes, model.step), kernel)
+
+    @property
+    def _possible(self) -> compiled_sample.Possible:
+        """What changes of heat since the last step explain of the innovations."""
+        onset, most, slack = possible_heat(self.observer, 1)
+        covariance = self.observer.innovation_covariance(np.zeros(self.model.warm.shape))
+        found = fault_isolation.explaining_heat(onset, covariance)
+        return compiled_sample.Possible(*map(owned, (onset, found, most, slack, covariance)))
 
     def sample(self, state: Array, time: float, values: Sequence[float]) -> tuple[Array, Estimate]:
         """Take one sample; see `estimator.interface.Estimator`.

@@ -129,6 +129,18 @@ def judged(
     return Judgement.HEAT if grown >= math.sqrt(max(expected, 1.0)) else Judgement.OFFSET
 
 
+def explaining_heat(onset: Array, covariance: Array) -> Array:
+    """Return the change of heat that explains most per innovation, W/K, shape (s, p).
+
+    Parameters
+    ----------
+    onset, covariance : ndarray, shapes (p, s) and (p, p)
+        As for `without_heat`, which keeps bounds as well.
+    """
+    root = np.linalg.inv(np.linalg.cholesky(covariance))
+    return np.asarray(np.linalg.lstsq(root @ onset, root, rcond=-1)[0])
+
+
 def without_heat(
     innovation: Array,
     at: NDArray[np.int64],

@@ -79,7 +79,7 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
         program (`guided_program`).
     """
     kernel = kernel_of(estimator.observer.physics)
-    if kernel is None:
+    if kernel is None or not kernel.preload.size:
         raise InputError(
             "export: the machine has no joint, or one whose law is not a surface or Back-Burdekin "
             "with a power law of the conductance; run it with 'thermojoint estimate'"

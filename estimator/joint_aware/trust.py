@@ -211,12 +211,24 @@ def _unexplained(
         covariance = covariance + np.diag(observer.model.filter.lasting)
     power = observer.model.power
     heat = expected.linear[observer.system.decay.size :][: power.size]
-    known = observer.thresholds
-    most = known.onset * observer.model.calibrated.heat * power
-    slack = known.onset_slack * most
+    onset, most, slack = possible_heat(observer, moment.steps)
     bounds = (np.minimum(-heat, 0.0) - slack, np.maximum(most - heat, 0.0) + slack)
-    # A source may have been on for one step before the first sample.
-    onset = observer.onset[min(max(moment.steps, 1), len(observer.onset)) - 1]
-    slower = np.abs(observer.sudden).max(axis=0) > np.abs(onset).max(axis=0)
-    onset = np.where(slower, observer.sudden, onset)
     return fault_isolation.without_heat(innovation, at, covariance, onset, bounds), covariance
+
+
+def possible_heat(observer: Observer, steps: int) -> tuple[Array, Array, Array]:
+    """Return what a change of heat since the sample `steps` before does, and its bounds.
+
+    Returns
+    -------
+    onset : ndarray, shape (p + 1, s)
+        Change of the readings per W of each source, K/W.
+    most, slack : ndarray, shape (s,)
+        Most heat of each source, and how far a change may lead beyond it or below zero, W.
+    """
+    known, model = observer.thresholds, observer.model
+    most = known.onset * model.calibrated.heat * model.power
+    # A source may have been on for one step before the first sample.
+    onset = observer.onset[min(max(steps, 1), len(observer.onset)) - 1]
+    slower = np.abs(observer.sudden).max(axis=0) > np.abs(onset).max(axis=0)
+    return np.where(slower, observer.sudden, onset), most, known.onset_slack * most

@@ -134,7 +134,7 @@ class Physics:
     @cached_property
     def kernel(self) -> JointKernel | None:
         """Data of its compiled steps; None for laws that are not compiled, and on an axis."""
-        if not self.contacts or self.modes.way is not None:
+        if self.modes.way is not None:
             return None
         return joint_kernel(self.contact, self.modes.jump, self.held)
 

@@ -9,11 +9,14 @@ import pytest
 from short_runs import QUICK
 
 from calibrate.joint_aware.linear_joint import calibrate_linear_joint, with_linear_joint
+from estimator.interface import follow
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.model_file import read_observer, write_observer
 from estimator.joint_aware.readings import samples_in
 from estimator.judging import judge
+from estimator.sensor_faults import certainly_alike
 from fesim.case.schema import case_from_data
+from fesim.case.thermal_sections import StepInput
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 from thermojoint.artefacts.errors import InputError
@@ -47,6 +50,11 @@ def responses(case, setup):
 @pytest.fixture(scope="module")
 def calibrated(machine, responses):
     return calibrate_linear_joint(machine, responses, fitted=[], effort=QUICK)
+
+
+def run_at(case, setup, level):
+    heat = StepInput(kind="step", level=level)
+    return simulate(case.model_copy(update={"heat_input": heat}), setup=setup).response
 
 
 def marched(machine, level):
@@ -103,3 +111,39 @@ def test_it_follows_the_step_it_was_calibrated_with(calibrated, responses):
     for row in rows:
         assert row["max_abs_error_um"] < 0.05 * row["peak_total_um"]
         assert row["rms_error_um"] < 0.02 * row["peak_total_um"]
+
+
+class InTheInterpreter(JointAware):
+    """Takes every sample by its general rule."""
+
+    def _usual(self, state, moment, readings, touched):
+        return None
+
+
+def test_readings_that_its_joint_does_not_explain_are_taken_in_machine_code_as_well(
+    calibrated, case, setup
+):
+    """Heat of three times the step that it knows: the joint of the machine is not linear."""
+    hot = run_at(case, setup, 3.0)
+    rows = list(samples_in(hot, calibrated.model.sensors))
+    taken, far = [], []
+
+    class Counting(JointAware):
+        def _usual(self, state, moment, readings, touched):
+            predicted = self.observer.system.rows @ state.linear
+            far.append(not certainly_alike(readings - predicted, self.thresholds.faults))
+            taken.append(super()._usual(state, moment, readings, touched))
+            return taken[-1]
+
+    def followed(kind):
+        one = kind(calibrated.model)
+        return list(follow(one, rows, one.initial_state()))
+
+    for (ours, quick), (theirs, plain) in zip(
+        followed(Counting), followed(InTheInterpreter), strict=True
+    ):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(quick.displacement, plain.displacement, rtol=1e-9, atol=1e-15)
+        assert quick.words == plain.words
+    assert sum(one is not None for one, off in zip(taken, far, strict=True) if off) > 0
+    assert sum(one is None for one in taken) < 0.2 * len(taken)
