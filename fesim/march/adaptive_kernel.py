@@ -248,7 +248,7 @@ def _storage(kernel: AdaptiveKernel, lengths: Lengths) -> Storage:
         unknowns=np.zeros((WEIGHTS + 3, size)),
         contact=np.zeros((7, count)),
         slip=np.zeros((4, 2, count)),
-        gap=np.zeros((4, 3, count)),
+        gap=np.zeros((6, 3, count)),
         remainder=np.zeros((2, 3 * count)),
         displacement=np.zeros((2, axes)),
         inputs=np.zeros(kernel.modes.inputs.shape[1] + kernel.joint.loaded.shape[1]),

@@ -76,7 +76,7 @@ CONDUCTED, JUMP, FLOW, VALUE, MISFIT, MISFIT_BEFORE, PRESSURE = range(7)
 #: Entries of its sweeps: weight, and largest misfit of the one before.
 WEIGHT, LARGEST = range(2)
 SLIP, BENT, TWO, BETTER = range(4)
-GAP, CHANGE, GUESS, TWICE = range(4)
+GAP, CHANGE, GUESS, TWICE, HALF, ONCE = range(6)
 #: Rows of its tractions and displacements: of the step; of a piece or of a time within it.
 WHOLE, PART = range(2)
 #: Equilibria of the joint in a step, in their order: sweeps of the in-step iteration, the pieces of
@@ -160,8 +160,8 @@ class Work(NamedTuple):
     unknowns: Array
     #: Shape (7, m): see `CONDUCTED`; conductance times area, W/K, of the step.
     contact: Array
-    #: Shapes (4, 2, m) and (4, 3, m): of a part of the step, and see `BENT`: what extrapolation
-    #: adds, m.
+    #: Shapes (4, 2, m) and (6, 3, m): of a part of the step, and see `BENT`: what extrapolation
+    #: adds, m; and see `HALF`: the gaps after half of the step and after all of it, in one piece.
     slip: Array
     gap: Array
     #: Shapes (2, 3 m) and (2, axes): `WHOLE` and `PART`.
@@ -341,7 +341,7 @@ def _prepare(heat: Heat, work: Work, course: Course, stage: int) -> None:
         if turn == 0:
             _begun_at(gap[BEFORE], slip[BEFORE], part)
         elif stage == HALVES:
-            put(part.gap, work.gap[GUESS])
+            put(part.gap, work.gap[HALF])
         middle = 4.0 * share * (1.0 - share) if stage == THIRDS else 0.0
         for k in range(part.change.size):
             first, last, twice = gap[BEFORE].flat[k], gap[AFTER].flat[k], work.gap[TWICE].flat[k]
@@ -349,7 +349,7 @@ def _prepare(heat: Heat, work: Work, course: Course, stage: int) -> None:
                 # Of an error a/n of n pieces a third is left.
                 last = twice + (twice - last) / 3.0
             guess = first + share * (last - first)
-            guess += middle * (work.gap[GUESS].flat[k] - 0.5 * (first + last))
+            guess += middle * (work.gap[HALF].flat[k] - 0.5 * (first + last))
             part.change.flat[k] = guess - part.gap.flat[k]
         # Shares 1, 1/2, 1/3 and 2/3 in the order of `fesim.march.compiled_exponential.SHARES`.
         first = 0 if turn + 1 == pieces else 3 * (turn + pieces - 1)
@@ -368,11 +368,15 @@ def _prepare(heat: Heat, work: Work, course: Course, stage: int) -> None:
     elif stage == MOMENT:
         share = (clock[ASKED] - clock[START]) / clock[LENGTH]
         weights, guess = work.unknowns[WEIGHTS : WEIGHTS + 3], work.gap[GUESS]
+        half, once, middle = work.gap[HALF], work.gap[ONCE], 4.0 * share * (1.0 - share)
         weigh(heat.rates, clock[LENGTH], share, weights)
         _within(course, weights, at)
         _between(course.inputs, share, work.inputs)
         for k in range(guess.size):
-            guess.flat[k] = gap[BEFORE].flat[k] + share * course.change[AFTER].flat[k]
+            # In one piece from the same slip, as the step and its first half: through both.
+            first, last = gap[BEFORE].flat[k], once.flat[k]
+            guess.flat[k] = first + share * (last - first)
+            guess.flat[k] += middle * (half.flat[k] - 0.5 * (first + last))
         _begun_at(guess, slip[BEFORE], part)
     else:
         _begun_at(work.gap[GUESS], work.slip[BETTER], part)
@@ -440,6 +444,7 @@ def _conclude(work: Work, course: Course, stage: int) -> int:
     gap, before = course.gap[AFTER], course.gap[BEFORE]
     if stage == SWEEP:
         put(part.gap, gap)
+        put(part.gap, work.gap[ONCE])
         put(part.slip, course.slip[AFTER])
         put(work.unknowns[AT], course.unknowns[AFTER])
         for k in range(course.acting.shape[1]):
@@ -469,7 +474,9 @@ def _conclude(work: Work, course: Course, stage: int) -> int:
             better.flat[k] = part.slip.flat[k] + (share**2 * bent.flat[k] if slides else 0.0)
             further = further or slides
         if further:
-            put(part.gap, work.gap[GUESS])
+            guess, once = work.gap[GUESS], work.gap[ONCE]
+            for k in range(guess.size):
+                guess.flat[k] = part.gap.flat[k] + share**2 * (gap.flat[k] - once.flat[k])
             return BENT_MOMENT
     return DONE
 
