@@ -10,8 +10,9 @@ sides.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,6 +115,10 @@ class _Side:
     normal: NDArray[np.float64]
     area: NDArray[np.float64]
 
+    def moved(self, shift: NDArray[np.float64]) -> _Side:
+        """The side moved by a shift (3,), m."""
+        return replace(self, corners=self.corners + shift, centre=self.centre + shift)
+
     def lift(self, plane: _Plane, flat: Polygon, facet: int) -> NDArray[np.float64]:
         """Points (n, 3) of a facet over plane coordinates (n, 2)."""
         start = plane.origin + flat @ plane.frame[:2]
@@ -131,6 +136,73 @@ class _Cell:
     facets: NDArray[np.int64]
     window: Polygon | None
     place: tuple[int, int, int]
+
+
+class _Patch(NamedTuple):
+    """What a contact element covers: quadrature points on both sides, and the pieces."""
+
+    #: Shapes (nq, 3): m.
+    points_a: NDArray[np.float64]
+    points_b: NDArray[np.float64]
+    #: Shapes (nq,): area weights on each side, m2.
+    weights_a: NDArray[np.float64]
+    weights_b: NDArray[np.float64]
+    #: Shape (nq, 2): which facet of each side each point lies on.
+    owner: NDArray[np.int64]
+    #: Shape (corners, 3): overlaps of a facet of each side and the contact element, on side a, m.
+    pieces: list[NDArray[np.float64]]
+
+
+class Covered(NamedTuple):
+    """What a contact element covers of side b where side a is elsewhere."""
+
+    #: Shape (3, nq): quadrature points on side b, m.
+    points: NDArray[np.float64]
+    #: Shape (nq,): the cells behind the facets they lie on, and area weights on side a, m2.
+    cells: NDArray[np.int64]
+    weights: NDArray[np.float64]
+    #: Shape (3,): centroid on side a, m.
+    centre: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Movable:
+    """A paired joint whose side a can be elsewhere, with the contact elements that it has."""
+
+    #: What is meshed.
+    mesh: Mesh
+    #: Its sides, as meshed.
+    side_a: _Side
+    side_b: _Side
+    #: Of its contact elements, in their order.
+    cells: tuple[_Cell, ...]
+
+    def covered(self, element: int, shift: NDArray[np.float64]) -> Covered | None:
+        """Return what a contact element covers with side a moved by a shift (3,), m.
+
+        None where it faces nothing.
+        """
+        patch = _patch(self.cells[element], self.side_a, self.side_b.moved(-shift))
+        if patch is None:
+            return None
+        return Covered(
+            np.ascontiguousarray((patch.points_b + shift).T),
+            self.mesh.f2t[0, self.side_b.facets[patch.owner[:, 1]]],
+            patch.weights_a,
+            patch.weights_a @ patch.points_a / patch.weights_a.sum() + shift,
+        )
+
+
+def movable_joint(
+    structure: Structure, joint: PairedJoint, along: int | None, across: int | None
+) -> Movable:
+    """Return a joint by `pair_joint`, with the same `along` and `across`, as one that can slide."""
+    sides = _sides(structure, joint.name)
+    every = _contact_cells(structure.mesh, joint.name, sides, along, across)
+    by_place = {cell.place: cell for cell in every}
+    return Movable(
+        structure.mesh, *sides, tuple(by_place[tuple(place)] for place in joint.place.tolist())
+    )
 
 
 def pair_joint(
@@ -155,59 +227,70 @@ def pair_joint(
         The sides do not face each other, or in several layers; a contact element turns too far.
     """
     mesh = structure.mesh
-    side_a, side_b = sides = tuple(
-        _side(mesh, structure.surfaces[side]) for side in structure.joints[name]
-    )
-    planes, places, points_a, points_b, weights, weights_b, owners = [], [], [], [], [], [], []
-    pieces, piece_cells = [], []
-    for number, cell in enumerate(_contact_cells(mesh, name, sides, along, across)):
-        planes.append(cell.plane)
-        places.append(cell.place)
-        for i, j, overlap in _overlaps(cell, side_a, side_b):
-            flat, weight = quadrature(overlap)
-            points_a.append(side_a.lift(cell.plane, flat, i))
-            points_b.append(side_b.lift(cell.plane, flat, j))
-            # Areas are those of side a, not of its projection.
-            weights.append(weight / abs(side_a.normal[i] @ cell.plane.frame[2]))
-            weights_b.append(weight / abs(side_b.normal[j] @ cell.plane.frame[2]))
-            owners.append(np.tile([i, j], (len(weight), 1)))
-            pieces.append(side_a.lift(cell.plane, overlap, i))
-            piece_cells.append(number)
-    if not pieces:
+    side_a, side_b = sides = _sides(structure, name)
+    every = _contact_cells(mesh, name, sides, along, across)
+    found = [(cell, patch) for cell in every if (patch := _patch(cell, side_a, side_b)) is not None]
+    if not found:
         raise InputError(f"joint {name!r}: its sides do not face each other; check the surfaces")
-    on_a, on_b = np.concatenate(points_a).T, np.concatenate(points_b).T
-    weight, owner = np.concatenate(weights), np.concatenate(owners)
+    cells, patches = zip(*found, strict=True)
+    weight = np.concatenate([patch.weights_a for patch in patches])
+    owner = np.concatenate([patch.owner for patch in patches])
     covered = np.bincount(owner[:, 0], weight, len(side_a.area)) / side_a.area
     if covered.max() > 1.0 + EXCESS:
         raise InputError(
             f"joint {name!r}: several layers of side b lie before the same place of side a; make "
             "each pair of faces its own joint"
         )
-    # Grid cells outside an irregular part are empty; number the others without gaps.
-    held, piece_element = np.unique(piece_cells, return_inverse=True)
-    element = np.repeat(piece_element, [len(w) for w in weights])
+    # Grid cells outside an irregular part are empty; the others are numbered without gaps.
+    numbers = np.arange(len(cells))
+    element = np.repeat(numbers, [len(patch.weights_a) for patch in patches])
     area = np.bincount(element, weight).astype(float)
+    on_a = np.concatenate([patch.points_a for patch in patches]).T
     facets_a, facets_b = side_a.facets[owner[:, 0]], side_b.facets[owner[:, 1]]
-    frames = np.array([planes[k].frame for k in held])
+    frames = np.array([cell.plane.frame for cell in cells])
     return PairedJoint(
         name=name,
         normal=frames[:, 2],
         tangents=frames[:, :2],
         points_a=np.ascontiguousarray(on_a),
-        points_b=np.ascontiguousarray(on_b),
+        points_b=np.ascontiguousarray(np.concatenate([patch.points_b for patch in patches]).T),
         cells_a=mesh.f2t[0, facets_a],
         cells_b=mesh.f2t[0, facets_b],
         facets_a=facets_a,
         facets_b=facets_b,
         weights=weight,
-        weights_b=np.concatenate(weights_b),
+        weights_b=np.concatenate([patch.weights_b for patch in patches]),
         element=element,
         area=area,
         centre=np.stack([np.bincount(element, weight * x) / area for x in on_a], axis=1),
-        pieces=tuple(pieces),
-        piece_element=piece_element,
-        place=np.array(places)[held],
+        pieces=tuple(piece for patch in patches for piece in patch.pieces),
+        piece_element=np.repeat(numbers, [len(patch.pieces) for patch in patches]),
+        place=np.array([cell.place for cell in cells]),
     )
+
+
+def _sides(structure: Structure, name: str) -> tuple[_Side, _Side]:
+    side_a, side_b = structure.joints[name]
+    mesh, surfaces = structure.mesh, structure.surfaces
+    return _side(mesh, surfaces[side_a]), _side(mesh, surfaces[side_b])
+
+
+def _patch(cell: _Cell, side_a: _Side, side_b: _Side) -> _Patch | None:
+    """What a contact element covers; None where it faces nothing."""
+    points_a, points_b, weights_a, weights_b, owners, pieces = [], [], [], [], [], []
+    for i, j, overlap in _overlaps(cell, side_a, side_b):
+        flat, weight = quadrature(overlap)
+        points_a.append(side_a.lift(cell.plane, flat, i))
+        points_b.append(side_b.lift(cell.plane, flat, j))
+        # Areas are those of side a, not of its projection.
+        weights_a.append(weight / abs(side_a.normal[i] @ cell.plane.frame[2]))
+        weights_b.append(weight / abs(side_b.normal[j] @ cell.plane.frame[2]))
+        owners.append(np.tile([i, j], (len(weight), 1)))
+        pieces.append(side_a.lift(cell.plane, overlap, i))
+    if not pieces:
+        return None
+    parts = (points_a, points_b, weights_a, weights_b, owners)
+    return _Patch(*map(np.concatenate, parts), pieces)
 
 
 def _side(mesh: Mesh, facets: NDArray[np.int64]) -> _Side:

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.pairing import PairedJoint, pair_joint
+from meshes.pairing import Covered, Movable, PairedJoint, movable_joint
 from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
@@ -82,28 +83,6 @@ def sliding(joint: PairedJoint, direction: Array) -> PairedJoint:
     return replace(joint, tangents=np.stack([np.zeros_like(across), across], axis=1))
 
 
-def shifted(structure: Structure, bodies: Sequence[str], shift: Array) -> Structure:
-    """Return a structure with some bodies moved by `shift` (3,), m; without probes.
-
-    Raises
-    ------
-    InputError
-        A body shares nodes with one that does not move.
-    """
-    mesh = structure.mesh
-    moving = np.concatenate([structure.body(name, "axes") for name in bodies])
-    nodes = mesh.dofs.element_dofs if mesh.doflocs.shape[1] > mesh.p.shape[1] else mesh.t
-    moved = np.unique(nodes[:, moving])
-    if np.isin(np.delete(nodes, moving, axis=1), moved).any():
-        raise InputError(
-            f"axes: bodies {', '.join(map(repr, bodies))} share nodes with others; separate them "
-            "by a joint, or let them move together"
-        )
-    points = mesh.doflocs.copy()
-    points[:, moved] += shift[:, None]
-    return replace(structure, mesh=replace(mesh, doflocs=points), probes={})
-
-
 def stations_of(
     structure: Structure, joints: Sequence[PairedJoint], travels: Sequence[Travel]
 ) -> Stations:
@@ -129,57 +108,79 @@ def stations_of(
     """
     starts = np.cumsum([0, *(joint.area.size for joint in joints)])
     known: dict[tuple[object, ...], int] = {}
-    points, cells, stations, shares = [], [], [], []
+    found: list[Covered] = []
     elements: list[int] = []
     places = []
     for travel in travels:
         moving = np.concatenate([structure.body(name, "axes") for name in travel.bodies])
+        _check_apart(structure, moving, travel)
         for joint in joints:
             _check_sides(joint, moving, travel)
+        riding = [
+            _Riding(joint, movable_joint(structure, joint, *travel.divided[joint.name]), int(start))
+            for joint, start in zip(joints, starts, strict=False)
+            if joint.name in travel.divided
+        ]
         place = np.full((len(travel.shifts), starts[-1]), -1)
         places.append(place)
         for row, shift in zip(place, travel.shifts, strict=True):
-            there = shifted(structure, travel.bodies, shift)
-            for joint, start in zip(joints, starts, strict=False):
-                if joint.name not in travel.divided:
-                    continue
-                now = _same_elements(there, joint, travel.divided[joint.name], shift)
-                low, high = _extent(now)
-                size = np.sqrt(now.area.min())
-                for e in range(now.area.size):
-                    ends = np.concatenate([low[e], high[e]])
-                    key = (joint.name, *np.round(ends / (SAME * size)), *np.round(now.normal[e], 4))
-                    row[start + e] = known.setdefault(key, len(known))
-                    if row[start + e] == len(elements):
-                        own = now.element == e
-                        points.append(now.points_b[:, own])
-                        cells.append(now.cells_b[own])
-                        stations.append(np.full(int(own.sum()), len(elements)))
-                        shares.append(now.weights[own] / now.area[e])
-                        elements.append(start + e)
+            for rides in riding:
+                for e, key in enumerate(rides.keys(shift)):
+                    # What is known was found at another position, by another element or axis.
+                    row[rides.start + e] = known.setdefault(key, len(known))
+                    if row[rides.start + e] == len(found):
+                        found.append(_covered(rides, e, shift))
+                        elements.append(rides.start + e)
     return Stations(
-        np.hstack(points),
-        np.concatenate(cells),
-        np.concatenate(stations),
-        np.concatenate(shares),
+        np.hstack([one.points for one in found]),
+        np.concatenate([one.cells for one in found]),
+        np.repeat(np.arange(len(found)), [one.weights.size for one in found]),
+        np.concatenate([one.weights / one.weights.sum() for one in found]),
         np.array(elements),
         tuple(places),
     )
 
 
-def _same_elements(
-    there: Structure, joint: PairedJoint, divided: tuple[int | None, int | None], shift: Array
-) -> PairedJoint:
-    """The joint where the bodies have moved by `shift`, with the same contact elements."""
-    try:
-        now = pair_joint(there, joint.name, *divided)
-    except InputError as error:
-        raise _left(joint, shift) from error
-    size = float(np.sqrt(joint.area.min()))
-    if now.area.size != joint.area.size:
+@dataclass(frozen=True, eq=False)
+class _Riding:
+    """A joint that rides on an axis."""
+
+    #: As meshed.
+    joint: PairedJoint
+    #: The same, to be elsewhere.
+    movable: Movable
+    #: Number of its first contact element.
+    start: int
+
+    @cached_property
+    def ends(self) -> Array:
+        """Lowest and highest coordinates (m, 6) of each contact element, as meshed, m."""
+        low = np.full(self.joint.centre.shape, np.inf)
+        high = -low
+        for piece, e in zip(self.joint.pieces, self.joint.piece_element, strict=True):
+            low[e] = np.minimum(low[e], piece.min(axis=0))
+            high[e] = np.maximum(high[e], piece.max(axis=0))
+        return np.hstack([low, high])
+
+    @cached_property
+    def size(self) -> float:
+        """Of the smallest contact element, m."""
+        return float(np.sqrt(self.joint.area.min()))
+
+    def keys(self, shift: Array) -> list[tuple[object, ...]]:
+        """Return what tells the places of its contact elements apart, moved by a shift (3,), m."""
+        ends = np.round((self.ends + np.tile(shift, 2)) / (SAME * self.size))
+        normals = np.round(self.joint.normal, 4)
+        return [(self.joint.name, *one) for one in np.hstack([ends, normals]).tolist()]
+
+
+def _covered(rides: _Riding, e: int, shift: Array) -> Covered:
+    """What a contact element covers with the pads moved by a shift: as much as where meshed."""
+    joint, now = rides.joint, rides.movable.covered(e, shift)
+    if now is None:
         raise _left(joint, shift)
-    off = np.abs(now.centre - joint.centre - shift).max() / size
-    if max(off, float(np.abs(now.area / joint.area - 1.0).max())) > SAME:
+    off = np.abs(now.centre - joint.centre[e] - shift).max() / rides.size
+    if max(off, abs(now.weights.sum() / joint.area[e] - 1.0)) > SAME:
         raise _left(joint, shift)
     return now
 
@@ -190,6 +191,16 @@ def _left(joint: PairedJoint, shift: Array) -> InputError:
         f"{1e3 * float(np.linalg.norm(shift)):.6g} mm from where the mesh shows them; shorten "
         "stroke_mm, or correct mesh_position_mm or the guide"
     )
+
+
+def _check_apart(structure: Structure, moving: NDArray[np.int64], travel: Travel) -> None:
+    mesh = structure.mesh
+    nodes = mesh.dofs.element_dofs if mesh.doflocs.shape[1] > mesh.p.shape[1] else mesh.t
+    if np.isin(np.delete(nodes, moving, axis=1), nodes[:, moving]).any():
+        raise InputError(
+            f"axes: bodies {', '.join(map(repr, travel.bodies))} share nodes with others; separate "
+            "them by a joint, or let them move together"
+        )
 
 
 def _check_sides(joint: PairedJoint, moving: NDArray[np.int64], travel: Travel) -> None:
@@ -206,12 +217,3 @@ def _check_sides(joint: PairedJoint, moving: NDArray[np.int64], travel: Travel) 
             f"joints.{joint.name}: axis {travel.axis!r} moves one of its sides and not the other; "
             f"let it ride on the axis, or add what is carried to axes.{travel.axis}.bodies"
         )
-
-
-def _extent(joint: PairedJoint) -> tuple[Array, Array]:
-    """Lowest and highest coordinates (m, 3) of each contact element."""
-    low, high = np.full(joint.centre.shape, np.inf), np.full(joint.centre.shape, -np.inf)
-    for piece, e in zip(joint.pieces, joint.piece_element, strict=True):
-        low[e] = np.minimum(low[e], piece.min(axis=0))
-        high[e] = np.maximum(high[e], piece.max(axis=0))
-    return low, high

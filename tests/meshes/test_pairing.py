@@ -17,11 +17,10 @@ from fesim.solid.joint_operators import joint_operators
 from fesim.solid.spaces import interpolation, local_coordinates, make_spaces
 from meshes.box_grid import put_side_by_side
 from meshes.milling_machine import box_milling_machine
-from meshes.pairing import pair_joint
+from meshes.pairing import movable_joint, pair_joint
 from meshes.polygons import anticlockwise, clip, quadrature, signed_area
 from meshes.structure import Structure
 from meshes.three_axes import three_axis_machine
-from meshes.travel import shifted
 from thermojoint.artefacts.errors import InputError
 
 
@@ -193,14 +192,46 @@ def test_only_the_overlap_of_the_sides_is_joint():
     assert joint.area == pytest.approx(np.full(4, 0.75 * AREA / 4))
 
 
+def shifted(structure, bodies, shift):
+    """The structure with some bodies moved by a shift (3,), m; without probes."""
+    points = structure.mesh.p.copy()
+    cells = np.concatenate([structure.bodies[name] for name in bodies])
+    points[:, np.unique(structure.mesh.t[:, cells])] += shift[:, None]
+    mesh = type(structure.mesh)(points, structure.mesh.t)
+    return replace(structure, mesh=mesh, probes={})
+
+
+def on_its_bed():
+    """The machine with three axes and the joint below its column, which moves along x."""
+    joints = {"foot": ("column_foot", "bed_top")}
+    return replace(three_axis_machine(0.1), joints=joints, probes={})
+
+
 def test_the_long_side_of_a_square_is_the_same_wherever_it_lies():
-    machine = replace(
-        three_axis_machine(0.1), joints={"foot": ("column_foot", "bed_top")}, probes={}
-    )
+    machine = on_its_bed()
     for way in np.linspace(-0.3, 0.3, 13):
         there = shifted(machine, ["column", "ram"], np.array([way, 0.0, 0.0]))
         along = pair_joint(there, "foot", 2, 2).tangents[:, 0]
         assert np.allclose(np.abs(along), [0.0, 0.0, 1.0])
+
+
+@pytest.mark.parametrize("way", [-0.3, -0.07, 0.0, 0.22])
+def test_a_joint_that_slides_covers_what_it_covers_where_its_pads_are_meshed(way):
+    machine, shift = on_its_bed(), np.array([way, 0.0, 0.0])
+    movable = movable_joint(machine, pair_joint(machine, "foot", 3, 2), 3, 2)
+    there = pair_joint(shifted(machine, ["column", "ram"], shift), "foot", 3, 2)
+    for e in range(len(there.area)):
+        own, covered = there.element == e, movable.covered(e, shift)
+        assert np.array_equal(covered.cells, there.cells_b[own])
+        assert np.abs(covered.points - there.points_b[:, own]).max() < 1e-12
+        assert covered.weights == pytest.approx(there.weights[own], rel=1e-9)
+        assert covered.centre == pytest.approx(there.centre[e], abs=1e-12)
+
+
+def test_a_joint_that_slides_off_covers_nothing():
+    machine = on_its_bed()
+    movable = movable_joint(machine, pair_joint(machine, "foot", 3, 2), 3, 2)
+    assert movable.covered(0, np.array([5.0, 0.0, 0.0])) is None
 
 
 def test_the_grid_spans_what_the_sides_share_whichever_is_longer():
