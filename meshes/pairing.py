@@ -289,8 +289,14 @@ def _patch(cell: _Cell, side_a: _Side, side_b: _Side) -> _Patch | None:
         pieces.append(side_a.lift(cell.plane, overlap, i))
     if not pieces:
         return None
-    parts = (points_a, points_b, weights_a, weights_b, owners)
-    return _Patch(*map(np.concatenate, parts), pieces)
+    return _Patch(
+        np.concatenate(points_a),
+        np.concatenate(points_b),
+        np.concatenate(weights_a),
+        np.concatenate(weights_b),
+        np.concatenate(owners),
+        pieces,
+    )
 
 
 def _side(mesh: Mesh, facets: NDArray[np.int64]) -> _Side:

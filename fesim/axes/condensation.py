@@ -113,6 +113,10 @@ class TiedCondensations:
         """Return the displacements of the ties at aligned positions and of the probes."""
         return np.asarray(self.ties.own(corner) @ alone)
 
+    def rows(self, corner: Corner, /) -> NDArray[np.int64]:
+        """Return which rows of the untied displacements `felt` takes."""
+        return np.asarray(self.ties.own(corner).indices)
+
     def turned(self, rows: Callable[[Array], Array]) -> TiedCondensations:
         """Return them on other temperatures, by what becomes of rows (..., r)."""
         return replace(self, thermal=rows(self.thermal))

@@ -96,19 +96,30 @@ class GuideStations:
     def touches(self, shares: Sequence[Shares]) -> Touches:
         """Return the products of rows whose means over a step are those of each axis's shares."""
         every = np.arange(self.count)
-        parts = [(every, every, every, 1.0)]
+        parts = [(every, every, every, np.ones(self.count))]
         for riding, place, of_axis in zip(self.riding, self.place, shares, strict=True):
-            row = self.count + place[:, riding]
+            here, next_to = np.flatnonzero(of_axis.mean), np.flatnonzero(of_axis.product)
+            rows = self.count + place[:, riding]
+            own, under = np.tile(riding, here.size), rows[here].ravel()
+            mean, square = (
+                np.repeat(values[here], riding.size) for values in (of_axis.mean, of_axis.square)
+            )
+            parts += [(own, own, under, -mean), (own, under, own, -mean)]
+            parts.append((own, under, under, square))
+            own, under, above = np.tile(riding, next_to.size), rows[next_to], rows[next_to + 1]
+            both = np.repeat(of_axis.product[next_to], riding.size)
+            parts.append((own, under.ravel(), above.ravel(), both))
+            parts.append((own, above.ravel(), under.ravel(), both))
+        return Touches(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+
+    def rubbed(self, heat: Array, shares: Sequence[Shares]) -> Array:
+        """Return the heat (m + n,), W, that friction of (m,), W, gives to each row: half a side."""
+        rows = np.zeros(self.size)
+        rows[: self.count] = 0.5 * heat
+        for riding, place, of_axis in zip(self.riding, self.place, shares, strict=True):
             for k in np.flatnonzero(of_axis.mean):
-                parts.append((riding, riding, row[k], -of_axis.mean[k]))
-                parts.append((riding, row[k], riding, -of_axis.mean[k]))
-                parts.append((riding, row[k], row[k], of_axis.square[k]))
-            for k in np.flatnonzero(of_axis.product):
-                parts.append((riding, row[k], row[k + 1], of_axis.product[k]))
-                parts.append((riding, row[k + 1], row[k], of_axis.product[k]))
-        element, first, second = (np.concatenate([part[i] for part in parts]) for i in range(3))
-        mean = np.concatenate([np.full(part[0].size, part[3]) for part in parts])
-        return Touches(element, first, second, mean)
+                rows[self.count + place[k, riding]] += 0.5 * of_axis.mean[k] * heat[riding]
+        return rows
 
 
 @lru_cache(maxsize=KEPT)
@@ -177,6 +188,11 @@ class Guideway:
                 sum(weight * (of.probe_thermal @ felt) for weight, of, felt in touched),
             ]
         )
+
+    def felt_at(self, at: Place) -> NDArray[np.int64]:
+        """Return which rows of what the temperatures do untied matter at positions, m."""
+        corners = self.stations.corners(at)
+        return np.unique(np.concatenate([self.elastic.rows(corner) for corner, _ in corners]))
 
     def contact_at(self, at: Place) -> ElasticCondensation:
         """Return the elastic condensation at positions, m, on what is free there (`free_at`)."""

@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from fesim.axes.corner_table import CornerTables
-from fesim.axes.guideway import Guideway, Place, rubbed
+from fesim.axes.guideway import Guideway, Place
 from fesim.axes.occupation import Shares, even
 from fesim.march.contact import ContactProblem
 from fesim.march.machine import CondensedMachine
@@ -36,14 +37,24 @@ class FreeGrowth:
 
     def strained(self, temperature: Array) -> Array:
         """Return `Guideway.free_at`, on which the joints there are (`MovingMachine.settling`)."""
-        return self.guideway.free_at(self.at, self.guideway.elastic.alone(temperature))
+        # Imported here because it loads a compiler, as in `fesim.march.contact.gap_solver`.
+        from fesim.march.picked import product_of
+
+        thermal = self.guideway.elastic.thermal
+        alone = np.zeros(len(thermal))
+        alone[self._rows] = product_of(thermal, self._rows, temperature)
+        return self.guideway.free_at(self.at, alone)
+
+    @cached_property
+    def _rows(self) -> NDArray[np.int64]:
+        return self.guideway.felt_at(self.at)
 
 
 @dataclass(frozen=True, eq=False)
 class MovingMachine:
     """A condensed structure on linear axes; the temperatures are r amplitudes of modes."""
 
-    #: At the first aligned positions, on what its joints feel there. Its last thermal inputs are
+    #: At the first aligned positions, on what its joints feel there. Its last thermal inputs count
     #: the heat of running friction of each axis, W.
     machine: CondensedMachine
     #: What its pads ride along.
@@ -79,7 +90,8 @@ class MovingMachine:
     def _made(self, at: Place) -> CondensedMachine:
         positions = self.guideway.stations.positions
         shares = [even(one, here, here) for one, here in zip(positions, at, strict=True)]
-        return self.moving(shares, at, np.zeros((self.axes, self.guideway.running.size)))
+        machine = self.moving(shares, at, np.zeros(self.guideway.running.size))
+        return replace(machine, thermal=self._thermal(shares))
 
     def settling(self, at: Place) -> ContactProblem:
         """Return the joints at positions, m, on what is free there (`Guideway.free_at`)."""
@@ -100,31 +112,23 @@ class MovingMachine:
             Of each axis's aligned positions in the step.
         at : tuple of float
             Positions at the end of the step, m.
-        heat : ndarray, shape (axes, m)
-            Share of each contact element in the heat of running friction of each axis; they add up
-            to one, or are all zero.
+        heat : ndarray, shape (m,)
+            Of running friction, of each contact element of the meshed part, W.
         """
+        stations, thermal = self.guideway.stations, self.machine.thermal
+        passing = Passing(self.rows, stations.touches(shares), stations.rubbed(heat, shares))
+        # In a step, jumps and means matter to conductances alone.
+        if not self.machine.contact.conducts_by_pressure:
+            thermal = self._thermal(shares)
         return replace(
             self.machine,
-            thermal=self._thermal([of_axis.mean for of_axis in shares], heat),
+            thermal=thermal,
             contact=self.settling(at),
             growth=FreeGrowth(self.guideway, at),
-            passing=Passing(self.rows, self.guideway.stations.touches(shares)),
+            passing=passing,
         )
 
-    def _thermal(self, weights: Sequence[Array], heat: Array) -> ThermalCondensation:
-        thermal, guideway = self.machine.thermal, self.guideway
-        inputs = thermal.inputs.copy()
-        coefficients = guideway.stations.coefficients(weights)
-        warmed = rubbed(heat, coefficients) @ guideway.temperature / self.copies
-        inputs[: self.free, -self.axes :] = warmed[:, : self.free].T
-        entering = thermal.balance.entering.copy()
-        entering[-self.axes :] = heat.sum(axis=1) / self.copies
-        jump, mean = guideway.sides(csr_array(coefficients))
-        return replace(
-            thermal,
-            inputs=inputs,
-            jump=jump,
-            mean=mean,
-            balance=replace(thermal.balance, entering=entering),
-        )
+    def _thermal(self, shares: Sequence[Shares]) -> ThermalCondensation:
+        coefficients = self.guideway.stations.coefficients([of_axis.mean for of_axis in shares])
+        jump, mean = self.guideway.sides(csr_array(coefficients))
+        return replace(self.machine.thermal, jump=jump, mean=mean)

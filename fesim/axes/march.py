@@ -81,10 +81,8 @@ def _in_step(
         return moving.standing(at), np.zeros(len(axes))
     stations, step = moving.guideway.stations, moving.machine.thermal.step
     heat = moving.guideway.friction_heat(state.pressure, stations.ridden(ways), step)
-    total = heat.sum(axis=1)
     shares = [
         shares_of(positions, axis.course, *ends)
         for positions, axis in zip(stations.positions, axes, strict=True)
     ]
-    spread = heat / np.where(total > 0.0, total, 1.0)[:, None]
-    return moving.moving(shares, at, spread), total * moving.copies
+    return moving.moving(shares, at, heat.sum(axis=0)), heat.sum(axis=1) * moving.copies

@@ -295,7 +295,8 @@ def _moving(whole: Discretised, keys: CacheKeys) -> tuple[MovingMachine, Thermal
     ties = Ties(apart.springs, apart.compliance, operators.place, area, whole.springs)
     elastic = TiedCondensations(ties, apart.thermal @ modes.basis)
     thermal = project_heat(whole.heat, operators.pads, case.march.step_s, modes)
-    thermal = _with_friction(thermal, len(positions))
+    copies = parts.structure.symmetry_factor
+    thermal = _with_friction(thermal, len(positions), copies)
     running = [
         np.full(joint.area.size, case.joints[joint.name].running_friction_coefficient)
         for joint in parts.joints
@@ -317,7 +318,7 @@ def _moving(whole: Discretised, keys: CacheKeys) -> tuple[MovingMachine, Thermal
         machine,
         guideway,
         rows,
-        parts.structure.symmetry_factor,
+        copies,
         modes.rates.size,
     ), modes
 
@@ -394,18 +395,21 @@ def _rows(thermal: ThermalCondensation, operators: GuidedOperators, modes: Therm
     temperature = np.vstack([operators.pads.jump @ modes.basis, operators.heat @ modes.basis])
     influence = thermal.factor.solve(np.ascontiguousarray(temperature.T))
     influence[modes.rates.size :] = 0.0  # held surfaces stay as they are
-    return Rows(temperature, influence, temperature @ influence)
+    return Rows(temperature, np.ascontiguousarray(influence.T), temperature @ influence)
 
 
-def _with_friction(thermal: ThermalCondensation, axes: int) -> ThermalCondensation:
-    """Inputs that `MovingMachine` distributes: the heat of running friction of each axis, W."""
+def _with_friction(thermal: ThermalCondensation, axes: int, copies: int) -> ThermalCondensation:
+    """Inputs for the heat of running friction of each axis, W, of all copies of the meshed part.
+
+    They do nothing but count: a step distributes the heat over the rows (`Passing.rubbed`).
+    """
     balance = thermal.balance
     return replace(
         thermal,
         inputs=np.pad(thermal.inputs, ((0, 0), (0, axes))),
         balance=replace(
             balance,
-            entering=np.pad(balance.entering, (0, axes)),
+            entering=np.pad(balance.entering, (0, axes), constant_values=1.0 / copies),
             drive=np.pad(balance.drive, ((0, 0), (0, axes))),
         ),
     )

@@ -18,6 +18,7 @@ import numpy as np
 from fesim.case.history import Histories
 from fesim.march.adaptive_state import Asked, Now, Passed, Solving, no_effort, unpacked
 from fesim.march.exponential import Ends, ExponentialStep, exponential_step, heat_spread
+from fesim.march.iteration import iterated_step
 from fesim.march.machine import CondensedMachine, State, Step
 from fesim.march.settling import displaced
 from fesim.march.slip_path import settled_at, slip_path
@@ -34,7 +35,6 @@ from fesim.march.step_control import (
     shorter,
     until,
 )
-from fesim.march.stepping import iterated_step
 from fesim.march.track import Track, joined, track_of
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError, ThermojointError

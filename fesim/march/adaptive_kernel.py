@@ -28,10 +28,10 @@ from fesim.march.compiled_adaptive import Asked as CompiledAsked
 from fesim.march.compiled_exponential import Lengths, Modes, new_lengths
 from fesim.march.exponential import heat_spread
 from fesim.march.heat_step import heat_balances
+from fesim.march.iteration import left_open
 from fesim.march.kernel import joint_kernel, owned, watched_in
 from fesim.march.machine import CondensedMachine, State
 from fesim.march.step_control import LONGEST, Pace, StepError
-from fesim.march.stepping import left_open
 from fesim.march.track import Track
 from fesim.solid.condensation import ThermalCondensation
 from thermojoint.artefacts.arrays import Array

@@ -20,7 +20,7 @@ from fesim.joint.compiled_gap import NewtonWork, Trial, evaluate_in_place, large
 from fesim.joint.in_place import add, fill, put
 from fesim.joint.linear_system import solve
 from fesim.joint.loosening import Watched, WatchWork, surely_held
-from fesim.march import stepping
+from fesim.march import iteration
 from fesim.march.compiled_exponential import (
     BENDS,
     MEAN,
@@ -42,6 +42,7 @@ from fesim.march.compiled_step import (
     settle_by_newton,
     take,
 )
+from fesim.march.iteration import PATIENCE, PRESSURE_TOLERANCE
 from fesim.march.step_control import (
     ROUNDING,
     SHORTEST,
@@ -53,12 +54,11 @@ from fesim.march.step_control import (
     shorter_length,
     until,
 )
-from fesim.march.stepping import PATIENCE, PRESSURE_TOLERANCE
 from thermojoint.artefacts.arrays import Array
 
-#: Sweeps of the in-step iteration; `fesim.march.stepping` has more of them.
+#: Sweeps of the in-step iteration; `fesim.march.iteration` has more of them.
 SWEEPS = 60
-LIGHTEST, HEAVIEST = stepping.WEIGHTS
+LIGHTEST, HEAVIEST = iteration.WEIGHTS
 
 #: Rows of `Course`: start and end of a step.
 BEFORE, AFTER = range(2)

@@ -10,6 +10,7 @@ implicit Euler step is (1 + L S) q = L R y, T = y - A0^-1 R^T q, where y is the 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -28,7 +29,7 @@ class Rows:
     #: Shape (q, n): R: mean temperature of each, K; of a contact element that passes nothing its
     #: jump.
     temperature: Array
-    #: Shape (n, q): A0^-1 R^T, K/W.
+    #: Shape (q, n): R A0^-1, K/W: what heat that enters each row does to the temperatures.
     influence: Array
     #: Shape (q, q): R A0^-1 R^T, K/W.
     joint_influence: Array
@@ -52,6 +53,26 @@ class Passing:
 
     rows: Rows
     touches: Touches
+    #: Shape (q,): heat of running friction that enters each row, W.
+    rubbed: Array
+
+    @cached_property
+    def used(self) -> NDArray[np.int64]:
+        """The contact elements, then the other rows that they touch."""
+        count = 1 + int(self.touches.element.max(initial=-1))
+        return np.union1d(np.arange(count), self.touches.first)
+
+    @cached_property
+    def between(self) -> Touches:
+        """The products, counted among the rows that are used."""
+        ends = self.touches.first, self.touches.second
+        first, second = (np.searchsorted(self.used, at) for at in ends)
+        return self.touches._replace(first=first, second=second)
+
+    @cached_property
+    def influence(self) -> Array:
+        """S of the rows that are used."""
+        return self.rows.joint_influence[np.ix_(self.used, self.used)]
 
 
 def exchange(touches: Touches, joint: Array, size: int) -> Array:
@@ -96,15 +117,15 @@ def pass_heat(
     joint : ndarray, shape (m,)
         Conductance times area of each contact element, W/K.
     """
-    rows, touches = passing.rows, passing.touches
-    used = np.union1d(np.arange(len(joint)), touches.first)
-    first, second = (np.searchsorted(used, at) for at in (touches.first, touches.second))
-    laplacian = exchange(touches._replace(first=first, second=second), joint, used.size)
+    # Imported here because it loads a compiler, as in `fesim.march.contact.gap_solver`.
+    from fesim.march.picked import product_of, sum_of
+
+    rows, used = passing.rows, passing.used
+    rubbed = passing.rubbed[used]
     alone = thermal.factor.solve(thermal.capacity_rate @ temperature + thermal.inputs @ inputs)
-    influence = rows.joint_influence[np.ix_(used, used)]
-    # Products with all rows: to pick those that are touched takes longer.
-    left = np.zeros(len(rows.joint_influence))
-    left[used] = leaving(laplacian, influence, (rows.temperature @ alone)[used])
-    after: Array = alone - rows.influence @ left
-    flow = np.asarray(left[: len(joint)])
+    warm = product_of(rows.temperature, used, alone) + passing.influence @ rubbed
+    exchanged = exchange(passing.between, joint, used.size)
+    left = leaving(exchanged, passing.influence, warm)
+    after: Array = alone + sum_of(rows.influence, used, rubbed - left)
+    flow = left[: len(joint)]
     return HeatTaken(after, flow, heat_balance(thermal, temperature, after, inputs, flow), 0.0)

@@ -14,8 +14,9 @@ from fesim.case.history import step_history
 from fesim.case.schema import case_from_data
 from fesim.joint.gap import TOLERANCE
 from fesim.joint.law import evaluate
+from fesim.march.iteration import Sweeps, iterated_step
 from fesim.march.settling import initial_state
-from fesim.march.stepping import Sweeps, iterated, iterated_step, march, staggered
+from fesim.march.stepping import iterated, march, staggered
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 from thermojoint.artefacts.errors import ConvergenceError

@@ -14,9 +14,10 @@ from repository import ROOT
 from fesim.case.history import step_history
 from fesim.case.schema import case_from_data, read_case
 from fesim.joint.gap import TOLERANCE
-from fesim.march import stepping
+from fesim.march import iteration
 from fesim.march.ensemble import march_many
 from fesim.march.half_step import halved
+from fesim.march.iteration import Sweeps, iterated_step
 from fesim.march.kernel import step_kernel
 from fesim.march.reduced import (
     DISPLACEMENT_ERROR,
@@ -25,9 +26,7 @@ from fesim.march.reduced import (
 from fesim.march.settling import initial_state
 from fesim.march.state_file import load_state, save_state
 from fesim.march.stepping import (
-    Sweeps,
     iterated,
-    iterated_step,
     march,
     march_along,
     plainly_staggered,
@@ -94,12 +93,12 @@ def test_a_step_that_does_not_settle_is_accelerated_then_taken_in_halves(
     machine = reduced_setup.machine
     inputs = driven(machine, step_history(1200.0))
     first = next(march(machine, inputs, iterated))
-    monkeypatch.setattr(stepping, "UNSETTLED", 1)
+    monkeypatch.setattr(iteration, "UNSETTLED", 1)
     accelerated = next(march(machine, inputs, iterated))
     np.testing.assert_allclose(accelerated.displacement, first.displacement, rtol=1e-7)
-    monkeypatch.setattr(stepping, "ACCELERATED", 1)
-    monkeypatch.setattr(stepping, "HALVINGS", 1)
-    monkeypatch.setattr(stepping, "SNAPS", 0.0)
+    monkeypatch.setattr(iteration, "ACCELERATED", 1)
+    monkeypatch.setattr(iteration, "HALVINGS", 1)
+    monkeypatch.setattr(iteration, "SNAPS", 0.0)
     divided = next(march(machine, inputs, iterated))
     monkeypatch.undo()
     two = list(islice(march(halved(machine), inputs, iterated), 2))
