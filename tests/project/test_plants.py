@@ -1,13 +1,14 @@
 """Drawn plants: what is drawn, what their sensors tell, and what is said of them."""
 
 import copy
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
 
+from benchmarks.plants.ablation import WITHOUT, without
 from benchmarks.plants.drawing import FAMILIES, OFFSET, PARTS, Unlike, draw_plant
 from benchmarks.plants.driving import DAY, LEVELS, drives
 from benchmarks.plants.estimating import Errors
@@ -120,6 +121,31 @@ def test_a_plant_like_the_case_in_structure_answers_as_one_with_parameters_only(
     assert found.displacement == pytest.approx(plain.displacement, abs=1e-7)
     (other,) = structural_answers(data, ROLES, plant, drive).values()
     assert np.abs(other.displacement - plain.displacement).max() > 1e-6
+
+
+def test_without_a_difference_a_plant_keeps_all_others(case):
+    plant = FAMILIES["structural"](case, ROLES, 1, 3)
+    gone = {
+        "nothing": set(),
+        "friction heat": {"friction"},
+        "open door": {"door"},
+        "warmer air": {"gradient"},
+        "unknown heat, all three": {"friction", "door", "gradient"},
+        "films of top and table": {"films"},
+        "unknown heat, films of top and table": {"friction", "door", "gradient", "films"},
+        "temperature-dependent material": {"conduction", "expansion"},
+        "elastic feet": {"feet"},
+        "lags and places of sensors": {"lag", "place"},
+    }
+    assert set(gone) == set(WITHOUT)
+    for difference, changed in gone.items():
+        other = without(plant, difference)
+        assert (other.factors, other.seed) == (plant.factors, plant.seed)
+        pairs = {
+            field.name: [getattr(one.unlike, field.name) for one in (plant, other)]
+            for field in fields(Unlike)
+        }
+        assert changed == {name for name, pair in pairs.items() if not np.array_equal(*pair)}
 
 
 def test_the_summary_takes_the_larger_axis_and_counts_who_is_worse_than_linear(data):

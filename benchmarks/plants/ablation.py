@@ -1,0 +1,172 @@
+"""Which difference in structure the error of a day comes from.
+
+    python -m benchmarks.plants.ablation --seed 101 --number 0 --out ablation.json
+
+A plant of the structural family, whole and then without one of its differences, in the calibration
+and in the day alike: what its error falls by is what this difference costs. Four sensors, steps and
+a cool-down, everything on steps of 20 s, as the bands are drawn; the fit ends sooner than a user's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from threadpoolctl import threadpool_limits
+
+from benchmarks.plants.drawing import PARTS, Plant, Unlike, draw_unlike
+from benchmarks.plants.judging import (
+    CALIBRATIONS,
+    Machines,
+    exact_answers,
+    judged_run,
+    shown,
+    with_sensors,
+)
+from benchmarks.plants.preparing import prepared
+from benchmarks.study import case_file, options_of, write_rows
+from calibrate.joint_aware.assembling import observer_from_rest
+from calibrate.joint_aware.calibration import calibrated_range
+from calibrate.joint_aware.misfit import fewer
+from calibrate.joint_aware.open_band import HEALTHY
+from calibrate.joint_aware.physics_fit import Search, fit_physics
+from calibrate.joint_aware.readings import run_in
+from estimator.joint_aware.estimator import JointAware
+from estimator.joint_aware.observer_model import ObserverModel
+from estimator.joint_aware.readings import samples_in
+from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.response import columns_of
+
+#: Of plants and model, s; sensors; what the fit takes.
+STEP, SENSORS, LABEL = 20.0, 4, "steps and cool-down"
+SEARCH = Search(starts=0, rounds=2, evaluations=8, close=1e-3)
+CASES = ("day", "step-3.0")
+
+
+def _without_friction(unlike: Unlike) -> Unlike:
+    return replace(unlike, friction=dict.fromkeys(unlike.friction, 0.0))
+
+
+def _with_a_closed_door(unlike: Unlike) -> Unlike:
+    return replace(unlike, door=1.0)
+
+
+def _with_even_air(unlike: Unlike) -> Unlike:
+    return replace(unlike, gradient=0.0)
+
+
+def _without_unknown_heat(unlike: Unlike) -> Unlike:
+    return _with_even_air(_with_a_closed_door(_without_friction(unlike)))
+
+
+def _with_the_model_s_films(unlike: Unlike) -> Unlike:
+    """One film outside, beside those of rear and interior that the model has, too."""
+    outside = {name: unlike.films["column"] for name in PARTS if name != "rear"}
+    return replace(unlike, films=unlike.films | outside)
+
+
+def _without_either(unlike: Unlike) -> Unlike:
+    return _with_the_model_s_films(_without_unknown_heat(unlike))
+
+
+def _with_constant_material(unlike: Unlike) -> Unlike:
+    return replace(unlike, conduction=0.0, expansion=0.0)
+
+
+def _on_firm_ground(unlike: Unlike) -> Unlike:
+    return replace(unlike, feet=(1e6, 1e6))
+
+
+def _with_exact_sensors(unlike: Unlike) -> Unlike:
+    return replace(unlike, lag=np.full_like(unlike.lag, 1e-3), place=np.zeros_like(unlike.place))
+
+
+#: What a plant is without, to the plant without it.
+WITHOUT: dict[str, Callable[[Unlike], Unlike]] = {
+    "nothing": lambda unlike: unlike,
+    "friction heat": _without_friction,
+    "open door": _with_a_closed_door,
+    "warmer air": _with_even_air,
+    "unknown heat, all three": _without_unknown_heat,
+    "films of top and table": _with_the_model_s_films,
+    "unknown heat, films of top and table": _without_either,
+    "temperature-dependent material": _with_constant_material,
+    "elastic feet": _on_firm_ground,
+    "lags and places of sensors": _with_exact_sensors,
+}
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Print a row for every difference, and write them."""
+    parser = options_of(__doc__, "ablation.json")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--number", type=int, default=0)
+    parser.add_argument("--without", action="append", choices=list(WITHOUT), default=[])
+    parser.add_argument("--case", type=Path, default=case_file("reference"))
+    options = parser.parse_args(arguments)
+    case, machines = prepared(options.case, more=True)
+    machines = on_steps_of(machines, STEP)
+    plant = draw_unlike(case, machines.model.sensor_names, options.seed, options.number)
+    write_rows(_rows(machines, plant, options.without or list(WITHOUT)), options.out)
+
+
+def on_steps_of(machines: Machines, step: float) -> Machines:
+    """Return the machines of a study on steps of another length, s."""
+    return replace(
+        machines,
+        model=replace(machines.model, step=step),
+        plant=replace(machines.plant, step=step),
+        data=machines.data | {"march": machines.data["march"] | {"step_s": step}},
+    )
+
+
+def without(plant: Plant, difference: str) -> Plant:
+    """Return a plant without one of its differences in structure (`WITHOUT`)."""
+    assert plant.unlike is not None
+    return replace(plant, unlike=WITHOUT[difference](plant.unlike))
+
+
+def _rows(machines: Machines, plant: Plant, differences: list[str]) -> Iterator[dict[str, Any]]:
+    for difference in differences:
+        with threadpool_limits(limits=1):
+            found = _calibrated(machines, without(plant, difference))
+        yield {"plant": plant.number, "without": difference} | found
+
+
+def _calibrated(machines: Machines, plant: Plant) -> dict[str, Any]:
+    """Doubt and films of a fit, and its largest errors along every axis, um."""
+    exact = exact_answers(machines, plant)
+    responses = shown(machines, plant, exact, CALIBRATIONS[LABEL])
+    machine = with_sensors(machines.model, machines.model.sensor_names[:SENSORS])
+    runs = [fewer(run_in(response, machine, name)) for name, response in responses.items()]
+    fit = fit_physics(machine, runs, search=SEARCH)
+    model = observer_from_rest(machine, fit, calibrated_range(machine, responses))
+    errors = {
+        f"{name}_um": largest_error(model, judged_run(machines, plant, exact, name)[0]).tolist()
+        for name in CASES
+    }
+    films = {
+        parameter.name: parameter.factor(float(value))
+        for parameter, value in zip(fit.parameters, fit.coordinates, strict=True)
+        if parameter.name.startswith("film")
+    }
+    return errors | {"doubt": fit.doubt, "films": films}
+
+
+def largest_error(model: ObserverModel, run: xr.Dataset) -> Array:
+    """Return the largest error of an observer along every axis of a run, um, (axes,).
+
+    No onset of heat counts as a fault: steps of 20 s do not resolve it.
+    """
+    samples = np.array(list(samples_in(run, model.sensors)))
+    found = JointAware(model, thresholds=HEALTHY).displacements(samples)
+    size: Array = 1e6 * np.abs(found - columns_of(run, "displacement", model.axes)).max(axis=0)
+    return size
+
+
+if __name__ == "__main__":
+    main()
