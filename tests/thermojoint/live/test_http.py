@@ -5,6 +5,7 @@ import base64
 import contextlib
 import json
 import math
+import re
 import resource
 import socket
 import ssl
@@ -54,8 +55,12 @@ def floor(tmp_path_factory):
     scene = Scene(
         {"surface": {"points_m": [[0.0], [0.0], [0.0]]}}, lambda: {"temperature_K": [1.0]}
     )
+    residuals = {"mill-1": lambda: {"T1_K": 0.5, "T2_K": None}, "mill-2": lambda: None}
+    given = {"handshakes": {"mill-1": lambda: {"state": "stands"}}, "requests_per_s": 1e4}
     with serving(
-        folder, archive, machines, run[-1:], {"mill-1": scene}, requests_per_s=1e4, most_streams=2
+        *(folder, archive, machines, run[-1:], {"mill-1": scene}, residuals),
+        most_streams=2,
+        **given,
     ) as found:
         yield found
 
@@ -128,6 +133,35 @@ def test_a_machine_without_a_picture_says_so(ask):
     answer = ask.get("/api/machines/mill-2/scene")
     assert answer.status_code == 404
     assert "no picture" in answer.json()["error"]
+
+
+def test_residuals_and_a_handshake_are_those_of_the_machine(ask):
+    told = ask.get("/api/machines/mill-1/residuals").json()
+    assert told == {"machine": "mill-1", "residuals_K": {"T1_K": 0.5, "T2_K": None}}
+    told = ask.get("/api/machines/mill-1/handshake").json()
+    assert told == {"machine": "mill-1", "state": "stands"}
+    for page, said in (("residuals", "nothing is known"), ("handshake", "has no handshake")):
+        answer = ask.get(f"/api/machines/mill-2/{page}")
+        assert answer.status_code == 404
+        assert said in answer.json()["error"]
+
+
+@pytest.mark.parametrize("path", ["/", "/machines/mill-1"])
+def test_a_page_has_its_own_files_alone_and_a_browser_may_keep_them(ask, path):
+    """By their digest: a file that has changed has another address."""
+    page = ask.get(path).text
+    linked = re.findall(r"""(?:src|href)="([^"]+\.(?:js|css|svg))\"""", page)
+    assert len(linked) > 3
+    for address in linked:
+        assert address.startswith("/assets/")
+        packed = ask.get(address, headers={"accept-encoding": "gzip"})
+        plain = ask.get(address, headers={"accept-encoding": "identity"})
+        assert packed.headers["content-encoding"] == "gzip"
+        assert packed.content == plain.content != b""
+        assert "immutable" in plain.headers["cache-control"]
+        _, _, digest, name = address.split("/")
+        assert ask.get(f"/assets/{digest[::-1]}/{name}").status_code == 404
+        assert ask.get(f"/assets/{digest}/no-{name}").status_code == 404
 
 
 def test_prometheus_and_a_watchdog_find_what_they_look_for(floor, ask):
