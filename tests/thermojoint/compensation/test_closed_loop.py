@@ -418,7 +418,6 @@ def test_the_example_loops_fit_their_machine(name):
     assert all(getattr(known, part) == getattr(case, part) for part in kept)
 
 
-@pytest.mark.long
 def test_the_commands_of_the_page_follow_one_another(tmp_path, monkeypatch):
     """Short, on coarser meshes, in longer steps; the estimator does not have the plant's mesh."""
     for path in EXAMPLE.glob("*.*"):

@@ -96,7 +96,6 @@ def test_a_turning_spindle_lifts_its_workpiece():
     assert {"A", "B", "C"} <= set(record.tilts)
 
 
-@pytest.mark.long
 def test_a_rotary_table_grows_and_tilts_in_its_plane_of_symmetry():
     record = response_record(simulated("iso230_3_rotary_axis"))
     found = by_symbol(Protocol.ROTARY_AXIS, record)
