@@ -33,7 +33,7 @@ PATIENCE = 20
 UNSETTLED, ACCELERATED, HALVINGS = 30, 60, 8
 #: Largest change of a pressure in the shortest parts, relative to the preload, for a joint that
 #: snaps between two values of the conductance.
-SNAPS = 1e-2
+SNAPS = 0.1
 
 
 def divided_step(machine: CondensedMachine, state: State, inputs: Array, parts: int = 1) -> Step:
