@@ -156,7 +156,8 @@ def simulate(
     _check_forces(case, ready)
     (at_zero,) = inputs.at(np.zeros(1))
     at_first = cold_drives(moving.axes if moving is not None else ())
-    parts, first = [], start
+    parts: list[_Course] = []
+    first = start
     if first is None:
         rest = at_rest(ready.machine, at_zero)
         first = replace(rest.state, drive=at_first)

@@ -162,8 +162,10 @@ class FreeMarch:
         known = taken.inputs[:, : thermal.inputs.shape[1]]
         balances = heat_balances(thermal, taken.mean - change, taken.mean, known, taken.flow)
         of_rows, needed, given = np.empty((2, count)), np.zeros(count, dtype=np.int64), 0
-        counts = iterations.astype(int).tolist(), ends.astype(int).tolist()
-        for *own, end in zip(residuals.tolist(), balances.tolist(), *counts, strict=True):
+        said = zip(
+            residuals.tolist(), balances.tolist(), iterations.astype(int).tolist(), strict=True
+        )
+        for own, end in zip(said, ends.astype(int).tolist(), strict=True):
             solving = solving.and_of(Solving(*own))
             if end > given:
                 of_rows[:, given:end] = [[solving.residual], [solving.heat_balance]]
