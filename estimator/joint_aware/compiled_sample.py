@@ -227,9 +227,9 @@ def _alike(possible: Possible, rules: Thresholds, work: SampleWork, heat: Array)
     put(possible.covariance, work.system)
     for c in range(innovation.size):
         imperfect = rules.model_error + rules.model_share * abs(work.predicted[c])
-        if abs(innovation[c]) > rules.gate * imperfect:
-            return False
         work.system[c, c] += imperfect * imperfect
+        if abs(innovation[c]) > rules.gate * math.sqrt(work.system[c, c]):
+            return False  # a jump
         rest[c] = innovation[c]
         for s in range(heat.size):
             rest[c] -= possible.onset[c, s] * change[s]
