@@ -1,16 +1,25 @@
 """The pages that set up: who gets in, what is refused, what a form does to a file."""
 
+import signal
 import stat
+import subprocess
 import time
 import tomllib
 
+import httpx
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from live_parts import PATIENCE_S, free_port
 from machine_logs import as_csv, machine_log
+from own_process import OwnProcess
+from reference_case import lasting
 from starlette.testclient import TestClient
 
-from thermojoint.setup_pages.app import make_app
+from calibrate.learning.learn import learn
+from thermojoint.models.learned import write_learned
+from thermojoint.setup_pages import jobs
+from thermojoint.setup_pages.app import PAGES, make_app
 from thermojoint.setup_pages.gate import Key
 from thermojoint.setup_pages.jobs import Jobs, Record
 from thermojoint.setup_pages.place import Place
@@ -80,7 +89,7 @@ def client(stranger, key):
 
 def ended(place):
     """Wait for the end of what runs."""
-    end = time.monotonic() + 60.0
+    end = time.monotonic() + PATIENCE_S
     while place.jobs.running:
         assert time.monotonic() < end
         time.sleep(0.05)
@@ -120,6 +129,27 @@ def test_a_link_is_good_for_one_browser(stranger, key, capsys):
     stranger.cookies.clear()
     assert stranger.get("/", params={"token": token}).status_code == 401
     assert key.link in capsys.readouterr().out
+
+
+def test_the_command_serves_a_folder_until_ctrl_c(tmp_path, command):
+    assert command("setup", tmp_path / "none")[0] == 2
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    with (tmp_path / "said.txt").open("w") as said:
+        process = OwnProcess("setup", folder, stdout=said)
+    try:
+        end = time.monotonic() + PATIENCE_S
+        while not (said := (tmp_path / "said.txt").read_text()).endswith("\n"):
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        link = said.split()[1]
+        with httpx.Client(follow_redirects=True, trust_env=False) as browser:
+            assert browser.get(link.partition("?")[0]).status_code == 401
+            assert str(folder) in browser.get(link).text
+        process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE_S) == 0
+    finally:
+        process.kill()
 
 
 @pytest.mark.parametrize(
@@ -373,6 +403,162 @@ def test_linuxcnc_is_shown_what_would_be_written_and_keeps_its_ini_file(client, 
     assert "has not ended well" in sent(client, "/try", enable="yes", read="yes")[1]
     assert place.text("mill.ini") == ini
     assert not (place.folder / "thermojoint.hal").exists()
+
+
+# Both ways, with the commands of their steps
+
+
+@pytest.fixture
+def commands(place, monkeypatch):
+    """What the steps run. It is not run: what it would write is there, as far as pages read it.
+
+    A service runs until it is stopped.
+    """
+    found = []
+
+    def started(words, folder, output):
+        found.append(words)
+        for word in words:
+            option, _, name = word.partition("=")
+            if option in ("--out", "--figure", "--faces", "--draft", "--case"):
+                content = {"--draft": FACES, "--case": lasting(0.1)}.get(option, "")
+                (folder / name).write_text(content)
+        serves = words[0] == "serve" and "--check" not in words
+        return subprocess.Popen(["sh", "-c", "trap '' HUP; exec sleep 60"] if serves else ["true"])
+
+    monkeypatch.setattr(jobs, "started", started)
+    yield found
+    if place.jobs.detached:
+        place.jobs.detached.kill()
+        place.jobs.detached.wait()
+
+
+def ran(client, place, commands, page, **values):
+    """The commands of a form that is accepted; its page then shows them."""
+    before = len(commands)
+    status, text = sent(client, page, **values)
+    assert status == 303, text
+    ended(place)
+    assert client.get(page).status_code == 200
+    return commands[before:]
+
+
+def saved(client, place, commands, page, file, **values):
+    """The commands of a form of settings that is accepted."""
+    before = len(commands)
+    status, text = form(client, page, file, **values)
+    assert status == 303, text
+    ended(place)
+    return commands[before:]
+
+
+def test_from_a_log_to_offsets_every_step_runs_its_commands(client, place, commands):
+    log = as_csv(machine_log(hours=6.0), place.folder / "log.csv")
+    as_csv(machine_log(hours=1.0, seed=5), place.folder / "day.csv")
+    assert ran(client, place, commands, "/log", log=log.name) == [
+        ["look", log.name, "--out=log.png"]
+    ]
+    assert "choose at least one" in sent(client, "/learn", kind="learned")[1]
+    wanted = {"displacement": "x_um", "ignore": "T6_degC", "kind": "ridge"}
+    assert "no whole number" in sent(client, "/learn", most="few", **wanted)[1]
+    (learned,) = ran(client, place, commands, "/learn", most="2", **wanted)
+    assert learned == [
+        *("learn", "log.csv", "--displacement=x_um", "--ignore=T6_degC", "--max-sensors=2"),
+        *("--kind=ridge", "--out=model.json", "--figure=held-out.png"),
+    ]
+    assert client.get("/files/held-out.png").status_code == 200
+    write_learned(learn([machine_log(hours=6.0)], ["x_um"], 1), place.folder / "model.json")
+    assert "<option selected>day.csv" in client.get("/compare").text
+    compared = ran(client, place, commands, "/compare", model="model.json", day="day.csv")
+    assert compared == [
+        ["estimate", "model.json", "day.csv", "--out=estimate.csv"],
+        ["validate", "model.json", "day.csv", "--out=truth.png"],
+    ]
+    (place.folder / "estimate.csv").write_text(ESTIMATE)
+    assert "name at least one axis" in sent(client, "/offsets", begin="yes")[1]
+    assert ran(client, place, commands, "/offsets", begin="yes", **{"axis:x": "Z"}) == []
+    assert tomllib.loads(place.text("offsets.toml"))["axes"]["Z"]["follows"] == "x"
+    compensate = ["compensate", "estimate.csv", "--settings=offsets.toml", "--out=offsets.csv"]
+    assert saved(client, place, commands, "/offsets", "offsets.toml", rate_um_s="50") == [
+        compensate
+    ]
+
+
+def test_a_control_is_tried_before_it_is_enabled_and_its_service_started_and_stopped(
+    client, place, commands
+):
+    (place.folder / "estimate.csv").write_text(ESTIMATE)
+    (place.folder / "offsets.toml").write_text(OFFSETS)
+    begin = {"begin": "yes", "kind": "sinumerik", "machine": "mill", "source": "csv"}
+    assert "use up to 64 letters" in sent(client, "/control", **begin | {"machine": "a mill"})[1]
+    assert ran(client, place, commands, "/control", **begin) == []
+    assert "exists already" in sent(client, "/control", **begin)[1]
+    assert len(place.text("dashboard.token").strip()) == 48
+    reached = {"url": "opc.tcp://127.0.0.1:4840", "security": "none"}
+    assert saved(client, place, commands, "/control", "target.toml", **reached) == []
+    port = {"http.port": str(free_port())}
+    assert saved(client, place, commands, "/control", "service.toml", **port) == []
+    tried = ran(
+        client,
+        place,
+        commands,
+        "/try",
+    )
+    assert [words[0] for words in tried] == ["compensate", "target", "serve"]
+    assert tried[1] == ["target", "target.toml", "--offsets=offsets.csv", "--out=writes.csv"]
+    assert tried[2] == ["serve", "service.toml", "--check"]
+    assert not enabled(place)
+    assert ran(client, place, commands, "/try", enable="yes", read="yes") == []
+    assert enabled(place)
+    assert "does not run" in sent(client, "/run", stop="yes")[1]
+    assert ran(client, place, commands, "/run", start="yes") == [["serve", "service.toml"]]
+    assert "runs already" in sent(client, "/run", start="yes")[1]
+    assert "The service runs" in client.get("/run").text
+    assert ran(client, place, commands, "/run", reload="yes") == []
+    assert place.jobs.detached.poll() is None
+    assert ran(client, place, commands, "/run", stop="yes") == []
+    assert place.jobs.detached.poll() is not None
+    assert "The service does not run" in client.get("/run").text
+
+
+def test_from_a_part_to_a_displacement_every_step_runs_its_commands(client, place, commands):
+    (place.folder / "part.step").write_text("")
+    assert "is no length" in sent(client, "/part", part="part.step", size="0")[1]
+    assert ran(client, place, commands, "/part", part="part.step", size="20") == [
+        ["mesh", "part.step", "--size-mm=20", "--draft=faces.toml", "--out=faces.msh"],
+        ["inspect", "faces.msh", "--faces=faces.png"],
+    ]
+    names = {"surfaces_mm:face_1": "foot", "surfaces_mm:face_2": "warm"}
+    assert ran(client, place, commands, "/names", **names) == [
+        ["mesh", "part.step", "--size-mm=20", "--names=names.toml", "--out=part.msh"],
+        ["inspect", "part.msh", "--faces=part.png", "--case=machine.toml"],
+    ]
+    step = {"march.step_s": "3.0"}
+    assert saved(client, place, commands, "/case", "machine.toml", **step) == [
+        ["inspect", "machine.toml", "--out=machine.png"]
+    ]
+    assert "exists already" in sent(client, "/case", begin="yes")[1]
+    assert ran(client, place, commands, "/case", begin="yes", replace="yes") == [
+        ["inspect", "part.msh", "--case=machine.toml"]
+    ]
+    assert len(list(place.folder.glob("machine.toml.*.former"))) == 1
+    assert ran(client, place, commands, "/result", deformed="yes") == [
+        ["simulate", "machine.toml", "--out=machine.nc"],
+        ["view", "machine.nc", "--out=curves.png"],
+        ["view", "machine.nc", "--show=deformation", "--out=deformed.png"],
+    ]
+    assert "machine.toml" in client.get("/").text
+
+
+def test_a_mesh_is_looked_at_in_its_unit(client, place, commands):
+    (place.folder / "bars.msh").write_text("")
+    assert ran(client, place, commands, "/part", part="bars.msh", unit="mm") == [
+        ["inspect", "bars.msh", "--unit=mm", "--faces=faces.png", "--case=machine.toml"]
+    ]
+    assert all(client.get(f"/{page}").status_code in (200, 400) for page in PAGES)
+    assert ran(client, place, commands, "/case", begin="yes", replace="yes") == [
+        ["inspect", "bars.msh", "--unit=mm", "--case=machine.toml"]
+    ]
 
 
 # A file as a form
