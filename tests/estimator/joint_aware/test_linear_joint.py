@@ -123,8 +123,8 @@ class InTheInterpreter(JointAware):
 def test_readings_that_its_joint_does_not_explain_are_taken_in_machine_code_as_well(
     calibrated, case, setup
 ):
-    """Heat of three times the step that it knows: the joint of the machine is not linear."""
-    hot = run_at(case, setup, 3.0)
+    """Heat of six times the step that it knows: the joint of the machine is not linear."""
+    hot = run_at(case, setup, 6.0)
     rows = list(samples_in(hot, calibrated.model.sensors))
     taken, far = [], []
 
