@@ -70,8 +70,9 @@ def _divided(
     if not can_be_halved(machine):
         return iterated_step(machine, state, inputs), 0
     if not halvings:
+        few = Sweeps(seeking=UNSETTLED, relaxing=(), snaps=SNAPS)
         with suppress(_UnsettledError):
-            return iterated_step(machine, state, inputs, Sweeps(UNSETTLED, (), 0, SNAPS)), 0
+            return iterated_step(machine, state, inputs, few), 0
         return iterated_step(machine, state, inputs, Sweeps(snaps=SNAPS)), 0
     if not least:
         for seeking, accelerating in ((UNSETTLED, 0), (0, ACCELERATED)):

@@ -153,15 +153,17 @@ def staggered(machine: CondensedMachine) -> Take:
     Once they alternate, the march continues with `iterated` ones; these in more parts if they do,
     too.
     """
-    fast, plain = kernel_march(machine), plainly_staggered(machine)
+    fast = kernel_march(machine)
     if fast is None:
-        return plain
+        return plainly_staggered(machine)
 
     def take(state: State, inputs: Array) -> Track:
         if _alternates(machine, state, inputs[0]):
             return _taken_over(machine, state, inputs[0])
         track = fast(state, inputs)
-        return plain(state, inputs) if track is None else _watched(machine, state, track)
+        if track is None:
+            track = track_of(_staggered_step(machine, state, inputs[0]))
+        return _watched(machine, state, track)
 
     return take
 
@@ -170,7 +172,7 @@ def plainly_staggered(machine: CondensedMachine) -> Take:
     """The same steps without the compiled march: the reference implementation."""
 
     def take(state: State, inputs: Array) -> Track:
-        step = _steady_step(machine, state, inputs[0])
+        step = None if state.parts else _steady_step(machine, state, inputs[0])
         if step is None:
             return _taken_over(machine, state, inputs[0])
         return _watched(machine, state, track_of(step))
@@ -217,16 +219,15 @@ def _watched(machine: CondensedMachine, before: State, track: Track) -> Track:
 
 def _alternates(machine: CondensedMachine, state: State, inputs: Array) -> bool:
     """Whether the next step is an iterated one, because staggered ones alternate."""
-    if not state.parts and not suspected(state.turning).any():
-        return False
-    return _steady_step(machine, state, inputs) is None
+    if state.parts:
+        return True
+    doubtful = bool(suspected(state.turning).any())
+    return doubtful and _steady_step(machine, state, inputs) is None
 
 
 def _steady_step(machine: CondensedMachine, state: State, inputs: Array) -> Step | None:
     """Take a staggered step; None where they alternate, by the gain of their map over it."""
     which = suspected(state.turning)
-    if state.parts:
-        return None
     if not which.any():
         return _staggered_step(machine, state, inputs)
     carried = carried_by(machine, state)
