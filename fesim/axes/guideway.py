@@ -33,6 +33,8 @@ KEPT = 1024
 class Passage(NamedTuple):
     """What contact elements pass on an even way."""
 
+    #: Of each axis: how long it is at its aligned positions.
+    shares: tuple[Shares, ...]
     #: Products of rows that exchange heat.
     touches: Touches
     #: Shape (m, m + n): mean b of each contact element: one on its own row, minus a share on each
@@ -125,9 +127,9 @@ class GuideStations:
 @lru_cache(maxsize=KEPT)
 def _passage(stations: GuideStations, start: Place, end: Place) -> Passage:
     ways = zip(stations.positions, start, end, strict=True)
-    shares = [even(*way) for way in ways]
+    shares = tuple(even(*way) for way in ways)
     means = [of_axis.mean for of_axis in shares]
-    return Passage(stations.touches(shares), stations.coefficients(means))
+    return Passage(shares, stations.touches(shares), stations.coefficients(means))
 
 
 @lru_cache(maxsize=KEPT)
@@ -261,8 +263,3 @@ def sides(coefficients: Array | csr_array, temperature: Array, means: Array) -> 
     """
     count = coefficients.shape[0]
     return coefficients @ temperature, means - 0.5 * coefficients[:, count:] @ temperature[count:]
-
-
-def rubbed(heat: Array, coefficients: Array) -> Array:
-    """Return the heat (..., m + n), W, that friction of (..., m), W, gives to each row: half."""
-    return np.asarray(0.5 * heat @ np.abs(coefficients))

@@ -15,7 +15,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from fesim.axes.corner_table import CornerTables
-from fesim.axes.guideway import Place, rubbed, sides
+from fesim.axes.guideway import Place, sides
 from fesim.axes.mapping import surveyed
 from fesim.joint.blocks import one_block
 from fesim.joint.law import JointLaw
@@ -262,7 +262,7 @@ def _conduct_passing(
     if way[0] != way[1]:
         ridden = stations.ridden([abs(end - start) for start, end in zip(*way, strict=True)])
         rubbing = modes.way.friction_heat(joint.pressure, ridden.sum(axis=0), length)
-        alone = alone + step.influence @ rubbed(rubbing, passage.coefficients)
+        alone = alone + step.influence @ stations.rubbed(rubbing, passage.shares)
     left = leaving(beyond, step.joint_influence, modes.jump @ alone)
     return np.asarray(alone - step.influence @ left)
 
