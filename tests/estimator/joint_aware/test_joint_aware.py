@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from general_rule import assert_general_rule
 from observed import SENSORS, errors, estimates, observer, run, step
 from typer.testing import CliRunner
 from written_estimates import assert_compensate_reads_what_is_written
@@ -154,13 +155,6 @@ def test_a_day_stays_bounded_and_says_that_it_is_longer_than_the_calibration(dat
     assert Status.BEYOND_TIME in found[-1].status
 
 
-class InTheInterpreter(JointAware):
-    """Takes every sample by its general rule."""
-
-    def _usual(self, state, moment, readings, touched):
-        return None
-
-
 def test_a_usual_sample_in_machine_code_is_that_of_the_general_rule(estimator, response):
     rng = np.random.default_rng(5)
     rows = [
@@ -174,17 +168,7 @@ def test_a_usual_sample_in_machine_code_is_that_of_the_general_rule(estimator, r
             taken.append(super()._usual(state, moment, readings, touched))
             return taken[-1]
 
-    def followed(kind):
-        one = kind(estimator.model)
-        return list(follow(one, rows, one.initial_state()))
-
-    for (ours, quick), (theirs, plain) in zip(
-        followed(Counting), followed(InTheInterpreter), strict=True
-    ):
-        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(quick.displacement, plain.displacement, rtol=1e-9, atol=1e-15)
-        np.testing.assert_allclose(quick.band, plain.band, rtol=1e-9)
-        assert quick.words == plain.words
+    assert_general_rule(Counting(estimator.model), rows)
     assert sum(one is None for one in taken) < 0.1 * len(taken)
 
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from general_rule import assert_general_rule
 from short_runs import QUICK
 
 from calibrate.joint_aware.linear_joint import calibrate_linear_joint, with_linear_joint
-from estimator.interface import follow
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.model_file import read_observer, write_observer
 from estimator.joint_aware.readings import samples_in
@@ -113,13 +113,6 @@ def test_it_follows_the_step_it_was_calibrated_with(calibrated, responses):
         assert row["rms_error_um"] < 0.02 * row["peak_total_um"]
 
 
-class InTheInterpreter(JointAware):
-    """Takes every sample by its general rule."""
-
-    def _usual(self, state, moment, readings, touched):
-        return None
-
-
 def test_readings_that_its_joint_does_not_explain_are_taken_in_machine_code_as_well(
     calibrated, case, setup
 ):
@@ -135,15 +128,6 @@ def test_readings_that_its_joint_does_not_explain_are_taken_in_machine_code_as_w
             taken.append(super()._usual(state, moment, readings, touched))
             return taken[-1]
 
-    def followed(kind):
-        one = kind(calibrated.model)
-        return list(follow(one, rows, one.initial_state()))
-
-    for (ours, quick), (theirs, plain) in zip(
-        followed(Counting), followed(InTheInterpreter), strict=True
-    ):
-        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(quick.displacement, plain.displacement, rtol=1e-9, atol=1e-15)
-        assert quick.words == plain.words
+    assert_general_rule(Counting(calibrated.model), rows)
     assert sum(one is not None for one, off in zip(taken, far, strict=True) if off) > 0
     assert sum(one is None for one in taken) < 0.2 * len(taken)
