@@ -40,6 +40,7 @@ from estimator.joint_aware.observer_model import ObserverModel
 from estimator.joint_aware.readings import samples_in
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.response import columns_of
+from thermojoint.artefacts.units import MEGA
 
 #: Of plants and model, s; sensors; what the fit takes.
 STEP, SENSORS, LABEL = 20.0, 4, "steps and cool-down"
@@ -164,7 +165,7 @@ def largest_error(model: ObserverModel, run: xr.Dataset) -> Array:
     """
     samples = np.array(list(samples_in(run, model.sensors)))
     found = JointAware(model, thresholds=HEALTHY).displacements(samples)
-    size: Array = 1e6 * np.abs(found - columns_of(run, "displacement", model.axes)).max(axis=0)
+    size: Array = MEGA * np.abs(found - columns_of(run, "displacement", model.axes)).max(axis=0)
     return size
 
 
