@@ -13,7 +13,7 @@ from benchmarks.performance.timing import Row, paired
 from thermojoint.artefacts.errors import ConvergenceError
 
 #: Time limit of `thermojoint reproduce`, s.
-ALLOWED = 180.0
+ALLOWED = 60.0
 
 
 def rows() -> Iterator[Row]:

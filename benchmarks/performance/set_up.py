@@ -109,7 +109,7 @@ def _against_plain(name: str, options: list[str]) -> Iterator[Row | Skipped]:
     yield Row(name, ours.setup, plain.setup, plain.setup / ours.setup, "s", how)
     yield Row(f"{name}-memory", ours.memory, plain.memory, plain.memory / ours.memory, "GB", how)
     if ours.contacts > 1000:
-        limit = 50.0
+        limit = 80.0
         note = f"a step of the same, {ours.contacts} contact elements; other: the limit"
         yield Row(f"{name}-step", ours.step, limit, limit / ours.step, "ms", note)
 
