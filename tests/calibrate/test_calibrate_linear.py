@@ -108,6 +108,15 @@ def test_well_separated_rates_of_equation_8_are_recovered():
     assert pytest.approx(made.E, rel=1e-4) == found.E
 
 
+def test_minutes_and_hours_together_take_the_four_rates_of_equation_18():
+    times = np.geomspace(2.0, 28_800.0, 400)
+    made = DeformationModel(40e-6, -90e-6, 0.03e-6, 0.02, 0.002, 0.0002, 0.04e-6, 0.005)
+    data = deformation.step_response(times, made)
+    model, found = fit_deformation(times, data)
+    assert model.F != 0.0
+    assert found.max_abs_error < 1e-3 * np.abs(data).max()
+
+
 def test_a_rod_that_is_no_model_of_ours_is_fitted_with_amplitudes_of_its_own_size():
     data = 80e-6 * rod(0.2) / rod(0.2)[-1]
     model, found = fit_deformation(RUN, data)

@@ -11,6 +11,7 @@ from calibrate.placement.fchs import (
     sources_for,
     with_roles,
 )
+from calibrate.responses import candidates_in
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import make_response
 from thermojoint.models import deformation, ring_source
@@ -315,3 +316,10 @@ def test_roles_are_further_names_for_probes_that_keep_theirs():
     assert np.array_equal(
         again["temperature"].sel(probe="T1"), base["temperature"].sel(probe="high")
     )
+
+
+def test_without_boxes_every_probe_is_a_candidate_and_the_nearer_half_at_the_joint(coarse_response):
+    names, at_joint = candidates_in(coarse_response)
+    assert names == ["a", "b", "T1", "T2"]
+    assert sorted(at_joint) == ["T1", "T2"]
+    assert candidates_in(coarse_response.drop_vars("contact_position")) == (names, [])

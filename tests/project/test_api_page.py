@@ -46,10 +46,12 @@ def after(tmp_path_factory):
     return names
 
 
+@pytest.mark.long
 def test_the_page_runs_from_top_to_bottom(after):
     assert after["measured"].sizes == {"time": 3, "probe": 2, "axis": 1}
 
 
+@pytest.mark.long
 def test_the_estimate_of_the_page_is_near_what_the_machine_does(after):
     found, actual = after["estimate"].displacement, after["steps"][2.0]["displacement"][-1]
     assert found[0] == pytest.approx(float(actual.sel(axis="x")), rel=0.05)

@@ -268,6 +268,7 @@ def test_free_memory_is_in_gigabytes(tmp_path):
     assert scaling.free_memory(tmp_path / "nothing") is None
 
 
+@pytest.mark.long
 def test_a_size_that_breaks_off_says_why():
     reason = scaling.measured(["--elements", "none"])
     assert isinstance(reason, str)

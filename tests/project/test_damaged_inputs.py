@@ -36,6 +36,7 @@ def peak_pressure(inputs, name, folder):
     return float(response["pressure"].max())
 
 
+@pytest.mark.long
 def test_an_unharmed_mesh_gives_the_same_response_in_every_format(tmp_path, inputs):
     peaks = []
     for suffix in WRITERS:

@@ -111,7 +111,6 @@ def test_the_script_makes_an_equivalent_mesh(tmp_path):
     assert made.mesh.nelements == pytest.approx(kept.mesh.nelements, rel=0.2)
 
 
-@pytest.mark.long
 def test_bolts_of_the_machine_press_its_knee_and_follow_it():
     """Joint, bolts and screw keep the table in balance; a bolt that settles presses less."""
     response = simulate(read_case(EXAMPLES / "bolted_machine" / "machine.toml")).response

@@ -26,6 +26,7 @@ def followed(tmp_path_factory):
     return root / "examples/measured_machine"
 
 
+@pytest.mark.long
 @needs_gcc
 def test_its_commands_leave_what_it_says(followed):
     for name in re.findall(r"^\| `(spindle_st/\S+)`", PAGE, re.M):

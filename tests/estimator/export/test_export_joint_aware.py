@@ -109,6 +109,7 @@ def surprised(estimator):
     return JointAware(replace(estimator.model, band=wide))
 
 
+@pytest.mark.long
 @needs_gcc
 def test_innovations_that_last_widen_the_band_as_in_python(surprised, samples, expected, tmp_path):
     rows = np.array(samples)
@@ -263,6 +264,7 @@ def test_names_that_c_does_not_have_are_made_fit_and_no_comment_is_ended(
         export_program(renamed("T-1", "T 1", "b", "s"), Precision.DOUBLE, "m", samples[:5])
 
 
+@pytest.mark.long
 @needs_gxx
 def test_no_sample_costs_more_than_is_printed(joint_aware_program, samples, tmp_path):
     found = joint_aware_program

@@ -139,6 +139,7 @@ def told(program, folder, calls, more=()):
     ]
 
 
+@pytest.mark.long
 def test_faulty_sensors_are_left_out_as_in_python(estimator, stepped, tmp_path):
     """Three runs: one thermometer lies and another jumps; one is away; it begins when warm."""
     every = np.array(faulty(stepped, 0, np.copy))

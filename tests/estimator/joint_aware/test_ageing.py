@@ -80,6 +80,7 @@ def errors(found, displacement):
     return np.abs(np.array([one.displacement for one in found]) - displacement)
 
 
+@pytest.mark.long
 def test_a_machine_that_does_not_age_is_left_as_it_is(machine, observer, inputs):
     temperatures, displacement = answers(machine, inputs)
     estimator = AgeingJointAware(observer, ("preload", "film"))

@@ -179,6 +179,7 @@ def test_a_log_and_a_service_name_the_position(estimator, samples):
     assert given[:5] == pytest.approx([1.0, 2.0, 3.0, 0.5, 0.12])
 
 
+@pytest.mark.long
 def test_a_calibration_finds_what_differs_and_its_band_holds_along_the_stroke(case, tmp_path):
     """The plant convects twice as much as the case says, and rests on other positions."""
     plant = case.replace(convection_W_m2K={"exterior": 12.0}, march={"duration_min": 40.0})
@@ -305,6 +306,7 @@ def test_a_position_that_is_none_is_missing_in_its_program(estimator, samples, p
         assert list(one.displacement) == pytest.approx(list(other.displacement), rel=0.0, abs=1e-11)
 
 
+@pytest.mark.long
 @needs_gcc
 @needs_matiec
 def test_its_function_block_follows_the_axis(program, tmp_path):
@@ -316,6 +318,7 @@ def test_its_function_block_follows_the_axis(program, tmp_path):
     assert figures["samples"] == program.samples
 
 
+@pytest.mark.long
 @needs_gxx
 def test_no_sample_of_its_program_costs_more_than_is_printed(program, tmp_path):
     rows = ",\n".join(

@@ -117,7 +117,6 @@ def test_a_step_of_heat_is_no_fault_of_a_sensor_that_lags(machine):
     assert np.abs(errors[-1]).max() < 0.05 * np.abs(moved[-1]).max()
 
 
-@pytest.mark.long
 def test_sensors_that_contradict_the_model_for_hours_widen_the_band(estimator, machine):
     """A machine with another film: its temperatures stay away from the model's."""
     inputs = np.zeros((3600, 2))

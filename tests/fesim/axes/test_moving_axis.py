@@ -41,6 +41,7 @@ def test_where_positions_are_aligned_it_is_the_machine_meshed_there(position):
         assert np.allclose(on_axis[name], meshed[name], rtol=0.0, atol=5e-6 * size), name
 
 
+@pytest.mark.long
 def test_between_aligned_positions_shorter_stations_err_less():
     exact = set_up_axes(standing_at(50.0, 50.0)).moving.standing((0.05,)).contact.elastic
     errors = []

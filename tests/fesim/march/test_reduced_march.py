@@ -213,6 +213,7 @@ def test_sources_held_surfaces_and_the_ambient_each_with_its_history(coarse_data
     np.testing.assert_allclose(foot.sel(time=[10, 40, 50, 120]), [6.0, 6.0, 4.0, 2.0], rtol=1e-12)
 
 
+@pytest.mark.long
 def test_several_joints_springs_and_a_warming_hall():
     """The bolted flange of the examples: three joints of different preload and friction."""
     case = read_case(FLANGE)
@@ -329,6 +330,7 @@ def test_the_same_modes_serve_a_march_of_any_step(bars, modes, step, advance):
 # --- what a user sees ----------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_contact_elements_multiply_and_the_modes_do_not(coarse_data, reduced_setup):
     knee = coarse_data["joints"]["knee"] | {"along": 18, "across": 6}
     case = edited(coarse_data, joints={"knee": knee}, march={"thermal": "reduced"})

@@ -168,6 +168,7 @@ def test_heat_a_thousand_times_too_large_does_not_spoil_the_modes():
     assert found.rates.size < 0.4 * problem.capacity.size
 
 
+@pytest.mark.long
 def test_four_times_the_contact_elements_take_far_less_than_four_times_the_modes():
     """Neighbours act alike: what they share is taken once."""
     structure = two_bars(left=(4, 8, 8), right=(4, 8, 8))

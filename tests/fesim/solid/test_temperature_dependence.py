@@ -265,6 +265,7 @@ def test_bodies_that_share_nodes_do_not_grow_in_two_ways():
     assert both is not None
 
 
+@pytest.mark.long
 def test_the_example_starts_warm_and_tells_its_secant_error():
     case = read_case(EXAMPLE)
     response = simulate(case).response

@@ -59,6 +59,7 @@ def test_what_an_extra_brings_is_declared_there_alone():
         assert any(one.lower().startswith(distribution.lower()) for one in declared), name
 
 
+@pytest.mark.long
 def test_every_public_name_is_there_without_extras():
     done = without_extras(
         "import thermojoint\nfor name in thermojoint.__all__: getattr(thermojoint, name)\n"

@@ -63,6 +63,7 @@ def test_help_and_version_load_none_of_the_libraries():
         assert not found & HEAVY, arguments
 
 
+@pytest.mark.long
 def test_a_command_loads_what_it_works_with_and_nothing_else():
     """Before its work, that is: the input is not there."""
     drawn_or_kept = {"matplotlib", "numba", "pandas", "xarray", "zarr"}
@@ -86,6 +87,7 @@ def test_a_command_loads_what_it_works_with_and_nothing_else():
         assert arguments not in without_elements or not found & elements, arguments
 
 
+@pytest.mark.long
 def test_a_simulation_loads_neither_xarray_nor_pandas(tmp_path):
     case = ROOT / "examples" / "two_rods" / "case.toml"
     (found,) = loaded([["simulate", str(case), "--out", str(tmp_path / "rods.nc")]])
@@ -160,6 +162,7 @@ print(xarray.Variable("time", [0.0, 1.0]).sizes["time"])
 """
 
 
+@pytest.mark.long
 def test_where_xarray_was_used_before_it_goes_on_with_dask():
     pytest.importorskip("dask")
     command = [sys.executable, "-c", AFTERWARDS, "--version"]

@@ -13,6 +13,7 @@ from small_disk import fill, mounted
 
 from benchmarks import offset_invariant
 from estimator.quality import Quality
+from thermojoint.artefacts.errors import InputError
 from thermojoint.compensation.offsets.settings import read_settings
 from thermojoint.live import floor as floors
 from thermojoint.live.archive import Archive
@@ -200,6 +201,8 @@ def test_the_history_marks_what_is_missing_thins_and_forgets(path, store, floor)
     forget(store, end - 10, [place.era], 30.0, START + 260.0)
     left = archive.history("mill", 0.0, 1e11, 1000)
     np.testing.assert_array_equal(left.numbers, np.arange(101, 211))
+    with pytest.raises(InputError, match="no machine named 'miller'"):
+        archive.history("miller", 0.0, 1e11, 1000)
     move_log(path)
     # All of it is in the file: the next commit begins it anew.
     log = path.with_name(path.name + "-wal")

@@ -46,6 +46,14 @@ certificate_file = "plant.pem"
 key_file = "plant.key"
 requests_per_s = {rate}
 """
+AT_TARGET = 'target = "target.toml"\nhandshake = { by = "target" }'
+#: The control is reached with a certificate that is not there.
+TARGET = """
+kind = "beckhoff"
+url = "opc.tcp://127.0.0.1"
+axes = { Z = 1 }
+server_certificate = "plc.der"
+"""
 
 
 @pytest.fixture(scope="module")
@@ -221,6 +229,15 @@ def test_check_says_all_that_a_start_would_refuse_and_leaves_the_folder_alone(mo
     done = called("serve", file, "--check")
     for said in ("http.token", "model.json", "plant.key"):
         assert said in str(done.exception), said
+
+
+def test_check_looks_at_the_way_to_a_control(models, tmp_path):
+    file = plant(tmp_path, models, free_port())
+    (tmp_path / "offsets.toml").write_text('[axes.Z]\nfollows = "x"\n')
+    (tmp_path / "target.toml").write_text(TARGET)
+    written = file.read_text().replace('"model.json"', '"model.json"\noffsets = "offsets.toml"')
+    file.write_text(written.replace("[machines.mill]", "[machines.mill]\n" + AT_TARGET))
+    assert "plc.der" in str(called("serve", file, "--check").exception)
 
 
 def test_the_end_of_a_certificate_is_announced_a_month_before(models, tmp_path):

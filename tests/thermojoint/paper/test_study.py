@@ -214,6 +214,7 @@ def test_regressions_are_judged_where_they_are_given(results, model, responses):
         judge.validate_model(model, None, given, beside=judge.Beside(short))
 
 
+@pytest.mark.long
 def test_the_written_responses_calibrate_to_the_same_model_without_candidates(
     command, results, model, tmp_path
 ):

@@ -230,6 +230,7 @@ def test_a_film_has_its_frames_and_they_differ(scenes, quick, tmp_path, suffix):
         assert meta["duration"] == pytest.approx(1000 / film.FRAMES_PER_SECOND, rel=0.05)
 
 
+@pytest.mark.long
 def test_pyvista_moves_one_plotter_through_a_film(scenes):
     pytest.importorskip("pyvista")
     images = list(renderer.rendered([finished(scenes[1:])], 60))

@@ -40,6 +40,7 @@ def test_the_text_of_figures_is_9_pixels_high_where_they_are_360_wide(coarse_res
         assert min(sizes) * 360.0 / (72.0 * figure.get_figwidth()) >= 9.0
 
 
+@pytest.mark.long
 @browser.needs_chromium
 def test_reports_are_not_scrolled_sideways_on_a_page_of_400_pixels(
     tmp_path, coarse_response, warm_up

@@ -1,5 +1,6 @@
 """The pages that set up: who gets in, what is refused, what a form does to a file."""
 
+import re
 import signal
 import stat
 import subprocess
@@ -178,6 +179,9 @@ def test_a_page_runs_no_script_but_its_own_files(client):
     answer = client.get("/")
     assert "script-src 'self'" in answer.headers["content-security-policy"]
     assert "<script>" not in answer.text
+    addresses = re.findall(r"/assets/[^\"]+", answer.text)
+    assert addresses
+    assert all(client.get(address).status_code == 200 for address in addresses)
 
 
 # Files
@@ -582,6 +586,13 @@ def test_a_form_keeps_what_it_does_not_change():
     }
     assert "# rate_um_s = 1.0  # fastest change" in new
     assert new.startswith("# Agreed with the operator.")
+
+
+def test_of_several_sections_of_a_name_none_is_a_field():
+    listed = "[[walls]]\nheight_mm = 1.0\n[march]\nstep_s = 2.0\n"
+    fields = fields_of(listed)
+    assert [field.name for field in fields] == ["march.step_s"]
+    assert changed(listed, {"march.step_s": ["2.0"]}, fields) == listed
 
 
 @given(

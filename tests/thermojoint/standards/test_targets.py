@@ -65,6 +65,7 @@ def test_a_shipped_case_is_warned_of_nothing(name):
     assert of_case(case_of(name), name) == []
 
 
+@pytest.mark.long
 def test_a_moving_axis_is_read_at_its_two_targets(z_axis):
     record = response_record(z_axis)
     axis, asked = list(z_axis["moving_axis"].to_numpy()).index("z"), z_axis["asked_displacement"]
