@@ -184,7 +184,13 @@ def test_a_vtk_file_with_cell_arrays_is_read(tmp_path):
     assert back.probes == BARS.probes
 
 
-@pytest.mark.parametrize(("unit", "metres"), [("m", 1.0), ("mm", 1e-3), ("in", 0.0254)])
+@pytest.mark.parametrize(
+    ("unit", "metres"),
+    [
+        ("mm", 1e-3),
+        *(pytest.param(*one, marks=pytest.mark.long) for one in (("m", 1.0), ("in", 0.0254))),
+    ],
+)
 def test_the_unit_of_a_mesh_does_not_change_the_machine(
     tmp_path, coarse_data, coarse_response, coarse_setup, unit, metres
 ):

@@ -48,7 +48,7 @@ def test_a_day_of_the_coarse_machine_is_the_same_in_c(fchs, coarse_day, precisio
 
 
 @needs_gcc
-@pytest.mark.parametrize("precision", Precision)
+@pytest.mark.parametrize("precision", PRECISIONS)
 def test_the_program_holds_at_any_interval_over_gaps_and_with_every_warning(
     fchs, precision, tmp_path
 ):
@@ -59,7 +59,7 @@ def test_the_program_holds_at_any_interval_over_gaps_and_with_every_warning(
 
 
 @needs_gcc
-@pytest.mark.parametrize("precision", Precision)
+@pytest.mark.parametrize("precision", PRECISIONS)
 def test_a_pole_that_lies_near_the_leak_costs_no_digits(hand_made_model, fchs, precision, tmp_path):
     """Their residues cancel to 3 parts in 100 000; the program takes the leak out again."""
     poles = fchs.assembly.sources.poles

@@ -55,7 +55,7 @@ def test_a_day_that_was_not_learned_is_the_same_in_c(learned, samples, precision
 
 
 @needs_gcc
-@pytest.mark.parametrize("precision", Precision)
+@pytest.mark.parametrize("precision", PRECISIONS)
 def test_it_holds_at_any_interval_and_over_gaps(learned, precision, tmp_path):
     found = export_program(learned, precision, "m", interval=2.0)
     done, _ = selftest(written(found, tmp_path), "m", "-O2", *SANITISED)

@@ -24,7 +24,11 @@ def response(stepped):
     return stepped
 
 
-@pytest.mark.parametrize("sensor", range(4), ids=SENSORS)
+@pytest.mark.parametrize(
+    "sensor",
+    [0, *(pytest.param(other, marks=pytest.mark.long) for other in (1, 2)), 3],
+    ids=lambda k: SENSORS[k],
+)
 @pytest.mark.parametrize("fault", FAULTS)
 def test_one_sensor_of_four_that_lies_is_named_and_survived(estimator, response, fault, sensor):
     _, found = estimates(estimator, faulty(response, sensor, FAULTS[fault]))
