@@ -241,11 +241,16 @@ async def _watch(running: Running) -> None:
             announce_certificates(running)
         if clock - shortened >= _SHORTEN_S:
             shortened = clock
-            path = running.archive.path
-            log = path.with_name(path.name + "-wal")
-            async with _tending(running):
-                await asyncio.to_thread(move_log, path)
-            running.metrics.log_size.set(log.stat().st_size if log.exists() else 0)
+            await shorten_log(running)
+
+
+async def shorten_log(running: Running) -> None:
+    """Move the store's write-ahead log into its file, and state what is left of it."""
+    path = running.archive.path
+    log = path.with_name(path.name + "-wal")
+    async with _tending(running):
+        await asyncio.to_thread(move_log, path)
+    running.metrics.log_size.set(log.stat().st_size if log.exists() else 0)
 
 
 @asynccontextmanager

@@ -421,6 +421,20 @@ def test_a_slow_reader_gets_the_newest_and_holds_nothing():
     assert asyncio.run(slow()) == [1, 101]
 
 
+def test_a_stream_without_news_goes_on_telling_the_time():
+    async def idle():
+        found = stream(Hub(), Reader(frozenset(["mill-1"]), 0.0, lambda: True), Words(as_json))
+        await anext(found)
+        beat = json.loads((await anext(found)).split(b"data: ")[1])
+        await found.aclose()
+        return beat
+
+    before = time.time()
+    beat = asyncio.run(idle())
+    assert beat["publications"] == []
+    assert before < beat["now_s"] <= time.time()
+
+
 # TLS
 
 

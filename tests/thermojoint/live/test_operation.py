@@ -21,6 +21,7 @@ from thermojoint.cli.app import app
 from thermojoint.live.certificates import ANNOUNCED, HTTP_LASTS, ending, own_certificate
 from thermojoint.live.former_models import SHOWN, fingerprint_of, read_record
 from thermojoint.live.reloading import serve_file
+from thermojoint.live.service import shorten_log
 from thermojoint.live.settings import HttpServer, read_service
 from thermojoint.live.store import hang_up
 from thermojoint.live.users import add_user
@@ -216,6 +217,16 @@ def test_a_rollback_by_command_holds_from_the_next_start(life, models):
     kept = asyncio.run(live())
     assert fingerprint_of(kept).startswith(new.split()[0])
     assert kept.read_bytes() == models["new"]
+
+
+def test_the_size_of_the_write_ahead_log_is_a_metric(models, tmp_path):
+    async def live():
+        async with running(plant(tmp_path, models, free_port())) as (starts, _):
+            await shorten_log(starts[0])
+            (sample,) = starts[0].metrics.log_size.collect()[0].samples
+            return sample.value
+
+    assert asyncio.run(live()) > 0.0
 
 
 def test_check_says_all_that_a_start_would_refuse_and_leaves_the_folder_alone(models, tmp_path):
