@@ -40,7 +40,7 @@ from thermojoint.artefacts.errors import ConvergenceError
 from thermojoint.reduced.discrepancy import COUNT, Discrepancy, make_ridge, relaxed
 from thermojoint.reduced.machine import ReducedMachine
 from thermojoint.reduced.parameters import LAG_UNIT, factors_of
-from thermojoint.reduced.physics import at_start, conduct, settle_joint, simulate_known, way_of
+from thermojoint.reduced.physics import at_start, march_known, settled_each, simulate_known
 
 
 @dataclass(frozen=True)
@@ -280,19 +280,12 @@ class Drawn:
 def _history(observer: JointAware, machine: ReducedMachine, history: History) -> Array:
     """Mean square change of the displacement by slips of the past, m2, shape (axes,)."""
     physics = observer.observer.physics
-    amplitudes, joint = physics.modes.start, physics.at_rest()
-    last, slips = physics.modes.factors, physics.rest.slip
-    differences = []
-    for inputs, at in zip(
-        machine.inputs(history.heat * machine.power), history.course, strict=True
-    ):
-        loads = np.append(last[: last.size - at.size], at)
-        way = way_of(physics.modes, last, loads)
-        amplitudes, last = conduct(physics, amplitudes, inputs, joint, machine.step, way), loads
-        _, without = settle_joint(physics, joint._replace(slip=slips), amplitudes, loads)
-        joint, moved = settle_joint(physics, joint, amplitudes, loads)
-        differences.append(moved - without)
-    return np.asarray(np.mean(np.square(differences), axis=0))
+    inputs = machine.inputs(history.heat * machine.power, history.course)
+    amplitudes, moved, _ = march_known(physics, inputs, machine.step)
+    loads = np.tile(physics.modes.factors, (len(inputs), 1))
+    loads[:, loads.shape[1] - history.course.shape[1] :] = history.course
+    without = settled_each(physics, amplitudes, loads)
+    return np.asarray(np.mean(np.square(moved - without), axis=0))
 
 
 def _directions(rng: np.random.Generator, draws: int, size: int) -> Array:

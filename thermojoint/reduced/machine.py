@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import eigh
 
 from fesim.axes.condensation import TiedCondensations
 from fesim.axes.guideway import Guideway, Place
@@ -519,11 +520,10 @@ def diagonal_modes(machine: ReducedMachine, held: Array | None = None) -> Modes:
 def diagonal_basis(machine: ReducedMachine, held: Array | None = None) -> tuple[Array, Array]:
     """Return the rates (k,), 1/s, and the basis (r, k) that `diagonal_modes` turns to."""
     whole, free = _conducting(machine, held), machine.free
-    # M = L L^T: a symmetric problem of the usual kind.
-    root = np.linalg.inv(np.linalg.cholesky(machine.capacity[:free, :free]))
-    system = root @ whole[:free, :free] @ root.T
-    rates, turn = np.linalg.eigh(0.5 * (system + system.T))
-    basis = root.T @ turn
+    system, capacity = whole[:free, :free], machine.capacity[:free, :free]
+    # The modes of a case are orthonormal already.
+    plain = np.array_equal(capacity, np.eye(free))
+    rates, basis = np.linalg.eigh(system) if plain else eigh(system, capacity, check_finite=False)
     # A rigid wall against which no heat passes is a mode for itself, which nothing drives or reads.
     drives = [machine.sources, machine.ambient, machine.jump.T, whole[:, free:]]
     driven = np.abs(basis.T @ np.column_stack(drives)[:free])

@@ -21,7 +21,7 @@ from fesim.joint.blocks import one_block
 from fesim.joint.law import JointLaw
 from fesim.joint.loosening import UNWATCHED
 from fesim.march.alternation import alternating
-from fesim.march.compiled_march import MarchKernel, Moving, march_steps
+from fesim.march.compiled_march import Kept, MarchKernel, Moving, march_steps, settle_each
 from fesim.march.compiled_step import (
     HeatStep,
     JointKernel,
@@ -402,26 +402,42 @@ def simulate_known(physics: Physics, inputs: Array, length: float) -> tuple[Arra
     tuple of ndarray, shapes (n, p) and (n, axes)
         Sensors, K, and displacement, m.
     """
+    history, displacement, pressure = march_known(physics, inputs, length)
+    unevenly = physics.modes.way is None and physics.contacts > 0 and length > SHORTEST
+    if unevenly and alternating(pressure / physics.contact.reference_pressure):
+        halves = np.repeat(inputs, 2, axis=0)
+        sensed, moved = simulate_known(physics, halves, 0.5 * length)
+        return sensed[1::2], moved[1::2]
+    return history @ physics.modes.sensors.T, displacement
+
+
+def march_known(physics: Physics, inputs: Array, length: float) -> tuple[Array, Array, Array]:
+    """March from rest under known inputs, as `simulate_known` without halving steps.
+
+    Returns
+    -------
+    tuple of ndarray, shapes (n, r), (n, axes) and (n, m)
+        Amplitudes, displacement, m, and, but for axes, pressures of the m contact elements, Pa.
+    """
     modes = physics.modes
-    known, varying = modes.drive.shape[1], inputs.shape[1] - modes.drive.shape[1]
+    known = modes.drive.shape[1]
+    pressure = np.empty((len(inputs), physics.contacts))
     if modes.way is not None:
-        return _simulate_moving(physics, inputs, length)
-    constant = np.tile(modes.factors[varying:], (len(inputs), 1))
+        return *_march_moving(physics, inputs, length), pressure
+    constant = np.tile(modes.factors[inputs.shape[1] - known :], (len(inputs), 1))
     inputs = np.ascontiguousarray(np.hstack([inputs, constant]), dtype=np.float64)
     amplitudes, joint = modes.start.copy(), physics.at_rest()
     history = np.empty((len(inputs), amplitudes.size))
     displacement = np.empty((len(inputs), len(modes.elastic.probe_thermal)))
-    pressure = np.empty((len(inputs), physics.contacts))
     step, kernel, k = heat_step(modes, length), physics.kernel, 0
     if not physics.contacts:
         for at, driven in enumerate(inputs[:, :known] @ step.drive.T):
             amplitudes = step.decay * amplitudes + driven
             history[at] = amplitudes
         moved = history @ modes.elastic.probe_thermal.T + inputs[:, known:] @ modes.loads.probes.T
-        return history @ modes.sensors.T, moved
+        return history, moved, pressure
     if kernel is not None:
-        machine = MarchKernel(step, kernel, UNWATCHED)
-        kept = new_kept(machine, one_block(kernel.springs, kernel.compliance, kernel.columns))
+        machine, kept = MarchKernel(step, kernel, UNWATCHED), _unused(kernel)
     while k < len(inputs):
         if kernel is not None:
             now = Moving(amplitudes, joint)
@@ -438,11 +454,40 @@ def simulate_known(physics: Physics, inputs: Array, length: float) -> tuple[Arra
         joint, displacement[k] = settle_plainly(physics, joint, amplitudes, inputs[k, known:])
         history[k], pressure[k] = amplitudes, joint.pressure
         k += 1
-    if length > SHORTEST and alternating(pressure / physics.contact.reference_pressure):
-        halves = np.repeat(inputs[:, : known + varying], 2, axis=0)
-        sensed, moved = simulate_known(physics, halves, 0.5 * length)
-        return sensed[1::2], moved[1::2]
-    return history @ modes.sensors.T, displacement
+    return history, displacement, pressure
+
+
+def _unused(kernel: JointKernel) -> Kept:
+    """Storage of a march whose bodies are not watched."""
+    blocks = one_block(kernel.springs, kernel.compliance, kernel.columns)
+    return new_kept(kernel, UNWATCHED, blocks)
+
+
+def settled_each(physics: Physics, amplitudes: Array, loads: Array) -> Array:
+    """Return displacements (n, axes), m, of joints that never slipped after the start.
+
+    Parameters
+    ----------
+    physics : Physics
+        The machine.
+    amplitudes : ndarray, shape (n, r)
+        Temperatures that follow one another.
+    loads : ndarray, shape (n, l)
+        Factors of the loads, like `Modes.factors`.
+
+    Raises
+    ------
+    ConvergenceError
+        As `settle_joint`.
+    """
+    joint, kernel, k = physics.at_rest(), physics.kernel, 0
+    moved = np.empty((len(amplitudes), len(physics.modes.elastic.probe_thermal)))
+    if kernel is not None and physics.contacts:
+        k = settle_each(kernel, _unused(kernel), (amplitudes, loads), joint, moved)
+    for at in range(k, len(amplitudes)):
+        joint, moved[at] = settle_joint(physics, joint, amplitudes[at], loads[at])
+        joint = joint._replace(slip=physics.rest.slip)
+    return moved
 
 
 def guided_steps(physics: Physics, length: float) -> tuple[Guided, Steps] | None:
@@ -455,8 +500,8 @@ def guided_steps(physics: Physics, length: float) -> tuple[Guided, Steps] | None
     return guide, new_steps(guide, there_of(physics.aligned, joint))
 
 
-def _simulate_moving(physics: Physics, inputs: Array, length: float) -> tuple[Array, Array]:
-    """As `simulate_known` of a machine with axes; without positions they stand."""
+def _march_moving(physics: Physics, inputs: Array, length: float) -> tuple[Array, Array]:
+    """As `march_known` of a machine with axes; without positions they stand."""
     modes = physics.modes
     known, first = modes.drive.shape[1], np.array(place_in(modes, modes.factors))
     if inputs.shape[1] == known:
@@ -479,4 +524,4 @@ def _simulate_moving(physics: Physics, inputs: Array, length: float) -> tuple[Ar
         joint, displacement[k] = settle_joint(physics, now.joint, amplitudes, loads)
         now, history[k] = Moving(amplitudes, JointState(*map(owned, joint))), amplitudes
         k += 1
-    return history @ modes.sensors.T, displacement
+    return history, displacement
