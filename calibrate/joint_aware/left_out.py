@@ -72,7 +72,7 @@ def widened(
     for k, run in enumerate(runs if len(runs) > 1 else ()):
         others = [*thinned[:k], *thinned[k + 1 :]]
         try:
-            fitted = refit(machine, others, fit)
+            fitted = refit(machine, thinned, fit, k)
             left = _Others(others, fitted, noise)
             unseen.append(_unseen(machine, run, left, model, drawing))
         except ConvergenceError:

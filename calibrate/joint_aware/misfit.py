@@ -253,12 +253,12 @@ def _marched(
 
 def _lagged(values: Array, lags: Sequence[float], length: float) -> Array:
     """Values (n, p) from rest through first-order lags, s, by the implicit steps of the modes."""
-    kept = [lag / (lag + length) for lag in lags]
-    filtered = [
-        lfilter([1.0 - part], [1.0, -part], column)
-        for part, column in zip(kept, values.T, strict=True)
-    ]
-    return np.column_stack(filtered)
+    read = values.copy()
+    for sensor, lag in enumerate(lags):
+        if lag > 0.0:
+            part = lag / (lag + length)
+            read[:, sensor] = lfilter([1.0 - part], [1.0, -part], values[:, sensor])
+    return read
 
 
 def physics_with(machine: ReducedMachine, factors: dict[str, float]) -> Physics:

@@ -117,6 +117,10 @@ class Slopes:
         missed = errors - self.errors - np.tensordot(step, self.each, axes=1)
         return Slopes(at, errors, self.each + np.multiply.outer(step / (step @ step), missed))
 
+    def of(self, samples: Flags) -> Slopes:
+        """Return those of some samples, (n,)."""
+        return Slopes(self.at, self.errors[samples], self.each[:, samples])
+
     def jacobian(self, problem: Problem) -> Array:
         """Return the Jacobian of the residuals, (n, k)."""
         return np.column_stack([whitened(problem, each) for each in self.each])
@@ -178,10 +182,14 @@ class Fit:
     #: Shape (k,): of the parameters: logarithms of factors, or films in W/(m2 K)
     #: (`Parameter.factor`).
     coordinates: Array
+    #: Shape (n, p + axes): of `misfit.errors` there, K and m.
+    errors: Array
     #: Shape (n,): of `misfit.residuals` there.
     residuals: Array
     #: Shape (n, k): of the residuals by the coordinates in units of their priors.
     jacobian: Array
+    #: Of the errors in the steps of the search; the Jacobian is from them.
+    slopes: Slopes
     #: Fitted at these parameters.
     discrepancy: Discrepancy
     #: Shape (p,): of every sensor, and the standard deviation of its reading, K.
@@ -252,7 +260,7 @@ def fit_physics(
     )
     whole = make_problem(machine, runs)
     if not parameters:
-        return _fit(whole, parameters, np.zeros(0), np.zeros((0, 0)), (), 1)
+        return _fit(whole, parameters, _nowhere(), (), 1)
     problem = make_problem(machine, [coarser(run, search.steps) for run in runs])
     spread = np.array([parameter.spread for parameter in parameters])
     now, rough = np.zeros(spread.size), replace(search, close=search.roughly)
@@ -284,12 +292,21 @@ def fit_physics(
         defect = _defect(whole, problem, parameters, now)
         result = _search(problem, parameters, result.slopes, defect, search, held)
         evaluations, now = evaluations + 2 + result.evaluations, np.where(held, 0.0, result.at)
-    jacobian = slopes_at(problem, parameters, now, search).jacobian(problem)
-    return _fit(whole, parameters, now, jacobian, tuple(tried), evaluations + 1 + now.size)
+    slopes = slopes_at(problem, parameters, now, search)
+    found = replace(result, at=now, jacobian=slopes.jacobian(problem), slopes=slopes)
+    return _fit(whole, parameters, found, tuple(tried), evaluations + 1 + now.size)
 
 
-def refit(machine: ReducedMachine, runs: Sequence[Run], fit: Fit, search: Search = SEARCH) -> Fit:
-    """Fit once more to other runs, most of them those of `fit`, from its parameters.
+def _nowhere() -> Found:
+    """Where a search without parameters ends."""
+    nothing, none = np.zeros(0), np.zeros((0, 0))
+    return Found(nothing, nothing, none, 0.0, 0, Slopes(nothing, none, none))
+
+
+def refit(
+    machine: ReducedMachine, runs: Sequence[Run], fit: Fit, left_out: int, search: Search = SEARCH
+) -> Fit:
+    """Fit once more to the runs of a fit but one, from its parameters and with its slopes.
 
     Parameters
     ----------
@@ -298,31 +315,40 @@ def refit(machine: ReducedMachine, runs: Sequence[Run], fit: Fit, search: Search
     runs : sequence of Run
         From rest.
     fit : Fit
-        Of about the same runs.
+        Of all these runs.
+    left_out : int
+        Which of them is left out.
     search : Search
-        Effort and tolerances; of the search itself a few evaluations.
+        As of the fit; of the search itself a few evaluations.
 
     Raises
     ------
     ConvergenceError
         The machine cannot be marched through the runs.
     """
-    parameters, now = fit.parameters, fit.coordinates / fit.spread
-    whole = problem_of(machine, runs, fit)
+    parameters = fit.parameters
+    kept = np.arange(len(runs)) != left_out
+    others = [run for run, stays in zip(runs, kept, strict=True) if stays]
+    whole = problem_of(machine, others, fit)
     if not parameters:
-        return _fit(whole, parameters, np.zeros(0), np.zeros((0, 0)), (), 1)
-    left = fit_linear(whole, *errors(whole, parameters, fit.coordinates)).temperature
-    whole = replace(whole, trust=trust_in(whole, left))
-    coarse = [coarser(run, search.steps) for run in runs]
+        return _fit(whole, parameters, _nowhere(), (), 1)
+    samples = np.repeat(kept, [run.times.size for run in runs])
+    left, slopes = fit.errors[samples], fit.slopes.of(samples)
+    linear = fit_linear(whole, *_apart(whole, left))
+    whole = replace(whole, trust=trust_in(whole, linear.temperature))
+    coarse = [coarser(run, search.steps) for run in others]
     problem = replace(problem_of(machine, coarse, fit), trust=whole.trust)
-    defect = _defect(whole, problem, parameters, now)
-    held = np.array([isinstance(one, Added) for one in parameters]) & (now == 0.0)
+    defect = whitened(whole, left) - whitened(problem, slopes.errors)
+    held = np.array([isinstance(one, Added) for one in parameters]) & (slopes.at == 0.0)
     few = replace(search, evaluations=REFITTED, close=search.roughly)
-    slopes = slopes_at(problem, parameters, now, search)
     result = _search(problem, parameters, slopes, defect, few, held)
-    return _fit(
-        whole, parameters, result.at, result.jacobian, (), 4 + now.size + result.evaluations
-    )
+    return _fit(whole, parameters, result, (), 1 + result.evaluations)
+
+
+def _apart(problem: Problem, left: Array) -> tuple[Array, Array]:
+    """Errors (n, p + axes) of temperatures and of the displacement."""
+    sensors = len(problem.temperature)
+    return left[:, :sensors], left[:, sensors:]
 
 
 def _settled(
@@ -453,18 +479,20 @@ def _search(
 def _fit(
     problem: Problem,
     parameters: tuple[Parameter, ...],
-    scaled: Array,
-    jacobian: Array,
+    found: Found,
     starts: tuple[Start, ...],
     evaluations: int,
 ) -> Fit:
-    coordinates = np.array([parameter.spread for parameter in parameters]) * scaled
-    linear = fit_linear(problem, *errors(problem, parameters, coordinates))
+    coordinates = np.array([parameter.spread for parameter in parameters]) * found.at
+    left = _errors(problem, parameters, found.at)
+    linear = fit_linear(problem, *_apart(problem, left))
     return Fit(
         parameters=parameters,
         coordinates=coordinates,
-        residuals=residuals(problem, parameters, coordinates),
-        jacobian=jacobian,
+        errors=left,
+        residuals=whitened(problem, left),
+        jacobian=found.jacobian,
+        slopes=found.slopes,
         discrepancy=linear.discrepancy,
         offset=linear.offset,
         noise=reading_noise(problem, linear.temperature),

@@ -122,7 +122,7 @@ def usual_samples(
     length: float,
     readings: Array,
     displacement: Array,
-) -> bool:
+) -> int:
     """Process ordinary samples into `state` and `displacement` (n, axes), in place.
 
     Parameters
@@ -142,13 +142,14 @@ def usual_samples(
 
     Returns
     -------
-    bool
-        Whether all samples were ordinary. If not, the content of `state` is invalid.
+    int
+        Number of samples before the first that is not ordinary. If there is one, the content of
+        `state` is invalid.
     """
     for k in range(times.size):
         if not _usual(place, state, times[k], length, readings[k], displacement[k]):
-            return False
-    return True
+            return k
+    return times.size
 
 
 @compiled_part

@@ -321,17 +321,39 @@ class JointAware(Described):
         moved[0] = taken.displacement + self._known(taken)
         thermal, step = len(self.observer.system.rows), self.model.step
         evenly = bool(np.all(np.abs(np.diff(samples[:, 0]) - step) <= 1e-6 * step))
-        if self._compiled is not None and evenly and samples.shape[1] == 1 + thermal:
-            after, readings = unpacked(state.copy(), self.parts), samples[1:, 1:]
-            readings = readings - np.append(self.model.offset, 0.0)
-            place, later = self._compiled, samples[1:, 0].copy()
-            if compiled_sample.usual_samples(place, after, later, step, readings, moved[1:]):
-                return moved
-        # Without the lines along moving axes, which take longer than the sample.
-        for k in range(1, len(times)):
-            state, taken, *_ = self._processed(state, times[k], values[k])
-            moved[k] = taken.displacement + self._known(taken)
+        usual = self._compiled is not None and evenly and samples.shape[1] == 1 + thermal
+        readings = samples[:, 1:] - np.append(self.model.offset, 0.0) if usual else None
+        k = 1
+        while k < len(times):
+            if readings is not None:
+                state, more = self._run(state, samples[k:, 0], readings[k:], moved[k:])
+                k += more
+            if k < len(times):
+                # Without the lines along moving axes, which take longer than the sample.
+                state, taken, *_ = self._processed(state, times[k], values[k])
+                moved[k] = taken.displacement + self._known(taken)
+                k += 1
         return moved
+
+    def _run(
+        self, state: Array, times: Array, readings: Array, displacement: Array
+    ) -> tuple[Array, int]:
+        """Process samples one step apart, (n,), up to the first unusual one.
+
+        Returns the state there and their number; `displacement` (n, axes) takes what they show.
+        """
+        assert self._compiled is not None
+        count = len(times)
+        while count:
+            after = state.copy()
+            now = times[:count].copy(), self.model.step, readings[:count], displacement[:count]
+            own = unpacked(after, self.parts)
+            usual = compiled_sample.usual_samples(self._compiled, own, *now)
+            if usual == count:
+                return after, count
+            # The first unusual sample has spoiled the state.
+            count = usual
+        return state, 0
 
     def _known(self, taken: Taken) -> Array:
         """What displacement readings have told of the model's error, (axes,), m."""
