@@ -57,6 +57,9 @@ class Sigmas:
 
 #: The defaults.
 SIGMAS = Sigmas()
+#: Residual of the gap equations in marches that are compared with runs, relative to the
+#: simulator's: differences of marches, by which slopes are taken, are still known to 1e-4.
+NEAR = 100.0
 #: Beginnings of the names of parameters that turn the modes.
 TURNING = ("film", "conduction")
 
@@ -225,19 +228,20 @@ def best_lags(
     The misfit has a minimum at zero and another one at the lag of a sensor: a search finds only
     that on whose side it begins.
     """
-    found = coordinates.copy()
-    places = {parameter.name: k for k, parameter in enumerate(parameters)}
-    for sensor, name in enumerate(problem.machine.sensor_names):
-        if (at := places.get(lag_name(name))) is None:
-            continue
-        channel, sigma = problem.temperature[sensor], problem.sigmas.temperature
-        costs = []
-        for lag in lags:
-            found[at] = lag
-            left = errors(problem, parameters, found)[0][:, sensor]
-            white = channel.whitened(left, problem.trust[sensor] * sigma) / problem.doubt
-            costs.append(float(white @ white) + (lag / parameters[at].spread) ** 2)
-        found[at] = lags[int(np.argmin(costs))]
+    found, names = coordinates.copy(), [parameter.name for parameter in parameters]
+    sensors = problem.machine.sensor_names
+    lagging = [k for k, sensor in enumerate(sensors) if lag_name(sensor) in names]
+    at = [names.index(lag_name(sensors[k])) for k in lagging]
+    # The lag of a sensor is nothing to the others, so that all may have the same.
+    costs = np.empty((len(lags), len(lagging)))
+    for lag, cost in zip(lags, costs, strict=True):
+        found[at] = lag
+        left, _ = errors(problem, parameters, found)
+        for k, sensor in enumerate(lagging):
+            sigma = problem.trust[sensor] * problem.sigmas.temperature
+            white = problem.temperature[sensor].whitened(left[:, sensor], sigma) / problem.doubt
+            cost[k] = white @ white + (lag / parameters[at[k]].spread) ** 2
+    found[at] = np.array(lags)[costs.argmin(axis=0)]
     return found
 
 
@@ -247,7 +251,7 @@ def _marched(
     machine: ReducedMachine, runs: tuple[Run, ...], factors: tuple[tuple[str, float], ...]
 ) -> tuple[tuple[Array, Array], list[tuple[Array, Array]]]:
     """Sensors and displacement at the start, and in every run, of a machine with `factors`."""
-    physics = physics_with(machine, dict(factors))
+    physics = for_runs(machine, dict(factors))
     return at_start(physics), [simulate_known(physics, run.inputs, run.length) for run in runs]
 
 
@@ -270,6 +274,16 @@ def physics_with(machine: ReducedMachine, factors: dict[str, float]) -> Physics:
     other, held = with_factors(machine, factors), machine.at_preload
     modes = on_basis(other, *basis_with(machine, factors), held)
     return make_physics(modes, other.joints, held)
+
+
+def for_runs(machine: ReducedMachine, factors: dict[str, float]) -> Physics:
+    """Return the physics of `physics_with` for marches that are compared with runs.
+
+    Their gap equations are solved to `NEAR` times what the simulator leaves, about 1e-11 m.
+    """
+    physics = physics_with(machine, factors)
+    contact = replace(physics.contact, gap_tolerance=NEAR * physics.contact.tolerance)
+    return replace(physics, contact=contact)
 
 
 def basis_with(machine: ReducedMachine, factors: dict[str, float]) -> tuple[Array, Array]:

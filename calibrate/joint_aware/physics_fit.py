@@ -83,6 +83,9 @@ SEARCH = Search()
 REFITTED = 4
 #: Slopes are taken by differences again if a step has to be shortened more often.
 MISLED = 1
+#: A residual that is always there, so that changes of the cost count relative to what tells two
+#: fits apart, half a unit, even if there is next to none.
+UNIT = 1.0
 #: A step no longer than this, in units of the priors, is rounding.
 NOWHERE = 1e-8
 
@@ -439,7 +442,7 @@ def _search(
 
     def of(scaled: Array) -> Array:
         if np.array_equal(scaled, begun):
-            return np.concatenate([first, scaled])
+            return np.concatenate([first, scaled, [UNIT]])
         try:
             tried.append((scaled.copy(), _errors(problem, parameters, scaled)))
             penalty = defect + whitened(problem, tried[-1][1])
@@ -447,7 +450,7 @@ def _search(
             # Trial step too large: return a cost above the initial one, so that it is shortened.
             tried.extend([(scaled, slopes.errors)] * (1 + MISLED))
             penalty = 10.0 * first
-        return np.concatenate([penalty, scaled])
+        return np.concatenate([penalty, scaled, [UNIT]])
 
     def slope(scaled: Array) -> Array:
         nonlocal slopes, evaluations
@@ -458,7 +461,8 @@ def _search(
             for at, found in tried:
                 slopes = slopes.moved(at, found)
         tried.clear()
-        return np.vstack([slopes.jacobian(problem), np.eye(scaled.size)])
+        own, priors = slopes.jacobian(problem), np.eye(scaled.size + 1)[:, :-1]
+        return np.vstack([own, priors])
 
     result = least_squares(
         of,
@@ -473,7 +477,8 @@ def _search(
     )
     left, jacobian = result.fun[: defect.size], slopes.jacobian(problem)
     evaluations += int(result.nfev)
-    return Found(result.x, left, jacobian, float(result.cost), evaluations, slopes)
+    cost = float(result.cost) - 0.5 * UNIT**2
+    return Found(result.x, left, jacobian, cost, evaluations, slopes)
 
 
 def _fit(
