@@ -59,7 +59,7 @@ def widened(
     runs : sequence of Run
         Calibration runs with all their samples. A single one leaves the band as it is.
     fit : Fit
-        Of all runs.
+        Of all runs, with the samples that `fewer` leaves of them.
     model : ObserverModel
         With the band of that fit's posterior (`open_band`).
     noise : Noise, optional

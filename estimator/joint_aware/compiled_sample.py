@@ -146,6 +146,12 @@ def usual_samples(
         Number of samples before the first that is not ordinary. If there is one, the content of
         `state` is invalid.
     """
+    judging = state.pending.channel[()]
+    if state.memory[()] == UNKNOWN or judging == judging:
+        return 0
+    for more in state.covariance_factor.flat:
+        if more != 0.0:
+            return 0
     for k in range(times.size):
         if not _usual(place, state, times[k], length, readings[k], displacement[k]):
             return k
@@ -164,12 +170,6 @@ def _usual(
     """One of the samples: readings (p + 1,) at a time (s)."""
     own, heat, joint, work = place.own, place.heat, place.joint, place.work
     channels, size = own.rows.shape
-    judging = state.pending.channel[()]
-    if state.memory[()] == UNKNOWN or judging == judging:
-        return False
-    for more in state.covariance_factor.flat:
-        if more != 0.0:
-            return False
     for k in range(channels):
         if state.watch.distrusted[k] != 0.0 or not np.isfinite(readings[k]):
             return False
