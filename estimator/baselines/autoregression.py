@@ -119,15 +119,16 @@ class AutoregressionEstimator:
 
     def _state_in(self, array: Array) -> State:
         """Return the state in an array of `_flat`."""
-        ends = np.cumsum([len(Clock()), 1, len(CHANNELS), self._past.size, self._inputs[0].size])
-        clock, steps, temperatures, past, seen, until = np.split(array, ends)
+        begin = len(Clock()) + 1
+        middle = begin + len(CHANNELS)
+        end = middle + self._past.size
         return State(
-            Clock(*clock.tolist()),
-            int(steps[0]),
-            temperatures,
-            past.reshape(self._past.shape),
-            seen.reshape(self._inputs.shape[1:]),
-            float(until[0]),
+            Clock(*array[: begin - 1].tolist()),
+            int(array[begin - 1]),
+            array[begin:middle],
+            array[middle:end].reshape(self._past.shape),
+            array[end:-1].reshape(self._inputs.shape[1:]),
+            float(array[-1]),
         )
 
     def _stepped(self, past: Array, seen: Array, now: Array) -> tuple[Array, Array]:

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.baselines.samples import Clock, advanced
 from estimator.interface import Channel, Estimate, Status
@@ -54,6 +55,11 @@ class RegressionEstimator:
         return taus_of(self.regression.time_constants, len(CHANNELS))
 
     @cached_property
+    def _of(self) -> NDArray[np.int64]:
+        """Channel of every feature."""
+        return np.arange(len(self._taus)) % len(CHANNELS)
+
+    @cached_property
     def _weights(self) -> Array:
         """Shape (axes, features)."""
         return np.array(list(self.regression.weights.values()))
@@ -73,9 +79,8 @@ class RegressionEstimator:
         head = len(Clock())
         last, features, until = Clock(*state[:head].tolist()), state[head:-1], state[-1:].copy()
         clock, dt = advanced(last, time, values, CHANNELS, self.dt_s)
-        times = len(self._taus) // len(CHANNELS)
-        old, new = np.tile(features[: len(CHANNELS)], times), np.tile(values, times)
-        features = relaxed(features, old, new, dt, self._taus)
+        new = np.asarray(values, dtype=float)
+        features = relaxed(features, features[self._of], new[self._of], dt, self._taus)
         named = dict(zip(ROLES, values, strict=True))
         status = status_of(self.model.span, time - clock.begun, named)
         until[0] = self.settling.until(last.time, until[0], time, named)
