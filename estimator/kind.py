@@ -13,9 +13,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
+import numpy as np
+
 from estimator.columns import samples_of
 from estimator.intake import Intake, by_channels
-from estimator.interface import READING_NOISE, Estimator, NextReading
+from estimator.interface import READING_NOISE, Estimator, NextReading, follow
 from estimator.judging import Conditions, Figures, judge_responses
 from estimator.lines import Stroke
 from estimator.ranges import Range
@@ -104,6 +106,12 @@ def _response(model: Any, response: xr.Dataset) -> Iterator[Sample]:  # noqa: AN
         yield (time, *row)
 
 
+def followed(estimator: Estimator, samples: Iterable[Sample], state: Array) -> tuple[Array, Array]:
+    """Return displacements and half-widths of their bands, (n, axes), m, sample by sample."""
+    run = [estimate for _, estimate in follow(estimator, samples, state)]
+    return np.array([one.displacement for one in run]), np.array([one.band for one in run])
+
+
 def _judged(
     kind: Kind[Any, Any],
     model: Any,  # noqa: ANN401
@@ -165,6 +173,8 @@ class Kind(Generic[M, E]):
     #: (model, response) to samples, and to the names of their probes.
     response: Callable[[M, xr.Dataset], Iterator[Sample]] = _response
     sensors: Callable[[M, xr.Dataset], Sequence[str]] = _sensors
+    #: (estimator, samples, state before them) to displacements and half-widths of their bands.
+    run: Callable[[E, Iterable[Sample], Array], tuple[Array, Array]] = followed
     #: Model to its calibrated ranges.
     ranges: Callable[[M], tuple[Range, ...]] = _no_ranges
     #: Model to the strokes of its displacements along an axis, by their names without units; the

@@ -57,9 +57,6 @@ class Sigmas:
 
 #: The defaults.
 SIGMAS = Sigmas()
-#: Residual of the gap equations in marches that are compared with runs, relative to the
-#: simulator's: differences of marches, by which slopes are taken, are still known to 1e-4.
-NEAR = 100.0
 #: Beginnings of the names of parameters that turn the modes.
 TURNING = ("film", "conduction")
 
@@ -251,7 +248,7 @@ def _marched(
     machine: ReducedMachine, runs: tuple[Run, ...], factors: tuple[tuple[str, float], ...]
 ) -> tuple[tuple[Array, Array], list[tuple[Array, Array]]]:
     """Sensors and displacement at the start, and in every run, of a machine with `factors`."""
-    physics = for_runs(machine, dict(factors))
+    physics = physics_with(machine, dict(factors))
     return at_start(physics), [simulate_known(physics, run.inputs, run.length) for run in runs]
 
 
@@ -274,16 +271,6 @@ def physics_with(machine: ReducedMachine, factors: dict[str, float]) -> Physics:
     other, held = with_factors(machine, factors), machine.at_preload
     modes = on_basis(other, *basis_with(machine, factors), held)
     return make_physics(modes, other.joints, held)
-
-
-def for_runs(machine: ReducedMachine, factors: dict[str, float]) -> Physics:
-    """Return the physics of `physics_with` for marches that are compared with runs.
-
-    Their gap equations are solved to `NEAR` times what the simulator leaves, about 1e-11 m.
-    """
-    physics = physics_with(machine, factors)
-    contact = replace(physics.contact, gap_tolerance=NEAR * physics.contact.tolerance)
-    return replace(physics, contact=contact)
 
 
 def basis_with(machine: ReducedMachine, factors: dict[str, float]) -> tuple[Array, Array]:

@@ -26,7 +26,7 @@ from calibrate.joint_aware.misfit import (
     coarser,
     errors,
     fit_linear,
-    for_runs,
+    physics_with,
 )
 from calibrate.joint_aware.physics_fit import SEARCH, Fit, problem_of
 from calibrate.joint_aware.random_heat import random_course, random_levels
@@ -378,7 +378,7 @@ def _unknown(rng: np.random.Generator, states: Array, shape: Array, sigma: float
 def errors_on(fitted: Fitted, drawn: Drawn, history: History) -> Array:
     """Return the errors (n, axes), m, of an observer on a drawn machine."""
     machine, observer = fitted.machine, fitted.observer
-    physics = for_runs(machine, drawn.factors)
+    physics = physics_with(machine, drawn.factors)
     count = len(history.heat)
     inputs = machine.inputs(history.heat * machine.power, history.course)
     temperature, displacement = simulate_known(physics, inputs, machine.step)

@@ -263,12 +263,8 @@ def _observed(
     kind = kind_of(observer)
     read = kind.sensors(observer.model, response)
     seen = with_added(response, {name: noise[name] for name in read if name in noise})
-    samples = kind.response(observer.model, seen)
-    run_of = [estimate for _, estimate in follow(observer, samples, state)]
-    return (
-        np.array([estimate.displacement for estimate in run_of])[:, order],
-        np.array([estimate.band for estimate in run_of])[:, order],
-    )
+    moved, band = kind.run(observer, kind.response(observer.model, seen), state)
+    return moved[:, order], band[:, order]
 
 
 @threadpool_limits.wrap(limits=1)

@@ -69,6 +69,23 @@ class Filter(NamedTuple):
     forgetting: Array
 
 
+class Shown(NamedTuple):
+    """What n samples show, written in place."""
+
+    #: Shape (n, axes): displacement, m, without the correction by displacement readings.
+    displacement: Array
+    #: Shape (n, s q): relaxations of the heat.
+    relaxed: Array
+    #: Shape (n, p + 1): innovations that last, K.
+    lasting: Array
+
+
+def shown_by(count: int, own: Filter) -> Shown:
+    """Return storage for so many samples."""
+    sizes = len(own.discrepancy), own.relaxing.size, len(own.rows)
+    return Shown(*(np.empty((count, size)) for size in sizes))
+
+
 class SampleWork(NamedTuple):
     """Storage of a sample of p + 1 readings; its content is not used afterwards."""
 
@@ -121,9 +138,9 @@ def usual_samples(
     times: Array,
     length: float,
     readings: Array,
-    displacement: Array,
+    shown: Shown,
 ) -> int:
-    """Process ordinary samples into `state` and `displacement` (n, axes), in place.
+    """Process ordinary samples into `state` and `shown`, in place.
 
     Parameters
     ----------
@@ -137,8 +154,8 @@ def usual_samples(
         s.
     readings : ndarray, shape (n, p + 1)
         K.
-    displacement : ndarray, shape (n, axes)
-        m, without the correction by displacement readings.
+    shown : Shown
+        Of n samples.
 
     Returns
     -------
@@ -152,9 +169,13 @@ def usual_samples(
     for more in state.covariance_factor.flat:
         if more != 0.0:
             return 0
+    modes = place.heat.decay.size
+    relaxed = state.linear[modes : modes + shown.relaxed.shape[1]]
     for k in range(times.size):
-        if not _usual(place, state, times[k], length, readings[k], displacement[k]):
+        if not _usual(place, state, times[k], length, readings[k], shown.displacement[k]):
             return k
+        put(relaxed, shown.relaxed[k])
+        put(state.watch.lasting, shown.lasting[k])
     return times.size
 
 

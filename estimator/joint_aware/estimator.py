@@ -43,6 +43,9 @@ from thermojoint.reduced.physics import heat_step
 #: Half-width of the 95 % interval, in standard deviations.
 WIDTH = 1.96
 
+#: Most samples that are taken at once; those after the first unusual one are taken again.
+AT_ONCE = 1000
+
 #: A position this far beyond the stroke, m, is still its end: a millimetre of overtravel.
 OVERTRAVEL = MILLI
 
@@ -315,45 +318,84 @@ class JointAware(Described):
         InputError, ConvergenceError
             As `sample`.
         """
-        times, values = samples[:, 0].tolist(), samples[:, 1:].tolist()
-        state, taken, *_ = self._processed(self.initial_state(), times[0], values[0])
-        moved = np.empty((len(times), len(self.axes)))
-        moved[0] = taken.displacement + self._known(taken)
-        thermal, step = len(self.observer.system.rows), self.model.step
-        evenly = bool(np.all(np.abs(np.diff(samples[:, 0]) - step) <= 1e-6 * step))
-        usual = self._compiled is not None and evenly and samples.shape[1] == 1 + thermal
-        readings = samples[:, 1:] - np.append(self.model.offset, 0.0) if usual else None
-        k = 1
-        while k < len(times):
-            if readings is not None:
-                state, more = self._run(state, samples[k:, 0], readings[k:], moved[k:])
-                k += more
-            if k < len(times):
-                # Without the lines along moving axes, which take longer than the sample.
-                state, taken, *_ = self._processed(state, times[k], values[k])
-                moved[k] = taken.displacement + self._known(taken)
-                k += 1
+        state = self.initial_state()
+        if not self.model.moving_axes:
+            return self.whole_run(samples, state)[0]
+        # Without the lines along moving axes, which take longer than the sample.
+        moved = np.empty((len(samples), len(self.axes)))
+        for k, (time, *values) in enumerate(samples.tolist()):
+            state, taken, *_ = self._processed(state, time, values)
+            moved[k] = taken.displacement + self._known(taken)
         return moved
 
-    def _run(
-        self, state: Array, times: Array, readings: Array, displacement: Array
-    ) -> tuple[Array, int]:
-        """Process samples one step apart, (n,), up to the first unusual one.
+    def whole_run(self, samples: Array, state: Array) -> tuple[Array, Array]:
+        """Return displacements and half-widths of their bands in a run, (n, axes), m.
 
-        Returns the state there and their number; `displacement` (n, axes) takes what they show.
+        They are those of `estimator.interface.follow` to rounding; usual samples are taken many at
+        a time.
+
+        Parameters
+        ----------
+        samples : ndarray, shape (n, 1 + channels)
+            Times, s, and the values of the channels.
+        state : ndarray
+            Before the first of them.
+
+        Raises
+        ------
+        InputError, ConvergenceError
+            As `sample`.
         """
+        moved, bands = np.empty((2, len(samples), len(self.axes)))
+        readings, k = self._readings_of(samples, state), 0
+        while k < len(samples):
+            time, *values = samples[k].tolist()
+            state, estimate = self.sample(state, time, values)
+            moved[k], bands[k] = estimate.displacement, estimate.band
+            k += 1
+            # Where a start or a gap still has an effect, no sample is usual.
+            unsettled = Status.UNSETTLED in estimate.status
+            if readings is not None and not unsettled and k < len(samples):
+                state, shown = self._run(state, samples[k:, 0], readings[k:])
+                at = slice(k, k + len(shown.displacement))
+                moved[at], bands[at] = shown.displacement, self._bands(state, shown)
+                k = at.stop
+        return moved, bands
+
+    def _readings_of(self, samples: Array, state: Array) -> Array | None:
+        """Readings of samples (n, 1 + channels) that may be usual, (n, p + 1), K; None of others.
+
+        Usual ones are a step apart, of a machine without loads, axes and displacement readings.
+        """
+        thermal, step = len(self.observer.system.rows), self.model.step
+        told = mean_of(unpacked(state, self.parts).model_error).any()
+        if self._compiled is None or told or samples.shape[1] != 1 + thermal:
+            return None
+        if (np.abs(np.diff(samples[:, 0]) - step) > 1e-6 * step).any():
+            return None
+        return np.asarray(samples[:, 1:] - np.append(self.model.offset, 0.0))
+
+    def _run(
+        self, state: Array, times: Array, readings: Array
+    ) -> tuple[Array, compiled_sample.Shown]:
+        """The state before the first unusual one of samples (n,), and what those before show."""
         assert self._compiled is not None
-        count = len(times)
-        while count:
-            after = state.copy()
-            now = times[:count].copy(), self.model.step, readings[:count], displacement[:count]
+        count = min(len(times), AT_ONCE)
+        while True:
+            after, shown = state.copy(), compiled_sample.shown_by(count, self._compiled.own)
+            now = times[:count].copy(), self.model.step, readings[:count], shown
             own = unpacked(after, self.parts)
             usual = compiled_sample.usual_samples(self._compiled, own, *now)
             if usual == count:
-                return after, count
+                return after, shown
             # The first unusual sample has spoiled the state.
             count = usual
-        return state, 0
+
+    def _bands(self, state: Array, shown: compiled_sample.Shown) -> Array:
+        """Half-widths of the bands (n, axes), m, of usual samples; `state` is after the last."""
+        last = unpacked(state, self.parts)
+        parts = self.observer.model_error(shown.relaxed, float(last.memory), shown.lasting)
+        return self.half_band(parts, last.model_error, last.covariance_factor)
 
     def _known(self, taken: Taken) -> Array:
         """What displacement readings have told of the model's error, (axes,), m."""
@@ -374,13 +416,14 @@ class JointAware(Described):
             return None
         if not np.isnan(probed).all():
             return None
-        displacement, times = np.empty(len(self.axes)), np.array([moment.time])
+        shown, times = compiled_sample.shown_by(1, self._compiled.own), np.array([moment.time])
         if not compiled_sample.usual_samples(
-            self._compiled, state, times, moment.length, readings[None], displacement[None]
+            self._compiled, state, times, moment.length, readings[None], shown
         ):
             return None
         memory, everything = float(state.memory), np.ones(readings.size, dtype=bool)
-        return Taken(state, displacement, memory, state.covariance_factor, everything, False)
+        moved = shown.displacement[0]
+        return Taken(state, moved, memory, state.covariance_factor, everything, False)
 
     def _taken(
         self,
@@ -584,11 +627,11 @@ class JointAware(Described):
         )
 
     def half_band(self, parts: Array, known: ModelError, factor: Array) -> Array:
-        """Half-width of the 95 % interval, m, shape (axes,).
+        """Half-width of the 95 % interval, m, shape (..., axes).
 
         Parameters
         ----------
-        parts : ndarray, shape (axes, d + axes)
+        parts : ndarray, shape (..., axes, d + axes)
             Model error per part, m (`Observer.model_error`).
         known : ModelError
             What displacement readings have told of it.
@@ -596,8 +639,8 @@ class JointAware(Described):
             Covariance factor.
         """
         # As E var(e) E', of which only the diagonal is needed, in every sample.
-        shared = ((parts @ known.shared) * parts).sum(axis=1)
-        own = np.square(parts[:, known.drawn.size :]) @ known.variance
+        shared = ((parts @ known.shared) * parts).sum(axis=-1)
+        own = np.square(parts[..., known.drawn.size :]) @ known.variance
         variance = self.model.band.steady + shared + own
         if factor.any():
             uncertain = np.square(self.model.band.tangent @ factor).sum(axis=1)

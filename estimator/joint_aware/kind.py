@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from estimator.intake import Intake, intake
 from estimator.interface import NextReading
 from estimator.joint_aware.ageing import AgeingJointAware
@@ -16,7 +18,7 @@ from estimator.joint_aware.next_reading import narrowest_band, next_reading
 from estimator.joint_aware.observer_model import ObserverModel
 from estimator.joint_aware.readings import samples_in
 from estimator.joint_aware.residuals import residuals
-from estimator.kind import Kind, OnFirst, Options
+from estimator.kind import Kind, OnFirst, Options, Sample, followed
 from estimator.lines import Stroke
 from estimator.ranges import Range, calibrated_ranges
 from thermojoint.artefacts.arrays import Array
@@ -139,6 +141,14 @@ def _program(
     return contents(estimator, precision)
 
 
+def _run(
+    estimator: JointAwareEstimator, samples: Iterable[Sample], state: Array
+) -> tuple[Array, Array]:
+    if isinstance(estimator, AgeingJointAware):
+        return followed(estimator, samples, state)
+    return estimator.whole_run(np.array(list(samples)), state)
+
+
 def _strokes(model: ObserverModel) -> Mapping[str, Stroke]:
     return model.strokes
 
@@ -156,6 +166,7 @@ KIND: Kind[ObserverModel, JointAwareEstimator] = Kind(
     log=_log,
     response=_response,
     sensors=_sensors,
+    run=_run,
     ranges=_ranges,
     residuals=_residuals,
     next_reading=_next_reading,

@@ -235,28 +235,31 @@ class Observer:
         return np.asarray(moved + self.model.discrepancy.displacement @ relaxed)
 
     def model_error(self, relaxed: Array, memory: float, lasting: Array) -> Array:
-        """Displacement per part of the model error, m, shape (axes, d + axes).
+        """Displacement per part of the model error, m, shape (..., axes, d + axes).
 
         The parts, of unit variance, are those of the drawn machines and of every axis
         (`displacement_readings`).
 
         Parameters
         ----------
-        relaxed : ndarray, shape (s q,)
+        relaxed : ndarray, shape (..., s q)
             Heat relaxed at each rate, relative to the reference.
         memory : float
             Knowledge of the joint's slips.
-        lasting : ndarray, shape (p + 1,)
+        lasting : ndarray, shape (..., p + 1)
             Innovations that last (`Watch.lasting`), K.
         """
         band, rates = self.model.band, self.model.discrepancy.rates.size
-        sources = relaxed.size // rates
-        square = np.square(relaxed.reshape(sources, rates)).sum(axis=0) / sources
-        drawn = band.open @ np.concatenate([relaxed, relaxed**2]) / math.sqrt(band.open.shape[1])
-        rest = band.constant + band.square @ square + band.surprise @ np.square(lasting)
+        sources = relaxed.shape[-1] // rates
+        square = np.square(relaxed).reshape(*relaxed.shape[:-1], sources, rates).sum(axis=-2)
+        features = np.concatenate([relaxed, relaxed**2], axis=-1)[..., None, :, None]
+        drawn = (band.open @ features)[..., 0] / math.sqrt(band.open.shape[1])
+        rest = band.constant + square / sources @ band.square.T
+        rest = rest + np.square(lasting) @ band.surprise.T
         if memory != KNOWN:
             rest = rest + band.history
-        parts = np.zeros((rest.size, drawn.shape[1] + rest.size))
-        parts[:, : drawn.shape[1]] = drawn
-        parts[range(rest.size), range(drawn.shape[1], parts.shape[1])] = np.sqrt(rest)
+        draws, axes = drawn.shape[-1], rest.shape[-1]
+        parts = np.zeros((*rest.shape, draws + axes))
+        parts[..., :draws] = drawn
+        parts[..., range(axes), range(draws, draws + axes)] = np.sqrt(rest)
         return parts

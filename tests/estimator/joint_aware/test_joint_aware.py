@@ -27,7 +27,7 @@ from calibrate.joint_aware.open_band import (
 from calibrate.joint_aware.physics_fit import Search, Slopes, fit_physics
 from calibrate.joint_aware.readings import run_in
 from calibrate.joint_aware.report import whole_report
-from estimator.interface import Status, follow
+from estimator.interface import Status
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.filter_design import correct
 from estimator.joint_aware.kind import KIND
@@ -39,7 +39,7 @@ from estimator.joint_aware.model_file import (
 )
 from estimator.joint_aware.observer_model import Calibrated
 from estimator.joint_aware.readings import samples_in
-from estimator.kind import Options
+from estimator.kind import Options, followed
 from estimator.quality import Quality, quality_of
 from estimator.registry import kind_of_file, resumed, save_state
 from estimator.states import read_state
@@ -173,15 +173,14 @@ def test_a_usual_sample_in_machine_code_is_that_of_the_general_rule(estimator, r
 
 
 @pytest.mark.parametrize("missing", [(), (7, 8, 9)])
-def test_many_samples_at_once_are_displaced_as_one_after_the_other(estimator, response, missing):
+def test_many_samples_at_once_are_estimated_as_one_after_the_other(estimator, response, missing):
     samples = np.array(list(samples_in(response, estimator.model.sensors)))
     samples[list(missing), 1] = np.nan
-    one_by_one = follow(estimator, map(tuple, samples.tolist()), estimator.initial_state())
-    np.testing.assert_allclose(
-        estimator.displacements(samples),
-        [estimate.displacement for _, estimate in one_by_one],
-        atol=1e-15,
-    )
+    moved, bands = followed(estimator, map(tuple, samples.tolist()), estimator.initial_state())
+    found, around = estimator.whole_run(samples, estimator.initial_state())
+    np.testing.assert_allclose(found, moved, atol=1e-15)
+    np.testing.assert_allclose(around, bands, rtol=1e-12)
+    assert np.array_equal(estimator.displacements(samples), found)
 
 
 def test_without_any_thermometer_for_long_the_estimate_is_bad(estimator, response):
