@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fesim.accuracy.estimate import Accuracy, Marched, accuracy_of
-from fesim.axes.axis import cold_drives
+from fesim.axes.axis import Axis, cold_drives
 from fesim.axes.course import Mapped, course_values, mapped
-from fesim.axes.march import march_moving
+from fesim.axes.machine import MovingMachine
+from fesim.axes.march import march_iterated
 from fesim.axes.setup import MovingSetup, axis_inputs, set_up_axes
+from fesim.axes.staggered import march_staggered
 from fesim.case.history import entering_in_steps
 from fesim.case.schema import (
     TOLERANCE_K,
@@ -38,7 +40,6 @@ from fesim.march.stepping import (
     Advance,
     iterated,
     march_along,
-    plainly_staggered,
     staggered,
 )
 from fesim.march.track import Track, joined, track_of
@@ -61,8 +62,12 @@ if TYPE_CHECKING:
     import xarray as xr
 
 COUPLINGS: dict[str, Advance] = {"staggered": staggered, "iterated": iterated}
-#: With moving axes the machine is another one in every step, which nothing is compiled for.
-MOVING_COUPLINGS: dict[str, Advance] = {"staggered": plainly_staggered, "iterated": iterated}
+#: From a machine with axes, inputs (n, k) and a state to the steps.
+MovingMarch = Callable[[MovingMachine, Sequence[Axis], np.ndarray, State], Iterator[Track]]
+MOVING_COUPLINGS: dict[str, MovingMarch] = {
+    "staggered": march_staggered,
+    "iterated": march_iterated,
+}
 
 Progress = Callable[[int, int], None]
 OnStep = Callable[[Step], None]
@@ -230,8 +235,8 @@ def _marching(
 ) -> Iterator[tuple[Track, Passed | None]]:
     """Yield the march up to the times of a response; an adaptive one says more of itself."""
     if isinstance(ready, MovingSetup):
-        coupling, rows = MOVING_COUPLINGS[case.march.coupling], inputs.at(ends)
-        for track in march_moving(ready.moving, ready.axes, rows, coupling, first):
+        along, rows = MOVING_COUPLINGS[case.march.coupling], inputs.at(ends)
+        for track in along(ready.moving, ready.axes, rows, first):
             yield track, None
         return
     machine, march = ready.machine, case.march

@@ -15,7 +15,6 @@ from benchmarks.against_calculix.deck import Choices, write_deck
 from benchmarks.against_calculix.laws import exponential, with_law
 from benchmarks.against_calculix.problem import Problem, problem_of
 from benchmarks.against_calculix.run import Run, run_deck
-from fesim.axes.march import march_moving
 from fesim.axes.setup import axis_inputs, set_up_axes
 from fesim.case.schema import Case, step_count
 from fesim.joint.law import BackBurdekinLaw, JointLaw
@@ -115,9 +114,8 @@ def ride_ours(case: Case, law: JointLaw) -> tuple[Setup, Step, float]:
     ready = set_up_axes(case)
     moving = replace(ready.moving, machine=with_law(ready.moving.machine, law))
     ends = case.march.step_s * np.arange(1.0, step_count(case.march) + 1.0)
-    advance = MOVING_COUPLINGS[case.march.coupling]
-    start = initial_state(moving.machine)
-    *_, last = march_moving(moving, ready.axes, axis_inputs(case).at(ends), advance, start)
+    along, start = MOVING_COUPLINGS[case.march.coupling], initial_state(moving.machine)
+    *_, last = along(moving, ready.axes, axis_inputs(case).at(ends), start)
     return ready.setup, last.step(-1), time.perf_counter() - begun
 
 

@@ -5,7 +5,7 @@ All in processor time, as ratios to what stands still or to the plain method.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from time import process_time
@@ -15,16 +15,19 @@ import numpy as np
 
 from benchmarks.performance.timing import Row
 from benchmarks.study import case_data, case_file
-from fesim.axes.axis import cold_drives
+from fesim.axes.axis import Axis, cold_drives
 from fesim.axes.guideway import Place
 from fesim.axes.machine import MovingMachine
 from fesim.axes.mapping import seen_from
 from fesim.axes.march import march_moving
 from fesim.axes.setup import MovingSetup, axis_inputs, set_up_axes
+from fesim.axes.staggered import march_staggered
+from fesim.case.history import History
 from fesim.case.schema import Case, case_from_data, read_case, step_count
-from fesim.march.machine import Step
+from fesim.march.machine import State, Step
 from fesim.march.settling import displaced, initial_state, settle_along
 from fesim.march.stepping import march_along, plainly_staggered, staggered
+from fesim.march.track import Track
 from fesim.setup.loads import march_inputs
 from fesim.setup.machine import set_up
 from meshes.box_grid import Box, box_mesh, put_side_by_side
@@ -83,12 +86,33 @@ def in_turn(
     return (*np.median(pairs, axis=0).tolist(), float(np.median(pairs[:, 1] / pairs[:, 0])))
 
 
-def marched(case: Case, ready: MovingSetup) -> Step:
+#: From a machine with axes, inputs and a state to the steps.
+March = Callable[[MovingMachine, Sequence[Axis], Array, State], Iterator[Track]]
+
+
+def marched(case: Case, ready: MovingSetup, march: March = march_staggered) -> Step:
     """Return the last step of a case."""
     inputs = axis_inputs(case).at(_ends(case))
     start = replace(initial_state(ready.moving.machine), drive=cold_drives(ready.axes))
-    *_, track = march_moving(ready.moving, ready.axes, inputs, plainly_staggered, start)
+    *_, track = march(ready.moving, ready.axes, inputs, start)
     return track.step(-1)
+
+
+def plainly(
+    moving: MovingMachine, axes: Sequence[Axis], inputs: Array, start: State
+) -> Iterator[Track]:
+    """March without machine code for the whole step."""
+    return march_moving(moving, axes, inputs, plainly_staggered, start)
+
+
+def restless(case: Case, ready: MovingSetup) -> MovingSetup:
+    """Return the machine where every step of a case ends at a place of its own."""
+    rng, times = np.random.default_rng(6), np.concatenate([[0.0], _ends(case)])
+    axes = [
+        replace(axis, course=History(times, rng.uniform(at[0], at[-1], times.size)))
+        for axis, at in zip(ready.axes, _aligned(ready.moving), strict=True)
+    ]
+    return replace(ready, axes=tuple(axes))
 
 
 def _ends(case: Case) -> Array:
@@ -161,8 +185,12 @@ def step_row(case: Case, ready: MovingSetup) -> Row:
 
     stands()  # compiled
     ours, other, ratio = in_turn(lambda: marched(case, ready), stands)
-    plain = spent(lambda: stands(plainly_staggered))
     steps = 1e3 / len(ends)
+    elsewhere = restless(case, ready)
+    first, again = (spent(lambda: marched(case, elsewhere)) for _ in range(2))
+    slowly = spent(lambda: marched(case, elsewhere, plainly))
+    plain = steps * spent(lambda: marched(case, ready, plainly))
+    without = steps * spent(lambda: stands(plainly_staggered))
     return Row(
         "moving-step",
         steps * ours,
@@ -171,9 +199,11 @@ def step_row(case: Case, ready: MovingSetup) -> Row:
         "ms",
         f"three_axes.toml, {len(ends)} steps without what is asked about elsewhere, "
         f"{ready.moving.machine.contact.count} contact elements and {ready.moving.free} modes; "
-        f"the machine that stands has {setup.machine.thermal.inputs.shape[0]} modes, and without "
-        f"machine code for the whole march takes {steps * plain:.2g} ms; processor time, median of "
-        f"{REPEATS}",
+        f"the machine that stands has {setup.machine.thermal.inputs.shape[0]} modes; without "
+        f"machine code for the whole march {plain:.2g} ms, and {without:.2g} ms where it stands; "
+        f"where every step ends at a place of its own {steps * again:.2g} ms, {steps * first:.2g} "
+        f"ms while combinations are still to be tied, and plainly {steps * slowly:.2g} ms; "
+        f"processor time, median of {REPEATS}",
     )
 
 

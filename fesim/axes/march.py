@@ -17,7 +17,7 @@ from fesim.axes.machine import MovingMachine
 from fesim.axes.occupation import distance, shares_of, stretches
 from fesim.axes.positioning import Way, warm_scale, warm_screw
 from fesim.march.machine import CondensedMachine, State
-from fesim.march.stepping import Advance, advanced
+from fesim.march.stepping import Advance, advanced, iterated
 from fesim.march.track import Track
 from thermojoint.artefacts.arrays import Array
 
@@ -69,6 +69,13 @@ def march_moving(
             track = replace(track, drive=np.concatenate(list(each))[None])
         state = track.step(-1).state
         yield track
+
+
+def march_iterated(
+    moving: MovingMachine, axes: Sequence[Axis], inputs: Array, start: State
+) -> Iterator[Track]:
+    """Yield the steps of `march_moving` with iterated coupling."""
+    return march_moving(moving, axes, inputs, iterated, start)
 
 
 def _in_step(

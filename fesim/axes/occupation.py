@@ -64,7 +64,7 @@ def shares_of(positions: Array, course: History, start: float, end: float) -> Sh
 def place_of(positions: Array, at: float) -> float:
     """Return a position in units of the spacing; a whole number where it is aligned.
 
-    Compiled as well, by `thermojoint.reduced.guided_march`.
+    Compiled as well, by `fesim.axes.compiled_occupation`.
     """
     last = positions.size - 1
     place = (at - positions[0]) / (positions[last] - positions[0]) * last

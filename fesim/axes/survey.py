@@ -13,7 +13,7 @@ one and takes over where this does not converge; `tests/fesim/axes/test_survey.p
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,7 +112,7 @@ def grown(table: CornerTable, pads: Pads, alone: Array, free: Array) -> None:
 
 
 @compiled_part
-def _mixed(parts: Array, touched: NDArray[np.int64], weight: Array, into: Array) -> None:
+def mixed(parts: Array, touched: NDArray[np.int64], weight: Array, into: Array) -> None:
     """The rows (k, n) that are touched, each by its weight, into (n,)."""
     first = True
     for c in range(touched.size):
@@ -129,7 +129,7 @@ def _mixed(parts: Array, touched: NDArray[np.int64], weight: Array, into: Array)
 
 
 @compiled_part
-def _unpacked(packed: Array, area: Array, into: Array) -> None:
+def unpacked(packed: Array, area: Array, into: Array) -> None:
     """C A (h, h) of the upper triangle of C."""
     size, at = into.shape[0], 0
     for i in range(size):
@@ -144,12 +144,16 @@ def _inverse(pads: Pads, tangent: Array, compliance: Array) -> Array:
     """Of the Jacobian 1 - C A (T + k) on the rows that hold something."""
     count, held = pads.laws.shape[0], pads.held
     size = held.size
-    stiffness = np.zeros((size, size))
-    for i in range(size):
-        row, e = divmod(held[i], count)
-        for j in range(size):
-            column, other = divmod(held[j], count)
-            if other != e:
+    # Of each column of T: rows of the same contact element, and the entries there.
+    rows, entries = np.zeros((3, size), np.int64), np.zeros((3, size))
+    where = np.full(3 * count, -1)
+    for j in range(size):
+        where[held[j]] = j
+    for j in range(size):
+        column, e = divmod(held[j], count)
+        for row in range(3):
+            i = where[row * count + e]
+            if i < 0:
                 continue
             if row == 0:
                 entry = tangent[NORMAL, e] if column == 0 else 0.0
@@ -159,12 +163,16 @@ def _inverse(pads: Pads, tangent: Array, compliance: Array) -> Array:
                 entry = tangent[ALONG if row == 1 else ACROSS, e]
             else:
                 entry = tangent[CROSS, e]
-            stiffness[i, j] = entry + (pads.springs[held[i]] if i == j else 0.0)
-    jacobian = np.dot(compliance, stiffness)
+            rows[row, j] = i
+            entries[row, j] = entry + (pads.springs[held[j]] if row == column else 0.0)
+    jacobian = np.empty((size, size))
     for i in range(size):
+        of_row = compliance[i]
         for j in range(size):
-            jacobian[i, j] = (1.0 if i == j else 0.0) - jacobian[i, j]
-    return np.linalg.inv(jacobian)
+            total = of_row[rows[0, j]] * entries[0, j] + of_row[rows[1, j]] * entries[1, j]
+            jacobian[i, j] = -total - of_row[rows[2, j]] * entries[2, j]
+        jacobian[i, i] += 1.0
+    return np.asarray(np.linalg.inv(jacobian))
 
 
 @compiled_part
@@ -240,17 +248,17 @@ def _corrected(pads: Pads, here: Here, anew: bool) -> tuple[float, float]:
 
 
 @compiled_part
-def _settle(pads: Pads, here: Here, made: bool) -> float:
-    """Settle from the gaps, with the inverse if it is made: the error left, m, or NaN.
+def settle_here(pads: Pads, here: Here, made: bool) -> tuple[float, int]:
+    """Settle from the gaps, with the inverse if it is made: the error left, m, or NaN; iterations.
 
     The inverse is made again where a step leaves too much; then the step is shortened until the
     residual falls, as in `fesim.joint.gap.solve_gap`. At a kink of the law no length may do, and a
     full step leaves it.
     """
     (left, norm), moves, fresh = _corrected(pads, here, not made), 0, not made
-    for _ in range(MAX_ITERATIONS):
+    for iteration in range(MAX_ITERATIONS):
         if left <= LEFT * pads.tolerance:
-            return left
+            return left, iteration
         put(here.gap, here.before)
         put(here.correction, here.step)
         length = 1.0
@@ -266,12 +274,30 @@ def _settle(pads: Pads, here: Here, made: bool) -> float:
             if fresh and length >= SHORTEST_STEP:
                 continue
             if moves == MOST_MOVES:
-                return math.nan
+                return math.nan, iteration
             for i in range(here.gap.size):
                 here.gap[i] = here.before[i] - (here.step[i] if fresh else 0.0)
             (left, norm), moves, fresh = _corrected(pads, here, True), moves + 1, True
             break
-    return math.nan
+    return math.nan, MAX_ITERATIONS
+
+
+@compiled_part
+def probe(here: Here, moved: Array, area: Array, into: Array) -> None:
+    """The displacement of the probes (p,), by that per joint force (p h,) and areas (h,)."""
+    size = here.gap.size
+    for i in range(into.size):
+        total = here.free[size + i]
+        for j in range(size):
+            total += moved[i * size + j] * area[j] * here.force[j]
+        into[i] = total
+
+
+def new_here(size: int, probes: int, trial: Trial) -> Here:
+    """Return storage for h rows and p probes; a trial brings its own."""
+    shapes = [(size, size), (size + probes,), (size, size), *(6 * [(size,)])]
+    storage: list[Any] = [*(np.zeros(shape) for shape in shapes), trial]
+    return Here(*storage)
 
 
 @compiled
@@ -320,20 +346,16 @@ def settle_all(
     area, origin = pads.area[held], start[held]
     fill(trial.gap, 0.0)
     for at in range(places.shape[0]):
-        _mixed(table.compliance, touched[at], weights[at], packed)
-        _mixed(free, touched[at], weights[at], here.free)
-        _unpacked(packed, area, here.compliance)
+        mixed(table.compliance, touched[at], weights[at], packed)
+        mixed(free, touched[at], weights[at], here.free)
+        unpacked(packed, area, here.compliance)
         _guess(places, found, at, here.gap)
-        found.residual[at] = _settle(pads, here, made)
+        found.residual[at], _ = settle_here(pads, here, made)
         if math.isnan(found.residual[at]):
             put(origin, here.gap)
-            found.residual[at] = _settle(pads, here, False)
+            found.residual[at], _ = settle_here(pads, here, False)
         made = not math.isnan(found.residual[at])
-        _mixed(by_probe, touched[at], weights[at], moved)
+        mixed(by_probe, touched[at], weights[at], moved)
         for i in range(size):
             found.gap[at, i] = here.gap[i]
-        for i in range(probes):
-            total = here.free[size + i]
-            for j in range(size):
-                total += moved[i * size + j] * area[j] * here.force[j]
-            found.displacement[at, i] = total
+        probe(here, moved, area, found.displacement[at])

@@ -50,10 +50,15 @@ def solve_columns(columns: Array, found: Array) -> None:
     numpy.linalg.LinAlgError
         As `solve`.
     """
+    factorise_columns(columns, np.empty(found.size, np.int32), found)
+
+
+@compiled_part
+def factorise_columns(columns: Array, pivots: NDArray[np.int32], found: Array) -> None:
+    """As `solve_columns`, with the pivots (n,) that `solve_again` takes beside the factors."""
     size = found.size
     if size == 0:
         return
-    pivots = np.empty(size, np.int32)
     failed = _gesv(_DOUBLE, size, 1, columns.ctypes, size, pivots.ctypes, found.ctypes, size)
     finite = failed == 0
     for i in range(size):
@@ -61,3 +66,22 @@ def solve_columns(columns: Array, found: Array) -> None:
     # To name the arrays here keeps them until LAPACK is done with them.
     if not finite or columns.size + pivots.size < 0:
         raise np.linalg.LinAlgError("the matrix is singular, or something is not finite")
+
+
+@compiled_part
+def solve_again(columns: Array, pivots: NDArray[np.int32], found: Array) -> None:
+    """Solve for another right side (n,), in place, by the factors of `factorise_columns`."""
+    size = found.size
+    for i in range(size):
+        other = pivots[i] - 1
+        found[i], found[other] = found[other], found[i]
+    for j in range(size):
+        column, own = columns[j], found[j]
+        for i in range(j + 1, size):
+            found[i] -= column[i] * own
+    for j in range(size - 1, -1, -1):
+        column = columns[j]
+        found[j] /= column[j]
+        own = found[j]
+        for i in range(j):
+            found[i] -= column[i] * own

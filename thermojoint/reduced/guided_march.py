@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fesim.axes.compiled_occupation import add_shares, place_of
 from fesim.axes.guideway import Guideway
-from fesim.axes.occupation import place_of
 from fesim.jit import compiled, compiled_part
 from fesim.joint.blocks import one_block
 from fesim.joint.frozen_tangent import forget
@@ -40,8 +40,6 @@ from fesim.march.compiled_step import (
 from fesim.march.contact import Laws
 from fesim.march.kernel import new_kept, owned
 from thermojoint.artefacts.arrays import Array
-
-_place_of = compiled_part(place_of)
 
 
 class Aligned(NamedTuple):
@@ -203,26 +201,10 @@ def new_steps(guide: Guided, there: There) -> Steps:
 @compiled
 def occupy(positions: Array, start: float, end: float, passed: Passed) -> None:
     """Put the shares of an even way, as `fesim.axes.occupation.even`."""
-    first, second = _place_of(positions, start), _place_of(positions, end)
-    low, high, most = min(first, second), max(first, second), positions.size - 2
     fill(passed.mean, 0.0)
     fill(passed.square, 0.0)
     fill(passed.product, 0.0)
-    begin = low
-    while True:
-        stop = min(math.floor(begin) + 1.0, high)
-        part = (stop - begin) / (high - low) if high > low else 1.0
-        below = min(math.floor(begin), most)
-        a, b = begin - below, stop - below
-        once, twice = part * (a + b) / 2.0, part * (a * a + a * b + b * b) / 3.0
-        passed.mean[below] += part - once
-        passed.mean[below + 1] += once
-        passed.square[below] += part - 2.0 * once + twice
-        passed.square[below + 1] += twice
-        passed.product[below] += once - twice
-        begin = stop
-        if begin >= high:
-            break
+    add_shares(positions, (start, end), 1.0, passed.mean, passed.square, passed.product)
 
 
 @compiled_part
@@ -239,7 +221,7 @@ def _mix(weights: Array, each: Array, into: Array) -> None:
 @compiled_part
 def _stand(aligned: Aligned, there: There, at: float) -> None:
     """Put the elasticity at a position, m."""
-    place = _place_of(aligned.positions, at)
+    place = place_of(aligned.positions, at)
     below = min(math.floor(place), aligned.positions.size - 2)
     fill(there.weights, 0.0)
     there.weights[below], there.weights[below + 1] = below + 1.0 - place, place - below

@@ -1,0 +1,351 @@
+"""JIT-compiled march of a machine on several axes: `fesim.axes.march` for staggered steps.
+
+A step takes screws, heat and contact as the plain one does; what changes with the positions comes
+from tables made once. Joints settle as in `fesim.axes.survey`. A step that may alternate is taken
+twice, for the gain of its map (`fesim.march.stepping`).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fesim.axes.compiled_drive import Drives, DriveWork, warm_scale, warm_screw
+from fesim.axes.compiled_passing import (
+    Guides,
+    Passed,
+    Ways,
+    add_row,
+    enter,
+    exchange,
+    go,
+    rub,
+    warm,
+)
+from fesim.axes.corner_table import CornerTable
+from fesim.axes.survey import Here, Pads, grown, mixed, probe, settle_here, unpacked
+from fesim.jit import compiled, compiled_part
+from fesim.joint.in_place import fill, put
+from fesim.joint.loosening import Watched, WatchWork, surely_held
+from fesim.march.alternation import GAIN, LARGE, LEADING, LEAST, STILL, SUSPECTED
+from fesim.march.compiled_step import HeatStep, JointKernel, JointState, conduct, drive, take
+from thermojoint.artefacts.arrays import Array
+
+
+class AxesKernel(NamedTuple):
+    """Data of a machine on axes."""
+
+    #: Its influences are not used.
+    heat: HeatStep
+    guides: Guides
+    drives: Drives
+    #: Of its matrices none is used.
+    joint: JointKernel
+    #: Its slip is that of the march, in place.
+    pads: Pads
+    #: Shape (u, r): untied displacements of pads, stations, anchors and probes, m/K.
+    untied: Array
+    #: Shape (q, u): the same per W that enters each row of the guides, m.
+    warmed: Array
+    #: Shapes (m,): heat of running friction per pressure and metre of way in a step, W/(Pa m);
+    #: reference pressure, Pa.
+    running: Array
+    scale: Array
+    watched: Watched
+    #: Of the meshed part in the whole machine.
+    copies: int
+    #: s.
+    length: float
+
+
+class AxesWork(NamedTuple):
+    """Storage of a march."""
+
+    passed: Passed
+    drive: DriveWork
+    #: Joints in a step, and in the second one for its gain: with the same C and inverse.
+    here: Here
+    again: Here
+    check: WatchWork
+    #: Shape (u,): untied displacements, m, and which of them a step needs.
+    alone: Array
+    wanted: NDArray[np.bool_]
+    #: Shapes (k,) and (p h,): C and probes at a place; (m,): conductances times areas, W/K.
+    packed: Array
+    moved: Array
+    conducted: Array
+    #: Shapes (r,): amplitudes without exchange, and with it.
+    without: Array
+    amplitudes: Array
+    #: Shapes (m,), Pa, and (q,), W: pressures after a step, and the heat that left the rows in it.
+    pressure: Array
+    left: Array
+    #: Shapes (d,) and (k,): drives and inputs of a step.
+    state: Array
+    driven: Array
+
+
+class AxesSteps(NamedTuple):
+    """n steps."""
+
+    #: Shape (n, k): without the heat of friction and of drives.
+    inputs: Array
+    ways: Ways
+    #: Combinations of aligned positions, which are around the end of each step (n, c), with their
+    #: weights, and storage for what is free there (k, h + p).
+    table: CornerTable
+    touched: NDArray[np.int64]
+    weight: Array
+    free: Array
+
+
+class AxesState(NamedTuple):
+    """State between two steps, in place."""
+
+    amplitudes: Array
+    joint: JointState
+    #: Shape (3, m): as in `fesim.march.machine.State`.
+    turning: Array
+    #: Shape (d,): K.
+    drive: Array
+
+
+class AxesRecord(NamedTuple):
+    """Records of n steps; the first dimension is n, the others as in `Step` and `State`."""
+
+    inputs: Array
+    amplitudes: Array
+    gap: Array
+    slip: Array
+    pressure: Array
+    change: Array
+    turning: Array
+    drive: Array
+    conducted: Array
+    heat_flow: Array
+    displacement: Array
+    remainder: Array
+    residual: Array
+    iterations: NDArray[np.int64]
+
+
+@compiled
+def march_axes(
+    machine: AxesKernel, work: AxesWork, steps: AxesSteps, now: AxesState, record: AxesRecord
+) -> int:
+    """March through steps into `record`; `now` is the state after the last one.
+
+    Returns
+    -------
+    int
+        Number of recorded steps: fewer than n if the plain method must judge the next one.
+    """
+    pads, trial = machine.pads, work.here.trial
+    for n in range(len(steps.inputs)):
+        put(steps.inputs[n], work.driven)
+        put(now.drive, work.state)
+        try:
+            held, residual, iterations = _step(machine, work, steps, n, now)
+        except Exception:  # a singular tangent; compiled code can catch no narrower class
+            held, residual, iterations = False, np.nan, 0
+        if not held:
+            return n
+        put(work.conducted, record.conducted[n])
+        probe(work.here, work.moved, pads.area[pads.held], record.displacement[n])
+        for e in range(work.pressure.size):
+            record.heat_flow[n, e] = work.left[e]
+        record.residual[n], record.iterations[n] = residual, iterations
+        if _may_alternate(now.turning):
+            try:
+                held = _steady(machine, work, steps, n, now)
+            except Exception:  # as above
+                held = False
+            if not held:
+                return n
+        turn(now.turning, now.joint.pressure, work.pressure, machine.scale)
+        take(machine.joint, trial, now.joint, record.remainder[n])
+        air = work.driven[machine.drives.ambient]
+        warm_scale(machine.drives, machine.length, now.amplitudes, work.amplitudes, air, work.state)
+        put(work.amplitudes, now.amplitudes)
+        put(work.state, now.drive)
+        _note(work, now, record, n)
+    return len(steps.inputs)
+
+
+@compiled_part
+def _step(
+    machine: AxesKernel, work: AxesWork, steps: AxesSteps, n: int, now: AxesState
+) -> tuple[bool, float, int]:
+    """Whether drives, heat and contact find a step that leaves no body loose; residual, iterations.
+
+    `work` has the step then.
+    """
+    guides, passed, joint, pressure = machine.guides, work.passed, machine.joint, work.pressure
+    go(guides, steps.ways, n, passed)
+    _rub(machine, work, now.joint.pressure)
+    warm_screw(machine.drives, (steps.ways, n), work.drive, now.amplitudes, work.state, work.driven)
+    put(now.amplitudes, work.without)
+    drive(machine.heat, work.without, work.driven)
+    warm(guides, passed, work.without)
+    conduct(joint, now.joint.pressure, work.conducted)
+    if not exchange(guides, passed, work.conducted, False):
+        return False, np.nan, 0
+    put(passed.leaving, work.left)
+    put(work.without, work.amplitudes)
+    enter(guides, passed, work.amplitudes)
+    _displace(machine, work, steps, n)
+    left, iterations = _settle(machine, work, steps, n, now)
+    if not left >= 0.0:
+        return False, left, iterations
+    for e in range(pressure.size):
+        pressure[e] = joint.preload[e] + work.here.trial.value[0, e]
+    tangent = work.here.trial.tangent
+    return surely_held(machine.watched, work.check, pressure, tangent), left, iterations
+
+
+@compiled_part
+def _rub(machine: AxesKernel, work: AxesWork, pressure: Array) -> None:
+    """Put the heat of running friction, of rows and among the inputs."""
+    guides, heat = machine.guides, work.conducted
+    axes = guides.first.size - 1
+    fill(heat, 0.0)
+    for axis in range(axes):
+        total = 0.0
+        for e in guides.riding[guides.group[axis] : guides.group[axis + 1]]:
+            heat[e] = machine.running[e] * pressure[e] * work.passed.length[axis]
+            total += heat[e]
+        work.driven[work.driven.size - axes + axis] = total * machine.copies
+    rub(guides, work.passed, heat)
+
+
+@compiled_part
+def _displace(machine: AxesKernel, work: AxesWork, steps: AxesSteps, n: int) -> None:
+    """Put the untied displacements that the places around need."""
+    table, touched, weight = steps.table, steps.touched[n], steps.weight[n]
+    held, count, size = machine.pads.held, work.pressure.size, work.alone.size
+    others = table.anchored.shape[2] + table.probes.shape[1]
+    stations = (size - others) // 3 - count
+    wanted = work.wanted
+    fill(wanted, 0.0)
+    for i in range(held.size):
+        wanted[held[i]] = True
+        direction, e = divmod(held[i], count)
+        for c in range(touched.size):
+            at = table.place[touched[c], e]
+            if weight[c] != 0.0 and at >= 0:
+                wanted[3 * count + direction * stations + at] = True
+    for row in range(size):
+        if wanted[row] or row >= size - others:
+            work.alone[row] = np.dot(machine.untied[row], work.amplitudes)
+
+
+@compiled_part
+def _open(pads: Pads, steps: AxesSteps, n: int, alone: Array, here: Here) -> None:
+    """Put the gaps and the probes without contact where the axes stand."""
+    table, touched, weight = steps.table, steps.touched[n], steps.weight[n]
+    for c in range(touched.size):
+        if weight[c] != 0.0:
+            at = touched[c]
+            one = CornerTable(
+                table.compliance[at : at + 1],
+                table.probes[at : at + 1],
+                table.anchored[at : at + 1],
+                table.place[at : at + 1],
+            )
+            grown(one, pads, alone, steps.free[at : at + 1])
+    mixed(steps.free, touched, weight, here.free)
+
+
+@compiled_part
+def _settle(
+    machine: AxesKernel, work: AxesWork, steps: AxesSteps, n: int, now: AxesState
+) -> tuple[float, int]:
+    """Settle the joints where the axes stand: the error left, m, or NaN; iterations."""
+    here, pads, table = work.here, machine.pads, steps.table
+    touched, weight = steps.touched[n], steps.weight[n]
+    _open(pads, steps, n, work.alone, here)
+    mixed(table.compliance, touched, weight, work.packed)
+    unpacked(work.packed, pads.area[pads.held], here.compliance)
+    mixed(table.probes.reshape(len(table.probes), -1), touched, weight, work.moved)
+    gap, change = now.joint.gap.reshape(-1), now.joint.change.reshape(-1)
+    for i in range(pads.held.size):
+        here.gap[i] = gap[pads.held[i]] + change[pads.held[i]]
+    left, iterations = settle_here(pads, here, False)
+    if left >= 0.0:
+        return left, iterations
+    for i in range(pads.held.size):
+        here.gap[i] = gap[pads.held[i]]
+    return settle_here(pads, here, False)
+
+
+@compiled_part
+def _turns(turning: Array, element: int) -> bool:
+    """Whether an element is `fesim.march.alternation.suspected`."""
+    return turning[1, element] >= SUSPECTED and turning[2, element] == 0.0
+
+
+@compiled_part
+def _may_alternate(turning: Array) -> bool:
+    """Whether any element is."""
+    doubtful = False
+    for e in range(turning.shape[1]):
+        doubtful = doubtful or _turns(turning, e)
+    return doubtful
+
+
+@compiled_part
+def _steady(machine: AxesKernel, work: AxesWork, steps: AxesSteps, n: int, now: AxesState) -> bool:
+    """Whether steps surely do not alternate, as `fesim.march.stepping` looks for it."""
+    pressure, turning, again = work.pressure, now.turning, work.again
+    for e in range(pressure.size):
+        if _turns(turning, e) and abs(turning[0, e]) > LARGE:
+            return False
+    conduct(machine.joint, pressure, work.conducted)
+    if not exchange(machine.guides, work.passed, work.conducted, True):
+        return False
+    for i in range(work.passed.begin[work.passed.begin.size - 1]):
+        row = work.passed.rows[i]
+        add_row(work.left[row] - work.passed.leaving[row], machine.warmed[row], work.alone)
+    _open(machine.pads, steps, n, work.alone, again)
+    put(work.here.gap, again.gap)
+    if not settle_here(machine.pads, again, True)[0] >= 0.0:
+        return False
+    most, gain = 1e-300, 0.0
+    for e in range(pressure.size):
+        if _turns(turning, e):
+            once = (pressure[e] - now.joint.pressure[e]) / machine.scale[e]
+            most = max(most, LEADING * abs(once))
+    for e in range(pressure.size):
+        once = (pressure[e] - now.joint.pressure[e]) / machine.scale[e]
+        if _turns(turning, e) and abs(once) >= most:
+            after = machine.joint.preload[e] + again.trial.value[0, e]
+            gain = max(gain, -(after - pressure[e]) / machine.scale[e] / once)
+    return gain <= GAIN
+
+
+@compiled_part
+def turn(turning: Array, before: Array, after: Array, scale: Array) -> None:
+    """Record the increments of a step: `fesim.march.alternation.turnings`, in place."""
+    for e in range(before.size):
+        moved, last = (after[e] - before[e]) / scale[e], turning[0, e]
+        if abs(moved) <= LEAST:
+            turning[2, e] = turning[2, e] + 1.0 if last != 0.0 else 0.0
+            continue
+        turned = moved * last < 0.0 and turning[2, e] <= STILL
+        once = 1.0 if 0.0 < turning[1, e] < SUSPECTED else 0.0
+        turning[0, e], turning[1, e], turning[2, e] = moved, 1.0 + once if turned else 0.0, 0.0
+
+
+@compiled_part
+def _note(work: AxesWork, now: AxesState, record: AxesRecord, n: int) -> None:
+    """Copy the results of a step into row n of the record."""
+    put(work.driven, record.inputs[n])
+    put(now.amplitudes, record.amplitudes[n])
+    put(now.joint.gap, record.gap[n])
+    put(now.joint.slip, record.slip[n])
+    put(now.joint.pressure, record.pressure[n])
+    put(now.joint.change, record.change[n])
+    put(now.turning, record.turning[n])
+    put(now.drive, record.drive[n])

@@ -1,0 +1,325 @@
+"""JIT-compiled heat step of pads that pass several places: `fesim.march.passing` for axes.
+
+The temperatures of the rows that are touched solve (I + S L) T = w, with w those without exchange;
+q = L T leaves them. Each axis has pads and stations of its own, and a step takes heat hardly from
+one guide to another: the part of each axis is factorised alone, and what is left of the others'
+influence goes in by iteration. Where that does not converge the whole is one part.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fesim.axes.compiled_occupation import add_shares
+from fesim.axes.guideway import GuideStations
+from fesim.jit import compiled_part
+from fesim.joint.compiled_gap import largest
+from fesim.joint.in_place import fill
+from fesim.joint.linear_system import factorise_columns, solve_again
+from fesim.march.passing import Rows
+from thermojoint.artefacts.arrays import Array
+
+#: What the iteration may leave, relative to the warmest row, and most iterations.
+LEFT, MOST = 3e-14, 40
+
+
+class Guides(NamedTuple):
+    """Which rows m contact elements touch along a axes; p aligned positions of all axes in all."""
+
+    #: Shapes (p,) and (a + 1,): aligned positions, m, one axis after the other, and where each
+    #: begins.
+    positions: Array
+    first: NDArray[np.int64]
+    #: Shape (p, m): row of the station under each contact element; not of those that ride on
+    #: another axis, or on none.
+    place: NDArray[np.int64]
+    #: Shapes (m,) and (a + 2,): contact elements, those of each axis one after the other and then
+    #: those that ride on none, and where each of these groups begins.
+    riding: NDArray[np.int64]
+    group: NDArray[np.int64]
+    #: Shapes (q, r) and (q, q): as in `fesim.march.passing.Rows`.
+    temperature: Array
+    joint_influence: Array
+    #: Shape (r,): of A0, zero where temperatures are held: heat of a row enters by its temperature.
+    inverse: Array
+
+
+class Ways(NamedTuple):
+    """Ways of a axes in n steps: t times at which one of them may turn."""
+
+    #: Shapes (t,): s, and m.
+    times: Array
+    positions: Array
+    #: Shape (a, n + 1): which of these is the start of each step; the last, the end.
+    start: NDArray[np.int64]
+
+
+class Passed(NamedTuple):
+    """Who touches what in a step, and storage; written in place."""
+
+    #: Shapes (p,): shares of the aligned positions, as in `fesim.axes.occupation.Shares`.
+    mean: Array
+    square: Array
+    both: Array
+    #: Shape (a, 2): the first aligned position that is touched, and that after the last.
+    reached: NDArray[np.int64]
+    #: Shape (a,): ways, m.
+    length: Array
+    #: Shapes (q,) and (a + 2,): rows that are touched, group by group, and where each begins.
+    rows: NDArray[np.int64]
+    begin: NDArray[np.int64]
+    #: Shape (q,): which of these a row is; -1 for none.
+    local: NDArray[np.int64]
+    #: Shapes (q q,) and (q,): factors of I + L S of the groups, and their pivots.
+    system: Array
+    pivots: NDArray[np.int32]
+    #: Shape (q,): heat of friction that enters the rows, W; w and T, K; q, W; storage.
+    rubbed: Array
+    warm: Array
+    found: Array
+    leaving: Array
+    net: Array
+    lack: Array
+    #: Shapes (q q,) and (r,): storage.
+    near: Array
+    drawn: Array
+
+
+def guides_of(stations: GuideStations, rows: Rows, inverse: Array) -> Guides:
+    """Return the rows of a machine for compiled steps; arguments as in `Guides`."""
+    count = stations.count
+    groups = [*stations.riding, np.setdiff1d(np.arange(count), np.concatenate(stations.riding))]
+    return Guides(
+        np.concatenate(stations.positions),
+        np.cumsum([0, *(one.size for one in stations.positions)]),
+        np.ascontiguousarray(np.vstack(stations.place) + count),
+        np.concatenate(groups),
+        np.cumsum([0, *(one.size for one in groups)]),
+        np.ascontiguousarray(rows.temperature),
+        np.ascontiguousarray(rows.joint_influence),
+        inverse,
+    )
+
+
+def new_passed(guides: Guides) -> Passed:
+    """Return storage."""
+    count, axes, size = guides.positions.size, guides.first.size - 1, len(guides.temperature)
+    shares: list[Any] = [np.zeros(count) for _ in range(3)]
+    whole = size * size
+    of_rows: list[Any] = [np.zeros(size) for _ in range(6)]
+    touched: list[Any] = [np.zeros(n, dtype=np.int64) for n in (size, axes + 2, size)]
+    factors: list[Any] = [np.zeros(whole), np.zeros(size, dtype=np.int32)]
+    more: list[Any] = [*of_rows, np.zeros(whole), np.zeros(guides.inverse.size)]
+    ways: list[Any] = [np.zeros((axes, 2), dtype=np.int64), np.zeros(axes)]
+    return Passed(*shares, *ways, *touched, *factors, *more)
+
+
+@compiled_part
+def go(guides: Guides, ways: Ways, step: int, passed: Passed) -> None:
+    """Put what is passed in a step: shares, ways, and rows that are touched."""
+    fill(passed.mean, 0.0)
+    fill(passed.square, 0.0)
+    fill(passed.both, 0.0)
+    fill(passed.local, -1)
+    size = 0
+    for group in range(guides.group.size - 1):
+        passed.begin[group] = size
+        riding = guides.riding[guides.group[group] : guides.group[group + 1]]
+        for e in riding:
+            passed.rows[size], passed.local[e] = e, size
+            size += 1
+        if group == guides.first.size - 1:
+            continue
+        low, high = _go_along(guides, ways, step, group, passed)
+        for k in range(low, high):
+            for e in riding:
+                at = guides.place[k, e]
+                if passed.local[at] < 0:
+                    passed.rows[size], passed.local[at] = at, size
+                    size += 1
+    passed.begin[guides.group.size - 1] = size
+
+
+@compiled_part
+def _go_along(guides: Guides, ways: Ways, step: int, axis: int, passed: Passed) -> tuple[int, int]:
+    """Put shares and way of an axis; return which positions it touches."""
+    low, high = guides.first[axis], guides.first[axis + 1]
+    positions = guides.positions[low:high]
+    mean, square, both = passed.mean[low:high], passed.square[low:high], passed.both[low:high]
+    begin, end = ways.start[axis, step], ways.start[axis, step + 1]
+    whole, length = ways.times[end] - ways.times[begin], 0.0
+    for k in range(begin, end):
+        way = ways.positions[k], ways.positions[k + 1]
+        part = (ways.times[k + 1] - ways.times[k]) / whole
+        add_shares(positions, way, part, mean, square, both)
+        length += abs(way[1] - way[0])
+    passed.length[axis] = length
+    while passed.mean[low] == 0.0:
+        low += 1
+    while passed.mean[high - 1] == 0.0:
+        high -= 1
+    passed.reached[axis, 0], passed.reached[axis, 1] = low, high
+    return low, high
+
+
+@compiled_part
+def rub(guides: Guides, passed: Passed, heat: Array) -> None:
+    """The heat of friction of each row, W, of (m,) contact elements: one half enters each side."""
+    fill(passed.rubbed, 0.0)
+    for axis in range(guides.first.size - 1):
+        for e in guides.riding[guides.group[axis] : guides.group[axis + 1]]:
+            half = 0.5 * heat[e]
+            passed.rubbed[e] += half
+            for k in range(passed.reached[axis, 0], passed.reached[axis, 1]):
+                passed.rubbed[guides.place[k, e]] += half * passed.mean[k]
+
+
+@compiled_part
+def _leave(guides: Guides, passed: Passed, conducted: Array) -> None:
+    """Put q = L T."""
+    found, leaving, last = passed.found, passed.leaving, guides.first.size - 1
+    fill(leaving, 0.0)
+    for group in range(last + 1):
+        for e in guides.riding[guides.group[group] : guides.group[group + 1]]:
+            own, each = found[e], conducted[e]
+            leaving[e] += each * own
+            if group == last:
+                continue
+            low, high = passed.reached[group, 0], passed.reached[group, 1]
+            for k in range(low, high):
+                at, mean = guides.place[k, e], each * passed.mean[k]
+                leaving[e] -= mean * found[at]
+                leaving[at] += each * passed.square[k] * found[at] - mean * own
+                if k + 1 < high:
+                    above, both = guides.place[k + 1, e], each * passed.both[k]
+                    leaving[at] += both * found[above]
+                    leaving[above] += both * found[at]
+
+
+@compiled_part
+def add_row(factor: float, source: Array, into: Array) -> None:
+    """Add a row, times a factor, to another."""
+    for j in range(into.size):
+        into[j] += factor * source[j]
+
+
+@compiled_part
+def _factorise(guides: Guides, passed: Passed, conducted: Array, first: int, after: int) -> None:
+    """Solve for some groups of rows alone, and keep the factors."""
+    begin, end = passed.begin[first], passed.begin[after]
+    system, near, found = _part(passed, begin, end)
+    rows, size = passed.rows, end - begin
+    for i in range(size):
+        row = guides.joint_influence[rows[begin + i]]
+        found[i] = passed.warm[rows[begin + i]]
+        for j in range(size):
+            near[i, j] = row[rows[begin + j]]
+            system[i, j] = 0.0
+        system[i, i] = 1.0
+    for group in range(first, after):
+        for e in guides.riding[guides.group[group] : guides.group[group + 1]]:
+            own, each = passed.local[e] - begin, conducted[e]
+            add_row(each, near[own], system[own])
+            if group == guides.first.size - 1:
+                continue
+            low, high = passed.reached[group, 0], passed.reached[group, 1]
+            for k in range(low, high):
+                at, mean = passed.local[guides.place[k, e]] - begin, each * passed.mean[k]
+                add_row(-mean, near[at], system[own])
+                add_row(-mean, near[own], system[at])
+                add_row(each * passed.square[k], near[at], system[at])
+                if k + 1 < high:
+                    above, both = passed.local[guides.place[k + 1, e]] - begin, passed.both[k]
+                    add_row(each * both, near[above], system[at])
+                    add_row(each * both, near[at], system[above])
+    # Row after row, I + L S is I + S L column after column: both are symmetric.
+    factorise_columns(system, passed.pivots[begin:end], found)
+    for i in range(size):
+        passed.found[rows[begin + i]] = found[i]
+
+
+@compiled_part
+def _part(passed: Passed, begin: int, end: int) -> tuple[Array, Array, Array]:
+    """Storage of the factors of some rows, of their S, and of a right side."""
+    size, total = end - begin, passed.begin[passed.begin.size - 1]
+    at = begin * total
+    system = passed.system[at : at + size * size].reshape(size, size)
+    return system, passed.near[: size * size].reshape(size, size), passed.lack[begin:end]
+
+
+@compiled_part
+def _refine(guides: Guides, passed: Passed, conducted: Array, groups: int) -> bool:
+    """Whether iterations with the factors of so many parts of the rows solve for T and q."""
+    rows, begin = passed.rows, passed.begin
+    last, before = begin.size - 1, np.inf
+    total = begin[last]
+    enough = LEFT * largest(passed.warm)
+    for _ in range(MOST):
+        _leave(guides, passed, conducted)
+        np.dot(guides.joint_influence, passed.leaving, passed.net)
+        left = 0.0
+        for i in range(total):
+            at = rows[i]
+            passed.lack[i] = passed.warm[at] - passed.net[at] - passed.found[at]
+            left = max(left, abs(passed.lack[i]))
+        if not left <= before:
+            return left <= 10.0 * enough
+        if left <= enough:
+            return True
+        before = left
+        for group in range(groups):
+            ends = (begin[group], begin[group + 1]) if groups > 1 else (0, total)
+            system, _, found = _part(passed, ends[0], ends[1])
+            solve_again(system, passed.pivots[ends[0] : ends[1]], found)
+        for i in range(total):
+            passed.found[rows[i]] += passed.lack[i]
+    return False
+
+
+@compiled_part
+def exchange(guides: Guides, passed: Passed, conducted: Array, again: bool) -> bool:
+    """Whether T and q are found, of w: without new factors where it is done `again`.
+
+    Parameters
+    ----------
+    guides : Guides
+        The rows.
+    passed : Passed
+        With w and what is touched.
+    conducted : ndarray, shape (m,)
+        Conductance times area of the contact elements, W/K.
+    again : bool
+        Whether `passed` has factors and T of other conductances in the same step.
+    """
+    groups = passed.begin.size - 1
+    if not again:
+        for group in range(groups):
+            _factorise(guides, passed, conducted, group, group + 1)
+    if _refine(guides, passed, conducted, groups):
+        return True
+    _factorise(guides, passed, conducted, 0, groups)
+    return _refine(guides, passed, conducted, 1)
+
+
+@compiled_part
+def enter(guides: Guides, passed: Passed, amplitudes: Array) -> None:
+    """Add to amplitudes (r,) without exchange what friction and the exchange do."""
+    fill(passed.drawn, 0.0)
+    for i in range(passed.begin[passed.begin.size - 1]):
+        row = passed.rows[i]
+        add_row(passed.rubbed[row] - passed.leaving[row], guides.temperature[row], passed.drawn)
+    for k in range(amplitudes.size):
+        amplitudes[k] += guides.inverse[k] * passed.drawn[k]
+
+
+@compiled_part
+def warm(guides: Guides, passed: Passed, amplitudes: Array) -> None:
+    """Put w, of amplitudes (r,) without exchange."""
+    fill(passed.warm, 0.0)
+    np.dot(guides.joint_influence, passed.rubbed, passed.net)
+    for i in range(passed.begin[passed.begin.size - 1]):
+        row = passed.rows[i]
+        passed.warm[row] = np.dot(guides.temperature[row], amplitudes) + passed.net[row]

@@ -1,0 +1,182 @@
+"""Data of a machine on axes for the JIT-compiled march, if it supports the machine.
+
+It supports the same laws as `fesim.march.kernel`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fesim.axes.axis import Axis, cold_drives
+from fesim.axes.compiled_drive import drive_work, drives_of
+from fesim.axes.compiled_march import (
+    AxesKernel,
+    AxesRecord,
+    AxesState,
+    AxesSteps,
+    AxesWork,
+    march_axes,
+)
+from fesim.axes.compiled_passing import Ways, guides_of, new_passed
+from fesim.axes.corner_table import around
+from fesim.axes.machine import MovingMachine
+from fesim.axes.survey import Here, Pads, new_here
+from fesim.joint.compiled_gap import trial_at
+from fesim.joint.loosening import watch_work
+from fesim.march.compiled_step import HeatStep, JointState
+from fesim.march.heat_step import heat_balances
+from fesim.march.kernel import joint_kernel, owned, watched_in
+from fesim.march.machine import State
+from fesim.march.track import Track
+from thermojoint.artefacts.arrays import Array
+
+#: What the second step at a place has of its own: not the matrices.
+APART = ("free", "gap", "force", "residual", "correction", "before", "step")
+
+
+@dataclass(frozen=True, eq=False)
+class AxesMarch:
+    """A compiled march, and its storage."""
+
+    #: The machine.
+    moving: MovingMachine
+    axes: Sequence[Axis]
+    #: The same for compiled steps.
+    kernel: AxesKernel
+    work: AxesWork
+
+    def take(self, state: State, inputs: Array) -> Track | None:
+        """Take the steps with inputs (n, k), or the first of them.
+
+        None where the plain method must take the first one: the joints have no equilibrium near, a
+        body may have come loose, or steps may alternate.
+        """
+        kernel, thermal = self.kernel, self.moving.machine.thermal
+        kernel.pads.slip[:] = state.slip
+        own = [
+            owned(array.copy())
+            for array in (state.gap, state.pressure, state.change, state.temperature)
+        ]
+        joint = JointState(own[0], kernel.pads.slip, own[1], own[2])
+        now = AxesState(own[3], joint, owned(state.turning.copy()), state.drive.copy())
+        record = self._new_record(len(inputs))
+        taken = march_axes(kernel, self.work, self._steps(state.index, inputs), now, record)
+        if not taken:
+            return None
+        record = AxesRecord._make(column[:taken] for column in record)
+        area = self.moving.machine.contact.elastic.area[: kernel.scale.size]
+        before = np.vstack([state.temperature, record.amplitudes[:-1]])
+        return Track(
+            index=state.index + 1 + np.arange(taken),
+            inputs=record.inputs,
+            conductance=record.conducted / area,
+            heat_flow=record.heat_flow,
+            displacement=record.displacement,
+            remainder=record.remainder,
+            residual=record.residual,
+            iterations=record.iterations,
+            cuts=np.zeros(taken, dtype=np.int64),
+            heat_balance=heat_balances(
+                thermal, before, record.amplitudes, record.inputs, record.heat_flow
+            ),
+            secant_residual=np.zeros(taken),
+            temperature=record.amplitudes,
+            gap=record.gap,
+            slip=record.slip,
+            pressure=record.pressure,
+            change=record.change,
+            frozen=np.zeros((taken, *state.frozen.shape)),
+            turning=record.turning,
+            parts=np.zeros(taken, dtype=np.int64),
+            drive=record.drive,
+            model=state.model,
+        )
+
+    def _steps(self, index: int, inputs: Array) -> AxesSteps:
+        ends = (index + np.arange(len(inputs) + 1.0)) * self.moving.machine.thermal.step
+        places = np.stack([axis.course(ends[1:]) for axis in self.axes], axis=1)
+        near = around(self.moving.guideway.stations, places)
+        return AxesSteps(
+            owned(inputs),
+            ways_of(self.axes, ends),
+            self.moving.tables.table(near.corners),
+            near.touched,
+            near.weight,
+            np.empty((len(near.corners), self.work.here.free.size)),
+        )
+
+    def _new_record(self, steps: int) -> AxesRecord:
+        work, count = self.work, self.kernel.scale.size
+        probes = work.here.free.size - work.here.gap.size
+        joint = [(3, count), (2, count), (count,), (3, count), (3, count)]
+        before, after = [(work.driven.size,), (work.without.size,)], [(work.state.size,)]
+        shapes = [*before, *joint, *after, (count,), (count,), (probes,), (3 * count,), ()]
+        values: list[Any] = [np.empty((steps, *shape)) for shape in shapes]
+        return AxesRecord(*values, *[np.empty(steps, dtype=np.int64)])
+
+
+def ways_of(axes: Sequence[Axis], ends: Array) -> Ways:
+    """Return the ways of axes in the steps between times (n + 1,), s."""
+    times, places, starts, size = [], [], [], 0
+    for axis in axes:
+        knots = axis.course.times
+        own = np.union1d(ends, knots[(knots > ends[0]) & (knots < ends[-1])])
+        times.append(own)
+        places.append(axis.course(own))
+        starts.append(size + np.searchsorted(own, ends))
+        size += own.size
+    return Ways(np.concatenate(times), np.concatenate(places), np.array(starts))
+
+
+def axes_march(moving: MovingMachine, axes: Sequence[Axis]) -> AxesMarch | None:
+    """Return the compiled march of a machine, or None if it is not supported."""
+    machine, guideway, tables = moving.machine, moving.guideway, moving.tables
+    thermal, contact, count = machine.thermal, machine.contact, machine.contact.count
+    joint = joint_kernel(contact, np.zeros((count, 0)), np.zeros(count))
+    if joint is None or not contact.conducts_by_pressure or thermal.factor.solver != "diagonal":
+        return None
+    diagonal, none = thermal.factor.matrix.diagonal(), np.zeros((0, 0))
+    decay = thermal.capacity_rate.diagonal() / diagonal
+    inverse = np.where(np.arange(diagonal.size) < moving.free, 1.0 / diagonal, 0.0)
+    elastic, untied = contact.elastic, owned(guideway.elastic.thermal)
+    slip = np.zeros((2, count))
+    kernel = AxesKernel(
+        HeatStep(decay, owned(thermal.inputs / diagonal[:, None]), none, none),
+        guides_of(guideway.stations, moving.rows, inverse),
+        drives_of(axes, diagonal.size),
+        joint,
+        Pads(tables.held, joint.laws, slip, elastic.reference, elastic.area, contact.tolerance),
+        untied,
+        owned(moving.rows.influence @ untied.T),
+        owned(guideway.running / thermal.step),
+        owned(contact.reference_pressure),
+        watched_in(contact),
+        moving.copies,
+        thermal.step,
+    )
+    here = new_here(tables.held.size, len(elastic.probe_compliance), trial_at(np.zeros((3, count))))
+    return AxesMarch(moving, axes, kernel, _storage(kernel, here, cold_drives(axes).size))
+
+
+def _storage(kernel: AxesKernel, here: Here, drives: int) -> AxesWork:
+    count, held = kernel.scale.size, kernel.pads.held.size
+    rows, modes = kernel.guides.temperature.shape
+    own: dict[str, Any] = {name: np.zeros_like(getattr(here, name)) for name in APART}
+    sizes = [held * (held + 1) // 2, (here.free.size - held) * held, count, modes, modes]
+    more: list[Any] = [
+        np.zeros(size) for size in (*sizes, count, rows, drives, kernel.heat.drive.shape[1])
+    ]
+    return AxesWork(
+        new_passed(kernel.guides),
+        drive_work(kernel.drives),
+        here,
+        here._replace(trial=trial_at(np.zeros((3, count))), **own),
+        watch_work(kernel.watched),
+        np.zeros(len(kernel.untied)),
+        np.zeros(len(kernel.untied), dtype=np.bool_),
+        *more,
+    )

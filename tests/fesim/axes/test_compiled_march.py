@@ -1,0 +1,151 @@
+"""The compiled march along axes takes the plain steps, and leaves to them what it cannot take."""
+
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fesim.axes import staggered
+from fesim.axes.axis import cold_drives
+from fesim.axes.kernel import AxesMarch, axes_march
+from fesim.axes.march import march_moving
+from fesim.axes.setup import axis_inputs, set_up_axes
+from fesim.axes.staggered import march_staggered
+from fesim.case.history import History
+from fesim.case.schema import read_case
+from fesim.march.settling import initial_state
+from fesim.march.stepping import plainly_staggered
+from fesim.march.track import joined
+from thermojoint.artefacts.errors import ConvergenceError
+
+#: Steps; a body comes loose in the one after.
+COUNT = 39
+PATH = Path(str(files("thermojoint").joinpath("cases/three_axes.toml")))
+#: Largest differences: what the plain march leaves open (8e-14 m) is 1e-6 of the preload.
+ALLOWED = {
+    "displacement": 1e-12,
+    "gap": 1e-12,
+    "slip": 1e-12,
+    "change": 1e-12,
+    "pressure": 2.0,
+    "remainder": 2.0,
+    "conductance": 0.01,
+    "inputs": 1e-5,
+    "heat_flow": 1e-5,
+    "temperature": 1e-5,
+    "drive": 1e-8,
+    "turning": 1e-5,
+    "heat_balance": 1e-10,
+}
+
+
+@pytest.fixture(scope="module")
+def machine():
+    """Screws that heat the machine, a scale that follows it, between stations and turning there."""
+    case = read_case(PATH)
+    ready = set_up_axes(case)
+    rng = np.random.default_rng(8)
+    times = np.arange(0.0, 900.0, 35.0)
+    axes = [
+        replace(axis, course=History(times, rng.uniform(at[0], at[-1], times.size)))
+        for axis, at in zip(ready.axes, ready.moving.guideway.stations.positions, strict=True)
+    ]
+    start = replace(initial_state(ready.moving.machine), drive=cold_drives(axes))
+    return ready.moving, axes, hot(case, COUNT), start
+
+
+def hot(case, count):
+    inputs = axis_inputs(case).at(case.march.step_s * np.arange(1.0, count + 1.0))
+    inputs[:, 0] *= 10.0
+    return inputs
+
+
+@pytest.fixture(scope="module")
+def tracks(machine):
+    return list(march_staggered(*machine))
+
+
+def plainly(moving, axes, inputs, start):
+    return joined(list(march_moving(moving, axes, inputs, plainly_staggered, start)))
+
+
+def assert_alike(track, other):
+    off = {
+        name: float(np.abs(getattr(track, name) - getattr(other, name)).max()) / allowed
+        for name, allowed in ALLOWED.items()
+    }
+    assert {name: by for name, by in off.items() if not by <= 1.0} == {}
+
+
+def test_the_compiled_march_takes_the_plain_steps(machine, tracks):
+    track, plain = joined(tracks), plainly(*machine)
+    assert_alike(track, plain)
+    assert np.abs(plain.displacement).max() > 1e-5
+    # Some slide, some turn in every other step, and pressures differ.
+    assert plain.slip.any()
+    assert (plain.turning[:, 1] >= 2.0).any()
+    assert np.ptp(plain.pressure) > 1e5
+    assert np.array_equal(track.parts, plain.parts)
+    assert np.abs(track.heat_balance).max() < 1e-8
+    assert track.residual.max() <= machine[0].machine.contact.tolerance
+    # Most steps are those of the kernel.
+    assert len(tracks) < COUNT / 2
+
+
+def test_a_march_continues_bit_by_bit(machine, tracks):
+    moving, axes, inputs, _ = machine
+    track = joined(tracks)
+    for done in (1, 17):
+        rest = joined(
+            list(march_staggered(moving, axes, inputs[done:], track.step(done - 1).state))
+        )
+        for name in (*ALLOWED, "residual", "iterations"):
+            assert np.array_equal(getattr(rest, name), getattr(track, name)[done:])
+
+
+def test_what_the_kernel_cannot_take_is_taken_plainly(machine, monkeypatch):
+    moving, axes, inputs, start = machine
+    take, refused = AxesMarch.take, []
+
+    def refuse(march, state, rows):
+        if state.index == 3:
+            refused.append(state)
+            return None
+        return take(march, state, rows)
+
+    monkeypatch.setattr(AxesMarch, "take", refuse)
+    track = joined(list(march_staggered(moving, axes, inputs[:8], start)))
+    monkeypatch.undo()
+    assert_alike(track, plainly(moving, axes, inputs[:8], start))
+    # Iterated steps go on to be iterated.
+    iterated = replace(start, parts=2)
+    monkeypatch.setattr(AxesMarch, "take", lambda *_: pytest.fail("compiled"))
+    track = joined(list(march_staggered(moving, axes, inputs[:2], iterated)))
+    assert (track.parts == 2).all()
+
+
+def test_a_body_that_comes_loose_is_an_error(machine, tracks):
+    moving, axes, _, _ = machine
+    state, inputs = tracks[-1].step(-1).state, hot(read_case(PATH), COUNT + 1)
+    with pytest.raises(ConvergenceError, match="step to t = 800 s: a body has come loose"):
+        list(march_staggered(moving, axes, inputs[COUNT:], state))
+
+
+def test_a_law_of_the_user_is_marched_plainly(machine, monkeypatch):
+    moving, axes, inputs, start = machine
+    law, count = moving.machine.contact.laws[0]
+    own = type("Own", (type(law.normal),), {})(**vars(law.normal))
+    laws = [(replace(law, normal=own), count), *moving.machine.contact.laws[1:]]
+    others = replace(moving, machine=moving.machine.with_laws(laws))
+    assert axes_march(others, axes) is None
+    track = joined(list(march_staggered(others, axes, inputs[:3], start)))
+    assert_alike(track, plainly(moving, axes, inputs[:3], start))
+
+
+def test_steps_taken_at_once_do_not_change_them(machine, tracks, monkeypatch):
+    monkeypatch.setattr(staggered, "BLOCK", 3)
+    track = joined(list(march_staggered(*machine)))
+    for name in ALLOWED:
+        assert np.array_equal(getattr(track, name), getattr(joined(tracks), name))
