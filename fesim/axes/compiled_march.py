@@ -49,6 +49,9 @@ class AxesKernel(NamedTuple):
     untied: Array
     #: Shape (q, u): the same per W that enters each row of the guides, m.
     warmed: Array
+    #: Shapes (u, 2) and (q, 2): where their rows are not zero, by `compiled_passing.spans`.
+    untied_span: NDArray[np.int64]
+    warmed_span: NDArray[np.int64]
     #: Shapes (m,): heat of running friction per pressure and metre of way in a step, W/(Pa m);
     #: reference pressure, Pa.
     running: Array
@@ -238,7 +241,9 @@ def _displace(machine: AxesKernel, work: AxesWork, steps: AxesSteps, n: int) -> 
                 wanted[3 * count + direction * stations + at] = True
     for row in range(size):
         if wanted[row] or row >= size - others:
-            work.alone[row] = np.dot(machine.untied[row], work.amplitudes)
+            first, last = machine.untied_span[row]
+            own = machine.untied[row, first:last]
+            work.alone[row] = np.dot(own, work.amplitudes[first:last])
 
 
 @compiled_part
@@ -307,7 +312,9 @@ def _steady(machine: AxesKernel, work: AxesWork, steps: AxesSteps, n: int, now: 
         return False
     for i in range(work.passed.begin[work.passed.begin.size - 1]):
         row = work.passed.rows[i]
-        add_row(work.left[row] - work.passed.leaving[row], machine.warmed[row], work.alone)
+        first, last = machine.warmed_span[row]
+        net = work.left[row] - work.passed.leaving[row]
+        add_row(net, machine.warmed[row, first:last], work.alone[first:last])
     _open(machine.pads, steps, n, work.alone, again)
     put(work.here.gap, again.gap)
     if not settle_here(machine.pads, again, True)[0] >= 0.0:

@@ -43,6 +43,8 @@ class Guides(NamedTuple):
     #: Shapes (q, r) and (q, q): as in `fesim.march.passing.Rows`.
     temperature: Array
     joint_influence: Array
+    #: Shape (q, 2): where the temperature of each row begins and ends among the amplitudes.
+    span: NDArray[np.int64]
     #: Shape (r,): of A0, zero where temperatures are held: heat of a row enters by its temperature.
     inverse: Array
 
@@ -100,8 +102,19 @@ def guides_of(stations: GuideStations, rows: Rows, inverse: Array) -> Guides:
         np.cumsum([0, *(one.size for one in groups)]),
         np.ascontiguousarray(rows.temperature),
         np.ascontiguousarray(rows.joint_influence),
+        spans(rows.temperature),
         inverse,
     )
+
+
+def spans(rows: Array) -> NDArray[np.int64]:
+    """Return the first entry of each row (k, n) that is not zero, and that after the last, (k, 2).
+
+    Modes are those of one body each (`fesim.solid.reduction.reduce_apart`).
+    """
+    filled = rows != 0.0
+    ends = np.stack([filled.argmax(axis=1), rows.shape[1] - filled[:, ::-1].argmax(axis=1)], axis=1)
+    return np.where(filled.any(axis=1)[:, None], ends, 0)
 
 
 def new_passed(guides: Guides) -> Passed:
@@ -181,22 +194,26 @@ def rub(guides: Guides, passed: Passed, heat: Array) -> None:
 def _leave(guides: Guides, passed: Passed, conducted: Array) -> None:
     """Put q = L T."""
     found, leaving, last = passed.found, passed.leaving, guides.first.size - 1
+    # Read once: what a named tuple has is counted wherever it is read.
+    place, means, squares, boths = guides.place, passed.mean, passed.square, passed.both
+    riding, groups, reached = guides.riding, guides.group, passed.reached
     fill(leaving, 0.0)
     for group in range(last + 1):
-        for e in guides.riding[guides.group[group] : guides.group[group + 1]]:
+        for r in range(groups[group], groups[group + 1]):
+            e = riding[r]
             own, each = found[e], conducted[e]
-            leaving[e] += each * own
-            if group == last:
-                continue
-            low, high = passed.reached[group, 0], passed.reached[group, 1]
-            for k in range(low, high):
-                at, mean = guides.place[k, e], each * passed.mean[k]
-                leaving[e] -= mean * found[at]
-                leaving[at] += each * passed.square[k] * found[at] - mean * own
-                if k + 1 < high:
-                    above, both = guides.place[k + 1, e], each * passed.both[k]
-                    leaving[at] += both * found[above]
-                    leaving[above] += both * found[at]
+            given = each * own
+            if group < last:
+                low, high = reached[group, 0], reached[group, 1]
+                for k in range(low, high):
+                    at, mean = place[k, e], each * means[k]
+                    given -= mean * found[at]
+                    leaving[at] += each * squares[k] * found[at] - mean * own
+                    if k + 1 < high:
+                        above, both = place[k + 1, e], each * boths[k]
+                        leaving[at] += both * found[above]
+                        leaving[above] += both * found[at]
+            leaving[e] += given
 
 
 @compiled_part
@@ -207,38 +224,48 @@ def add_row(factor: float, source: Array, into: Array) -> None:
 
 
 @compiled_part
+def _add(factor: float, near: Array, source: int, system: Array, into: int) -> None:
+    """Add a row of a matrix, times a factor, to one of another."""
+    for j in range(system.shape[1]):
+        system[into, j] += factor * near[source, j]
+
+
+@compiled_part
 def _factorise(guides: Guides, passed: Passed, conducted: Array, first: int, after: int) -> None:
     """Solve for some groups of rows alone, and keep the factors."""
     begin, end = passed.begin[first], passed.begin[after]
     system, near, found = _part(passed, begin, end)
-    rows, size = passed.rows, end - begin
+    rows, influence, warm = passed.rows[begin:end], guides.joint_influence, passed.warm
+    place, means, squares, boths = guides.place, passed.mean, passed.square, passed.both
+    riding, groups, reached, local = guides.riding, guides.group, passed.reached, passed.local
+    size, last = end - begin, guides.first.size - 1
     for i in range(size):
-        row = guides.joint_influence[rows[begin + i]]
-        found[i] = passed.warm[rows[begin + i]]
+        found[i] = warm[rows[i]]
         for j in range(size):
-            near[i, j] = row[rows[begin + j]]
+            near[i, j] = influence[rows[i], rows[j]]
             system[i, j] = 0.0
         system[i, i] = 1.0
     for group in range(first, after):
-        for e in guides.riding[guides.group[group] : guides.group[group + 1]]:
-            own, each = passed.local[e] - begin, conducted[e]
-            add_row(each, near[own], system[own])
-            if group == guides.first.size - 1:
+        for r in range(groups[group], groups[group + 1]):
+            e = riding[r]
+            own, each = local[e] - begin, conducted[e]
+            _add(each, near, own, system, own)
+            if group == last:
                 continue
-            low, high = passed.reached[group, 0], passed.reached[group, 1]
+            low, high = reached[group, 0], reached[group, 1]
             for k in range(low, high):
-                at, mean = passed.local[guides.place[k, e]] - begin, each * passed.mean[k]
-                add_row(-mean, near[at], system[own])
-                add_row(-mean, near[own], system[at])
-                add_row(each * passed.square[k], near[at], system[at])
+                at, mean = local[place[k, e]] - begin, each * means[k]
+                _add(-mean, near, at, system, own)
+                _add(-mean, near, own, system, at)
+                _add(each * squares[k], near, at, system, at)
                 if k + 1 < high:
-                    above, both = passed.local[guides.place[k + 1, e]] - begin, passed.both[k]
-                    add_row(each * both, near[above], system[at])
-                    add_row(each * both, near[at], system[above])
+                    above, both = local[place[k + 1, e]] - begin, each * boths[k]
+                    _add(both, near, above, system, at)
+                    _add(both, near, at, system, above)
     # Row after row, I + L S is I + S L column after column: both are symmetric.
     factorise_columns(system, passed.pivots[begin:end], found)
     for i in range(size):
-        passed.found[rows[begin + i]] = found[i]
+        passed.found[rows[i]] = found[i]
 
 
 @compiled_part
@@ -307,19 +334,25 @@ def exchange(guides: Guides, passed: Passed, conducted: Array, again: bool) -> b
 @compiled_part
 def enter(guides: Guides, passed: Passed, amplitudes: Array) -> None:
     """Add to amplitudes (r,) without exchange what friction and the exchange do."""
-    fill(passed.drawn, 0.0)
+    rows, span, temperature, drawn = passed.rows, guides.span, guides.temperature, passed.drawn
+    rubbed, leaving, inverse = passed.rubbed, passed.leaving, guides.inverse
+    fill(drawn, 0.0)
     for i in range(passed.begin[passed.begin.size - 1]):
-        row = passed.rows[i]
-        add_row(passed.rubbed[row] - passed.leaving[row], guides.temperature[row], passed.drawn)
+        row = rows[i]
+        net = rubbed[row] - leaving[row]
+        for k in range(span[row, 0], span[row, 1]):
+            drawn[k] += net * temperature[row, k]
     for k in range(amplitudes.size):
-        amplitudes[k] += guides.inverse[k] * passed.drawn[k]
+        amplitudes[k] += inverse[k] * drawn[k]
 
 
 @compiled_part
 def warm(guides: Guides, passed: Passed, amplitudes: Array) -> None:
     """Put w, of amplitudes (r,) without exchange."""
-    fill(passed.warm, 0.0)
+    rows, span, temperature, found = passed.rows, guides.span, guides.temperature, passed.warm
+    fill(found, 0.0)
     np.dot(guides.joint_influence, passed.rubbed, passed.net)
     for i in range(passed.begin[passed.begin.size - 1]):
-        row = passed.rows[i]
-        passed.warm[row] = np.dot(guides.temperature[row], amplitudes) + passed.net[row]
+        row = rows[i]
+        own = temperature[row, span[row, 0] : span[row, 1]]
+        found[row] = np.dot(own, amplitudes[span[row, 0] : span[row, 1]]) + passed.net[row]

@@ -21,7 +21,7 @@ from fesim.axes.compiled_march import (
     AxesWork,
     march_axes,
 )
-from fesim.axes.compiled_passing import Ways, guides_of, new_passed
+from fesim.axes.compiled_passing import Ways, guides_of, new_passed, spans
 from fesim.axes.corner_table import around
 from fesim.axes.machine import MovingMachine
 from fesim.axes.survey import Here, Pads, new_here
@@ -143,7 +143,7 @@ def axes_march(moving: MovingMachine, axes: Sequence[Axis]) -> AxesMarch | None:
     decay = thermal.capacity_rate.diagonal() / diagonal
     inverse = np.where(np.arange(diagonal.size) < moving.free, 1.0 / diagonal, 0.0)
     elastic, untied = contact.elastic, owned(guideway.elastic.thermal)
-    slip = np.zeros((2, count))
+    slip, warmed = np.zeros((2, count)), owned(moving.rows.influence @ untied.T)
     kernel = AxesKernel(
         HeatStep(decay, owned(thermal.inputs / diagonal[:, None]), none, none),
         guides_of(guideway.stations, moving.rows, inverse),
@@ -151,7 +151,9 @@ def axes_march(moving: MovingMachine, axes: Sequence[Axis]) -> AxesMarch | None:
         joint,
         Pads(tables.held, joint.laws, slip, elastic.reference, elastic.area, contact.tolerance),
         untied,
-        owned(moving.rows.influence @ untied.T),
+        warmed,
+        spans(untied),
+        spans(warmed),
         owned(guideway.running / thermal.step),
         owned(contact.reference_pressure),
         watched_in(contact),

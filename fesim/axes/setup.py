@@ -47,6 +47,7 @@ from fesim.setup.soundness import explained_by_size, suspicions
 from fesim.setup.structure import material_of, measured_points
 from fesim.setup.temperature_dependence import convecting_surfaces
 from fesim.solid.condensation import ThermalCondensation
+from fesim.solid.reduction import reduce_apart
 from fesim.solid.spaces import probe_cells, probe_rows
 from fesim.solid.substructures import UntiedCondensation
 from meshes.travel import Travel, stations_of
@@ -373,8 +374,9 @@ def _apart(
 def _modes(
     whole: Discretised, operators: GuidedOperators, apart: UntiedCondensation, key: str | None
 ) -> ThermalModes:
-    """Modes for heat at every pad and at every station."""
+    """Modes of each body for heat at every pad and at every station."""
     march, pads = whole.case.march, operators.pads
+    by_body = partial(reduce_apart, solver=march.solver)
     every = replace(pads, jump=csr_array(vstack([pads.jump, operators.heat], format="csr")))
     ties = pads.gap.shape[0] + operators.gap.shape[0]
     moved = apart.thermal[apart.springs.size :] / DISPLACEMENT_ERROR
@@ -386,7 +388,7 @@ def _modes(
     return remembered(
         ThermalModes,
         key,
-        partial(thermal_modes, whole.heat, every, outputs, march.step_s, march.solver, whole.warm),
+        partial(thermal_modes, whole.heat, every, outputs, march.step_s, by_body, whole.warm),
         also=f"along the stroke from {shortest(march.step_s)!r} s",
     )
 

@@ -12,7 +12,7 @@ from fesim.march.stepping import plainly_staggered
 from fesim.march.track import Track
 from thermojoint.artefacts.arrays import Array
 
-#: Steps that are taken at once, at most and at first: what is around their ends is in one array.
+#: Steps that are taken at once, at most and after a plain one: what is around them is in one array.
 BLOCK, FEW = 64, 4
 
 
@@ -34,7 +34,7 @@ def march_staggered(
     # Imported here because it loads a compiler, as in `fesim.march.contact.gap_solver`.
     from fesim.axes.kernel import axes_march
 
-    compiled, state, done, block = axes_march(moving, axes), start, 0, FEW
+    compiled, state, done, block = axes_march(moving, axes), start, 0, BLOCK
     while done < len(inputs):
         rows, track = inputs[done : done + block], None
         block = min(2 * block, BLOCK)

@@ -7,6 +7,7 @@ inputs. Every operator of the march is multiplied by [V, E] once; the march is t
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 
@@ -23,7 +24,7 @@ from fesim.solid.condensation import (
 from fesim.solid.heat import HeatOperators
 from fesim.solid.joint_operators import JointOperators
 from fesim.solid.linear_solver import Factor
-from fesim.solid.reduction import HeatSystem, reduce_heat
+from fesim.solid.reduction import HeatSystem, ReducedHeat, reduce_heat
 from thermojoint.artefacts.arrays import Array
 
 #: Typical inputs of a march: total heat, W; ambient and held surfaces, K.
@@ -34,6 +35,9 @@ TEMPERATURE_ERROR, GAP_ERROR, DISPLACEMENT_ERROR = 2e-4, 1e-10, 4e-10
 SHORTEST, LONGEST = 1.0, 1e6
 #: Up to this many contact elements, dense products cost less than the sparse factors.
 FEW = 200
+
+#: From the heat equation, and the shortest and the longest time of interest, s.
+Reduce = Callable[[HeatSystem, float, float], ReducedHeat]
 
 
 @dataclass(frozen=True)
@@ -59,7 +63,7 @@ def thermal_modes(
     joints: JointOperators,
     outputs: Array,
     step: float,
-    solver: str | None = None,
+    reduce: Reduce = reduce_heat,
     start: Array | None = None,
 ) -> ThermalModes:
     """Find the modes that the joints, gaps and probes of a march need.
@@ -72,8 +76,8 @@ def thermal_modes(
         Outputs of the temperatures other than the joints' jumps, by `outputs_of`.
     step : float
         Time step, s.
-    solver : str, optional
-        See `fesim.solid.linear_solver.factorise`.
+    reduce : callable, optional
+        Reduces the heat equation: `reduce_heat`, or `reduce_apart` with other modes.
     start : ndarray, shape (n,), optional
         Initial nodal temperatures, K; a field smaller than `USUAL_RISE` is scaled up to it.
 
@@ -99,7 +103,7 @@ def thermal_modes(
         np.empty((free.size, 0)) if start is None else _usual_field(start[free]),
     )
     with one_dense_thread() if len(joints.area) <= FEW else nullcontext():
-        reduction = reduce_heat(reduced, shortest(step), LONGEST, solver)
+        reduction = reduce(reduced, shortest(step), LONGEST)
     basis = np.zeros((size, reduction.rates.size + surfaces.shape[1]))
     basis[free, : reduction.rates.size] = reduction.basis
     basis[:, reduction.rates.size :] = surfaces

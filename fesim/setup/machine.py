@@ -71,6 +71,7 @@ from fesim.solid.condensation import (
 from fesim.solid.friction_heat import friction_heat
 from fesim.solid.materials import Material
 from fesim.solid.outputs import MechanicalOutputs
+from fesim.solid.reduction import reduce_heat
 from fesim.solid.rigid_motions import Constraints
 from fesim.solid.spaces import Spaces
 from fesim.solid.substructures import TieCondensation
@@ -412,7 +413,7 @@ def _modes(
             whole.operators,
             outputs_of(condensed, csr_array(vstack([whole.rows, whole.ends, _rubbed(whole)]))),
             march.step_s,
-            march.solver,
+            partial(reduce_heat, solver=march.solver),
             whole.warm,
         ),
         also=f"from {shortest(march.step_s)!r} s",

@@ -103,7 +103,7 @@ def growth_check(opening: float) -> Check:
 def _on_modes(built: Rods, mode: Array, step: float) -> tuple[CondensedMachine, ThermalModes]:
     """Barber's rod on modes that hold a perturbation of its shape; and these modes."""
     outputs = outputs_of(built.elastic, csr_array((0, built.x.size)))
-    modes = thermal_modes(built.heat, built.operators, outputs, 1.0, None, mode)
+    modes = thermal_modes(built.heat, built.operators, outputs, 1.0, start=mode)
     thermal = project_heat(built.heat, built.operators, step, modes)
     elastic = project_elasticity(built.elastic, modes)
     return CondensedMachine(thermal, ContactProblem(elastic, [(built.law, 1)])), modes

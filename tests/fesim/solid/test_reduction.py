@@ -8,10 +8,17 @@ from bars import assemble, conduct, two_bars
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import csr_array, diags_array
+from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
 from fesim.march.reduced import TEMPERATURE_ERROR, outputs_of, thermal_modes
-from fesim.solid.reduction import HeatSystem, ReducedHeat, Search, reduce_heat
+from fesim.solid.reduction import (
+    HeatSystem,
+    ReducedHeat,
+    Search,
+    reduce_apart,
+    reduce_heat,
+)
 from fesim.solid.spaces import probe_rows
 from thermojoint.artefacts.errors import ConvergenceError
 
@@ -27,12 +34,13 @@ class Problem:
     drives: np.ndarray
     outputs: np.ndarray
 
-    def reduce(self, looser: float = 1.0, **search) -> ReducedHeat:
+    def system(self, looser: float = 1.0) -> HeatSystem:
         at_rest = np.empty((len(self.capacity), 0))
-        system = HeatSystem(
-            self.capacity, self.conduction, self.drives, self.outputs / looser, at_rest
-        )
-        return reduce_heat(system, SHORTEST, LONGEST, search=Search(**search))
+        outputs = self.outputs / looser
+        return HeatSystem(self.capacity, self.conduction, self.drives, outputs, at_rest)
+
+    def reduce(self, looser: float = 1.0, **search) -> ReducedHeat:
+        return reduce_heat(self.system(looser), SHORTEST, LONGEST, search=Search(**search))
 
     def march(self, step, levels):
         """Outputs (steps, q) of the full model; levels (steps, p) of the drives."""
@@ -112,6 +120,20 @@ def test_any_step_gives_the_full_march(problem, reduced, step):
     off = full - problem.reduced_march(reduced, step, levels)[0]
     assert np.abs(off).max() <= reduced.error * size
     assert np.abs(full).max() > 1e4
+
+
+def test_bodies_reduced_apart_have_modes_of_their_own_and_give_the_full_march(problem):
+    found = reduce_apart(problem.system(), SHORTEST, LONGEST)
+    _, body = connected_components(problem.conduction, directed=False)
+    held = np.array([found.basis[body == k].any(axis=0) for k in range(2)])
+    assert (held.sum(axis=0) == 1).all()
+    assert held.any(axis=1).all()
+    assert found.error <= 1.0
+    rng = np.random.default_rng(3)
+    levels = np.cumsum(rng.uniform(-0.3, 0.3, (100, problem.drives.shape[1])), axis=0)
+    off = problem.march(2.0, levels) - problem.reduced_march(found, 2.0, levels)[0]
+    # Jumps are outputs of both bodies, and the two errors add up to the tolerance at most.
+    assert np.abs(off).max() <= np.abs(levels).sum(axis=1).max()
 
 
 @pytest.mark.parametrize("count", [2, 3, 5, 8])
