@@ -29,7 +29,7 @@ from fesim.axes.survey import Here, Pads, grown, mixed, probe, settle_here, unpa
 from fesim.jit import compiled, compiled_part
 from fesim.joint.in_place import fill, put
 from fesim.joint.loosening import Watched, WatchWork, surely_held
-from fesim.march.alternation import GAIN, LARGE, LEADING, LEAST, STILL, SUSPECTED
+from fesim.march.alternation import GAIN, LARGE, LEADING, LEAST, STILL, STUBBORN, SUSPECTED
 from fesim.march.compiled_step import HeatStep, JointKernel, JointState, conduct, drive, take
 from thermojoint.artefacts.arrays import Array
 
@@ -68,7 +68,7 @@ class AxesWork(NamedTuple):
 
     passed: Passed
     drive: DriveWork
-    #: Joints in a step, and in the second one for its gain: with the same C and inverse.
+    #: Joints in a step, and in the second one for its gain: with the same C and factors.
     here: Here
     again: Here
     check: WatchWork
@@ -85,6 +85,8 @@ class AxesWork(NamedTuple):
     #: Shapes (m,), Pa, and (q,), W: pressures after a step, and the heat that left the rows in it.
     pressure: Array
     left: Array
+    #: Shape (3 m,): z + k g, Pa.
+    remainder: Array
     #: Shapes (d,) and (k,): drives and inputs of a step.
     state: Array
     driven: Array
@@ -145,30 +147,15 @@ def march_axes(
     int
         Number of recorded steps: fewer than n if the plain method must judge the next one.
     """
-    pads, trial = machine.pads, work.here.trial
     for n in range(len(steps.inputs)):
-        put(steps.inputs[n], work.driven)
-        put(now.drive, work.state)
         try:
-            held, residual, iterations = _step(machine, work, steps, n, now)
+            taken = _advance(machine, work, steps, n, now, record)
         except Exception:  # a singular tangent; compiled code can catch no narrower class
-            held, residual, iterations = False, np.nan, 0
-        if not held:
+            taken = False
+        if not taken:
             return n
-        put(work.conducted, record.conducted[n])
-        probe(work.here, work.moved, pads.area[pads.held], record.displacement[n])
-        for e in range(work.pressure.size):
-            record.heat_flow[n, e] = work.left[e]
-        record.residual[n], record.iterations[n] = residual, iterations
-        if _may_alternate(now.turning):
-            try:
-                held = _steady(machine, work, steps, n, now)
-            except Exception:  # as above
-                held = False
-            if not held:
-                return n
         turn(now.turning, now.joint.pressure, work.pressure, machine.scale)
-        take(machine.joint, trial, now.joint, record.remainder[n])
+        take(machine.joint, work.here.trial, now.joint, record.remainder[n])
         air = work.driven[machine.drives.ambient]
         warm_scale(machine.drives, machine.length, now.amplitudes, work.amplitudes, air, work.state)
         put(work.amplitudes, now.amplitudes)
@@ -178,17 +165,43 @@ def march_axes(
 
 
 @compiled_part
-def _step(
-    machine: AxesKernel, work: AxesWork, steps: AxesSteps, n: int, now: AxesState
-) -> tuple[bool, float, int]:
-    """Whether drives, heat and contact find a step that leaves no body loose; residual, iterations.
+def _advance(
+    machine: AxesKernel,
+    work: AxesWork,
+    steps: AxesSteps,
+    n: int,
+    now: AxesState,
+    record: AxesRecord,
+) -> bool:
+    """Whether there is a step that leaves no body loose, in steps that surely do not alternate.
 
     `work` has the step then.
     """
-    guides, passed, joint, pressure = machine.guides, work.passed, machine.joint, work.pressure
-    go(guides, steps.ways, n, passed)
+    pads, pressure, turning = machine.pads, work.pressure, now.turning
+    put(steps.inputs[n], work.driven)
+    put(now.drive, work.state)
+    go(machine.guides, steps.ways, n, work.passed)
     _rub(machine, work, now.joint.pressure)
     warm_screw(machine.drives, (steps.ways, n), work.drive, now.amplitudes, work.state, work.driven)
+    if _may_alternate(turning, LARGE) and not _dies_out(machine, work, steps, n, now):
+        return False
+    taken, residual, iterations = _step(machine, work, steps, n, now)
+    if not taken:
+        return False
+    put(work.conducted, record.conducted[n])
+    probe(work.here, work.moved, pads.area[pads.held], record.displacement[n])
+    for e in range(pressure.size):
+        record.heat_flow[n, e] = work.left[e]
+    record.residual[n], record.iterations[n] = residual, iterations
+    return not _may_alternate(turning, 0.0) or _gain(machine, work, steps, n, now) <= GAIN
+
+
+@compiled_part
+def _step(
+    machine: AxesKernel, work: AxesWork, steps: AxesSteps, n: int, now: AxesState
+) -> tuple[bool, float, int]:
+    """Whether heat, then contact find a step that leaves no body loose; residual, iterations."""
+    guides, passed, joint, pressure = machine.guides, work.passed, machine.joint, work.pressure
     put(now.amplitudes, work.without)
     drive(machine.heat, work.without, work.driven)
     warm(guides, passed, work.without)
@@ -206,6 +219,34 @@ def _step(
         pressure[e] = joint.preload[e] + work.here.trial.value[0, e]
     tangent = work.here.trial.tangent
     return surely_held(machine.watched, work.check, pressure, tangent), left, iterations
+
+
+@compiled_part
+def _dies_out(
+    machine: AxesKernel, work: AxesWork, steps: AxesSteps, n: int, now: AxesState
+) -> bool:
+    """Whether steps cease to turn while inputs and ways are held; `now` is as before then.
+
+    Where they do not soon, `fesim.march.stepping` looks whether they oscillate.
+    """
+    joint, turning, quiet = now.joint, np.zeros_like(now.turning), 0
+    amplitudes, gap, slip = now.amplitudes.copy(), joint.gap.copy(), joint.slip.copy()
+    pressure, change = joint.pressure.copy(), joint.change.copy()
+    for _ in range(3 * STUBBORN):
+        if not _step(machine, work, steps, n, now)[0]:
+            break
+        turn(turning, joint.pressure, work.pressure, machine.scale)
+        quiet = 0 if _may_alternate(turning, 0.0) else quiet + 1
+        take(machine.joint, work.here.trial, joint, work.remainder)
+        put(work.amplitudes, now.amplitudes)
+        if quiet == STUBBORN:
+            break
+    put(amplitudes, now.amplitudes)
+    put(gap, joint.gap)
+    put(slip, joint.slip)
+    put(pressure, joint.pressure)
+    put(change, joint.change)
+    return quiet == STUBBORN
 
 
 @compiled_part
@@ -292,24 +333,21 @@ def _turns(turning: Array, element: int) -> bool:
 
 
 @compiled_part
-def _may_alternate(turning: Array) -> bool:
-    """Whether any element is."""
+def _may_alternate(turning: Array, above: float) -> bool:
+    """Whether any element is, with an increment above some."""
     doubtful = False
     for e in range(turning.shape[1]):
-        doubtful = doubtful or _turns(turning, e)
+        doubtful = doubtful or (_turns(turning, e) and abs(turning[0, e]) > above)
     return doubtful
 
 
 @compiled_part
-def _steady(machine: AxesKernel, work: AxesWork, steps: AxesSteps, n: int, now: AxesState) -> bool:
-    """Whether steps surely do not alternate, as `fesim.march.stepping` looks for it."""
+def _gain(machine: AxesKernel, work: AxesWork, steps: AxesSteps, n: int, now: AxesState) -> float:
+    """Gain of a step: `fesim.march.alternation.gain_of`, from the same step taken twice."""
     pressure, turning, again = work.pressure, now.turning, work.again
-    for e in range(pressure.size):
-        if _turns(turning, e) and abs(turning[0, e]) > LARGE:
-            return False
     conduct(machine.joint, pressure, work.conducted)
     if not exchange(machine.guides, work.passed, work.conducted, True):
-        return False
+        return np.inf
     for i in range(work.passed.begin[work.passed.begin.size - 1]):
         row = work.passed.rows[i]
         first, last = machine.warmed_span[row]
@@ -318,7 +356,7 @@ def _steady(machine: AxesKernel, work: AxesWork, steps: AxesSteps, n: int, now: 
     _open(machine.pads, steps, n, work.alone, again)
     put(work.here.gap, again.gap)
     if not settle_here(machine.pads, again, True)[0] >= 0.0:
-        return False
+        return np.inf
     most, gain = 1e-300, 0.0
     for e in range(pressure.size):
         if _turns(turning, e):
@@ -329,7 +367,7 @@ def _steady(machine: AxesKernel, work: AxesWork, steps: AxesSteps, n: int, now: 
         if _turns(turning, e) and abs(once) >= most:
             after = machine.joint.preload[e] + again.trial.value[0, e]
             gain = max(gain, -(after - pressure[e]) / machine.scale[e] / once)
-    return gain <= GAIN
+    return gain
 
 
 @compiled_part

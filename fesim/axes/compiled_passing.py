@@ -22,8 +22,9 @@ from fesim.joint.linear_system import factorise_columns, solve_again
 from fesim.march.passing import Rows
 from thermojoint.artefacts.arrays import Array
 
-#: What the iteration may leave, relative to the warmest row, and most iterations.
-LEFT, MOST = 3e-14, 40
+#: What the iteration may leave, relative to the warmest row: in a step, and in a second one that
+#: only shows a gain; most iterations.
+LEFT, ROUGHLY, MOST = 3e-14, 1e-10, 40
 
 
 class Guides(NamedTuple):
@@ -278,12 +279,14 @@ def _part(passed: Passed, begin: int, end: int) -> tuple[Array, Array, Array]:
 
 
 @compiled_part
-def _refine(guides: Guides, passed: Passed, conducted: Array, groups: int) -> bool:
+def _refine(
+    guides: Guides, passed: Passed, conducted: Array, groups: int, left_open: float
+) -> bool:
     """Whether iterations with the factors of so many parts of the rows solve for T and q."""
     rows, begin = passed.rows, passed.begin
     last, before = begin.size - 1, np.inf
     total = begin[last]
-    enough = LEFT * largest(passed.warm)
+    enough = left_open * largest(passed.warm)
     for _ in range(MOST):
         _leave(guides, passed, conducted)
         np.dot(guides.joint_influence, passed.leaving, passed.net)
@@ -321,14 +324,14 @@ def exchange(guides: Guides, passed: Passed, conducted: Array, again: bool) -> b
     again : bool
         Whether `passed` has factors and T of other conductances in the same step.
     """
-    groups = passed.begin.size - 1
+    groups, left_open = passed.begin.size - 1, ROUGHLY if again else LEFT
     if not again:
         for group in range(groups):
             _factorise(guides, passed, conducted, group, group + 1)
-    if _refine(guides, passed, conducted, groups):
+    if _refine(guides, passed, conducted, groups, left_open):
         return True
     _factorise(guides, passed, conducted, 0, groups)
-    return _refine(guides, passed, conducted, 1)
+    return _refine(guides, passed, conducted, 1, left_open)
 
 
 @compiled_part
@@ -339,9 +342,8 @@ def enter(guides: Guides, passed: Passed, amplitudes: Array) -> None:
     fill(drawn, 0.0)
     for i in range(passed.begin[passed.begin.size - 1]):
         row = rows[i]
-        net = rubbed[row] - leaving[row]
-        for k in range(span[row, 0], span[row, 1]):
-            drawn[k] += net * temperature[row, k]
+        first, last = span[row]
+        add_row(rubbed[row] - leaving[row], temperature[row, first:last], drawn[first:last])
     for k in range(amplitudes.size):
         amplitudes[k] += inverse[k] * drawn[k]
 

@@ -143,7 +143,7 @@ def axes_march(moving: MovingMachine, axes: Sequence[Axis]) -> AxesMarch | None:
     decay = thermal.capacity_rate.diagonal() / diagonal
     inverse = np.where(np.arange(diagonal.size) < moving.free, 1.0 / diagonal, 0.0)
     elastic, untied = contact.elastic, owned(guideway.elastic.thermal)
-    slip, warmed = np.zeros((2, count)), owned(moving.rows.influence @ untied.T)
+    slip, warmed = np.zeros((2, count)), moving.warmed
     kernel = AxesKernel(
         HeatStep(decay, owned(thermal.inputs / diagonal[:, None]), none, none),
         guides_of(guideway.stations, moving.rows, inverse),
@@ -170,7 +170,8 @@ def _storage(kernel: AxesKernel, here: Here, drives: int) -> AxesWork:
     own: dict[str, Any] = {name: np.zeros_like(getattr(here, name)) for name in APART}
     sizes = [held * (held + 1) // 2, (here.free.size - held) * held, count, modes, modes]
     more: list[Any] = [
-        np.zeros(size) for size in (*sizes, count, rows, drives, kernel.heat.drive.shape[1])
+        np.zeros(size)
+        for size in (*sizes, count, rows, 3 * count, drives, kernel.heat.drive.shape[1])
     ]
     return AxesWork(
         new_passed(kernel.guides),

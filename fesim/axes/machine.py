@@ -77,6 +77,14 @@ class MovingMachine:
         """Combinations of aligned positions, packed for many places at once."""
         return CornerTables(self.guideway)
 
+    @cached_property
+    def warmed(self) -> Array:
+        """Untied displacements per W that enters each row, (q, u), m, as `elastic.alone` has them.
+
+        The rows are those of `rows`, and the displacements are made once for all marches.
+        """
+        return np.ascontiguousarray(self.rows.influence @ self.guideway.elastic.thermal.T)
+
     @property
     def axes(self) -> int:
         """Number of axes."""

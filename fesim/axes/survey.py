@@ -2,9 +2,9 @@
 
 The gap equations g = g_T + C A [z(g) + k g] at a place have C, g_T and the rows of the probes
 interpolated there, as `fesim.axes.guideway` has them. The places differ little, so Newton's method
-takes one inverse for many of them (a chord method), and starts at the gaps of places before: with
-the rows that hold nothing left out, a place costs the interpolation and some products of that size.
-The inverse is made again where the iteration becomes slow.
+factorises its Jacobian once for many of them (a chord method), and starts at the gaps of places
+before: with the rows that hold nothing left out, a place costs the interpolation and some products
+of that size. It is factorised again where the iteration becomes slow.
 
 `survey` stands beside `fesim.march.settling.settle_along`, which finds the same equilibria one by
 one and takes over where this does not converge; `tests/fesim/axes/test_survey.py` compares both.
@@ -24,11 +24,12 @@ from fesim.joint.compiled_gap import Trial, evaluate_in_place, largest
 from fesim.joint.gap import SHORTEST_STEP
 from fesim.joint.in_place import fill, put
 from fesim.joint.law import ACROSS, ALONG, CROSS, FIRST, NORMAL, SECOND
+from fesim.joint.linear_system import factorise_columns, solve_again
 from thermojoint.artefacts.arrays import Array
 
-#: Most iterations at a place, and how often its inverse may be made.
+#: Most iterations at a place, and how often its Jacobian may be factorised.
 MAX_ITERATIONS, MOST_MOVES = 60, 10
-#: An iteration that leaves more than this fraction makes the inverse again.
+#: An iteration that leaves more than this fraction factorises it again.
 SLOW = 0.5
 #: Residual of an accepted state, relative to the tolerance, as `fesim.joint.modified_newton`.
 LEFT = 0.01
@@ -140,8 +141,8 @@ def unpacked(packed: Array, area: Array, into: Array) -> None:
 
 
 @compiled_part
-def _inverse(pads: Pads, tangent: Array, compliance: Array) -> Array:
-    """Of the Jacobian 1 - C A (T + k) on the rows that hold something."""
+def _jacobian(pads: Pads, tangent: Array, compliance: Array, columns: Array) -> None:
+    """Put 1 - C A (T + k) on the rows that hold something, column after column."""
     count, held = pads.laws.shape[0], pads.held
     size = held.size
     # Of each column of T: rows of the same contact element, and the entries there.
@@ -165,14 +166,12 @@ def _inverse(pads: Pads, tangent: Array, compliance: Array) -> Array:
                 entry = tangent[CROSS, e]
             rows[row, j] = i
             entries[row, j] = entry + (pads.springs[held[j]] if row == column else 0.0)
-    jacobian = np.empty((size, size))
     for i in range(size):
-        of_row = compliance[i]
         for j in range(size):
-            total = of_row[rows[0, j]] * entries[0, j] + of_row[rows[1, j]] * entries[1, j]
-            jacobian[i, j] = -total - of_row[rows[2, j]] * entries[2, j]
-        jacobian[i, i] += 1.0
-    return np.asarray(np.linalg.inv(jacobian))
+            total = compliance[i, rows[0, j]] * entries[0, j]
+            total += compliance[i, rows[1, j]] * entries[1, j]
+            columns[j, i] = -total - compliance[i, rows[2, j]] * entries[2, j]
+        columns[i, i] += 1.0
 
 
 @compiled_part
@@ -212,8 +211,9 @@ class Here(NamedTuple):
     compliance: Array
     #: Shape (h + p,): g_T, m, then the probes without contact.
     free: Array
-    #: Shape (h, h): of the Jacobian there or nearby.
-    inverse: Array
+    #: Shapes (h, h) and (h,): factors of the Jacobian there or nearby, and their pivots.
+    factors: Array
+    pivots: NDArray[np.int32]
     #: Shape (h,): g, m; z + k g, Pa; g - g_T - C A (z + k g), m; Newton's correction, m; g and
     #: correction before a step.
     gap: Array
@@ -228,7 +228,7 @@ class Here(NamedTuple):
 
 @compiled_part
 def _corrected(pads: Pads, here: Here, anew: bool) -> tuple[float, float]:
-    """Newton's correction at the gaps, with an inverse made anew or not.
+    """Newton's correction at the gaps, with a Jacobian factorised anew or not.
 
     Returns its largest entry, and the norm of the residual, m.
     """
@@ -241,17 +241,20 @@ def _corrected(pads: Pads, here: Here, anew: bool) -> tuple[float, float]:
     np.dot(here.compliance, here.force, here.residual)
     for i in range(held.size):
         here.residual[i] = here.gap[i] - here.free[i] - here.residual[i]
+    put(here.residual, here.correction)
     if anew:
-        put(_inverse(pads, here.trial.tangent, here.compliance), here.inverse)
-    np.dot(here.inverse, here.residual, here.correction)
+        _jacobian(pads, here.trial.tangent, here.compliance, here.factors)
+        factorise_columns(here.factors, here.pivots, here.correction)
+    else:
+        solve_again(here.factors, here.pivots, here.correction)
     return largest(here.correction), math.sqrt(here.residual @ here.residual)
 
 
 @compiled_part
 def settle_here(pads: Pads, here: Here, made: bool) -> tuple[float, int]:
-    """Settle from the gaps, with the inverse if it is made: the error left, m, or NaN; iterations.
+    """Settle from the gaps, with factors if they are made: error left, m, or NaN; iterations.
 
-    The inverse is made again where a step leaves too much; then the step is shortened until the
+    They are made again where a step leaves too much; then the step is shortened until the
     residual falls, as in `fesim.joint.gap.solve_gap`. At a kink of the law no length may do, and a
     full step leaves it.
     """
@@ -295,8 +298,9 @@ def probe(here: Here, moved: Array, area: Array, into: Array) -> None:
 
 def new_here(size: int, probes: int, trial: Trial) -> Here:
     """Return storage for h rows and p probes; a trial brings its own."""
-    shapes = [(size, size), (size + probes,), (size, size), *(6 * [(size,)])]
-    storage: list[Any] = [*(np.zeros(shape) for shape in shapes), trial]
+    before, after = [(size, size), (size + probes,), (size, size)], 6 * [(size,)]
+    storage: list[Any] = [np.zeros(shape) for shape in before]
+    storage += [np.zeros(size, np.int32), *map(np.zeros, after), trial]
     return Here(*storage)
 
 
@@ -335,6 +339,7 @@ def settle_all(
         np.empty((size, size)),
         np.empty(size + probes),
         np.empty((size, size)),
+        np.empty(size, np.int32),
         start[held],
         np.empty(size),
         np.empty(size),
