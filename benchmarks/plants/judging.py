@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
@@ -54,8 +54,7 @@ class Machines:
 
 def with_sensors(machine: ReducedMachine, names: Sequence[str]) -> ReducedMachine:
     """Return a machine with some of its sensors."""
-    at = [machine.sensor_names.index(name) for name in names]
-    return replace(machine, sensors=machine.sensors[at], sensor_names=tuple(names))
+    return machine.with_sensors(names)
 
 
 def exact_answers(machines: Machines, plant: Plant) -> dict[str, Answer]:

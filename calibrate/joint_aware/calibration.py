@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from threadpoolctl import threadpool_limits
 
-from calibrate.joint_aware.assembling import make_observer
+from calibrate.joint_aware.assembling import make_observer, seen_heat
 from calibrate.joint_aware.left_out import widened
 from calibrate.joint_aware.misfit import Run, fewer
 from calibrate.joint_aware.open_band import Drawing, open_band
@@ -73,6 +73,8 @@ class JointAwareCalibration(Described):
         Calibration runs.
     unchecked : tuple of str
         Runs that the band was not checked on: without them there is no fit.
+    unknown_heat : float
+        Heat of each face that no source brings, W, if it is estimated; zero if not.
     """
 
     model: ObserverModel
@@ -80,6 +82,7 @@ class JointAwareCalibration(Described):
     machine: ReducedMachine
     runs: tuple[Run, ...]
     unchecked: tuple[str, ...] = ()
+    unknown_heat: float = 0.0
 
     def _facts(self) -> dict[str, str]:
         return {"model": repr(self.model), "runs": str(len(self.runs))}
@@ -191,14 +194,21 @@ def calibrate_machine(
     moving, machine = () if machine.guide is None else machine.guide.axes, undriven(machine)
     runs = [fewer(run) for run in whole]
     fit = fit_physics(machine, runs, fitted, effort.search)
-    model = make_observer(machine, fit, calibrated_range(machine, responses), noise)
+    known, largest = calibrated_range(machine, responses), _largest(runs)
+    noise = noise or Noise(unknown_heat=seen_heat(machine, fit, known, largest))
+    model = make_observer(machine, fit, known, noise)
     band = open_band(machine, runs, fit, model, noise, effort.drawing)
     model = replace(model, band=band)
     band, unchecked = widened(machine, whole, fit, model, noise, effort.drawing)
     names = tuple(responses)
     model = replace(model, band=band, moving_axes=moving)
     apart = tuple(names[k] for k in unchecked)
-    return JointAwareCalibration(model, fit, machine, tuple(runs), apart)
+    return JointAwareCalibration(model, fit, machine, tuple(runs), apart, noise.unknown_heat)
+
+
+def _largest(runs: Sequence[Run]) -> Array:
+    """Largest displacement in runs, (axes,), m."""
+    return np.asarray(np.max([np.abs(run.displacement).max(axis=0) for run in runs], axis=0))
 
 
 def _moving(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> list[str]:

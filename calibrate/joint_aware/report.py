@@ -30,7 +30,9 @@ def short_report(calibrated: JointAwareCalibration) -> dict[str, Any]:
     Returns
     -------
     dict
-        Content of `report`; unchecked_runs: those that the band was not checked on; further_runs:
+        Content of `report`; unchecked_runs: those that the band was not checked on;
+        unknown_heat_W: standard deviation of the heat of each face that is estimated beside that of
+        the sources, zero without it; further_runs:
         standard deviation of every parameter and of the displacement in a day, um, root mean
         square, without and with each.
     """
@@ -38,6 +40,7 @@ def short_report(calibrated: JointAwareCalibration) -> dict[str, Any]:
     names = [parameter.name for parameter in fit.parameters]
     return report(fit) | {
         "unchecked_runs": list(calibrated.unchecked),
+        "unknown_heat_W": calibrated.unknown_heat,
         "further_runs": [
             {
                 "run": further_run.name,

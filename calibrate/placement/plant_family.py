@@ -104,9 +104,7 @@ def make_family(machine: ReducedMachine, drawing: Drawing = USUAL) -> Family:
     runs = [_calibration(slow, level, drawing.calibrated) for level in drawing.levels]
     temperatures = np.vstack([run.temperature for run in runs])
     at = qr(temperatures, mode="r", pivoting=True)[1][: drawing.seen]
-    few = replace(
-        slow, sensors=slow.sensors[at], sensor_names=tuple(slow.sensor_names[k] for k in at)
-    )
+    few = slow.with_sensors([slow.sensor_names[k] for k in at])
     fit = fit_physics(few, [replace(run, temperature=run.temperature[:, at]) for run in runs])
     day, states = _day(rng, slow, drawing)
     nominal, problem = _answers(slow, day), make_problem(slow, runs)

@@ -42,6 +42,10 @@ class Noise:
     #: deviations from the steady covariance take it into account: an unknown start is learned from
     #: many samples, whose errors are not independent.
     lasting: float | Array = 3.0
+    #: Heat of each face with thermometers that no source brings, W, and how long it lasts, s. Zero
+    #: where the thermometers do not tell it (`calibrate.joint_aware.assembling.seen_heat`).
+    unknown_heat: float = 0.0
+    unknown_lasts: float = 4.0 * 3600.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +120,7 @@ def linear_system(
 
 
 def design_filter(
-    system: LinearSystem, modes: Modes, walk: Array, step: float, noise: Noise
+    system: LinearSystem, modes: Modes, walk: Array, step: float, noise: Noise, unknown: Array
 ) -> tuple[SteadyFilter, Array]:
     """Solve the Riccati equation of the linear part.
 
@@ -132,6 +136,8 @@ def design_filter(
         s.
     noise : Noise
         Of the readings and the joints.
+    unknown : ndarray, shape (r, b)
+        What unknown heat adds to the amplitudes in a step, one standard deviation each.
 
     Returns
     -------
@@ -150,11 +156,13 @@ def design_filter(
         if modes.way is None
         else modes.entry @ modes.way.stations.everywhere.coefficients.T
     )
-    source = np.zeros((size, walk.size + entry.shape[1]))
-    source[dynamic:, : walk.size] = np.diag(walk)
-    source[:dynamic, : walk.size] = system.drive * walk
+    walks = np.zeros((size, walk.size))
+    walks[dynamic:] = np.diag(walk)
+    walks[:dynamic] = system.drive * walk
     count = modes.rates.size
-    source[:count, walk.size :] = noise.joint_flow * step * system.decay[:count, None] * entry
+    flows = noise.joint_flow * step * system.decay[:count, None] * entry
+    beside = np.pad(np.hstack([flows, unknown]), ((0, size - count), (0, 0)))
+    source = np.hstack([walks, beside])
     readings = np.append(
         np.broadcast_to(np.square(noise.sensor), len(system.rows) - 1), noise.ambient_sensor**2
     )

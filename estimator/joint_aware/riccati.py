@@ -24,7 +24,7 @@ from thermojoint.artefacts.errors import ConvergenceError
 #: Doublings; the last ones stand for more steps than a machine ever makes.
 LARGEST_COUNT = 40
 #: Accepted change by a doubling, and accepted residual, relative to the covariance.
-CHANGE, RESIDUAL = 1e-14, 1e-9
+CHANGE, RESIDUAL = 1e-14, 1e-8
 #: Part of the information, relative to the largest, that is rounding.
 TOLD = 1e-15
 

@@ -115,6 +115,13 @@ def show_physics(console: Console, report: Mapping[str, Any]) -> None:
             f"The machine differs from its case by more than these parameters: errors are taken as "
             f"{number(report['doubt'], 2)} times as large as usual."
         )
+        heat = report["unknown_heat_W"]
+        console.print(
+            f"Heat that no source brings is estimated, too ({number(heat, 2)} W a face)."
+            if heat
+            else "Heat that no source brings is not estimated; thermometers all over the machine "
+            "would tell it."
+        )
     if unchecked := report["unchecked_runs"]:
         console.print(
             f"The band is not checked on {', '.join(unchecked)}: the other runs alone have no fit."

@@ -25,6 +25,7 @@ from fesim.march.machine import CondensedMachine
 from fesim.march.passing import exchange
 from fesim.march.settling import Rest, first_equilibrium
 from fesim.setup.bolts import first_forces
+from fesim.setup.faces import with_faces
 from fesim.setup.laws import as_walled, initial_opening, joint_conductivity, law_of, table_of
 from fesim.setup.loads import heat_sources, march_inputs, source_power
 from fesim.setup.machine import Setup
@@ -32,7 +33,7 @@ from fesim.setup.structure import body_materials
 from fesim.solid.bolts import BoltSprings
 from fesim.solid.condensation import ElasticCondensation, LoadInfluence
 from fesim.solid.elasticity import DIRECTIONS
-from fesim.solid.heat import ThermalLoads, heat_operators
+from fesim.solid.heat import HeatSource, ThermalLoads, heat_operators
 from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.artefacts.errors import InputError
 from thermojoint.reduced.axis_drive import AxisDrive
@@ -146,6 +147,11 @@ class ReducedMachine:
     convection: Array
     #: Shape (r, s): V^T P, per W of each source.
     sources: Array
+    #: Shape (r, p): likewise of the face that each sensor is on, heated evenly; zero for a sensor
+    #: that is a held surface.
+    faces: Array
+    #: Shape (r, b): likewise of every body, heated evenly.
+    bodies: Array
     #: Shape (r,): V^T h, W/K.
     ambient: Array
     #: Shape (m, r): temperature jump at every contact element, and the mean of its sides, K. On an
@@ -229,6 +235,13 @@ class ReducedMachine:
         if guide is not None:
             guide = guide.on(guide.way.elastic.strained(modulus, expansion))
         return replace(self, elastic=elastic, guide=guide)
+
+    def with_sensors(self, names: Sequence[str]) -> ReducedMachine:
+        """Return the machine with some of its sensors, none of which lags."""
+        at = [self.sensor_names.index(name) for name in names]
+        return replace(
+            self, sensors=self.sensors[at], faces=self.faces[:, at], sensor_names=tuple(names)
+        )
 
     def with_probes(self, probes: Sequence[int]) -> ReducedMachine:
         """Return the machine with some displacement probes, by their places."""
@@ -325,11 +338,20 @@ def reduce_machine(
     if setup.modes is None:
         raise InputError('joint-aware: needs the reduced model; set march.thermal = "reduced"')
     materials = body_materials(case, setup.structure)
+    sides = [side for both in setup.structure.joints.values() for side in both]
+    read = [name for name in sensors if name in setup.probes]
+    thermometers = [setup.probes[name] for name in read]
+    structure, faces = with_faces(setup.structure, [*case.supports.symmetry, *sides], thermometers)
+    heated, bodies = sorted(set(faces)), list(structure.bodies)
+    evenly = [
+        *(HeatSource(1.0, surface=name) for name in heated),
+        *(HeatSource(1.0, body=name) for name in bodies),
+    ]
     heat = heat_operators(
-        setup.structure,
+        structure,
         setup.spaces.heat,
         materials,
-        ThermalLoads(case.convection_W_m2K, heat_sources(case, setup.structure)),
+        ThermalLoads(case.convection_W_m2K, [*heat_sources(case, setup.structure), *evenly]),
         setup.joints,
     )
     basis = setup.modes.basis
@@ -343,12 +365,17 @@ def reduce_machine(
     count, ready = len(case.sources), setup.machine
     loose = ready if setup.bolts is None else setup.bolts.loose
     driven = basis.T @ heat.inputs
+    faced = np.zeros((basis.shape[1], len(sensors)))
+    for name, face in zip(read, faces, strict=True):
+        faced[:, sensors.index(name)] = driven[:, count + heated.index(face)]
     return ReducedMachine(
         capacity=np.eye(basis.shape[1]),
         conduction=basis.T @ (heat.conduction @ basis),
         convection=basis.T @ (heat.convection @ basis),
         sources=driven[:, :count],
-        ambient=driven[:, count],
+        faces=faced,
+        bodies=driven[:, count + len(heated) : count + len(evenly)],
+        ambient=driven[:, count + len(evenly)],
         jump=each[:, None] * np.asarray(ready.thermal.jump)
         if guide is None
         else guide.way.temperature,
@@ -680,6 +707,8 @@ def coupled_in(machine: ReducedMachine, basis: Array) -> ReducedMachine:
     return replace(
         machine,
         sources=basis.T @ machine.sources,
+        faces=basis.T @ machine.faces,
+        bodies=basis.T @ machine.bodies,
         ambient=basis.T @ machine.ambient,
         jump=machine.jump @ basis,
         mean=machine.mean @ basis,
