@@ -9,10 +9,10 @@ a cool-down, everything on steps of 20 s, as the bands are drawn; the fit ends s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -28,19 +28,21 @@ from benchmarks.plants.judging import (
     with_sensors,
 )
 from benchmarks.plants.preparing import prepared
+from benchmarks.plants.responding import Answer
 from benchmarks.study import case_file, options_of, write_rows
 from calibrate.joint_aware.assembling import observer_from_rest
 from calibrate.joint_aware.calibration import calibrated_range
 from calibrate.joint_aware.misfit import fewer
 from calibrate.joint_aware.open_band import HEALTHY
-from calibrate.joint_aware.physics_fit import Search, fit_physics
+from calibrate.joint_aware.physics_fit import Fit, Search, fit_physics
 from calibrate.joint_aware.readings import run_in
 from estimator.joint_aware.estimator import JointAware
-from estimator.joint_aware.observer_model import ObserverModel
+from estimator.joint_aware.observer_model import Calibrated, ObserverModel
 from estimator.joint_aware.readings import samples_in
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.response import columns_of
 from thermojoint.artefacts.units import MEGA
+from thermojoint.reduced.machine import ReducedMachine
 
 #: Of plants and model, s; sensors; what the fit takes.
 STEP, SENSORS, LABEL = 20.0, 4, "steps and cool-down"
@@ -141,21 +143,44 @@ def _rows(machines: Machines, plant: Plant, differences: list[str]) -> Iterator[
 def _calibrated(machines: Machines, plant: Plant) -> dict[str, Any]:
     """Doubt and films of a fit, and its largest errors along every axis, um."""
     exact = exact_answers(machines, plant)
-    responses = shown(machines, plant, exact, CALIBRATIONS[LABEL])
-    machine = with_sensors(machines.model, machines.model.sensor_names[:SENSORS])
-    runs = [fewer(run_in(response, machine, name)) for name, response in responses.items()]
-    fit = fit_physics(machine, runs, search=SEARCH)
-    model = observer_from_rest(machine, fit, calibrated_range(machine, responses))
-    errors = {
-        f"{name}_um": largest_error(model, judged_run(machines, plant, exact, name)[0]).tolist()
-        for name in CASES
-    }
+    machine, fit, known = fitted(machines, plant, exact, SENSORS)[:3]
+    model = observer_from_rest(machine, fit, known)
+    errors = largest_errors(model, machines, plant, exact)
     films = {
         parameter.name: parameter.factor(float(value))
         for parameter, value in zip(fit.parameters, fit.coordinates, strict=True)
         if parameter.name.startswith("film")
     }
     return errors | {"doubt": fit.doubt, "films": films}
+
+
+class Fitted(NamedTuple):
+    """A machine with some sensors, what it was fitted to, and the largest displacement there, m."""
+
+    machine: ReducedMachine
+    fit: Fit
+    known: Calibrated
+    largest: Array
+
+
+def fitted(machines: Machines, plant: Plant, exact: Mapping[str, Answer], sensors: int) -> Fitted:
+    """Return the fit of the model with its first sensors to a plant's steps and cool-down."""
+    responses = shown(machines, plant, exact, CALIBRATIONS[LABEL])
+    machine = with_sensors(machines.model, machines.model.sensor_names[:sensors])
+    runs = [fewer(run_in(response, machine, name)) for name, response in responses.items()]
+    fit = fit_physics(machine, runs, search=SEARCH)
+    largest = np.max([np.abs(run.displacement).max(axis=0) for run in runs], axis=0)
+    return Fitted(machine, fit, calibrated_range(machine, responses), largest)
+
+
+def largest_errors(
+    model: ObserverModel, machines: Machines, plant: Plant, exact: Mapping[str, Answer]
+) -> dict[str, list[float]]:
+    """Return the largest errors of an observer along every axis in every case, um."""
+    return {
+        f"{name}_um": largest_error(model, judged_run(machines, plant, exact, name)[0]).tolist()
+        for name in CASES
+    }
 
 
 def largest_error(model: ObserverModel, run: xr.Dataset) -> Array:
