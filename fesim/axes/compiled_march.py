@@ -90,6 +90,8 @@ class AxesWork(NamedTuple):
     #: Shapes (d,) and (k,): drives and inputs of a step.
     state: Array
     driven: Array
+    #: False, True: whether there are factors. Of literals, what takes them is compiled twice.
+    known: NDArray[np.bool_]
 
 
 class AxesSteps(NamedTuple):
@@ -146,54 +148,40 @@ def march_axes(
     -------
     int
         Number of recorded steps: fewer than n if the plain method must judge the next one.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        A tangent is singular.
     """
+    pads, pressure, turning = machine.pads, work.pressure, now.turning
     for n in range(len(steps.inputs)):
-        try:
-            taken = _advance(machine, work, steps, n, now, record)
-        except Exception:  # a singular tangent; compiled code can catch no narrower class
-            taken = False
+        put(steps.inputs[n], work.driven)
+        put(now.drive, work.state)
+        go(machine.guides, steps.ways, n, work.passed)
+        _rub(machine, work, now.joint.pressure)
+        before = now.amplitudes
+        warm_screw(machine.drives, (steps.ways, n), work.drive, before, work.state, work.driven)
+        if _may_alternate(turning, LARGE) and not _dies_out(machine, work, steps, n, now):
+            return n
+        taken, residual, iterations = _step(machine, work, steps, n, now)
         if not taken:
             return n
-        turn(now.turning, now.joint.pressure, work.pressure, machine.scale)
+        put(work.conducted, record.conducted[n])
+        probe(work.here, work.moved, pads.area[pads.held], record.displacement[n])
+        for e in range(pressure.size):
+            record.heat_flow[n, e] = work.left[e]
+        record.residual[n], record.iterations[n] = residual, iterations
+        if _may_alternate(turning, 0.0) and not _gain(machine, work, steps, n, now) <= GAIN:
+            return n
+        turn(turning, now.joint.pressure, pressure, machine.scale)
         take(machine.joint, work.here.trial, now.joint, record.remainder[n])
         air = work.driven[machine.drives.ambient]
-        warm_scale(machine.drives, machine.length, now.amplitudes, work.amplitudes, air, work.state)
+        warm_scale(machine.drives, machine.length, before, work.amplitudes, air, work.state)
         put(work.amplitudes, now.amplitudes)
         put(work.state, now.drive)
         _note(work, now, record, n)
     return len(steps.inputs)
-
-
-@compiled_part
-def _advance(
-    machine: AxesKernel,
-    work: AxesWork,
-    steps: AxesSteps,
-    n: int,
-    now: AxesState,
-    record: AxesRecord,
-) -> bool:
-    """Whether there is a step that leaves no body loose, in steps that surely do not alternate.
-
-    `work` has the step then.
-    """
-    pads, pressure, turning = machine.pads, work.pressure, now.turning
-    put(steps.inputs[n], work.driven)
-    put(now.drive, work.state)
-    go(machine.guides, steps.ways, n, work.passed)
-    _rub(machine, work, now.joint.pressure)
-    warm_screw(machine.drives, (steps.ways, n), work.drive, now.amplitudes, work.state, work.driven)
-    if _may_alternate(turning, LARGE) and not _dies_out(machine, work, steps, n, now):
-        return False
-    taken, residual, iterations = _step(machine, work, steps, n, now)
-    if not taken:
-        return False
-    put(work.conducted, record.conducted[n])
-    probe(work.here, work.moved, pads.area[pads.held], record.displacement[n])
-    for e in range(pressure.size):
-        record.heat_flow[n, e] = work.left[e]
-    record.residual[n], record.iterations[n] = residual, iterations
-    return not _may_alternate(turning, 0.0) or _gain(machine, work, steps, n, now) <= GAIN
 
 
 @compiled_part
@@ -206,7 +194,7 @@ def _step(
     drive(machine.heat, work.without, work.driven)
     warm(guides, passed, work.without)
     conduct(joint, now.joint.pressure, work.conducted)
-    if not exchange(guides, passed, work.conducted, False):
+    if not exchange(guides, passed, work.conducted, work.known[0]):
         return False, np.nan, 0
     put(passed.leaving, work.left)
     put(work.without, work.amplitudes)
@@ -318,12 +306,12 @@ def _settle(
     gap, change = now.joint.gap.reshape(-1), now.joint.change.reshape(-1)
     for i in range(pads.held.size):
         here.gap[i] = gap[pads.held[i]] + change[pads.held[i]]
-    left, iterations = settle_here(pads, here, False)
+    left, iterations = settle_here(pads, here, work.known[0])
     if left >= 0.0:
         return left, iterations
     for i in range(pads.held.size):
         here.gap[i] = gap[pads.held[i]]
-    return settle_here(pads, here, False)
+    return settle_here(pads, here, work.known[0])
 
 
 @compiled_part
@@ -346,7 +334,7 @@ def _gain(machine: AxesKernel, work: AxesWork, steps: AxesSteps, n: int, now: Ax
     """Gain of a step: `fesim.march.alternation.gain_of`, from the same step taken twice."""
     pressure, turning, again = work.pressure, now.turning, work.again
     conduct(machine.joint, pressure, work.conducted)
-    if not exchange(machine.guides, work.passed, work.conducted, True):
+    if not exchange(machine.guides, work.passed, work.conducted, work.known[1]):
         return np.inf
     for i in range(work.passed.begin[work.passed.begin.size - 1]):
         row = work.passed.rows[i]
@@ -355,7 +343,7 @@ def _gain(machine: AxesKernel, work: AxesWork, steps: AxesSteps, n: int, now: Ax
         add_row(net, machine.warmed[row, first:last], work.alone[first:last])
     _open(machine.pads, steps, n, work.alone, again)
     put(work.here.gap, again.gap)
-    if not settle_here(machine.pads, again, True)[0] >= 0.0:
+    if not settle_here(machine.pads, again, work.known[1])[0] >= 0.0:
         return np.inf
     most, gain = 1e-300, 0.0
     for e in range(pressure.size):

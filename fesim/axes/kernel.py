@@ -6,6 +6,7 @@ It supports the same laws as `fesim.march.kernel`.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -64,7 +65,9 @@ class AxesMarch:
         joint = JointState(own[0], kernel.pads.slip, own[1], own[2])
         now = AxesState(own[3], joint, owned(state.turning.copy()), state.drive.copy())
         record = self._new_record(len(inputs))
-        taken = march_axes(kernel, self.work, self._steps(state.index, inputs), now, record)
+        taken, steps = 0, self._steps(state.index, inputs)
+        with suppress(np.linalg.LinAlgError):
+            taken = march_axes(kernel, self.work, steps, now, record)
         if not taken:
             return None
         record = AxesRecord._make(column[:taken] for column in record)
@@ -173,6 +176,7 @@ def _storage(kernel: AxesKernel, here: Here, drives: int) -> AxesWork:
         np.zeros(size)
         for size in (*sizes, count, rows, 3 * count, drives, kernel.heat.drive.shape[1])
     ]
+    more.append(np.array([False, True]))
     return AxesWork(
         new_passed(kernel.guides),
         drive_work(kernel.drives),
