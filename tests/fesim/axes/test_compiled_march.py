@@ -14,7 +14,7 @@ from fesim.axes.march import march_moving
 from fesim.axes.setup import axis_inputs, set_up_axes
 from fesim.axes.staggered import march_staggered
 from fesim.case.history import History
-from fesim.case.schema import read_case
+from fesim.case.schema import case_from_data, read_case
 from fesim.march.settling import initial_state
 from fesim.march.stepping import plainly_staggered
 from fesim.march.track import joined
@@ -45,20 +45,25 @@ ALLOWED = {
 def machine():
     """Screws that heat the machine, a scale that follows it, between stations and turning there."""
     case = read_case(PATH)
+    return turning(case, 35.0, 1.0, hot(case, COUNT, 10.0))
+
+
+def turning(case, time, reach, inputs):
+    """The machine with axes that turn after a time (s) anywhere within a part of their strokes."""
     ready = set_up_axes(case)
     rng = np.random.default_rng(8)
-    times = np.arange(0.0, 900.0, 35.0)
+    times = time * np.arange(26.0)
     axes = [
-        replace(axis, course=History(times, rng.uniform(at[0], at[-1], times.size)))
+        replace(axis, course=History(times, reach * rng.uniform(at[0], at[-1], times.size)))
         for axis, at in zip(ready.axes, ready.moving.guideway.stations.positions, strict=True)
     ]
     start = replace(initial_state(ready.moving.machine), drive=cold_drives(axes))
-    return ready.moving, axes, hot(case, COUNT), start
+    return ready.moving, axes, inputs, start
 
 
-def hot(case, count):
+def hot(case, count, level):
     inputs = axis_inputs(case).at(case.march.step_s * np.arange(1.0, count + 1.0))
-    inputs[:, 0] *= 10.0
+    inputs[:, 0] *= level
     return inputs
 
 
@@ -128,9 +133,22 @@ def test_what_the_kernel_cannot_take_is_taken_plainly(machine, monkeypatch):
 
 def test_a_body_that_comes_loose_is_an_error(machine, tracks):
     moving, axes, _, _ = machine
-    state, inputs = tracks[-1].step(-1).state, hot(read_case(PATH), COUNT + 1)
+    state, inputs = tracks[-1].step(-1).state, hot(read_case(PATH), COUNT + 1, 10.0)
     with pytest.raises(ConvergenceError, match="step to t = 800 s: a body has come loose"):
         list(march_staggered(moving, axes, inputs[COUNT:], state))
+
+
+def test_steps_that_alternate_are_taken_over_at_once():
+    data = read_case(PATH).model_dump(mode="json", exclude_unset=True)
+    for joint in data["joints"].values():
+        joint |= {"preload_MPa": 0.5, "friction_coefficient": 30.0}
+    data["march"] |= {"step_s": 600.0, "duration_min": 100.0}
+    case = case_from_data(data, "long steps", PATH.parent)
+    machine = turning(case, 1020.0, 0.5, hot(case, 10, 4.0))
+    track, plain = joined(list(march_staggered(*machine))), plainly(*machine)
+    assert plain.parts.tolist() == [*(8 * [0]), 1, 1]
+    assert np.array_equal(track.parts, plain.parts)
+    np.testing.assert_allclose(track.displacement, plain.displacement, rtol=0.0, atol=1e-12)
 
 
 def test_a_law_of_the_user_is_marched_plainly(machine, monkeypatch):
