@@ -40,7 +40,7 @@ from thermojoint.artefacts.errors import ConvergenceError
 from thermojoint.reduced.discrepancy import COUNT, Discrepancy, make_ridge, relaxed
 from thermojoint.reduced.machine import ReducedMachine
 from thermojoint.reduced.parameters import LAG_UNIT, factors_of
-from thermojoint.reduced.physics import at_start, march_known, settled_each, simulate_known
+from thermojoint.reduced.physics import at_start, march_known, settle_joint, simulate_known
 
 
 @dataclass(frozen=True)
@@ -284,7 +284,10 @@ def _history(observer: JointAware, machine: ReducedMachine, history: History) ->
     amplitudes, moved, _ = march_known(physics, inputs, machine.step)
     loads = np.tile(physics.modes.factors, (len(inputs), 1))
     loads[:, loads.shape[1] - history.course.shape[1] :] = history.course
-    without = settled_each(physics, amplitudes, loads)
+    joint, without = physics.at_rest(), np.empty_like(moved)
+    for k, (now, acting) in enumerate(zip(amplitudes, loads, strict=True)):
+        joint, without[k] = settle_joint(physics, joint, now, acting)
+        joint = joint._replace(slip=physics.rest.slip)
     return np.asarray(np.mean(np.square(moved - without), axis=0))
 
 

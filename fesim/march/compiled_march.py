@@ -160,42 +160,6 @@ def march_steps(
     return len(inputs), THROUGH
 
 
-@compiled
-def settle_each(
-    joint: JointKernel, kept: Kept, states: tuple[Array, Array], now: JointState, moved: Array
-) -> int:
-    """Settle a joint at one temperature after the other with the slips that it has, in place.
-
-    Parameters
-    ----------
-    joint, kept : JointKernel, Kept
-        Its data, and inverses that are reused.
-    states : tuple of ndarray, shapes (n, r) and (n, l)
-        Amplitudes and factors of the loads.
-    now : JointState
-        The joint before; its slips stay.
-    moved : ndarray, shape (n, axes)
-        Takes the displacements, m.
-
-    Returns
-    -------
-    int
-        How many had an equilibrium near, until the first that had none.
-    """
-    amplitudes, loads = states
-    slip, free_gap, remainder = now.slip.copy(), kept.work.free_gap, kept.work.remainder
-    for k in range(len(amplitudes)):
-        np.dot(joint.gap, amplitudes[k], free_gap)
-        add_loads(joint.loaded_gap, loads[k], free_gap)
-        solved, _, _ = settle(joint, kept, now)
-        if not solved:
-            return k
-        take(joint, kept.work.trial, now, remainder)
-        displace(joint, kept.work.moved, amplitudes[k], loads[k], remainder, moved[k])
-        put(slip, now.slip)
-    return len(amplitudes)
-
-
 @compiled_part
 def _note(record: Record, k: int, now: Moving, kept: Kept, solved: Solved) -> None:
     """Copy the results of a step into row k of the record."""

@@ -106,13 +106,13 @@ def _frozen(kept: Kept) -> Array:
     return stored
 
 
-def new_kept(joint: JointKernel, watched: Watched, blocks: Blocks) -> Kept:
+def new_kept(machine: MarchKernel, blocks: Blocks) -> Kept:
     """Return the inverses and the storage of a new march."""
     return Kept(
         frozen_tangents(blocks),
         new_flows(blocks.elements.size),
-        joint_work(joint),
-        watch_work(watched),
+        joint_work(machine.joint),
+        watch_work(machine.watched),
     )
 
 

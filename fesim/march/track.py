@@ -126,8 +126,7 @@ def kernel_march(machine: CondensedMachine) -> Callable[[State, Array], Track | 
     kernel = step_kernel(machine)
     if kernel is None:
         return None
-    kept = new_kept(kernel.machine.joint, kernel.machine.watched, kernel.blocks)
-    return partial(_kernel_track, machine, kernel, kept)
+    return partial(_kernel_track, machine, kernel, new_kept(kernel.machine, kernel.blocks))
 
 
 def _kernel_track(

@@ -25,7 +25,7 @@ from fesim.joint.frozen_tangent import forget
 from fesim.joint.in_place import fill, put
 from fesim.joint.linear_system import solve
 from fesim.joint.loosening import UNWATCHED
-from fesim.march.compiled_march import Kept, Moving, settle
+from fesim.march.compiled_march import Kept, MarchKernel, Moving, settle
 from fesim.march.compiled_step import (
     HeatStep,
     JointKernel,
@@ -195,7 +195,7 @@ def new_steps(guide: Guided, there: There) -> Steps:
     sizes = [stops, stops, stops - 1, count, rows, rows, rows]
     storage = [*map(np.empty, sizes), np.empty((rows, rows)), np.empty(modes)]
     passed = Passed(*storage)
-    return Steps(new_kept(joint, UNWATCHED, blocks), there, passed)
+    return Steps(new_kept(MarchKernel(guide.heat, joint, UNWATCHED), blocks), there, passed)
 
 
 @compiled

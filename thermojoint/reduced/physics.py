@@ -21,7 +21,7 @@ from fesim.joint.blocks import one_block
 from fesim.joint.law import JointLaw
 from fesim.joint.loosening import UNWATCHED
 from fesim.march.alternation import alternating
-from fesim.march.compiled_march import Kept, MarchKernel, Moving, march_steps, settle_each
+from fesim.march.compiled_march import MarchKernel, Moving, march_steps
 from fesim.march.compiled_step import (
     HeatStep,
     JointKernel,
@@ -403,8 +403,8 @@ def simulate_known(physics: Physics, inputs: Array, length: float) -> tuple[Arra
         Sensors, K, and displacement, m.
     """
     history, displacement, pressure = march_known(physics, inputs, length)
-    unevenly = physics.modes.way is None and physics.contacts > 0 and length > SHORTEST
-    if unevenly and alternating(pressure / physics.contact.reference_pressure):
+    judged = physics.modes.way is None and physics.contacts > 0 and length > SHORTEST
+    if judged and alternating(pressure / physics.contact.reference_pressure):
         halves = np.repeat(inputs, 2, axis=0)
         sensed, moved = simulate_known(physics, halves, 0.5 * length)
         return sensed[1::2], moved[1::2]
@@ -437,7 +437,8 @@ def march_known(physics: Physics, inputs: Array, length: float) -> tuple[Array, 
         moved = history @ modes.elastic.probe_thermal.T + inputs[:, known:] @ modes.loads.probes.T
         return history, moved, pressure
     if kernel is not None:
-        machine, kept = MarchKernel(step, kernel, UNWATCHED), _unused(kernel)
+        machine = MarchKernel(step, kernel, UNWATCHED)
+        kept = new_kept(machine, one_block(kernel.springs, kernel.compliance, kernel.columns))
     while k < len(inputs):
         if kernel is not None:
             now = Moving(amplitudes, joint)
@@ -455,39 +456,6 @@ def march_known(physics: Physics, inputs: Array, length: float) -> tuple[Array, 
         history[k], pressure[k] = amplitudes, joint.pressure
         k += 1
     return history, displacement, pressure
-
-
-def _unused(kernel: JointKernel) -> Kept:
-    """Storage of a march whose bodies are not watched."""
-    blocks = one_block(kernel.springs, kernel.compliance, kernel.columns)
-    return new_kept(kernel, UNWATCHED, blocks)
-
-
-def settled_each(physics: Physics, amplitudes: Array, loads: Array) -> Array:
-    """Return displacements (n, axes), m, of joints that never slipped after the start.
-
-    Parameters
-    ----------
-    physics : Physics
-        The machine.
-    amplitudes : ndarray, shape (n, r)
-        Temperatures that follow one another.
-    loads : ndarray, shape (n, l)
-        Factors of the loads, like `Modes.factors`.
-
-    Raises
-    ------
-    ConvergenceError
-        As `settle_joint`.
-    """
-    joint, kernel, k = physics.at_rest(), physics.kernel, 0
-    moved = np.empty((len(amplitudes), len(physics.modes.elastic.probe_thermal)))
-    if kernel is not None and physics.contacts:
-        k = settle_each(kernel, _unused(kernel), (amplitudes, loads), joint, moved)
-    for at in range(k, len(amplitudes)):
-        joint, moved[at] = settle_joint(physics, joint, amplitudes[at], loads[at])
-        joint = joint._replace(slip=physics.rest.slip)
-    return moved
 
 
 def guided_steps(physics: Physics, length: float) -> tuple[Guided, Steps] | None:

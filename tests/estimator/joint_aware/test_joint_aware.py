@@ -52,14 +52,7 @@ from thermojoint.artefacts.tables.pieces import pieces_in
 from thermojoint.cli.app import app
 from thermojoint.reduced.machine import along, diagonal_modes
 from thermojoint.reduced.parameters import with_factors
-from thermojoint.reduced.physics import (
-    conduct,
-    make_physics,
-    march_known,
-    settle_joint,
-    settled_each,
-    simulate_known,
-)
+from thermojoint.reduced.physics import conduct, make_physics, settle_joint, simulate_known
 
 MICRO = 1e-6
 
@@ -99,21 +92,6 @@ def test_machine_code_marches_as_the_plain_step(machine, law):
     temperature, displacement = marched
     assert temperature == pytest.approx(np.array(sensed), abs=1e-8)
     assert displacement == pytest.approx(np.array(moved), abs=1e-12)
-
-
-def test_joints_that_never_slip_settle_at_once_as_one_by_one(machine):
-    physics = physics_with(machine, {})
-    inputs = machine.inputs(np.full((60, 1), 3.0 * machine.power[0]))
-    amplitudes, slipped, _ = march_known(physics, inputs, 10.0)
-    loads = np.tile(physics.modes.factors, (len(inputs), 1))
-    joint, wanted = physics.at_rest(), []
-    for at, acting in zip(amplitudes, loads, strict=True):
-        joint, moved = settle_joint(physics, joint, at, acting)
-        joint = joint._replace(slip=physics.rest.slip)
-        wanted.append(moved)
-    found = settled_each(physics, amplitudes, loads)
-    assert found == pytest.approx(np.array(wanted), abs=1e-12)
-    assert np.abs(found - slipped).max() > 0.01 * MICRO
 
 
 def test_other_parameters_on_the_same_modes_are_as_good_as_new_ones(data, machine):
