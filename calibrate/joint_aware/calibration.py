@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 from calibrate.joint_aware.assembling import make_observer, seen_heat
 from calibrate.joint_aware.left_out import widened
 from calibrate.joint_aware.misfit import Run, fewer
-from calibrate.joint_aware.open_band import Drawing, open_band
+from calibrate.joint_aware.open_band import Drawing, open_band, variance_of_heat
 from calibrate.joint_aware.physics_fit import SEARCH, Fit, Search, fit_physics
 from calibrate.joint_aware.readings import run_in
 from estimator.joint_aware.filter_design import Noise
@@ -194,21 +194,42 @@ def calibrate_machine(
     moving, machine = () if machine.guide is None else machine.guide.axes, undriven(machine)
     runs = [fewer(run) for run in whole]
     fit = fit_physics(machine, runs, fitted, effort.search)
-    known, largest = calibrated_range(machine, responses), _largest(runs)
-    noise = noise or Noise(unknown_heat=seen_heat(machine, fit, known, largest))
-    model = make_observer(machine, fit, known, noise)
-    band = open_band(machine, runs, fit, model, noise, effort.drawing)
-    model = replace(model, band=band)
-    band, unchecked = widened(machine, whole, fit, model, noise, effort.drawing)
+    known = calibrated_range(machine, responses)
+    noises = [noise] if noise else _noises(machine, fit, known, runs)
+    # Of two observers the one whose band, checked on runs that it has not seen, is narrower.
+    found = [_observer(machine, whole, fit, known, one, effort.drawing) for one in noises]
+    chosen = int(np.argmin([variance_of_heat(model).sum() for model, _ in found]))
+    model, unchecked = found[chosen]
     names = tuple(responses)
-    model = replace(model, band=band, moving_axes=moving)
+    model = replace(model, moving_axes=moving)
     apart = tuple(names[k] for k in unchecked)
-    return JointAwareCalibration(model, fit, machine, tuple(runs), apart, noise.unknown_heat)
+    heat = noises[chosen].unknown_heat
+    return JointAwareCalibration(model, fit, machine, tuple(runs), apart, heat)
 
 
-def _largest(runs: Sequence[Run]) -> Array:
-    """Largest displacement in runs, (axes,), m."""
-    return np.asarray(np.max([np.abs(run.displacement).max(axis=0) for run in runs], axis=0))
+def _noises(
+    machine: ReducedMachine, fit: Fit, known: Calibrated, runs: Sequence[Run]
+) -> list[Noise]:
+    """The usual noise, and with unknown heat where thermometers tell it."""
+    largest = np.max([np.abs(run.displacement).max(axis=0) for run in runs], axis=0)
+    heat = seen_heat(machine, fit, known, largest)
+    return [Noise(), Noise(unknown_heat=heat)] if heat else [Noise()]
+
+
+def _observer(
+    machine: ReducedMachine,
+    runs: Sequence[Run],
+    fit: Fit,
+    known: Calibrated,
+    noise: Noise,
+    drawing: Drawing,
+) -> tuple[ObserverModel, list[int]]:
+    """The observer of a fit with its band, and the positions of runs that it is not checked on."""
+    model = make_observer(machine, fit, known, noise)
+    band = open_band(machine, [fewer(run) for run in runs], fit, model, noise, drawing)
+    model = replace(model, band=band)
+    band, unchecked = widened(machine, runs, fit, model, noise, drawing)
+    return replace(model, band=band), unchecked
 
 
 def _moving(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> list[str]:

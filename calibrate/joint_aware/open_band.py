@@ -33,7 +33,9 @@ from calibrate.joint_aware.random_heat import random_course, random_levels
 from estimator import sensor_faults
 from estimator.joint_aware.estimator import WIDTH, JointAware
 from estimator.joint_aware.filter_design import Noise
+from estimator.joint_aware.observer import Observer
 from estimator.joint_aware.observer_model import Band, Calibrated, ObserverModel
+from estimator.joint_aware.observer_state import KNOWN
 from estimator.joint_aware.thresholds import Thresholds
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
@@ -78,6 +80,14 @@ DOUBTED = 0.6
 FAR = 0.1
 #: A drawn machine has no faulty sensors: an onset of heat that its steps cannot resolve is none.
 HEALTHY = Thresholds(faults=sensor_faults.Thresholds(gate=1e6, jump=1e6, stuck=1e9), room=1e6)
+
+
+def variance_of_heat(model: ObserverModel) -> Array:
+    """Return the variance of the displacement that a band expects after hours of heat 1, m2."""
+    heat = np.ones(model.power.size * model.discrepancy.rates.size)
+    innovations = np.zeros(model.band.surprise.shape[1])
+    parts = Observer(model).model_error(heat, KNOWN, innovations)
+    return np.asarray(model.band.steady + np.square(parts).sum(axis=1))
 
 
 def open_band(
