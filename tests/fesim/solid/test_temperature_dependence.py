@@ -29,7 +29,9 @@ EXAMPLE = ROOT / "examples" / "warm_machine" / "machine.toml"
 FLAT = {"rise_K": [0.0], "factor": [1.0]}
 MARCH = {"step_s": 20.0, "duration_min": 5.0, "thermal": "full"}
 
-points = st.lists(st.floats(-200.0, 200.0), min_size=1, max_size=5, unique=True).map(sorted)
+#: To a millikelvin: between closer points the slope of a factor is no number.
+rises_K = st.integers(-200_000, 200_000).map(lambda number: number / 1000.0)
+points = st.lists(rises_K, min_size=1, max_size=5, unique=True).map(sorted)
 
 
 @given(rises=points, data=st.data(), temperature=st.floats(-400.0, 400.0))
