@@ -28,6 +28,7 @@ from fesim.march.machine import State, Step
 from fesim.march.settling import displaced, initial_state, settle_along
 from fesim.march.stepping import march_along, plainly_staggered, staggered
 from fesim.march.track import Track
+from fesim.one_thread import one_thread
 from fesim.setup.loads import march_inputs
 from fesim.setup.machine import set_up
 from meshes.box_grid import Box, box_mesh, put_side_by_side
@@ -48,13 +49,14 @@ FOOT_HEIGHT, HEIGHT = 0.02, 0.05
 
 
 def rows() -> Iterator[Row]:
-    """Yield the map, the step and the set-up."""
-    case = three_axes()
-    ready = set_up_axes(case)
-    last = marched(case, ready)
-    yield from map_rows(ready, last)
-    yield step_row(case, ready)
-    yield set_up_row()
+    """Yield the map, the step and the set-up, on one thread as `simulate` marches."""
+    with one_thread():
+        case = three_axes()
+        ready = set_up_axes(case)
+        last = marched(case, ready)
+        yield from map_rows(ready, last)
+        yield step_row(case, ready)
+        yield set_up_row()
 
 
 def three_axes() -> Case:
