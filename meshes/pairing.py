@@ -9,7 +9,7 @@ sides.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -407,15 +407,35 @@ def _long_direction(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _parts(mesh: Mesh, side: _Side) -> list[NDArray[np.int64]]:
     """Connected parts of a side without an edge inside, as indices into it."""
-    nodes = mesh.facets[:, side.facets]
+
+    def smooth(pairs: coo_array) -> NDArray[np.bool_]:
+        cosine = np.einsum("pi,pi->p", side.normal[pairs.row], side.normal[pairs.col])
+        return np.asarray(cosine > np.cos(EDGE))
+
+    label = linked_parts(mesh.facets[:, side.facets], smooth)
+    return [np.flatnonzero(label == k) for k in range(label.max() + 1)]
+
+
+def linked_parts(
+    nodes: NDArray[np.int64], alike: Callable[[coo_array], NDArray[np.bool_]]
+) -> NDArray[np.int32]:
+    """Return the number of the part of each facet, from 0; facets of a part are linked by others.
+
+    Parameters
+    ----------
+    nodes : ndarray of int, shape (k, n)
+        Of each facet.
+    alike : callable
+        Pairs of facets that share nodes, a sparse array of how many, to which of them are linked.
+    """
     count = nodes.shape[1]
     facet = np.tile(np.arange(count), nodes.shape[0])
     touches = coo_array((np.ones(facet.size), (facet, nodes.ravel()))).tocsr()
     pairs = (touches @ touches.T).tocoo()
-    smooth = np.einsum("pi,pi->p", side.normal[pairs.row], side.normal[pairs.col]) > np.cos(EDGE)
-    links = coo_array((smooth[smooth], (pairs.row[smooth], pairs.col[smooth])), (count, count))
-    _, label = connected_components(links, directed=False)
-    return [np.flatnonzero(label == k) for k in range(label.max() + 1)]
+    linked = alike(pairs)
+    links = coo_array((linked[linked], (pairs.row[linked], pairs.col[linked])), (count, count))
+    label: NDArray[np.int32] = connected_components(links, directed=False)[1]
+    return label
 
 
 def _turn(side: _Side, part: NDArray[np.int64]) -> float:

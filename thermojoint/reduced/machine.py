@@ -339,10 +339,9 @@ def reduce_machine(
         raise InputError('joint-aware: needs the reduced model; set march.thermal = "reduced"')
     materials = body_materials(case, setup.structure)
     sides = [side for both in setup.structure.joints.values() for side in both]
-    read = [name for name in sensors if name in setup.probes]
-    thermometers = [setup.probes[name] for name in read]
+    thermometers = {name: setup.probes[name] for name in sensors if name in setup.probes}
     structure, faces = with_faces(setup.structure, [*case.supports.symmetry, *sides], thermometers)
-    heated, bodies = sorted(set(faces)), list(structure.bodies)
+    heated, bodies = sorted(set(faces.values())), list(structure.bodies)
     evenly = [
         *(HeatSource(1.0, surface=name) for name in heated),
         *(HeatSource(1.0, body=name) for name in bodies),
@@ -366,7 +365,7 @@ def reduce_machine(
     loose = ready if setup.bolts is None else setup.bolts.loose
     driven = basis.T @ heat.inputs
     faced = np.zeros((basis.shape[1], len(sensors)))
-    for name, face in zip(read, faces, strict=True):
+    for name, face in faces.items():
         faced[:, sensors.index(name)] = driven[:, count + heated.index(face)]
     return ReducedMachine(
         capacity=np.eye(basis.shape[1]),

@@ -70,9 +70,9 @@ def test_a_face_is_the_piece_of_surface_that_a_thermometer_is_on(spread_setup):
     """Both surfaces of a wall look the same way; they are two."""
     structure = spread_setup.structure
     closed = ["symmetry", "knee.a", "knee.b"]
-    probes = [spread_setup.probes[name] for name in ("rear", "top", "s")]
+    probes = {name: spread_setup.probes[name] for name in ("rear", "top", "s")}
     found, names = with_faces(structure, closed, probes)
-    rear, top, inner = (found.surfaces[name] for name in names)
+    rear, top, inner = (found.surfaces[names[name]] for name in probes)
     assert set(rear) == set(structure.surfaces["rear"])
     corners = structure.mesh.p[:, structure.mesh.facets]
     assert corners[1, :, top] == pytest.approx(1.15)
