@@ -23,6 +23,7 @@ from calibrate.placement.fchs import (
     RULE,
     JointSensors,
     Placement,
+    Rule,
     choose_heat_pair,
     rank_joint_sensors,
     sources_for,
@@ -111,6 +112,8 @@ def calibrate_responses(
     reference: xr.Dataset,
     others: Mapping[float, xr.Dataset],
     distances: Sequence[Sequence[float]] | None = None,
+    *,
+    rule: Rule = RULE,
 ) -> Calibrated:
     """Return the calibrated model of a structure from its responses to steps.
 
@@ -127,6 +130,8 @@ def calibrate_responses(
     distances : sequence of sequences, optional
         r_ij, m, from fictitious source i to sensor T_j, if the responses name their sensors.
         Default: the sources lie at the contact elements nearest to the sensors.
+    rule : Rule
+        Of the choice of a and b among candidates.
 
     Raises
     ------
@@ -159,7 +164,7 @@ def calibrate_responses(
     displacements = calibrate_displacements(base)
     if not sensors:
         shapes = {axis: shape for axis, (shape, _) in displacements.items()}
-        heat = choose_heat_pair(base, rest, shapes, near_source)
+        heat = choose_heat_pair(base, rest, shapes, near_source, rule)
         base_of_heat = with_roles(base, {"a": heat.a, "b": heat.b})
     by_source = calibrate_heat(base if sensors else base_of_heat, displacements)
     refused = ""

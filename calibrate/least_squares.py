@@ -31,7 +31,8 @@ _AT_BOUND = 1e-3
 #: Starts whose rms is within this of the best, relative, reached the same optimum.
 _SAME = 1e-3
 
-#: theta -> (columns, shape (n, p); derivatives by ln(theta), shape (n, p, len(theta)))
+#: theta -> (columns, shape (n, p); derivatives by ln(theta), shape (n, len(theta)), each of the
+#: column that the parameter belongs to)
 Basis = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
@@ -39,8 +40,8 @@ Basis = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 class Separable:
     """The problem data ≈ basis(theta) @ coefficients."""
 
-    #: Positive nonlinear parameters, shape (k,), to the columns, shape (n, p), and their
-    #: derivatives by the parameters' logarithms, shape (n, p, k).
+    #: Positive nonlinear parameters, shape (k,), to the columns, shape (n, p), and the derivatives,
+    #: shape (n, k), by the parameters' logarithms. A parameter belongs to one column.
     basis: Basis
     #: Shape (n, m): right-hand sides; each has its own coefficients, all share theta.
     data: np.ndarray
@@ -53,8 +54,13 @@ class Separable:
     upper: tuple[float, ...]
     #: Unit of the data, for the report.
     unit: str
+    #: Column of each nonlinear parameter.
+    column_of: tuple[int, ...]
     #: See the module docstring.
     ridge: float = 1e-6
+    #: Pairs of parameters whose columns may be exchanged: a fit makes the first the larger one, so
+    #: that rounding does not decide which is which.
+    alike: tuple[tuple[int, int], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -89,24 +95,31 @@ def solve_linear(columns: np.ndarray, data: np.ndarray, ridge: float) -> np.ndar
     return part.scaled / part.scale[:, None]
 
 
-def _jacobian(part: _Projection, columns: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """Return d(residual)/d(ln theta), shape (n + p, m, k): Golub & Pereyra, both terms."""
-    n, p = columns.shape
-    unit = columns / part.scale
+def _jacobian(
+    part: _Projection, columns: np.ndarray, slopes: np.ndarray, column_of: tuple[int, ...]
+) -> np.ndarray:
+    """Return d(residual)/d(ln theta), shape (n + p, m, k): Golub & Pereyra, both terms.
+
+    `slopes` (n, k) are those of the columns `column_of`; all others stay as they are.
+    """
+    (n, p), m, k = columns.shape, part.residual.shape[1], slopes.shape[1]
+    of = list(column_of)
+    unit = columns[:, of] / part.scale[of]
     # The scaling follows theta: d(φ/s) = dφ/s - (φ/s) · mean(φ/s · dφ/s).
-    scaled_slopes = slopes / part.scale[None, :, None]
-    scaled_slopes = scaled_slopes - unit[:, :, None] * np.einsum(
-        "np,npk->pk", unit, scaled_slopes
-    ) / float(n)
-    # All parameters in one go: first n rows of d(columns) @ coefficients, (n, m k).
-    m, k = part.residual.shape[1], slopes.shape[2]
-    moved = np.tensordot(scaled_slopes, part.scaled, axes=(1, 0)).transpose(0, 2, 1)
-    moved = moved.reshape(n, m * k)
-    seen = np.tensordot(scaled_slopes, part.residual[:n], axes=(0, 0)).transpose(0, 2, 1)
-    back = solve_triangular(part.triangle, seen.reshape(p, m * k), trans="T", check_finite=False)
-    out = part.orthogonal @ (part.orthogonal[:n].T @ moved - back)
-    out[:n] -= moved
-    return out.reshape(n + p, m, k)
+    scaled = slopes / part.scale[of]
+    scaled = scaled - unit * ((unit * scaled).sum(axis=0) / float(n))
+    # d(columns) @ coefficients is `scaled` times the coefficients of the columns, (m, k).
+    by = part.scaled[of].T
+    seen = np.zeros((p, m, k))
+    seen[of, :, range(k)] = scaled.T @ part.residual[:n]
+    back = solve_triangular(
+        part.triangle, seen.reshape(p, m * k), trans="T", check_finite=False
+    ).reshape(p, m, k)
+    orthogonal = part.orthogonal
+    inside = (orthogonal[:n].T @ scaled)[:, None, :] * by - back
+    out = (orthogonal @ inside.reshape(p, m * k)).reshape(n + p, m, k)
+    out[:n] -= scaled[:, None, :] * by
+    return out
 
 
 @dataclass(frozen=True)
@@ -140,7 +153,7 @@ def _descend(problem: Separable, start: np.ndarray, scale: float, limit: int) ->
 
     def jacobian(log_theta: np.ndarray) -> np.ndarray:
         columns, slopes, part = at(log_theta)
-        return _jacobian(part, columns, slopes).reshape(-1, log_theta.size)
+        return _jacobian(part, columns, slopes, problem.column_of).reshape(-1, log_theta.size)
 
     lower, upper = np.log(problem.lower), np.log(problem.upper)
     inset = 1e-9 * (upper - lower)
@@ -202,7 +215,7 @@ def fit(
     seed : int
         Of the Sobol sequence.
     polished : int
-        Number of the best results to be refined.
+        Number of the best results, at different parameters, to be refined.
 
     Raises
     ------
@@ -221,15 +234,32 @@ def fit(
     # cost is half a sum of squares, so an rms ratio of 1 + x is a cost ratio of about 1 + 2x.
     ceiling = best.cost * (1.0 + 2.0 * _SAME) + trial.data.size * 1e-20
     at_best = sum(end.cost <= ceiling for end in ends)
-    finals = [_descend(problem, end.theta, scale, 200) for end in ends[:polished]]
+    finals = [_descend(problem, end.theta, scale, 200) for end in _distinct(ends)[:polished]]
     winner = min(finals, key=lambda end: end.cost)
     evaluations = sum(end.evaluations for end in (*ends, *finals))
     return replace(
-        _assess(problem, winner),
+        _assess(problem, replace(winner, theta=_in_order(problem, winner.theta))),
         starts=len(points),
         starts_at_best=at_best,
         evaluations=evaluations,
     )
+
+
+def _in_order(problem: Separable, theta: np.ndarray) -> np.ndarray:
+    """Return the parameters with the larger one of each `alike` pair first."""
+    ordered = theta.copy()
+    for first, second in problem.alike:
+        ordered[[first, second]] = max(theta[[first, second]]), min(theta[[first, second]])
+    return ordered
+
+
+def _distinct(ends: Sequence[_End]) -> list[_End]:
+    """Return the ends but those at the parameters of one before."""
+    found: list[_End] = []
+    for end in ends:
+        if all(np.abs(np.log(end.theta / other.theta)).max() > _SAME for other in found):
+            found.append(end)
+    return found
 
 
 def fit_linear(problem: Separable, theta: Sequence[float]) -> Fit:
@@ -246,9 +276,11 @@ def _assess(problem: Separable, end: _End, *, free: bool = True) -> Fit:
     residual = problem.data - columns @ coefficients
     n, m = problem.data.shape
     k = end.theta.size if free else 0
-    by_theta = np.einsum("npk,pm->nmk", slopes, coefficients).reshape(n * m, -1)[:, :k]
+    by_theta = slopes[:, None, :k] * coefficients[list(problem.column_of)[:k]].T
     by_linear = np.einsum("np,qm->nqpm", columns, np.eye(m)).reshape(n * m, -1)
-    errors, correlation, condition = covariance(np.hstack([by_theta, by_linear]), residual)
+    errors, correlation, condition = covariance(
+        np.hstack([by_theta.reshape(n * m, k), by_linear]), residual
+    )
     names = (*(problem.names if free else ()), *problem.linear_names)
     # The search is in ln(theta): its standard error is relative.
     errors[:k] *= end.theta[:k]

@@ -102,7 +102,7 @@ def ring_problem(t: np.ndarray, data: np.ndarray, r0: float) -> Separable:
     def basis(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         a, alpha, r = theta
         column, gradient = ring_source.step_response_gradient(t, 1.0, a, alpha, r, r0)
-        return column[:, None], (gradient[:, 1:] * theta)[:, None, :]
+        return column[:, None], gradient[:, 1:] * theta
 
     return Separable(
         basis=basis,
@@ -112,6 +112,7 @@ def ring_problem(t: np.ndarray, data: np.ndarray, r0: float) -> Separable:
         lower=(*lower, 1.01 * r0),
         upper=(*upper, 30.0 * r0),
         unit="K",
+        column_of=(0, 0, 0),
     )
 
 
@@ -186,6 +187,8 @@ def _best_deformation(
             lower=lower,
             upper=upper,
             unit="m",
+            column_of=tuple(range(len(rates))),
+            alike=((0, 1), (3, 2))[: len(rates) - 2],
         )
 
     thin = steps.thinned(t.size)

@@ -7,7 +7,7 @@ with the strengths q_i of Table 2. All inputs are fitted at once, one axis at a 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
@@ -45,15 +45,14 @@ def eq18_problem(t: np.ndarray, data: np.ndarray, sources: int, respond: Respond
 
     def basis(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         columns = np.empty((inputs, t.size, sources, 4))
-        slopes = np.zeros((inputs, t.size, sources, 4, 4 * sources))
+        slopes = np.empty_like(columns)
         for i in range(sources):
-            rates = np.arange(4 * i, 4 * i + 4)
-            shapes = deformation.own_basis(t, theta[rates])
+            shapes = deformation.basis(t, theta[4 * i : 4 * i + 4])
             driven = respond(i, np.hstack(shapes))
             columns[:, :, i] = driven[:, :, :4]
-            slopes[:, :, i, range(4), rates] = driven[:, :, 4:]
+            slopes[:, :, i] = driven[:, :, 4:]
         rows = inputs * t.size
-        return columns.reshape(rows, -1), slopes.reshape(rows, 4 * sources, -1)
+        return columns.reshape(rows, -1), slopes.reshape(rows, -1)
 
     return Separable(
         basis=basis,
@@ -63,7 +62,12 @@ def eq18_problem(t: np.ndarray, data: np.ndarray, sources: int, respond: Respond
         lower=lower * sources,
         upper=upper * sources,
         unit="m",
+        column_of=tuple(range(4 * sources)),
         ridge=RIDGE,
+        # c >= d and e <= f.
+        alike=tuple(
+            pair for i in range(0, 4 * sources, 4) for pair in ((i, i + 1), (i + 3, i + 2))
+        ),
     )
 
 
@@ -128,16 +132,10 @@ def fit_source_deformation(
     for curve in own:
         single = _step_problem(t[thin], curve[None, :], np.ones((1, 1)))
         best = fit(single, starts=starts)
-        guess += _in_order([best.values[name] for name in single.names])
+        guess += [best.values[name] for name in single.names]
     problem = _step_problem(t, deviations, strengths)
     best = fit(problem, coarse=coarse, starts=0, guesses=[guess])
     return eq18_models(best, sources), best
-
-
-def _in_order(rates: Sequence[float]) -> list[float]:
-    """Return c, d, e, f with c >= d and e <= f: the other orders are equivalent."""
-    c, d, e, f = rates
-    return [max(c, d), min(c, d), min(e, f), max(e, f)]
 
 
 def source_displacements(

@@ -114,12 +114,13 @@ def unit_responses(
     -------
     columns : ndarray, shape (sensors·n, sources)
         Sensor by sensor, one below the other; dimensionless (K per K of product).
-    slopes : ndarray, shape (sensors·n, sources, 2·sources)
+    slopes : ndarray, shape (sensors·n, 2·sources)
+        Each of the column of its source.
     """
     sources, sensors = geometry.distances.shape
     n = t.size
     columns = np.empty((sensors * n, sources))
-    slopes = np.zeros((sensors * n, sources, 2 * sources))
+    slopes = np.empty((sensors * n, 2 * sources))
     for i, j in np.ndindex(sources, sensors):
         a, alpha = rates[2 * i], rates[2 * i + 1]
         rows = slice(j * n, (j + 1) * n)
@@ -127,8 +128,8 @@ def unit_responses(
             t, 1.0, a, alpha, float(geometry.distances[i, j]), float(geometry.radii[i])
         )
         columns[rows, i] = response
-        slopes[rows, i, 2 * i] = a * gradient[:, 1]
-        slopes[rows, i, 2 * i + 1] = alpha * gradient[:, 2]
+        slopes[rows, 2 * i] = a * gradient[:, 1]
+        slopes[rows, 2 * i + 1] = alpha * gradient[:, 2]
     return columns, slopes
 
 
@@ -147,6 +148,7 @@ def _problem(
         lower=tuple(value for low, _ in bounds for value in low),
         upper=tuple(value for _, high in bounds for value in high),
         unit="K",
+        column_of=tuple(i for i in range(sources) for _ in range(2)),
     )
 
 

@@ -178,6 +178,8 @@ def choose_heat_pair(
     unit = steps.step_level(reference, "reference response")
     unit_responses = _temperatures(reference, candidates) / unit
     scaled = [_temperatures(response, candidates) / level for level, response in others.items()]
+    responses = np.stack([unit_responses, *scaled], axis=-1)
+    levels = np.abs([unit, *others])
     linear = stacked([deformation_bank(model) for model in deformation.values()])
     size, off, early = (np.empty((len(candidates),) * 2) for _ in range(3))
     for i in range(len(candidates)):
@@ -204,10 +206,8 @@ def choose_heat_pair(
                 )
             except ThermojointError:
                 continue  # no stable inverse: the pair is out
-            error = max(
-                _linear_error(inverse, linear, t, s[:, i] - s[:, j]) * abs(level)
-                for level, s in zip((unit, *others), (unit_responses, *scaled), strict=True)
-            )
+            differences = responses[:, i] - responses[:, j]
+            error = float((_linear_errors(inverse, linear, t, differences) * levels).max())
             last = float(size[i, j])
             pairs.append(
                 HeatPair(
@@ -342,12 +342,12 @@ def _at(t: Array, values: Array, time: float) -> Array:
     return np.asarray((1.0 - part) * values[k - 1] + part * values[k])
 
 
-def _linear_error(inverse: Bank, linear: Bank, t: Array, difference: Array) -> float:
-    """Largest error of δ_L, m, for the unit step with response `difference` (K per unit)."""
+def _linear_errors(inverse: Bank, linear: Bank, t: Array, differences: Array) -> Array:
+    """Largest errors of δ_L, m, for unit steps with responses (n, runs), K per unit."""
     interval = float(np.median(np.diff(t)))
-    heat = respond_to_line(inverse, t, difference[:, None], interval)[0]
-    error = respond_to_steps(linear, t, heat - (t > 0.0)[:, None], interval)
-    return float(np.abs(error).max())
+    heat = respond_to_line(inverse, t, differences[:, None], interval)[0]
+    error = respond_to_steps(linear, t, heat - (t > 0.0)[:, None, None], interval)
+    return np.abs(error).max(axis=(0, 1))
 
 
 def _filtered(deviations: Array, t: Array) -> Array:

@@ -128,15 +128,32 @@ class Validated:
 
 
 def joined(parts: Sequence[Validated]) -> Validated:
-    """Return several validations of distinct cases as one."""
+    """Return several validations as one.
+
+    A case may be in several parts, with other estimators in each; what is in more than one counts
+    once.
+    """
     whole = Validated([], [], [], [], {}, {})
     for part in parts:
-        whole.rows.extend(part.rows)
-        whole.vectors.extend(part.vectors)
-        whole.as_printed.extend(part.as_printed)
-        whole.blocks.extend(part.blocks)
+        new = set(part.errors) - set(whole.errors)
+        whole.as_printed.extend(row for row in part.as_printed if row["case"] in new)
+        whole.blocks.extend(row for row in part.blocks if row["case"] in new)
         whole.estimates.update(part.estimates)
-        whole.errors.update(part.errors)
+        for case, errors in part.errors.items():
+            every = whole.errors.get(case, {}) | errors
+            whole.errors[case] = {name: every[name] for name in ESTIMATORS if name in every}
+    cases = list(whole.errors)
+
+    def place(row: Row) -> tuple[int, int]:
+        return cases.index(str(row["case"])), ESTIMATORS.index(str(row["estimator"]))
+
+    for field in ("rows", "vectors"):
+        by_key = {
+            (row["case"], row["estimator"], row.get("axis")): row
+            for part in parts
+            for row in getattr(part, field)
+        }
+        getattr(whole, field).extend(sorted(by_key.values(), key=place))
     return whole
 
 

@@ -8,7 +8,7 @@ condensation, apply to the states on the way. All of it costs a part of the marc
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -173,10 +173,8 @@ def _of_mesh(setup: Setup, fine: Track, step: float) -> float | None:
 
 def _with_steps(marched: Marched, longer: float) -> CondensedMachine:
     """The machine with steps so many times as long."""
-    machine = marched.setup.machine
-    if longer == 1.0:
-        return machine
-    return replace(machine, thermal=marched.setup.make_thermal(longer * machine.thermal.step))
+    setup = marched.setup
+    return setup.at_step(longer * setup.machine.thermal.step).machine
 
 
 def _track(marched: Marched, machine: CondensedMachine, start: State | None) -> Track:

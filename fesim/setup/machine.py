@@ -152,6 +152,13 @@ class Setup(Described):
         """Full displacements on demand."""
         return self.make_field()
 
+    def at_step(self, step: float) -> Setup:
+        """Return the same set-up for steps of another length, s."""
+        thermal = self.machine.thermal
+        if step != thermal.step:
+            thermal = self.make_thermal(step)
+        return replace(self, machine=replace(self.machine, thermal=thermal))
+
     def nodal_temperature(self, state: State) -> NDArray[np.float64]:
         """Temperature above the initial ambient at every unknown of `spaces.heat`, K.
 

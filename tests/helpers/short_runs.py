@@ -4,7 +4,6 @@ Nor are fits searched from as many starts as a user's.
 """
 
 from contextlib import contextmanager
-from functools import partial
 
 import pytest
 
@@ -12,11 +11,13 @@ from calibrate import least_squares
 from calibrate.joint_aware.calibration import Effort
 from calibrate.joint_aware.open_band import Drawing
 from calibrate.joint_aware.physics_fit import Search
-from calibrate.placement.fchs import Rule, choose_heat_pair
+from calibrate.placement.fchs import Rule
 from thermojoint.paper.long_runs import LongRuns
 
 #: One search, and bands from two drawn machines and a quarter of an hour.
 QUICK = Effort(search=Search(starts=0), drawing=Drawing(draws=2, duration=900.0))
+#: The placement of a and b, with fits to a fifth of the pairs.
+FEW_PAIRS = Rule(shortlist=12)
 SHORT = LongRuns(
     day=40.0,
     warm=20.0,
@@ -25,10 +26,9 @@ SHORT = LongRuns(
     heated=10.0,
     steady=40.0,
     effort=QUICK,
+    rule=FEW_PAIRS,
     processes=1,
 )
-#: The placement of a and b, with fits to a fifth of the pairs.
-FEW_PAIRS = partial(choose_heat_pair, rule=Rule(shortlist=12))
 
 
 @contextmanager

@@ -44,35 +44,20 @@ def basis(t: np.ndarray, rates: Sequence[float] | np.ndarray) -> tuple[np.ndarra
     -------
     columns : ndarray, shape (n, p)
         p = len(rates). The first two are dimensionless, the others in s.
-    slopes : ndarray, shape (n, p, p)
-        ``slopes[:, j, k]`` is the derivative of column j by the logarithm of rate k; zero for
-        j != k, since each column has its own rate.
-    """
-    columns, own = own_basis(t, rates)
-    slopes = np.zeros((*own.shape, own.shape[-1]))
-    index = np.arange(own.shape[-1])
-    slopes[:, index, index] = own
-    return columns, slopes
-
-
-def own_basis(t: np.ndarray, rates: Sequence[float] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the columns of `basis` and the derivative of each by the logarithm of its own rate.
-
-    Returns
-    -------
-    columns, own : ndarray, shape (n, p)
+    slopes : ndarray, shape (n, p)
+        Of each column by the logarithm of its own rate; the others do not change it.
     """
     rate = check_rates(rates)
     phase = np.multiply.outer(np.asarray(t, dtype=float), rate)
     decay = np.exp(-phase)
     columns = np.empty_like(phase)
-    own = np.empty_like(phase)
+    slopes = np.empty_like(phase)
     first, second = slice(0, _EXPONENTIALS), slice(_EXPONENTIALS, None)
     columns[:, first] = -np.expm1(-phase[:, first])
-    own[:, first] = phase[:, first] * decay[:, first]
+    slopes[:, first] = phase[:, first] * decay[:, first]
     columns[:, second] = phase[:, second] / rate[second] * decay[:, second]
-    own[:, second] = -phase[:, second] * columns[:, second]
-    return columns, own
+    slopes[:, second] = -phase[:, second] * columns[:, second]
+    return columns, slopes
 
 
 def model_from(

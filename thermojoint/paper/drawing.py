@@ -37,7 +37,8 @@ from thermojoint.pictures.figures import (
     pressure_figure,
     write_figure,
 )
-from thermojoint.pictures.view import FIELDS, field_scene, run_to_end, whole_structure
+from thermojoint.pictures.scenes import Scene
+from thermojoint.pictures.view import FIELDS, field_scene, run_to_end
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -132,23 +133,20 @@ def estimate_figures(validated: Validated) -> dict[str, Figure]:
     }
 
 
-def draw_views(
-    folder: Path,
-    case: Case,
-    setup: Setup,
-    sensors: Mapping[str, tuple[float, float, float]],
-    report: Report,
-) -> list[str]:
-    """Write the 3-D pictures of the end of `case`, a file for each view; return their names."""
+def field_scenes(case: Case, setup: Setup, report: Report) -> dict[str, Scene]:
+    """Return the fields at the end of `case`, by file name without its suffix."""
+    _, _, last = run_to_end(case, report, setup)
+    return {str(show): field_scene(show, case, setup, last) for show in FIELDS}
+
+
+def draw_views(folder: Path, structure: Scene, fields: Mapping[str, Scene]) -> list[str]:
+    """Write the 3-D pictures, a file for each view; return their names."""
     from thermojoint.pictures.stills import write_pictures
 
-    _, _, last = run_to_end(case, report, setup)
-    scenes = {"figure-06-structure": whole_structure(case, setup.structure, sensors)}
-    scenes |= {str(show): field_scene(show, case, setup, last) for show in FIELDS}
     # Side by side they would be too small on a narrow page.
     views = {
         f"{name}{f'-{k}' * (k > 1)}": replace(scene, panels=(panel,))
-        for name, scene in scenes.items()
+        for name, scene in ({"figure-06-structure": structure} | dict(fields)).items()
         for k, panel in enumerate(scene.panels, start=1)
     }
     write_pictures({folder / f"{name}.png": scene for name, scene in views.items()})

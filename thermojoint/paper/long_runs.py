@@ -15,10 +15,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from calibrate.chain import MOST_SAMPLES
 from calibrate.joint_aware.calibration import USUAL, Effort
+from calibrate.placement.fchs import RULE, Rule
 from estimator.fchs.judging import Validated
 from estimator.rows import Row
-from fesim.case.schema import Case
+from fesim.case.schema import Case, step_count
 from fesim.case.thermal_sections import AmbientSection, SampledInput
 from fesim.setup.machine import Setup
 from fesim.simulate import simulate
@@ -26,7 +28,7 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.response import probes_of
-from thermojoint.paper.inputs import COOL_DOWN, DAY, Report
+from thermojoint.paper.inputs import CALIBRATION, COOL_DOWN, DAY, Report, simulate_inputs
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -64,6 +66,8 @@ class LongRuns:
     steady: float = 480.0
     #: Effort of the calibration of the observers.
     effort: Effort = USUAL
+    #: Of the placement for FCHS.
+    rule: Rule = RULE
     #: For calibrations and the validation.
     processes: int = 2
 
@@ -124,10 +128,14 @@ def driven(
     return adaptively(long)
 
 
-def adaptively(case: Case) -> Case:
-    """Return a case whose steps are chosen by their error, where it permits that."""
+def adaptively(case: Case, every: int = 1) -> Case:
+    """Return a case whose steps are chosen by their error, where it permits that.
+
+    Its response has a row at the end of `every` steps of the case.
+    """
+    march = {"method": "adaptive", "tolerance_um": TOLERANCE_UM}
     with suppress(InputError):
-        return case.replace(march={"method": "adaptive", "tolerance_um": TOLERANCE_UM})
+        return case.replace(march=march | {"step_s": every * case.march.step_s})
     return case
 
 
@@ -146,6 +154,20 @@ def simulate_long(
         name: simulate(long, setup=setup, progress=partial(progress, name)).response
         for name, long in cases.items()
     }
+
+
+def simulate_steady(
+    case: Case, runs: LongRuns, setup: Setup, progress: Report
+) -> dict[str, xr.Dataset]:
+    """Return the responses to the calibration's steps until the machine is steady, by name."""
+    lasting = case.replace(march={"duration_min": runs.steady})
+    # As many rows as a calibration uses.
+    every = max(1, -(-step_count(lasting.march) // MOST_SAMPLES))
+    lasting = adaptively(lasting, every)
+    steps = {f"{name}-steady": heat for name, heat in CALIBRATION.items()}
+    own = setup.at_step(lasting.march.step_s)
+    made = simulate_inputs(lasting, steps, setup=own, progress=progress)
+    return {name.removesuffix("-steady"): response for name, response in made.items()}
 
 
 def at_sensors(response: xr.Dataset, roles: Mapping[str, str]) -> xr.Dataset:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
@@ -13,14 +13,14 @@ from rich.console import Console
 
 from calibrate import chain
 from calibrate.baselines import fit_baselines
-from calibrate.placement.fchs import with_roles
+from calibrate.placement.fchs import RULE, Rule, with_roles
 from calibrate.provenance import provenance_of
 from calibrate.responses import candidates_in, moving_axes
 from estimator.fchs import judging as judge
 from estimator.fchs.judging import Validated
 from estimator.joint_aware.estimator import JointAware
 from fesim.case.schema import Case
-from fesim.setup.machine import Setup, set_up
+from fesim.setup.machine import set_up
 from fesim.setup.structure import build_structure
 from thermojoint import console
 from thermojoint.artefacts.errors import ThermojointError
@@ -38,14 +38,15 @@ from thermojoint.paper.drawing import (
     draw_figures,
     draw_views,
     estimate_figures,
+    field_scenes,
     paper_figures,
 )
 from thermojoint.paper.inputs import check_drivable, check_placeable
 from thermojoint.paper.long_runs import (
     LongRuns,
-    adaptively,
     at_sensors,
     simulate_long,
+    simulate_steady,
     warm_part,
     without_nonlinear,
 )
@@ -54,6 +55,8 @@ from thermojoint.paper.report import ReportData, report_html
 from thermojoint.paper.summary import compare_schemes, convergence, pressure_share
 from thermojoint.paper.tables import printed_tables, tables_json
 from thermojoint.paper.verdict import error_table, verdict
+from thermojoint.pictures.scenes import Scene
+from thermojoint.pictures.view import whole_structure
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -100,6 +103,7 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
             case = with_candidates(case, build_structure(case))
         setup = set_up(case)
         report("setting up", 1, 1)
+        beside_it = crew.submit(_beside_calibration, case, runs, folder)
         heats = inputs.CALIBRATION | inputs.VALIDATION
         responses = inputs.simulate_inputs(case, heats, setup=setup, progress=report)
 
@@ -107,7 +111,8 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
         calibrated: chain.Calibrated | None = None
         provenance: Provenance | None = None
         try:
-            calibrated, provenance = _calibrate(case, responses)
+            chosen_from = {name: responses[name] for name in inputs.CALIBRATION}
+            calibrated, provenance = _calibrate(case, chosen_from, runs.rule)
             write_model(calibrated.model, folder / "model.json", provenance)
         except ThermojointError as error:
             left_out |= dict.fromkeys(("linear", "fchs"), str(error))
@@ -115,9 +120,15 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
         responses = {name: with_roles(response, roles) for name, response in responses.items()}
         known = {name: responses[name] for name in inputs.CALIBRATION}
         sensors = {role: setup.probes[name] for role, name in roles.items()}
-        _write_responses(responses, folder)
         observed = observers_beside(crew, case, sensors, known, folder, runs.effort)
         report("calibrating", 1, 3)
+        lasting, steps, scenes = beside_it.result()
+        steady: Model | None = None
+        try:
+            seen = {name: at_sensors(response, roles) for name, response in steps.items()}
+            steady = _steady(case, seen, folder)
+        except ThermojointError as error:
+            left_out |= dict.fromkeys(("linear-steady", "fchs-steady"), str(error))
         axes = moving_axes(known[inputs.REFERENCE], _others(known))
         baselines: Baselines | None = None
         try:
@@ -129,18 +140,15 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
         if calibrated is not None and provenance is not None:
             tables = tables_json(calibrated.model, provenance)
             _write_json(folder / "tables.json", tables)
-        report("calibrating", 2, 3)
-        lasting = simulate_long(case, runs, folder / "responses", setup, report)
         lasting = {
             name: _kept(at_sensors(response, roles), folder, out)
             for name, response in lasting.items()
         }
-        _write_responses(lasting, folder)
-        steady: Model | None = None
-        try:
-            steady = _steady(case, runs, setup, roles, report, folder)
-        except ThermojointError as error:
-            left_out |= dict.fromkeys(("linear-steady", "fchs-steady"), str(error))
+        _write_responses(responses | lasting, folder)
+        places = {role: probe.position for role, probe in sensors.items()}
+        structure = whole_structure(_hot(case), setup.structure, places)
+        views = draw_views(folder / "figures", structure, scenes)
+        report("calibrating", 2, 3)
         observers, failed = observed()
         left_out |= failed
         report("calibrating", 3, 3)
@@ -148,12 +156,7 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
         report("validating", 0, 1)
         model = None if calibrated is None else calibrated.model
         beside = judge.Beside(baselines, steady)
-        judged = _judged(crew, (model, responses, lasting), runs, beside, observers)
-        # The fields' pictures meanwhile.
-        hot = case.model_copy(update={"heat_input": heats[inputs.PRESSURE]})
-        places = {role: probe.position for role, probe in sensors.items()}
-        views = draw_views(folder / "figures", hot, setup, places, report)
-        validated = judged()
+        validated = _judged(crew, (model, responses, lasting), runs, beside, observers)
         figures_of_run = validated.figures() | {"left_out": left_out}
         _write_json(folder / "validation.json", figures_of_run)
         report("validating", 1, 1)
@@ -202,21 +205,34 @@ def _roles(calibrated: chain.Calibrated | None, reference: xr.Dataset) -> dict[s
     return dict(zip(ROLES, (hot_first[0], hot_first[-1], at_joint[0], at_joint[-1]), strict=True))
 
 
-def _steady(
-    case: Case,
-    runs: LongRuns,
-    setup: Setup,
-    roles: Mapping[str, str],
-    report: inputs.Report,
-    folder: Path,
-) -> Model:
-    """Return the model calibrated with the same sensors by steps until the machine is steady."""
-    lasting = adaptively(case.replace(march={"duration_min": runs.steady}))
-    steps = {f"{name}-steady": heat for name, heat in inputs.CALIBRATION.items()}
-    made = inputs.simulate_inputs(lasting, steps, setup=setup, progress=report)
-    kept = {name.removesuffix("-steady"): at_sensors(r, roles) for name, r in made.items()}
-    _write_responses({f"{name}-steady": response for name, response in kept.items()}, folder)
-    calibrated, provenance = _calibrate(case, kept)
+def _beside_calibration(
+    case: Case, runs: LongRuns, folder: Path
+) -> tuple[dict[str, xr.Dataset], dict[str, xr.Dataset], dict[str, Scene]]:
+    """Return what does not depend on the choice of sensors.
+
+    The long responses, those to steps until the machine is steady, and scenes of the fields. The
+    histories of the first are written to `folder`.
+    """
+    setup = set_up(case)
+    lasting = simulate_long(case, runs, folder / "responses", setup, _silent)
+    steps = simulate_steady(case, runs, setup, _silent)
+    return lasting, steps, field_scenes(_hot(case), setup, _silent)
+
+
+def _hot(case: Case) -> Case:
+    """Return the case whose fields are shown."""
+    heat = (inputs.CALIBRATION | inputs.VALIDATION)[inputs.PRESSURE]
+    return case.model_copy(update={"heat_input": heat})
+
+
+def _silent(_task: str, _done: int, _all: int) -> None:
+    """Report nothing."""
+
+
+def _steady(case: Case, steps: Mapping[str, xr.Dataset], folder: Path) -> Model:
+    """Return the model calibrated by steps until the machine is steady, with the same sensors."""
+    _write_responses({f"{name}-steady": response for name, response in steps.items()}, folder)
+    calibrated, provenance = _calibrate(case, steps)
     write_model(calibrated.model, folder / "model_steady.json", provenance)
     _write_json(folder / "tables_steady.json", tables_json(calibrated.model, provenance))
     return calibrated.model
@@ -228,20 +244,25 @@ def _judged(
     runs: LongRuns,
     beside: judge.Beside,
     observers: Sequence[JointAware],
-) -> Callable[[], Validated]:
+) -> Validated:
     """Validate every estimator in every case; those without a warm start begin at rest.
 
-    `known` are the model, its responses and the long ones. Returns a function that waits for the
-    processes of `crew`.
+    `known` are the model, its responses and the long ones.
     """
     model, responses, lasting = known
     at_rest = [(observer, observer.initial_state()) for observer in observers]
-    warm = [(observer, observer.warm_state()) for observer in observers]
+    # After a warm start a sample takes longest: each observer has a process.
+    warm = [[(observer, observer.warm_state())] for observer in observers] or [[]]
     started = {inputs.WARM_START: warm_part(lasting[inputs.DAY], runs)}
     cold = replace(beside, observers=at_rest)
-    begun = replace(beside, observers=warm, settled_s=60.0 * runs.settled)
+    begun = replace(beside, settled_s=60.0 * runs.settled)
+    warmed = [
+        crew.submit(
+            judge.validate_model, model, None, started, beside=replace(begun, observers=own)
+        )
+        for own in warm
+    ]
     long = crew.submit(judge.validate_model, model, None, lasting, beside=cold)
-    warmed = crew.submit(judge.validate_model, model, None, started, beside=begun)
     short = crew.submit(
         judge.validate_model,
         model,
@@ -250,12 +271,8 @@ def _judged(
         noisy=[inputs.TRIANGLE],
         beside=cold,
     )
-
-    def wait() -> Validated:
-        hours = [without_nonlinear(run.result()) for run in (long, warmed)]
-        return judge.joined([short.result(), *hours])
-
-    return wait
+    hours = [without_nonlinear(run.result()) for run in (long, *warmed)]
+    return judge.joined([short.result(), *hours])
 
 
 def show(terminal: Console, data: ReportData) -> None:
@@ -304,9 +321,10 @@ def facts(case: Case, response: xr.Dataset) -> list[tuple[str, str]]:
 
 
 def _calibrate(
-    case: Case, responses: Mapping[str, xr.Dataset]
+    case: Case, responses: Mapping[str, xr.Dataset], rule: Rule = RULE
 ) -> tuple[chain.Calibrated, Provenance]:
-    calibrated = chain.calibrate_responses(responses[inputs.REFERENCE], _others(responses))
+    base, others = responses[inputs.REFERENCE], _others(responses)
+    calibrated = chain.calibrate_responses(base, others, rule=rule)
     origin = case.model_dump_json()
     return calibrated, provenance_of(calibrated, origin)
 

@@ -75,7 +75,9 @@ def test_derivatives_by_the_logarithm_of_the_rates(rate):
         up[k] *= np.exp(1e-5)
         down[k] *= np.exp(-1e-5)
         expected = (basis(RUN, up)[0] - basis(RUN, down)[0]) / 2e-5
-        np.testing.assert_allclose(slopes[:, :, k], expected, atol=1e-8 * np.abs(expected).max())
+        of_its_own = np.zeros_like(expected)
+        of_its_own[:, k] = slopes[:, k]
+        np.testing.assert_allclose(of_its_own, expected, atol=1e-8 * np.abs(expected).max())
 
 
 def test_equation_8_as_printed_does_not_start_flat():

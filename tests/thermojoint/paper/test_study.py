@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from in_process import run
 from reference_case import lasting
-from short_runs import FEW_PAIRS, SHORT
+from short_runs import SHORT
 
 from calibrate import chain
 from estimator.fchs import judging as judge
@@ -60,7 +60,6 @@ def results(case_file, few_starts):
     """The folder that `reproduce` leaves."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(reproduce, "reproduce", partial(reproduce.reproduce, long=SHORT))
-        patch.setattr(chain, "choose_heat_pair", FEW_PAIRS)
         assert run("reproduce", "--case", case_file, "--out", case_file.parent / "results") == 0
     return case_file.parent / "results"
 
@@ -262,14 +261,16 @@ def test_results_stay_as_they_were_until_all_of_the_new_ones_are_there(
 
     def failing(*given):
         [beside] = tmp_path.glob(".results.*")
-        assert len(list(beside.rglob("*.nc"))) == 6
+        assert len(list(beside.rglob("*.nc"))) == 11
         raise InputError("these responses determine nothing")
 
-    def refused(case, responses):
+    def refused(*given):
         raise InputError("no model")
 
+    monkeypatch.setattr(reproduce, "reproduce", partial(reproduce.reproduce, long=SHORT))
     monkeypatch.setattr(reproduce, "_calibrate", refused)
-    monkeypatch.setattr(reproduce, "observers_beside", failing)
+    monkeypatch.setattr(reproduce, "observers_beside", lambda *given: lambda: ([], {}))
+    monkeypatch.setattr(reproduce, "draw_views", failing)
     code, _, err = command("reproduce", "--case", tmp_path / "short.toml", "--out", out)
     # Where the set-up is slow, its progress stands before.
     assert (code, err.splitlines()[-1]) == (2, "thermojoint: these responses determine nothing")

@@ -267,17 +267,18 @@ def respond_to_line(
     bank : Bank
     times : ndarray, shape (k,)
         Increasing, s.
-    inputs : ndarray, shape (k, n_in)
-        Samples of the inputs.
+    inputs : ndarray, shape (k, n_in) or (k, n_in, runs)
+        Samples of the inputs, of one run or of several.
     lead : float
         The bank is at rest, its inputs zero, until `lead` seconds before the first sample.
 
     Returns
     -------
-    means, ends : ndarray, shape (k, n_out)
+    means, ends : ndarray, shape (k, n_out) or (k, n_out, runs)
     """
-    means, ends = _outputs(bank, times), _outputs(bank, times)
-    state, before = np.zeros(bank.n_state), np.zeros(inputs.shape[1])
+    means, ends = _outputs(bank, inputs), _outputs(bank, inputs)
+    state = np.zeros((bank.n_state, *inputs.shape[2:]))
+    before = np.zeros(inputs.shape[1:])
     for n, dt in enumerate(intervals(times, lead)):
         over, now = over_interval(bank, dt), inputs[n]
         means[n] = over.mean @ state + over.mean_old @ before + over.mean_new @ now
@@ -294,8 +295,8 @@ def respond_to_steps(bank: Bank, times: np.ndarray, inputs: np.ndarray, lead: fl
     bank must not leak, since its inputs are discontinuous.
     """
     _check_no_leak([bank])
-    ends = _outputs(bank, times)
-    state = np.zeros(bank.n_state)
+    ends = _outputs(bank, inputs)
+    state = np.zeros((bank.n_state, *inputs.shape[2:]))
     for n, dt in enumerate(intervals(times, lead)):
         over = over_interval(bank, dt)
         state = over.advance @ state + (over.old + over.new) @ inputs[n]
@@ -308,8 +309,8 @@ def intervals(times: np.ndarray, lead: float) -> list[float]:
     return [float(lead), *np.diff(times).tolist()]
 
 
-def _outputs(bank: Bank, times: np.ndarray) -> np.ndarray:
-    return np.empty((len(times), bank.constant.shape[0]))
+def _outputs(bank: Bank, inputs: np.ndarray) -> np.ndarray:
+    return np.empty((len(inputs), bank.constant.shape[0], *inputs.shape[2:]))
 
 
 def _check_no_leak(banks: list[Bank]) -> None:
