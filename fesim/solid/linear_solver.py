@@ -39,6 +39,8 @@ PARAMETERS = {1: 1, 2: 2}
 
 #: Largest accepted residual relative to the right-hand side.
 RESIDUAL_LIMIT = 1e-6
+#: Numbers in the products that a residual is computed from, at a time: 20 MB.
+CHECKED_AT_ONCE = 2_500_000
 #: A larger residual is accepted if rounding explains it, up to this fraction of |A| |x| and up to
 #: this limit: forces in a body a million times stiffer than its surroundings are large and cancel.
 ROUNDING, ROUNDING_LIMIT = 16.0 * float(np.finfo(float).eps), 1e-5
@@ -191,9 +193,16 @@ def checked_solve(factor: Factor, right_side: Array, what: str) -> Array:
 
 
 def _relative_residual(factor: Factor, solution: Array, right_side: Array) -> float:
-    residual = float(np.abs(symmetric_product(factor.matrix, solution) - right_side).max())
+    left = right_side.reshape(len(right_side), -1)
+    found = solution.reshape(left.shape)
+    # A few columns at a time: whole, the products are several times as large as the solution.
+    width, residual = max(1, CHECKED_AT_ONCE // len(left)), 0.0
+    for first in range(0, left.shape[1], width):
+        part = np.s_[:, first : first + width]
+        missing = symmetric_product(factor.matrix, found[part]) - left[part]
+        residual = np.maximum(residual, np.abs(missing).max())
     scale = float(np.abs(right_side).max())
-    return residual / scale if scale > 0.0 else residual
+    return float(residual / scale if scale > 0.0 else residual)
 
 
 def _is_rounding(factor: Factor, solution: Array, right_side: Array, residual: float) -> bool:

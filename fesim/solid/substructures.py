@@ -31,8 +31,8 @@ from fesim.solid.linear_solver import (
 )
 from thermojoint.artefacts.arrays import Array
 
-#: Numbers in the right-hand sides of one solve: 0.2 GB.
-AT_ONCE = 25_000_000
+#: Numbers in the right-hand sides of one solve: 0.1 GB.
+AT_ONCE = 12_000_000
 #: A piece is anchored if its supports provide less than this share of the stiffness of supports and
 #: anchors together against some rigid motion.
 HELD = 1e-3
@@ -94,6 +94,22 @@ def substructure(
     InputError
         Neither supports nor joints constrain the piece.
     """
+    return _factorised(_constrained(piece, gap, springs), solver)
+
+
+@dataclass(frozen=True)
+class _Constrained:
+    """A piece with its anchors, if it needs some; attributes as those of `Substructure`."""
+
+    unknowns: NDArray[np.int64]
+    #: Upper triangle of Kd.
+    stiffness: csr_array
+    thermal_load: csr_array
+    anchored: NDArray[np.int64]
+    anchor: float
+
+
+def _constrained(piece: ElasticPiece, gap: csr_array, springs: Array) -> _Constrained:
     free = np.flatnonzero(piece.free)
     stiffness = piece.stiffness
     if free.size < piece.free.size:
@@ -110,13 +126,13 @@ def substructure(
     else:
         anchored = np.empty(0, dtype=np.int64)
     unknowns = piece.unknowns[free]
-    return Substructure(
-        unknowns,
-        factorise_upper(stiffness, "stiffness", solver),
-        csr_array(piece.thermal_load[free]),
-        unknowns[anchored],
-        anchor,
-    )
+    load = csr_array(piece.thermal_load[free])
+    return _Constrained(unknowns, stiffness, load, unknowns[anchored], anchor)
+
+
+def _factorised(piece: _Constrained, solver: str | None) -> Substructure:
+    factor = factorise_upper(piece.stiffness, "stiffness", solver)
+    return Substructure(piece.unknowns, factor, piece.thermal_load, piece.anchored, piece.anchor)
 
 
 def _far_apart(points: Array) -> NDArray[np.int64]:
@@ -154,9 +170,11 @@ def substructures(
     pieces: Iterable[ElasticPiece], gap: csr_array, springs: Array, solver: str | None = None
 ) -> Iterator[Substructure]:
     """Factorise the pieces one by one, as `substructure` does; fully fixed ones are left out."""
-    # No loop: its variable would keep a piece while the next one is made.
+    # No loop: its variable would keep a piece while the next one is made. Nor is a piece kept
+    # while it is factorised, which takes the most memory.
     free = filter(lambda piece: piece.free.any(), pieces)
-    return map(partial(substructure, gap=gap, springs=springs, solver=solver), free)
+    constrained = map(partial(_constrained, gap=gap, springs=springs), free)
+    return map(partial(_factorised, solver=solver), constrained)
 
 
 @dataclass(frozen=True)
@@ -287,8 +305,10 @@ def _influence(piece: Substructure, gap: csr_array, probes: csr_array) -> _Influ
     ends = np.arange(at.size + 1)
     anchors = csr_array((np.ones(at.size), at, ends), shape=(at.size, piece.unknowns.size))
     rows = csr_array(vstack([own_gap[gaps], anchors, own_probes[probed]], format="csr"))
-    heated = np.unique(piece.thermal_load.indices)
-    load = piece.thermal_load[:, heated]
+    # The load is large; neither a copy of it nor a sorted one of its indices is made.
+    has_load = np.zeros(piece.thermal_load.shape[1], dtype=bool)
+    has_load[piece.thermal_load.indices] = True
+    heated = np.flatnonzero(has_load)
     compliance = np.empty((rows.shape[0], rows.shape[0]))
     thermal = np.empty((rows.shape[0], heated.size))
     width = max(1, AT_ONCE // piece.unknowns.size)
@@ -296,7 +316,7 @@ def _influence(piece: Substructure, gap: csr_array, probes: csr_array) -> _Influ
         part = slice(start, start + width)
         solved = checked_solve(piece.factor, rows[part].toarray().T, "elastic condensation")
         compliance[:, part] = rows @ solved
-        thermal[part] = (load.T @ solved).T
+        thermal[part] = (piece.thermal_load.T @ solved)[heated].T
     return _Influence(
         gaps,
         np.full(at.size, piece.anchor),
