@@ -88,7 +88,8 @@ def run_batch(
     Raises
     ------
     InputError
-        Another batch writes into the folder, or the workers cannot be reached.
+        Another batch writes into the folder, or the workers cannot be reached or do not survive
+        their first cases.
     """
     with on_disk.locked(folder):
         keeper = _Keeper(study, folder)
@@ -193,6 +194,7 @@ def _work_off(
     working: dict[str, Task] = {}
     losses: Counter[str] = Counter()
     warned: set[str] = set()
+    returned: set[str] = set()
     kept = len(keeper.records)
     counts = Counter(str(record["status"]) for record in keeper.records.values())
 
@@ -218,11 +220,18 @@ def _work_off(
         if outcome is None:
             losses[case] += 1
             on_disk.note(keeper.folder, "lost", case, worker, report.detail)
+            if not returned and losses.total() >= MOST_LOSSES * (1 + len(crew.members())):
+                raise InputError(
+                    f"batch: {losses.total()} workers are lost ({report.detail}) and none has come "
+                    "back with a case; simulate one of the cases alone to see why"
+                )
             if losses[case] < MOST_LOSSES:
                 tell(cases[case], f"{worker} is lost ({report.detail}); the case starts again")
                 queue.give_back(report.task)
                 return
             outcome = Outcome(case, "broken", f"lost {MOST_LOSSES} workers: {report.detail}")
+        else:
+            returned.add(worker)
         keeper.keep(outcome)
         counts[outcome.status] += 1
         on_disk.note(keeper.folder, outcome.status, case, worker, outcome.reason)
