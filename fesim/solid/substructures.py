@@ -31,8 +31,8 @@ from fesim.solid.linear_solver import (
 )
 from thermojoint.artefacts.arrays import Array
 
-#: Numbers in the right-hand sides of one solve: 0.1 GB.
-AT_ONCE = 12_000_000
+#: Numbers in the right-hand sides of one solve: 0.14 GB.
+AT_ONCE = 18_000_000
 #: A piece is anchored if its supports provide less than this share of the stiffness of supports and
 #: anchors together against some rigid motion.
 HELD = 1e-3
