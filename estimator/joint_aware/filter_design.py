@@ -223,24 +223,28 @@ def correct(
     covariance_factor : ndarray, shape (n, k + p + 1 - q)
         L after them.
     """
-    absent = np.setdiff1d(np.arange(len(rows)), present)
+    # Nothing is picked where every reading is present, as usual: that would take a third of it all.
+    every = present.size == len(rows)
+    own = np.s_[:] if every else present
+    pairs = np.s_[:, :] if every else np.ix_(present, present)
     covariance = filter_.innovation + np.diag(weight * filter_.noise)
-    seen = filter_.cross[:, present]
+    seen = filter_.cross[:, own]
     # Few readings, many states: invert small matrices, then multiply.
-    precision = np.linalg.inv(covariance[np.ix_(present, present)])
+    precision = np.linalg.inv(covariance[pairs])
     gain = seen @ precision
     lost = np.empty((len(seen), 0))
-    if absent.size:
+    if not every:
+        absent = np.setdiff1d(np.arange(len(rows)), present)
         across = covariance[np.ix_(present, absent)]
         rest = covariance[np.ix_(absent, absent)] - across.T @ precision @ across
         unseen = filter_.cross[:, absent] - gain @ across
         lost = unseen @ np.linalg.inv(np.linalg.cholesky(rest)).T
     if not (present.size and factor.any()):
         return gain, np.hstack([factor, lost])
-    seen_factor = rows[present] @ factor
+    seen_factor = rows[own] @ factor
     shifted = factor - gain @ seen_factor
     doubted = covariance + doubt**2 * np.diag(filter_.lasting)
-    solved = np.linalg.solve(doubted[np.ix_(present, present)], seen_factor)
+    solved = np.linalg.solve(doubted[pairs], seen_factor)
     root = np.linalg.cholesky(np.eye(factor.shape[1]) + seen_factor.T @ solved)
     inverse = np.linalg.inv(root)
     left = shifted @ inverse.T
