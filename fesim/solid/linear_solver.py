@@ -7,6 +7,7 @@ of a solve is checked by `checked_solve`.
 
 from __future__ import annotations
 
+import ctypes
 import os
 import site
 import sys
@@ -32,10 +33,10 @@ VARIABLE = "THERMOJOINT_SOLVER"
 #: PARDISO's phases: fill-in reduction, numerical factorisation, substitution.
 ANALYSIS, NUMBERS, SOLUTION = 11, 22, 33
 
-#: PARDISO's parameters, numbered from 1: use these instead of the defaults; nested dissection. By
-#: default MKL refines every solution twice, which takes four times as long and is not needed: the
-#: residual is checked here.
-PARAMETERS = {1: 1, 2: 2}
+#: PARDISO's parameters, numbered from 1: use these instead of the defaults; nested dissection;
+#: indices from zero. By default MKL refines every solution twice, which takes four times as long
+#: and is not needed: the residual is checked here.
+PARAMETERS = {1: 1, 2: 2, 35: 1}
 
 #: Largest accepted residual relative to the right-hand side.
 RESIDUAL_LIMIT = 1e-6
@@ -252,7 +253,6 @@ def _pardiso(upper: csr_array, what: str) -> Callable[[csr_array], Callable[[Arr
     _tell_where_mkl_is()
     try:
         from pypardiso import PyPardisoSolver
-        from pypardiso.pardiso_wrapper import PyPardisoError
     except ImportError as error:
         raise InputError(
             "linear solver: 'pardiso' is not installed; install the extra "
@@ -262,28 +262,45 @@ def _pardiso(upper: csr_array, what: str) -> Callable[[csr_array], Callable[[Arr
     if not np.diff(upper.indptr).all():
         raise singular(what)
     solver = PyPardisoSolver(mtype=2)
-    for number, value in PARAMETERS.items():
-        solver.set_iparm(number, value)
+    for parameter, value in PARAMETERS.items():
+        solver.set_iparm(parameter, value)
     # Where it had to be searched for, it is not searched for again.
     os.environ.setdefault("PYPARDISO_MKL_RT", solver.libmkl._name)
 
-    def run(phase: int, matrix: csr_array, right_side: Array) -> Array:
-        solver.set_phase(phase)
-        try:
-            # The public calls compare the whole matrix with a copy of it, and store the copy.
-            return np.asarray(solver._call_pardiso(matrix, right_side))
-        except PyPardisoError as error:
-            raise singular(what) from error
+    # The public calls compare the whole matrix with a copy of it, and store the copy; the private
+    # one copies the pattern at every call, and the solution.
+    number, to = ctypes.c_int32, ctypes.POINTER(ctypes.c_int32)
+    count, one, kind, silent = map(number, (upper.shape[0], 1, solver.mtype, 0))
+    pattern = [part.astype(np.int32, copy=False) for part in (upper.indptr, upper.indices)]
+    store = solver.pt.ctypes.data_as(ctypes.POINTER(ctypes.c_int64))
+    starts, columns, order, settings = (
+        part.ctypes.data_as(to) for part in (*pattern, solver.perm, solver.iparm)
+    )
+
+    def run(phase: int, values: Array, right_side: Array) -> Array:
+        """Solution, columns one after the other in memory, of a matrix with these `values`."""
+        solution = np.zeros_like(right_side)
+        many = number(1 if right_side.ndim == 1 else right_side.shape[1])
+        error = number(0)
+        solver._mkl_pardiso(
+            *(store, one, one, kind, number(phase), count),
+            *(values.ctypes.data, starts, columns, order, many, settings, silent),
+            *(right_side.ctypes.data, solution.ctypes.data, error),
+        )
+        if error.value:
+            raise singular(what)
+        return solution
 
     # MKL stores a factorisation until it is released.
     finalize(run, solver.free_memory, everything=True).atexit = False
-    run(ANALYSIS, upper, np.zeros(upper.shape[0]))
+    nothing = np.zeros(upper.shape[0])
+    run(ANALYSIS, upper.data, nothing)
 
     def factorised(matrix: csr_array) -> Callable[[Array], Array]:
-        run(NUMBERS, matrix, np.zeros(matrix.shape[0]))
+        run(NUMBERS, matrix.data, nothing)
 
         return lambda right_side: run(
-            SOLUTION, matrix, np.asfortranarray(right_side, dtype=np.float64)
+            SOLUTION, matrix.data, np.asfortranarray(right_side, dtype=np.float64)
         )
 
     return factorised

@@ -382,9 +382,7 @@ def test_a_case_that_kills_its_workers_is_given_up_and_tried_again_next_time(tmp
 
 def test_a_batch_whose_workers_never_come_back_ends_and_says_so(tmp_path):
     study, out = study_in(tmp_path, levels(6), 1.0), tmp_path / "out"
-    with pytest.raises(
-        InputError, match=r"6 workers are lost .* and none has come"
-    ):
+    with pytest.raises(InputError, match=r"6 workers are lost .* and none has come"):
         run_batch(study, out, here(*(case.id for case in study.cases)))
     end = run_batch(study, out, here())
     assert list(end.summary["status"]) == ["done"] * 6
