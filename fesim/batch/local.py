@@ -7,7 +7,6 @@ its own case, and another one replaces it.
 
 from __future__ import annotations
 
-import os
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,11 +14,9 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 
-from threadpoolctl import threadpool_limits
-
 from fesim.batch.crew import Report
 from fesim.batch.worker import Outcome, Task, run
-from thermojoint.artefacts.processes import CONTEXT, begin_child
+from thermojoint.artefacts.processes import CONTEXT, begin_child, threads_of
 
 #: Time for a worker to end on request, s.
 _PATIENCE = 5.0
@@ -36,7 +33,7 @@ class LocalCrew:
     """A fixed number of processes; dead ones are replaced; see `fesim.batch.crew.Crew`."""
 
     def __init__(self, count: int) -> None:
-        self._threads = max(1, (os.cpu_count() or 1) // count)
+        self._threads = threads_of(count)
         self._workers: dict[str, _Worker] = {}
         for _ in range(count):
             self._recruit()
@@ -134,15 +131,10 @@ def _ending(worker: _Worker) -> str:
 
 def _serve(pipe: Connection, threads: int) -> None:
     """Main loop of a worker process: run cases until the other end of the pipe is closed."""
-    begin_child()
-    limit = None
-    if "OMP_NUM_THREADS" not in os.environ:
-        # For libraries that are still to be loaded; the limit below is for those that are.
-        limit, os.environ["OMP_NUM_THREADS"] = threads, str(threads)
-    with threadpool_limits(limits=limit):
-        while True:
-            try:
-                task = pipe.recv()
-            except EOFError:
-                return
-            pipe.send(run(task))
+    begin_child(threads)
+    while True:
+        try:
+            task = pipe.recv()
+        except EOFError:
+            return
+        pipe.send(run(task))

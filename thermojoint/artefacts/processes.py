@@ -14,6 +14,8 @@ from multiprocessing import active_children, parent_process, resource_tracker
 from multiprocessing.context import SpawnContext, SpawnProcess
 from threading import Thread
 
+from threadpoolctl import threadpool_limits
+
 from thermojoint.artefacts.process_start import prepare_process
 from thermojoint.artefacts.unfinished import cleared_at_stop
 
@@ -58,13 +60,26 @@ CONTEXT = _Context()
 def process_pool(count: int) -> Iterator[ProcessPoolExecutor]:
     """Give a pool of `count` processes, which are killed if the main process is stopped."""
     _start_tracker()
-    with cleared_at_stop(_kill_children), ProcessPoolExecutor(count, CONTEXT, begin_child) as pool:
+    given = count, CONTEXT, begin_child, (threads_of(count),)
+    with cleared_at_stop(_kill_children), ProcessPoolExecutor(*given) as pool:
         yield pool
 
 
-def begin_child() -> None:
-    """Begin a child process: without what it never needs; it ends as soon as its parent has."""
+def threads_of(count: int) -> int:
+    """Threads of the linear algebra in each of `count` processes that work side by side."""
+    return max(1, (os.cpu_count() or 1) // count)
+
+
+def begin_child(threads: int) -> None:
+    """Begin a child process: without what it never needs; it ends as soon as its parent has.
+
+    Its linear algebra uses `threads`, unless ``OMP_NUM_THREADS`` says otherwise.
+    """
     prepare_process()
+    if "OMP_NUM_THREADS" not in os.environ:
+        # For libraries that are still to be loaded, and for those that are.
+        os.environ["OMP_NUM_THREADS"] = str(threads)
+        threadpool_limits(limits=threads)
 
     def watch() -> None:
         if (parent := parent_process()) is not None:
