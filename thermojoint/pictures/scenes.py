@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from skfem import Mesh
 
 from meshes.faces import boundary_faces
+from meshes.pairing import outward_areas
 from meshes.structure import Structure
 from thermojoint.artefacts.errors import unknown_name
 from thermojoint.artefacts.response import columns_of
@@ -202,16 +202,6 @@ def up_direction(structure: Structure, supports: Iterable[str]) -> Vector:
         return _UP_WITHOUT_SUPPORTS
     up = -np.sign(down[axis]) * np.eye(3)[axis]
     return float(up[0]), float(up[1]), float(up[2])
-
-
-def outward_areas(mesh: Mesh, facets: NDArray[np.int64]) -> Array:
-    """Outward normals of boundary `facets`, as long as their areas, m2, shape (n, 3)."""
-    corners = mesh.p.T[boundary_faces(mesh, facets)]
-    # Half the cross product of the diagonals of a quadrilateral, or of two edges of a triangle.
-    last = corners[:, 3] - corners[:, 1] if corners.shape[1] == 4 else corners[:, 2] - corners[:, 1]
-    area = 0.5 * np.cross(corners[:, 2] - corners[:, 0], last)
-    inward = mesh.p[:, mesh.t[:, mesh.f2t[0, facets]]].mean(axis=1).T - corners.mean(axis=1)
-    return np.asarray(-area * np.sign(np.einsum("ni,ni->n", area, inward))[:, None])
 
 
 def bodies(structure: Structure, named: Iterable[str] = ()) -> dict[str, Surface]:

@@ -8,6 +8,7 @@ from itertools import cycle
 
 import numpy as np
 
+from meshes.pairing import outward_areas
 from meshes.structure import Structure
 from thermojoint.pictures.camera import Camera, Vector, facing
 from thermojoint.pictures.scenes import (
@@ -18,7 +19,6 @@ from thermojoint.pictures.scenes import (
     Surface,
     away_from,
     bodies,
-    outward_areas,
     part,
     whole,
 )
