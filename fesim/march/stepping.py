@@ -163,7 +163,7 @@ def staggered(machine: CondensedMachine) -> Take:
         track = fast(state, inputs)
         if track is None:
             track = track_of(_staggered_step(machine, state, inputs[0]))
-        return _watched(machine, state, track)
+        return _steady(machine, _watched(machine, state, track), inputs)
 
     return take
 
@@ -203,7 +203,7 @@ def _lasts(before: Array, turning: Array) -> bool:
 
 
 def _watched(machine: CondensedMachine, before: State, track: Track) -> Track:
-    """Record sign changes in a track; it ends with the first step that may alternate."""
+    """Record sign changes in a track."""
     if not machine.contact.count:
         return track
     carried = carried_by(machine, before)
@@ -211,10 +211,15 @@ def _watched(machine: CondensedMachine, before: State, track: Track) -> Track:
     if not machine.contact.conducts_by_pressure:
         values = np.array([carried.of(track.step(at).state) for at in range(len(track))])
     moved = np.diff(np.vstack([carried.of(before), values]), axis=0) / carried.scale
-    turning = turnings(before.turning, moved)
-    found = np.flatnonzero(suspected(turning).any(axis=1))
-    last = int(found[0]) + 1 if found.size else len(track)
-    return first_of(replace(track, turning=turning), last)
+    return replace(track, turning=turnings(before.turning, moved))
+
+
+def _steady(machine: CondensedMachine, track: Track, inputs: Array) -> Track:
+    """The steps of a track up to the one after which they alternate, if they do."""
+    for at in np.flatnonzero(suspected(track.turning[:-1]).any(axis=1)):
+        if _alternates(machine, track.step(at).state, inputs[at + 1]):
+            return first_of(track, int(at) + 1)
+    return track
 
 
 def _alternates(machine: CondensedMachine, state: State, inputs: Array) -> bool:

@@ -15,6 +15,7 @@ from fesim.case.history import step_history
 from fesim.case.schema import case_from_data, read_case
 from fesim.joint.gap import TOLERANCE
 from fesim.march import iteration
+from fesim.march.alternation import suspected
 from fesim.march.ensemble import march_many
 from fesim.march.half_step import halved
 from fesim.march.iteration import Sweeps, iterated_step
@@ -290,6 +291,18 @@ def test_machine_code_goes_on_bit_for_bit_from_a_state(bars, modes, cut):
     for at, step in zip(range(100), one_by_one, strict=False):
         np.testing.assert_array_equal(step.state.gap, whole.gap[at])
         np.testing.assert_array_equal(step.displacement, whole.displacement[at])
+
+
+def test_heat_on_and_off_leaves_steps_that_machine_code_has_taken_as_they_are(bars, modes):
+    """Increments turn with the heat: where the gain is small, no step is marched again."""
+    machine = on_modes(bars, modes)
+    inputs = warmed(100) * (np.arange(100) % 2)[:, None]
+    track = next(march_along(machine, inputs, staggered, initial_state(machine)))
+    assert suspected(track.turning[:-1]).any()
+    assert len(track) == len(inputs)
+    strict = with_tolerance(machine, 1e-16)
+    theirs = joined(list(march_along(strict, inputs, plainly_staggered, initial_state(machine))))
+    np.testing.assert_allclose(track.gap, theirs.gap, rtol=0, atol=1e-12)
 
 
 def test_many_marches_are_those_of_one_after_another(bars, modes):
