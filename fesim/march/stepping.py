@@ -217,7 +217,7 @@ def _watched(machine: CondensedMachine, before: State, track: Track) -> Track:
 def _steady(machine: CondensedMachine, track: Track, inputs: Array) -> Track:
     """The steps of a track up to the one after which they alternate, if they do."""
     for at in np.flatnonzero(suspected(track.turning[:-1]).any(axis=1)):
-        if _alternates(machine, track.step(at).state, inputs[at + 1]):
+        if _alternates(machine, track.step(int(at)).state, inputs[at + 1]):
             return first_of(track, int(at) + 1)
     return track
 
