@@ -24,14 +24,14 @@ from fesim.joint.blocks import Block, Blocks
 from fesim.joint.compiled_gap import lacking, lacking_entries, lacking_rows, lacking_system
 from fesim.joint.in_place import fill, put
 from fesim.joint.law import ALONG
-from fesim.joint.linear_system import solve
+from fesim.joint.linear_system import factorise_single, solve, solve_again
 from thermojoint.artefacts.arrays import Array
 
 #: A contact element is corrected exactly if its tangent differs from the frozen one by this
 #: fraction of its stiffness at rest.
 CHANGED = 0.05
 #: Contact elements corrected at once: a fraction of all, with a minimum and a maximum.
-SHARE, FEWEST, MOST = 8, 4, 32
+SHARE, FEWEST, MOST = 16, 4, 8
 
 #: Positions in `FrozenTangent.about`.
 MADE, ROWS, FROZEN = 0, 1, 2
@@ -44,9 +44,8 @@ class Scratch(NamedTuple):
     changed: NDArray[np.int64]
     #: Shape (m,): whether the columns of a contact element are needed.
     needed: NDArray[np.bool_]
-    #: Shape (3 m,): right side and solution with the inverse.
-    right_side: Array
-    solved: Array
+    #: Shape (3 m,): right side of the frozen system, then its solution.
+    solved: NDArray[np.float32]
     #: Shapes (3 MOST,) and (9 MOST^2,): Woodbury's system and its right side.
     factors: Array
     system: Array
@@ -57,19 +56,21 @@ class FrozenTangent(NamedTuple):
 
     #: Shape (6, m): of the law there, as in `fesim.joint.law.Traction`.
     tangent: Array
-    #: Shape (3,): whether the inverse exists, its number of rows, how often it was computed.
+    #: Shape (3,): whether the factors exist, their number of rows, how often they were computed.
     about: NDArray[np.int64]
-    #: Shape (3 m,): rows of the inverse, and position of each row in it; -1 for none.
+    #: Shape (3 m,): rows of the system, and position of each row in it; -1 for none.
     rows: NDArray[np.int64]
     place: NDArray[np.int64]
-    #: Shape (9 m^2,): (I - dT F)^-1 on these rows, row after row.
-    inverse: Array
+    #: Shapes (9 m^2,) and (3 m,): I - dT F on these rows, factorised column after column.
+    factors: NDArray[np.float32]
+    pivots: NDArray[np.int32]
     #: Shape (m,): slot of the stored columns of a contact element; -1 for none.
     slot: NDArray[np.int64]
     #: Shape (s,): contact element of a slot's columns; -1 for none.
     element: NDArray[np.int64]
-    #: Shape (s, 3, 3 m): three columns of the inverse for each, and F times them.
+    #: Shape (s, 3, 3 m): three columns of the inverse for each, Pa.
     columns: Array
+    #: Shape (s, 3, s, 3): gaps of each slot's contact element by each slot's columns, m.
     moved: Array
     #: Storage, shared by all blocks.
     scratch: Scratch
@@ -102,8 +103,8 @@ class FrozenTangents(NamedTuple):
     #: tangent is (6, n) as in `fesim.joint.law.Traction`; in one (6, m) array the elements of a
     #: block would not be contiguous, and would be copied in every iteration.
     every: FrozenTangent
-    #: Shape (4, b + 1): start of each block: in contact elements, in slots, in contact elements
-    #: squared and in slots times contact elements.
+    #: Shape (5, b + 1): start of each block: in contact elements, in slots, in contact elements
+    #: squared, in slots times contact elements and in slots squared.
     begins: NDArray[np.int64]
     #: Storage.
     iteration: Iteration
@@ -113,49 +114,51 @@ def frozen_tangents(blocks: Blocks) -> FrozenTangents:
     """Return storage for the frozen tangents of blocks, without any yet."""
     counts = np.diff(blocks.starts)
     slots = np.minimum(np.clip(counts // SHARE, FEWEST, MOST), np.maximum(counts, 1))
-    every, kept = int(counts.sum()), 9 * int((slots * counts).sum())
+    every = int(counts.sum())
     storage = FrozenTangent(
         tangent=np.zeros(6 * every),
         about=np.zeros((counts.size, 3), dtype=np.int64),
         rows=np.zeros(3 * every, dtype=np.int64),
         place=np.full(3 * every, -1),
-        inverse=np.empty(9 * int((counts * counts).sum())),
+        factors=np.empty(9 * int((counts * counts).sum()), dtype=np.float32),
+        pivots=np.empty(3 * every, dtype=np.int32),
         slot=np.full(every, -1),
         element=np.full(int(slots.sum()), -1),
-        columns=np.zeros(kept),
-        moved=np.zeros(kept),
+        columns=np.zeros(9 * int((slots * counts).sum())),
+        moved=np.zeros(9 * int((slots * slots).sum())),
         scratch=Scratch(
             changed=np.empty(MOST, dtype=np.int64),
             needed=np.empty(every, dtype=np.bool_),
-            right_side=np.empty(3 * every),
-            solved=np.empty(3 * every),
+            solved=np.empty(3 * every, dtype=np.float32),
             factors=np.empty(3 * MOST),
             system=np.empty(9 * MOST * MOST),
         ),
     )
     size = 3 * every
     iteration = Iteration(*(np.empty(n) for n in [size] * 5 + [2 * size] + [size] * 3))
-    begins = np.zeros((4, blocks.starts.size), dtype=np.int64)
-    np.cumsum([counts, slots, counts * counts, slots * counts], axis=1, out=begins[:, 1:])
+    begins = np.zeros((5, blocks.starts.size), dtype=np.int64)
+    sizes = [counts, slots, counts * counts, slots * counts, slots * slots]
+    np.cumsum(sizes, axis=1, out=begins[:, 1:])
     return FrozenTangents(blocks, storage, begins, iteration)
 
 
 @compiled
 def block_tangent(tangents: FrozenTangents, block: int) -> FrozenTangent:
     """The frozen tangent of one block, as views of the common storage."""
-    first, slot, square, kept = tangents.begins[:, block]
-    last, end, squared, next_kept = tangents.begins[:, block + 1]
-    count, slots, own = last - first, end - slot, slice(9 * kept, 9 * next_kept)
+    first, slot, square, column, move = tangents.begins[:, block]
+    last, end, next_square, next_column, next_move = tangents.begins[:, block + 1]
+    count, slots = last - first, end - slot
     return FrozenTangent(
         tangents.every.tangent[6 * first : 6 * last].reshape(6, count),
         tangents.every.about[block],
         tangents.every.rows[3 * first : 3 * last],
         tangents.every.place[3 * first : 3 * last],
-        tangents.every.inverse[9 * square : 9 * squared],
+        tangents.every.factors[9 * square : 9 * next_square],
+        tangents.every.pivots[3 * first : 3 * last],
         tangents.every.slot[first:last],
         tangents.every.element[slot:end],
-        tangents.every.columns[own].reshape(slots, 3, 3 * count),
-        tangents.every.moved[own].reshape(slots, 3, 3 * count),
+        tangents.every.columns[9 * column : 9 * next_column].reshape(slots, 3, 3 * count),
+        tangents.every.moved[9 * move : 9 * next_move].reshape(slots, 3, slots, 3),
         tangents.every.scratch,
     )
 
@@ -200,19 +203,17 @@ class Correction(NamedTuple):
 
 @compiled
 def freeze_tangent(frozen: FrozenTangent, block: Block) -> None:
-    """Invert a frozen tangent."""
+    """Factorise the system of a frozen tangent."""
     size = lacking_rows(block.springs, frozen.tangent, frozen.rows)
     fill(frozen.place, -1)
     for k in range(size):
         frozen.place[frozen.rows[k]] = k
-    matrix = frozen.inverse[: size * size].reshape(size, size)
-    entries = np.empty((3, size))
+    matrix = frozen.factors[: size * size].reshape(size, size)
+    entries, unknown = np.empty((3, size)), frozen.scratch.solved[:size]
     lacking_entries(block.springs, frozen.tangent, frozen.rows, entries)
     lacking_system(block.columns, entries, frozen.rows, matrix)
-    inverse = np.linalg.inv(matrix.T)
-    for i in range(size):
-        for j in range(size):
-            matrix[i, j] = inverse[i, j]
+    fill(unknown, 1.0)
+    factorise_single(matrix, frozen.pivots[:size], unknown)
     fill(frozen.slot, -1)
     fill(frozen.element, -1)
     frozen.about[MADE], frozen.about[ROWS] = 1, size
@@ -252,12 +253,13 @@ def add_product(columns: Array, factors: Array, total: Array) -> None:
 
 @compiled_part
 def _solve_frozen(frozen: FrozenTangent, right_side: Array, solution: Array) -> None:
-    """The rows of the inverse times `right_side`, and zero elsewhere, into `solution` (3 m,)."""
+    """The frozen system's solution for `right_side`, and zero elsewhere, into `solution` (3 m,)."""
     size = frozen.about[ROWS]
-    own, solved = frozen.scratch.right_side[:size], frozen.scratch.solved[:size]
+    solved = frozen.scratch.solved[:size]
     for k in range(size):
-        own[k] = right_side[frozen.rows[k]]
-    np.dot(frozen.inverse[: size * size].reshape(size, size), own, solved)
+        solved[k] = right_side[frozen.rows[k]]
+    factors = frozen.factors[: size * size].reshape(size, size)
+    solve_again(factors, frozen.pivots[:size], solved)
     fill(solution, 0.0)
     for k in range(size):
         solution[frozen.rows[k]] = solved[k]
@@ -310,15 +312,13 @@ def _keep_columns(
         frozen.slot[e], frozen.element[free] = free, e
         for i in range(3):
             row = i * count + e
-            kept, moved = frozen.columns[free, i], frozen.moved[free, i]
-            at = frozen.place[row]
-            if at >= 0:
-                fill(kept, 0.0)
-                size = frozen.about[ROWS]
-                for j in range(size):
-                    kept[frozen.rows[j]] = frozen.inverse[j * size + at]
+            kept = frozen.columns[free, i]
+            fill(kept, 0.0)
+            inside = frozen.place[row] >= 0
+            # The right side is put where the solution goes.
+            if inside:
+                kept[row] = 1.0
             else:
-                # The right side is put where the solution goes.
                 for j in range(frozen.about[ROWS]):
                     other = frozen.rows[j]
                     normal, along, across = lacking(springs, frozen.tangent, other)
@@ -328,10 +328,22 @@ def _keep_columns(
                         + along * columns[row, count + f]
                         + across * columns[row, 2 * count + f]
                     )
-                _solve_frozen(frozen, kept, kept)
+            _solve_frozen(frozen, kept, kept)
+            if not inside:
                 kept[row] = 1.0
-            fill(moved, 0.0)
-            add_product(columns, kept, moved)
+        for other in range(frozen.element.size):
+            if frozen.element[other] >= 0:
+                _move(frozen, block.compliance, other, free)
+                _move(frozen, block.compliance, free, other)
+
+
+@compiled_part
+def _move(frozen: FrozenTangent, compliance: Array, slot: int, by: int) -> None:
+    """Store the gaps of a slot's contact element by the columns of a slot."""
+    for i in range(3):
+        row = compliance[i * frozen.slot.size + frozen.element[slot]]
+        for j in range(3):
+            frozen.moved[slot, i, by, j] = np.dot(row, frozen.columns[by, j])
 
 
 @compiled_part
@@ -350,51 +362,58 @@ def correct(frozen: FrozenTangent, block: Block, now: Lacking, correction: Corre
         return False
     _keep_columns(frozen, block, changed, number)
     _solve_frozen(frozen, lack, step)
-    fill(shift, 0.0)
-    add_product(block.columns, step, shift)
-    width = 3 * number
-    factors = frozen.scratch.factors[:width]
+    factors = frozen.scratch.factors[: 3 * number]
     fill(factors, 0.0)
     for k in range(number):
         for i in range(1, 3):
             row = i * count + changed[k]
             if frozen.place[row] < 0:
                 factors[3 * k + i] = lack[row]
-    _combine(frozen, changed, factors, correction)
-    if number == 0:
-        return True
-    system = frozen.scratch.system[: width * width].reshape(width, width)
-    for k in range(number):
-        e = changed[k]
-        for i in range(3):
-            row = i * count + e
-            here, then = lacking(springs, tangent, row), lacking(springs, frozen.tangent, row)
-            first, second, third = here[0] - then[0], here[1] - then[1], here[2] - then[2]
-            factors[3 * k + i] = (
-                first * shift[e] + second * shift[count + e] + third * shift[2 * count + e]
-            )
-            for other in range(number):
-                for j in range(3):
-                    moved = frozen.moved[frozen.slot[changed[other]], j]
-                    system[3 * k + i, 3 * other + j] = -(
-                        first * moved[e] + second * moved[count + e] + third * moved[2 * count + e]
-                    )
-            system[3 * k + i, 3 * k + i] += 1.0
-    put(solve(system, factors), factors)
-    _combine(frozen, changed, factors, correction)
+    _combine(frozen, changed, factors, step)
+    if number > 0:
+        _follow_change(frozen, block, tangent, changed[:number], step)
+    fill(shift, 0.0)
+    add_product(block.columns, step, shift)
     return True
 
 
 @compiled_part
-def _combine(
-    frozen: FrozenTangent, changed: NDArray[np.int64], factors: Array, correction: Correction
+def _follow_change(
+    frozen: FrozenTangent, block: Block, tangent: Array, changed: NDArray[np.int64], step: Array
 ) -> None:
-    """Add the kept columns, each by its factor, to the step, and F times them to the shift."""
-    step, shift = correction.step, correction.shift
+    """Add the second term of `correct` to A^-1 lack."""
+    springs, count, width = block.springs, tangent.shape[1], 3 * changed.size
+    factors = frozen.scratch.factors[:width]
+    system = frozen.scratch.system[: width * width].reshape(width, width)
+    for k in range(changed.size):
+        e = changed[k]
+        own = frozen.moved[frozen.slot[e]]
+        opening = np.dot(block.compliance[e], step)
+        along = np.dot(block.compliance[count + e], step)
+        across = np.dot(block.compliance[2 * count + e], step)
+        for i in range(3):
+            row = i * count + e
+            here, then = lacking(springs, tangent, row), lacking(springs, frozen.tangent, row)
+            first, second, third = here[0] - then[0], here[1] - then[1], here[2] - then[2]
+            factors[3 * k + i] = first * opening + second * along + third * across
+            for other in range(changed.size):
+                slot = frozen.slot[changed[other]]
+                for j in range(3):
+                    system[3 * k + i, 3 * other + j] = -(
+                        first * own[0, slot, j] + second * own[1, slot, j] + third * own[2, slot, j]
+                    )
+            system[3 * k + i, 3 * k + i] += 1.0
+    put(solve(system, factors), factors)
+    _combine(frozen, changed, factors, step)
+
+
+@compiled_part
+def _combine(
+    frozen: FrozenTangent, changed: NDArray[np.int64], factors: Array, step: Array
+) -> None:
+    """Add the kept columns, each by its factor, to the step."""
     for k in range(factors.size):
         if factors[k] != 0.0:
-            at = frozen.slot[changed[k // 3]]
-            column, moved = frozen.columns[at, k % 3], frozen.moved[at, k % 3]
+            column = frozen.columns[frozen.slot[changed[k // 3]], k % 3]
             for i in range(step.size):
                 step[i] += factors[k] * column[i]
-                shift[i] += factors[k] * moved[i]
