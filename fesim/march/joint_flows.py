@@ -1,8 +1,8 @@
-"""Joint heat flows of a step, (I + diag(c) S) j = diag(c) jump, with a frozen inverse.
+"""Joint heat flows of a step, (I + diag(c) S) j = diag(c) jump, with frozen factors.
 
 S are the temperature jumps per W of each contact element, c the conductances times areas. The
-inverse is that of other conductances and preconditions GMRES (Saad & Schultz 1986), so that a few
-products with S and with it replace a factorisation in every step.
+factors, in single precision, are those of other conductances and precondition GMRES (Saad & Schultz
+1986), so that a few products with S and solutions with them replace a factorisation in every step.
 """
 
 from __future__ import annotations
@@ -11,17 +11,20 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fesim.jit import compiled, compiled_part
 from fesim.joint.compiled_gap import largest
+from fesim.joint.in_place import fill, put
+from fesim.joint.linear_system import factorise_single, solve, solve_again
 from fesim.march.compiled_step import flow_system
 from thermojoint.artefacts.arrays import Array
 
 #: Largest residual of the flows, relative to the right-hand side.
 TOLERANCE = 1e-13
-#: Iterations after which the inverse is computed again: a number, one more for so many elements,
-#: and a maximum. An inverse costs as much as some iterations per element.
-PATIENCE, FOR_EACH, MOST = 8, 16, 40
+#: Iterations after which the factors are computed again. For 100 to 1 000 contact elements that
+#: costs about as much as 20 iterations.
+PATIENCE = 8
 #: Largest number of restarts: the recurrence of GMRES only estimates the residual.
 LOOKS = 4
 
@@ -50,12 +53,15 @@ class Krylov(NamedTuple):
 
 
 class Flows(NamedTuple):
-    """An inverse that is reused from step to step, and storage; written in place."""
+    """Factors that are reused from step to step, and storage; written in place."""
 
     #: Shape (m,): its conductances times areas, W/K; zero before the first.
     conducted: Array
-    #: Shape (m, m): (I + diag(conducted) S)^-1.
-    inverse: Array
+    #: Shapes (m, m) and (m,): I + diag(conducted) S, factorised column after column.
+    factors: NDArray[np.float32]
+    pivots: NDArray[np.int32]
+    #: Shape (m,): storage: right side, then solution with the factors.
+    solved: NDArray[np.float32]
     #: Shape (m,): storage: conductance times area times temperature jump, W.
     driving: Array
     #: Storage.
@@ -63,27 +69,34 @@ class Flows(NamedTuple):
 
 
 def new_flows(count: int) -> Flows:
-    """Return storage for the inverse of `count` contact elements, which is not computed yet."""
-    most = min(PATIENCE + count // FOR_EACH, MOST)
+    """Return storage for the factors of `count` contact elements, which are not computed yet."""
     krylov = Krylov(
-        basis=np.empty((most + 1, count)),
-        along=np.empty((most, count)),
-        triangle=np.empty((most + 1, most)),
-        turn=np.empty((2, most)),
-        left=np.empty(most + 1),
+        basis=np.empty((PATIENCE + 1, count)),
+        along=np.empty((PATIENCE, count)),
+        triangle=np.empty((PATIENCE + 1, PATIENCE)),
+        turn=np.empty((2, PATIENCE)),
+        left=np.empty(PATIENCE + 1),
     )
-    return Flows(np.zeros(count), np.zeros((count, count)), np.empty(count), krylov)
+    return Flows(
+        conducted=np.zeros(count),
+        factors=np.empty((count, count), dtype=np.float32),
+        pivots=np.empty(count, dtype=np.int32),
+        solved=np.empty(count, dtype=np.float32),
+        driving=np.empty(count),
+        krylov=krylov,
+    )
 
 
 @compiled
-def invert(joint_influence: Array, beyond: Array, flows: Flows) -> None:
-    """Compute the inverse for conductances times areas (m,), W/K."""
-    flow_system(joint_influence, beyond, flows.inverse)
-    inverse = np.linalg.inv(flows.inverse)
-    for e in range(beyond.size):
-        flows.conducted[e] = beyond[e]
-        for f in range(beyond.size):
-            flows.inverse[e, f] = inverse[e, f]
+def freeze_flows(joint_influence: Array, beyond: Array, flows: Flows) -> None:
+    """Compute the factors for conductances times areas (m,), W/K."""
+    put(beyond, flows.conducted)
+    for f in range(beyond.size):
+        for e in range(beyond.size):
+            flows.factors[f, e] = beyond[e] * joint_influence[e, f]
+        flows.factors[f, f] += 1.0
+    fill(flows.solved, 1.0)
+    factorise_single(flows.factors, flows.pivots, flows.solved)
 
 
 @compiled
@@ -95,12 +108,16 @@ def solve_flows(
         flows.driving[e] = beyond[e] * jump[e]
     equations = Equations(joint_influence, beyond, flows.driving)
     if not flows.conducted.any():
-        invert(joint_influence, beyond, flows)
+        freeze_flows(joint_influence, beyond, flows)
     for attempt in range(2):
         if _improve(equations, flows, flow):
             return
         if attempt == 0:
-            invert(joint_influence, beyond, flows)
+            freeze_flows(joint_influence, beyond, flows)
+    # Too nearly singular for factors in single precision.
+    system = np.empty((beyond.size, beyond.size))
+    flow_system(joint_influence, beyond, system)
+    put(solve(system, flows.driving), flow)
 
 
 @compiled_part
@@ -108,7 +125,7 @@ def _improve(equations: Equations, flows: Flows, flow: Array) -> bool:
     """Whether preconditioned GMRES finds the flows within the allowed iterations."""
     driving, lack = equations.driving, flows.krylov.basis[0]
     enough = TOLERANCE * largest(driving)
-    np.dot(flows.inverse, driving, flow)
+    _precondition(flows, driving, flow)
     taken = 0
     for _ in range(LOOKS):
         _apply(equations, flow, lack)
@@ -120,6 +137,14 @@ def _improve(equations: Equations, flows: Flows, flow: Array) -> bool:
             break
         taken = _least(equations, flows, enough, flow)
     return False
+
+
+@compiled_part
+def _precondition(flows: Flows, right_side: Array, solution: Array) -> None:
+    """Solve with the factors."""
+    put(right_side, flows.solved)
+    solve_again(flows.factors, flows.pivots, flows.solved)
+    put(flows.solved, solution)
 
 
 @compiled_part
@@ -144,7 +169,7 @@ def _least(equations: Equations, flows: Flows, enough: float, flow: Array) -> in
     taken = 0
     while taken < most and abs(left[taken]) > 0.5 * enough:
         k, vector = taken, basis[taken + 1]
-        np.dot(flows.inverse, basis[k], along[k])
+        _precondition(flows, basis[k], along[k])
         _apply(equations, along[k], vector)
         for i in range(k + 1):
             part = np.dot(vector, basis[i])

@@ -35,7 +35,7 @@ from fesim.march.compiled_march import (
 )
 from fesim.march.compiled_step import HeatStep, JointKernel, JointState, joint_work
 from fesim.march.contact import ContactProblem
-from fesim.march.joint_flows import invert, new_flows
+from fesim.march.joint_flows import freeze_flows, new_flows
 from fesim.march.machine import CondensedMachine, State
 from thermojoint.artefacts.arrays import Array
 
@@ -95,7 +95,7 @@ class StepKernel:
         conducted = np.ascontiguousarray(frozen[FROZEN_CONDUCTED])
         kept.flows.conducted[:] = 0.0
         if conducted.any():
-            invert(self.machine.heat.joint_influence, conducted, kept.flows)
+            freeze_flows(self.machine.heat.joint_influence, conducted, kept.flows)
 
 
 def _frozen(kept: Kept) -> Array:

@@ -1,10 +1,10 @@
-"""Joint heat flows by an inverse that was made at other conductances."""
+"""Joint heat flows by factors that were made at other conductances."""
 
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fesim.march.joint_flows import TOLERANCE, invert, new_flows, solve_flows
+from fesim.march.joint_flows import TOLERANCE, freeze_flows, new_flows, solve_flows
 
 cases = {"seed": st.integers(0, 2**32 - 1), "count": st.integers(1, 30)}
 
@@ -29,14 +29,14 @@ def test_they_solve_their_equations_however_far_the_conductances_have_drifted(se
     now = then * np.exp(drift * rng.normal(size=count))
     now[rng.random(count) < 0.1] = 0.0  # open
     flows, flow = new_flows(count), np.empty(count)
-    invert(jumps, then, flows)
+    freeze_flows(jumps, then, flows)
     solve_flows(jumps, now, jump, flows, flow)
     lack = now * jump - flow - now * (jumps @ flow)
     assert np.abs(lack).max() <= TOLERANCE * np.abs(now * jump).max() * 10.0
     np.testing.assert_allclose(flow, exact(jumps, now, jump), rtol=1e-7, atol=1e-9)
 
 
-def test_an_inverse_is_made_at_first_and_kept_while_it_serves():
+def test_factors_are_made_at_first_and_kept_while_they_serve():
     rng, count = np.random.default_rng(3), 20
     jumps, jump = influence(rng, count), rng.normal(size=count)
     first = 10.0 ** rng.uniform(0.0, 1.0, count)
@@ -49,6 +49,15 @@ def test_an_inverse_is_made_at_first_and_kept_while_it_serves():
     solve_flows(jumps, far, jump, flows, flow)
     np.testing.assert_array_equal(flows.conducted, far)
     np.testing.assert_allclose(flow, exact(jumps, far, jump), rtol=1e-9, atol=1e-12)
+
+
+def test_what_single_precision_cannot_factorise_is_solved_in_double_precision():
+    """Conductances of 1e9 W/K: the joint is no resistance beside the bodies."""
+    rng, count = np.random.default_rng(5), 30
+    jumps, jump = influence(rng, count), rng.normal(size=count)
+    conducted, flow = 10.0 ** rng.uniform(0.0, 9.0, count), np.empty(count)
+    solve_flows(jumps, conducted, jump, new_flows(count), flow)
+    np.testing.assert_allclose(flow, exact(jumps, conducted, jump), rtol=1e-6, atol=1e-6)
 
 
 def test_nothing_flows_where_nothing_drives():
