@@ -262,7 +262,9 @@ def lacking_entries(
 
 
 @compiled_part
-def lacking_system(columns: Array, entries: Array, rows: NDArray[np.int64], system: Array) -> None:
+def lacking_system(
+    columns: Array, entries: Array, rows: NDArray[np.int64], system: NDArray[np.floating]
+) -> None:
     """I - dT F of `lacking_entries` (3, n), column after column, into `system` (n, n).
 
     `columns` (3 m, 3 m) is F transposed. The pressures are the first rows: theirs are read and

@@ -14,7 +14,7 @@ from thermojoint.artefacts.arrays import Array
 
 
 @compiled_part
-def put(values: NDArray[np.generic], into: Array) -> None:
+def put(values: NDArray[np.generic], into: NDArray[np.generic]) -> None:
     """Copy an array into another of its shape, both contiguous."""
     for k in range(into.size):
         into.flat[k] = values.flat[k]
