@@ -1,10 +1,10 @@
 """Weakly coupled blocks of contact elements, for the gap equations of large machines.
 
 Where bodies are stacked, the blocks of F between their joints are small: a joint carries what
-equilibrium demands, however the others slide. An inverse per block is much cheaper than one for
-all, only the block of a joint that changes is inverted again, and a sweep over the blocks replaces
-the product with the whole inverse (`fesim.joint.modified_newton`). Convergence is still judged with
-the whole of F.
+equilibrium demands, however the others slide. To factorise each block is much cheaper than all as
+one matrix, only the block of a joint that changes is factorised again, and a sweep over the blocks
+replaces the solution with the whole (`fesim.joint.modified_newton`). Convergence is still judged
+with the whole of F.
 
 Parallel joints between the same bodies, such as the two rails of a table, can slide against each
 other as a whole; then each depends on the other more than on itself, and they form one block.
@@ -27,7 +27,7 @@ from scipy.sparse.csgraph import connected_components
 from fesim.jit import compiled
 from thermojoint.artefacts.arrays import Array, Flags
 
-#: Up to this many contact elements are one block in any case: their inverse fits into the cache.
+#: Up to this many contact elements are one block in any case: their factors fit into the cache.
 WHOLE = 96
 #: Joints with a larger coupling than this are in one block: a sweep would leave about this fraction
 #: of the residual, where drift leaves 0.01 anyway.

@@ -1,9 +1,10 @@
 """Frozen tangent of the gap equations, with exact low-rank corrections (Woodbury).
 
 A Newton step solves (I - dT F) y = lack, with dT = T + k0 nonzero only in the pressures and in the
-shears of sliding contact elements (`fesim.joint.compiled_gap`). The inverse is computed at one
-state and kept: the frozen tangent. Where a contact element has since begun to stick, slide or open,
-its three rows are corrected exactly (Woodbury's formula); drift is left to the iteration.
+shears of sliding contact elements (`fesim.joint.compiled_gap`). The matrix is factorised at one
+state, in single precision, and kept: the frozen tangent. Where a contact element has since begun to
+stick, slide or open, its three rows are corrected exactly (Woodbury's formula); drift is left to
+the iteration, whose residuals are in double precision.
 
 Everything stored follows from the frozen tangent: a march resumed from a saved one gives the same
 bits. Each block of contact elements (`fesim.joint.blocks`) has its own.
@@ -52,7 +53,7 @@ class Scratch(NamedTuple):
 
 
 class FrozenTangent(NamedTuple):
-    """A frozen tangent, its inverse and its corrections; storage that is written in place."""
+    """A frozen tangent, its factors and its corrections; storage that is written in place."""
 
     #: Shape (6, m): of the law there, as in `fesim.joint.law.Traction`.
     tangent: Array
@@ -178,7 +179,7 @@ def put_tangents(tangents: FrozenTangents, into: Array) -> None:
 
 @compiled
 def forget(tangents: FrozenTangents) -> None:
-    """Let every block compute its inverse anew."""
+    """Let every block compute its factors anew."""
     for block in range(tangents.every.about.shape[0]):
         tangents.every.about[block, MADE] = 0
 
@@ -274,7 +275,7 @@ def _changed(
     count, number = tangent.shape[1], 0
     for e in range(count):
         first, second = count + e, 2 * count + e
-        # A row outside the inverse can only lack something while its element keeps sliding.
+        # A row outside the system can only lack something while its element keeps sliding.
         lacks = max(abs(lack[first]), abs(lack[second])) > least * springs[first]
         differs = frozen.place[first] < 0 and lacks
         for k in range(6):

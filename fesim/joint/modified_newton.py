@@ -1,7 +1,7 @@
 """Modified Newton method for the gap equations with a frozen tangent over many steps.
 
 Unknown: the tractions w = z(g) + k0 g missing in the springs, with g = J0^-1 g_T + F w. A Newton
-step solves (I - dT F) y = z(g) + k0 g - w by the inverse of a frozen tangent
+step solves (I - dT F) y = z(g) + k0 g - w by the factors of a frozen tangent
 (`fesim.joint.frozen_tangent`), which is updated where the iteration converges badly. With several
 blocks of contact elements it is replaced by a Gauss-Seidel sweep over the blocks, each with its own
 frozen tangent.

@@ -54,7 +54,7 @@ class Moving(NamedTuple):
 
 
 class Kept(NamedTuple):
-    """Inverses that are reused from step to step, and storage; written in place."""
+    """Factors that are reused from step to step, and storage; written in place."""
 
     #: Of the gap equations, block by block.
     tangents: FrozenTangents
@@ -96,7 +96,7 @@ class Record(NamedTuple):
 
 @compiled_part
 def settle(joint: JointKernel, kept: Kept, now: JointState) -> tuple[bool, float, int]:
-    """By the stored inverse, else by Newton's method: whether solved, residual, iterations."""
+    """By the stored factors, else by Newton's method: whether solved, residual, iterations."""
     free_gap, trial = kept.work.free_gap, kept.work.trial
     put(now.gap, trial.gap)
     add(now.change, trial.gap)

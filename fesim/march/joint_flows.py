@@ -42,7 +42,7 @@ class Krylov(NamedTuple):
 
     #: Shape (k + 1, m): orthonormal residuals.
     basis: Array
-    #: Shape (k, m): directions: the inverse times the residuals.
+    #: Shape (k, m): directions: solutions for the residuals with the factors.
     along: Array
     #: Shape (k + 1, k): triangular factor of the Hessenberg matrix.
     triangle: Array

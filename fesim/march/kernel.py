@@ -107,7 +107,7 @@ def _frozen(kept: Kept) -> Array:
 
 
 def new_kept(machine: MarchKernel, blocks: Blocks) -> Kept:
-    """Return the inverses and the storage of a new march."""
+    """Return the factors and the storage of a new march."""
     return Kept(
         frozen_tangents(blocks),
         new_flows(blocks.elements.size),
@@ -187,7 +187,7 @@ def joint_kernel(contact: ContactProblem, jump: Array, held: Array) -> JointKern
         springs=owned(problem.springs),
         compliance=owned(problem.compliance),
         columns=owned(problem.compliance.T),
-        gap=owned(problem.exchange @ elastic.thermal_gap),
+        gap=contact.thermal_gap,
         loaded_gap=owned(problem.exchange @ loaded_gap),
         preload=owned(contact.preload),
         reference=owned(elastic.reference),

@@ -115,7 +115,7 @@ class State:
     change: Array
     #: Thermal model of the temperature: the `model` of the `ThermalCondensation`.
     model: str
-    #: Shape (7, m): state at which the stored inverses were computed: six entries of the joint
+    #: Shape (7, m): state at which the stored factors were computed: six entries of the joint
     #: law's tangent (Pa/m), conductance times area (W/K); zero where there are none.
     frozen: Array
     #: Shape (3, m): record of alternating increments of the last steps (`fesim.march.alternation`).

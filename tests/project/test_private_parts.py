@@ -83,9 +83,10 @@ def relied_on(what, where):
 
 def test_numba_solves_systems_by_lapack_with_32_bit_pivots():
     where = "fesim/joint/linear_system.py"
-    what = numba_algebra._LAPACK().numba_xgesv(types.float64)
-    expected = (types.char, types.intp, types.intp, types.CPointer(types.float64))
-    assert what.sig.args[:4] == expected, relied_on("the arguments of numba_xgesv", where)
+    for kind in (types.float64, types.float32):
+        what = numba_algebra._LAPACK().numba_xgesv(kind)
+        expected = (types.char, types.intp, types.intp, types.CPointer(kind))
+        assert what.sig.args[:4] == expected, relied_on("the arguments of numba_xgesv", where)
     assert numba_algebra.F_INT_nptype is np.int32, relied_on("F_INT_nptype", where)
 
 
