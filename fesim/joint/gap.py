@@ -31,6 +31,8 @@ TOLERANCE = 1e-13
 MAX_ITERATIONS = 60
 SHORTEST_STEP = 2.0**-10
 MAX_FULL_STEPS = 10
+#: Reference springs that differ from the joint's own by less, relative to these, are nearly equal.
+NEAR = 0.01
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,14 @@ def gap_problem(force_compliance: Array, reference: Array, springs: Array, law: 
         exchange = np.asarray(np.linalg.inv(tangent), dtype=np.float64)
     except np.linalg.LinAlgError as error:
         raise singular() from error
-    return GapProblem(springs, exchange @ force_compliance, exchange, law)
+    # J0^-1 C A (k - k0) = J0^-1 - I: a product is only needed where k and k0 are nearly equal.
+    change = reference - springs
+    near = np.abs(change) <= NEAR * springs
+    divisor = np.where(near, 1.0, change)
+    compliance = exchange / divisor
+    compliance[np.diag_indices(springs.size)] -= 1.0 / divisor
+    compliance[:, near] = exchange @ force_compliance[:, near]
+    return GapProblem(springs, compliance, exchange, law)
 
 
 # Too long a step ends in infinities, which are never accepted.

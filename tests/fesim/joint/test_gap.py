@@ -18,8 +18,20 @@ from random_joints import (
     structure_stiffness,
 )
 
-from fesim.joint.gap import TOLERANCE, solve_gap
+from fesim.joint.gap import TOLERANCE, gap_problem, solve_gap
 from thermojoint.artefacts.errors import ConvergenceError
+
+
+def test_gaps_by_tractions_are_those_of_the_exchanged_springs():
+    """F = J0^-1 C A, where the joint's springs are none, soft, nearly the same, equal and stiff."""
+    rng, ratio = np.random.default_rng(4), np.array([0.0, 1e-6, 0.5, 0.98, 0.995, 1.0, 2.0, 1e6])
+    modes, _ = np.linalg.qr(rng.normal(size=(24, 24)))
+    force_compliance = (modes * rng.uniform(0.01, 0.5, 24)) @ modes.T / K_N
+    reference, springs = np.full(24, K_N), K_N * np.tile(ratio, 3)
+    problem = gap_problem(force_compliance, reference, springs, surface_law(0.1))
+    system = np.eye(24) - force_compliance * (reference - springs)
+    exact = np.linalg.solve(system, force_compliance)
+    np.testing.assert_allclose(problem.compliance, exact, rtol=0.0, atol=1e-13 / K_N)
 
 
 @settings(max_examples=200, deadline=None, derandomize=True)
