@@ -56,7 +56,10 @@ def solve_columns(columns: Array, found: Array) -> None:
 
 @compiled_part
 def factorise_columns(columns: Array, pivots: NDArray[np.int32], found: Array) -> None:
-    """As `solve_columns`, with the pivots (n,) that `solve_again` takes beside the factors."""
+    """As `solve_columns`, with the pivots (n,) that `solve_again` takes beside the factors.
+
+    On the diagonal are reciprocals of the factors.
+    """
     size = found.size
     if size:
         failed = _gesv(_DOUBLE, size, 1, columns.ctypes, size, pivots.ctypes, found.ctypes, size)
@@ -84,8 +87,10 @@ def _check(
     found: NDArray[np.floating],
 ) -> None:
     finite = failed == 0
-    for value in found:
-        finite = finite and np.isfinite(value)
+    for k in range(found.size):
+        finite = finite and np.isfinite(found[k])
+        # `solve_again` divides by it.
+        columns[k, k] = 1.0 / columns[k, k]
     # To name the arrays here keeps them until LAPACK is done with them.
     if not finite or columns.size + pivots.size < 0:
         raise np.linalg.LinAlgError("the matrix is singular, or something is not finite")
@@ -116,15 +121,15 @@ def solve_again(
         for i in range(j + 1, size):
             found[i] -= columns[j, i] * found[j]
     for j in range(size - 1, fours - 1, -1):
-        found[j] /= columns[j, j]
+        found[j] *= columns[j, j]
         for i in range(j):
             found[i] -= columns[j, i] * found[j]
     for j in range(fours - 4, -1, -4):
         a, b, c, d = columns[j], columns[j + 1], columns[j + 2], columns[j + 3]
-        s = found[j + 3] / d[j + 3]
-        r = (found[j + 2] - d[j + 2] * s) / c[j + 2]
-        q = (found[j + 1] - d[j + 1] * s - c[j + 1] * r) / b[j + 1]
-        p = (found[j] - d[j] * s - c[j] * r - b[j] * q) / a[j]
+        s = found[j + 3] * d[j + 3]
+        r = (found[j + 2] - d[j + 2] * s) * c[j + 2]
+        q = (found[j + 1] - d[j + 1] * s - c[j + 1] * r) * b[j + 1]
+        p = (found[j] - d[j] * s - c[j] * r - b[j] * q) * a[j]
         found[j], found[j + 1], found[j + 2], found[j + 3] = p, q, r, s
         for i in range(j):
             found[i] -= p * a[i] + q * b[i] + r * c[i] + s * d[i]
