@@ -45,7 +45,7 @@ from fesim.joint.law import (
     SurfaceNormalLaw,
     Traction,
 )
-from fesim.joint.linear_system import solve_columns
+from fesim.joint.linear_system import factorise_columns, solve_again
 from fesim.joint.opening import OpenLaw
 from thermojoint.artefacts.arrays import Array
 
@@ -53,6 +53,9 @@ from thermojoint.artefacts.arrays import Array
 _KIND, _SCALE, _SHAPE, _START, _PRELOAD, _FRICTION, _STIFFNESS = range(7)
 _SURFACE, _BACK_BURDEKIN = 0.0, 1.0
 _SOLVED, _STALLED, _UNCONVERGED = range(3)
+#: Part of the tolerance that earlier factors may leave, as they come closer by parts only: friction
+#: remembers what is left, and errors are estimated from differences of equilibria.
+CLOSER = 0.1
 
 
 class GapKernel(NamedTuple):
@@ -67,6 +70,8 @@ class GapKernel(NamedTuple):
     laws: Array
     #: Largest residual accepted, m.
     tolerance: float
+    #: Part of the residual that an iteration with earlier factors may leave; zero: it has its own.
+    left: float = 0.0
 
 
 class Trial(NamedTuple):
@@ -275,10 +280,13 @@ def lacking_system(
         column, into = columns[rows[j]], system[j]
         for k in range(count):
             into[k] = -entries[0, k] * column[k]
-        for k in range(count, into.size):
-            e = rows[k] % count
-            into[k] = -entries[0, k] * column[e]
-            into[k] -= entries[1, k] * column[count + e] + entries[2, k] * column[2 * count + e]
+        # Then both shears of one contact element after another, as `lacking_rows` has them.
+        for pair in range(count, into.size, 2):
+            e = rows[pair] - count
+            opening, first, second = column[e], column[count + e], column[2 * count + e]
+            for k in range(pair, pair + 2):
+                into[k] = -entries[0, k] * opening
+                into[k] -= entries[1, k] * first + entries[2, k] * second
         into[j] += 1.0
 
 
@@ -294,9 +302,12 @@ class NewtonWork(NamedTuple):
     moved: Array
     #: Shape (3 m,): of dT.
     rows: NDArray[np.int64]
-    #: Shapes (9 m,) and (9 m^2,): of the tractions that the springs lack.
+    #: Shapes (9 m,) and (9 m^2,): of the tractions that the springs lack, and its factors.
     entries: Array
     system: Array
+    #: Shape (3 m,): of the factors; shape (1,): their size, zero if there are none.
+    pivots: NDArray[np.int32]
+    kept: NDArray[np.int64]
 
 
 @compiled
@@ -313,12 +324,14 @@ def newton_work(count: int) -> NewtonWork:
         np.empty(size, dtype=np.int64),
         np.empty(3 * size),
         np.empty(size * size),
+        np.empty(size, dtype=np.int32),
+        np.zeros(1, dtype=np.int64),
     )
 
 
 @compiled_part
-def _newton_step(kernel: GapKernel, tangent: Array, work: NewtonWork) -> None:
-    """-J^-1 r into the step.
+def _newton_step(kernel: GapKernel, tangent: Array, work: NewtonWork, anew: bool) -> None:
+    """-J^-1 r into the step, with the tangent of this iteration or the last that was factorised.
 
     With y = dT step, the tractions missing in the springs: (I - dT F) y = -dT r on the nonzero rows
     of dT, and step = F y - r.
@@ -327,16 +340,22 @@ def _newton_step(kernel: GapKernel, tangent: Array, work: NewtonWork) -> None:
     count = tangent.shape[1]
     for i in range(3 * count):
         step[i], moved[i] = -work.residual[i], 0.0
-    size = lacking_rows(kernel.springs, tangent, rows)
+    size = lacking_rows(kernel.springs, tangent, rows) if anew else work.kept[0]
     entries, forces = work.entries[: 3 * size].reshape(3, size), work.forces[:size]
-    system = work.system[: size * size].reshape(size, size)
-    lacking_entries(kernel.springs, tangent, rows, entries)
-    lacking_system(columns, entries, rows, system)
+    system, pivots = work.system[: size * size].reshape(size, size), work.pivots[:size]
+    if anew:
+        lacking_entries(kernel.springs, tangent, rows, entries)
     for k in range(size):
         e = rows[k] % count
         forces[k] = entries[0, k] * step[e] + entries[1, k] * step[count + e]
         forces[k] += entries[2, k] * step[2 * count + e]
-    solve_columns(system, forces)
+    if anew:
+        lacking_system(columns, entries, rows, system)
+        work.kept[0] = 0
+        factorise_columns(system, pivots, forces)
+        work.kept[0] = size
+    else:
+        solve_again(system, pivots, forces)
     # Column after column, so that several sums are made at once.
     for k in range(size):
         column, force = columns[rows[k]], forces[k]
@@ -368,10 +387,13 @@ def solve_in_place(
     evaluate_in_place(kernel.laws, slip, trial)
     _residual(kernel, free_gap, trial, remainder, residual)
     full_steps, size = MAX_FULL_STEPS, largest(residual)
+    settled = kernel.left == 0.0
+    anew = settled or work.kept[0] == 0
     for iteration in range(MAX_ITERATIONS):
-        if size <= kernel.tolerance and np.spacing(largest(gap)) <= kernel.tolerance:
+        wanted = kernel.tolerance * (1.0 if settled else CLOSER)
+        if size <= wanted and np.spacing(largest(gap)) <= kernel.tolerance:
             return _SOLVED, size, iteration
-        _newton_step(kernel, trial.tangent, work)
+        _newton_step(kernel, trial.tangent, work, anew)
         put(gap, before)
         norm, length = math.sqrt(residual @ residual), 1.0
         while True:
@@ -380,7 +402,17 @@ def solve_in_place(
                     gap[i, e] = before[i, e] + length * step[i * count + e]
             evaluate_in_place(kernel.laws, slip, trial)
             _residual(kernel, free_gap, trial, remainder, residual)
-            if math.sqrt(residual @ residual) <= (1.0 - 1e-4 * length) * norm:
+            rest = math.sqrt(residual @ residual)
+            if rest <= (1.0 - 1e-4 * length) * norm:
+                slow = rest > kernel.left * norm
+                settled, anew = anew or slow, slow
+                break
+            if not anew:
+                # Back to where they led from, for factors of its own.
+                settled = anew = True
+                put(before, gap)
+                evaluate_in_place(kernel.laws, slip, trial)
+                _residual(kernel, free_gap, trial, remainder, residual)
                 break
             length /= 2.0
             if length < SHORTEST_STEP:

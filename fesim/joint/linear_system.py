@@ -36,29 +36,21 @@ def solve(matrix: Array, right_side: Array) -> NDArray[np.floating]:
     for i in range(size):
         for j in range(size):
             columns[j, i] = matrix[i, j]
-    solve_columns(columns, found)
+    factorise_columns(columns, np.empty(size, np.int32), found)
     return found
 
 
 @compiled_part
-def solve_columns(columns: Array, found: Array) -> None:
+def factorise_columns(columns: Array, pivots: NDArray[np.int32], found: Array) -> None:
     """Solve a system given column after column (n, n) for a right side (n,).
 
-    The solution takes the place of the right side, factors that of the columns.
+    The solution takes the place of the right side, factors that of the columns, with reciprocals on
+    the diagonal; `solve_again` takes them and the pivots (n,).
 
     Raises
     ------
     numpy.linalg.LinAlgError
         As `solve`.
-    """
-    factorise_columns(columns, np.empty(found.size, np.int32), found)
-
-
-@compiled_part
-def factorise_columns(columns: Array, pivots: NDArray[np.int32], found: Array) -> None:
-    """As `solve_columns`, with the pivots (n,) that `solve_again` takes beside the factors.
-
-    On the diagonal are reciprocals of the factors.
     """
     size = found.size
     if size:

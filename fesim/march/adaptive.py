@@ -21,7 +21,7 @@ from fesim.march.exponential import Ends, ExponentialStep, exponential_step, hea
 from fesim.march.iteration import iterated_step
 from fesim.march.machine import CondensedMachine, State, Step
 from fesim.march.settling import displaced
-from fesim.march.slip_path import settled_at, slip_path
+from fesim.march.slip_path import LEFT, origin, settled_at, slip_path
 from fesim.march.step_control import (
     ROUNDING,
     SHORTEST,
@@ -73,8 +73,8 @@ class _Tried:
     weights: ExponentialStep
     #: What acts in it.
     ends: Ends
-    #: Shape (2, m): what extrapolation has added to the slip at its end, m.
-    bent: Array
+    #: The joints at its end without extrapolated slip.
+    once: State
     #: Estimated.
     error: StepError
 
@@ -240,24 +240,25 @@ def _tried(march: _March, now: Now, length: float) -> _Tried:
     def course(share: float) -> tuple[Array, Array]:
         return weights.within(before.temperature, ends, share), ends.inputs_at(share)
 
-    path = None if step.cuts else slip_path(machine, before, course, step.state)
-    bent, better = np.zeros_like(before.slip), step.state.slip if step.cuts else before.slip
-    if path is not None:
-        bent, better = path.slip - step.state.slip, path.slip + path.error
-        near = replace(step, state=replace(step.state, gap=path.gap))
-        step = _settled_from(machine, near, path.slip, unknowns)
     slope = (step.heat_flow - now.flow) / length
     bend = (slope - now.slope) / (length + (now.length or length))
     area = machine.contact.elastic.area[: machine.contact.count]
     lacking = weights.lacking(bend, area * step.conductance)
-    other = _settled_from(machine, step, better, unknowns + lacking)
+    slip = step.state.slip if step.cuts else before.slip
+    other = _settled_from(machine, step, slip, unknowns + lacking)
+    off, once = other.displacement - step.displacement, step
+    path = None if step.cuts else slip_path(machine, before, course, step.state)
+    if path is not None:
+        near = replace(step, state=replace(step.state, gap=path.gap))
+        step = _settled_from(machine, near, path.origin, unknowns)
+        off = off + LEFT * (step.displacement - once.displacement)
     both = [rows @ lacking for rows in (machine.thermal.mean, machine.thermal.jump)]
-    error = StepError(other.displacement - step.displacement, np.concatenate(both))
+    error = StepError(off, np.concatenate(both))
     state = replace(step.state, change=step.state.gap - before.gap)
     balance = weights.balance(before.temperature, unknowns, ends)
     conductance = machine.conductance_in(state)
     step = replace(step, state=state, conductance=conductance, heat_balance=balance)
-    return _Tried(step, weights, ends, bent, error)
+    return _Tried(step, weights, ends, once.state, error)
 
 
 def _within(machine: CondensedMachine, now: Now, tried: _Tried, share: float) -> Step:
@@ -272,10 +273,13 @@ def _within(machine: CondensedMachine, now: Now, tried: _Tried, share: float) ->
     change = share * (tried.step.state.gap - before.gap)
     near = replace(tried.step, state=replace(before, gap=before.gap + change), inputs=inputs)
     step = _settled_from(machine, near, before.slip, unknowns)
-    slid = step.state.slip != before.slip
-    if slid.any() and tried.bent.any():
-        slip = step.state.slip + np.where(slid, share**2 * tried.bent, 0.0)
-        step = _settled_from(machine, step, slip, unknowns)
+    slides, end, once = (step.state.slip != before.slip).any(axis=0), tried.step.state, tried.once
+    if slides.any():
+        gap = step.state.gap + share**2 * (end.gap - once.gap)
+        slip = step.state.slip + np.where(slides, share**2 * (end.slip - once.slip), 0.0)
+        near = replace(step, state=replace(step.state, gap=gap))
+        begun = origin(before.slip, step.state.gap, gap, slip, slides)
+        step = _settled_from(machine, near, begun, unknowns)
     return replace(
         step,
         heat_flow=ends.flow_at(share),

@@ -38,6 +38,8 @@ from thermojoint.artefacts.arrays import Array
 
 #: Most steps that are taken at once.
 BLOCK = 128
+#: As in `fesim.joint.compiled_gap.GapKernel`.
+LEFT = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,7 +222,7 @@ def free_march(machine: CondensedMachine, rates: Array) -> FreeMarch | None:
     modes, lengths = _heat_of(thermal, rates.tobytes())
     kernel = AdaptiveKernel(
         modes=modes,
-        joint=joint,
+        joint=joint._replace(left=LEFT),
         watched=watched_in(contact),
         mean=owned(np.asarray(thermal.mean)),
         scale=owned(contact.reference_pressure),
@@ -250,7 +252,7 @@ def _storage(kernel: AdaptiveKernel, lengths: Lengths) -> Storage:
         unknowns=np.zeros((WEIGHTS + 3, size)),
         contact=np.zeros((7, count)),
         slip=np.zeros((4, 2, count)),
-        gap=np.zeros((6, 3, count)),
+        gap=np.zeros((5, 3, count)),
         remainder=np.zeros((2, 3 * count)),
         displacement=np.zeros((2, axes)),
         inputs=np.zeros(kernel.modes.inputs.shape[1] + kernel.joint.loaded.shape[1]),

@@ -1,8 +1,9 @@
 """JIT-compiled adaptive march: the steps of `fesim.march.adaptive` for built-in laws.
 
-Line by line the same method; the gap equations are solved by Newton's method, as long steps leave
-no tangent to be used again. A step that does not go as usual (a joint snaps, a body may be loose,
-pressure and heat flow do not agree soon, no step is short enough) is left to the plain march.
+Line by line the same method; the gap equations are solved by Newton's method, whose factors serve
+later iterations of a step, too, as long as they leave little. A step that does not go as usual (a
+joint snaps, a body may be loose, pressure and heat flow do not agree soon, no step is short enough)
+is left to the plain march.
 
 Start at `march_freely`; `tests/fesim/march/test_adaptive.py` compares both marches. Arrays of one
 shape are rows of one array: compiling takes time in proportion to the number of arrays.
@@ -10,6 +11,7 @@ shape are rows of one array: compiling takes time in proportion to the number of
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -43,6 +45,7 @@ from fesim.march.compiled_step import (
     take,
 )
 from fesim.march.iteration import PATIENCE, PRESSURE_TOLERANCE
+from fesim.march.slip_path import LEFT
 from fesim.march.step_control import (
     ROUNDING,
     SHORTEST,
@@ -75,14 +78,14 @@ AT, DRAWN, WEIGHTS = range(3)
 CONDUCTED, JUMP, FLOW, VALUE, MISFIT, MISFIT_BEFORE, PRESSURE = range(7)
 #: Entries of its sweeps: weight, and largest misfit of the one before.
 WEIGHT, LARGEST = range(2)
-SLIP, BENT, TWO, BETTER = range(4)
-GAP, CHANGE, GUESS, TWICE, HALF, ONCE = range(6)
+SLIP, BENT, ORIGIN, HALFWAY = range(4)
+GAP, CHANGE, GUESS, HALF, ONCE = range(5)
 #: Rows of its tractions and displacements: of the step; of a piece or of a time within it.
 WHOLE, PART = range(2)
-#: Equilibria of the joint in a step, in their order: sweeps of the in-step iteration, the pieces of
-#: the step in two and in three, its end, its end with what it lacks; at a time within it, and there
+#: Equilibria of the joint in a step, in their order: sweeps of the in-step iteration, the step with
+#: what it lacks, both halves of it, its end with extrapolated slip; at a time within it, and there
 #: with the slip that extrapolation has added. Then it is done, or given up.
-SWEEP, HALVES, THIRDS, WHOLE_STEP, LACKING, MOMENT, BENT_MOMENT, DONE, GIVEN_UP = range(9)
+SWEEP, LACKING, HALVES, WHOLE_STEP, MOMENT, BENT_MOMENT, DONE, GIVEN_UP = range(8)
 #: Entries of `Asked.limits`, as in `fesim.march.step_control.Tolerance`.
 DISPLACEMENT, TEMPERATURE, FOLLOWED = range(3)
 
@@ -160,8 +163,9 @@ class Work(NamedTuple):
     unknowns: Array
     #: Shape (7, m): see `CONDUCTED`; conductance times area, W/K, of the step.
     contact: Array
-    #: Shapes (4, 2, m) and (6, 3, m): of a part of the step, and see `BENT`: what extrapolation
-    #: adds, m; and see `HALF`: the gaps after half of the step and after all of it, in one piece.
+    #: Shapes (4, 2, m) and (5, 3, m), m: of a part of the step; slip that extrapolation adds
+    #: (`BENT`), that of `fesim.march.slip_path.origin`, and after half of the step; gaps after half
+    #: of it, and after all of it in one piece (`ONCE`).
     slip: Array
     gap: Array
     #: Shapes (2, 3 m) and (2, axes): `WHOLE` and `PART`.
@@ -335,36 +339,27 @@ def _prepare(heat: Heat, work: Work, course: Course, stage: int) -> None:
         put(course.inputs[AFTER], work.inputs)
         np.dot(heat.jump, at, work.contact[JUMP])
         _flows(heat, work, course.flow[AFTER])
-    elif stage in (HALVES, THIRDS):
-        pieces = 2 if stage == HALVES else 3
-        share = (turn + 1.0) / pieces
+    elif stage == LACKING:
+        _lacking(heat, work, course)
+        _begun_at(gap[AFTER], slip[BEFORE], part)
+    elif stage == HALVES:
+        share = 0.5 * (turn + 1.0)
         if turn == 0:
             _begun_at(gap[BEFORE], slip[BEFORE], part)
-        elif stage == HALVES:
+        else:
             put(part.gap, work.gap[HALF])
-        middle = 4.0 * share * (1.0 - share) if stage == THIRDS else 0.0
         for k in range(part.change.size):
-            first, last, twice = gap[BEFORE].flat[k], gap[AFTER].flat[k], work.gap[TWICE].flat[k]
-            if stage == THIRDS:
-                # Of an error a/n of n pieces a third is left.
-                last = twice + (twice - last) / 3.0
-            guess = first + share * (last - first)
-            guess += middle * (work.gap[HALF].flat[k] - 0.5 * (first + last))
-            part.change.flat[k] = guess - part.gap.flat[k]
-        # Shares 1, 1/2, 1/3 and 2/3 in the order of `fesim.march.compiled_exponential.SHARES`.
-        first = 0 if turn + 1 == pieces else 3 * (turn + pieces - 1)
+            first, last = gap[BEFORE].flat[k], gap[AFTER].flat[k]
+            part.change.flat[k] = first + share * (last - first) - part.gap.flat[k]
+        # In the order of `fesim.march.compiled_exponential.SHARES`.
+        first = 3 * (1 - turn)
         _within(course, heat.weights[first : first + 3], at)
         _between(course.inputs, share, work.inputs)
     elif stage == WHOLE_STEP:
         put(course.unknowns[AFTER], at)
         put(course.inputs[AFTER], work.inputs)
-        for k in range(part.gap.size):
-            part.gap.flat[k] = 3.0 * part.gap.flat[k] - 2.0 * work.gap[TWICE].flat[k]
-        put(slip[AFTER], part.slip)
+        put(work.slip[ORIGIN], part.slip)
         fill(part.change, 0.0)
-    elif stage == LACKING:
-        _lacking(heat, work, course)
-        _begun_at(gap[AFTER], work.slip[BETTER], part)
     elif stage == MOMENT:
         share = (clock[ASKED] - clock[START]) / clock[LENGTH]
         weights, guess = work.unknowns[WEIGHTS : WEIGHTS + 3], work.gap[GUESS]
@@ -379,7 +374,7 @@ def _prepare(heat: Heat, work: Work, course: Course, stage: int) -> None:
             guess.flat[k] += middle * (half.flat[k] - 0.5 * (first + last))
         _begun_at(guess, slip[BEFORE], part)
     else:
-        _begun_at(work.gap[GUESS], work.slip[BETTER], part)
+        _begun_at(work.gap[GUESS], work.slip[ORIGIN], part)
 
 
 @compiled_part
@@ -396,7 +391,7 @@ def _swept(machine: Sweeping, work: Work, trial: Trial, gap: Array) -> int:
         change, difference = max(change, abs(misfit[e])), misfit[e] - last[e]
         along, across = along + last[e] * difference, across + difference * difference
     if change <= (PRESSURE_TOLERANCE if work.turn[0] < PATIENCE else left_open):
-        return HALVES
+        return LACKING
     for k in range(gap.size):
         work.gap[CHANGE].flat[k] = trial.gap.flat[k] - gap.flat[k]
     if change > 0.5 * work.sweeps[LARGEST]:
@@ -415,33 +410,36 @@ def _swept(machine: Sweeping, work: Work, trial: Trial, gap: Array) -> int:
 
 
 @compiled_part
-def _slid(work: Work, course: Course, stage: int) -> int:
-    """The stage after the last piece of a step (`fesim.march.slip_path`)."""
-    bent, two, better, slip = work.slip[BENT], work.slip[TWO], work.slip[BETTER], work.slip[SLIP]
-    whole, begun = course.slip[AFTER], course.slip[BEFORE]
-    slides = stage == THIRDS
-    if stage == HALVES:
-        put(work.gap[GAP], work.gap[TWICE])
+def _trace_back(course: Course, once: Array, gap: Array, slip: Array, slides: bool, e: int) -> None:
+    """`fesim.march.slip_path.origin` of a contact element, in place of the slip (2, m)."""
+    begun, longer = course.slip[BEFORE], 1.0
+    if slides:
+        held = math.hypot(gap[1, e] - slip[0, e], gap[2, e] - slip[1, e])
+        tried = math.hypot(once[1, e] - begun[0, e], once[2, e] - begun[1, e])
+        longer = tried / held if held > 0.0 else 1.0
+    for i in range(2):
+        slip[i, e] = gap[i + 1, e] - longer * (gap[i + 1, e] - slip[i, e])
+
+
+@compiled_part
+def _extrapolate(work: Work, course: Course) -> None:
+    """Gap of the part from both halves of a step, and what its slip starts from."""
+    gap, slip, once, whole = work.gap[GAP], work.slip[SLIP], work.gap[ONCE], course.slip[AFTER]
+    origin, halfway = work.slip[ORIGIN], work.slip[HALFWAY]
+    for k in range(gap.size):
+        gap.flat[k] = 2.0 * gap.flat[k] - once.flat[k]
     for k in range(slip.size):
-        if stage == HALVES:
-            two.flat[k], bent.flat[k], better.flat[k] = slip.flat[k], 0.0, begun.flat[k]
-            slides = slides or two.flat[k] != begun.flat[k] or whole.flat[k] != begun.flat[k]
-        else:
-            path = 3.0 * slip.flat[k] - 2.0 * two.flat[k]
-            better.flat[k] = path + 0.5 * (path - (2.0 * two.flat[k] - whole.flat[k]))
-            bent.flat[k] = path - whole.flat[k]
-            whole.flat[k] = path
-    if not slides:
-        put(course.gap[AFTER], work.gap[GAP])
-        put(course.gap[AFTER], work.gap[TWICE])
-    return THIRDS if slides and stage == HALVES else WHOLE_STEP
+        origin.flat[k] = 2.0 * slip.flat[k] - whole.flat[k]
+    for e in range(slip.shape[1]):
+        slides = slip[0, e] != halfway[0, e] or slip[1, e] != halfway[1, e]
+        _trace_back(course, once, gap, origin, slides, e)
 
 
 @compiled_part
 def _conclude(work: Work, course: Course, stage: int) -> int:
     """Take over an equilibrium, which the part has; return the next stage."""
     part, remainder, moved = _part(work), work.remainder, work.displacement
-    gap, before = course.gap[AFTER], course.gap[BEFORE]
+    gap, before, error = course.gap[AFTER], course.gap[BEFORE], course.moved[THIS]
     if stage == SWEEP:
         put(part.gap, gap)
         put(part.gap, work.gap[ONCE])
@@ -449,11 +447,23 @@ def _conclude(work: Work, course: Course, stage: int) -> int:
         put(work.unknowns[AT], course.unknowns[AFTER])
         for k in range(course.acting.shape[1]):
             course.acting[AFTER, k] -= work.unknowns[DRAWN, k]
+        return LACKING
+    if stage == LACKING:
+        for k in range(error.size):
+            error[k] = moved[PART, k] - moved[WHOLE, k]
         return HALVES
-    if stage in (HALVES, THIRDS):
-        last = work.turn[0] + 1 == (2 if stage == HALVES else 3)
-        return _slid(work, course, stage) if last else stage
+    if stage == HALVES:
+        if work.turn[0] == 0:
+            put(part.gap, work.gap[HALF])
+            put(part.slip, work.slip[HALFWAY])
+            return HALVES
+        _extrapolate(work, course)
+        return WHOLE_STEP
     if stage == WHOLE_STEP:
+        for k in range(error.size):
+            error[k] += LEFT * (moved[PART, k] - moved[WHOLE, k])
+        for k in range(part.slip.size):
+            work.slip[BENT].flat[k] = part.slip.flat[k] - course.slip[AFTER].flat[k]
         put(part.gap, gap)
         put(part.slip, course.slip[AFTER])
         put(part.pressure, course.pressure[AFTER])
@@ -461,22 +471,22 @@ def _conclude(work: Work, course: Course, stage: int) -> int:
         put(moved[PART], moved[WHOLE])
         for k in range(gap.size):
             course.change[AFTER].flat[k] = gap.flat[k] - before.flat[k]
-        return LACKING
-    if stage == LACKING:
-        for k in range(course.moved.shape[1]):
-            course.moved[THIS, k] = moved[PART, k] - moved[WHOLE, k]
+        return DONE
     if stage == MOMENT:
-        begun, bent, better = course.slip[BEFORE], work.slip[BENT], work.slip[BETTER]
-        share = (course.clock[ASKED] - course.clock[START]) / course.clock[LENGTH]
+        begun, guess, origin = course.slip[BEFORE], work.gap[GUESS], work.slip[ORIGIN]
+        grown = ((course.clock[ASKED] - course.clock[START]) / course.clock[LENGTH]) ** 2
         further = False
-        for k in range(begun.size):
-            slides = part.slip.flat[k] != begun.flat[k] and bent.flat[k] != 0.0
-            better.flat[k] = part.slip.flat[k] + (share**2 * bent.flat[k] if slides else 0.0)
+        for k in range(guess.size):
+            added = gap.flat[k] - work.gap[ONCE].flat[k]
+            guess.flat[k] = part.gap.flat[k] + grown * added
+        for e in range(begun.shape[1]):
+            slides = part.slip[0, e] != begun[0, e] or part.slip[1, e] != begun[1, e]
+            for i in range(2):
+                added = grown * work.slip[BENT, i, e] if slides else 0.0
+                origin[i, e] = part.slip[i, e] + added
+            _trace_back(course, part.gap, guess, origin, slides, e)
             further = further or slides
         if further:
-            guess, once = work.gap[GUESS], work.gap[ONCE]
-            for k in range(guess.size):
-                guess.flat[k] = part.gap.flat[k] + share**2 * (gap.flat[k] - once.flat[k])
             return BENT_MOMENT
     return DONE
 
@@ -517,10 +527,11 @@ def _solved(
         if after == GIVEN_UP:
             return False, residual, all_iterations
         if stage > SWEEP or after > SWEEP:
-            remainder = work.remainder[WHOLE if stage == SWEEP else PART]
+            of = WHOLE if stage == SWEEP else PART
+            remainder = work.remainder[of]
             take(joint, trial, part, remainder)
-            if stage > THIRDS:
-                displace(joint, work.moved, at, loads, remainder, work.displacement[PART])
+            if stage != HALVES:
+                displace(joint, work.moved, at, loads, remainder, work.displacement[of])
             after = _conclude(work, course, stage)
             held = stage > SWEEP or surely_held(
                 machine.watched, storage.check, part.pressure, trial.tangent
@@ -665,6 +676,8 @@ def march_freely(
                 within = asked.times[at] < clock[STOP] * (1.0 - ROUNDING)
                 clock[ASKED] = asked.times[at] if within else clock[STOP]
                 stage = MOMENT if within else DONE
+            # Factors serve a step or a time within it: neither depends on what was asked before.
+            storage.newton.kept[0] = 0
             solved, most, more = _solved(machine, storage, heat, course, stage)
             if not solved:
                 return step, row, False

@@ -18,8 +18,8 @@ from fesim.jit import compiled_part
 from fesim.march.exponential import NEAR, TERMS
 from thermojoint.artefacts.arrays import Array
 
-#: Shares of a step at whose ends its pieces are: one, two and three of them.
-SHARES = (1.0, 1.0 / 2.0, 1.0 / 3.0, 2.0 / 3.0)
+#: Shares of a step at whose ends its pieces are: one, and two of them.
+SHARES = (1.0, 0.5)
 #: Rows of the weights of a length: E, A, B of each share; of the mean over the step; of what a bend
 #: of the flows adds.
 STAYS, STARTS, TURNS = range(3)
@@ -44,7 +44,7 @@ class Lengths(NamedTuple):
 
     #: Shape (q,): s; zero where there is none.
     length: Array
-    #: Shape (q, 16, n): rows as above.
+    #: Shape (q, 10, n): rows as above.
     weights: Array
     #: Shape (q, m, m): temperature jumps per W across each contact element at the end of the step,
     #: K/W.

@@ -68,6 +68,8 @@ class JointKernel(NamedTuple):
     loaded: Array
     #: Of the gap equations, m.
     tolerance: float
+    #: As in `GapKernel`.
+    left: float = 0.0
 
 
 class JointState(NamedTuple):
@@ -180,7 +182,14 @@ def conduct_step(
 @compiled
 def gap_kernel(joint: JointKernel) -> GapKernel:
     """The gap equations of a joint."""
-    return GapKernel(joint.springs, joint.compliance, joint.columns, joint.laws, joint.tolerance)
+    return GapKernel(
+        joint.springs,
+        joint.compliance,
+        joint.columns,
+        joint.laws,
+        joint.tolerance,
+        joint.left,
+    )
 
 
 @compiled_part

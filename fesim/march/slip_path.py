@@ -1,9 +1,8 @@
-"""Slip of the joints over a long step, extrapolated from the same step in pieces.
+"""Slip of the joints over a long step, extrapolated from the same step in halves.
 
 A step's return mapping goes straight from the slip at its start to that at its end. Where the slip
 turns or the pressure changes on the way, this is implicit Euler along the path: its error falls
-with the first power of the number of pieces. Two and three pieces give the slip of second order,
-the whole step and two pieces another one to compare it with.
+with the first power of the number of pieces. One piece and two give the slip of second order.
 """
 
 from __future__ import annotations
@@ -18,56 +17,64 @@ from fesim.march.machine import CondensedMachine, State
 from fesim.march.settling import loaded_gap, settle_along
 from thermojoint.artefacts.arrays import Array
 
+#: Part of what extrapolation adds that is estimated to be wrong (docs/march.md).
+LEFT = 1.0 / 16.0
 #: Share of a step to the temperature unknowns (n,) and the inputs (k + l,) after it.
 Course = Callable[[float], tuple[Array, Array]]
 
 
 @dataclass(frozen=True)
 class SlipPath:
-    """Slip at the end of a step."""
+    """What the end of a step is settled from."""
 
-    #: Shape (2, m): of second order, m.
-    slip: Array
-    #: Shape (2, m): its estimated error, m.
-    error: Array
-    #: Shape (3, m): gaps there, extrapolated like the slip, m.
+    #: Shape (2, m): slip whose return mapping leads to the extrapolated slip, m.
+    origin: Array
+    #: Shape (3, m): gaps there, extrapolated, m.
     gap: Array
 
 
 def slip_path(
     machine: CondensedMachine, state: State, course: Course, whole: State
 ) -> SlipPath | None:
-    """Extrapolate the slip at the end of a step; None if nothing slides or a joint snaps in it.
+    """Extrapolate the end of a step; None if nothing slides or a joint snaps in it.
 
     Raises
     ------
     ConvergenceError
-        A piece of the step has no equilibrium.
+        A half of the step has no equilibrium.
     """
-    turn = whole.gap - state.gap
-    pieces = _in_pieces(machine, state, course, lambda share: state.gap + share * turn, 2)
-    if pieces is None:
+    halves = _halves(machine, state, course, whole.gap - state.gap)
+    if halves is None:
         return None
-    middle, twice, two = pieces[0].gap, pieces[1].gap, pieces[1].slip
+    middle, end = halves
     # A contact element may slide and stick again: the end of the step alone does not show it.
-    if np.array_equal(two, state.slip) and np.array_equal(whole.slip, state.slip):
+    if np.array_equal(end.slip, state.slip) and np.array_equal(whole.slip, state.slip):
         return None
-    # Of an error a/n of n pieces a third is left.
-    last = twice + (twice - whole.gap) / 3.0
-    bend = 4.0 * (middle - 0.5 * (state.gap + last))
+    gap, slip = 2.0 * end.gap - whole.gap, 2.0 * end.slip - whole.slip
+    slides = (end.slip != middle.slip).any(axis=0)
+    return SlipPath(origin(state.slip, whole.gap, gap, slip, slides), gap)
 
-    def bent(share: float) -> Array:
-        straight = state.gap + share * (last - state.gap)
-        return np.asarray(straight + share * (1.0 - share) * bend)
 
-    pieces = _in_pieces(machine, state, course, bent, 3)
-    if pieces is None:
-        return None
-    three = pieces[2].slip
-    slip = 3.0 * three - 2.0 * two
-    # Of an error a/n + b/n^2 of n pieces, b/6 is left in this and b/2 in the other extrapolation.
-    gap = 3.0 * pieces[2].gap - 2.0 * twice
-    return SlipPath(slip, 0.5 * (slip - (2.0 * two - whole.slip)), gap)
+def origin(begun: Array, once: Array, gap: Array, slip: Array, slides: Array) -> Array:
+    """Return the slip (2, m) from which the return mapping at gaps leads to a slip.
+
+    Where a contact element slides, friction bears what it can, and only the direction of the shear
+    is free: its trial is as long as in one piece. Where it sticks, the slip stays as it is.
+
+    Parameters
+    ----------
+    begun : ndarray, shape (2, m)
+        Slip before, m.
+    once : ndarray, shape (3, m)
+        Gaps that have come of it in one piece, m.
+    gap, slip : ndarray, shapes (3, m) and (2, m)
+        Wanted, m.
+    slides : ndarray of bool, shape (m,)
+        Contact elements that slide there.
+    """
+    held, tried = np.hypot(*(gap[1:] - slip)), np.hypot(*(once[1:] - begun))
+    longer = np.divide(tried, held, out=np.ones_like(held), where=slides & (held > 0.0))
+    return np.asarray(gap[1:] - longer * (gap[1:] - slip))
 
 
 def settled_at(
@@ -78,18 +85,13 @@ def settled_at(
     return settle_along(machine.contact, state, loaded_gap(machine, grown, inputs))
 
 
-def _in_pieces(
-    machine: CondensedMachine,
-    state: State,
-    course: Course,
-    guess: Callable[[float], Array],
-    pieces: int,
+def _halves(
+    machine: CondensedMachine, state: State, course: Course, turn: Array
 ) -> list[State] | None:
-    """The ends of the pieces of a step, whose gaps are guessed by their share of it."""
-    ends = []
-    for piece in range(1, pieces + 1):
-        share = piece / pieces
-        state = replace(state, change=guess(share) - state.gap)
+    """The ends of both halves of a step whose gaps turn by about `turn` (3, m)."""
+    ends, begun = [], state.gap
+    for share in (0.5, 1.0):
+        state = replace(state, change=begun + share * turn - state.gap)
         settled, cuts = settled_at(machine, state, *course(share))
         if cuts:
             return None
