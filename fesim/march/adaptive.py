@@ -21,7 +21,7 @@ from fesim.march.exponential import Ends, ExponentialStep, exponential_step, hea
 from fesim.march.iteration import iterated_step
 from fesim.march.machine import CondensedMachine, State, Step
 from fesim.march.settling import displaced
-from fesim.march.slip_path import LEFT, origin, settled_at, slip_path
+from fesim.march.slip_path import origin, settled_at, slip_path
 from fesim.march.step_control import (
     ROUNDING,
     SHORTEST,
@@ -251,7 +251,7 @@ def _tried(march: _March, now: Now, length: float) -> _Tried:
     if path is not None:
         near = replace(step, state=replace(step.state, gap=path.gap))
         step = _settled_from(machine, near, path.origin, unknowns)
-        off = off + LEFT * (step.displacement - once.displacement)
+        off = off + path.doubt * (step.displacement - once.displacement)
     both = [rows @ lacking for rows in (machine.thermal.mean, machine.thermal.jump)]
     error = StepError(off, np.concatenate(both))
     state = replace(step.state, change=step.state.gap - before.gap)

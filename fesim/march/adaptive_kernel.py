@@ -259,7 +259,7 @@ def _storage(kernel: AdaptiveKernel, lengths: Lengths) -> Storage:
         system=np.zeros((count, count)),
         moved=np.zeros(axes),
         free_gap=np.zeros(3 * count),
-        sweeps=np.zeros(2),
+        sweeps=np.zeros(3),
         turn=np.zeros(1, dtype=np.int64),
     )
     trial, newton = trial_at(np.zeros((3, count))), newton_work(count)

@@ -45,7 +45,7 @@ from fesim.march.compiled_step import (
     take,
 )
 from fesim.march.iteration import PATIENCE, PRESSURE_TOLERANCE
-from fesim.march.slip_path import LEFT
+from fesim.march.slip_path import ABRUPT, SMOOTH
 from fesim.march.step_control import (
     ROUNDING,
     SHORTEST,
@@ -76,8 +76,9 @@ STEPS, REJECTED, SHORT, LONG, MOVED, WARMED = range(6)
 #: Rows of `Work`.
 AT, DRAWN, WEIGHTS = range(3)
 CONDUCTED, JUMP, FLOW, VALUE, MISFIT, MISFIT_BEFORE, PRESSURE = range(7)
-#: Entries of its sweeps: weight, and largest misfit of the one before.
-WEIGHT, LARGEST = range(2)
+#: Entries of its sweeps: weight, and largest misfit of the one before; then the part of what
+#: extrapolated slip adds that is estimated to be wrong.
+WEIGHT, LARGEST, DOUBT = range(3)
 SLIP, BENT, ORIGIN, HALFWAY = range(4)
 GAP, CHANGE, GUESS, HALF, ONCE = range(5)
 #: Rows of its tractions and displacements: of the step; of a piece or of a time within it.
@@ -175,7 +176,7 @@ class Work(NamedTuple):
     inputs: Array
     #: Shape (m, m): `flow_system`.
     system: Array
-    #: Shapes (axes,), (3 m,) and (2,): displacement by the joint, m; J0^-1 g_T, m; see `WEIGHT`.
+    #: Shapes (axes,), (3 m,) and (3,): displacement by the joint, m; J0^-1 g_T, m; see `WEIGHT`.
     moved: Array
     free_gap: Array
     sweeps: Array
@@ -430,8 +431,12 @@ def _extrapolate(work: Work, course: Course) -> None:
         gap.flat[k] = 2.0 * gap.flat[k] - once.flat[k]
     for k in range(slip.size):
         origin.flat[k] = 2.0 * slip.flat[k] - whole.flat[k]
+    work.sweeps[DOUBT], begun = SMOOTH, course.slip[BEFORE]
     for e in range(slip.shape[1]):
         slides = slip[0, e] != halfway[0, e] or slip[1, e] != halfway[1, e]
+        slid = halfway[0, e] != begun[0, e] or halfway[1, e] != begun[1, e]
+        if slides != slid:
+            work.sweeps[DOUBT] = ABRUPT
         _trace_back(course, once, gap, origin, slides, e)
 
 
@@ -461,7 +466,7 @@ def _conclude(work: Work, course: Course, stage: int) -> int:
         return WHOLE_STEP
     if stage == WHOLE_STEP:
         for k in range(error.size):
-            error[k] += LEFT * (moved[PART, k] - moved[WHOLE, k])
+            error[k] += work.sweeps[DOUBT] * (moved[PART, k] - moved[WHOLE, k])
         for k in range(part.slip.size):
             work.slip[BENT].flat[k] = part.slip.flat[k] - course.slip[AFTER].flat[k]
         put(part.gap, gap)

@@ -17,8 +17,9 @@ from fesim.march.machine import CondensedMachine, State
 from fesim.march.settling import loaded_gap, settle_along
 from thermojoint.artefacts.arrays import Array
 
-#: Part of what extrapolation adds that is estimated to be wrong (docs/march.md).
-LEFT = 1.0 / 16.0
+#: Part of what extrapolation adds that is estimated to be wrong (docs/march.md): where the same
+#: contact elements slide in both halves of a step, and where others do.
+SMOOTH, ABRUPT = 1.0 / 32.0, 1.0 / 4.0
 #: Share of a step to the temperature unknowns (n,) and the inputs (k + l,) after it.
 Course = Callable[[float], tuple[Array, Array]]
 
@@ -31,6 +32,8 @@ class SlipPath:
     origin: Array
     #: Shape (3, m): gaps there, extrapolated, m.
     gap: Array
+    #: Part of what extrapolation adds that is estimated to be wrong.
+    doubt: float
 
 
 def slip_path(
@@ -51,8 +54,10 @@ def slip_path(
     if np.array_equal(end.slip, state.slip) and np.array_equal(whole.slip, state.slip):
         return None
     gap, slip = 2.0 * end.gap - whole.gap, 2.0 * end.slip - whole.slip
+    slid = (middle.slip != state.slip).any(axis=0)
     slides = (end.slip != middle.slip).any(axis=0)
-    return SlipPath(origin(state.slip, whole.gap, gap, slip, slides), gap)
+    doubt = SMOOTH if np.array_equal(slid, slides) else ABRUPT
+    return SlipPath(origin(state.slip, whole.gap, gap, slip, slides), gap, doubt)
 
 
 def origin(begun: Array, once: Array, gap: Array, slip: Array, slides: Array) -> Array:
