@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -119,9 +120,19 @@ def store_response(dataset: Dataset, case: str, response: AnyResponse) -> None:
         array[at] = whole
 
 
-def store_status(dataset: Dataset, case: str, status: str) -> None:
-    """Write the status of a case, after its response, so that ``done`` implies its presence."""
-    dataset.arrays["status"][dataset.row[case]] = STATUS[status]
+def holds_response(dataset: Dataset, case: str) -> bool:
+    """Whether the row of a case has values."""
+    at, stored = dataset.row[case], dataset.arrays.items()
+    own = [array for name, array in stored if name in VARIABLES and array.dtype.kind == "f"]
+    return any(not np.isnan(np.asarray(array[at])).all() for array in own)
+
+
+def store_status(dataset: Dataset, status: Mapping[str, str]) -> None:
+    """Write the status of cases, after their responses, so that ``done`` implies their presence."""
+    rows = [dataset.row[case] for case in status]
+    numbers = np.array([STATUS[word] for word in status.values()], dtype=np.int8)
+    if rows:
+        dataset.arrays["status"].set_coordinate_selection((np.array(rows),), numbers)
 
 
 def stored_status(dataset: Dataset) -> dict[str, str]:
@@ -201,7 +212,12 @@ def _lay_out(path: Path, study: Study, labels: dict[str, Labels], layout: str) -
     meanings = {"flag_values": list(STATUS.values()), "flag_meanings": " ".join(STATUS)}
     attributes = _attributes(("case",), meanings)
     group.create_array(
-        "status", shape=(count,), chunks=(1,), dtype="|i1", fill_value=None, attributes=attributes
+        "status",
+        shape=(count,),
+        chunks=(min(count, CHUNK),),
+        dtype="|i1",
+        fill_value=None,
+        attributes=attributes,
     )
     group.attrs.update({"title": study.title, "coordinates": " ".join(varied)})
     # Last: a store without it is not complete and is laid out again.

@@ -124,22 +124,27 @@ class _Keeper:
         self.damaged: list[StudyCase] = []
         self._dataset = collected.open_dataset(folder / "dataset.zarr", study)
         self._due = monotonic() + TABLE_INTERVAL
+        # A write to the store takes as long for one case as for all.
+        self._unsaved: dict[str, str] = {}
         self._recover()
 
     def _recover(self) -> None:
         """Make records and dataset consistent with the responses, after a kill or another study."""
-        stored = collected.stored_status(self._dataset)
+        stored, now = collected.stored_status(self._dataset), dict[str, str]()
         for case in self.study.cases:
             path = on_disk.response_path(self.folder, case.id)
             unrecorded = case.id not in self.records and path.is_file()
             lost = self._status(case) == "done" and stored[case.id] != "done"
             if lost and not path.is_file():
-                # Only its displacement was stored, and the dataset has been recreated.
-                del self.records[case.id]
+                # Only its displacement was stored. Unless the dataset has been recreated, it is
+                # there, and a kill came before its status was.
+                if not collected.holds_response(self._dataset, case.id):
+                    del self.records[case.id]
             elif unrecorded or lost:
                 self._take_in(case, path)
             if self._status(case) != stored[case.id]:
-                collected.store_status(self._dataset, case.id, self._status(case))
+                now[case.id] = self._status(case)
+        collected.store_status(self._dataset, now)
 
     def _status(self, case: StudyCase) -> str:
         return str(self.records[case.id]["status"]) if case.id in self.records else "pending"
@@ -164,14 +169,16 @@ class _Keeper:
             on_disk.write_response_bytes(self.folder, outcome)
         if outcome.response is not None:
             collected.store_response(self._dataset, outcome.id, outcome.response)
-        collected.store_status(self._dataset, outcome.id, outcome.status)
+        self._unsaved[outcome.id] = outcome.status
         self.records[outcome.id] = on_disk.write_record(self.folder, outcome)
         if monotonic() > self._due:
             self.write_tables()
 
     def write_tables(self) -> pd.DataFrame:
-        """Write the current summary."""
+        """Write the current summary, and the status of cases that the dataset does not have yet."""
         begun = monotonic()
+        collected.store_status(self._dataset, self._unsaved)
+        self._unsaved.clear()
         table = on_disk.summary(self.study, self.records)
         on_disk.write_summary(self.folder, table)
         ended = monotonic()

@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+import zarr
 from batch_cases import grid, levels, study_in, tally, write_study
 from repository import ROOT
 
@@ -378,6 +379,16 @@ def test_a_case_that_kills_its_workers_is_given_up_and_tried_again_next_time(tmp
     again = run_batch(study, out, here())
     assert (again.found, again.ran) == (2, 1)
     assert list(again.summary["status"]) == ["done"] * 3
+
+
+def test_a_kill_before_the_status_was_written_loses_no_case(tmp_path):
+    study, out = replace(study_in(tmp_path, levels(3), 1.0), keep="displacement"), tmp_path / "out"
+    run_batch(study, out, here())
+    zarr.open_group(out / "dataset.zarr", mode="r+")["status"][...] = 0
+    assert run_batch(study, out, nobody).ran == 0
+    data = opened(out)
+    assert (data["status"] == 1).all()
+    assert not data["displacement"].isnull().all(["time", "axis"]).any()
 
 
 def test_a_batch_whose_workers_never_come_back_ends_and_says_so(tmp_path):
