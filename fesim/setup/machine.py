@@ -153,7 +153,13 @@ class Setup(Described):
         return self.make_field()
 
     def at_step(self, step: float) -> Setup:
-        """Return the same set-up for steps of another length, s."""
+        """Return the same set-up for steps of another length.
+
+        Parameters
+        ----------
+        step : float
+            s.
+        """
         thermal = self.machine.thermal
         if step != thermal.step:
             thermal = self.make_thermal(step)
