@@ -100,7 +100,7 @@ def write_record(folder: Path, outcome: Outcome) -> Record:
         "seconds": outcome.seconds,
         "setup_seconds": outcome.setup_seconds,
     }
-    write_text(folder / "records" / f"{outcome.id}.json", json.dumps(record, indent=2) + "\n")
+    write_text(folder / "records" / f"{outcome.id}.json", json.dumps(record) + "\n")
     return record
 
 

@@ -31,7 +31,7 @@ class Places:
     first: NDArray[np.int64]
     #: Shapes (p,) and (rows + 1,): column of each place, and the first place of each row.
     indices: NDArray[np.int32]
-    indptr: NDArray[np.int64]
+    indptr: NDArray[np.integer]
 
     def sums(self, entries: Array) -> Array:
         """Add up entries, any shape of size e, at their places, shape (p,)."""
@@ -56,6 +56,9 @@ def places_of(
     first = np.flatnonzero(np.concatenate([[True], place[1:] != place[:-1]]))
     row, column = np.divmod(place[first], shape[1])
     indptr = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=shape[0]))])
+    # A matrix with one kind of index in 64 bits has all of them so.
+    if first.size <= np.iinfo(np.int32).max:
+        indptr = indptr.astype(np.int32)
     return Places(order, first, column.astype(np.int32), indptr)
 
 

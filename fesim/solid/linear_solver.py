@@ -164,7 +164,7 @@ def upper_triangle(matrix: csr_array) -> csr_array:
     counts = np.diff(matrix.indptr)
     row = np.repeat(np.arange(matrix.shape[0], dtype=matrix.indices.dtype), counts)
     kept = matrix.indices >= row
-    indptr = np.concatenate([[0], np.cumsum(kept)])[matrix.indptr]
+    indptr = np.concatenate([[0], np.cumsum(kept)])[matrix.indptr].astype(matrix.indptr.dtype)
     return csr_array((matrix.data[kept], matrix.indices[kept], indptr), shape=matrix.shape)
 
 
