@@ -125,6 +125,8 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
         lasting, steps, scenes = beside_it.result()
         steady: Model | None = None
         try:
+            if isinstance(steps, ThermojointError):
+                raise steps
             seen = {name: at_sensors(response, roles) for name, response in steps.items()}
             steady = _steady(case, seen, folder)
         except ThermojointError as error:
@@ -207,15 +209,19 @@ def _roles(calibrated: chain.Calibrated | None, reference: xr.Dataset) -> dict[s
 
 def _beside_calibration(
     case: Case, runs: LongRuns, folder: Path
-) -> tuple[dict[str, xr.Dataset], dict[str, xr.Dataset], dict[str, Scene]]:
+) -> tuple[dict[str, xr.Dataset], dict[str, xr.Dataset] | ThermojointError, dict[str, Scene]]:
     """Return what does not depend on the choice of sensors.
 
-    The long responses, those to steps until the machine is steady, and scenes of the fields. The
-    histories of the first are written to `folder`.
+    The long responses, those to steps until the machine is steady, or why these cannot be had, and
+    scenes of the fields. The histories of the first are written to `folder`.
     """
     setup = set_up(case)
     lasting = simulate_long(case, runs, folder / "responses", setup, _silent)
-    steps = simulate_steady(case, runs, setup, _silent)
+    steps: dict[str, xr.Dataset] | ThermojointError
+    try:
+        steps = simulate_steady(case, runs, setup, _silent)
+    except ThermojointError as error:
+        steps = error
     return lasting, steps, field_scenes(_hot(case), setup, _silent)
 
 

@@ -21,7 +21,7 @@ from estimator.joint_aware.model_file import read_observer
 from fesim.case.schema import MeshSection, read_case
 from fesim.case.thermal_sections import HeldTemperatureSection
 from meshes.structure import Probe
-from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.errors import ConvergenceError, InputError
 from thermojoint.artefacts.response import read_response
 from thermojoint.models.baselines import read_baselines
 from thermojoint.models.model_file import read_model
@@ -247,6 +247,20 @@ def test_validation_noise_is_seeded(command, results, tmp_path):
     assert found[0] == found[1] != found[2]
     # The noise is on every temperature: it is not the paper's case.
     assert not {row["case"] for row in found[0]} & set(paper_values.VALIDATION_ERROR_UM)
+
+
+def test_steps_that_cannot_be_marched_for_hours_leave_the_rest_as_it_is(
+    case, tmp_path, monkeypatch
+):
+    def refused(*given):
+        raise ConvergenceError("no equilibrium after 3 h")
+
+    monkeypatch.setattr(reproduce, "simulate_steady", refused)
+    monkeypatch.setattr(reproduce, "simulate_long", lambda *given: {"day": "long"})
+    monkeypatch.setattr(reproduce, "field_scenes", lambda *given: {"temperature": "hot"})
+    lasting, steps, scenes = reproduce._beside_calibration(case, SHORT, tmp_path)
+    assert (lasting, scenes) == ({"day": "long"}, {"temperature": "hot"})
+    assert str(steps) == "no equilibrium after 3 h"
 
 
 def test_results_stay_as_they_were_until_all_of_the_new_ones_are_there(
