@@ -90,7 +90,7 @@ def rows() -> Iterator[Row | Skipped]:
                 other[0] / ours[0],
                 "µs",
                 f"{count} contact elements without friction, linear law, {STEPS} steps of a march "
-                f"one after another, median; the march's stored inverse against {name}; solutions "
+                f"one after another, median; the march's stored factors against {name}; solutions "
                 f"differ from the march by {ours[1]:.0e} and {other[1]:.0e} of the preload",
             )
 
