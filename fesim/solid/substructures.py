@@ -10,7 +10,7 @@ one dense system of the size of the joints (Woodbury).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 
@@ -73,43 +73,10 @@ class TieCondensation:
     probe_thermal: Array
 
 
-def substructure(
-    piece: ElasticPiece, gap: csr_array, springs: Array, solver: str | None = None
-) -> Substructure:
-    """Factorise one piece, with anchors if its supports constrain it less than its joints.
-
-    Parameters
-    ----------
-    piece : ElasticPiece
-        With at least one free unknown.
-    gap : scipy.sparse.csr_array, shape (3 m, n)
-        G, on the unknowns of the whole.
-    springs : ndarray, shape (3 m,)
-        Of the reference springs across the joints, A k, N/m.
-    solver : str, optional
-        See `fesim.solid.linear_solver.factorise`.
-
-    Raises
-    ------
-    InputError
-        Neither supports nor joints constrain the piece.
-    """
-    return _factorised(_constrained(piece, gap, springs), solver)
-
-
-@dataclass(frozen=True)
-class _Constrained:
-    """A piece with its anchors, if it needs some; attributes as those of `Substructure`."""
-
-    unknowns: NDArray[np.int64]
-    #: Upper triangle of Kd.
-    stiffness: csr_array
-    thermal_load: csr_array
-    anchored: NDArray[np.int64]
-    anchor: float
-
-
-def _constrained(piece: ElasticPiece, gap: csr_array, springs: Array) -> _Constrained:
+def _constrained(
+    piece: ElasticPiece, gap: csr_array, springs: Array
+) -> tuple[csr_array, Callable[[Factor], Substructure]]:
+    """Return Kd of a piece, with anchors if it needs some, and what its factor makes of it."""
     free = np.flatnonzero(piece.free)
     stiffness = piece.stiffness
     if free.size < piece.free.size:
@@ -127,12 +94,18 @@ def _constrained(piece: ElasticPiece, gap: csr_array, springs: Array) -> _Constr
         anchored = np.empty(0, dtype=np.int64)
     unknowns = piece.unknowns[free]
     load = csr_array(piece.thermal_load[free])
-    return _Constrained(unknowns, stiffness, load, unknowns[anchored], anchor)
+
+    def with_factor(factor: Factor) -> Substructure:
+        return Substructure(unknowns, factor, load, unknowns[anchored], anchor)
+
+    return stiffness, with_factor
 
 
-def _factorised(piece: _Constrained, solver: str | None) -> Substructure:
-    factor = factorise_upper(piece.stiffness, "stiffness", solver)
-    return Substructure(piece.unknowns, factor, piece.thermal_load, piece.anchored, piece.anchor)
+def _factorised(
+    constrained: tuple[csr_array, Callable[[Factor], Substructure]], solver: str | None
+) -> Substructure:
+    stiffness, with_factor = constrained
+    return with_factor(factorise_upper(stiffness, "stiffness", solver))
 
 
 def _far_apart(points: Array) -> NDArray[np.int64]:
@@ -169,7 +142,26 @@ def _needs_anchors(
 def substructures(
     pieces: Iterable[ElasticPiece], gap: csr_array, springs: Array, solver: str | None = None
 ) -> Iterator[Substructure]:
-    """Factorise the pieces one by one, as `substructure` does; fully fixed ones are left out."""
+    """Factorise the pieces one by one; fully fixed ones are left out.
+
+    Each gets anchors if its supports constrain it less than its joints.
+
+    Parameters
+    ----------
+    pieces : iterable of ElasticPiece
+        Consumed one by one, and not stored.
+    gap : scipy.sparse.csr_array, shape (3 m, n)
+        G, on the unknowns of the whole.
+    springs : ndarray, shape (3 m,)
+        Of the reference springs across the joints, A k, N/m.
+    solver : str, optional
+        See `fesim.solid.linear_solver.factorise`.
+
+    Raises
+    ------
+    InputError
+        Neither supports nor joints constrain a piece.
+    """
     # No loop: its variable would keep a piece while the next one is made. Nor is a piece kept
     # while it is factorised, which takes the most memory.
     free = filter(lambda piece: piece.free.any(), pieces)
@@ -195,7 +187,7 @@ def factorised_structure(
     shape: tuple[int, int],
     solver: str | None = None,
 ) -> FactorisedStructure:
-    """Factorise all pieces and keep them; `shape` is that of F, the rest as for `substructure`."""
+    """Factorise all pieces and keep them; `shape` is that of F, the rest as for `substructures`."""
     load, held_stiffness = csr_array(shape), csr_array((shape[0], shape[0]))
     pieces_kept: list[Substructure] = []
     for piece in pieces:
