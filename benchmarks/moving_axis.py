@@ -41,7 +41,7 @@ from estimator.fchs.estimator import Fchs
 from estimator.interface import Estimate, Estimator, follow
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.readings import samples_in
-from estimator.lines import here, lines_of
+from estimator.lines import channels_at, here, lines_of
 from estimator.measured import response_samples
 from fesim.case.schema import Case, read_case
 from fesim.simulate import simulate
@@ -123,6 +123,13 @@ def plant_of(case: Case, rng: np.random.Generator, number: int) -> Case:
             "bearings": {"reference_power_W": source.reference_power_W * rng.uniform(0.9, 1.1)}
         },
     )
+
+
+def stations_of(case: Case) -> list[float]:
+    """Return the aligned positions of the axis of a case, mm: the points of a table."""
+    (axis,) = case.axes.values()
+    low, high = axis.stroke_mm
+    return np.linspace(low, high, 1 + math.ceil((high - low) / axis.station_mm)).tolist()
 
 
 def responses_of(plant: Case, rng: np.random.Generator, folder: Path) -> dict[str, xr.Dataset]:
@@ -215,6 +222,7 @@ def figures(estimator: JointAware, response: xr.Dataset) -> dict[str, Any]:
     lines = [lines_of(estimator.axes, estimator.details, one.details) for one in made]
     slope = np.array([one.slope for one in lines if one is not None])
     line = np.array([one.displacement for one in made]) + slope * (place - axis.reference)
+    table = by_table(estimator, made, place)
     still = samples.copy()
     still[:, -1] = axis.reference
     middle, _ = here(estimator.axes, estimator.details, _estimates(estimator, still.tolist()))
@@ -226,8 +234,24 @@ def figures(estimator: JointAware, response: xr.Dataset) -> dict[str, Any]:
         "inside_percent": (100.0 * np.mean(error <= band, axis=0)).round(1).tolist(),
         "half_band_um": _um(band.mean(axis=0)),
         "line_max_um": _um(np.abs(line - actual).max(axis=0)),
+        "table_max_um": _um(np.abs(table - actual).max(axis=0)),
+        "table_off_map_um": _um(np.abs(table - moved).max(axis=0)),
         "one_position_max_um": _um(np.abs(middle - actual).max(axis=0)),
     }
+
+
+def by_table(estimator: JointAware, made: Sequence[Estimate], place: Array) -> Array:
+    """Return displacements (n, axes), m, that a control interpolates from the asked positions."""
+    (axis,) = estimator.model.moving_axes
+    at = {channel: k for k, channel in enumerate(estimator.details)}
+    found = np.empty((len(made), len(estimator.axes)))
+    for c, name in enumerate(estimator.axes):
+        own = [at[one] for one in channels_at(name, axis.asked)]
+        knots = np.array([one.details[own] for one in made])
+        found[:, c] = [
+            np.interp(here, axis.asked, row) for here, row in zip(place.ravel(), knots, strict=True)
+        ]
+    return found
 
 
 def _estimates(estimator: Estimator, samples: Iterable[Sequence[float]]) -> list[Estimate]:
@@ -246,7 +270,8 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--same-mesh", action="store_true")
     options = parser.parse_args(arguments)
     case = read_case(case_file("moving_knee"))
-    case = case.replace(march={"step_s": STEP})
+    (axis,) = case.axes
+    case = case.replace(march={"step_s": STEP}, axes={axis: {"asked_mm": stations_of(case)}})
     mesh = {} if options.same_mesh else MESH
     rows = []
     for number in range(options.count):

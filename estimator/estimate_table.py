@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
 from estimator.intake import axis_name
 from estimator.interface import Channel, Estimate, Estimator, NextReading
-from estimator.lines import DETAILS, Lines, Stroke, as_lines, channels_of
+from estimator.lines import DETAILS, Lines, Stroke, as_lines, channels_of, places_in
 from estimator.quality import quality_of
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
@@ -40,6 +41,8 @@ class Row(NamedTuple):
     status: str
     #: Of the displacements along an axis.
     lines: Lines | None = None
+    #: Displacements at positions of an axis by name (`estimator.lines.name_at`), m.
+    places: Mapping[str, float] = MappingProxyType({})
 
 
 def header(estimator: Estimator, more: Sequence[str] = ()) -> list[str]:
@@ -91,8 +94,8 @@ def read_estimate(lines: Iterable[str], where: str) -> tuple[tuple[str, ...], li
     ----------
     lines : iterable of str
         A table in any dialect, with the columns ``time_s``, ``NAME_um`` and ``NAME_band_um`` of
-        every axis, and ``status``; and of displacements along an axis those of their lines
-        (`estimator.lines`). Other columns are ignored.
+        every axis, and ``status``; and of displacements along an axis those of their lines and at
+        positions (`estimator.lines`). Other columns are ignored.
     where : str
         Name of the file, for error messages.
 
@@ -117,6 +120,8 @@ def read_estimate(lines: Iterable[str], where: str) -> tuple[tuple[str, ...], li
             f"{where}: no estimate, columns {', '.join(names) or 'none'}; give what "
             "`thermojoint estimate` writes"
         )
+    moved = [name.removesuffix(_VALUE) for name in names if name.endswith(_VALUE)]
+    places = places_in(axes, moved)
     rows: list[Row] = []
     for number, row_cells in cells_of(table[dialect.first :], dialect.separator, where):
         if not is_row(row_cells):
@@ -137,7 +142,8 @@ def read_estimate(lines: Iterable[str], where: str) -> tuple[tuple[str, ...], li
             for ending in (_VALUE, _BAND)
         )
         own = _lines(axes, along, at, dialect.decimal, line) if along else None
-        rows.append(Row(time, values, bands, at["status"].strip(), own))
+        there = {name: MICRO * _number(at[name + _VALUE], dialect.decimal, line) for name in places}
+        rows.append(Row(time, values, bands, at["status"].strip(), own, there))
     if not rows:
         raise InputError(f"{where}: holds no row; give an estimate of some length")
     return axes, rows

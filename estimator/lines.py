@@ -1,7 +1,9 @@
-"""Displacements along an axis, as estimators give them beside the displacement: its line.
+"""Displacements along an axis, as estimators give them beside the displacement: line and table.
 
 δ(P) = K0 + slope (P - P0), with the displacement itself as K0. An estimator with such displacements
-has the details of `DETAILS` for each of them, and those of `HERE` for the present position.
+has the details of `DETAILS` for each of them, and those of `HERE` for the present position. One
+that knows what the line leaves also has the displacement at some positions, `channels_at`: a
+control that interpolates between them has the displacement at every position.
 """
 
 from __future__ import annotations
@@ -28,6 +30,8 @@ DETAILS = (
 HERE = (("here", "m"), ("here_band", "m"))
 #: Of each line along one of several moving axes, before the name of the axis.
 ALONG = (("K0", "m"), ("slope", "m/m"))
+#: Between the name of a displacement and a position, mm.
+_AT = "_at_"
 
 
 class Stroke(NamedTuple):
@@ -65,6 +69,33 @@ def channels_of(axis: str) -> tuple[Channel, ...]:
 def channels_here(axis: str) -> tuple[Channel, ...]:
     """Return the details of a displacement at the present position."""
     return tuple(Channel(f"{axis}_{name}", unit) for name, unit in HERE)
+
+
+def name_at(axis: str, position_mm: float) -> str:
+    """Return the name of a displacement at a position, mm: ``x_at_-100``."""
+    return f"{axis}{_AT}{position_mm:.9g}"
+
+
+def channels_at(axis: str, positions: Array) -> tuple[Channel, ...]:
+    """Return the details of a displacement at positions (m) of its moving axis."""
+    return tuple(Channel(name_at(axis, at), "m") for at in (positions / MILLI).tolist())
+
+
+def places_in(axes: Sequence[str], names: Sequence[str]) -> dict[str, int]:
+    """Return which of some names are those of displacements at positions, by name their place.
+
+    Parameters
+    ----------
+    axes : sequence of str
+        Of the displacement, without units.
+    names : sequence of str
+        Of details.
+    """
+    return {
+        name: k
+        for k, name in enumerate(names)
+        if any(name.startswith(f"{axis}{_AT}") for axis in axes)
+    }
 
 
 def here(

@@ -31,7 +31,7 @@ from estimator.joint_aware.observer_state import (
 from estimator.joint_aware.thresholds import USUAL, Thresholds
 from estimator.joint_aware.trust import Moment, Trusted, channels_of, possible_heat, trusted
 from estimator.span import SLACK
-from fesim.axes.line import Line, line_over
+from fesim.axes.line import line_over
 from fesim.march.kernel import owned
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.display import Described
@@ -126,10 +126,11 @@ class JointAware(Described):
         """Heat of every source, the ambient, and the lowest and highest pressure in the joints.
 
         With moving axes, of each displacement with a line for its control that line, and the
-        displacement at the present position. With several, the lines of every displacement along
-        each of them, the others where they stand.
+        displacement at the present position and at those asked about. With several, the lines of
+        every displacement along each of them, the others where they stand.
         """
         along = [axis.name for axis in self.model.moving_axes]
+        asked = [axis.asked for axis in self.model.moving_axes]
         return (
             *(Channel(f"heat_{name}", "W") for name in self.model.sources),
             *(Channel(f"held_{name}", "K") for name in self.model.surfaces),
@@ -138,8 +139,12 @@ class JointAware(Described):
             Channel("highest_pressure", "Pa"),
             *(
                 one
-                for axis in self.model.sloped
-                for one in (*lines.channels_of(axis), *lines.channels_here(axis))
+                for axis, k in self.model.sloped.items()
+                for one in (
+                    *lines.channels_of(axis),
+                    *lines.channels_here(axis),
+                    *lines.channels_at(axis, asked[k]),
+                )
             ),
             *(
                 Channel(f"{axis}_{name}_{moving}", unit)
@@ -511,21 +516,25 @@ class JointAware(Described):
         The displacement is K0 where a control is given the line, else that at the present position.
         The band (axes,) holds at every position: a slope is not off by more than both ends are.
         """
-        along = self._along(taken, known)
+        asked = self._asked(taken, known)
+        along = [
+            line_over(axis.asked, own, axis.reference)
+            for axis, own in zip(self.model.moving_axes, asked, strict=True)
+        ]
         here, details = taken.displacement + known, list[float]()
         moved = here.copy()
         for axis, stroke in self.model.strokes.items():
-            c, line = self.axes.index(axis), along[self.model.sloped[axis]]
-            moved[c], half = line.offset[c], float(band[c])
-            details += [line.slope[c], 2.0 * half / (stroke.high - stroke.low)]
-            details += [*(np.array(stroke) / MILLI), here[c], half]
+            c, k = self.axes.index(axis), self.model.sloped[axis]
+            moved[c], half = along[k].offset[c], float(band[c])
+            details += [along[k].slope[c], 2.0 * half / (stroke.high - stroke.low)]
+            details += [*(np.array(stroke) / MILLI), here[c], half, *asked[k][:, c].tolist()]
         if len(along) > 1:
             each = [np.stack([line.offset, line.slope], axis=1) for line in along]
             details += np.stack(each, axis=1).ravel().tolist()
         return moved, np.array(details)
 
-    def _along(self, taken: Taken, known: Array) -> list[Line]:
-        """The line along each of the moving axes, the others where they stand."""
+    def _asked(self, taken: Taken, known: Array) -> list[Array]:
+        """Displacements (k, axes), m, over each of the moving axes, the others where they stand."""
         after, moving, places = taken.after, self.model.moving_axes, list[Array]()
         for k, axis in enumerate(moving):
             places.append(np.tile(self._place(after.loads), (axis.asked.size, 1)))
@@ -534,10 +543,7 @@ class JointAware(Described):
         asked = self.observer.seen_from(after.linear, after.joint, taken.memory, every)
         asked = asked + known + self._drives.displacement(after.drive, every)
         ends = np.cumsum([axis.asked.size for axis in moving])[:-1]
-        return [
-            line_over(axis.asked, own, axis.reference)
-            for axis, own in zip(moving, np.split(asked, ends), strict=True)
-        ]
+        return np.split(asked, ends)
 
     def _lost(self, after: ObserverState, time: float) -> bool:
         """Whether every thermometer has been missing or distrusted for too long."""

@@ -331,8 +331,10 @@ def _followed(served: Served, estimate: Estimate) -> Array | None:
     """Return what the offsets and slopes are to become."""
     if served.output is None:
         return None
-    lines = _lines(served, estimate)
-    return followed(served.output.output, served.layout.axes, estimate.displacement, lines)
+    lines, places = _lines(served, estimate), served.places
+    names = (*served.layout.axes, *places)
+    moved = np.concatenate([estimate.displacement, estimate.details[[*places.values()]]])
+    return followed(served.output.output, names, moved, lines)
 
 
 def _lines(served: Served, last: Estimate | Publication) -> Lines | None:

@@ -6,13 +6,14 @@ import hashlib
 import math
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from estimator.intake import Intake, axis_name
 from estimator.interface import Estimator
 from estimator.kind import Kind, OpenedEstimator, Options, checked_limit
+from estimator.lines import places_in
 from estimator.ranges import Range
 from estimator.registry import kind_of_file, resumed, save_state, started
 from thermojoint.artefacts.arrays import Array
@@ -52,6 +53,8 @@ class Served:
     handshake: HandshakeSettings | None = None
     #: When displacement readings are asked for.
     asking: Asking | None = None
+    #: Details that are displacements at positions of an axis, by name their place.
+    places: Mapping[str, int] = field(default_factory=dict)
 
 
 def served_models(service: Service) -> tuple[dict[str, Served], dict[str, ThermojointError]]:
@@ -93,8 +96,9 @@ def served(section: ModelSection, kept: Path) -> Served:
         strokes = kind.strokes(model)
         output = with_slopes(read_settings(section.offsets), strokes, str(section.offsets))
     axes = tuple(map(axis_name, estimator.axes))
+    places = places_in(axes, [channel.name for channel in estimator.details])
     if output is not None:
-        _check_axes(output, axes, section.offsets)
+        _check_axes(output, (*axes, *places), section.offsets)
         _check_age(output, section)
     layout = Layout(
         axes=axes,
@@ -116,6 +120,7 @@ def served(section: ModelSection, kept: Path) -> Served:
         layout,
         output,
         asking=_asking(kind, estimator, section),
+        places=places,
     )
 
 

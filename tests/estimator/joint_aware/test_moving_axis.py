@@ -39,11 +39,15 @@ from estimator.joint_aware.kind import KIND
 from estimator.joint_aware.model_file import fingerprint, read_observer, write_observer
 from estimator.joint_aware.readings import samples_in
 from estimator.kind import Options
-from estimator.lines import Stroke, here
+from estimator.lines import Stroke, here, name_at
 from fesim.simulate import simulate
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.quantities import column_named
+from thermojoint.live.machine import Times, at_rest, taken
+from thermojoint.live.publication import as_json
+from thermojoint.live.served import served
+from thermojoint.live.settings import ModelSection
 from thermojoint.reduced.machine import along
 from thermojoint.reduced.physics import simulate_known
 
@@ -59,6 +63,19 @@ follows = "y"
 sign = -1
 [axes.Y.slope]
 resolution_um_per_m = 1.0
+"""
+#: A table of the control: the offset at two positions of the axis.
+TABLE = """
+oldest_s = 60.0
+rate_um_s = 100.0
+recover_s = 0.0
+unusable = []
+[axes.low]
+follows = "x"
+at_mm = -100.0
+[axes.high]
+follows = "x"
+at_mm = 200.0
 """
 
 
@@ -127,6 +144,10 @@ def test_without_thermometers_it_is_the_simulator_at_every_position(
         slope = actual(response, "line_slope")[:, 0, k]
         np.testing.assert_allclose(detail(told, found, f"{axis}_slope"), slope, rtol=0.0, atol=1e-8)
         assert (detail(told, found, f"{axis}_P0") == 50.0).all()
+        asked = 1e3 * response["asked_position"].to_numpy()[0]
+        there = [detail(told, found, name_at(axis, at)) for at in asked]
+        actually = actual(response, "asked_displacement")[:, 0, :, k]
+        np.testing.assert_allclose(np.transpose(there), actually, rtol=0.0, atol=1e-9)
 
 
 def test_thermometers_tell_the_displacement_wherever_the_axis_stands(estimator, response, samples):
@@ -242,6 +263,28 @@ def test_commands_take_a_log_to_lines_for_the_control(estimator, response, sampl
     given = np.genfromtxt(offsets, delimiter=",", names=True)
     assert given["slope_Y_um_per_m"][-1] == pytest.approx(-read["y_slope_um_per_m"][-1], abs=2.0)
     assert (given["P0_Y_mm"] == 50.0).all()
+
+
+def test_a_control_that_interpolates_is_given_a_table(estimator, samples, tmp_path):
+    """An offset for each position; the service makes it of the estimate as `compensate` does."""
+    write_observer(estimator.model, tmp_path / "model.h5")
+    (tmp_path / "offsets.toml").write_text(TABLE)
+    section = ModelSection(
+        file=tmp_path / "model.h5",
+        interval_s=estimator.model.step,
+        offsets=tmp_path / "offsets.toml",
+        reads="above-ambient",
+    )
+    model = served(section, tmp_path / "kept")
+    machine = at_rest("mill", model, samples[0][0])
+    for time, *values, place in samples[:20]:
+        arrived = (*values, 1e3 * place, np.nan, np.nan)
+        machine, _ = taken(model, machine, (time, arrived), Times(time, time), 0.0)
+    said = as_json(machine.latest)
+    for axis, at in (("low", -100), ("high", 200)):
+        displacement = said["details"][f"x_at_{at}_um"]
+        assert abs(displacement) > 1.0
+        assert said["offsets_um"][axis] == pytest.approx(-displacement, abs=0.06)
 
 
 def test_a_machine_goes_to_other_processes(machine):

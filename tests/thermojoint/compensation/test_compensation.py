@@ -488,6 +488,51 @@ def test_the_slopes_band_counts_at_the_far_end():
         assert found[-1].state == state
 
 
+TABLE = """
+rate_um_s = 2.0
+[axes."X 100"]
+follows = "x"
+at_mm = 100.0
+[axes."X 600"]
+follows = "x"
+at_mm = 600
+"""
+
+
+def placed_text(low, high):
+    """x is low (um) at 100 mm and high at 600 mm."""
+    rows = [f"{k},{low},{high},20,1,ok" for k in range(100)]
+    return "\n".join(["time_s,x_at_100_um,x_at_600_um,x_um,x_band_um,status", *rows, ""])
+
+
+def test_a_table_has_an_offset_for_each_position_and_each_keeps_the_rate(files):
+    """What a control interpolates between two of them moves no faster than either."""
+    (files / "estimate.csv").write_text(placed_text(8, -32), "utf-8")
+    (files / "offsets.toml").write_text(TABLE, "utf-8")
+    _, rows = compensated(files)
+    low, high = ([float(row[f"offset_X {at}_um"]) for row in rows] for at in (100, 600))
+    assert (low[-1], high[-1]) == pytest.approx((-8.0, 32.0))
+    for share in np.linspace(0.0, 1.0, 5):
+        between = (1.0 - share) * np.array(low) + share * np.array(high)
+        assert np.abs(np.diff(between)).max() <= 2.0 + 0.1 + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("at_mm = 600", "at_mm = 500", "the estimate has: no axis named 'x_at_500'"),
+        ("at_mm = 600", "at_mm = nan", "at_mm"),
+        ("at_mm = 600", 'at_mm = 600\n[axes."X 600".slope]', "leave at_mm or slope out"),
+    ],
+)
+def test_a_position_that_the_estimate_does_not_have_is_refused_in_one_line(files, old, new, told):
+    (files / "estimate.csv").write_text(placed_text(8, -32), "utf-8")
+    (files / "offsets.toml").write_text(TABLE.replace(old, new), "utf-8")
+    error = refused(files, files / "estimate.csv")
+    assert told in error
+    assert "\n" not in error
+
+
 def test_without_a_slope_in_the_settings_the_offset_is_k0(files):
     axes, rows = read_estimate(along_text([60.0] * 100).splitlines(), "estimate.csv")
     (last,) = [*preview(read_settings(files / "offsets.toml"), axes, rows)][-1:]

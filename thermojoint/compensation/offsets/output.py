@@ -224,7 +224,8 @@ def followed(
     ----------
     settings : OutputSettings
     axes : sequence of str
-        Axes of the estimate, including all that `settings` refers to.
+        Axes of the estimate, then its displacements at positions, including all that `settings`
+        refers to.
     displacement : ndarray, shape (axes,)
         Estimated, m.
     lines : Lines, optional

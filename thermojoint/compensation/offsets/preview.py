@@ -54,11 +54,12 @@ def preview(settings: Settings, axes: Sequence[str], rows: Sequence[Row]) -> Ite
     Raises
     ------
     InputError
-        The estimate lacks an axis or a slope that is followed.
+        The estimate lacks an axis, a position or a slope that is followed.
     """
+    known = (*axes, *rows[0].places)
     for name in settings.output.estimated:
-        if name not in axes:
-            raise unknown_name("axis", name, axes, "axes: the estimate has")
+        if name not in known:
+            raise unknown_name("axis", name, known, "axes: the estimate has")
     output = with_slopes(settings, strokes_of(axes, rows), "settings").output
     references = np.array([one.reference for one in output.slopes])
     times = np.array([row.time for row in rows])
@@ -70,7 +71,8 @@ def preview(settings: Settings, axes: Sequence[str], rows: Sequence[Row]) -> Ite
         row = rows[int(np.searchsorted(times, time * (1.0 + 1e-12), side="right")) - 1]
         band = band_along(output, axes, row.band, row.lines)
         used = usable(settings.trust, time - row.time, band, row.status)
-        target = followed(output, axes, row.displacement, row.lines) if used else None
+        moved = np.append(row.displacement, [*row.places.values()])
+        target = followed(output, known, moved, row.lines) if used else None
         state = cycle(output, state, time, target)
         offsets, slopes = offsets_of(output, state), slopes_of(output, state)
         yield Cycle(time, offsets, slopes, references, mode_of(output, state).value)

@@ -6,11 +6,11 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from estimator.lines import Stroke, lever
+from estimator.lines import Stroke, lever, name_at
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.settings import toml
 from thermojoint.artefacts.settings.read import settings_from
@@ -34,11 +34,26 @@ class SlopeSection(Section):
 
 
 class AxisSection(Section):
-    """``[axes.NAME]``: the axis of the estimate that an axis of the control follows; the sign."""
+    """``[axes.NAME]``: the axis of the estimate that an axis of the control follows; the sign.
+
+    With `at_mm`, NAME is a point of a table of the control: what holds if the axis stands there.
+    """
 
     follows: str
+    at_mm: Finite | None = None
     sign: Literal[-1, 1] = -1
     slope: SlopeSection | None = None
+
+    @model_validator(mode="after")
+    def _one_position(self) -> Self:
+        if self.at_mm is not None and self.slope is not None:
+            raise ValueError("at_mm: a line is about every position; leave at_mm or slope out")
+        return self
+
+    @property
+    def estimated(self) -> str:
+        """Name of what is followed in the estimate."""
+        return self.follows if self.at_mm is None else name_at(self.follows, self.at_mm)
 
 
 class SettingsFile(Section):
@@ -114,7 +129,7 @@ def settings_from_data(data: dict[str, Any], where: Path | str) -> Settings:
     return Settings(
         OutputSettings(
             names=tuple(given.axes),
-            estimated=tuple(axis.follows for axis in given.axes.values()),
+            estimated=tuple(axis.estimated for axis in given.axes.values()),
             signs=tuple(axis.sign for axis in given.axes.values()),
             resolution=MICRO * given.resolution_um,
             rate=MICRO * given.rate_um_s,
