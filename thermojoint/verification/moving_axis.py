@@ -1,25 +1,13 @@
-"""A slide on a guide: against the structure meshed there, and against closed forms.
-
-A band of half-width b that moves at speed v on an insulated half-space and gives it a heat flux q
-has, once steady, the temperature (Jaeger, Proc. R. Soc. N.S.W. 76, 1942)
-
-    T(x) = q/(pi k) int_-b^b exp(-v (x - x')/(2 a)) K0(v |x - x'|/(2 a)) dx'
-
-at the surface, x ahead of its middle; v b/(2 a) is its Peclet number.
-"""
+"""A slide on a guide: against the structure meshed there, and against closed forms."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from scipy.integrate import quad
-from scipy.optimize import minimize_scalar
-from scipy.special import k0
 from skfem import MeshHex
 
 from fesim.axes.setup import set_up_axes
@@ -43,14 +31,6 @@ SIZE, ELEMENT, SHOWN = 0.02, 0.02, 0.12
 ALIGNED = (0.0, 0.08, 0.16, 0.24, 0.32)
 OFF, BETWEEN = 0.2, ((0.08, 0.0), (0.04, 0.02))
 PRELOAD, RUNNING, RISE = 2e6, 0.1, 20.0
-#: The half-space: band, mesh along it, first and all layers below it, width, m.
-BAND, ALONG, FIRST, LAYERS, GROWTH, WIDE = 0.02, 0.0025, 0.0008, 15, 1.25, 0.1
-#: Contact elements in the band. Peclet numbers; start and end of the band's way, a point on it, m.
-ELEMENTS = 8
-PECLET = (1.2, 2.0)
-WAY, POINT = (0.02, 0.12), 0.1
-DIFFUSIVITY = IRON.conductivity / (IRON.density * IRON.heat_capacity)
-JAEGER = Quantity("temperature", "K", 1e-2, "Jaeger, closed form")
 
 
 def checks() -> Iterator[Check]:
@@ -60,8 +40,6 @@ def checks() -> Iterator[Check]:
         yield from _expansion_checks(folder)
         yield from _energy_checks(folder)
         yield from _oscillation_checks(folder)
-        for peclet in PECLET:
-            yield _band_check(folder, peclet)
     yield from axis_chain.checks()
 
 
@@ -100,8 +78,8 @@ def slide_data(folder: Path, shown: float) -> dict[str, Any]:
     slide = (shown + np.linspace(0.0, SLIDE, 5), np.linspace(0.0, HEIGHT, 3))
     name = f"slide{1e3 * shown:g}.vtu"
     write_structure(slide_on_guide((lines[0], lines[1], lines[2]), slide), folder / name)
-    joint = _joint(along=round(SLIDE / ELEMENT), across=2, conductance={"law": "cmy-1969"})
-    return _case(name, {"joint": joint}) | {
+    joint = slide_joint(along=round(SLIDE / ELEMENT), across=2, conductance={"law": "cmy-1969"})
+    return slide_case(name, {"joint": joint}) | {
         "convection_W_m2K": {"y0": 200.0},
         "probes": {
             "tool": {"position_mm": [1e3 * shown + 80.0, 40.0, 0.0], "body": "slide"},
@@ -111,7 +89,8 @@ def slide_data(folder: Path, shown: float) -> dict[str, Any]:
     }
 
 
-def _case(mesh: str, joints: dict[str, Any]) -> dict[str, Any]:
+def slide_case(mesh: str, joints: dict[str, Any]) -> dict[str, Any]:
+    """Return a case of iron bodies, without convection, probes and displacement."""
     return {
         "title": "slide on a guide",
         "structure": {"kind": "mesh", "file": mesh},
@@ -131,7 +110,8 @@ def _case(mesh: str, joints: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _joint(**keys: object) -> dict[str, Any]:
+def slide_joint(**keys: object) -> dict[str, Any]:
+    """Return the section of the joint between slide and guide, with more keys."""
     surface = {"roughness_um": 1.25, "asperity_slope": 0.14, "hardness_GPa": 1.961}
     sides = {"side_a": "pads", "side_b": "way", "preload_MPa": 1e-6 * PRELOAD}
     return surface | sides | {"friction_coefficient": 0.0} | keys
@@ -287,58 +267,3 @@ def _oscillation_checks(folder: Path) -> Iterator[Check]:
     yield Quantity("temperature", "K", 1e-2, "steps of a tenth of the period").check(
         "moving axis, oscillation, its time mean", *means
     )
-
-
-def _band_check(folder: Path, peclet: float) -> Check:
-    """A band along a half-space: the largest temperature that a point of its surface reaches."""
-    speed = 2.0 * DIFFUSIVITY * peclet / (0.5 * BAND)
-    flux = 0.5 * RUNNING * PRELOAD * speed
-    layers = np.arange(LAYERS + 1, dtype=np.float64)
-    depth = FIRST * (GROWTH**layers - 1.0) / (GROWTH - 1.0)
-    length = WAY[1] + BAND + 0.02
-    lines = (
-        np.linspace(0.0, length, round(length / ALONG) + 1),
-        np.asarray(-depth[::-1], dtype=np.float64),
-        np.array([0.0, WIDE]),
-    )
-    slide = (WAY[0] + np.linspace(0.0, BAND, ELEMENTS + 1), np.linspace(0.0, 0.01, 2))
-    write_structure(slide_on_guide(lines, slide), folder / "band.vtu")
-    joint = _joint(along=1, across=ELEMENTS, conductance={"law": "none"})
-    data = _case("band.vtu", {"joint": joint | {"running_friction_coefficient": RUNNING}})
-    data["materials"]["iron"]["expansion_1_K"] = 0.0
-    data["heat_input"]["level"] = 0.0
-    # Far from the band; without it a reduced model has to resolve how insulated bodies heat up.
-    data["convection_W_m2K"] = {"y0": 1e4, "y1": 1e4}
-    data["supports"]["symmetry"] = {"z0": "z"}
-    data["probes"] = {"on": {"position_mm": [1e3 * POINT, 0.0, 50.0], "body": "guide"}}
-    data["displacement"] = {"point": "on"}
-    taken = (WAY[1] - WAY[0]) / speed
-    course = write_course(folder, np.array([0.0, taken]), np.array(WAY))
-    stroke = (1e3 * WAY[0], 1e3 * WAY[1])
-    data = on_axis(data, stroke, file=course, station_mm=1e3 * ALONG, mesh_position_mm=stroke[0])
-    largest = []
-    for part in (2.0, 4.0):
-        step = ALONG / part / speed
-        data["march"] = {"step_s": step, "duration_min": taken / 60.0}
-        largest.append(float(marched(folder, data)["temperature"].max()))
-    return JAEGER.check(
-        f"moving axis, band on a half-space, Peclet {peclet:g}",
-        band_temperature(speed, flux),
-        2.0 * largest[1] - largest[0],
-    )
-
-
-def band_temperature(speed: float, flux: float) -> float:
-    """Largest temperature under a band of given speed, m/s, and heat flux, W/m2, by Jaeger, K."""
-    rate = speed / (2.0 * DIFFUSIVITY)
-
-    def below(x: float) -> float:
-        def part(at: float) -> float:
-            return float(np.exp(-rate * (x - at)) * k0(rate * abs(x - at)))
-
-        ends = (-0.5 * BAND, x, 0.5 * BAND)
-        whole = sum(quad(part, low, high)[0] for low, high in pairwise(ends))
-        return flux / (np.pi * IRON.conductivity) * whole
-
-    found = minimize_scalar(lambda x: -below(x), bounds=(-0.5 * BAND, 0.5 * BAND), method="bounded")
-    return -float(found.fun)

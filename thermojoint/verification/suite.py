@@ -20,6 +20,8 @@ from thermojoint.verification import (
     manufactured,
     marching,
     moving_axis,
+    moving_band,
+    moving_load,
     nafems_heat,
     partial_slip,
     patch,
@@ -72,6 +74,8 @@ GROUPS: tuple[Group, ...] = (
     Group("Errors in the time step", marching.splitting_checks),
     Group("Adaptive steps, pulses, units", adaptive_march.checks),
     Group("Moving axes", moving_axis.checks),
+    Group("Bands of heat that move", moving_band.checks),
+    Group("A beam under a moving load", moving_load.checks),
     Group("Ball screws", ball_screw.checks),
 )
 
