@@ -32,6 +32,8 @@ SUFFIXES = (".step", ".stp", ".iges", ".igs", ".brep")
 MOST_CELLS = 2e7
 #: A face may be this far from a point that names it, relative to the size of the part.
 NEAR = 1e-4
+#: Faces whose distances from a point differ by less, relative to the size of the part, are one.
+AS_NEAR = 1e-9
 #: Faces that share less than this fraction of the smaller one touch only at an edge.
 LEAST_OVERLAP = 1e-3
 
@@ -287,7 +289,7 @@ def _bodies(gmsh: Any, given: Mapping[str, Point]) -> dict[str, int]:  # noqa: A
     """Names of the solids, those given first; numbered if there is none or it is not unique."""
     named = {}
     for name, point in given.items():
-        solids, _ = gmsh.model.getAdjacencies(2, _face_at(gmsh, name, point))
+        solids, _ = gmsh.model.getAdjacencies(2, _faces_at(gmsh, name, point)[0])
         named[int(solids[0])] = name
     labels = {tag: _plain(gmsh.model.getEntityName(3, tag)) for _, tag in gmsh.model.getEntities(3)}
     all_names = list(labels.values())
@@ -350,10 +352,19 @@ def _surfaces(
     sides: Mapping[str, list[int]],
     names: Mapping[str, Sequence[Point]],
 ) -> dict[str, list[int]]:
-    surfaces = {
-        name: sorted({_face_at(gmsh, name, point) for point in points})
-        for name, points in names.items()
-    }
+    """Faces of every surface.
+
+    Where the two sides of a joint are at a point, that of the body with the other points is meant:
+    a guide is the face below the slide and the rest of it.
+    """
+    body_of = {tag: body for body, volume in bodies.items() for tag in _faces(gmsh, volume)}
+    surfaces = {}
+    for name, points in names.items():
+        found = [_faces_at(gmsh, name, point) for point in points]
+        own = {body_of[tags[0]] for tags in found if len(tags) == 1}
+        surfaces[name] = sorted(
+            {next((tag for tag in tags if body_of[tag] in own), tags[0]) for tags in found}
+        )
     surfaces |= sides
     taken = {tag for tags in surfaces.values() for tag in tags}
     for body, volume in bodies.items():
@@ -363,7 +374,8 @@ def _surfaces(
     return surfaces
 
 
-def _face_at(gmsh: Any, name: str, point: Point) -> int:  # noqa: ANN401
+def _faces_at(gmsh: Any, name: str, point: Point) -> list[int]:  # noqa: ANN401
+    """The nearest face to a point, and those that are as near."""
     occ = gmsh.model.occ
     at = occ.addPoint(*point)
     box = gmsh.model.getBoundingBox(-1, -1)
@@ -379,7 +391,7 @@ def _face_at(gmsh: Any, name: str, point: Point) -> int:  # noqa: ANN401
             f"surface {name!r}: no face at ({where}) mm; the nearest is "
             f"{1e3 * away[nearest]:.3g} mm away"
         )
-    return int(nearest)
+    return [tag for tag in away if away[tag] <= away[nearest] + AS_NEAR * size]
 
 
 def _is_in_box(gmsh: Any, tag: int, point: Point, slack: float) -> bool:  # noqa: ANN401

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -94,8 +94,15 @@ class Inspection:
     warnings: tuple[str, ...]
 
 
-def inspect(structure: Structure) -> Inspection:
-    """Inspect a structure."""
+def inspect(structure: Structure, riding: Collection[str] = ()) -> Inspection:
+    """Inspect a structure.
+
+    Parameters
+    ----------
+    structure : Structure
+    riding : collection of str
+        Joints on an axis: their guides are longer than what they cover where the mesh shows them.
+    """
     mesh = structure.mesh
     quality = cell_quality(mesh)
     worst = int(np.argmin(quality))
@@ -134,7 +141,9 @@ def inspect(structure: Structure) -> Inspection:
             *_glue_warnings(structure),
             *warnings,
             *_joint_warnings(joints),
-            *_bare_warnings(structure, joints),
+            *_bare_warnings(
+                structure, {name: one for name, one in joints.items() if name not in riding}
+            ),
             *_partner_warnings(structure),
             *facing_warnings(
                 structure,

@@ -131,6 +131,16 @@ def test_points_name_faces(step, tmp_path):
 
 
 @needs_gmsh
+def test_a_guide_is_the_face_below_its_slide_and_the_rest_of_it(step, tmp_path):
+    """Where both sides of the joint are, that of the body with the other point is meant."""
+    (tmp_path / "names.toml").write_text("[surfaces_mm]\nway = [[20, 20, 40], [60, 20, 40]]\n")
+    mesh_cad(step, tmp_path / "part.msh", 0.02, names=read_names(tmp_path / "names.toml"))
+    found = inspect(read_structure(tmp_path / "part.msh"))
+    assert found.surfaces["way"].bodies == ("bed",)
+    assert found.surfaces["way"].area == pytest.approx(0.1 * 0.04, rel=1e-3)
+
+
+@needs_gmsh
 def test_bodies_and_joints_are_named_and_every_face_has_a_point(step, tmp_path):
     faces, touching = free_faces(step, 0.02)
     own = {face.body: face.point for face in faces}

@@ -123,6 +123,10 @@ def test_a_fault_is_told(fault):
     assert any(said in warning for warning in inspect(structure).warnings)
 
 
+def test_a_guide_may_be_longer_than_what_rides_on_it():
+    assert not inspect(LONG, riding=["joint"]).warnings
+
+
 def test_a_long_side_that_convects_is_no_fault():
     cooled = {"cooled": LONG.surfaces["joint.b"]}
     assert inspect(replace(LONG, surfaces=LONG.surfaces | cooled)).warnings == ()

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import typer
 import xarray as xr
-from page_commands import run
+from page_commands import blocks_of, files_of, follow
 from repository import ROOT
 from skfem import MeshHex
 
@@ -21,12 +21,8 @@ from thermojoint.cli.app import app
 
 PAGE = ROOT / "docs" / "your-own-machine.md"
 CLAMP = ROOT / "examples" / "clamp"
-#: What follows the language of a block: "once" for what sets the environment up, "cad" for what
-#: needs Gmsh, or the name of a file.
-BLOCKS = re.findall(r"^```(\w+)([^\n]*)\n(.*?)^```", PAGE.read_text("utf-8"), re.M | re.S)
-
-FILES = {rest.strip(): content for _, rest, content in BLOCKS if "." in rest}
-
+BLOCKS = blocks_of(PAGE)
+FILES = files_of(BLOCKS)
 COMMANDS = [
     (page.name, line)
     for page in (PAGE.parents[1] / "README.md", *sorted(PAGE.parent.glob("*.md")))
@@ -83,11 +79,7 @@ def followed(tmp_path_factory):
         write_structure(clamp_mesh(), folder / "clamp.msh")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(root)
-        for language, rest, content in BLOCKS:
-            left_out = ["once"] if gmsh is not None else ["once", "cad"]
-            if language == "sh" and rest.strip() not in left_out:
-                for command in content.strip().splitlines():
-                    run(command, patch)
+        follow(BLOCKS, patch, () if gmsh is not None else ("cad",))
     return folder
 
 
@@ -110,7 +102,7 @@ def test_the_script_makes_the_cad_file_of_the_page(tmp_path):
 
 @pytest.mark.skipif(shutil.which("make") is None, reason="needs make")
 def test_the_environment_is_set_up_by_one_command():
-    (once,) = (content for _, rest, content in BLOCKS if rest.strip() == "once")
+    (once,) = (content for _, rest, content in BLOCKS if rest == "once")
     make, activate = once.strip().splitlines()
     told = subprocess.run([*make.split(), "-n"], cwd=ROOT, check=False, capture_output=True)
     assert told.returncode == 0

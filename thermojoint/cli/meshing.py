@@ -123,7 +123,9 @@ def inspect(
         with console.working("inspecting"):
             structure = build_structure(case)
             check_names(case, structure)
-            inspection = _with_loose_bodies(inspect_structure(structure), case, structure)
+            riding = [name for name, joint in case.joints.items() if joint.axis is not None]
+            found = inspect_structure(structure, riding)
+            inspection = _with_loose_bodies(found, case, structure)
     else:
         with console.working("inspecting"):
             structure = read_structure(source, UNITS[unit])
