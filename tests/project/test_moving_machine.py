@@ -40,9 +40,7 @@ def test_every_file_of_the_page_is_in_the_examples_as_it_stands_there():
 
 
 @pytest.mark.skipif(gmsh is None, reason="needs Gmsh")
-def test_the_commands_of_the_page_take_parts_to_a_line(
-    followed, capsys, monkeypatch
-):
+def test_the_commands_of_the_page_take_parts_to_a_line(followed, capsys, monkeypatch):
     assert (followed / "curves.png").exists()
     response = xr.load_dataset(followed / "slide.nc")
     assert float(np.abs(response["heat_balance"]).max()) < 1e-8
