@@ -52,6 +52,19 @@ OVERTRAVEL = MILLI
 Names = tuple[str, ...]
 
 
+class Read(NamedTuple):
+    """What a sample says; NaN where it says nothing."""
+
+    #: Shape (p + 1,): of the sensors, without their offsets, and of the ambient, K.
+    temperatures: Array
+    #: Shape (l + x,): factors of the loads, and positions, m.
+    factors: Array
+    #: Shape (t,): W.
+    powers: Array
+    #: Shape (axes,): displacements, m.
+    displacements: Array
+
+
 class Taken(NamedTuple):
     """Result of processing a sample."""
 
@@ -111,13 +124,14 @@ class JointAware(Described):
     def channels(self) -> tuple[Channel, ...]:
         """Sensors and the ambient, above the ambient at which the machine was cold, K.
 
-        Then factors of the loads that change, and the positions of moving axes, m. Displacement
-        readings come last, m; a sample may end before them.
+        Then factors of the loads that change, the positions of moving axes, m, and powers of
+        sources, W. Displacement readings come last, m; a sample may end before them.
         """
         return (
             *(Channel(name, "K") for name in (*self.model.sensors, "ambient")),
             *(Channel(name, "1") for name in self.model.loads),
             *(Channel(name, "m") for name in self.model.positions),
+            *(Channel(name, "W") for name in self.model.powers),
             *(Channel(f"displacement_{axis}", "m") for axis in self.axes),
         )
 
@@ -171,7 +185,7 @@ class JointAware(Described):
         system = self.observer.system
         return layout(
             system.size,
-            (self.model.modes.factors.size, self._drives.cold.size),
+            (self.model.modes.factors.size, self._drives.cold.size, len(self.model.powers)),
             self.observer.physics.contacts,
             self.model.warm.shape[1],
             len(system.rows),
@@ -227,6 +241,7 @@ class JointAware(Described):
             **self.observer.physics.at_rest()._asdict(),
             covariance_factor=factor,
             drive=self._drives.cold,
+            told=np.zeros(len(self.model.powers)),
             watch=sensor_faults.fresh(len(self.observer.system.rows), self.thresholds.faults),
             model_error=self._nothing_read,
             pending=fault_isolation.none(size),
@@ -287,14 +302,17 @@ class JointAware(Described):
         ConvergenceError
             The joint has no equilibrium that is found at these temperatures.
         """
-        flat, taken, readings, factors = self._processed(state, time, values)
-        return flat, self._estimate(taken, time, readings, factors)
+        flat, taken, read = self._processed(state, time, values)
+        return flat, self._estimate(taken, time, read)
 
     def _processed(
         self, state: Array, time: float, values: Sequence[float]
-    ) -> tuple[Array, Taken, Array, Array]:
-        """The state after a sample, how it was taken, its readings, K, and factors as read."""
-        readings, factors, probed = self.separated(values)
+    ) -> tuple[Array, Taken, Read]:
+        """The state after a sample, how it was taken, and what was read."""
+        read = self.separated(values)
+        readings, factors, powers, probed = read
+        if powers.size:
+            state = self._told(state, powers)
         flat = state.copy()
         after = unpacked(flat, self.parts)
         moment = self._moment(float(after.time), time)
@@ -306,7 +324,34 @@ class JointAware(Described):
             before = unpacked(state, self.parts)
             taken = self._taken(before, replace(moment, loads=after.loads), readings, probed)
             flat = taken.after.flat()
-        return flat, taken, readings, factors
+        return flat, taken, read
+
+    def _told(self, state: Array, powers: Array) -> Array:
+        """The state whose heat has changed as the powers (t,), W, since the sample before.
+
+        The thermometers correct it as before: they find what is wrong with a share, or is no part
+        of any power.
+        """
+        flat = state.copy()
+        own, dynamic = unpacked(flat, self.parts), self.observer.system.decay.size
+        for k, (source, share) in enumerate(self.model.power_shares.items()):
+            if np.isnan(powers[k]):
+                continue
+            heat, at = share * powers[k], self.model.sources.index(source)
+            change = heat - own.told[k]
+            own.linear[dynamic + at] += change
+            if np.isfinite(own.pending.channel):
+                own.pending.linear[dynamic + at] += change
+            own.told[k] = heat
+        return flat
+
+    @cached_property
+    def most_power(self) -> Array:
+        """What a power is at most, of either sign, W, shape (t,)."""
+        most = self.thresholds.power * self.model.calibrated.heat * self.model.power
+        shares = self.model.power_shares
+        own = [most[self.model.sources.index(one)] / share for one, share in shares.items()]
+        return np.array(own)
 
     def displacements(self, samples: Array) -> Array:
         """Return the displacements in a run from rest without their bands, (n, axes), m.
@@ -329,7 +374,7 @@ class JointAware(Described):
         # Without the lines along moving axes, which take longer than the sample.
         moved = np.empty((len(samples), len(self.axes)))
         for k, (time, *values) in enumerate(samples.tolist()):
-            state, taken, *_ = self._processed(state, time, values)
+            state, taken, _ = self._processed(state, time, values)
             moved[k] = taken.displacement + self._known(taken)
         return moved
 
@@ -468,6 +513,7 @@ class JointAware(Described):
             **settled.joint._asdict(),
             covariance_factor=self.observer.onward(factor),
             drive=drive,
+            told=before.told,
             watch=used.watch,
             model_error=known,
             pending=used.pending,
@@ -475,15 +521,16 @@ class JointAware(Described):
         moved = settled.displacement + driven
         return Taken(after, moved, expected.memory, factor, used.believed, refused)
 
-    def _estimate(self, taken: Taken, time: float, readings: Array, factors: Array) -> Estimate:
+    def _estimate(self, taken: Taken, time: float, read: Read) -> Estimate:
         """The estimate after a sample."""
+        readings, others = read.temperatures, np.concatenate([read.factors, read.powers])
         after, factor = taken.after, taken.covariance_factor
         parts = self._error_parts(taken)
         inputs = after.linear[self.observer.system.decay.size :]
         pressure = after.pressure if after.pressure.size else np.array([np.nan])
         missing, distrusted = self._left_out(readings, taken.believed)
-        given = self.channels[readings.size :][: factors.size]
-        unread = zip(given, np.isnan(factors), strict=True)
+        given = self.channels[readings.size :][: others.size]
+        unread = zip(given, np.isnan(others), strict=True)
         missing += tuple(channel.name for channel, gone in unread if gone)
         status = self._beyond(time - float(after.begun), inputs, readings, taken.believed)
         for holds, flag in (
@@ -552,10 +599,8 @@ class JointAware(Described):
         last = np.fmax.reduce(read, initial=float(after.begun))
         return bool(time - last > self.thresholds.lost)
 
-    def separated(self, values: Sequence[float]) -> tuple[Array, Array, Array]:
-        """Return the temperatures, K, the factors of the loads and the displacements, m, as read.
-
-        Offsets are subtracted from the temperatures; missing readings are NaN.
+    def separated(self, values: Sequence[float]) -> Read:
+        """Return what a sample says of each quantity.
 
         Parameters
         ----------
@@ -569,6 +614,7 @@ class JointAware(Described):
         """
         thermal = len(self.observer.system.rows)
         wanted = thermal + len(self.model.loads) + len(self.model.positions)
+        stood, wanted = wanted, wanted + len(self.model.powers)
         if len(values) not in (wanted, len(self.channels)):
             names = ", ".join(channel.name for channel in self.channels[:wanted])
             raise InputError(
@@ -583,9 +629,11 @@ class JointAware(Described):
             # Where an axis cannot stand, its position was not read.
             ends = [one[[0, -1]] for one in self.model.modes.way.stations.positions]
             low, high = np.array(ends).T
-            place = given[wanted - len(ends) : wanted]
+            place = given[stood - len(ends) : stood]
             place[(place < low - OVERTRAVEL) | (place > high + OVERTRAVEL)] = np.nan
-        return given[:thermal], given[thermal:wanted], given[wanted:]
+        powers = given[stood:wanted]
+        powers[np.abs(powers) > self.most_power] = np.nan
+        return Read(given[:thermal], given[thermal:stood], powers, given[wanted:])
 
     def _moment(self, last: float, time: float) -> Moment:
         """Time of a sample relative to the last one (s)."""

@@ -36,8 +36,9 @@ JointAwareEstimator = JointAware | AgeingJointAware
 
 
 def _start(model: ObserverModel, options: Options) -> JointAwareEstimator:
-    if options.ageing and model.moving_axes:
-        raise InputError("ageing: not of a machine with a moving axis; leave it out")
+    if options.ageing and (model.moving_axes or model.power_shares):
+        what = "with a moving axis" if model.moving_axes else "whose powers are read"
+        raise InputError(f"ageing: not of a machine {what}; leave it out")
     observer = JointAware(model, options.noise)
     return AgeingJointAware(observer, options.ageing) if options.ageing else observer
 
@@ -69,8 +70,10 @@ def _intake(model: ObserverModel, above_ambient: bool) -> Intake:
     thermal = [f"{name}_{unit}" for name in (*model.sensors, "ambient")]
     loads = [f"{name}_percent" for name in model.loads]
     positions = [f"{name}_mm" for name in model.positions]
+    powers = [f"{name}_W" for name in model.powers]
     count, moved = len(thermal), len(thermal) + len(loads)
-    wanted = moved + len(positions)
+    stood = moved + len(positions)
+    wanted = stood + len(powers)
 
     def convert(readings: Sequence[float], cold: float) -> tuple[list[float], float]:
         # The machine was cold at the first ambient temperature on record.
@@ -78,11 +81,12 @@ def _intake(model: ObserverModel, above_ambient: bool) -> Intake:
             cold = 0.0 if above_ambient else readings[count - 1]
         temperatures = [value - cold for value in readings[:count]]
         factors = [0.01 * value for value in readings[count:moved]]
-        places = [MILLI * value for value in readings[moved:wanted]]
+        places = [MILLI * value for value in readings[moved:stood]]
+        given = list(readings[stood:wanted])
         probed = [MICRO * value for value in readings[wanted:]]
-        return [*temperatures, *factors, *places, *probed], cold
+        return [*temperatures, *factors, *places, *given, *probed], cold
 
-    names = [*thermal, *loads, *positions, *(f"{axis}_um" for axis in model.axes)]
+    names = [*thermal, *loads, *positions, *powers, *(f"{axis}_um" for axis in model.axes)]
     return intake(names, wanted, convert)
 
 
@@ -92,12 +96,13 @@ def _log(
     where: str,
     on_first: OnFirst | None,
 ) -> Iterator[tuple[float, ...]]:
-    return log_samples(pieces, model.sensors, where, (*model.loads, *model.positions))
+    others = (*model.loads, *model.positions, *model.powers)
+    return log_samples(pieces, model.sensors, where, others)
 
 
 def _response(model: ObserverModel, response: xr.Dataset) -> Iterator[tuple[float, ...]]:
     axes = [axis.name for axis in model.moving_axes]
-    return samples_in(response, model.sensors, model.loads, axes)
+    return samples_in(response, model.sensors, model.loads, axes, model.power_shares)
 
 
 def _sensors(model: ObserverModel, response: xr.Dataset) -> Sequence[str]:

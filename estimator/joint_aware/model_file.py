@@ -218,6 +218,7 @@ def _header(model: ObserverModel) -> str:
             },
             "factors": model.factors,
             "strokes": moving,
+            "power_shares": dict(model.power_shares),
         },
         allow_nan=False,
     )
@@ -279,6 +280,7 @@ def _model(header: dict[str, Any], arrays: Mapping[str, Array]) -> ObserverModel
             )
             for k, stroke in enumerate(header["strokes"])
         ),
+        power_shares=header.get("power_shares", {}),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -98,6 +99,8 @@ class ObserverModel(Described):
         Name of the kind of estimator.
     moving_axes : tuple of MovingAxis
         Of a machine that has any.
+    power_shares : mapping of str to float
+        Of sources whose power is read, the share of it that is their heat.
     """
 
     modes: Modes
@@ -130,6 +133,12 @@ class ObserverModel(Described):
 
     kind: Kind = "joint-aware"
     moving_axes: tuple[MovingAxis, ...] = ()
+    power_shares: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def powers(self) -> tuple[str, ...]:
+        """Names of the powers that are read, after the positions: ``spindle_power``."""
+        return tuple(f"{source}_power" for source in self.power_shares)
 
     @property
     def positions(self) -> tuple[str, ...]:

@@ -44,6 +44,8 @@ class ObserverState(NamedTuple):
     covariance_factor: Array
     #: Shape (d,): temperatures of the axes' drives, K.
     drive: Array
+    #: Shape (t,): heat by the powers that were read last, W.
+    told: Array
     #: Memory of every channel.
     watch: Watch
     #: Model error estimated from displacement readings.
@@ -92,7 +94,7 @@ def placed(shapes: Mapping[str, tuple[int, ...]]) -> Layout:
 
 def layout(
     states: int,
-    given: tuple[int, int],
+    given: tuple[int, int, int],
     contacts: int,
     columns: int,
     channels: int,
@@ -100,9 +102,9 @@ def layout(
 ) -> Layout:
     """Return the layout of an observer's state, with a model error of the shapes of `error`.
 
-    `given` are the numbers of loads and of the temperatures of the axes' drives.
+    `given` are the numbers of loads, of the temperatures of the axes' drives and of powers.
     """
-    loads, drive = given
+    loads, drive, powers = given
     return placed(
         {
             "time": (),
@@ -116,6 +118,7 @@ def layout(
             "change": (3, contacts),
             "covariance_factor": (states, columns),
             "drive": (drive,),
+            "told": (powers,),
             "watch": (len(Watch._fields), channels),
             **{f"model_error.{name}": error.mean.shape for name in ModelError._fields[:_FIRST]},
             **{f"pending.{name}": () for name in PendingJump._fields[:-1]},

@@ -108,6 +108,7 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
     count = len(estimator.observer.system.rows)
     start = _start(estimator)
     slowest = 1.0 / float(model.modes.rates.min())
+    own = way.state + len(model.powers)
     judged = _judging(estimator, linear, contacts) + Operations(0, 6 * len(start.known))
     return Contents(
         estimator,
@@ -143,6 +144,7 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             "width": WIDTH,
             "most_heat": (1.0 + SLACK) * model.calibrated.heat,
             "least_heat": -SLACK * model.calibrated.heat,
+            "told": _told(estimator),
             "longest": (1.0 + SLACK) * model.calibrated.duration_s,
             "root2": math.sqrt(2.0),
             "root2pi": math.sqrt(2.0 * math.pi),
@@ -151,7 +153,7 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             **way.values,
         },
         constants=sum(table.values.size for table in tables),
-        state=5 * linear + 44 * contacts + 9 * contacts**2 + 14 * count + 11 + way.state,
+        state=5 * linear + 44 * contacts + 9 * contacts**2 + 14 * count + 11 + own,
         usual=fixed + way.usual + usual.times(places),
         worst=fixed + way.worst + judged + worst.times(places),
         labels=("a sample of two Newton steps, nothing slides", "any sample, at most"),
@@ -164,7 +166,8 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
 
 def _interface(estimator: JointAware) -> Interface:
     model, axes = estimator.model, distinct(estimator.axes, "axes")
-    readings = distinct((*model.sensors, "ambient", *model.positions), "sensors")
+    given = *model.sensors, "ambient", *model.positions, *model.powers
+    readings = distinct(given, "sensors")
     moving = bool(model.moving_axes)
     return Interface(
         kind="joint_aware",
@@ -190,6 +193,17 @@ def _interface(estimator: JointAware) -> Interface:
         lines=guided_program.compared(estimator) if moving else (),
         held=guided_program.LINE_HELD if moving else 0,
     )
+
+
+def _told(estimator: JointAware) -> list[dict[str, float]]:
+    """Of every power: place of its source, share that is heat there, and the largest, W."""
+    model = estimator.model
+    return [
+        {"source": model.sources.index(source), "share": share, "most": most}
+        for (source, share), most in zip(
+            model.power_shares.items(), estimator.most_power.tolist(), strict=True
+        )
+    ]
 
 
 def _erfc(kernel: JointKernel, precision: Precision) -> dict[str, Any] | None:
@@ -370,7 +384,10 @@ def _duty_cycle(estimator: JointAware) -> Iterator[tuple[float, ...]]:
     read += relaxed(heat, model.discrepancy.rates, model.step) @ model.discrepancy.temperature.T
     rows = np.vstack([np.zeros(read.shape[1] + 1), np.column_stack([read, ambient])])
     rows[:, :-1] += model.offset
-    rows = np.hstack([rows, places])
+    shares = model.power_shares
+    at = [model.sources.index(source) for source in shares]
+    powers = np.vstack([np.zeros(len(at)), (heat * model.power)[:, at] / [*shares.values()]])
+    rows = np.hstack([rows, places, powers])
     for k, row in enumerate(rows.tolist()):
         yield (k * model.step, *row)
 

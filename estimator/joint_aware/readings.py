@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 import xarray as xr
@@ -72,20 +73,35 @@ def positions_in(response: xr.Dataset, axes: Sequence[str]) -> Array:
     return columns_of(response, "axis_position", axes)
 
 
+def powers_in(response: xr.Dataset, shares: Mapping[str, float]) -> Array:
+    """Return the powers that give the sources their heat by these shares of it, W, shape (n, t).
+
+    Raises
+    ------
+    InputError
+        A source is missing.
+    """
+    if not shares:
+        return np.zeros((response.sizes["time"], 0))
+    return columns_of(response, "source_power", list(shares)) / np.array([*shares.values()])
+
+
 def samples_in(
     response: xr.Dataset,
     sensors: Sequence[str],
     loads: Sequence[str] = (),
     axes: Sequence[str] = (),
+    shares: Mapping[str, float] = MappingProxyType({}),
 ) -> Iterator[tuple[float, ...]]:
-    """Yield (time, temperature of every sensor, ambient, loads, positions) for every sample.
+    """Yield (time, temperature of every sensor, ambient, loads, positions, powers) of every sample.
 
     Raises
     ------
     InputError
-        A probe, a load or a position is missing.
+        A probe, a load, a position or a source is missing.
     """
     sensed, given = temperatures_in(response, sensors), loads_in(response, loads)
-    values = np.column_stack([sensed, ambient_in(response), given, positions_in(response, axes)])
+    others = positions_in(response, axes), powers_in(response, shares)
+    values = np.column_stack([sensed, ambient_in(response), given, *others])
     for time, row in zip(response["time"].to_numpy(), values, strict=True):
         yield (float(time), *map(float, row))

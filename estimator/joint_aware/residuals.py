@@ -21,6 +21,6 @@ def residuals(estimator: JointAware, state: Array, values: Array) -> Array:
     values : ndarray
         The sample, as `estimator.channels`.
     """
-    thermal, *_ = estimator.separated(values.tolist())
+    thermal = estimator.separated(values.tolist()).temperatures
     linear = unpacked(state, estimator.parts).linear
     return np.asarray(thermal - estimator.observer.system.rows @ linear)

@@ -30,6 +30,8 @@ class Thresholds:
     #: tolerance relative to it on either side.
     onset: float = 1.5
     onset_slack: float = 0.05
+    #: A power that means more than this multiple of the largest calibrated heat is none.
+    power: float = 5.0
     #: A jump is judged after this time, s, and this many samples.
     decided: float = 12.0
     samples: int = 3

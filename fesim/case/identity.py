@@ -63,7 +63,7 @@ _THERMAL = {
     "heat_capacity_factor",
     "expansion_factor",
 }
-_STRENGTH = {"reference_power_W", "count", "reading", "heat_input"}
+_STRENGTH = {"reference_power_W", "count", "reading", "heat_input", "power_share"}
 _TIGHTENING = {"force_kN", "file"}
 
 #: Read once: it takes longer than all the rest of a digest.

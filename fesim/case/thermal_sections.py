@@ -118,7 +118,8 @@ class SourceSection(Section):
 
     ``reading`` says what ``reference_power_W`` is: the heat of each of the ``count`` sources of the
     whole machine, or of all of them together. A source without its own ``heat_input`` uses the
-    case's. A ``profile`` distributes the same heat unevenly.
+    case's. A ``profile`` distributes the same heat unevenly. With ``power_share`` a joint-aware
+    model of the case reads the power of a motor or drive, that share of which becomes heat here.
     """
 
     surface: str | None = None
@@ -128,6 +129,7 @@ class SourceSection(Section):
     reading: Literal["per source", "total"] = "per source"
     heat_input: HeatInput | None = None
     profile: ProfileSection | None = None
+    power_share: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
 
     @model_validator(mode="after")
     def _one_region(self) -> SourceSection:

@@ -6,7 +6,7 @@ parameters cost a small eigenvalue problem and no finite element (`parameters`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -176,6 +176,8 @@ class ReducedMachine:
     power: Array
     #: Longest time step, s.
     step: float
+    #: Of sources whose power a control knows, the share of it that is their heat.
+    power_shares: Mapping[str, float] = field(default_factory=dict)
     #: Convection of single surfaces: what of `convection` and `ambient` is theirs, or could be.
     films: tuple[Film, ...] = ()
     #: Loads and bolts.
@@ -388,6 +390,11 @@ def reduce_machine(
         source_names=tuple(case.sources),
         power=np.array([source_power(source) for source in case.sources.values()]),
         step=case.march.step_s,
+        power_shares={
+            name: source.power_share
+            for name, source in case.sources.items()
+            if source.power_share is not None
+        },
         films=films_of(case, setup),
         acting=_acting(case, setup),
         held=held,

@@ -1,0 +1,136 @@
+"""A power that a control knows tells of a source's heat before the thermometers do."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from exported import SANITISED, compiled, needs_gcc, selftest, written
+from matiec import needs_matiec, selftest_by_matiec
+from observed import errors, estimates, observer, run, step
+from structured_text import run as run_structured_text
+
+from estimator.export.program import COMMON
+from estimator.export.structured_text import st_files
+from estimator.exporting import export_program
+from estimator.interface import Status
+from estimator.joint_aware.kind import KIND
+from estimator.joint_aware.model_file import read_observer, write_observer
+from estimator.joint_aware.readings import samples_in
+from estimator.kind import Options
+from fesim.case.schema import case_from_data
+from thermojoint.artefacts.errors import InputError
+from thermojoint.reduced.machine import reduce_machine
+
+#: Thermometers away from the source, which see its heat minutes later.
+SENSORS = ("T1", "T2")
+SHARE = 0.3
+
+
+@pytest.fixture(scope="module")
+def told(data, setup, stepped):
+    """An observer that reads the power of the bearings."""
+    source = data["sources"]["bearings"] | {"power_share": SHARE}
+    case = case_from_data(data | {"sources": {"bearings": source}}, "case", Path())
+    return observer(reduce_machine(case, setup, SENSORS), {"step": stepped})
+
+
+@pytest.fixture(scope="module")
+def blind(told):
+    """The same that only its thermometers tell."""
+    return replace(told, model=replace(told.model, power_shares={}))
+
+
+@pytest.fixture(scope="module")
+def response(data, setup):
+    return run(data, setup, step(2.0), minutes=8.0)
+
+
+def samples(response, estimator, factor=1.0):
+    shares = estimator.model.power_shares
+    rows = np.array(list(samples_in(response, SENSORS, shares=shares)))
+    rows[:, 4:] *= factor
+    return rows.tolist()
+
+
+def largest(estimator, response, rows):
+    _, found = estimates(estimator, rows)
+    return np.abs(errors(estimator, response, found)).max()
+
+
+def test_heat_is_known_before_the_thermometers_see_it(blind, told, response):
+    without = largest(blind, response, samples(response, blind))
+    assert largest(told, response, samples(response, told)) < 0.1 * without
+    # The thermometers correct a share that is wrong.
+    for factor in (0.7, 1.3):
+        assert largest(told, response, samples(response, told, factor)) < 0.5 * without
+
+
+@pytest.mark.parametrize("power", [np.nan, 1e9, -1e9], ids=["none", "much", "negative"])
+def test_a_power_that_is_none_changes_nothing(blind, told, response, power):
+    """The heat stays what thermometers and the last power have told."""
+    rows = np.array(samples(response, told))
+    rows[:, 4] = power
+    _, found = estimates(told, rows.tolist())
+    _, alone = estimates(blind, samples(response, blind))
+    for one, other in zip(found, alone, strict=True):
+        np.testing.assert_allclose(one.displacement, other.displacement, atol=1e-15)
+    assert found[5].missing == ("bearings_power",)
+    assert Status.READING_MISSING in found[5].status
+
+
+def test_a_run_goes_on_from_its_state(told, response):
+    rows = samples(response, told)
+    _, whole = estimates(told, rows)
+    state, _ = estimates(told, rows[:40])
+    _, rest = estimates(told, rows[40:], state)
+    assert all(
+        np.array_equal(one.displacement, other.displacement)
+        for one, other in zip(whole[40:], rest, strict=True)
+    )
+
+
+def test_file_log_and_service_know_the_power(told, tmp_path):
+    write_observer(told.model, tmp_path / "model.h5")
+    assert read_observer(tmp_path / "model.h5").power_shares == {"bearings": SHARE}
+    intake = KIND.intake(told.model, True)
+    assert intake.names == ("T1_K", "T2_K", "ambient_K", "bearings_power_W", "x_um", "y_um")
+    given, _ = intake.convert([1.0, 2.0, 0.5, 900.0, np.nan, np.nan], 0.0)
+    assert given[:4] == pytest.approx([1.0, 2.0, 0.5, 900.0])
+    with pytest.raises(InputError, match="whose powers are read"):
+        KIND.start(told.model, Options(ageing=("film",)))
+
+
+@pytest.fixture(scope="module")
+def program(told, response):
+    return export_program(told, name="m", samples=samples(response, told))
+
+
+@needs_gcc
+def test_its_program_knows_the_power(program, tmp_path):
+    done, figures = selftest(written(program, tmp_path), "m", "-O1", *SANITISED)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert figures["largest displacement"] > 20e-6
+    assert figures["state"] == program.state
+
+
+@needs_gcc
+def test_a_power_that_is_none_is_missing_in_its_program(told, response, program, tmp_path):
+    rows = np.array(samples(response, told))
+    rows[30:60, 4] = np.nan
+    got = list(compiled(program, tmp_path)(rows[:, 1:].tolist()))
+    _, found = estimates(told, rows.tolist())
+    for one, other in zip(got, found, strict=True):
+        assert list(one.displacement) == pytest.approx(list(other.displacement), rel=0.0, abs=1e-11)
+        assert one.status & COMMON == int(other.status)
+
+
+@pytest.mark.long
+@needs_gcc
+@needs_matiec
+def test_its_function_block_knows_the_power(program, tmp_path):
+    pytest.importorskip("tree_sitter_iec61131_3_st", reason="needs tree-sitter-iec61131-3-st")
+    files = st_files(program)
+    done, figures = run_structured_text(files, "m", tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert figures["agrees"] == selftest_by_matiec(files, "m", tmp_path)["agrees"] == 1
