@@ -385,8 +385,8 @@ def _duty_cycle(estimator: JointAware) -> Iterator[tuple[float, ...]]:
     rows = np.vstack([np.zeros(read.shape[1] + 1), np.column_stack([read, ambient])])
     rows[:, :-1] += model.offset
     shares = model.power_shares
-    at = [model.sources.index(source) for source in shares]
-    powers = np.vstack([np.zeros(len(at)), (heat * model.power)[:, at] / [*shares.values()]])
+    told = [model.sources.index(source) for source in shares]
+    powers = np.vstack([np.zeros(len(told)), (heat * model.power)[:, told] / [*shares.values()]])
     rows = np.hstack([rows, places, powers])
     for k, row in enumerate(rows.tolist()):
         yield (k * model.step, *row)
