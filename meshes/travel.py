@@ -2,7 +2,7 @@
 
 The contact elements of a joint on an axis belong to its side a, the pads. At a position of the
 axis each one covers a station of side b, the guide's surface. Contact elements that cover the same
-place at different positions share a station.
+place at different positions share a station, also those of different joints on one guide.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from thermojoint.artefacts.errors import InputError
 
 #: Normals of the pads may turn towards the axis by this, rad.
 PARALLEL = 1e-3
-#: Contact elements that differ by less than this share of their size at two positions are equal.
+#: Places that differ by less than this share of the size of a contact element are equal.
 SAME = 1e-5
 
 
@@ -107,6 +107,7 @@ def stations_of(
         one side of a joint that does not ride on it.
     """
     starts = np.cumsum([0, *(joint.area.size for joint in joints)])
+    unit = SAME * min(float(np.sqrt(joint.area.min())) for joint in joints)
     known: dict[tuple[object, ...], int] = {}
     found: list[Covered] = []
     elements: list[int] = []
@@ -117,7 +118,12 @@ def stations_of(
         for joint in joints:
             _check_sides(joint, moving, travel)
         riding = [
-            _Riding(joint, movable_joint(structure, joint, *travel.divided[joint.name]), int(start))
+            _Riding(
+                joint,
+                movable_joint(structure, joint, *travel.divided[joint.name]),
+                int(start),
+                (travel.axis, structure.joints[joint.name][1]),
+            )
             for joint, start in zip(joints, starts, strict=False)
             if joint.name in travel.divided
         ]
@@ -125,8 +131,8 @@ def stations_of(
         places.append(place)
         for row, shift in zip(place, travel.shifts, strict=True):
             for rides in riding:
-                for e, key in enumerate(rides.keys(shift)):
-                    # What is known was found at another position, by another element or axis.
+                for e, key in enumerate(rides.keys(shift, unit)):
+                    # What is known was found at another position, or by another element.
                     row[rides.start + e] = known.setdefault(key, len(known))
                     if row[rides.start + e] == len(found):
                         found.append(_covered(rides, e, shift))
@@ -151,27 +157,32 @@ class _Riding:
     movable: Movable
     #: Number of its first contact element.
     start: int
+    #: Its axis and the surface that it rides on.
+    guide: tuple[str, str]
 
     @cached_property
-    def ends(self) -> Array:
-        """Lowest and highest coordinates (m, 6) of each contact element, as meshed, m."""
+    def marks(self) -> Array:
+        """Centroid, lowest and highest coordinates (m, 9) of each contact element, as meshed, m."""
         low = np.full(self.joint.centre.shape, np.inf)
         high = -low
         for piece, e in zip(self.joint.pieces, self.joint.piece_element, strict=True):
             low[e] = np.minimum(low[e], piece.min(axis=0))
             high[e] = np.maximum(high[e], piece.max(axis=0))
-        return np.hstack([low, high])
+        return np.hstack([self.joint.centre, low, high])
 
     @cached_property
     def size(self) -> float:
         """Of the smallest contact element, m."""
         return float(np.sqrt(self.joint.area.min()))
 
-    def keys(self, shift: Array) -> list[tuple[object, ...]]:
-        """Return what tells the places of its contact elements apart, moved by a shift (3,), m."""
-        ends = np.round((self.ends + np.tile(shift, 2)) / (SAME * self.size))
+    def keys(self, shift: Array, unit: float) -> list[tuple[object, ...]]:
+        """Return what tells the places of its contact elements apart.
+
+        They are moved by a shift (3,), m, and places that differ by less than `unit`, m, are equal.
+        """
+        marks = np.round((self.marks + np.tile(shift, 3)) / unit)
         normals = np.round(self.joint.normal, 4)
-        return [(self.joint.name, *one) for one in np.hstack([ends, normals]).tolist()]
+        return [(*self.guide, *one) for one in np.hstack([marks, normals]).tolist()]
 
 
 def _covered(rides: _Riding, e: int, shift: Array) -> Covered:
