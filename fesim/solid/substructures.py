@@ -307,6 +307,7 @@ def _influence(piece: Substructure, gap: csr_array, probes: csr_array) -> _Influ
     for start in range(0, rows.shape[0], width):
         part = slice(start, start + width)
         solved = checked_solve(piece.factor, rows[part].toarray().T, "elastic condensation")
+        solved = np.ascontiguousarray(solved)  # once, not in each of the products
         compliance[:, part] = rows @ solved
         thermal[part] = (piece.thermal_load.T @ solved)[heated].T
     return _Influence(

@@ -162,6 +162,21 @@ def test_a_wrong_solution_is_never_passed_on(wrong):
         checked_solve(factor, np.arange(1.0, 6.0), "chain")
 
 
+@pytest.mark.parametrize("wrong", [1e-4, np.nan])
+def test_one_wrong_column_among_many_is_found(wrong):
+    right = factorise(chain(5), "chain", "superlu")
+
+    def solve(right_side):
+        solution = right.solve(right_side)
+        solution[2, 37] += wrong
+        return solution
+
+    factor, loads = Factor(right.matrix, solve, "broken"), np.ones((5, 100))
+    with pytest.raises(ConvergenceError, match="relative residual"):
+        checked_solve(factor, loads, "chain")
+    assert np.array_equal(checked_solve(right, loads, "chain"), right.solve(loads))
+
+
 @pytest.mark.parametrize("solver", HERE)
 def test_a_zero_right_side_has_the_zero_solution(solver):
     factor = factorise(chain(6), "chain", solver)
