@@ -167,7 +167,8 @@ def reduce_apart(
     """Reduce the heat equation of bodies that exchange no heat; arguments as for `reduce_heat`.
 
     Every mode is one of a single body, so that what touches one body has no part in the modes of
-    others. An output of k bodies has the k-th part of its tolerance in each.
+    others. An output of k bodies has the k-th part of its tolerance in each. A body with at least
+    half as many inputs as unknowns keeps all its modes: they are exact, and found sooner.
     """
     count, body = connected_components(system.conduction, directed=False)
     each = [np.flatnonzero(body == k) for k in range(count)]
@@ -183,7 +184,10 @@ def reduce_apart(
             seen[seen.any(axis=1)],
             system.start[own],
         )
-        parts.append(reduce_heat(alone, shortest, longest, solver))
+        if 2 * alone.drives.shape[1] >= own.size:
+            parts.append(_all_modes(alone))
+        else:
+            parts.append(reduce_heat(alone, shortest, longest, solver))
     rates = np.concatenate([part.rates for part in parts])
     basis, first = np.zeros((len(body), rates.size)), 0
     for own, part in zip(each, parts, strict=True):
@@ -191,6 +195,13 @@ def reduce_apart(
         first += part.rates.size
     finest = max(parts, key=lambda part: part.shifts.size)
     return ReducedHeat(basis, rates, max(part.error for part in parts), finest.shifts)
+
+
+def _all_modes(system: HeatSystem) -> ReducedHeat:
+    root = np.sqrt(system.capacity)
+    rates, vectors = np.linalg.eigh(system.conduction.toarray() / root / root[:, None])
+    basis = np.ascontiguousarray(vectors / root[:, None])
+    return ReducedHeat(basis, np.maximum(rates, 0.0), 0.0, np.empty(0))
 
 
 def _together(drives: Array) -> Array:

@@ -136,6 +136,17 @@ def test_bodies_reduced_apart_have_modes_of_their_own_and_give_the_full_march(pr
     assert np.abs(off).max() <= np.abs(levels).sum(axis=1).max()
 
 
+def test_bodies_with_inputs_at_every_node_keep_all_their_modes_and_march_exactly(problem):
+    count = problem.capacity.size
+    everywhere = Problem(problem.capacity, problem.conduction, np.eye(count), problem.outputs)
+    found = reduce_apart(everywhere.system(), SHORTEST, LONGEST)
+    assert found.rates.size == count
+    levels = np.cumsum(np.random.default_rng(3).uniform(-1.0, 1.0, (50, count)), axis=0)
+    full = everywhere.march(2.0, levels)
+    reduced = everywhere.reduced_march(found, 2.0, levels)[0]
+    assert np.allclose(reduced, full, rtol=0.0, atol=1e-12 * np.abs(full).max())
+
+
 @pytest.mark.parametrize("count", [2, 3, 5, 8])
 def test_the_recorded_error_is_of_the_size_that_a_march_finds(problem, count):
     """Bases from too few shifts; a march of another step, that heats and cools."""
