@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from fesim.axes.compiled_drive import Drives, DriveWork, warm_scale, warm_screw
 from fesim.axes.compiled_passing import (
+    ROUGHLY,
     Guides,
     Passed,
     Ways,
@@ -25,7 +26,16 @@ from fesim.axes.compiled_passing import (
     warm,
 )
 from fesim.axes.corner_table import CornerTable
-from fesim.axes.survey import Here, Pads, grown, mixed, probe, settle_here, unpacked
+from fesim.axes.survey import (
+    EXACT,
+    Here,
+    Pads,
+    grown,
+    mixed,
+    probe,
+    settle_here,
+    unpacked,
+)
 from fesim.jit import compiled, compiled_part
 from fesim.joint.in_place import fill, put
 from fesim.joint.loosening import Watched, WatchWork, surely_held
@@ -306,12 +316,12 @@ def _settle(
     gap, change = now.joint.gap.reshape(-1), now.joint.change.reshape(-1)
     for i in range(pads.held.size):
         here.gap[i] = gap[pads.held[i]] + change[pads.held[i]]
-    left, iterations = settle_here(pads, here, work.known[0])
+    left, iterations = settle_here(pads, here, work.known[0], EXACT)
     if left >= 0.0:
         return left, iterations
     for i in range(pads.held.size):
         here.gap[i] = gap[pads.held[i]]
-    return settle_here(pads, here, work.known[0])
+    return settle_here(pads, here, work.known[0], EXACT)
 
 
 @compiled_part
@@ -343,7 +353,7 @@ def _gain(machine: AxesKernel, work: AxesWork, steps: AxesSteps, n: int, now: Ax
         add_row(net, machine.warmed[row, first:last], work.alone[first:last])
     _open(machine.pads, steps, n, work.alone, again)
     put(work.here.gap, again.gap)
-    if not settle_here(machine.pads, again, work.known[1])[0] >= 0.0:
+    if not settle_here(machine.pads, again, work.known[1], ROUGHLY)[0] >= 0.0:
         return np.inf
     most, gain = 1e-300, 0.0
     for e in range(pressure.size):

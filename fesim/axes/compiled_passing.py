@@ -1,9 +1,10 @@
 """JIT-compiled heat step of pads that pass several places: `fesim.march.passing` for axes.
 
-The temperatures of the rows that are touched solve (I + S L) T = w, with w those without exchange;
-q = L T leaves them. Each axis has pads and stations of its own, and a step takes heat hardly from
-one guide to another: the part of each axis is factorised alone, and what is left of the others'
-influence goes in by iteration. Where that does not converge the whole is one part.
+The temperatures of the rows that are touched solve (I + S L) T = w + S f, with w those without heat
+of the rows and f that of friction; q = L T leaves them. Each axis has pads and stations of its own,
+and a step takes heat hardly from one guide to another: the part of each axis is factorised alone,
+and what is left of the others' influence goes in by iteration. Where that does not converge the
+whole is one part.
 """
 
 from __future__ import annotations
@@ -22,9 +23,12 @@ from fesim.joint.linear_system import factorise_columns, solve_again
 from fesim.march.passing import Rows
 from thermojoint.artefacts.arrays import Array
 
-#: What the iteration may leave, relative to the warmest row: in a step, and in a second one that
-#: only shows a gain; most iterations.
-LEFT, ROUGHLY, MOST = 3e-14, 1e-10, 40
+#: What the iteration may leave: in a step, relative to the warmest row; in a second one that only
+#: shows a gain, relative to what it begins with. Most iterations.
+LEFT, ROUGHLY, MOST = 1e-12, 1e-3, 40
+#: An iteration that leaves no more than this share of what may be left, at the rate of the one
+#: before, is the last one.
+SURELY = 0.1
 
 
 class Guides(NamedTuple):
@@ -79,11 +83,13 @@ class Passed(NamedTuple):
     #: Shapes (q q,) and (q,): factors of I + L S of the groups, and their pivots.
     system: Array
     pivots: NDArray[np.int32]
-    #: Shape (q,): heat of friction that enters the rows, W; w and T, K; q, W; storage.
+    #: Shape (q,): heat of friction that enters the rows, W; their temperatures without heat of the
+    #: rows, and with it, K; heat that leaves them by the exchange, and all that enters, W; storage.
     rubbed: Array
     warm: Array
     found: Array
     leaving: Array
+    entering: Array
     net: Array
     lack: Array
     #: Shapes (q q,) and (r,): storage.
@@ -123,7 +129,7 @@ def new_passed(guides: Guides) -> Passed:
     count, axes, size = guides.positions.size, guides.first.size - 1, len(guides.temperature)
     shares: list[Any] = [np.zeros(count) for _ in range(3)]
     whole = size * size
-    of_rows: list[Any] = [np.zeros(size) for _ in range(6)]
+    of_rows: list[Any] = [np.zeros(size) for _ in range(7)]
     touched: list[Any] = [np.zeros(n, dtype=np.int64) for n in (size, axes + 2, size)]
     factors: list[Any] = [np.zeros(whole), np.zeros(size, dtype=np.int32)]
     more: list[Any] = [*of_rows, np.zeros(whole), np.zeros(guides.inverse.size)]
@@ -193,7 +199,7 @@ def rub(guides: Guides, passed: Passed, heat: Array) -> None:
 
 @compiled_part
 def _leave(guides: Guides, passed: Passed, conducted: Array) -> None:
-    """Put q = L T."""
+    """Put q = L T, and what enters the rows with the heat of friction."""
     found, leaving, last = passed.found, passed.leaving, guides.first.size - 1
     # Read once: what a named tuple has is counted wherever it is read.
     place, means, squares, boths = guides.place, passed.mean, passed.square, passed.both
@@ -215,6 +221,8 @@ def _leave(guides: Guides, passed: Passed, conducted: Array) -> None:
                         leaving[at] += both * found[above]
                         leaving[above] += both * found[at]
             leaving[e] += given
+    for row in range(leaving.size):
+        passed.entering[row] = passed.rubbed[row] - leaving[row]
 
 
 @compiled_part
@@ -244,6 +252,7 @@ def _factorise(guides: Guides, passed: Passed, conducted: Array, first: int, aft
         found[i] = warm[rows[i]]
         for j in range(size):
             near[i, j] = influence[rows[i], rows[j]]
+            found[i] += near[i, j] * passed.rubbed[rows[j]]
             system[i, j] = 0.0
         system[i, i] = 1.0
     for group in range(first, after):
@@ -279,39 +288,41 @@ def _part(passed: Passed, begin: int, end: int) -> tuple[Array, Array, Array]:
 
 
 @compiled_part
-def _refine(
-    guides: Guides, passed: Passed, conducted: Array, groups: int, left_open: float
-) -> bool:
+def _refine(guides: Guides, passed: Passed, conducted: Array, groups: int, again: bool) -> bool:
     """Whether iterations with the factors of so many parts of the rows solve for T and q."""
     rows, begin = passed.rows, passed.begin
-    last, before = begin.size - 1, np.inf
-    total = begin[last]
-    enough = left_open * largest(passed.warm)
-    for _ in range(MOST):
+    total = begin[begin.size - 1]
+    before, enough = largest(passed.found), LEFT * largest(passed.warm)
+    for iteration in range(MOST):
         _leave(guides, passed, conducted)
-        np.dot(guides.joint_influence, passed.leaving, passed.net)
+        np.dot(guides.joint_influence, passed.entering, passed.net)
         left = 0.0
         for i in range(total):
             at = rows[i]
-            passed.lack[i] = passed.warm[at] - passed.net[at] - passed.found[at]
+            passed.lack[i] = passed.warm[at] + passed.net[at] - passed.found[at]
             left = max(left, abs(passed.lack[i]))
-        if not left <= before:
-            return left <= 10.0 * enough
+        if again and iteration == 0:
+            enough, before = max(enough, ROUGHLY * left), np.inf
         if left <= enough:
             return True
-        before = left
+        if not left <= before:
+            return False
         for group in range(groups):
             ends = (begin[group], begin[group + 1]) if groups > 1 else (0, total)
             system, _, found = _part(passed, ends[0], ends[1])
             solve_again(system, passed.pivots[ends[0] : ends[1]], found)
         for i in range(total):
             passed.found[rows[i]] += passed.lack[i]
+        if left * left <= SURELY * enough * before:
+            _leave(guides, passed, conducted)
+            return True
+        before = left
     return False
 
 
 @compiled_part
 def exchange(guides: Guides, passed: Passed, conducted: Array, again: bool) -> bool:
-    """Whether T and q are found, of w: without new factors where it is done `again`.
+    """Whether T and q are found: without new factors where it is done `again`.
 
     Parameters
     ----------
@@ -324,37 +335,36 @@ def exchange(guides: Guides, passed: Passed, conducted: Array, again: bool) -> b
     again : bool
         Whether `passed` has factors and T of other conductances in the same step.
     """
-    groups, left_open = passed.begin.size - 1, ROUGHLY if again else LEFT
+    groups = passed.begin.size - 1
     if not again:
         for group in range(groups):
             _factorise(guides, passed, conducted, group, group + 1)
-    if _refine(guides, passed, conducted, groups, left_open):
+    if _refine(guides, passed, conducted, groups, again):
         return True
     _factorise(guides, passed, conducted, 0, groups)
-    return _refine(guides, passed, conducted, 1, left_open)
+    return _refine(guides, passed, conducted, 1, again)
 
 
 @compiled_part
 def enter(guides: Guides, passed: Passed, amplitudes: Array) -> None:
     """Add to amplitudes (r,) without exchange what friction and the exchange do."""
     rows, span, temperature, drawn = passed.rows, guides.span, guides.temperature, passed.drawn
-    rubbed, leaving, inverse = passed.rubbed, passed.leaving, guides.inverse
+    entering, inverse = passed.entering, guides.inverse
     fill(drawn, 0.0)
     for i in range(passed.begin[passed.begin.size - 1]):
         row = rows[i]
         first, last = span[row]
-        add_row(rubbed[row] - leaving[row], temperature[row, first:last], drawn[first:last])
+        add_row(entering[row], temperature[row, first:last], drawn[first:last])
     for k in range(amplitudes.size):
         amplitudes[k] += inverse[k] * drawn[k]
 
 
 @compiled_part
 def warm(guides: Guides, passed: Passed, amplitudes: Array) -> None:
-    """Put w, of amplitudes (r,) without exchange."""
+    """Put temperatures of amplitudes (r,) without heat of the rows."""
     rows, span, temperature, found = passed.rows, guides.span, guides.temperature, passed.warm
     fill(found, 0.0)
-    np.dot(guides.joint_influence, passed.rubbed, passed.net)
     for i in range(passed.begin[passed.begin.size - 1]):
         row = rows[i]
         own = temperature[row, span[row, 0] : span[row, 1]]
-        found[row] = np.dot(own, amplitudes[span[row, 0] : span[row, 1]]) + passed.net[row]
+        found[row] = np.dot(own, amplitudes[span[row, 0] : span[row, 1]])

@@ -33,6 +33,8 @@ MAX_ITERATIONS, MOST_MOVES = 60, 10
 SLOW = 0.5
 #: Residual of an accepted state, relative to the tolerance, as `fesim.joint.modified_newton`.
 LEFT = 0.01
+#: Nothing of the first correction may be left. A name: literals are compiled apart from others.
+EXACT = 0.0
 #: Places before in which near ones are looked for.
 BACK = 512
 
@@ -251,16 +253,17 @@ def _corrected(pads: Pads, here: Here, anew: bool) -> tuple[float, float]:
 
 
 @compiled_part
-def settle_here(pads: Pads, here: Here, made: bool) -> tuple[float, int]:
+def settle_here(pads: Pads, here: Here, made: bool, share: float) -> tuple[float, int]:
     """Settle from the gaps, with factors if they are made: error left, m, or NaN; iterations.
 
-    They are made again where a step leaves too much; then the step is shortened until the
-    residual falls, as in `fesim.joint.gap.solve_gap`. At a kink of the law no length may do, and a
-    full step leaves it.
+    A share of the first correction may be left. Factors are made again where a step leaves too
+    much; then the step is shortened until the residual falls, as in `fesim.joint.gap.solve_gap`. At
+    a kink of the law no length may do, and a full step leaves it.
     """
     (left, norm), moves, fresh = _corrected(pads, here, not made), 0, not made
+    enough = max(LEFT * pads.tolerance, share * left)
     for iteration in range(MAX_ITERATIONS):
-        if left <= LEFT * pads.tolerance:
+        if left <= enough:
             return left, iteration
         put(here.gap, here.before)
         put(here.correction, here.step)
@@ -355,10 +358,10 @@ def settle_all(
         mixed(free, touched[at], weights[at], here.free)
         unpacked(packed, area, here.compliance)
         _guess(places, found, at, here.gap)
-        found.residual[at], _ = settle_here(pads, here, made)
+        found.residual[at], _ = settle_here(pads, here, made, EXACT)
         if math.isnan(found.residual[at]):
             put(origin, here.gap)
-            found.residual[at], _ = settle_here(pads, here, False)
+            found.residual[at], _ = settle_here(pads, here, False, EXACT)
         made = not math.isnan(found.residual[at])
         mixed(by_probe, touched[at], weights[at], moved)
         for i in range(size):
