@@ -18,13 +18,13 @@ from calibrate.joint_aware.misfit import (
     SIGMAS,
     Problem,
     Run,
-    coarser,
     errors,
     fit_linear,
     make_problem,
     physics_with,
     residuals,
     sampled,
+    searched,
 )
 from calibrate.joint_aware.physics_fit import SEARCH, Fit, problem_of
 from calibrate.joint_aware.random_heat import random_levels
@@ -78,7 +78,7 @@ def profiles(
     machine: ReducedMachine, runs: Sequence[Run], fit: Fit, inquiry: Inquiry = INQUIRY
 ) -> list[Profile]:
     """Return the profile of every fitted parameter."""
-    problem = problem_of(machine, [coarser(run, SEARCH.steps) for run in runs], fit)
+    problem = problem_of(machine, searched(machine, runs, SEARCH.steps), fit)
     at_fit = fit.coordinates / fit.spread
     # Correct the coarse march by its difference from the machine's own march.
     defect = fit.residuals - residuals(problem, fit.parameters, fit.coordinates)
@@ -198,7 +198,7 @@ def _jacobian(problem: Problem, fit: Fit) -> Array:
 
 def _day_sensitivity(machine: ReducedMachine, runs: Sequence[Run], day: Run, fit: Fit) -> Array:
     """Displacement in the day per prior standard deviation of each parameter, (n, axes, k), m."""
-    known = make_problem(machine, [coarser(run, SEARCH.steps) for run in runs])
+    known = make_problem(machine, searched(machine, runs, SEARCH.steps))
     planned = make_problem(machine, [day])
 
     def moved(coordinates: Array) -> Array:

@@ -87,6 +87,21 @@ def coarser(run: Run, steps: int) -> Run:
     return replace(run, inputs=means, length=factor * run.length)
 
 
+def searched(machine: ReducedMachine, runs: Sequence[Run], steps: int) -> list[Run]:
+    """Return the runs as a search marches through them: in at most this many steps.
+
+    Where an axis moves, they stay as they are: from one end of a longer step to the other it would
+    miss most of its way, and with it the friction heat that tells preload from heat.
+    """
+    axes = len(machine.axis_names)
+    return [
+        run
+        if np.ptp(run.inputs[:, run.inputs.shape[1] - axes :], axis=0).any()
+        else coarser(run, steps)
+        for run in runs
+    ]
+
+
 def fewer(run: Run, samples: int = SIGMAS.samples) -> Run:
     """Return a run with at most this many samples; the first one, at rest, tells the offsets."""
     kept = slice(None, None, max(1, math.ceil(run.times.size / samples)))
@@ -311,11 +326,15 @@ def whitened(problem: Problem, left: Array) -> Array:
 def doubt_of(problem: Problem, left: Array) -> float:
     """Return the factor on the assumed errors that the residuals (n,) of a fit ask for, at least 1.
 
-    As assumed, a run weighs as much as one sample of every channel, so that their squares sum to
-    the number of runs times that of channels. Larger ones show that the machine differs from its
-    model by more than parameters: then the parameters are known less well.
+    As assumed, a run weighs as much as one sample of every channel, so that the squares of a
+    channel sum to the number of runs, or to those of its noise where that is more. Larger ones show
+    that the machine differs from its model by more than parameters: then the parameters are known
+    less well.
     """
-    expected = len(problem.runs) * (len(problem.temperature) + len(problem.displacement))
+    samples = len(problem.states)
+    each = left.reshape(-1, samples).T
+    noise = samples * reading_noise(problem, each) ** 2
+    expected = float(np.maximum(noise, len(problem.runs)).sum())
     return max(1.0, problem.doubt * math.sqrt(float(left @ left) / expected))
 
 
@@ -364,7 +383,7 @@ def trust_in(problem: Problem, left: Array) -> Array:
 
 
 def reading_noise(problem: Problem, left: Array) -> Array:
-    """Return the standard deviation (p,), K, of the sample-to-sample changes in `left`."""
+    """Return the standard deviation (c,) of the sample-to-sample changes in `left`, (n, c)."""
     at = np.cumsum([len(run.times) for run in problem.runs])[:-1]
     changes = np.concatenate([np.diff(part, axis=0) for part in np.split(left, at)])
     return np.asarray(np.sqrt(0.5 * np.mean(changes**2, axis=0)))

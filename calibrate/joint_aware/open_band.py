@@ -23,10 +23,10 @@ from calibrate.joint_aware.assembling import observer_from_rest
 from calibrate.joint_aware.misfit import (
     Problem,
     Run,
-    coarser,
     errors,
     fit_linear,
     physics_with,
+    searched,
 )
 from calibrate.joint_aware.physics_fit import SEARCH, Fit, problem_of
 from calibrate.joint_aware.random_heat import random_course, random_levels
@@ -169,7 +169,7 @@ def on_longer_steps(
     """Return a fit to `runs`, its machine and its observer on the steps of `drawing`."""
     slow = replace(machine, step=max(drawing.step, machine.step))
     observer = JointAware(observer_from_rest(slow, fit, calibrated, noise), thresholds=HEALTHY)
-    problem = problem_of(slow, [coarser(run, SEARCH.steps) for run in runs], fit)
+    problem = problem_of(slow, searched(machine, runs, SEARCH.steps), fit)
     return Fitted(slow, problem, fit, observer)
 
 

@@ -26,13 +26,13 @@ from calibrate.joint_aware.misfit import (
     Problem,
     Run,
     best_lags,
-    coarser,
     doubt_of,
     errors,
     fit_linear,
     make_problem,
     reading_noise,
     residuals,
+    searched,
     trust_in,
     whitened,
 )
@@ -264,7 +264,7 @@ def fit_physics(
     whole = make_problem(machine, runs)
     if not parameters:
         return _fit(whole, parameters, _nowhere(), (), 1)
-    problem = make_problem(machine, [coarser(run, search.steps) for run in runs])
+    problem = make_problem(machine, searched(machine, runs, search.steps))
     spread = np.array([parameter.spread for parameter in parameters])
     now, rough = np.zeros(spread.size), replace(search, close=search.roughly)
     defect, tried = _defect(whole, problem, parameters, now), []
@@ -339,7 +339,7 @@ def refit(
     left, slopes = fit.errors[samples], fit.slopes.of(samples)
     linear = fit_linear(whole, *_apart(whole, left))
     whole = replace(whole, trust=trust_in(whole, linear.temperature))
-    coarse = [coarser(run, search.steps) for run in others]
+    coarse = searched(machine, others, search.steps)
     problem = replace(problem_of(machine, coarse, fit), trust=whole.trust)
     defect = whitened(whole, left) - whitened(problem, slopes.errors)
     held = np.array([isinstance(one, Added) for one in parameters]) & (slopes.at == 0.0)

@@ -4,6 +4,7 @@ So does its program for a control.
 """
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -26,7 +27,7 @@ from structured_text import run as run_structured_text
 
 from calibrate.joint_aware.calibration import Effort, calibrate_joint_aware, machine_of
 from calibrate.joint_aware.linear_joint import with_linear_joint
-from calibrate.joint_aware.misfit import physics_with
+from calibrate.joint_aware.misfit import physics_with, searched
 from calibrate.joint_aware.open_band import Drawing
 from calibrate.joint_aware.physics_fit import Search
 from calibrate.joint_aware.readings import run_in
@@ -198,6 +199,16 @@ def test_a_log_and_a_service_name_the_position(estimator, samples):
     assert intake.names == (*names, "x_um", "y_um")
     given, _ = intake.convert([1.0, 2.0, 3.0, 0.5, 120.0, np.nan, np.nan], 0.0)
     assert given[:5] == pytest.approx([1.0, 2.0, 3.0, 0.5, 0.12])
+
+
+def test_a_search_does_not_lose_the_way_of_an_axis_in_longer_steps(machine, response):
+    moves = run_in(response, machine, "run")
+    inputs = moves.inputs.copy()
+    inputs[:, -1] = 0.05
+    stands = replace(moves, inputs=inputs)
+    found, coarse = searched(machine, [moves, stands], 20)
+    assert found is moves
+    assert len(coarse.inputs) == 20
 
 
 @pytest.mark.long

@@ -95,6 +95,18 @@ def test_errors_that_no_parameter_explains_leave_more_unknown(machine):
     assert other.covariance[0, 0] > own.covariance[0, 0]
 
 
+def test_noisy_sensors_do_not_make_a_machine_unlike_its_case(machine):
+    """Their noise leaves several times what is assumed of errors that last for a run."""
+    small, rng = along(machine, ["x", "y"]), np.random.default_rng(1)
+    runs = [
+        replace(run, temperature=run.temperature + rng.normal(0.0, 0.06, run.temperature.shape))
+        for run in runs_of(small, {"heat": 1.05})
+    ]
+    fit = fit_physics(small, runs, ["heat"], Search(starts=0))
+    assert fit.doubt == 1.0
+    assert fit.residuals @ fit.residuals > 2.0 * len(runs) * (len(SENSORS) + 2)
+
+
 def test_a_step_of_heat_is_no_fault_of_a_sensor_that_lags(machine):
     """The heat is found over many steps, in which the reading departs from its prediction."""
     small, factors = along(machine, ["x", "y"]), {lag_name("s"): 60.0}
