@@ -61,6 +61,8 @@ LEVER = 0.1
 _TURNED = slice(3, 6)
 #: Positions along the stroke at which displacements are given if the case names none.
 USUAL = 5
+#: A recorded position this far beyond an end of the stroke, mm, is that end.
+OVERTRAVEL = 2e-3
 #: Numbers in the matrices of pads and stations, condensed apart: 3.2 GB.
 MOST_NUMBERS = 400_000_000
 
@@ -149,14 +151,15 @@ def course_of(axis: AxisSection, name: str) -> History:
         return step_history(MILLI * (axis.position_mm or 0.0))
     course = read_history(axis.file, "position_mm")
     low, high = axis.stroke_mm
-    outside = np.flatnonzero((course.values < low) | (course.values > high))
+    within = np.clip(course.values, low, high)
+    outside = np.flatnonzero(np.abs(course.values - within) > OVERTRAVEL)
     if outside.size:
         at = outside[0]
         raise InputError(
             f"axes.{name}: {axis.file}: {course.values[at]:g} mm at {course.times[at]:g} s is "
             f"outside stroke_mm, {low:g} to {high:g} mm; correct the history or the stroke"
         )
-    return History(course.times, MILLI * course.values)
+    return History(course.times, MILLI * within)
 
 
 def aligned_positions(axis: AxisSection) -> Array:

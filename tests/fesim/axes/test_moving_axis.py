@@ -5,7 +5,7 @@ import pytest
 from in_process import run
 from moving_knee import PATH, coarse, coarse_data, meshed_at, moving, standing_at
 
-from fesim.axes.setup import set_up_axes
+from fesim.axes.setup import course_of, set_up_axes
 from fesim.case.schema import case_from_data
 from fesim.march.state_file import load_state, save_state
 from fesim.setup.machine import set_up
@@ -155,6 +155,9 @@ def test_a_stroke_off_the_guide_is_refused(tmp_path):
 
 
 def test_a_history_outside_the_stroke_is_refused(tmp_path):
+    """But for a micrometre or two, as records have it."""
+    section = moving(tmp_path, [(0, 0), (60, 200.001)]).axes["y"]
+    assert course_of(section, "y")(60.0) == 0.2
     case = moving(tmp_path, [(0, 0), (60, 201)])
     with pytest.raises(InputError, match=r"201 mm at 60 s is outside stroke_mm"):
         set_up_axes(case)
