@@ -147,7 +147,6 @@ def observer_from_rest(
         sensors=machine.sensor_names,
         axes=machine.axes,
         sources=machine.source_names,
-        power_shares=machine.power_shares,
         calibrated=calibrated,
         moving_axes=() if machine.guide is None else machine.guide.axes,
         factors={

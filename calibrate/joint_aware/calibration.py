@@ -229,7 +229,8 @@ def _observer(
     band = open_band(machine, [fewer(run) for run in runs], fit, model, noise, drawing)
     model = replace(model, band=band)
     band, unchecked = widened(machine, runs, fit, model, noise, drawing)
-    return replace(model, band=band), unchecked
+    # The machines of the band have no powers: where they are read, it is wider than need be.
+    return replace(model, band=band, power_shares=machine.power_shares), unchecked
 
 
 def _moving(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> list[str]:

@@ -10,10 +10,14 @@ from matiec import needs_matiec, selftest_by_matiec
 from observed import errors, estimates, observer, run, step
 from structured_text import run as run_structured_text
 
+from calibrate.joint_aware.calibration import Effort, calibrate_joint_aware
+from calibrate.joint_aware.open_band import Drawing
+from calibrate.joint_aware.physics_fit import Search
 from estimator.export.program import COMMON
 from estimator.export.structured_text import st_files
 from estimator.exporting import export_program
 from estimator.interface import Status
+from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.kind import KIND
 from estimator.joint_aware.model_file import read_observer, write_observer
 from estimator.joint_aware.readings import samples_in
@@ -27,12 +31,17 @@ SENSORS = ("T1", "T2")
 SHARE = 0.3
 
 
+def with_share(data):
+    source = data["sources"]["bearings"] | {"power_share": SHARE}
+    return case_from_data(data | {"sources": {"bearings": source}}, "case", Path())
+
+
 @pytest.fixture(scope="module")
 def told(data, setup, stepped):
     """An observer that reads the power of the bearings."""
-    source = data["sources"]["bearings"] | {"power_share": SHARE}
-    case = case_from_data(data | {"sources": {"bearings": source}}, "case", Path())
-    return observer(reduce_machine(case, setup, SENSORS), {"step": stepped})
+    machine = reduce_machine(with_share(data), setup, SENSORS)
+    found = observer(machine, {"step": stepped})
+    return replace(found, model=replace(found.model, power_shares=machine.power_shares))
 
 
 @pytest.fixture(scope="module")
@@ -88,6 +97,15 @@ def test_a_run_goes_on_from_its_state(told, response):
         np.array_equal(one.displacement, other.displacement)
         for one, other in zip(whole[40:], rest, strict=True)
     )
+
+
+def test_a_calibration_gives_its_model_the_shares_of_the_case(data, stepped):
+    effort = Effort(Search(starts=0, steps=20, evaluations=2), Drawing(draws=2, duration=600.0))
+    case = with_share(data)
+    found = calibrate_joint_aware(case, {"1.5": stepped}, SENSORS, fitted=["film"], effort=effort)
+    assert found.model.power_shares == {"bearings": SHARE}
+    rows = np.array(list(samples_in(stepped, SENSORS, shares=found.model.power_shares)))
+    assert largest(JointAware(found.model), stepped, rows.tolist()) < 1e-6
 
 
 def test_file_log_and_service_know_the_power(told, tmp_path):
