@@ -226,7 +226,6 @@ def warm_screw(
             before, driven = work.before[i], work.driven[i]
             work.change[i] = whole * one * (driven - rate * before)
             work.before[i] = one * before + whole * two * driven
-        np.dot(drives.modes[a], work.before, work.mean)
         np.dot(drives.modes[a], work.change, work.driven)
         for i in range(cells):
             now[first + i] += work.driven[i]
@@ -235,7 +234,7 @@ def warm_screw(
                 continue
             heat = drives.spared[a, k] * way / whole
             if k > 0:
-                mean = work.mean[(cells - 1) * (k - 1)]
+                mean = np.dot(drives.modes[a, (cells - 1) * (k - 1)], work.before)
                 heat += drives.sinks[a, k - 1] * (mean - felt[k - 1])
                 heat += (1.0 - drives.reaching[a, k - 1]) * work.ends[k - 1]
             inputs[drives.column[a, k]] = heat

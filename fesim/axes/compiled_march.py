@@ -37,6 +37,7 @@ from fesim.axes.survey import (
     unpacked,
 )
 from fesim.jit import compiled, compiled_part
+from fesim.joint.compiled_gap import largest
 from fesim.joint.in_place import fill, put
 from fesim.joint.loosening import Watched, WatchWork, surely_held
 from fesim.march.alternation import GAIN, LARGE, LEADING, LEAST, STILL, STUBBORN, SUSPECTED
@@ -59,7 +60,7 @@ class AxesKernel(NamedTuple):
     untied: Array
     #: Shape (q, u): the same per W that enters each row of the guides, m.
     warmed: Array
-    #: Shapes (u, 2) and (q, 2): where their rows are not zero, by `compiled_passing.spans`.
+    #: Shapes (u, 2) and (q, 2): where their rows are not zero, by `fesim.axes.machine.spans`.
     untied_span: NDArray[np.int64]
     warmed_span: NDArray[np.int64]
     #: Shapes (m,): heat of running friction per pressure and metre of way in a step, W/(Pa m);
@@ -164,7 +165,7 @@ def march_axes(
     numpy.linalg.LinAlgError
         A tangent is singular.
     """
-    pads, pressure, turning = machine.pads, work.pressure, now.turning
+    pressure, turning = work.pressure, now.turning
     for n in range(len(steps.inputs)):
         put(steps.inputs[n], work.driven)
         put(now.drive, work.state)
@@ -178,7 +179,7 @@ def march_axes(
         if not taken:
             return n
         put(work.conducted, record.conducted[n])
-        probe(work.here, work.moved, pads.area[pads.held], record.displacement[n])
+        probe(work.here, work.moved, record.displacement[n])
         for e in range(pressure.size):
             record.heat_flow[n, e] = work.left[e]
         record.residual[n], record.iterations[n] = residual, iterations
@@ -311,13 +312,16 @@ def _settle(
     touched, weight = steps.touched[n], steps.weight[n]
     _open(pads, steps, n, work.alone, here)
     mixed(table.compliance, touched, weight, work.packed)
-    unpacked(work.packed, pads.area[pads.held], here.compliance)
+    unpacked(work.packed, here.compliance)
     mixed(table.probes.reshape(len(table.probes), -1), touched, weight, work.moved)
     gap, change = now.joint.gap.reshape(-1), now.joint.change.reshape(-1)
+    # Where axes move, gaps do not go on as they did.
+    moves = largest(work.passed.length) > 0.0
     for i in range(pads.held.size):
-        here.gap[i] = gap[pads.held[i]] + change[pads.held[i]]
+        at = pads.held[i]
+        here.gap[i] = gap[at] + (0.0 if moves else change[at])
     left, iterations = settle_here(pads, here, work.known[0], EXACT)
-    if left >= 0.0:
+    if left >= 0.0 or moves:
         return left, iterations
     for i in range(pads.held.size):
         here.gap[i] = gap[pads.held[i]]

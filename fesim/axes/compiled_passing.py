@@ -18,6 +18,7 @@ from fesim.axes.compiled_occupation import add_shares
 from fesim.axes.guideway import GuideStations
 from fesim.jit import compiled_part
 from fesim.joint.compiled_gap import largest
+from fesim.joint.frozen_tangent import add_product
 from fesim.joint.in_place import fill
 from fesim.joint.linear_system import factorise_columns, solve_again
 from fesim.march.passing import Rows
@@ -25,7 +26,7 @@ from thermojoint.artefacts.arrays import Array
 
 #: What the iteration may leave: in a step, relative to the warmest row; in a second one that only
 #: shows a gain, relative to what it begins with. Most iterations.
-LEFT, ROUGHLY, MOST = 1e-12, 1e-3, 40
+LEFT, ROUGHLY, MOST = 1e-12, 1e-2, 40
 #: An iteration that leaves no more than this share of what may be left, at the rate of the one
 #: before, is the last one.
 SURELY = 0.1
@@ -92,12 +93,15 @@ class Passed(NamedTuple):
     entering: Array
     net: Array
     lack: Array
-    #: Shapes (q q,) and (r,): storage.
+    #: Shapes (q q,): S and L of some rows; (r,): storage.
     near: Array
+    passes: Array
     drawn: Array
 
 
-def guides_of(stations: GuideStations, rows: Rows, inverse: Array) -> Guides:
+def guides_of(
+    stations: GuideStations, rows: Rows, span: NDArray[np.int64], inverse: Array
+) -> Guides:
     """Return the rows of a machine for compiled steps; arguments as in `Guides`."""
     count = stations.count
     groups = [*stations.riding, np.setdiff1d(np.arange(count), np.concatenate(stations.riding))]
@@ -109,19 +113,9 @@ def guides_of(stations: GuideStations, rows: Rows, inverse: Array) -> Guides:
         np.cumsum([0, *(one.size for one in groups)]),
         np.ascontiguousarray(rows.temperature),
         np.ascontiguousarray(rows.joint_influence),
-        spans(rows.temperature),
+        span,
         inverse,
     )
-
-
-def spans(rows: Array) -> NDArray[np.int64]:
-    """Return the first entry of each row (k, n) that is not zero, and that after the last, (k, 2).
-
-    Modes are those of one body each (`fesim.solid.reduction.reduce_apart`).
-    """
-    filled = rows != 0.0
-    ends = np.stack([filled.argmax(axis=1), rows.shape[1] - filled[:, ::-1].argmax(axis=1)], axis=1)
-    return np.where(filled.any(axis=1)[:, None], ends, 0)
 
 
 def new_passed(guides: Guides) -> Passed:
@@ -132,7 +126,7 @@ def new_passed(guides: Guides) -> Passed:
     of_rows: list[Any] = [np.zeros(size) for _ in range(7)]
     touched: list[Any] = [np.zeros(n, dtype=np.int64) for n in (size, axes + 2, size)]
     factors: list[Any] = [np.zeros(whole), np.zeros(size, dtype=np.int32)]
-    more: list[Any] = [*of_rows, np.zeros(whole), np.zeros(guides.inverse.size)]
+    more: list[Any] = [*of_rows, np.zeros(whole), np.zeros(whole), np.zeros(guides.inverse.size)]
     ways: list[Any] = [np.zeros((axes, 2), dtype=np.int64), np.zeros(axes)]
     return Passed(*shares, *ways, *touched, *factors, *more)
 
@@ -233,13 +227,6 @@ def add_row(factor: float, source: Array, into: Array) -> None:
 
 
 @compiled_part
-def _add(factor: float, near: Array, source: int, system: Array, into: int) -> None:
-    """Add a row of a matrix, times a factor, to one of another."""
-    for j in range(system.shape[1]):
-        system[into, j] += factor * near[source, j]
-
-
-@compiled_part
 def _factorise(guides: Guides, passed: Passed, conducted: Array, first: int, after: int) -> None:
     """Solve for some groups of rows alone, and keep the factors."""
     begin, end = passed.begin[first], passed.begin[after]
@@ -248,30 +235,37 @@ def _factorise(guides: Guides, passed: Passed, conducted: Array, first: int, aft
     place, means, squares, boths = guides.place, passed.mean, passed.square, passed.both
     riding, groups, reached, local = guides.riding, guides.group, passed.reached, passed.local
     size, last = end - begin, guides.first.size - 1
-    for i in range(size):
-        found[i] = warm[rows[i]]
-        for j in range(size):
-            near[i, j] = influence[rows[i], rows[j]]
-            found[i] += near[i, j] * passed.rubbed[rows[j]]
-            system[i, j] = 0.0
-        system[i, i] = 1.0
+    passes = passed.passes[: size * size].reshape(size, size)
+    fill(passes, 0.0)
     for group in range(first, after):
         for r in range(groups[group], groups[group + 1]):
             e = riding[r]
             own, each = local[e] - begin, conducted[e]
-            _add(each, near, own, system, own)
+            passes[own, own] += each
             if group == last:
                 continue
             low, high = reached[group, 0], reached[group, 1]
             for k in range(low, high):
                 at, mean = local[place[k, e]] - begin, each * means[k]
-                _add(-mean, near, at, system, own)
-                _add(-mean, near, own, system, at)
-                _add(each * squares[k], near, at, system, at)
+                passes[own, at] -= mean
+                passes[at, own] -= mean
+                passes[at, at] += each * squares[k]
                 if k + 1 < high:
                     above, both = local[place[k + 1, e]] - begin, each * boths[k]
-                    _add(both, near, above, system, at)
-                    _add(both, near, at, system, above)
+                    passes[at, above] += both
+                    passes[above, at] += both
+    for i in range(size):
+        found[i] = warm[rows[i]]
+        own, into = influence[rows[i]], near[i]
+        for j in range(size):
+            into[j] = own[rows[j]]
+    for i in range(size):
+        if passed.rubbed[rows[i]] != 0.0:
+            add_row(passed.rubbed[rows[i]], near[i], found)
+    fill(system, 0.0)
+    for i in range(size):
+        add_product(near, passes[i], system[i])
+        system[i, i] += 1.0
     # Row after row, I + L S is I + S L column after column: both are symmetric.
     factorise_columns(system, passed.pivots[begin:end], found)
     for i in range(size):
@@ -313,7 +307,7 @@ def _refine(guides: Guides, passed: Passed, conducted: Array, groups: int, again
             solve_again(system, passed.pivots[ends[0] : ends[1]], found)
         for i in range(total):
             passed.found[rows[i]] += passed.lack[i]
-        if left * left <= SURELY * enough * before:
+        if before < np.inf and left * left <= SURELY * enough * before:
             _leave(guides, passed, conducted)
             return True
         before = left

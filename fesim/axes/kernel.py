@@ -22,7 +22,7 @@ from fesim.axes.compiled_march import (
     AxesWork,
     march_axes,
 )
-from fesim.axes.compiled_passing import Ways, guides_of, new_passed, spans
+from fesim.axes.compiled_passing import Ways, guides_of, new_passed
 from fesim.axes.corner_table import around
 from fesim.axes.machine import MovingMachine
 from fesim.axes.survey import Here, Pads, new_here
@@ -36,7 +36,7 @@ from fesim.march.track import Track
 from thermojoint.artefacts.arrays import Array
 
 #: What the second step at a place has of its own: not the matrices.
-APART = ("free", "gap", "force", "residual", "correction", "before", "step")
+APART = ("free", "solved", "gap", "force", "residual", "correction", "before", "step")
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,24 +146,24 @@ def axes_march(moving: MovingMachine, axes: Sequence[Axis]) -> AxesMarch | None:
     decay = thermal.capacity_rate.diagonal() / diagonal
     inverse = np.where(np.arange(diagonal.size) < moving.free, 1.0 / diagonal, 0.0)
     elastic, untied = contact.elastic, owned(guideway.elastic.thermal)
-    slip, warmed = np.zeros((2, count)), moving.warmed
+    slip, (of_rows, of_untied, of_warmed) = np.zeros((2, count)), moving.spans
     kernel = AxesKernel(
         HeatStep(decay, owned(thermal.inputs / diagonal[:, None]), none, none),
-        guides_of(guideway.stations, moving.rows, inverse),
+        guides_of(guideway.stations, moving.rows, of_rows, inverse),
         drives_of(axes, diagonal.size),
         joint,
         Pads(tables.held, joint.laws, slip, elastic.reference, elastic.area, contact.tolerance),
         untied,
-        warmed,
-        spans(untied),
-        spans(warmed),
+        moving.warmed,
+        of_untied,
+        of_warmed,
         owned(guideway.running / thermal.step),
         owned(contact.reference_pressure),
         watched_in(contact),
         moving.copies,
         thermal.step,
     )
-    here = new_here(tables.held.size, len(elastic.probe_compliance), trial_at(np.zeros((3, count))))
+    here = new_here(tables.held, len(elastic.probe_compliance), trial_at(np.zeros((3, count))))
     return AxesMarch(moving, axes, kernel, _storage(kernel, here, cold_drives(axes).size))
 
 

@@ -86,7 +86,7 @@ def surveyed(
         m.
     """
     # Imported here because they load a compiler, as in `fesim.march.contact.gap_solver`.
-    from fesim.axes.survey import Pads, Survey, grown, settle_all
+    from fesim.axes.survey import Pads, Survey, grown, new_here, settle_all
     from fesim.joint.compiled_gap import compile_gap, trial_at
 
     nothing = np.full(len(places), np.nan)
@@ -108,7 +108,8 @@ def surveyed(
     found = Survey(*seen, np.empty((len(places), held.size)))
     # One layout, for which the sweep is compiled once.
     around_each = np.ascontiguousarray(places), near.touched, np.ascontiguousarray(near.weight)
-    settle_all(table, pads, free, around_each, trial_at(joint[0]), found)
+    here = new_here(held, probes, trial_at(joint[0]))
+    settle_all(table, pads, free, around_each, here, found)
     return seen
 
 

@@ -2,9 +2,9 @@
 
 The gap equations g = g_T + C A [z(g) + k g] at a place have C, g_T and the rows of the probes
 interpolated there, as `fesim.axes.guideway` has them. The places differ little, so Newton's method
-factorises its Jacobian once for many of them (a chord method), and starts at the gaps of places
-before: with the rows that hold nothing left out, a place costs the interpolation and some products
-of that size. It is factorised again where the iteration becomes slow.
+factorises its Jacobian, in single precision, once for many of them (a chord method), and starts at
+the gaps of places before: with the rows that hold nothing left out, a place costs the interpolation
+and some products of that size. It is factorised again where the iteration becomes slow.
 
 `survey` stands beside `fesim.march.settling.settle_along`, which finds the same equilibria one by
 one and takes over where this does not converge; `tests/fesim/axes/test_survey.py` compares both.
@@ -20,11 +20,10 @@ from numpy.typing import NDArray
 
 from fesim.axes.corner_table import CornerTable
 from fesim.jit import compiled, compiled_part
-from fesim.joint.compiled_gap import Trial, evaluate_in_place, largest
+from fesim.joint.compiled_gap import Trial, evaluate_in_place, lacking, largest
 from fesim.joint.gap import SHORTEST_STEP
 from fesim.joint.in_place import fill, put
-from fesim.joint.law import ACROSS, ALONG, CROSS, FIRST, NORMAL, SECOND
-from fesim.joint.linear_system import factorise_columns, solve_again
+from fesim.joint.linear_system import factorise_single, solve_again
 from thermojoint.artefacts.arrays import Array
 
 #: Most iterations at a place, and how often its Jacobian may be factorised.
@@ -67,6 +66,22 @@ class Survey(NamedTuple):
     gap: Array
 
 
+@compiled_part
+def unpacked(packed: Array, into: Array) -> None:
+    """C (h, h) of its upper triangle."""
+    size, at = into.shape[0], 0
+    for i in range(size):
+        row, own = into[i], packed[at : at + size - i]
+        for j in range(own.size):
+            row[i + j] = own[j]
+        at += size - i
+    # Apart from the rows above, which are copied as they are stored.
+    for i in range(size):
+        row = into[i]
+        for j in range(i):
+            row[j] = into[j, i]
+
+
 @compiled
 def grown(table: CornerTable, pads: Pads, alone: Array, free: Array) -> None:
     """Gaps, then probes, as temperatures leave them without contact, into `free` (k, h + p).
@@ -85,7 +100,8 @@ def grown(table: CornerTable, pads: Pads, alone: Array, free: Array) -> None:
     count, held = pads.laws.shape[0], pads.held
     size, probes, anchors = held.size, table.probes.shape[1], table.anchored.shape[2]
     stations = (alone.size - 3 * count - anchors - probes) // 3
-    untied, pulled = np.empty(size), np.empty(size)
+    untied, pulled, drawn = np.empty(size), np.empty(size), np.empty(size)
+    whole = np.empty((size, size))
     for k in range(table.place.shape[0]):
         for i in range(size):
             direction, e = divmod(held[i], count)
@@ -93,17 +109,10 @@ def grown(table: CornerTable, pads: Pads, alone: Array, free: Array) -> None:
             if table.place[k, e] >= 0:
                 untied[i] += alone[3 * count + direction * stations + table.place[k, e]]
             pulled[i] = pads.area[held[i]] * pads.springs[held[i]] * untied[i]
-            free[k, i] = untied[i]
-        at = 0
+        unpacked(table.compliance[k], whole)
+        np.dot(whole, pulled, drawn)
         for i in range(size):
-            own = pulled[i]
-            total = table.compliance[k, at] * own
-            for j in range(1, size - i):
-                entry = table.compliance[k, at + j]
-                total += entry * pulled[i + j]
-                free[k, i + j] -= entry * own
-            free[k, i] -= total
-            at += size - i
+            free[k, i] = untied[i] - drawn[i]
         for i in range(probes):
             total = alone[alone.size - probes + i]
             for j in range(size):
@@ -132,48 +141,26 @@ def mixed(parts: Array, touched: NDArray[np.int64], weight: Array, into: Array) 
 
 
 @compiled_part
-def unpacked(packed: Array, area: Array, into: Array) -> None:
-    """C A (h, h) of the upper triangle of C."""
-    size, at = into.shape[0], 0
-    for i in range(size):
-        for j in range(i, size):
-            into[i, j] = packed[at] * area[j]
-            into[j, i] = packed[at] * area[i]
-            at += 1
-
-
-@compiled_part
-def _jacobian(pads: Pads, tangent: Array, compliance: Array, columns: Array) -> None:
+def _jacobian(pads: Pads, here: Here) -> None:
     """Put 1 - C A (T + k) on the rows that hold something, column after column."""
-    count, held = pads.laws.shape[0], pads.held
-    size = held.size
-    # Of each column of T: rows of the same contact element, and the entries there.
-    rows, entries = np.zeros((3, size), np.int64), np.zeros((3, size))
+    count, held, compliance = pads.laws.shape[0], pads.held, here.compliance
     where = np.full(3 * count, -1)
-    for j in range(size):
+    for j in range(held.size):
         where[held[j]] = j
-    for j in range(size):
-        column, e = divmod(held[j], count)
+    for j in range(held.size):
+        part, e = divmod(held[j], count)
+        into = here.factors[j]
+        fill(into, 0.0)
         for row in range(3):
             i = where[row * count + e]
-            if i < 0:
+            entry = lacking(pads.springs, here.trial.tangent, row * count + e)[part]
+            if i < 0 or entry == 0.0:
                 continue
-            if row == 0:
-                entry = tangent[NORMAL, e] if column == 0 else 0.0
-            elif column == 0:
-                entry = tangent[FIRST if row == 1 else SECOND, e]
-            elif column == row:
-                entry = tangent[ALONG if row == 1 else ACROSS, e]
-            else:
-                entry = tangent[CROSS, e]
-            rows[row, j] = i
-            entries[row, j] = entry + (pads.springs[held[j]] if row == column else 0.0)
-    for i in range(size):
-        for j in range(size):
-            total = compliance[i, rows[0, j]] * entries[0, j]
-            total += compliance[i, rows[1, j]] * entries[1, j]
-            columns[j, i] = -total - compliance[i, rows[2, j]] * entries[2, j]
-        columns[i, i] += 1.0
+            entry *= pads.area[held[j]]
+            own = compliance[i]  # C is symmetric.
+            for k in range(held.size):
+                into[k] -= entry * own[k]
+        into[j] += 1.0
 
 
 @compiled_part
@@ -209,14 +196,16 @@ def _guess(places: Array, found: Survey, at: int, into: Array) -> bool:
 class Here(NamedTuple):
     """The gap equations at one place, and storage."""
 
-    #: Shape (h, h): C A, m/Pa.
+    #: Shape (h, h): C, m/N.
     compliance: Array
     #: Shape (h + p,): g_T, m, then the probes without contact.
     free: Array
-    #: Shapes (h, h) and (h,): factors of the Jacobian there or nearby, and their pivots.
-    factors: Array
+    #: Shapes (h, h) and (h,): factors of the Jacobian there or nearby, and their pivots; (h,): what
+    #: is solved with them.
+    factors: NDArray[np.float32]
     pivots: NDArray[np.int32]
-    #: Shape (h,): g, m; z + k g, Pa; g - g_T - C A (z + k g), m; Newton's correction, m; g and
+    solved: NDArray[np.float32]
+    #: Shape (h,): g, m; A (z + k g), N; g - g_T - C A (z + k g), m; Newton's correction, m; g and
     #: correction before a step.
     gap: Array
     force: Array
@@ -239,16 +228,19 @@ def _corrected(pads: Pads, here: Here, anew: bool) -> tuple[float, float]:
         flat[held[i]] = here.gap[i]
     evaluate_in_place(pads.laws, pads.slip, here.trial)
     for i in range(held.size):
-        here.force[i] = value[held[i]] + pads.springs[held[i]] * here.gap[i]
+        at = held[i]
+        here.force[i] = pads.area[at] * (value[at] + pads.springs[at] * here.gap[i])
     np.dot(here.compliance, here.force, here.residual)
     for i in range(held.size):
         here.residual[i] = here.gap[i] - here.free[i] - here.residual[i]
-    put(here.residual, here.correction)
+        here.solved[i] = here.residual[i]
     if anew:
-        _jacobian(pads, here.trial.tangent, here.compliance, here.factors)
-        factorise_columns(here.factors, here.pivots, here.correction)
+        _jacobian(pads, here)
+        factorise_single(here.factors, here.pivots, here.solved)
     else:
-        solve_again(here.factors, here.pivots, here.correction)
+        solve_again(here.factors, here.pivots, here.solved)
+    for i in range(held.size):
+        here.correction[i] = here.solved[i]
     return largest(here.correction), math.sqrt(here.residual @ here.residual)
 
 
@@ -289,21 +281,22 @@ def settle_here(pads: Pads, here: Here, made: bool, share: float) -> tuple[float
 
 
 @compiled_part
-def probe(here: Here, moved: Array, area: Array, into: Array) -> None:
-    """The displacement of the probes (p,), by that per joint force (p h,) and areas (h,)."""
+def probe(here: Here, moved: Array, into: Array) -> None:
+    """The displacement of the probes (p,), by that per joint force (p h,)."""
     size = here.gap.size
     for i in range(into.size):
         total = here.free[size + i]
         for j in range(size):
-            total += moved[i * size + j] * area[j] * here.force[j]
+            total += moved[i * size + j] * here.force[j]
         into[i] = total
 
 
-def new_here(size: int, probes: int, trial: Trial) -> Here:
-    """Return storage for h rows and p probes; a trial brings its own."""
-    before, after = [(size, size), (size + probes,), (size, size)], 6 * [(size,)]
-    storage: list[Any] = [np.zeros(shape) for shape in before]
-    storage += [np.zeros(size, np.int32), *map(np.zeros, after), trial]
+def new_here(held: NDArray[np.int64], probes: int, trial: Trial) -> Here:
+    """Return storage for the rows (h,) that hold something and p probes, at the gaps of a trial."""
+    size, single = held.size, np.float32
+    storage: list[Any] = [np.zeros((size, size)), np.zeros(size + probes)]
+    storage += [np.zeros((size, size), single), np.zeros(size, np.int32), np.zeros(size, single)]
+    storage += [trial.gap.reshape(-1)[held], *(np.zeros(size) for _ in range(5)), trial]
     return Here(*storage)
 
 
@@ -313,7 +306,7 @@ def settle_all(
     pads: Pads,
     free: Array,
     around: tuple[Array, NDArray[np.int64], Array],
-    trial: Trial,
+    here: Here,
     found: Survey,
 ) -> None:
     """Settle at places one after the other, into `found`.
@@ -328,35 +321,21 @@ def settle_all(
         By `grown`.
     around : tuple of ndarray
         Places (n, axes), m, which combinations are around each (n, c), and their weights (n, c).
-    trial : Trial
+    here : Here
         Storage, at the gaps where the axes stand.
     found : Survey
         Written; its residuals are NaN before.
     """
     places, touched, weights = around
-    held, probes = pads.held, table.probes.shape[1]
-    size, start = held.size, trial.gap.reshape(-1)
+    size, probes = pads.held.size, table.probes.shape[1]
     packed, moved = np.empty(table.compliance.shape[1]), np.empty(probes * size)
     by_probe, made = table.probes.reshape(-1, probes * size), False
-    here = Here(
-        np.empty((size, size)),
-        np.empty(size + probes),
-        np.empty((size, size)),
-        np.empty(size, np.int32),
-        start[held],
-        np.empty(size),
-        np.empty(size),
-        np.empty(size),
-        np.empty(size),
-        np.empty(size),
-        trial,
-    )
-    area, origin = pads.area[held], start[held]
-    fill(trial.gap, 0.0)
+    origin = here.gap.copy()
+    fill(here.trial.gap, 0.0)
     for at in range(places.shape[0]):
         mixed(table.compliance, touched[at], weights[at], packed)
         mixed(free, touched[at], weights[at], here.free)
-        unpacked(packed, area, here.compliance)
+        unpacked(packed, here.compliance)
         _guess(places, found, at, here.gap)
         found.residual[at], _ = settle_here(pads, here, made, EXACT)
         if math.isnan(found.residual[at]):
@@ -366,4 +345,4 @@ def settle_all(
         mixed(by_probe, touched[at], weights[at], moved)
         for i in range(size):
             found.gap[at, i] = here.gap[i]
-        probe(here, moved, area, found.displacement[at])
+        probe(here, moved, found.displacement[at])
