@@ -256,9 +256,9 @@ def _factorise(guides: Guides, passed: Passed, conducted: Array, first: int, aft
                     passes[above, at] += both
     for i in range(size):
         found[i] = warm[rows[i]]
-        own, into = influence[rows[i]], near[i]
+        every, into = influence[rows[i]], near[i]
         for j in range(size):
-            into[j] = own[rows[j]]
+            into[j] = every[rows[j]]
     for i in range(size):
         if passed.rubbed[rows[i]] != 0.0:
             add_row(passed.rubbed[rows[i]], near[i], found)
