@@ -286,7 +286,10 @@ def _refine(guides: Guides, passed: Passed, conducted: Array, groups: int, again
     """Whether iterations with the factors of so many parts of the rows solve for T and q."""
     rows, begin = passed.rows, passed.begin
     total = begin[begin.size - 1]
-    before, enough = largest(passed.found), LEFT * largest(passed.warm)
+    before, enough = 0.0, LEFT * largest(passed.warm)
+    for i in range(total):
+        # What the heat of the rows does: of it, others' influence is what is left open.
+        before = max(before, abs(passed.found[rows[i]] - passed.warm[rows[i]]))
     for iteration in range(MOST):
         _leave(guides, passed, conducted)
         np.dot(guides.joint_influence, passed.entering, passed.net)
