@@ -427,49 +427,53 @@ def _search(
     held: Flags | None = None,
 ) -> Found:
     """Search from where the slopes are; parameters that are `held` stay at zero."""
-    least = np.array([parameter.least for parameter in parameters])
-    # The bounds of a search are apart.
-    highest = np.full(least.size, 3.0)
-    if held is not None:
-        highest[held] = 1e-9
+    least, highest = np.array([parameter.least for parameter in parameters]), 3.0
+    # Bounds that hold a parameter would hold the steps of all of them (dogbox).
+    free = np.ones(least.size, dtype=bool) if held is None else ~held
     # Rounding may have moved a parameter at its bound beyond it.
-    begun = np.clip(slopes.at, least, highest)
+    begun = np.where(free, np.clip(slopes.at, least, highest), 0.0)
     if not np.array_equal(begun, slopes.at):
         slopes = slopes.moved(begun, _errors(problem, parameters, begun))
     first, evaluations = defect + whitened(problem, slopes.errors), 0
     # Trials since the last slopes.
     tried: list[tuple[Array, Array]] = []
 
-    def of(scaled: Array) -> Array:
+    def every(searched: Array) -> Array:
+        scaled = begun.copy()
+        scaled[free] = searched
+        return scaled
+
+    def of(searched: Array) -> Array:
+        scaled = every(searched)
         if np.array_equal(scaled, begun):
-            return np.concatenate([first, scaled, [UNIT]])
+            return np.concatenate([first, searched, [UNIT]])
         try:
-            tried.append((scaled.copy(), _errors(problem, parameters, scaled)))
+            tried.append((scaled, _errors(problem, parameters, scaled)))
             penalty = defect + whitened(problem, tried[-1][1])
         except ConvergenceError:
             # Trial step too large: return a cost above the initial one, so that it is shortened.
             tried.extend([(scaled, slopes.errors)] * (1 + MISLED))
             penalty = 10.0 * first
-        return np.concatenate([penalty, scaled, [UNIT]])
+        return np.concatenate([penalty, searched, [UNIT]])
 
-    def slope(scaled: Array) -> Array:
+    def slope(searched: Array) -> Array:
         nonlocal slopes, evaluations
         if len(tried) > 1 + MISLED:
-            slopes = slopes_at(problem, parameters, scaled, search)
-            evaluations += 1 + scaled.size
+            slopes = slopes_at(problem, parameters, every(searched), search)
+            evaluations += 1 + begun.size
         else:
             for at, found in tried:
                 slopes = slopes.moved(at, found)
         tried.clear()
-        own, priors = slopes.jacobian(problem), np.eye(scaled.size + 1)[:, :-1]
+        own, priors = slopes.jacobian(problem)[:, free], np.eye(searched.size + 1)[:, :-1]
         return np.vstack([own, priors])
 
     result = least_squares(
         of,
-        begun,
+        begun[free],
         slope,
         method="dogbox",
-        bounds=(least, highest),
+        bounds=(least[free], highest),
         xtol=search.close,
         ftol=search.close,
         gtol=1e-8,
@@ -478,7 +482,7 @@ def _search(
     left, jacobian = result.fun[: defect.size], slopes.jacobian(problem)
     evaluations += int(result.nfev)
     cost = float(result.cost) - 0.5 * UNIT**2
-    return Found(result.x, left, jacobian, cost, evaluations, slopes)
+    return Found(every(result.x), left, jacobian, cost, evaluations, slopes)
 
 
 def _fit(

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from observed import SENSORS
 
 from calibrate.joint_aware.misfit import Run, physics_with
-from calibrate.joint_aware.physics_fit import Search, fit_physics
+from calibrate.joint_aware.physics_fit import Search, fit_physics, refit
 from fesim.case.schema import case_from_data
 from meshes.inspection import area_of
 from thermojoint.cli.results import further_run_line
@@ -74,6 +74,20 @@ def test_a_cool_down_tells_the_films(machine, inside):
     assert np.exp(found[REAR]) == pytest.approx(3.0, rel=0.1)
     assert found[INSIDE] == pytest.approx(inside, abs=0.4)
     assert np.all(np.sqrt(np.diag(fit.covariance)) < 0.5 * fit.spread)
+
+
+def test_a_film_that_is_held_at_zero_does_not_hold_the_others(machine):
+    """Where it would rise, too: of two runs of unlike machines one is left out."""
+    small = along(replace(machine, step=60.0), ["x", "y"])
+    runs = [cooled(small, {"film": film, INSIDE: 1.0}) for film in (1.5, 1.0)]
+    fit = fit_physics(small, runs, ["film", INSIDE], Search(starts=0, evident=100.0))
+    alone = fit_physics(small, runs[:1], ["film"], Search(starts=0))
+    found = refit(small, runs, fit, 1)
+    assert found.coordinates[1] == 0.0
+    # A few evaluations take it most of its way.
+    both, one = fit.coordinates[0], alone.coordinates[0]
+    assert one > both + 0.1
+    assert found.coordinates[0] > both + 0.6 * (one - both)
 
 
 def test_a_film_far_beyond_the_prior_ends_at_its_bound(machine):
