@@ -75,7 +75,9 @@ class Drawing:
 USUAL = Drawing()
 #: Where temperatures differ from the model's for ten minutes by a share of their largest in the
 #: runs, the displacement is taken to differ by this part of that share, as a standard deviation.
-DOUBTED = 0.6
+DOUBTED = 0.8
+#: The gain that no run shows is this many times as large as all others are assumed to be together.
+SLOWLY = 1.3
 #: A thermometer that warms less counts as if it warmed by this part of what the warmest does.
 FAR = 0.1
 #: A drawn machine has no faulty sensors: an onset of heat that its steps cannot resolve is none.
@@ -177,12 +179,14 @@ def unlike_its_case(fitted: Fitted) -> Array:
     """Return the variance of errors that no run shows, per square of the relaxed heat, (axes, q).
 
     The slowest relaxation has no gain, as no run lasts long enough for it. A machine of the family
-    needs none. One that leaves more than its parameters explain is given one that is unknown, as
-    large as all others are assumed to be together, in proportion to what is left beyond the family.
+    needs none. One that leaves more than its parameters explain is given one that is unknown, of
+    the size that all others are assumed to have together (`SLOWLY`), in proportion to what is left
+    beyond the family. Heat that no run shows need not move the machine as its sources do: along
+    every axis it counts as in the mean of them.
     """
     unknown = np.zeros((len(fitted.machine.axes), fitted.problem.rates.size))
-    gains = [channel.tau for channel in fitted.problem.displacement]
-    unknown[:, -1] = (1.0 - fitted.fit.doubt**-2) * COUNT * np.square(gains)
+    gains = np.mean(np.square([channel.tau for channel in fitted.problem.displacement]))
+    unknown[:, -1] = (1.0 - fitted.fit.doubt**-2) * SLOWLY**2 * COUNT * gains
     return unknown
 
 
@@ -190,8 +194,9 @@ def surprise_of(runs: Sequence[Run], doubt: float) -> Array:
     """Return the variance of an error per square of a lasting innovation, m2/K2, (axes, p + 1).
 
     Errors of temperatures and of the displacement that come from the same unknown heat are alike as
-    shares of the largest values. The thermometers count alike, the ambient not at all. Machines of
-    the posterior have lasting innovations, too, and their errors are in the band already.
+    shares of the largest values, in the mean of the axes. The thermometers count alike, the ambient
+    not at all. Machines of the posterior have lasting innovations, too, and their errors are in the
+    band already.
 
     Parameters
     ----------
@@ -205,7 +210,8 @@ def surprise_of(runs: Sequence[Run], doubt: float) -> Array:
         for every in ([run.displacement for run in runs], [run.temperature for run in runs])
     )
     sensed = np.maximum(sensed, FAR * sensed.max())
-    per_kelvin = DOUBTED / math.sqrt(sensed.size) * np.outer(moved, 1.0 / sensed)
+    size = DOUBTED * math.sqrt(np.mean(np.square(moved)) / sensed.size)
+    per_kelvin = np.outer(np.full(moved.size, size), 1.0 / sensed)
     unlike = (1.0 - doubt**-2) * np.square(per_kelvin)
     return np.hstack([unlike, np.zeros((moved.size, 1))])
 
