@@ -7,7 +7,7 @@ import pytest
 
 from fesim.axes import mapping
 from fesim.axes.corner_table import around
-from fesim.axes.mapping import seen_from
+from fesim.axes.mapping import seen_from, surveyed
 from fesim.axes.march import march_moving
 from fesim.axes.setup import axis_inputs, set_up_axes
 from fesim.case.schema import case_from_data
@@ -70,6 +70,15 @@ def test_a_sweep_finds_what_is_found_at_each_place_alone(warm, monkeypatch):
     assert seen.residual.max() <= moving.machine.contact.tolerance
     # Where the sweep does not converge the plain method takes over: seldom.
     assert len(alone) <= 4
+
+
+def test_what_a_sweep_cannot_solve_is_left_to_the_plain_method(warm):
+    """A tangent that is singular ends a sweep, not the simulation."""
+    moving, step = warm
+    contact, state = moving.machine.contact, step.state
+    alone = np.full(len(moving.guideway.elastic.thermal), np.nan)
+    found = surveyed(contact, moving.tables, (state.gap, state.slip), alone, PLACES)
+    assert np.isnan(found.residual).all()
 
 
 def test_the_order_of_the_places_does_not_matter(warm):
