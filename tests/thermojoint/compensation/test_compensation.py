@@ -628,10 +628,12 @@ def test_the_command_refuses_a_response_and_leaves_nothing(files):
 
 def test_the_settings_of_the_page_are_settings():
     page = (ROOT / "docs" / "closing-the-loop.md").read_text("utf-8")
-    block, slope = re.findall(r"```toml\n(.*?)```", page, re.S)
+    block, slope, table = re.findall(r"```toml\n(.*?)```", page, re.S)
     settings = settings_from_data(toml.parse(block, "page"), "page")
     assert settings.output.signs == (-1, -1)
     along = settings_from_data(toml.parse(block + slope, "page"), "page")
+    placed = settings_from_data(toml.parse(table, "page"), "page").output
+    assert placed.estimated == ("y_at_-100", "y_at_50", "y_at_200")
     (own,) = with_slopes(along, {"x": STROKE}, "page").output.slopes
     assert own.slope.resolution == pytest.approx(MICRO)
     assert settings.trust.widest_band == pytest.approx(5.0 * MICRO)
