@@ -35,7 +35,10 @@ class Camera:
         if np.linalg.norm(right) < 1e-6 * np.linalg.norm(self.up):
             right = np.cross(np.eye(3)[np.abs(towards).argmin()], towards)
         right /= np.linalg.norm(right)
-        return np.array([right, np.cross(towards, right), towards])
+        above = np.cross(towards, right)
+        # Seen from above, the little that is left of `up` says on which side up is.
+        side = -1.0 if above @ np.asarray(self.up) < 0.0 else 1.0
+        return np.array([side * right, side * above, towards])
 
     def project(self, points: Array) -> Array:
         """Right, up and towards the eye of `points` (n, 3), m."""
