@@ -331,10 +331,10 @@ def _followed(served: Served, estimate: Estimate) -> Array | None:
     """Return what the offsets and slopes are to become."""
     if served.output is None:
         return None
-    lines, places = _lines(served, estimate), served.places
-    names = (*served.layout.axes, *places)
-    moved = np.concatenate([estimate.displacement, estimate.details[[*places.values()]]])
-    return followed(served.output.output, names, moved, lines)
+    lines = _lines(served, estimate)
+    places = {name: float(estimate.details[k]) for name, k in served.places.items()}
+    axes = served.layout.axes
+    return followed(served.output.output, axes, estimate.displacement, lines, places)
 
 
 def _lines(served: Served, last: Estimate | Publication) -> Lines | None:

@@ -22,6 +22,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -216,7 +217,11 @@ def _values(settings: OutputSettings, steps: NDArray[np.int64]) -> Array:
 
 
 def followed(
-    settings: OutputSettings, axes: Sequence[str], displacement: Array, lines: Lines | None = None
+    settings: OutputSettings,
+    axes: Sequence[str],
+    displacement: Array,
+    lines: Lines | None = None,
+    places: Mapping[str, float] = MappingProxyType({}),
 ) -> Array:
     """Return the targets of the offsets (m) and of the slopes (m/m), shape (channels,).
 
@@ -224,15 +229,17 @@ def followed(
     ----------
     settings : OutputSettings
     axes : sequence of str
-        Axes of the estimate, then its displacements at positions, including all that `settings`
-        refers to.
+        Axes of the estimate; they and `places` include all that `settings` refers to.
     displacement : ndarray, shape (axes,)
         Estimated, m.
     lines : Lines, optional
         Estimated; without them slopes have no target (NaN).
+    places : mapping of str to float, optional
+        Estimated displacements at positions by name (`estimator.lines.name_at`), m.
     """
-    at, signs = [list(axes).index(name) for name in settings.estimated], np.array(settings.signs)
-    targets = np.asarray(signs * displacement[at])
+    names, signs = (*axes, *places), np.array(settings.signs)
+    at = [names.index(name) for name in settings.estimated]
+    targets = np.asarray(signs * np.append(displacement, [*places.values()])[at])
     if not settings.slopes:
         return targets
     along = list(settings.along)

@@ -71,8 +71,8 @@ def preview(settings: Settings, axes: Sequence[str], rows: Sequence[Row]) -> Ite
         row = rows[int(np.searchsorted(times, time * (1.0 + 1e-12), side="right")) - 1]
         band = band_along(output, axes, row.band, row.lines)
         used = usable(settings.trust, time - row.time, band, row.status)
-        moved = np.append(row.displacement, [*row.places.values()])
-        target = followed(output, known, moved, row.lines) if used else None
+        seen = row.displacement, row.lines, row.places
+        target = followed(output, axes, *seen) if used else None
         state = cycle(output, state, time, target)
         offsets, slopes = offsets_of(output, state), slopes_of(output, state)
         yield Cycle(time, offsets, slopes, references, mode_of(output, state).value)
