@@ -8,6 +8,7 @@ control that interpolates between them has the displacement at every position.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -30,8 +31,8 @@ DETAILS = (
 HERE = (("here", "m"), ("here_band", "m"))
 #: Of each line along one of several moving axes, before the name of the axis.
 ALONG = (("K0", "m"), ("slope", "m/m"))
-#: Between the name of a displacement and a position, mm.
-_AT = "_at_"
+#: A displacement at a position, mm, as `name_at` names it.
+_PLACE = re.compile(r"(.+)_at_(-?\d+(?:\.\d+)?(?:e[+-]\d+)?)")
 
 
 class Stroke(NamedTuple):
@@ -73,7 +74,7 @@ def channels_here(axis: str) -> tuple[Channel, ...]:
 
 def name_at(axis: str, position_mm: float) -> str:
     """Return the name of a displacement at a position, mm: ``x_at_-100``."""
-    return f"{axis}{_AT}{position_mm:.9g}"
+    return f"{axis}_at_{position_mm:.9g}"
 
 
 def channels_at(axis: str, positions: Array) -> tuple[Channel, ...]:
@@ -91,11 +92,8 @@ def places_in(axes: Sequence[str], names: Sequence[str]) -> dict[str, int]:
     names : sequence of str
         Of details.
     """
-    return {
-        name: k
-        for k, name in enumerate(names)
-        if any(name.startswith(f"{axis}{_AT}") for axis in axes)
-    }
+    found = ((name, k, _PLACE.fullmatch(name)) for k, name in enumerate(names))
+    return {name: k for name, k, place in found if place is not None and place[1] in axes}
 
 
 def here(

@@ -517,6 +517,13 @@ def test_a_table_has_an_offset_for_each_position_and_each_keeps_the_rate(files):
         assert np.abs(np.diff(between)).max() <= 2.0 + 0.1 + 1e-9
 
 
+def test_a_column_that_is_named_like_a_position_is_ignored():
+    text = placed_text(8, -32).replace("x_at_100_um", "x_at_rest_um").replace("8,", "warm,", 1)
+    axes, rows = read_estimate(text.splitlines(), "estimate.csv")
+    assert axes == ("x",)
+    assert [*rows[0].places] == ["x_at_600"]
+
+
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
