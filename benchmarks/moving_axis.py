@@ -36,6 +36,7 @@ from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.readings import samples_in
 from estimator.lines import channels_at, here, lines_of
 from estimator.measured import response_samples
+from fesim.axes.setup import aligned_positions
 from fesim.case.schema import Case, read_case
 from fesim.simulate import simulate
 from thermojoint.artefacts.arrays import Array
@@ -113,13 +114,6 @@ def plant_of(case: Case, rng: np.random.Generator, number: int) -> Case:
             "bearings": {"reference_power_W": source.reference_power_W * rng.uniform(0.9, 1.1)}
         },
     )
-
-
-def stations_of(case: Case) -> list[float]:
-    """Return the aligned positions of the axis of a case, mm: the points of a table."""
-    (axis,) = case.axes.values()
-    low, high = axis.stroke_mm
-    return np.linspace(low, high, 1 + math.ceil((high - low) / axis.station_mm)).tolist()
 
 
 def responses_of(plant: Case, rng: np.random.Generator, folder: Path) -> dict[str, xr.Dataset]:
@@ -245,8 +239,10 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--same-mesh", action="store_true")
     options = parser.parse_args(arguments)
     case = read_case(case_file("moving_knee"))
-    (axis,) = case.axes
-    case = case.replace(march={"step_s": STEP}, axes={axis: {"asked_mm": stations_of(case)}})
+    ((axis, section),) = case.axes.items()
+    # The points of a table.
+    stations = (aligned_positions(section) / MILLI).round(9).tolist()
+    case = case.replace(march={"step_s": STEP}, axes={axis: {"asked_mm": stations}})
     mesh = {} if options.same_mesh else MESH
     rows: list[dict[str, Any]] = []
     for number in range(options.first, options.first + options.count):

@@ -11,7 +11,6 @@ the draws, plus their residual, is the band.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -210,10 +209,9 @@ def surprise_of(runs: Sequence[Run], doubt: float) -> Array:
         for every in ([run.displacement for run in runs], [run.temperature for run in runs])
     )
     sensed = np.maximum(sensed, FAR * sensed.max())
-    size = DOUBTED * math.sqrt(np.mean(np.square(moved)) / sensed.size)
-    per_kelvin = np.outer(np.full(moved.size, size), 1.0 / sensed)
-    unlike = (1.0 - doubt**-2) * np.square(per_kelvin)
-    return np.hstack([unlike, np.zeros((moved.size, 1))])
+    size = (1.0 - doubt**-2) * DOUBTED**2 * np.mean(np.square(moved))
+    per_reading = np.append(size / (sensed.size * np.square(sensed)), 0.0)
+    return np.tile(per_reading, (moved.size, 1))
 
 
 def drawn_errors(

@@ -613,8 +613,8 @@ class JointAware(Described):
             The number of values is wrong.
         """
         thermal = len(self.observer.system.rows)
-        wanted = thermal + len(self.model.loads) + len(self.model.positions)
-        stood, wanted = wanted, wanted + len(self.model.powers)
+        stood = thermal + len(self.model.loads) + len(self.model.positions)
+        wanted = stood + len(self.model.powers)
         if len(values) not in (wanted, len(self.channels)):
             names = ", ".join(channel.name for channel in self.channels[:wanted])
             raise InputError(
