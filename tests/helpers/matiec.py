@@ -6,6 +6,9 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from structured_text import run as run_structured_text
+
+from estimator.export.structured_text import st_files
 
 _COMPILER = shutil.which("iec2c")
 #: Its standard functions, and what the C that it writes includes.
@@ -44,3 +47,13 @@ def selftest_by_matiec(files, name, folder):
     subprocess.run(command, cwd=folder, check=True)
     done = subprocess.run(["./t"], cwd=folder, check=True, capture_output=True, text=True)
     return {key: float(value) for key, value in re.findall(r"^([a-z ]+) (\S+)$", done.stdout, re.M)}
+
+
+def selftest_by_both(program, folder):
+    """Run the self-test of a function block as it is read here and by matiec; gives its figures."""
+    pytest.importorskip("tree_sitter_iec61131_3_st", reason="needs tree-sitter-iec61131-3-st")
+    files = st_files(program)
+    done, figures = run_structured_text(files, "m", folder)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert figures["agrees"] == selftest_by_matiec(files, "m", folder)["agrees"] == 1
+    return figures

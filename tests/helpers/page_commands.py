@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import shutil
 import subprocess
 from typing import NamedTuple
 
@@ -25,6 +26,15 @@ def blocks_of(page):
 
 def files_of(blocks):
     return {one.rest: one.content for one in blocks if "." in one.rest}
+
+
+def copied(example, names, root):
+    """Copy files of an example to where they are in a clone; gives their folder."""
+    folder = root / "examples" / example.name
+    folder.mkdir(parents=True)
+    for name in names:
+        shutil.copy(example / name, folder)
+    return folder
 
 
 def follow(blocks, patch, left_out=()):

@@ -5,6 +5,14 @@ import re
 import subprocess
 import sys
 
+import pytest
+
+try:
+    import gmsh
+except (ImportError, OSError):
+    gmsh = None
+needs_gmsh = pytest.mark.skipif(gmsh is None, reason="Gmsh cannot be imported here")
+
 # In a process of its own: Open CASCADE numbers the files of a process, and keeps the unit that the
 # last import asked for.
 _SCRIPT = """

@@ -5,19 +5,13 @@ import sys
 
 import numpy as np
 import pytest
-from step_files import write_step
+from step_files import gmsh, needs_gmsh, write_step
 
 from meshes.cad import Names, free_faces, mesh_cad, read_names
 from meshes.exchange import read_structure
 from meshes.inspection import inspect
 from meshes.pairing import pair_joint
 from thermojoint.artefacts.errors import InputError
-
-try:
-    import gmsh
-except (ImportError, OSError):
-    gmsh = None
-needs_gmsh = pytest.mark.skipif(gmsh is None, reason="Gmsh cannot be imported here")
 
 
 @pytest.fixture(scope="module")

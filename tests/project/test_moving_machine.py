@@ -1,32 +1,23 @@
 """The page for one's own machine with a moving axis does what it says."""
 
-import shutil
-
 import numpy as np
 import pytest
 import xarray as xr
-from page_commands import blocks_of, files_of, follow
+from page_commands import blocks_of, copied, files_of, follow
 from repository import ROOT
+from step_files import needs_gmsh
 
 PAGE = ROOT / "docs" / "your-own-moving-machine.md"
 SLIDE = ROOT / "examples" / "slide"
 BLOCKS = blocks_of(PAGE)
 FILES = files_of(BLOCKS)
 
-try:
-    import gmsh
-except (ImportError, OSError):
-    gmsh = None
-
 
 @pytest.fixture(scope="module")
 def followed(tmp_path_factory):
     """Follow the page from top to bottom, with the files that a clone has."""
     root = tmp_path_factory.mktemp("moving")
-    folder = root / "examples" / "slide"
-    folder.mkdir(parents=True)
-    for name in ("slide.step", *FILES):
-        shutil.copy(SLIDE / name, folder)
+    folder = copied(SLIDE, ("slide.step", *FILES), root)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(root)
         follow(BLOCKS, patch)
@@ -39,7 +30,7 @@ def test_every_file_of_the_page_is_in_the_examples_as_it_stands_there():
         assert (SLIDE / name).read_text("utf-8") == content, name
 
 
-@pytest.mark.skipif(gmsh is None, reason="needs Gmsh")
+@needs_gmsh
 def test_the_commands_of_the_page_take_parts_to_a_line(followed, capsys, monkeypatch):
     assert (followed / "curves.png").exists()
     response = xr.load_dataset(followed / "slide.nc")

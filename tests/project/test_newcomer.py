@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 import typer
 import xarray as xr
-from page_commands import blocks_of, files_of, follow
+from page_commands import blocks_of, copied, files_of, follow
 from repository import ROOT
 from skfem import MeshHex
+from step_files import gmsh, needs_gmsh
 
 from meshes.box_grid import put_side_by_side
 from meshes.exchange import write_structure
@@ -30,11 +31,6 @@ COMMANDS = [
     for line in block.splitlines()
     if line.startswith("thermojoint ")
 ]
-
-try:
-    import gmsh
-except (ImportError, OSError):
-    gmsh = None
 
 
 def clamp_mesh():
@@ -71,10 +67,7 @@ def clamp_mesh():
 def followed(tmp_path_factory):
     """Follow the page from top to bottom, with the files that a clone has."""
     root = tmp_path_factory.mktemp("newcomer")
-    folder = root / "examples" / "clamp"
-    folder.mkdir(parents=True)
-    for name in ("clamp.step", *FILES):
-        shutil.copy(CLAMP / name, folder)
+    folder = copied(CLAMP, ("clamp.step", *FILES), root)
     if gmsh is None:
         write_structure(clamp_mesh(), folder / "clamp.msh")
     with pytest.MonkeyPatch.context() as patch:
@@ -89,7 +82,7 @@ def test_every_file_of_the_page_is_in_the_examples_as_it_stands_there():
         assert (CLAMP / name).read_text("utf-8") == content, name
 
 
-@pytest.mark.skipif(gmsh is None, reason="needs Gmsh")
+@needs_gmsh
 def test_the_script_makes_the_cad_file_of_the_page(tmp_path):
     done = [sys.executable, CLAMP / "clamp.py", tmp_path / "clamp.step"]
     subprocess.run(done, check=True, capture_output=True)

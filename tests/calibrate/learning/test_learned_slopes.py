@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 from exported import PRECISIONS, SANITISED, compiled, needs_gcc, selftest, written
 from machine_logs import NAMES, along_log, made
-from matiec import needs_matiec, selftest_by_matiec
+from matiec import needs_matiec, selftest_by_both
 from moving_knee import coarse_data
-from structured_text import run as run_structured_text
 
 from calibrate.learning.learn import learn, learn_and_judge
 from estimator.columns import samples_of
-from estimator.export.structured_text import st_files
 from estimator.exporting import export_program
 from estimator.interface import Status, follow
 from estimator.learned.estimator import Learned
@@ -230,8 +228,4 @@ def test_its_program_is_the_estimator_along_the_axis(model, tmp_path):
 @needs_matiec
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_its_function_block_is_the_estimator_along_the_axis(model, precision, tmp_path):
-    pytest.importorskip("tree_sitter_iec61131_3_st", reason="needs tree-sitter-iec61131-3-st")
-    files = st_files(export_program(Learned(model), precision, "m"))
-    done, figures = run_structured_text(files, "m", tmp_path)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert figures["agrees"] == selftest_by_matiec(files, "m", tmp_path)["agrees"] == 1
+    selftest_by_both(export_program(Learned(model), precision, "m"), tmp_path)

@@ -20,10 +20,9 @@ from exported import (
     written,
 )
 from in_process import run
-from matiec import needs_matiec, selftest_by_matiec
+from matiec import needs_matiec, selftest_by_both
 from moving_knee import moving
 from observed import estimates, observer
-from structured_text import run as run_structured_text
 
 from calibrate.joint_aware.calibration import Effort, calibrate_joint_aware, machine_of
 from calibrate.joint_aware.linear_joint import with_linear_joint
@@ -32,7 +31,6 @@ from calibrate.joint_aware.open_band import Drawing
 from calibrate.joint_aware.physics_fit import Search
 from calibrate.joint_aware.readings import run_in
 from estimator.export.program import COMMON, Precision
-from estimator.export.structured_text import st_files
 from estimator.exporting import export_program
 from estimator.interface import Status
 from estimator.joint_aware.estimator import JointAware
@@ -364,11 +362,7 @@ def test_a_position_that_is_none_is_missing_in_its_program(estimator, samples, p
 @needs_gcc
 @needs_matiec
 def test_its_function_block_follows_the_axis(program, tmp_path):
-    pytest.importorskip("tree_sitter_iec61131_3_st", reason="needs tree-sitter-iec61131-3-st")
-    files = st_files(program)
-    done, figures = run_structured_text(files, "m", tmp_path)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert figures["agrees"] == selftest_by_matiec(files, "m", tmp_path)["agrees"] == 1
+    figures = selftest_by_both(program, tmp_path)
     assert figures["samples"] == program.samples
 
 

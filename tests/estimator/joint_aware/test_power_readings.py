@@ -6,15 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from exported import SANITISED, compiled, needs_gcc, selftest, written
-from matiec import needs_matiec, selftest_by_matiec
+from matiec import needs_matiec, selftest_by_both
 from observed import errors, estimates, observer, run, step
-from structured_text import run as run_structured_text
 
 from calibrate.joint_aware.calibration import Effort, calibrate_joint_aware
 from calibrate.joint_aware.open_band import Drawing
 from calibrate.joint_aware.physics_fit import Search
 from estimator.export.program import COMMON
-from estimator.export.structured_text import st_files
 from estimator.exporting import export_program
 from estimator.interface import Status
 from estimator.joint_aware.estimator import JointAware
@@ -147,8 +145,4 @@ def test_a_power_that_is_none_is_missing_in_its_program(told, response, program,
 @needs_gcc
 @needs_matiec
 def test_its_function_block_knows_the_power(program, tmp_path):
-    pytest.importorskip("tree_sitter_iec61131_3_st", reason="needs tree-sitter-iec61131-3-st")
-    files = st_files(program)
-    done, figures = run_structured_text(files, "m", tmp_path)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert figures["agrees"] == selftest_by_matiec(files, "m", tmp_path)["agrees"] == 1
+    selftest_by_both(program, tmp_path)
