@@ -40,7 +40,16 @@ from fesim.jit import compiled, compiled_part
 from fesim.joint.compiled_gap import largest
 from fesim.joint.in_place import fill, put
 from fesim.joint.loosening import Watched, WatchWork, surely_held
-from fesim.march.alternation import GAIN, LARGE, LEADING, LEAST, STILL, STUBBORN, SUSPECTED
+from fesim.march.alternation import (
+    GAIN,
+    LARGE,
+    LEADING,
+    LEAST,
+    SOMETIMES,
+    STILL,
+    STUBBORN,
+    SUSPECTED,
+)
 from fesim.march.compiled_step import HeatStep, JointKernel, JointState, conduct, drive, take
 from thermojoint.artefacts.arrays import Array
 
@@ -108,6 +117,8 @@ class AxesWork(NamedTuple):
 class AxesSteps(NamedTuple):
     """n steps."""
 
+    #: Index of the first one in the march.
+    first: int
     #: Shape (n, k): without the heat of friction and of drives.
     inputs: Array
     ways: Ways
@@ -183,7 +194,8 @@ def march_axes(
         for e in range(pressure.size):
             record.heat_flow[n, e] = work.left[e]
         record.residual[n], record.iterations[n] = residual, iterations
-        if _may_alternate(turning, 0.0) and not _gain(machine, work, steps, n, now) <= GAIN:
+        looks = (steps.first + n) % SOMETIMES == 0 and _may_alternate(turning, 0.0)
+        if looks and not _gain(machine, work, steps, n, now) <= GAIN:
             return n
         turn(turning, now.joint.pressure, pressure, machine.scale)
         take(machine.joint, work.here.trial, now.joint, record.remainder[n])

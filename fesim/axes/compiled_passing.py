@@ -103,8 +103,7 @@ def guides_of(
     stations: GuideStations, rows: Rows, span: NDArray[np.int64], inverse: Array
 ) -> Guides:
     """Return the rows of a machine for compiled steps; arguments as in `Guides`."""
-    count = stations.count
-    groups = [*stations.riding, np.setdiff1d(np.arange(count), np.concatenate(stations.riding))]
+    count, groups = stations.count, stations.groups
     return Guides(
         np.concatenate(stations.positions),
         np.cumsum([0, *(one.size for one in stations.positions)]),

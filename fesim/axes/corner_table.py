@@ -79,7 +79,16 @@ class CornerTables:
     def __init__(self, guideway: Guideway) -> None:
         elastic, self.guideway = guideway.first, guideway
         gaps, probes = elastic.reference.size, len(elastic.probe_compliance)
-        self.held = np.flatnonzero(np.diagonal(elastic.compliance) > 0.0)
+        rows = np.flatnonzero(np.diagonal(elastic.compliance) > 0.0)
+        count, groups = guideway.stations.count, guideway.stations.groups
+        group = np.empty(count, dtype=np.int64)
+        for k, own in enumerate(groups):
+            group[own] = k
+        group = group[rows % count]
+        #: Rows of the gaps that hold something, one group of contact elements after the other, and
+        #: where each begins.
+        self.held = rows[np.argsort(group, kind="stable")]
+        self.begin = np.searchsorted(np.sort(group), np.arange(len(groups) + 1))
         self._anchors = slice(gaps, elastic.thermal_gap.shape[1] - probes)
         self._upper = np.triu_indices(self.held.size)
         anchors = self._anchors.stop - gaps

@@ -66,6 +66,11 @@ class GuideStations:
         """Contact elements that pass stations, of every axis."""
         return tuple(np.flatnonzero(place[0] >= 0) for place in self.place)
 
+    @cached_property
+    def groups(self) -> tuple[NDArray[np.int64], ...]:
+        """Contact elements of every axis (`riding`), then those that ride on none."""
+        return *self.riding, np.setdiff1d(np.arange(self.count), np.concatenate(self.riding))
+
     def ridden(self, ways: Sequence[float]) -> Array:
         """Return the ways (axes, m) of contact elements along each axis, of axes' ways, m."""
         along = np.zeros((len(ways), self.count))

@@ -104,6 +104,7 @@ class AxesMarch:
         places = np.stack([axis.course(ends[1:]) for axis in self.axes], axis=1)
         near = around(self.moving.guideway.stations, places)
         return AxesSteps(
+            index,
             owned(inputs),
             ways_of(self.axes, ends),
             self.moving.tables.table(near.corners),
@@ -146,13 +147,14 @@ def axes_march(moving: MovingMachine, axes: Sequence[Axis]) -> AxesMarch | None:
     decay = thermal.capacity_rate.diagonal() / diagonal
     inverse = np.where(np.arange(diagonal.size) < moving.free, 1.0 / diagonal, 0.0)
     elastic, untied = contact.elastic, owned(guideway.elastic.thermal)
+    held = tables.held, tables.begin
     slip, (of_rows, of_untied, of_warmed) = np.zeros((2, count)), moving.spans
     kernel = AxesKernel(
         HeatStep(decay, owned(thermal.inputs / diagonal[:, None]), none, none),
         guides_of(guideway.stations, moving.rows, of_rows, inverse),
         drives_of(axes, diagonal.size),
         joint,
-        Pads(tables.held, joint.laws, slip, elastic.reference, elastic.area, contact.tolerance),
+        Pads(*held, joint.laws, slip, elastic.reference, elastic.area, contact.tolerance),
         untied,
         moving.warmed,
         of_untied,

@@ -103,7 +103,8 @@ def surveyed(
         return Seen(*map(np.concatenate, zip(*halves, strict=True)))
     table, held = tables.table(near.corners), tables.held
     elastic = contact.elastic
-    pads = Pads(held, law.laws, joint[1], elastic.reference, elastic.area, contact.tolerance)
+    held_of = held, tables.begin
+    pads = Pads(*held_of, law.laws, joint[1], elastic.reference, elastic.area, contact.tolerance)
     free = np.empty((len(near.corners), held.size + probes))
     grown(table, pads, alone, free)
     found = Survey(*seen, np.empty((len(places), held.size)))

@@ -43,6 +43,8 @@ class Pads(NamedTuple):
 
     #: Shape (h,): those rows among the 3 m gaps.
     held: NDArray[np.int64]
+    #: Shape (j + 1,): where those of each group of contact elements begin.
+    begin: NDArray[np.int64]
     #: Shape (m, 7): as in `fesim.joint.compiled_gap.CompiledGap`.
     laws: Array
     #: Shape (2, m): irreversible slip before, m.
@@ -141,15 +143,16 @@ def mixed(parts: Array, touched: NDArray[np.int64], weight: Array, into: Array) 
 
 
 @compiled_part
-def _jacobian(pads: Pads, here: Here) -> None:
-    """Put 1 - C A (T + k) on the rows that hold something, column after column."""
+def _jacobian(pads: Pads, here: Here, ends: tuple[int, int], columns: NDArray[np.float32]) -> None:
+    """Put 1 - C A (T + k) on some rows that hold something, column after column."""
     count, held, compliance = pads.laws.shape[0], pads.held, here.compliance
+    first, last = ends
     where = np.full(3 * count, -1)
-    for j in range(held.size):
+    for j in range(first, last):
         where[held[j]] = j
-    for j in range(held.size):
+    for j in range(first, last):
         part, e = divmod(held[j], count)
-        into = here.factors[j]
+        into = columns[j - first]
         fill(into, 0.0)
         for row in range(3):
             i = where[row * count + e]
@@ -157,10 +160,10 @@ def _jacobian(pads: Pads, here: Here) -> None:
             if i < 0 or entry == 0.0:
                 continue
             entry *= pads.area[held[j]]
-            own = compliance[i]  # C is symmetric.
-            for k in range(held.size):
+            own = compliance[i, first:last]  # C is symmetric.
+            for k in range(own.size):
                 into[k] -= entry * own[k]
-        into[j] += 1.0
+        into[j - first] += 1.0
 
 
 @compiled_part
@@ -200,11 +203,12 @@ class Here(NamedTuple):
     compliance: Array
     #: Shape (h + p,): g_T, m, then the probes without contact.
     free: Array
-    #: Shapes (h, h) and (h,): factors of the Jacobian there or nearby, and their pivots; (h,): what
-    #: is solved with them.
+    #: Shapes (h h,) and (h,): factors of the Jacobian there or nearby, and their pivots; (h,): what
+    #: is solved with them; (1,): in how many parts they are.
     factors: NDArray[np.float32]
     pivots: NDArray[np.int32]
     solved: NDArray[np.float32]
+    parts: NDArray[np.int64]
     #: Shape (h,): g, m; A (z + k g), N; g - g_T - C A (z + k g), m; Newton's correction, m; g and
     #: correction before a step.
     gap: Array
@@ -218,8 +222,8 @@ class Here(NamedTuple):
 
 
 @compiled_part
-def _corrected(pads: Pads, here: Here, anew: bool) -> tuple[float, float]:
-    """Newton's correction at the gaps, with a Jacobian factorised anew or not.
+def _corrected(pads: Pads, here: Here, anew: int) -> tuple[float, float]:
+    """Newton's correction at the gaps, with a Jacobian factorised anew in so many parts, or not.
 
     Returns its largest entry, and the norm of the residual, m.
     """
@@ -234,11 +238,22 @@ def _corrected(pads: Pads, here: Here, anew: bool) -> tuple[float, float]:
     for i in range(held.size):
         here.residual[i] = here.gap[i] - here.free[i] - here.residual[i]
         here.solved[i] = here.residual[i]
-    if anew:
-        _jacobian(pads, here)
-        factorise_single(here.factors, here.pivots, here.solved)
-    else:
-        solve_again(here.factors, here.pivots, here.solved)
+    if anew > 0:
+        here.parts[0] = anew
+    at = 0
+    for part in range(here.parts[0]):
+        first, last = pads.begin[part], pads.begin[part + 1]
+        if here.parts[0] == 1:
+            last = held.size
+        size = last - first
+        columns = here.factors[at : at + size * size].reshape(size, size)
+        pivots, solved = here.pivots[first:last], here.solved[first:last]
+        if anew > 0:
+            _jacobian(pads, here, (first, last), columns)
+            factorise_single(columns, pivots, solved)
+        else:
+            solve_again(columns, pivots, solved)
+        at += size * size
     for i in range(held.size):
         here.correction[i] = here.solved[i]
     return largest(here.correction), math.sqrt(here.residual @ here.residual)
@@ -252,7 +267,8 @@ def settle_here(pads: Pads, here: Here, made: bool, share: float) -> tuple[float
     much; then the step is shortened until the residual falls, as in `fesim.joint.gap.solve_gap`. At
     a kink of the law no length may do, and a full step leaves it.
     """
-    (left, norm), moves, fresh = _corrected(pads, here, not made), 0, not made
+    kept, groups = 0, pads.begin.size - 1
+    (left, norm), moves, fresh = _corrected(pads, here, kept if made else groups), 0, not made
     enough = max(LEFT * pads.tolerance, share * left)
     for iteration in range(MAX_ITERATIONS):
         if left <= enough:
@@ -263,19 +279,23 @@ def settle_here(pads: Pads, here: Here, made: bool, share: float) -> tuple[float
         while True:
             for i in range(here.gap.size):
                 here.gap[i] = here.before[i] - length * here.step[i]
-            after, rest = _corrected(pads, here, False)
+            after, rest = _corrected(pads, here, kept)
             falls = rest <= (1.0 - 1e-4 * length) * norm if fresh else after <= SLOW * left
             if falls:
                 left, norm, fresh = after, rest, False
                 break
+            # In parts, factors lack what one group of contact elements does to another.
+            apart = fresh and here.parts[0] > 1
             length /= 2.0
-            if fresh and length >= SHORTEST_STEP:
+            if fresh and not apart and length >= SHORTEST_STEP:
                 continue
             if moves == MOST_MOVES:
                 return math.nan, iteration
             for i in range(here.gap.size):
-                here.gap[i] = here.before[i] - (here.step[i] if fresh else 0.0)
-            (left, norm), moves, fresh = _corrected(pads, here, True), moves + 1, True
+                here.gap[i] = here.before[i] - (here.step[i] if fresh and not apart else 0.0)
+            if apart:
+                groups = 1
+            (left, norm), moves, fresh = _corrected(pads, here, groups), moves + 1, True
             break
     return math.nan, MAX_ITERATIONS
 
@@ -295,7 +315,8 @@ def new_here(held: NDArray[np.int64], probes: int, trial: Trial) -> Here:
     """Return storage for the rows (h,) that hold something and p probes, at the gaps of a trial."""
     size, single = held.size, np.float32
     storage: list[Any] = [np.zeros((size, size)), np.zeros(size + probes)]
-    storage += [np.zeros((size, size), single), np.zeros(size, np.int32), np.zeros(size, single)]
+    storage += [np.zeros(size * size, single), np.zeros(size, np.int32), np.zeros(size, single)]
+    storage.append(np.zeros(1, np.int64))
     storage += [trial.gap.reshape(-1)[held], *(np.zeros(size) for _ in range(5)), trial]
     return Here(*storage)
 

@@ -26,6 +26,9 @@ STILL = 1
 GAIN = 0.9
 #: And in so many steps in a row, where the gain is seen in the increments themselves.
 STUBBORN = 6
+#: Motion to and fro turns increments in most steps. A compiled march on axes looks at the gain in
+#: one of so many: it changes slowly, and steps that alternate still do so then.
+SOMETIMES = 4
 #: Increments below this part of the largest one tell no gain.
 LEADING = 0.1
 #: Increments from which on periods of more than two steps are looked for, of what they are relative

@@ -72,6 +72,25 @@ def test_a_sweep_finds_what_is_found_at_each_place_alone(warm, monkeypatch):
     assert len(alone) <= 4
 
 
+@pytest.mark.parametrize("split", [None, 3])
+def test_how_contact_elements_are_grouped_for_factors_does_not_matter(warm, monkeypatch, split):
+    """Axis by axis, as one group, or in small ones of which each depends on its neighbours."""
+    moving, step = warm
+    places = [tuple(at) for at in PLACES]
+    by_axis = seen_from(moving, step, places)
+    held = moving.tables.held
+    stations = moving.guideway.stations
+    parts = np.split(held % stations.count, moving.tables.begin[1:-1])
+    assert [set(part) for part in parts] == [set(group) for group in stations.groups]
+    begin = np.unique([*range(0, held.size, split or held.size), held.size])
+    monkeypatch.setattr(moving.tables, "begin", begin)
+    plain = []
+    monkeypatch.setattr(mapping, "settle_along", lambda *a: plain.append(a) or settle_along(*a))
+    grouped = seen_from(moving, step, places)
+    assert np.allclose(grouped.displacement, by_axis.displacement, rtol=0.0, atol=1e-14)
+    assert len(plain) <= 4
+
+
 def test_what_a_sweep_cannot_solve_is_left_to_the_plain_method(warm):
     """A tangent that is singular ends a sweep, not the simulation."""
     moving, step = warm
