@@ -158,7 +158,7 @@ def fchs_along(plant: Case, rng: np.random.Generator) -> list[Fchs]:
 def told(machine: ReducedMachine, factors: dict[str, float], response: xr.Dataset) -> list[float]:
     """Return the largest errors of a machine that is told the heat, along its axes, um."""
     run = run_in(response, machine, "run")
-    _, moved = simulate_known(physics_with(machine, factors), run.inputs, run.length)
+    _, moved = simulate_known(physics_with(machine, factors), run.inputs, run.length, run.gone)
     grid = run.length * np.arange(1.0, len(moved) + 1.0)
     at = np.array([np.interp(run.times, grid, column) for column in moved.T]).T
     return _um(np.abs(at - run.displacement)[1:].max(axis=0))

@@ -177,7 +177,7 @@ def _moving_axis(case: Case, axis: Axis) -> MovingAxis:
     drive = drive_on(section, material, axis.carried)
     own = np.abs(unit_direction(section)).round(9) == 1.0
     along = "".join(one for one, moves in zip(DIRECTIONS, own, strict=True) if moves)
-    return MovingAxis(axis.name, along, axis.asked, axis.reference, drive)
+    return MovingAxis(axis.name, along, axis.asked, axis.reference, drive, section.odometer)
 
 
 def calibrate_machine(

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calibrate.joint_aware.assembling import observer_from_rest
-from calibrate.joint_aware.misfit import Run, coarser, fewer
+from calibrate.joint_aware.misfit import Run, coarser, counted_in, fewer
 from calibrate.joint_aware.open_band import (
     Drawing,
     drawn_errors,
@@ -129,7 +129,8 @@ def _unseen(
     filtered = observer_from_rest(machine, fit, model.calibrated, others.noise)
     observer, sources = JointAware(filtered), machine.power.size
     moving = len(machine.axis_names)
-    found = observer.displacements(_samples(run, sources + len(machine.held.names)))
+    given = _samples(run, sources + len(machine.held.names))
+    found = observer.displacements(np.hstack([given, counted_in(run, filtered.counted)]))
     # What the posterior expects, on the longer steps of the band.
     slow = on_longer_steps(machine, others.runs, model.calibrated, fit, others.noise, drawing)
     step = slow.machine.step

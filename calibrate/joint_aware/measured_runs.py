@@ -14,6 +14,7 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.response import make_response
+from thermojoint.reduced.axis_way import gone_along
 
 #: Fraction of the samples in which a reading may be missing.
 MOST_MISSING = 0.2
@@ -54,12 +55,14 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
         raise InputError(f"log: no temperature of a probe of the case; these would be {known}")
     power = _power(log)
     places = {name: log.at(f"{name}_pos") for name in case.axes}
+    ways = {name: log.at(f"{name}_way") for name, axis in case.axes.items() if axis.odometer}
     room = next((log.at(name) for name in log.of("temperature") if name == "ambient_degC"), None)
     every = [
         *moved.values(),
         *sensed.values(),
         power,
         *places.values(),
+        *ways.values(),
         *([] if room is None else [room]),
     ]
     whole = np.asarray(np.isfinite(np.column_stack(every)).all(axis=1))
@@ -88,6 +91,11 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
                 .assign(axis_position=(("time", "moving_axis"), at, {"units": "m"}))
                 .assign_coords(moving_axis=list(places))
             )
+        if ways:
+            gone = gone_along(at)
+            for name, read in ways.items():
+                gone[:, list(places).index(name)] = read[kept]
+            runs[where]["axis_way"] = (("time", "moving_axis"), gone, {"units": "m"})
     return runs
 
 

@@ -76,6 +76,18 @@ class Run:
     displacement: Array
     #: Of a step, s.
     length: float
+    #: Shape (n, x): how far each axis has gone in each step, m; None for from place to place.
+    gone: Array | None = None
+
+
+def counted_in(run: Run, axes: Sequence[int]) -> Array:
+    """Return what odometers of some axes (c,) count at the samples of a run, (k, c), m."""
+    if not axes:
+        return np.zeros((run.times.size, 0))
+    gone = np.zeros((len(run.inputs), 0)) if run.gone is None else run.gone
+    grid = run.length * np.arange(len(gone) + 1.0)
+    whole = np.vstack([np.zeros(gone.shape[1]), np.cumsum(gone, axis=0)])
+    return np.column_stack([np.interp(run.times, grid, whole[:, axis]) for axis in axes])
 
 
 def coarser(run: Run, steps: int) -> Run:
@@ -84,7 +96,7 @@ def coarser(run: Run, steps: int) -> Run:
     count = math.ceil(len(run.inputs) / factor)
     padded = np.pad(run.inputs, ((0, factor * count - len(run.inputs)), (0, 0)), mode="edge")
     means = padded.reshape(count, factor, -1).mean(axis=1)
-    return replace(run, inputs=means, length=factor * run.length)
+    return replace(run, inputs=means, length=factor * run.length, gone=None)
 
 
 def searched(machine: ReducedMachine, runs: Sequence[Run], steps: int) -> list[Run]:
@@ -264,7 +276,9 @@ def _marched(
 ) -> tuple[tuple[Array, Array], list[tuple[Array, Array]]]:
     """Sensors and displacement at the start, and in every run, of a machine with `factors`."""
     physics = physics_with(machine, dict(factors))
-    return at_start(physics), [simulate_known(physics, run.inputs, run.length) for run in runs]
+    return at_start(physics), [
+        simulate_known(physics, run.inputs, run.length, run.gone) for run in runs
+    ]
 
 
 def _lagged(values: Array, lags: Sequence[float], length: float) -> Array:

@@ -38,6 +38,7 @@ from estimator.joint_aware.observer_state import KNOWN
 from estimator.joint_aware.thresholds import Thresholds
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
+from thermojoint.reduced.axis_way import gone_along
 from thermojoint.reduced.discrepancy import COUNT, Discrepancy, make_ridge, relaxed
 from thermojoint.reduced.machine import ReducedMachine
 from thermojoint.reduced.parameters import LAG_UNIT, factors_of
@@ -407,7 +408,8 @@ def errors_on(fitted: Fitted, drawn: Drawn, history: History) -> Array:
     first = physics.modes.factors
     others = np.tile(np.append(0.0, first[: len(machine.load_names)]), (count + 1, 1))
     course = np.vstack([first[first.size - history.course.shape[1] :], history.course])
-    samples = np.column_stack([times, readings, others, course])
+    counted = gone_along(course)[:, list(observer.model.counted)]
+    samples = np.column_stack([times, readings, others, course, counted])
     return np.asarray(observer.displacements(samples)[1:] - displacement)
 
 

@@ -11,11 +11,13 @@ from estimator.joint_aware.readings import (
     loads_in,
     positions_in,
     temperatures_in,
+    ways_in,
 )
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import columns_of
 from thermojoint.reduced.axis_drive import AxisDrives, carried_along
+from thermojoint.reduced.axis_way import gone_along
 from thermojoint.reduced.machine import ReducedMachine
 from thermojoint.reduced.physics import at_start
 
@@ -67,16 +69,30 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     if not displacement[0].any():
         # A log counts from its beginning, a machine under loads from where nothing acts.
         displacement = displacement + at_start(physics_with(machine, {}))[1]
+    way = _ways(response, machine, positions)
     if driven:
-        added = carried_along(drives, times, ambient_in(response), positions)
+        added = carried_along(drives, times, ambient_in(response), positions, way)
         displacement = displacement - added
+    ends = [np.interp(grid, times, column) for column in way.T]
     return Run(
         inputs=np.column_stack([powers, held, ambient, *factors]),
         times=times,
         temperature=temperatures_in(response, machine.sensor_names),
         displacement=displacement,
         length=machine.step,
+        gone=np.diff(np.column_stack(ends), axis=0, prepend=0.0) if ends else None,
     )
+
+
+def _ways(response: xr.Dataset, machine: ReducedMachine, positions: Array) -> Array:
+    """How far axes have gone at every sample, (n, x), m: counted, or from position to position."""
+    ways = gone_along(positions)
+    if "axis_way" in response and positions.shape[1]:
+        counted = ways_in(response, machine.axis_names)
+        steps = np.diff(counted, axis=0, prepend=counted[:1])
+        # Less than from one position to the next means that an odometer was set anew.
+        ways = np.cumsum(np.maximum(steps, np.diff(ways, axis=0, prepend=0.0)), axis=0)
+    return ways
 
 
 def held_in(response: xr.Dataset, machine: ReducedMachine) -> Array:

@@ -13,6 +13,7 @@ import numpy as np
 
 from estimator.export.program import Operations, Table
 from fesim.axes.positioning import Scale, Screw
+from thermojoint.reduced.axis_drive import SHORTEST
 from thermojoint.reduced.machine import MovingAxis
 
 #: Terms of the series of phi_1, for decays below one.
@@ -42,7 +43,7 @@ def driven(axes: Sequence[MovingAxis], step: float) -> Driven:
         tables.append(
             Table(f"carried_{k}", "Displacement per error, per axis.", axis.drive.carried)
         )
-        common = {"axis": k, "zero": own.zero}
+        common = {"axis": k, "zero": own.zero, "counted": axis.odometer, "shortest": SHORTEST}
         if own.scale is not None:
             # The control reads it, wherever a screw has gone.
             drives.append(common | _scale(own.scale, step))

@@ -18,7 +18,7 @@ from estimator.joint_aware.displacement_readings import (
     ModelError,
     mean_of,
 )
-from estimator.joint_aware.observer import Observer, Settled
+from estimator.joint_aware.observer import Moment, Observer, Settled
 from estimator.joint_aware.observer_model import SCHEMA, Kind, ObserverModel
 from estimator.joint_aware.observer_state import (
     KNOWN,
@@ -29,7 +29,7 @@ from estimator.joint_aware.observer_state import (
     unpacked,
 )
 from estimator.joint_aware.thresholds import USUAL, Thresholds
-from estimator.joint_aware.trust import Moment, Trusted, channels_of, possible_heat, trusted
+from estimator.joint_aware.trust import Trusted, channels_of, possible_heat, trusted
 from estimator.span import SLACK
 from fesim.axes.line import line_over
 from fesim.march.kernel import owned
@@ -38,6 +38,7 @@ from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.units import MILLI
 from thermojoint.reduced.axis_drive import AxisDrives
+from thermojoint.reduced.axis_way import way_between
 from thermojoint.reduced.physics import heat_step
 
 #: Half-width of the 95 % interval, in standard deviations.
@@ -59,6 +60,8 @@ class Read(NamedTuple):
     temperatures: Array
     #: Shape (l + x,): factors of the loads, and positions, m.
     factors: Array
+    #: Shape (c,): odometers, m.
+    gone: Array
     #: Shape (t,): W.
     powers: Array
     #: Shape (axes,): displacements, m.
@@ -124,13 +127,13 @@ class JointAware(Described):
     def channels(self) -> tuple[Channel, ...]:
         """Sensors and the ambient, above the ambient at which the machine was cold, K.
 
-        Then factors of the loads that change, the positions of moving axes, m, and powers of
-        sources, W. Displacement readings come last, m; a sample may end before them.
+        Then factors of the loads that change, the positions of moving axes, m, their odometers, m,
+        and powers of sources, W. Displacement readings come last, m; a sample may end before them.
         """
         return (
             *(Channel(name, "K") for name in (*self.model.sensors, "ambient")),
             *(Channel(name, "1") for name in self.model.loads),
-            *(Channel(name, "m") for name in self.model.positions),
+            *(Channel(name, "m") for name in (*self.model.positions, *self.model.ways)),
             *(Channel(name, "W") for name in self.model.powers),
             *(Channel(f"displacement_{axis}", "m") for axis in self.axes),
         )
@@ -185,7 +188,12 @@ class JointAware(Described):
         system = self.observer.system
         return layout(
             system.size,
-            (self.model.modes.factors.size, self._drives.cold.size, len(self.model.powers)),
+            (
+                self.model.modes.factors.size,
+                self._drives.cold.size,
+                len(self.model.ways),
+                len(self.model.powers),
+            ),
             self.observer.physics.contacts,
             self.model.warm.shape[1],
             len(system.rows),
@@ -241,6 +249,7 @@ class JointAware(Described):
             **self.observer.physics.at_rest()._asdict(),
             covariance_factor=factor,
             drive=self._drives.cold,
+            gone=np.full(len(self.model.ways), np.nan),
             told=np.zeros(len(self.model.powers)),
             watch=sensor_faults.fresh(len(self.observer.system.rows), self.thresholds.faults),
             model_error=self._nothing_read,
@@ -310,7 +319,7 @@ class JointAware(Described):
     ) -> tuple[Array, Taken, Read]:
         """The state after a sample, how it was taken, and what was read."""
         read = self.separated(values)
-        readings, factors, powers, probed = read
+        readings, factors, odometers, powers, probed = read
         if powers.size:
             state = self._told(state, powers)
         flat = state.copy()
@@ -319,12 +328,28 @@ class JointAware(Described):
         # A factor that is not read is the one before.
         now = after.loads[: factors.size]
         now[:] = np.where(np.isnan(factors), now, factors)
+        counted = after.gone.copy()
+        after.gone[:] = np.where(np.isnan(odometers), counted, odometers)
         taken = self._usual(after, moment, readings, probed)
         if taken is None:
-            before = unpacked(state, self.parts)
-            taken = self._taken(before, replace(moment, loads=after.loads), readings, probed)
+            before = unpacked(state, self.parts)._replace(gone=after.gone)
+            gone = self._gone(after.gone - counted, moment)
+            moment = replace(moment, loads=after.loads, gone=gone)
+            taken = self._taken(before, moment, readings, probed)
             flat = taken.after.flat()
         return flat, taken, read
+
+    def _gone(self, counted: Array, moment: Moment) -> Array:
+        """How far each axis has gone since the sample before, (x,), m, as odometers count (c,).
+
+        What no axis can go means that one was set anew: then only the positions tell.
+        """
+        most = self.thresholds.fastest * moment.length * moment.steps
+        gone = np.zeros(len(self.model.moving_axes))
+        with np.errstate(invalid="ignore"):
+            possible = (counted >= 0.0) & (counted <= most)
+        gone[list(self.model.counted)] = np.where(possible, counted, 0.0)
+        return gone
 
     def _told(self, state: Array, powers: Array) -> Array:
         """The state whose heat has changed as the powers (t,), W, since the sample before.
@@ -484,7 +509,7 @@ class JointAware(Described):
     ) -> Taken:
         """Process any sample."""
         loads = moment.loads
-        expected = self.observer.expected(before, moment.length, moment.steps, loads)
+        expected = self.observer.expected(before, moment)
         used = trusted(self.observer, before, expected, moment, readings, self._readable)
         linear, factor = self._corrected(used, moment, readings)
         expected = used.expected
@@ -492,7 +517,8 @@ class JointAware(Described):
         elapsed, probe = moment.length * moment.steps, self.thresholds.probe
         drive = before.drive
         if elapsed > 0.0:
-            way = self._place(before.loads), self._place(loads)
+            start, end = (self._place(one).tolist() for one in (before.loads, loads))
+            way = way_between(start, end, moment.gone.tolist())
             drive = self._drives.later(drive, float(linear[-1]), way, elapsed)
         driven = self._drives.displacement(drive, self._place(loads)[None])[0]
         known = displacement_readings.later(before.model_error, elapsed, probe)
@@ -513,6 +539,7 @@ class JointAware(Described):
             **settled.joint._asdict(),
             covariance_factor=self.observer.onward(factor),
             drive=drive,
+            gone=before.gone,
             told=before.told,
             watch=used.watch,
             model_error=known,
@@ -523,7 +550,8 @@ class JointAware(Described):
 
     def _estimate(self, taken: Taken, time: float, read: Read) -> Estimate:
         """The estimate after a sample."""
-        readings, others = read.temperatures, np.concatenate([read.factors, read.powers])
+        readings = read.temperatures
+        others = np.concatenate([read.factors, read.gone, read.powers])
         after, factor = taken.after, taken.covariance_factor
         parts = self._error_parts(taken)
         inputs = after.linear[self.observer.system.decay.size :]
@@ -614,7 +642,8 @@ class JointAware(Described):
         """
         thermal = len(self.observer.system.rows)
         stood = thermal + len(self.model.loads) + len(self.model.positions)
-        wanted = stood + len(self.model.powers)
+        counted = stood + len(self.model.ways)
+        wanted = counted + len(self.model.powers)
         if len(values) not in (wanted, len(self.channels)):
             names = ", ".join(channel.name for channel in self.channels[:wanted])
             raise InputError(
@@ -631,9 +660,11 @@ class JointAware(Described):
             low, high = np.array(ends).T
             place = given[stood - len(ends) : stood]
             place[(place < low - OVERTRAVEL) | (place > high + OVERTRAVEL)] = np.nan
-        powers = given[stood:wanted]
+        gone, powers = given[stood:counted], given[counted:wanted]
+        gone[(gone < 0.0) | (gone > self.thresholds.farthest)] = np.nan
         powers[np.abs(powers) > self.most_power] = np.nan
-        return Read(given[:thermal], given[thermal:stood], powers, given[wanted:])
+        others = np.split(given[thermal:], np.array([stood, counted, wanted]) - thermal)
+        return Read(given[:thermal], *others)
 
     def _moment(self, last: float, time: float) -> Moment:
         """Time of a sample relative to the last one (s)."""

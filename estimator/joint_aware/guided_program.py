@@ -35,6 +35,7 @@ from fesim.march.compiled_step import JointKernel
 from fesim.march.kernel import joint_kernel
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
+from thermojoint.reduced.axis_way import gone_along
 from thermojoint.reduced.machine import MovingAxis
 from thermojoint.reduced.physics import Physics, heat_step
 
@@ -330,6 +331,13 @@ def compared_in(estimator: JointAware, estimate: Estimate) -> Array:
         for axis, stroke in strokes.items()
     ]
     return np.array(here + slopes)
+
+
+def ways(places: Array) -> Array:
+    """Return what odometers count at positions (samples, x), m: some motion between samples too."""
+    every = np.arange(len(places))[:, None]
+    more = 0.02 * np.mod(every + np.arange(places.shape[1]), 5) * (np.mod(every, 60) > 20)
+    return 3.0 + gone_along(places) + np.cumsum(more, axis=0)
 
 
 def course(axes: Sequence[MovingAxis], samples: int) -> Array:

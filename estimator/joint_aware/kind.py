@@ -70,10 +70,11 @@ def _intake(model: ObserverModel, above_ambient: bool) -> Intake:
     thermal = [f"{name}_{unit}" for name in (*model.sensors, "ambient")]
     loads = [f"{name}_percent" for name in model.loads]
     positions = [f"{name}_mm" for name in model.positions]
+    ways = [f"{name}_m" for name in model.ways]
     powers = [f"{name}_W" for name in model.powers]
     count, moved = len(thermal), len(thermal) + len(loads)
     stood = moved + len(positions)
-    wanted = stood + len(powers)
+    wanted = stood + len(ways) + len(powers)
 
     def convert(readings: Sequence[float], cold: float) -> tuple[list[float], float]:
         # The machine was cold at the first ambient temperature on record.
@@ -86,7 +87,7 @@ def _intake(model: ObserverModel, above_ambient: bool) -> Intake:
         probed = [MICRO * value for value in readings[wanted:]]
         return [*temperatures, *factors, *places, *given, *probed], cold
 
-    names = [*thermal, *loads, *positions, *powers, *(f"{axis}_um" for axis in model.axes)]
+    names = [*thermal, *loads, *positions, *ways, *powers, *(f"{axis}_um" for axis in model.axes)]
     return intake(names, wanted, convert)
 
 
@@ -96,13 +97,14 @@ def _log(
     where: str,
     on_first: OnFirst | None,
 ) -> Iterator[tuple[float, ...]]:
-    others = (*model.loads, *model.positions, *model.powers)
+    others = (*model.loads, *model.positions, *model.ways, *model.powers)
     return log_samples(pieces, model.sensors, where, others)
 
 
 def _response(model: ObserverModel, response: xr.Dataset) -> Iterator[tuple[float, ...]]:
     axes = [axis.name for axis in model.moving_axes]
-    return samples_in(response, model.sensors, model.loads, axes, model.power_shares)
+    counted = [axes[k] for k in model.counted]
+    return samples_in(response, model.sensors, model.loads, axes, model.power_shares, counted)
 
 
 def _sensors(model: ObserverModel, response: xr.Dataset) -> Sequence[str]:

@@ -9,7 +9,8 @@ ignored, missing readings are NaN:
   the first ambient temperature in the log.
 
 Loads that change have columns ``NAME_percent``, of the load in the case; the positions of
-moving axes are ``NAME_pos_mm``, powers that tell of the heat of a source ``NAME_power_W``.
+moving axes are ``NAME_pos_mm``, their odometers ``NAME_way_m``, powers that tell of the heat of a
+source ``NAME_power_W``.
 """
 
 from __future__ import annotations
@@ -37,12 +38,12 @@ def log_samples(
     where : str
         Name of the file, for error messages.
     others : sequence of str, optional
-        Names of the loads that change, of positions and of powers.
+        Names of the loads that change, of positions, ways and powers.
 
     Raises
     ------
     InputError
-        A sensor, a load, a position or a power has no column, or time restarts.
+        A sensor, a load, a position, a way or a power has no column, or time restarts.
     """
     cold = math.nan
     last = -math.inf

@@ -195,6 +195,7 @@ def _header(model: ObserverModel) -> str:
             "axis": axis.name,
             "along": axis.along,
             "reference_m": axis.reference,
+            "odometer": axis.odometer,
             **_drive_header(axis.drive),
         }
         for axis in model.moving_axes
@@ -277,6 +278,7 @@ def _model(header: dict[str, Any], arrays: Mapping[str, Array]) -> ObserverModel
                 arrays[f"strokes/{k}/asked"],
                 float(stroke["reference_m"]),
                 _drive(stroke.get("drive"), arrays.get(f"strokes/{k}/carried")),
+                bool(stroke.get("odometer", False)),
             )
             for k, stroke in enumerate(header["strokes"])
         ),

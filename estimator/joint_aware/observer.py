@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
@@ -28,6 +28,23 @@ from thermojoint.reduced.physics import (
 
 #: Number of steps for which the response of the readings to heat is stored.
 ANSWER = 60
+
+
+@dataclass(frozen=True)
+class Moment:
+    """Time of a sample, and what acts on the machine then."""
+
+    #: s.
+    time: float
+    #: Step length since the previous sample, s.
+    length: float
+    #: Number of these steps; 0 at the first sample.
+    steps: int
+    #: Shape (l,): factors of the loads, and the positions of axes, m, at the sample.
+    loads: Array = field(default_factory=lambda: np.zeros(0))
+    #: Shape (x,): how far axes have gone since the previous sample, m, by their odometers; empty
+    #: without any.
+    gone: Array = field(default_factory=lambda: np.zeros(0))
 
 
 class Expected(NamedTuple):
@@ -121,17 +138,19 @@ class Observer:
         after = np.minimum(np.arange(ANSWER) + self._largest[best, None], ANSWER - 1)
         return np.asarray(self.onset[after, np.arange(best.size)[:, None], best[:, None]])
 
-    def expected(self, before: ObserverState, length: float, steps: int, loads: Array) -> Expected:
-        """Prediction `steps` of `length` (s) after the previous sample.
+    def expected(self, before: ObserverState, moment: Moment) -> Expected:
+        """Prediction for a sample.
 
-        Loads are those before until they are read again (`loads`); axes move evenly meanwhile.
+        Loads are those before until they are read again; axes move evenly meanwhile.
         """
+        length, steps, loads = moment.length, moment.steps, moment.loads
+        gone = moment.gone / max(steps, 1)
         linear, joint, factor = before.linear, before.joint, before.covariance_factor
         memory, last = float(before.memory), before.loads
         for k in range(steps):
             now = self._meanwhile(before.loads, loads, (k + 1) / steps)
-            linear = self._later(linear, joint, length, way_of(self.model.modes, last, now))
-            last = now
+            way = way_of(self.model.modes, last, now, gone.tolist())
+            linear, last = self._later(linear, joint, length, way), now
             if k + 1 < steps:
                 joint, _ = self._settled(joint, linear, memory, now)
                 factor = self._forgetting(factor, length)

@@ -137,13 +137,23 @@ class ObserverModel(Described):
 
     @property
     def powers(self) -> tuple[str, ...]:
-        """Names of the powers that are read, after the positions: ``spindle_power``."""
+        """Names of the powers that are read, after the ways: ``spindle_power``."""
         return tuple(f"{source}_power" for source in self.power_shares)
 
     @property
     def positions(self) -> tuple[str, ...]:
         """Names of the positions that are read, after the loads: ``y_pos``."""
         return tuple(f"{axis.name}_pos" for axis in self.moving_axes)
+
+    @property
+    def counted(self) -> tuple[int, ...]:
+        """Which moving axes have an odometer."""
+        return tuple(k for k, axis in enumerate(self.moving_axes) if axis.odometer)
+
+    @property
+    def ways(self) -> tuple[str, ...]:
+        """Names of the odometers that are read, after the positions: ``y_way``."""
+        return tuple(f"{self.moving_axes[k].name}_way" for k in self.counted)
 
     @property
     def sloped(self) -> dict[str, int]:

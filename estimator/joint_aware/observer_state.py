@@ -44,6 +44,8 @@ class ObserverState(NamedTuple):
     covariance_factor: Array
     #: Shape (d,): temperatures of the axes' drives, K.
     drive: Array
+    #: Shape (c,): odometers as they were read last, m; NaN before.
+    gone: Array
     #: Shape (t,): heat by the powers that were read last, W.
     told: Array
     #: Memory of every channel.
@@ -94,7 +96,7 @@ def placed(shapes: Mapping[str, tuple[int, ...]]) -> Layout:
 
 def layout(
     states: int,
-    given: tuple[int, int, int],
+    given: tuple[int, int, int, int],
     contacts: int,
     columns: int,
     channels: int,
@@ -102,9 +104,10 @@ def layout(
 ) -> Layout:
     """Return the layout of an observer's state, with a model error of the shapes of `error`.
 
-    `given` are the numbers of loads, of the temperatures of the axes' drives and of powers.
+    `given` are the numbers of loads, of the temperatures of the axes' drives, of odometers and of
+    powers.
     """
-    loads, drive, powers = given
+    loads, drive, odometers, powers = given
     return placed(
         {
             "time": (),
@@ -118,6 +121,7 @@ def layout(
             "change": (3, contacts),
             "covariance_factor": (states, columns),
             "drive": (drive,),
+            "gone": (odometers,),
             "told": (powers,),
             "watch": (len(Watch._fields), channels),
             **{f"model_error.{name}": error.mean.shape for name in ModelError._fields[:_FIRST]},

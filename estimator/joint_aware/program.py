@@ -108,7 +108,7 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
     count = len(estimator.observer.system.rows)
     start = _start(estimator)
     slowest = 1.0 / float(model.modes.rates.min())
-    own = way.state + len(model.powers)
+    own = way.state + 2 * len(model.ways) + len(model.powers)
     judged = _judging(estimator, linear, contacts) + Operations(0, 6 * len(start.known))
     return Contents(
         estimator,
@@ -144,6 +144,9 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             "width": WIDTH,
             "most_heat": (1.0 + SLACK) * model.calibrated.heat,
             "least_heat": -SLACK * model.calibrated.heat,
+            "counted": model.counted,
+            "farthest": estimator.thresholds.farthest,
+            "most_way": estimator.thresholds.fastest * model.step,
             "told": _told(estimator),
             "longest": (1.0 + SLACK) * model.calibrated.duration_s,
             "root2": math.sqrt(2.0),
@@ -166,7 +169,7 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
 
 def _interface(estimator: JointAware) -> Interface:
     model, axes = estimator.model, distinct(estimator.axes, "axes")
-    given = *model.sensors, "ambient", *model.positions, *model.powers
+    given = *model.sensors, "ambient", *model.positions, *model.ways, *model.powers
     readings = distinct(given, "sensors")
     moving = bool(model.moving_axes)
     return Interface(
@@ -379,15 +382,16 @@ def _duty_cycle(estimator: JointAware) -> Iterator[tuple[float, ...]]:
     ambient = 0.5 * np.sin(2.0 * np.pi * at / SAMPLES)
     heat = np.repeat(level[:, None], model.power.size, axis=1)
     places = guided_program.course(model.moving_axes, SAMPLES)
+    ways = guided_program.ways(places)
     inputs = np.column_stack([heat * model.power, ambient, places[1:]])
-    read, _ = simulate_known(observer.physics, inputs, model.step)
+    read, _ = simulate_known(observer.physics, inputs, model.step, np.diff(ways, axis=0))
     read += relaxed(heat, model.discrepancy.rates, model.step) @ model.discrepancy.temperature.T
     rows = np.vstack([np.zeros(read.shape[1] + 1), np.column_stack([read, ambient])])
     rows[:, :-1] += model.offset
     shares = model.power_shares
     told = [model.sources.index(source) for source in shares]
     powers = np.vstack([np.zeros(len(told)), (heat * model.power)[:, told] / [*shares.values()]])
-    rows = np.hstack([rows, places, powers])
+    rows = np.hstack([rows, places, ways[:, list(model.counted)], powers])
     for k, row in enumerate(rows.tolist()):
         yield (k * model.step, *row)
 

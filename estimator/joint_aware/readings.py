@@ -73,6 +73,21 @@ def positions_in(response: xr.Dataset, axes: Sequence[str]) -> Array:
     return columns_of(response, "axis_position", axes)
 
 
+def ways_in(response: xr.Dataset, axes: Sequence[str]) -> Array:
+    """Return how far some moving axes have gone, there and back, m, shape (n, c).
+
+    Raises
+    ------
+    InputError
+        One is missing.
+    """
+    if not axes:
+        return np.zeros((response.sizes["time"], 0))
+    if "axis_way" not in response:
+        raise InputError(f"response: no 'axis_way', needed for {', '.join(axes)}; record it")
+    return columns_of(response, "axis_way", axes)
+
+
 def powers_in(response: xr.Dataset, shares: Mapping[str, float]) -> Array:
     """Return the powers that give the sources their heat by these shares of it, W, shape (n, t).
 
@@ -92,16 +107,17 @@ def samples_in(
     loads: Sequence[str] = (),
     axes: Sequence[str] = (),
     shares: Mapping[str, float] = MappingProxyType({}),
+    counted: Sequence[str] = (),
 ) -> Iterator[tuple[float, ...]]:
-    """Yield (time, temperature of every sensor, ambient, loads, positions, powers) of every sample.
+    """Yield the time and `estimator.joint_aware.estimator.JointAware.channels` of every sample.
 
     Raises
     ------
     InputError
-        A probe, a load, a position or a source is missing.
+        A probe, a load, a position, a way of the `counted` axes or a source is missing.
     """
     sensed, given = temperatures_in(response, sensors), loads_in(response, loads)
-    others = positions_in(response, axes), powers_in(response, shares)
+    others = positions_in(response, axes), ways_in(response, counted), powers_in(response, shares)
     values = np.column_stack([sensed, ambient_in(response), given, *others])
     for time, row in zip(response["time"].to_numpy(), values, strict=True):
         yield (float(time), *map(float, row))

@@ -32,6 +32,10 @@ class Thresholds:
     onset_slack: float = 0.05
     #: A power that means more than this multiple of the largest calibrated heat is none.
     power: float = 5.0
+    #: No odometer counts up to this, m, or below zero; and no axis is faster than this, m/s: where
+    #: one says so it was set anew.
+    farthest: float = 1e9
+    fastest: float = 10.0
     #: A jump is judged after this time, s, and this many samples.
     decided: float = 12.0
     samples: int = 3

@@ -17,7 +17,7 @@ machine.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from estimator.joint_aware import fault_isolation
 from estimator.joint_aware.fault_isolation import Judgement, PendingJump
 from estimator.joint_aware.filter_design import compressed
-from estimator.joint_aware.observer import Expected, Observer
+from estimator.joint_aware.observer import Expected, Moment, Observer
 from estimator.joint_aware.observer_state import UNKNOWN, ObserverState
 from estimator.sensor_faults import Channels, Sample, Watch, judge_sample, model_error
 from thermojoint.artefacts.arrays import Array, Flags
@@ -44,20 +44,6 @@ class Trusted:
     pending: PendingJump
     #: Prediction to be corrected by them.
     expected: Expected
-
-
-@dataclass(frozen=True)
-class Moment:
-    """Time of a sample, and what acts on the machine then."""
-
-    #: s.
-    time: float
-    #: Step length since the previous sample, s.
-    length: float
-    #: Number of these steps; 0 at the first sample.
-    steps: int
-    #: Shape (l,): factors of the loads, and the positions of axes, m, at the sample.
-    loads: Array = field(default_factory=lambda: np.zeros(0))
 
 
 def trusted(
@@ -145,9 +131,7 @@ def _followed(
     if not np.isfinite(known.channel):
         return known, Judgement.OPEN
     channel = int(known.channel)
-    alone = observer.expected(
-        before._replace(linear=known.linear), moment.length, moment.steps, moment.loads
-    )
+    alone = observer.expected(before._replace(linear=known.linear), moment)
     known = known._replace(linear=alone.linear, samples=known.samples + 1.0)
     if readings[channel] == before.watch.last[channel] and before.watch.repeats[channel] > 0.0:
         # It may be stuck, which takes longer to detect.

@@ -48,6 +48,14 @@ def place_of(axes: Sequence[Axis], time: float) -> Place:
     return tuple(float(axis.course(np.array(time))) for axis in axes)
 
 
+def gone(axis: Axis, times: Array) -> Array:
+    """Return how far an axis has gone since time zero, there and back, at times (n,), s, in m."""
+    turns = axis.course.times
+    every = np.union1d(np.append(times, 0.0), turns[(turns > 0.0) & (turns < times.max())])
+    way = np.append(0.0, np.cumsum(np.abs(np.diff(axis.course(every)))))
+    return np.asarray(way[np.searchsorted(every, times)])
+
+
 def cold_drives(axes: Sequence[Axis]) -> Array:
     """Return the state (d,) of the drives of axes, one after the other, at the initial ambient."""
     return np.concatenate([np.zeros(0), *(cold(axis.drive) for axis in axes)])

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fesim.axes.axis import parts_of, place_of
+from fesim.axes.axis import gone, parts_of, place_of
 from fesim.axes.guideway import Place
 from fesim.axes.line import line_over
 from fesim.axes.mapping import seen_from
@@ -120,6 +120,7 @@ def course_values(
     values: Values = {
         "displacement": displaced[:, 0],
         "axis_position": positions,
+        "axis_way": np.stack([gone(axis, times) for axis in axes], axis=1),
         "running_heat": track.inputs[:, -len(axes) :],
         "asked_position": np.array(_even([axis.asked for axis in axes])),
         "asked_displacement": np.stack(asked, axis=1),

@@ -28,7 +28,8 @@ class AxisSection(Section):
     The position is one value, or a CSV with ``time_s,position_mm``. The mesh shows the bodies at
     ``mesh_position_mm``. Stiffness and heat are exact at positions that are stations apart.
     Without a ball screw and a scale the bodies stand where the control believes; with both, the
-    control reads the scale.
+    control reads the scale. With ``odometer`` the control counts how far the axis has gone, there
+    and back, and a model reads it.
     """
 
     bodies: Annotated[list[str], Field(min_length=1)]
@@ -44,6 +45,7 @@ class AxisSection(Section):
     ball_screw: BallScrewSection | None = None
     scale: ScaleSection | None = None
     zero_mm: Finite | None = None
+    odometer: bool = False
 
     @model_validator(mode="after")
     def _one_course(self) -> AxisSection:

@@ -40,6 +40,7 @@ _COURSE = {
     "ball_screw",
     "scale",
     "zero_mm",
+    "odometer",
 }
 _MARCH = {"duration_min", "coupling", "method", "tolerance_um", "tolerance_K"}
 _LOADS = {"title", "heat_input", "ambient", "output", "volume"}

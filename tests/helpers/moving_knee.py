@@ -6,6 +6,30 @@ from pathlib import Path
 from fesim.case.schema import case_from_data, read_case
 
 PATH = Path(str(files("thermojoint").joinpath("cases/moving_knee.toml")))
+#: A screw for its axis, and what it is made of.
+STEEL = {
+    "conductivity_W_mK": 45.0,
+    "density_kg_m3": 7850.0,
+    "heat_capacity_J_kgK": 470.0,
+    "youngs_modulus_GPa": 206.0,
+    "poisson_ratio": 0.3,
+    "expansion_1_K": 11.5e-6,
+}
+SCREW = {
+    "bearings": "fixed-free",
+    "fixed_bearing_mm": -300.0,
+    "far_end_mm": 260.0,
+    "nut_length_mm": 100.0,
+    "diameter_mm": 40.0,
+    "lead_mm": 6.0,
+    "material": "steel",
+    "film_W_m2K": 10.0,
+    "rotating_film": {"added_W_m2K": 15.0, "rotation_rpm": 200.0},
+    "nut_torque_Nm": 30.0,
+    "bearing_torque_Nm": 8.0,
+    "motor_heat_W": 10.0,
+    "cells": 40,
+}
 
 
 def coarse_data():

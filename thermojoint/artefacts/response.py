@@ -44,6 +44,7 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "probe_position": (("probe", "space"), "m", "position of the temperature probes"),
     "rotation": (("time", "axis"), "rad", "relative rotation about each axis"),
     "axis_position": (("time", "moving_axis"), "m", "position of each moving axis"),
+    "axis_way": (("time", "moving_axis"), "m", "way of each moving axis, there and back"),
     "running_heat": (("time", "moving_axis"), "W", "heat of running friction, whole machine"),
     "asked_position": (("moving_axis", "asked"), "m", "positions that are asked about"),
     "asked_displacement": (

@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from fesim.axes.ball_screw import Beside, warmed
+from fesim.axes.ball_screw import BallScrew, Beside, warmed
 from fesim.axes.positioning import (
     Drive,
     Surfaces,
@@ -31,6 +31,10 @@ from fesim.setup.structure import material_of
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.units import MILLI
+from thermojoint.reduced.axis_way import Way, way_between
+
+#: Least distance over which the heat of a longer way is spread along a screw, m.
+SHORTEST = MILLI
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +68,9 @@ class AxisDrive:
         """Its temperatures (d,) at the initial ambient, K: of the screw, then of the scale."""
         return cold(self.drive)
 
-    def later(self, state: Array, air: float, way: tuple[float, float], length: float) -> Array:
+    def later(
+        self, state: Array, air: float, way: tuple[float, float, float], length: float
+    ) -> Array:
         """Return its temperatures (d,), K, after a step.
 
         Parameters
@@ -73,18 +79,17 @@ class AxisDrive:
             Before, K.
         air : float
             The ambient, K.
-        way : (float, float)
-            Positions between which the axis moves evenly, m.
+        way : (float, float, float)
+            Positions between which the axis moves evenly, and how far it has gone, m.
         length : float
             Of the step, s.
         """
         drive, after = self.drive, state.copy()
         if (screw := drive.screw) is not None:
             temperature, beside = screw_temperature(screw, state), Beside(air, np.full(2, air))
-            times, places = np.array([0.0, length]), screw.along(np.array(way))
-            after[: temperature.size] = warmed(
-                screw.made, temperature, beside, times, places
-            ).temperature
+            made, ends = moved_so_far(screw.made, way)
+            times, places = np.array([0.0, length]), screw.along(np.array(ends))
+            after[: temperature.size] = warmed(made, temperature, beside, times, places).temperature
         if drive.scale is not None:
             after[-1] = followed(drive.scale, float(state[-1]), (air, air), length)
         return after
@@ -129,11 +134,11 @@ class AxisDrives:
         """Their temperatures (d,) at the initial ambient, K, one after the other."""
         return np.concatenate([np.zeros(0), *(drive.cold for _, drive, _ in self._parts)])
 
-    def later(self, state: Array, air: float, way: tuple[Array, Array], length: float) -> Array:
-        """Return their temperatures (d,), K, after a step; as `AxisDrive.later`, ways (x,) each."""
+    def later(self, state: Array, air: float, way: Way, length: float) -> Array:
+        """Return their temperatures (d,), K, after a step; as `AxisDrive.later`."""
         after = state.copy()
         for a, drive, part in self._parts:
-            own = float(way[0][a]), float(way[1][a])
+            own = way.start[a], way.end[a], way.gone[a]
             after[part] = drive.later(state[part], air, own, length)
         return after
 
@@ -146,6 +151,27 @@ class AxisDrives:
         for a, drive, part in self._parts:
             added = added + drive.displacement(state[part], places[:, a])
         return added
+
+
+def moved_so_far(
+    made: BallScrew, way: tuple[float, float, float]
+) -> tuple[BallScrew, tuple[float, float]]:
+    """Return a screw and positions between which it is heated and cooled as on a longer way, m.
+
+    Per metre between the positions, which are `SHORTEST` apart at least, it takes the heat of all
+    that the nut has gone.
+    """
+    start, end, gone = way
+    if gone <= abs(end - start):
+        return made, (start, end)
+    if abs(end - start) < SHORTEST:
+        middle = 0.5 * (start + end)
+        start, end = middle - 0.5 * SHORTEST, middle + 0.5 * SHORTEST
+    times, heat = gone / abs(end - start), made.heat
+    near, far = heat.bearings
+    heat = replace(heat, nut=times * heat.nut, bearings=(times * near, times * far))
+    film = replace(made.film, speed=made.film.speed / times)
+    return replace(made, heat=heat, film=film), (start, end)
 
 
 def check_drive(name: str, axis: AxisSection) -> None:
@@ -189,7 +215,9 @@ def drive_on(
     return AxisDrive(axis.ball_screw, material, axis.scale, zero, carried)
 
 
-def carried_along(drives: AxisDrives, times: Array, air: Array, positions: Array) -> Array:
+def carried_along(
+    drives: AxisDrives, times: Array, air: Array, positions: Array, gone: Array
+) -> Array:
     """Return what the errors of drives add to a displacement (n, axes), m, from a cold start.
 
     Parameters
@@ -202,10 +230,13 @@ def carried_along(drives: AxisDrives, times: Array, air: Array, positions: Array
         The ambient, K.
     positions : ndarray, shape (n, x)
         Of the axes, between which they move evenly, m.
+    gone : ndarray, shape (n, x)
+        How far they have gone since the first one, m.
     """
     state, found = drives.cold, [drives.displacement(drives.cold, positions[:1])[0]]
     for k in range(1, times.size):
-        way = positions[k - 1], positions[k]
+        told = gone[k] - gone[k - 1]
+        way = way_between(*map(np.ndarray.tolist, (positions[k - 1], positions[k], told)))
         state = drives.later(state, float(air[k]), way, float(times[k] - times[k - 1]))
         found.append(drives.displacement(state, positions[k : k + 1])[0])
     return np.array(found)

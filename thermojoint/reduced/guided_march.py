@@ -383,8 +383,9 @@ def march_along(
         The machine.
     steps : Steps
         Its storage, by `new_steps`.
-    inputs : ndarray, shape (n, k + 2)
-        Heat and temperatures of each step, then the axis's positions at its start and end, m.
+    inputs : ndarray, shape (n, k + 3)
+        Heat and temperatures of each step, then the axis's positions at its start and end, and how
+        far it has gone, m.
     now : Moving
         Amplitudes and joints, in place.
     record : tuple of ndarray, shapes (n, r) and (n, axes)
@@ -405,7 +406,7 @@ def march_along(
         drive(heat, amplitudes, inputs[n])
         conduct(there.joint, now.joint.pressure, passed.conducted)
         occupy(aligned.positions, start, end, passed)
-        _rub(guide, passed, now.joint.pressure, abs(end - start))
+        _rub(guide, passed, now.joint.pressure, inputs[n, known + 2])
         _pass_heat(guide, passed, amplitudes)
         elsewhere = end != at
         if elsewhere:

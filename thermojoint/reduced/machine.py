@@ -111,6 +111,8 @@ class MovingAxis:
     reference: float
     #: What positions it; without one the bodies stand where the control believes.
     drive: AxisDrive | None = None
+    #: Whether its way is counted, there and back.
+    odometer: bool = False
 
 
 @dataclass(frozen=True, eq=False)

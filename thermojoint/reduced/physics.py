@@ -36,6 +36,7 @@ from fesim.march.kernel import joint_kernel, new_kept, new_record, owned
 from fesim.march.passing import exchange, leaving
 from fesim.march.settling import Rest, settle_along
 from thermojoint.artefacts.arrays import Array
+from thermojoint.reduced.axis_way import Way, way_between
 from thermojoint.reduced.guided_march import (
     Aligned,
     Guided,
@@ -57,8 +58,6 @@ from thermojoint.reduced.machine import (
     rest_of,
 )
 
-#: Positions of axes, m, from which to which they move evenly.
-Way = tuple[Place, Place]
 #: Steps that alternate are halved down to this length, s.
 SHORTEST = 0.05
 #: Positions of axes at which the joints are kept ready.
@@ -204,8 +203,8 @@ def conduct(
         After the last step.
     length : float
         s.
-    way : (tuple of float, tuple of float), optional
-        Positions of the axes at the start and at the end, between which they move evenly, m.
+    way : Way, optional
+        Of the axes.
     """
     step = heat_step(physics.modes, length)
     if way is not None:
@@ -233,10 +232,13 @@ def place_in(modes: Modes, loads: Array) -> Place | None:
     return tuple(loads[loads.size - len(modes.way.stations.positions) :].tolist())
 
 
-def way_of(modes: Modes, before: Array, loads: Array) -> Way | None:
-    """Return the way of axes between two samples, m, by their factors (l,); None without any."""
+def way_of(modes: Modes, before: Array, loads: Array, gone: Sequence[float] = ()) -> Way | None:
+    """Return the way of axes between two samples, by their factors (l,); None without any.
+
+    `gone` (x,) is how far odometers say that they have gone, m, if there are any.
+    """
     start, end = place_in(modes, before), place_in(modes, loads)
-    return None if start is None or end is None else (start, end)
+    return None if start is None or end is None else way_between(start, end, gone)
 
 
 def _conduct_passing(
@@ -255,13 +257,13 @@ def _conduct_passing(
     modes, step = physics.modes, heat_step(physics.modes, length)
     assert modes.way is not None  # there is a way on an axis only
     stations, temperature = modes.way.stations, modes.jump @ amplitudes
-    passage = stations.passage(*way)
+    passage = stations.passage(way.start, way.end)
     jump, rise = sides(passage.coefficients, temperature, modes.way.means @ amplitudes)
     each = conductances(physics.laws, Rest(*joint), rise, jump, modes.elastic.area)
     beyond = exchange(passage.touches, each, stations.size) - physics.held_exchange
-    if way[0] != way[1]:
-        ridden = stations.ridden([abs(end - start) for start, end in zip(*way, strict=True)])
-        rubbing = modes.way.friction_heat(joint.pressure, ridden.sum(axis=0), length)
+    if any(way.gone):
+        ridden = stations.ridden(way.gone).sum(axis=0)
+        rubbing = modes.way.friction_heat(joint.pressure, ridden, length)
         alone = alone + step.influence @ stations.rubbed(rubbing, passage.shares)
     left = leaving(beyond, step.joint_influence, modes.jump @ alone)
     return np.asarray(alone - step.influence @ left)
@@ -383,7 +385,9 @@ def at_start(physics: Physics) -> tuple[Array, Array]:
     return modes.sensors @ modes.start, moved
 
 
-def simulate_known(physics: Physics, inputs: Array, length: float) -> tuple[Array, Array]:
+def simulate_known(
+    physics: Physics, inputs: Array, length: float, gone: Array | None = None
+) -> tuple[Array, Array]:
     """March from rest under known inputs; where steps alternate, by halves of them.
 
     Parameters
@@ -396,13 +400,15 @@ def simulate_known(physics: Physics, inputs: Array, length: float) -> tuple[Arra
         m, stand behind them.
     length : float
         Of a step, s.
+    gone : ndarray, shape (n, x), optional
+        How far each axis has gone in each step, m. Default: from one position to the next.
 
     Returns
     -------
     tuple of ndarray, shapes (n, p) and (n, axes)
         Sensors, K, and displacement, m.
     """
-    history, displacement, pressure = march_known(physics, inputs, length)
+    history, displacement, pressure = march_known(physics, inputs, length, gone)
     judged = physics.modes.way is None and physics.contacts > 0 and length > SHORTEST
     if judged and alternating(pressure / physics.contact.reference_pressure):
         halves = np.repeat(inputs, 2, axis=0)
@@ -411,7 +417,9 @@ def simulate_known(physics: Physics, inputs: Array, length: float) -> tuple[Arra
     return history @ physics.modes.sensors.T, displacement
 
 
-def march_known(physics: Physics, inputs: Array, length: float) -> tuple[Array, Array, Array]:
+def march_known(
+    physics: Physics, inputs: Array, length: float, gone: Array | None = None
+) -> tuple[Array, Array, Array]:
     """March from rest under known inputs, as `simulate_known` without halving steps.
 
     Returns
@@ -423,7 +431,7 @@ def march_known(physics: Physics, inputs: Array, length: float) -> tuple[Array, 
     known = modes.drive.shape[1]
     pressure = np.empty((len(inputs), physics.contacts))
     if modes.way is not None:
-        return *_march_moving(physics, inputs, length), pressure
+        return *_march_moving(physics, inputs, length, gone), pressure
     constant = np.tile(modes.factors[inputs.shape[1] - known :], (len(inputs), 1))
     inputs = np.ascontiguousarray(np.hstack([inputs, constant]), dtype=np.float64)
     amplitudes, joint = modes.start.copy(), physics.at_rest()
@@ -468,14 +476,18 @@ def guided_steps(physics: Physics, length: float) -> tuple[Guided, Steps] | None
     return guide, new_steps(guide, there_of(physics.aligned, joint))
 
 
-def _march_moving(physics: Physics, inputs: Array, length: float) -> tuple[Array, Array]:
+def _march_moving(
+    physics: Physics, inputs: Array, length: float, gone: Array | None
+) -> tuple[Array, Array]:
     """As `march_known` of a machine with axes; without positions they stand."""
     modes = physics.modes
     known, first = modes.drive.shape[1], np.array(place_in(modes, modes.factors))
     if inputs.shape[1] == known:
         inputs = np.column_stack([inputs, np.tile(first, (len(inputs), 1))])
     ends = inputs[:, known:]
-    ways = np.column_stack([inputs[:, :known], np.vstack([first, ends])[:-1], ends])
+    starts = np.vstack([first, ends])[:-1]
+    whole = np.abs(ends - starts) if gone is None else np.maximum(gone, np.abs(ends - starts))
+    ways = np.column_stack([inputs[:, :known], starts, ends, whole])
     now, k = Moving(modes.start.copy(), physics.at_rest()), 0
     history = np.empty((len(ways), modes.start.size))
     displacement = np.empty((len(ways), len(modes.elastic.probe_thermal)))
@@ -486,8 +498,8 @@ def _march_moving(physics: Physics, inputs: Array, length: float) -> tuple[Array
             if k == len(ways):
                 break
         # Several axes, laws that are not compiled, or a joint that snaps.
-        row, (begun, loads) = ways[k], np.split(ways[k, known:], 2)
-        way = way_of(modes, begun, loads)
+        row, (begun, loads, told) = ways[k], np.split(ways[k, known:], 3)
+        way = way_of(modes, begun, loads, told.tolist())
         amplitudes = conduct(physics, now.amplitudes, row[:known], now.joint, length, way)
         joint, displacement[k] = settle_joint(physics, now.joint, amplitudes, loads)
         now, history[k] = Moving(amplitudes, JointState(*map(owned, joint))), amplitudes

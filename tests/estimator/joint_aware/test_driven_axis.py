@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from exported import SANITISED, needs_gcc, selftest, written
-from moving_knee import moving
+from moving_knee import SCREW, STEEL, moving
 from observed import observer
 from structured_text import run as run_structured_text
 
@@ -21,29 +21,6 @@ from thermojoint.reduced.machine import along, undriven
 
 SENSORS = ("bearing", "guide")
 COURSE = [(0, 0), (60, 0), (90, 200), (240, 200), (270, -100), (480, 30), (510, 85), (1200, 85)]
-STEEL = {
-    "conductivity_W_mK": 45.0,
-    "density_kg_m3": 7850.0,
-    "heat_capacity_J_kgK": 470.0,
-    "youngs_modulus_GPa": 206.0,
-    "poisson_ratio": 0.3,
-    "expansion_1_K": 11.5e-6,
-}
-SCREW = {
-    "bearings": "fixed-free",
-    "fixed_bearing_mm": -300.0,
-    "far_end_mm": 260.0,
-    "nut_length_mm": 100.0,
-    "diameter_mm": 40.0,
-    "lead_mm": 6.0,
-    "material": "steel",
-    "film_W_m2K": 10.0,
-    "rotating_film": {"added_W_m2K": 15.0, "rotation_rpm": 200.0},
-    "nut_torque_Nm": 30.0,
-    "bearing_torque_Nm": 8.0,
-    "motor_heat_W": 10.0,
-    "cells": 40,
-}
 SCALE = {"expansion_1_K": 8.0e-6, "fixed_mm": -150.0, "lag_s": 300.0}
 DRIVES = {"screw": {"ball_screw": SCREW}, "set right": {"ball_screw": SCREW, "zero_mm": 100.0}}
 DRIVES["scale"] = {"scale": SCALE}

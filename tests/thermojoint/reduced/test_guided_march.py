@@ -9,6 +9,7 @@ from moving_knee import moving
 from calibrate.joint_aware.calibration import machine_of
 from calibrate.joint_aware.misfit import physics_with
 from fesim.axes.occupation import even
+from thermojoint.reduced.axis_way import way_between
 from thermojoint.reduced.guided_march import occupy
 from thermojoint.reduced.machine import along
 from thermojoint.reduced.physics import (
@@ -31,15 +32,14 @@ def machine(tmp_path_factory):
     return along(machine_of(case, ("bearing", "guide")), ["x", "y"])
 
 
-def plainly(physics, inputs, length):
+def plainly(physics, inputs, length, gone=None):
     """The march step by step, which the compiled one stands for."""
     known, place = inputs.shape[1] - 1, float(physics.modes.factors[-1])
     amplitudes, joint = physics.modes.start, physics.at_rest()
     sensed, moved = [], []
-    for row in inputs:
-        amplitudes = conduct(
-            physics, amplitudes, row[:known], joint, length, ((place,), (row[-1],))
-        )
+    for k, row in enumerate(inputs):
+        way = way_between([place], row[-1:].tolist(), () if gone is None else gone[k])
+        amplitudes = conduct(physics, amplitudes, row[:known], joint, length, way)
         joint, displacement = settle_plainly(physics, joint, amplitudes, row[-1:])
         sensed.append(physics.modes.sensors @ amplitudes)
         moved.append(displacement)
@@ -57,6 +57,12 @@ def test_the_compiled_march_takes_the_plain_steps(machine, factors):
     np.testing.assert_allclose(sensed, plain_sensed, rtol=0.0, atol=1e-6)
     np.testing.assert_allclose(moved, plain_moved, rtol=0.0, atol=1e-12)
     assert np.abs(moved).max() > 2e-5
+    # It goes there and back between samples, in some steps less far than the positions tell.
+    gone = np.linspace(0.0, 0.6, places.size)[:, None]
+    further = simulate_known(physics, inputs, STEP, gone)
+    for one, other in zip(further, plainly(physics, inputs, STEP, gone.tolist()), strict=True):
+        np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-6)
+    assert np.abs(further[1] - moved).max() > 1e-7
 
 
 def test_without_a_position_the_axis_stands_where_it_is(machine):
@@ -89,7 +95,7 @@ def test_a_joint_settles_at_any_position_as_plainly(machine, place):
     physics = physics_with(machine, FACTORS)
     heat = machine.inputs(np.tile(machine.power, (1, 1)))[0]
     joint, at = physics.at_rest(), np.array([place])
-    warm = conduct(physics, physics.modes.start, heat, joint, 600.0, ((0.0,), (0.0,)))
+    warm = conduct(physics, physics.modes.start, heat, joint, 600.0, way_between([0.0], [0.0]))
     one, other = (settle(physics, joint, warm, at) for settle in (settle_joint, settle_plainly))
     np.testing.assert_allclose(one[1], other[1], rtol=0.0, atol=1e-12)
     np.testing.assert_allclose(one[0].pressure, other[0].pressure, rtol=1e-6, atol=1.0)

@@ -1,0 +1,192 @@
+"""An odometer tells of the way between samples, which positions do not show, and of its heat."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from exported import SANITISED, compiled, needs_gcc, selftest, written
+from matiec import needs_matiec, selftest_by_both
+from moving_knee import SCREW, STEEL, moving
+from observed import estimates, observer
+
+from calibrate.joint_aware.calibration import machine_of
+from calibrate.joint_aware.misfit import physics_with
+from calibrate.joint_aware.readings import run_in
+from estimator.export.program import COMMON
+from estimator.exporting import export_program
+from estimator.interface import Status
+from estimator.joint_aware.estimator import JointAware
+from estimator.joint_aware.kind import KIND
+from estimator.joint_aware.model_file import read_observer, write_observer
+from estimator.lines import here
+from fesim.simulate import simulate
+from thermojoint.reduced.axis_way import gone_along
+from thermojoint.reduced.machine import along
+from thermojoint.reduced.physics import simulate_known
+
+SENSORS = ("bearing", "guide")
+STEP = 10.0
+#: In every step of ten seconds up by 100 mm and down again, for ten minutes; then it stands.
+COURSE = [(5.0 * k, 100.0 * (k % 2)) for k in range(121)]
+#: The column of the odometer in a sample, time included.
+WAY = 5
+
+
+def responding(folder, rows, drive):
+    data = {"odometer": True} | ({"ball_screw": SCREW} if drive else {})
+    knee = moving(folder, rows).replace(axes={"y": data}, materials={"steel": STEEL})
+    # As heavy a friction as a guide can have, and no other heat than that.
+    knee = knee.replace(
+        march={"duration_min": 15.0, "step_s": STEP},
+        joints={"knee": {"running_friction_coefficient": 0.2}},
+        heat_input={"kind": "step", "level": 0.05},
+    )
+    response = simulate(knee, accuracy=False).response
+    return along(machine_of(knee, SENSORS), ["x", "y"]), response
+
+
+@pytest.fixture(scope="module", params=[False, True], ids=["", "screw"])
+def moved(request, tmp_path_factory):
+    """The machine, with a screw and without, and its response."""
+    return responding(tmp_path_factory.mktemp("odometer"), COURSE, request.param)
+
+
+@pytest.fixture(scope="module")
+def counting(moved):
+    machine, response = moved
+    return observer(machine, {"run": response})
+
+
+@pytest.fixture(scope="module")
+def samples(counting, moved):
+    return np.array(list(KIND.response(counting.model, moved[1])))
+
+
+def blind(estimator):
+    axes = tuple(replace(axis, odometer=False) for axis in estimator.model.moving_axes)
+    return replace(estimator, model=replace(estimator.model, moving_axes=axes))
+
+
+def told_its_heat(estimator, samples, response):
+    """Displacements of an estimator that is told the heat of the source, and no temperature."""
+    state, found = estimator.initial_state(), []
+    for row, power in zip(samples, response["source_power"].to_numpy(), strict=True):
+        estimator.parts.views(state)["linear"][-2:] = *power, 0.0
+        state, one = estimator.sample(state, row[0], [np.nan] * 3 + row[4:].tolist())
+        found.append(one)
+    return here(estimator.axes, estimator.details, found)[0]
+
+
+def test_the_way_of_an_axis_is_what_it_goes_there_and_back(moved):
+    _, response = moved
+    way = response["axis_way"].to_numpy()[:, 0]
+    assert way == pytest.approx(0.2 * np.minimum(np.arange(way.size), 60))
+    assert (response["axis_position"].to_numpy() == 0.0).all()
+
+
+def test_what_an_odometer_counts_heats_the_guide_and_the_screw(counting, samples, moved):
+    """Heat of a way that is spread otherwise along the guide: not the simulator's, but near."""
+    _, response = moved
+    actual = response["displacement"].sel(axis=["x", "y"]).to_numpy()
+    without = told_its_heat(blind(counting), np.delete(samples, WAY, axis=1), response)
+    error = np.abs(told_its_heat(counting, samples, response) - actual).max(axis=0)
+    missed = np.abs(without - actual).max(axis=0)
+    assert missed.max() > 1e-6
+    assert error.max() < 0.25 * missed.max()
+
+
+def test_a_run_is_fitted_with_the_way_that_it_records(moved):
+    machine, response = moved
+    run, without = (
+        run_in(one, machine, "run") for one in (response, response.drop_vars("axis_way"))
+    )
+    assert run.gone[:, 0] == pytest.approx(np.diff(response["axis_way"].to_numpy()[:, 0]))
+    assert (without.gone == 0.0).all()
+    physics = physics_with(machine, {})
+    warm, cold = (
+        simulate_known(physics, run.inputs, run.length, gone)[0][-1] for gone in (run.gone, None)
+    )
+    sensed = response["temperature"].sel(probe=list(SENSORS)).to_numpy()[-1]
+    assert np.abs(sensed - warm).max() < 0.25 * np.abs(sensed - cold).max()
+
+
+@pytest.mark.parametrize("unread", [np.nan, -1.0, 1e12, np.inf])
+def test_without_a_reading_only_positions_tell(counting, samples, unread):
+    rows = samples.copy()
+    rows[:, WAY] = unread
+    _, found = estimates(counting, rows.tolist())
+    _, alone = estimates(blind(counting), np.delete(samples, WAY, axis=1).tolist())
+    for one, other in zip(found, alone, strict=True):
+        np.testing.assert_array_equal(one.displacement, other.displacement)
+    assert all(one.missing == ("y_way",) for one in found)
+    assert all(Status.READING_MISSING in one.status for one in found)
+
+
+def test_an_odometer_may_begin_anew_and_miss_samples(counting, samples):
+    """What was gone meanwhile counts at the next reading; what no axis can go, never."""
+    rows = samples.copy()
+    rows[20:, WAY] -= rows[20, WAY]
+    rows[40:, WAY] += 1e6
+    _, whole = estimates(counting, samples.tolist())
+    _, found = estimates(counting, rows.tolist())
+    # Two ways of ninety are lost.
+    lost = whole[-1].displacement - found[-1].displacement
+    assert 0.0 < np.abs(lost).max() < 0.1 * np.abs(whole[-1].displacement).max()
+    rows = samples.copy()
+    rows[30:33, WAY] = np.nan
+    _, found = estimates(counting, rows.tolist())
+    assert found[-1].displacement == pytest.approx(whole[-1].displacement, rel=1e-2)
+
+
+def test_an_axis_that_goes_straight_needs_none(tmp_path):
+    machine, response = responding(tmp_path, [(0, 0), (60, 0), (90, 200), (300, -100)], True)
+    made = observer(machine, {"run": response})
+    rows = np.array(list(KIND.response(made.model, response)))
+    assert rows[:, WAY] == pytest.approx(gone_along(rows[:, 4:5])[:, 0])
+    _, found = estimates(made, rows.tolist())
+    _, alone = estimates(blind(made), np.delete(rows, WAY, axis=1).tolist())
+    for one, other in zip(found, alone, strict=True):
+        np.testing.assert_allclose(one.displacement, other.displacement, rtol=0.0, atol=1e-13)
+
+
+def test_file_log_and_service_know_the_odometer(counting, samples, tmp_path):
+    write_observer(counting.model, tmp_path / "model.h5")
+    found = JointAware(read_observer(tmp_path / "model.h5"))
+    assert found.model.ways == ("y_way",)
+    intake = KIND.intake(found.model, True)
+    assert intake.names[3:5] == ("y_pos_mm", "y_way_m")
+    given, _ = intake.convert([1.0, 2.0, 0.5, 100.0, 7.0, np.nan, np.nan], 0.0)
+    assert given[:5] == pytest.approx([1.0, 2.0, 0.5, 0.1, 7.0])
+    # A run goes on from its state.
+    _, whole = estimates(found, samples.tolist())
+    state, _ = estimates(found, samples[:40].tolist())
+    _, rest = estimates(found, samples[40:].tolist(), state)
+    assert all(
+        np.array_equal(one.displacement, other.displacement)
+        for one, other in zip(whole[40:], rest, strict=True)
+    )
+
+
+@needs_gcc
+def test_its_programs_know_the_odometer(counting, samples, tmp_path):
+    """Also where it is not read, and where it is set anew."""
+    rows = samples.copy()
+    rows[30:, WAY] -= rows[30, WAY]
+    program = export_program(counting, name="m", samples=rows.tolist())
+    done, figures = selftest(written(program, tmp_path), "m", "-O1", *SANITISED)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert figures["state"] == program.state
+    rows[10:13, WAY] = np.nan
+    got = list(compiled(program, tmp_path)(rows[:, 1:].tolist()))
+    _, found = estimates(counting, rows.tolist())
+    for one, other in zip(got, found, strict=True):
+        assert list(one.displacement) == pytest.approx(list(other.displacement), rel=0.0, abs=1e-11)
+        assert one.status & COMMON == int(other.status)
+
+
+@pytest.mark.long
+@needs_gcc
+@needs_matiec
+def test_its_function_blocks_know_the_odometer(counting, samples, tmp_path):
+    program = export_program(counting, name="m", samples=samples.tolist())
+    selftest_by_both(program, tmp_path)
