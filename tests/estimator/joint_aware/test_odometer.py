@@ -10,6 +10,7 @@ from moving_knee import SCREW, STEEL, moving
 from observed import estimates, observer
 
 from calibrate.joint_aware.calibration import machine_of
+from calibrate.joint_aware.measured_runs import runs_of
 from calibrate.joint_aware.misfit import physics_with
 from calibrate.joint_aware.readings import run_in
 from estimator.export.program import COMMON
@@ -20,6 +21,9 @@ from estimator.joint_aware.kind import KIND
 from estimator.joint_aware.model_file import read_observer, write_observer
 from estimator.lines import here
 from fesim.simulate import simulate
+from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.log import Log
+from thermojoint.artefacts.quantities import column_named
 from thermojoint.reduced.axis_way import gone_along
 from thermojoint.reduced.machine import along
 from thermojoint.reduced.physics import simulate_known
@@ -108,6 +112,22 @@ def test_a_run_is_fitted_with_the_way_that_it_records(moved):
     )
     sensed = response["temperature"].sel(probe=list(SENSORS)).to_numpy()[-1]
     assert np.abs(sensed - warm).max() < 0.25 * np.abs(sensed - cold).max()
+
+
+def test_a_run_of_a_log_has_the_way_that_the_control_counts(moved, tmp_path):
+    _, response = moved
+    case = moving(tmp_path, COURSE).replace(axes={"y": {"odometer": True}})
+    names = ("heat_W", "bearing_degC", "guide_degC", "y_pos_mm", "y_way_m", "x_um")
+    sensed = 20.0 + response["temperature"].sel(probe=list(SENSORS)).to_numpy()
+    way, none = response["axis_way"].to_numpy(), np.zeros((response.sizes["time"], 1))
+    values = np.hstack([response["source_power"], sensed, none, way, none])
+    columns = tuple(column_named(name) for name in names)
+    log = Log(response["time"].to_numpy(), columns, values, (0,))
+    found = runs_of(log, case, ["x_um"])["run 1"]
+    assert np.array_equal(found["axis_way"], way)
+    unread = replace(log, columns=columns[:4] + columns[5:], values=np.delete(values, 4, axis=1))
+    with pytest.raises(InputError, match="y_way"):
+        runs_of(unread, case, ["x_um"])
 
 
 @pytest.mark.parametrize("unread", [np.nan, -1.0, 1e12, np.inf])
