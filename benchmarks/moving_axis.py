@@ -7,8 +7,9 @@ the second one on, noise of 0.12 K peak to peak on every thermometer. The table 
 two fifths of the time. Calibrated from steps of 0.5, 1 and 2 for 35 min and a cool-down of 4 h;
 judged, free-running, at step 3.0 and in a day of 8 h with random heat. Beside it, on the plant with
 the parameters of its case, FCHS, calibrated from steps of 0.5, 1 and 2 with the table at each of
-three positions, and interpolated. With ``--same-mesh`` the plants have the mesh of the model.
-Tables in docs/moving-axes.md.
+three positions, and interpolated. With ``--same-mesh`` the plants have the mesh of the model. With
+``--turning 0.5`` the table turns between samples, too, at every half of a second; ``--odometer``
+tells the model how far it has gone. Tables in docs/moving-axes.md.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from calibrate.joint_aware.readings import run_in
 from estimator.fchs.estimator import Fchs
 from estimator.interface import Estimate, Estimator, follow
 from estimator.joint_aware.estimator import JointAware
-from estimator.joint_aware.readings import samples_in
+from estimator.joint_aware.kind import KIND
 from estimator.lines import channels_at, here, lines_of
 from estimator.measured import response_samples
 from fesim.axes.setup import aligned_positions
@@ -60,22 +61,25 @@ STEPS, COOLING, DAY = 35.0, 240.0, 480.0
 AT = (-100.0, 50.0, 200.0)
 
 
-def course(rng: np.random.Generator, minutes: float, stroke: Sequence[float]) -> str:
+def course(
+    rng: np.random.Generator, minutes: float, stroke: Sequence[float], turning: float
+) -> str:
     """Return a history of positions: stands for 1 to 15 min, then goes to and fro.
 
-    It turns at samples only: what it goes between two of them, there and back, no model sees.
+    It turns at multiples of `turning`, s. Where these are no samples, positions do not show what it
+    goes between them, there and back.
     """
     step, place, rows = 0, 0.0, ["time_s,position_mm", "0,0"]
-    while step * STEP < 60.0 * minutes:
+    while step * turning < 60.0 * minutes:
         stands = rng.uniform(60.0, 900.0)
-        step += math.ceil(stands / STEP)
-        rows.append(f"{step * STEP:g},{place:.1f}")
-        until = step + stands / STEP * MOVES / (1.0 - MOVES)
+        step += math.ceil(stands / turning)
+        rows.append(f"{step * turning:g},{place:.1f}")
+        until = step + stands / turning * MOVES / (1.0 - MOVES)
         while step < until:
             there = rng.uniform(*stroke)
-            step += max(1, math.ceil(1e-3 * abs(there - place) / SPEED / STEP))
+            step += max(1, math.ceil(1e-3 * abs(there - place) / SPEED / turning))
             place = there
-            rows.append(f"{step * STEP:g},{place:.1f}")
+            rows.append(f"{step * turning:g},{place:.1f}")
     return "\n".join(rows) + "\n"
 
 
@@ -116,13 +120,15 @@ def plant_of(case: Case, rng: np.random.Generator, number: int) -> Case:
     )
 
 
-def responses_of(plant: Case, rng: np.random.Generator, folder: Path) -> dict[str, xr.Dataset]:
-    """Return the noisy responses of a plant to all runs."""
+def responses_of(
+    plant: Case, rng: np.random.Generator, folder: Path, turning: float
+) -> dict[str, xr.Dataset]:
+    """Return the noisy responses of a plant to all runs; for `turning` see `course`."""
     (axis,) = plant.axes
     found = {}
     for name, (minutes, heat) in heats(rng).items():
         moves = folder / f"{name}-course.csv"
-        moves.write_text(course(rng, minutes, plant.axes[axis].stroke_mm))
+        moves.write_text(course(rng, minutes, plant.axes[axis].stroke_mm, turning))
         if isinstance(heat, str):
             (folder / f"{name}-heat.csv").write_text(heat)
             heat = {"kind": "sampled", "file": str(folder / f"{name}-heat.csv")}
@@ -182,7 +188,7 @@ def fchs_figures(estimators: Sequence[Fchs], response: xr.Dataset) -> dict[str, 
 def figures(estimator: JointAware, response: xr.Dataset) -> dict[str, Any]:
     """Return errors at the present position, of the line there, and of a model that stands."""
     (axis,) = estimator.model.moving_axes
-    samples = np.array(list(samples_in(response, estimator.model.sensors, axes=[axis.name])))
+    samples = np.array(list(KIND.response(estimator.model, response)))
     actual = columns_of(response, "displacement", estimator.axes)
     made = _estimates(estimator, samples.tolist())
     moved, band = here(estimator.axes, estimator.details, made)
@@ -192,7 +198,8 @@ def figures(estimator: JointAware, response: xr.Dataset) -> dict[str, Any]:
     line = np.array([one.displacement for one in made]) + slope * (place - axis.reference)
     table = by_table(estimator, made, place)
     still = samples.copy()
-    still[:, -1] = axis.reference
+    at = len(estimator.model.sensors) + 2
+    still[:, at], still[:, at + 1 :] = axis.reference, 0.0
     middle, _ = here(estimator.axes, estimator.details, _estimates(estimator, still.tolist()))
     error = np.abs(moved - actual)
     return {
@@ -237,19 +244,24 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--count", type=int, default=3)
     parser.add_argument("--seed", type=int, default=2)
     parser.add_argument("--same-mesh", action="store_true")
+    parser.add_argument("--turning", type=float, default=STEP)
+    parser.add_argument("--odometer", action="store_true")
     options = parser.parse_args(arguments)
     case = read_case(case_file("moving_knee"))
     ((axis, section),) = case.axes.items()
     # The points of a table.
     stations = (aligned_positions(section) / MILLI).round(9).tolist()
-    case = case.replace(march={"step_s": STEP}, axes={axis: {"asked_mm": stations}})
+    reads = {"asked_mm": stations, "odometer": options.odometer}
+    case = case.replace(march={"step_s": STEP}, axes={axis: reads})
     mesh = {} if options.same_mesh else MESH
     rows: list[dict[str, Any]] = []
     for number in range(options.first, options.first + options.count):
         rng = np.random.default_rng((options.seed, number))
         plant = plant_of(case, rng, number).replace(structure=mesh)
         with TemporaryDirectory() as folder:
-            responses = responses_of(plant, rng, Path(folder))
+            responses = responses_of(plant, rng, Path(folder), options.turning)
+            if not options.odometer:
+                responses = {name: one.drop_vars("axis_way") for name, one in responses.items()}
         along = fchs_along(plant, rng) if number == 0 else []
         began = process_time()
         runs = {name: responses[name] for name in ("0.5", "1", "2", "cool-down")}
