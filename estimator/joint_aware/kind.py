@@ -69,12 +69,11 @@ def _intake(model: ObserverModel, above_ambient: bool) -> Intake:
     unit = "K" if above_ambient else "degC"
     thermal = [f"{name}_{unit}" for name in (*model.sensors, "ambient")]
     loads = [f"{name}_percent" for name in model.loads]
-    positions = [f"{name}_mm" for name in model.positions]
-    ways = [f"{name}_m" for name in model.ways]
+    positions = [f"{name}_mm" for name in (*model.positions, *model.ways)]
     powers = [f"{name}_W" for name in model.powers]
     count, moved = len(thermal), len(thermal) + len(loads)
     stood = moved + len(positions)
-    wanted = stood + len(ways) + len(powers)
+    wanted = stood + len(powers)
 
     def convert(readings: Sequence[float], cold: float) -> tuple[list[float], float]:
         # The machine was cold at the first ambient temperature on record.
@@ -87,7 +86,7 @@ def _intake(model: ObserverModel, above_ambient: bool) -> Intake:
         probed = [MICRO * value for value in readings[wanted:]]
         return [*temperatures, *factors, *places, *given, *probed], cold
 
-    names = [*thermal, *loads, *positions, *ways, *powers, *(f"{axis}_um" for axis in model.axes)]
+    names = [*thermal, *loads, *positions, *powers, *(f"{axis}_um" for axis in model.axes)]
     return intake(names, wanted, convert)
 
 

@@ -9,7 +9,7 @@ ignored, missing readings are NaN:
   the first ambient temperature in the log.
 
 Loads that change have columns ``NAME_percent``, of the load in the case; the positions of
-moving axes are ``NAME_pos_mm``, their odometers ``NAME_way_m``, powers that tell of the heat of a
+moving axes are ``NAME_pos_mm``, their odometers ``NAME_way_mm``, powers that tell of the heat of a
 source ``NAME_power_W``.
 """
 

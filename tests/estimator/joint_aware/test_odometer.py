@@ -174,8 +174,8 @@ def test_file_log_and_service_know_the_odometer(counting, samples, tmp_path):
     found = JointAware(read_observer(tmp_path / "model.h5"))
     assert found.model.ways == ("y_way",)
     intake = KIND.intake(found.model, True)
-    assert intake.names[3:5] == ("y_pos_mm", "y_way_m")
-    given, _ = intake.convert([1.0, 2.0, 0.5, 100.0, 7.0, np.nan, np.nan], 0.0)
+    assert intake.names[3:5] == ("y_pos_mm", "y_way_mm")
+    given, _ = intake.convert([1.0, 2.0, 0.5, 100.0, 7000.0, np.nan, np.nan], 0.0)
     assert given[:5] == pytest.approx([1.0, 2.0, 0.5, 0.1, 7.0])
     # A run goes on from its state.
     _, whole = estimates(found, samples.tolist())
