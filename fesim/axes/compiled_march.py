@@ -18,14 +18,15 @@ from fesim.axes.compiled_passing import (
     Guides,
     Passed,
     Ways,
-    add_row,
     enter,
     exchange,
     go,
     rub,
     warm,
 )
+from fesim.axes.compiled_rows import add_rows, multiply
 from fesim.axes.corner_table import CornerTable
+from fesim.axes.row_blocks import RowBlocks
 from fesim.axes.survey import (
     EXACT,
     Here,
@@ -65,13 +66,10 @@ class AxesKernel(NamedTuple):
     joint: JointKernel
     #: Its slip is that of the march, in place.
     pads: Pads
-    #: Shape (u, r): untied displacements of pads, stations, anchors and probes, m/K.
-    untied: Array
-    #: Shape (q, u): the same per W that enters each row of the guides, m.
-    warmed: Array
-    #: Shapes (u, 2) and (q, 2): where their rows are not zero, by `fesim.axes.machine.spans`.
-    untied_span: NDArray[np.int64]
-    warmed_span: NDArray[np.int64]
+    #: Of u rows: untied displacements of pads, stations, anchors and probes, m/K.
+    untied: RowBlocks
+    #: Of q rows: the same per W that enters each row of the guides, m.
+    warmed: RowBlocks
     #: Shapes (m,): heat of running friction per pressure and metre of way in a step, W/(Pa m);
     #: reference pressure, Pa.
     running: Array
@@ -291,11 +289,9 @@ def _displace(machine: AxesKernel, work: AxesWork, steps: AxesSteps, n: int) -> 
             at = table.place[touched[c], e]
             if weight[c] != 0.0 and at >= 0:
                 wanted[3 * count + direction * stations + at] = True
-    for row in range(size):
-        if wanted[row] or row >= size - others:
-            first, last = machine.untied_span[row]
-            own = machine.untied[row, first:last]
-            work.alone[row] = np.dot(own, work.amplitudes[first:last])
+    for row in range(size - others, size):
+        wanted[row] = True
+    multiply(machine.untied, wanted, work.amplitudes, work.alone)
 
 
 @compiled_part
@@ -362,11 +358,9 @@ def _gain(machine: AxesKernel, work: AxesWork, steps: AxesSteps, n: int, now: Ax
     conduct(machine.joint, pressure, work.conducted)
     if not exchange(machine.guides, work.passed, work.conducted, work.known[1]):
         return np.inf
-    for i in range(work.passed.begin[work.passed.begin.size - 1]):
-        row = work.passed.rows[i]
-        first, last = machine.warmed_span[row]
-        net = work.left[row] - work.passed.leaving[row]
-        add_row(net, machine.warmed[row, first:last], work.alone[first:last])
+    for row in range(work.left.size):
+        work.left[row] -= work.passed.leaving[row]
+    add_rows(machine.warmed, work.passed.touched, work.left, work.alone)
     _open(machine.pads, steps, n, work.alone, again)
     put(work.here.gap, again.gap)
     if not settle_here(machine.pads, again, work.known[1], ROUGHLY)[0] >= 0.0:

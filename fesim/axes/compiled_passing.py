@@ -15,14 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fesim.axes.compiled_occupation import add_shares
+from fesim.axes.compiled_rows import add_rows, multiply
 from fesim.axes.guideway import GuideStations
+from fesim.axes.row_blocks import RowBlocks, row_blocks
 from fesim.jit import compiled_part
 from fesim.joint.compiled_gap import largest
 from fesim.joint.frozen_tangent import add_product
 from fesim.joint.in_place import fill
 from fesim.joint.linear_system import factorise_columns, solve_again
 from fesim.march.passing import Rows
-from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array, Flags
 
 #: What the iteration may leave: in a step, relative to the warmest row; in a second one that only
 #: shows a gain, relative to what it begins with. Most iterations.
@@ -46,11 +48,9 @@ class Guides(NamedTuple):
     #: those that ride on none, and where each of these groups begins.
     riding: NDArray[np.int64]
     group: NDArray[np.int64]
-    #: Shapes (q, r) and (q, q): as in `fesim.march.passing.Rows`.
-    temperature: Array
+    #: Of q rows, and of shape (q, q): as in `fesim.march.passing.Rows`.
+    temperature: RowBlocks
     joint_influence: Array
-    #: Shape (q, 2): where the temperature of each row begins and ends among the amplitudes.
-    span: NDArray[np.int64]
     #: Shape (r,): of A0, zero where temperatures are held: heat of a row enters by its temperature.
     inverse: Array
 
@@ -79,8 +79,9 @@ class Passed(NamedTuple):
     #: Shapes (q,) and (a + 2,): rows that are touched, group by group, and where each begins.
     rows: NDArray[np.int64]
     begin: NDArray[np.int64]
-    #: Shape (q,): which of these a row is; -1 for none.
+    #: Shapes (q,): which of these a row is, and whether it is any.
     local: NDArray[np.int64]
+    touched: Flags
     #: Shapes (q q,) and (q,): factors of I + L S of the groups, and their pivots.
     system: Array
     pivots: NDArray[np.int32]
@@ -99,9 +100,7 @@ class Passed(NamedTuple):
     drawn: Array
 
 
-def guides_of(
-    stations: GuideStations, rows: Rows, span: NDArray[np.int64], inverse: Array
-) -> Guides:
+def guides_of(stations: GuideStations, rows: Rows, inverse: Array) -> Guides:
     """Return the rows of a machine for compiled steps; arguments as in `Guides`."""
     count, groups = stations.count, stations.groups
     return Guides(
@@ -110,20 +109,20 @@ def guides_of(
         np.ascontiguousarray(np.vstack(stations.place) + count),
         np.concatenate(groups),
         np.cumsum([0, *(one.size for one in groups)]),
-        np.ascontiguousarray(rows.temperature),
+        row_blocks(rows.temperature),
         np.ascontiguousarray(rows.joint_influence),
-        span,
         inverse,
     )
 
 
 def new_passed(guides: Guides) -> Passed:
     """Return storage."""
-    count, axes, size = guides.positions.size, guides.first.size - 1, len(guides.temperature)
+    count, axes, size = guides.positions.size, guides.first.size - 1, len(guides.joint_influence)
     shares: list[Any] = [np.zeros(count) for _ in range(3)]
     whole = size * size
     of_rows: list[Any] = [np.zeros(size) for _ in range(7)]
     touched: list[Any] = [np.zeros(n, dtype=np.int64) for n in (size, axes + 2, size)]
+    touched.append(np.zeros(size, dtype=np.bool_))
     factors: list[Any] = [np.zeros(whole), np.zeros(size, dtype=np.int32)]
     more: list[Any] = [*of_rows, np.zeros(whole), np.zeros(whole), np.zeros(guides.inverse.size)]
     ways: list[Any] = [np.zeros((axes, 2), dtype=np.int64), np.zeros(axes)]
@@ -136,13 +135,13 @@ def go(guides: Guides, ways: Ways, step: int, passed: Passed) -> None:
     fill(passed.mean, 0.0)
     fill(passed.square, 0.0)
     fill(passed.both, 0.0)
-    fill(passed.local, -1)
+    fill(passed.touched, 0.0)
     size = 0
     for group in range(guides.group.size - 1):
         passed.begin[group] = size
         riding = guides.riding[guides.group[group] : guides.group[group + 1]]
         for e in riding:
-            passed.rows[size], passed.local[e] = e, size
+            passed.rows[size], passed.local[e], passed.touched[e] = e, size, True
             size += 1
         if group == guides.first.size - 1:
             continue
@@ -150,8 +149,8 @@ def go(guides: Guides, ways: Ways, step: int, passed: Passed) -> None:
         for k in range(low, high):
             for e in riding:
                 at = guides.place[k, e]
-                if passed.local[at] < 0:
-                    passed.rows[size], passed.local[at] = at, size
+                if not passed.touched[at]:
+                    passed.rows[size], passed.local[at], passed.touched[at] = at, size, True
                     size += 1
     passed.begin[guides.group.size - 1] = size
 
@@ -344,13 +343,9 @@ def exchange(guides: Guides, passed: Passed, conducted: Array, again: bool) -> b
 @compiled_part
 def enter(guides: Guides, passed: Passed, amplitudes: Array) -> None:
     """Add to amplitudes (r,) without exchange what friction and the exchange do."""
-    rows, span, temperature, drawn = passed.rows, guides.span, guides.temperature, passed.drawn
-    entering, inverse = passed.entering, guides.inverse
+    drawn, inverse = passed.drawn, guides.inverse
     fill(drawn, 0.0)
-    for i in range(passed.begin[passed.begin.size - 1]):
-        row = rows[i]
-        first, last = span[row]
-        add_row(entering[row], temperature[row, first:last], drawn[first:last])
+    add_rows(guides.temperature, passed.touched, passed.entering, drawn)
     for k in range(amplitudes.size):
         amplitudes[k] += inverse[k] * drawn[k]
 
@@ -358,9 +353,5 @@ def enter(guides: Guides, passed: Passed, amplitudes: Array) -> None:
 @compiled_part
 def warm(guides: Guides, passed: Passed, amplitudes: Array) -> None:
     """Put temperatures of amplitudes (r,) without heat of the rows."""
-    rows, span, temperature, found = passed.rows, guides.span, guides.temperature, passed.warm
-    fill(found, 0.0)
-    for i in range(passed.begin[passed.begin.size - 1]):
-        row = rows[i]
-        own = temperature[row, span[row, 0] : span[row, 1]]
-        found[row] = np.dot(own, amplitudes[span[row, 0] : span[row, 1]])
+    fill(passed.warm, 0.0)
+    multiply(guides.temperature, passed.touched, amplitudes, passed.warm)

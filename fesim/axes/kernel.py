@@ -146,19 +146,17 @@ def axes_march(moving: MovingMachine, axes: Sequence[Axis]) -> AxesMarch | None:
     diagonal, none = thermal.factor.matrix.diagonal(), np.zeros((0, 0))
     decay = thermal.capacity_rate.diagonal() / diagonal
     inverse = np.where(np.arange(diagonal.size) < moving.free, 1.0 / diagonal, 0.0)
-    elastic, untied = contact.elastic, owned(guideway.elastic.thermal)
+    elastic = contact.elastic
     held = tables.held, tables.begin
-    slip, (of_rows, of_untied, of_warmed) = np.zeros((2, count)), moving.spans
+    slip, (untied, warmed) = np.zeros((2, count)), moving.blocks
     kernel = AxesKernel(
         HeatStep(decay, owned(thermal.inputs / diagonal[:, None]), none, none),
-        guides_of(guideway.stations, moving.rows, of_rows, inverse),
+        guides_of(guideway.stations, moving.rows, inverse),
         drives_of(axes, diagonal.size),
         joint,
         Pads(*held, joint.laws, slip, elastic.reference, elastic.area, contact.tolerance),
         untied,
-        moving.warmed,
-        of_untied,
-        of_warmed,
+        warmed,
         owned(guideway.running / thermal.step),
         owned(contact.reference_pressure),
         watched_in(contact),
@@ -166,12 +164,13 @@ def axes_march(moving: MovingMachine, axes: Sequence[Axis]) -> AxesMarch | None:
         thermal.step,
     )
     here = new_here(tables.held, len(elastic.probe_compliance), trial_at(np.zeros((3, count))))
-    return AxesMarch(moving, axes, kernel, _storage(kernel, here, cold_drives(axes).size))
+    sizes = cold_drives(axes).size, len(guideway.elastic.thermal)
+    return AxesMarch(moving, axes, kernel, _storage(kernel, here, *sizes))
 
 
-def _storage(kernel: AxesKernel, here: Here, drives: int) -> AxesWork:
+def _storage(kernel: AxesKernel, here: Here, drives: int, untied: int) -> AxesWork:
     count, held = kernel.scale.size, kernel.pads.held.size
-    rows, modes = kernel.guides.temperature.shape
+    rows, modes = len(kernel.guides.joint_influence), kernel.guides.inverse.size
     own: dict[str, Any] = {name: np.zeros_like(getattr(here, name)) for name in APART}
     sizes = [held * (held + 1) // 2, (here.free.size - held) * held, count, modes, modes]
     more: list[Any] = [
@@ -185,7 +184,7 @@ def _storage(kernel: AxesKernel, here: Here, drives: int) -> AxesWork:
         here,
         here._replace(trial=trial_at(np.zeros((3, count))), **own),
         watch_work(kernel.watched),
-        np.zeros(len(kernel.untied)),
-        np.zeros(len(kernel.untied), dtype=np.bool_),
+        np.zeros(untied),
+        np.zeros(untied, dtype=np.bool_),
         *more,
     )

@@ -18,6 +18,7 @@ from scipy.sparse import csr_array
 from fesim.axes.corner_table import CornerTables
 from fesim.axes.guideway import Guideway, Place
 from fesim.axes.occupation import Shares, even
+from fesim.axes.row_blocks import RowBlocks, row_blocks
 from fesim.march.contact import ContactProblem
 from fesim.march.machine import CondensedMachine
 from fesim.march.passing import Passing, Rows
@@ -86,10 +87,9 @@ class MovingMachine:
         return np.ascontiguousarray(self.rows.influence @ self.guideway.elastic.thermal.T)
 
     @cached_property
-    def spans(self) -> tuple[NDArray[np.int64], ...]:
-        """Where temperatures of rows, untied displacements and `warmed` are not zero: `spans`."""
-        each = self.rows.temperature, self.guideway.elastic.thermal, self.warmed
-        return tuple(map(spans, each))
+    def blocks(self) -> tuple[RowBlocks, RowBlocks]:
+        """Untied displacements, and `warmed`, without what is zero."""
+        return row_blocks(self.guideway.elastic.thermal), row_blocks(self.warmed)
 
     @property
     def axes(self) -> int:
@@ -146,13 +146,3 @@ class MovingMachine:
         coefficients = self.guideway.stations.coefficients([of_axis.mean for of_axis in shares])
         jump, mean = self.guideway.sides(csr_array(coefficients))
         return replace(self.machine.thermal, jump=jump, mean=mean)
-
-
-def spans(rows: Array) -> NDArray[np.int64]:
-    """Return the first entry of each row (k, n) that is not zero, and that after the last, (k, 2).
-
-    Modes are those of one body each (`fesim.solid.reduction.reduce_apart`).
-    """
-    filled = rows != 0.0
-    ends = np.stack([filled.argmax(axis=1), rows.shape[1] - filled[:, ::-1].argmax(axis=1)], axis=1)
-    return np.where(filled.any(axis=1)[:, None], ends, 0)
