@@ -30,6 +30,7 @@ from fesim.setup.machine import set_up
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.settings.read import settings_from
 from thermojoint.cli.app import app
+from thermojoint.compensation.loop import run as loop_run
 from thermojoint.compensation.loop.controller import AT_REST, Controller, control
 from thermojoint.compensation.loop.linear import (
     Channels,
@@ -397,6 +398,30 @@ def test_a_mistake_in_a_loop_is_one_line(folder, old, new, told):
     assert isinstance(done.exception, InputError)
     assert told in str(done.exception)
     assert "\n" not in str(done.exception)
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "told"),
+    [
+        ("loop.toml", "[30.0]", "[3.0]", "not a multiple"),
+        ("machine.toml", '"step_s" = 2.0', '"step_s" = 3.0', "does not divide"),
+        ("machine.toml", '"T2" = {', '"T3" = {', "the estimator reads"),
+        ("estimator.h5", "", "", "bearings_power; a loop has temperatures only"),
+    ],
+)
+def test_what_does_not_fit_is_refused_before_the_plant_is_set_up(
+    folder, estimator, monkeypatch, file, old, new, told
+):
+    monkeypatch.setattr(loop_run, "set_up", lambda _: pytest.fail("set up"))
+    if old:
+        text = (folder / file).read_text("utf-8")
+        assert old in text
+        (folder / file).write_text(text.replace(old, new), "utf-8")
+    else:
+        write_observer(replace(estimator.model, power_shares={"bearings": 0.3}), folder / file)
+    done = CliRunner().invoke(app, ["control", str(folder / "loop.toml")])
+    assert isinstance(done.exception, InputError)
+    assert told in str(done.exception)
 
 
 def test_a_loop_in_which_nothing_acts_is_refused():

@@ -102,14 +102,18 @@ def run_loop(plant: Plant, estimator: JointAware, acting: Acting, noise: Array) 
         A step of the machine or of the estimator does not converge.
     """
     machine, inputs = plant.setup.machine, thermal_inputs(plant.case)
-    layout, each = input_layout(plant.case), steps_of(plant, estimator)
-    sensors = _sensor_rows(plant, estimator)
+    check_plant(plant.case, estimator)
+    layout = input_layout(plant.case)
+    each = round(estimator.model.step / machine.thermal.step)
+    at = [list(plant.setup.probes).index(name) for name in estimator.model.sensors]
+    rows = plant.setup.probe_rows[at]
+    sensors = np.asarray(rows if isinstance(rows, np.ndarray) else rows.toarray())
     axes = [DIRECTIONS.index(axis) for axis in estimator.axes]
     disturbances = [k for k in range(layout.sources) if k != acting.heater]
     state, observed = initial_state(machine), estimator.initial_state()
     act, take = _at_rest(acting, len(axes)), COUPLINGS[plant.case.march.coupling](machine)
     sent: list[Estimate] = []
-    rows = []
+    found = []
     for index, added in enumerate(noise):
         time = index * estimator.model.step
         ambient = inputs(time)[layout.ambient] if index else 0.0
@@ -123,7 +127,7 @@ def run_loop(plant: Plant, estimator: JointAware, acting: Acting, noise: Array) 
         track = joined(list(tracks_along(machine, take, driven, state)))
         for step in map(track.step, range(each)):
             state = step.state
-            rows.append(
+            found.append(
                 (
                     state.index * machine.thermal.step,
                     *step.displacement[axes],
@@ -133,7 +137,7 @@ def run_loop(plant: Plant, estimator: JointAware, acting: Acting, noise: Array) 
                     step.inputs[disturbances].sum(),
                 )
             )
-    return _course(np.array(rows), len(axes))
+    return _course(np.array(found), len(axes))
 
 
 class _Act(NamedTuple):
@@ -171,25 +175,35 @@ def _act(
     return after
 
 
-def steps_of(plant: Plant, estimator: JointAware) -> int:
-    """Return the number of plant steps per sample of the estimator.
+def check_plant(case: Case, estimator: JointAware) -> None:
+    """Refuse a plant that an estimator cannot follow.
 
     Raises
     ------
     InputError
-        It is not an integer, or the plant's steps are adaptive.
+        The estimator reads more than temperatures, or a probe that the plant does not have; its
+        step is no multiple of the plant's, or these are adaptive.
     """
-    if plant.case.march.method == "adaptive":
+    model = estimator.model
+    others = [*model.loads, *model.positions, *model.powers]
+    if others:
+        raise InputError(
+            f"estimator: its model reads {', '.join(others)}; a loop has temperatures only: "
+            "calibrate one without"
+        )
+    for name in model.sensors:
+        if name not in case.probes:
+            raise unknown_name("probe", name, case.probes, "plant: the estimator reads")
+    if case.march.method == "adaptive":
         raise InputError(
             'plant: march.method = "adaptive" needs inputs that are known beforehand; take "fixed"'
         )
-    ratio = estimator.model.step / plant.setup.machine.thermal.step
+    ratio = model.step / case.march.step_s
     if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:
         raise InputError(
-            f"plant: march.step_s {plant.setup.machine.thermal.step:g} does not divide the "
-            f"estimator's step of {estimator.model.step:g} s; make it do so"
+            f"plant: march.step_s {case.march.step_s:g} does not divide the estimator's step of "
+            f"{model.step:g} s; make it do so"
         )
-    return round(ratio)
 
 
 def added_by(settings: Settings, axes: tuple[str, ...], offsets: Array) -> Array:
@@ -213,17 +227,6 @@ def _target(
     if not usable(settings.trust, age, arrived.band, arrived.words):
         return None
     return followed(settings.output, axes, arrived.displacement)
-
-
-def _sensor_rows(plant: Plant, estimator: JointAware) -> Array:
-    """Rows of the plant's temperatures that the estimator reads."""
-    names = list(plant.setup.probes)
-    for name in estimator.model.sensors:
-        if name not in names:
-            raise unknown_name("probe", name, names, "plant: the estimator reads")
-    at = [names.index(name) for name in estimator.model.sensors]
-    rows = plant.setup.probe_rows[at]
-    return np.asarray(rows if isinstance(rows, np.ndarray) else rows.toarray())
 
 
 def _driven(inputs: Inputs, times: Sequence[float], heater: int, heat: float) -> Array:

@@ -26,7 +26,7 @@ from thermojoint.compensation.loop.linear import (
     open_loop,
     responses_of,
 )
-from thermojoint.compensation.loop.march import Acting, Course, Plant, run_loop
+from thermojoint.compensation.loop.march import Acting, Course, Plant, check_plant, run_loop
 from thermojoint.compensation.loop.schema import HeaterSection, Loop
 from thermojoint.compensation.loop.tuning import Requirements, Tuned, feed_forward_gain, tune
 from thermojoint.compensation.offsets.settings import Settings, read_settings, with_slopes
@@ -94,8 +94,11 @@ def close_loop(loop: Loop, progress: Progress | None = None) -> Closed:
     estimator = JointAware(read_observer(loop.estimator.model))
     settings = None if loop.offsets is None else read_settings(loop.offsets)
     _check_axes(settings, estimator)
-    design = _design(loop, loop.heater, estimator) if loop.heater is not None else None
     case = plant_case(loop)
+    check_plant(case, estimator)
+    for delay in (loop.estimator.delay_s, *loop.tried_delays_s):
+        _samples(delay, estimator.model.step)
+    design = _design(loop, loop.heater, estimator) if loop.heater is not None else None
     report("setting up the plant")
     plant = Plant(case, set_up(case))
     noise = _noise(loop, case, estimator)
