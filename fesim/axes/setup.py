@@ -62,7 +62,7 @@ _TURNED = slice(3, 6)
 #: Positions along the stroke at which displacements are given if the case names none.
 USUAL = 5
 #: A recorded position this far beyond an end of the stroke, mm, is that end.
-OVERTRAVEL = 2e-3
+STROKE_SLACK = 2e-3
 #: Numbers in the matrices of pads and stations, condensed apart: 3.2 GB.
 MOST_NUMBERS = 400_000_000
 
@@ -152,7 +152,7 @@ def course_of(axis: AxisSection, name: str) -> History:
     course = read_history(axis.file, "position_mm")
     low, high = axis.stroke_mm
     within = np.clip(course.values, low, high)
-    outside = np.flatnonzero(np.abs(course.values - within) > OVERTRAVEL)
+    outside = np.flatnonzero(np.abs(course.values - within) > STROKE_SLACK)
     if outside.size:
         at = outside[0]
         raise InputError(
