@@ -295,9 +295,10 @@ def physics_with(machine: ReducedMachine, factors: dict[str, float]) -> Physics:
     """Return the physics of a machine with changed parameters, for one run or a few.
 
     The modes assume the joint of the case, whatever its parameters: a march does not depend on this
-    assumption, and so they are recomputed for a changed convection or conduction only.
+    assumption, and so they are recomputed for a changed convection or conduction only. On several
+    axes they assume none (`thermojoint.reduced.axes_march`).
     """
-    other, held = with_factors(machine, factors), machine.at_preload
+    other, held = with_factors(machine, factors), _assumed(machine)
     modes = on_basis(other, *basis_with(machine, factors), held)
     return make_physics(modes, other.joints, held)
 
@@ -314,7 +315,13 @@ def basis_with(machine: ReducedMachine, factors: dict[str, float]) -> tuple[Arra
 
 @lru_cache(maxsize=4)
 def _basis(machine: ReducedMachine, turning: tuple[tuple[str, float], ...]) -> tuple[Array, Array]:
-    return diagonal_basis(with_factors(machine, dict(turning)), machine.at_preload)
+    return diagonal_basis(with_factors(machine, dict(turning)), _assumed(machine))
+
+
+def _assumed(machine: ReducedMachine) -> Array:
+    """Conductance times area (m,), W/K, that the modes have."""
+    several = len(machine.axis_names) > 1
+    return np.zeros_like(machine.at_preload) if several else machine.at_preload
 
 
 def residuals(problem: Problem, parameters: tuple[Parameter, ...], coordinates: Array) -> Array:

@@ -48,11 +48,10 @@ class Guides(NamedTuple):
     #: those that ride on none, and where each of these groups begins.
     riding: NDArray[np.int64]
     group: NDArray[np.int64]
-    #: Of q rows, and of shape (q, q): as in `fesim.march.passing.Rows`.
+    #: Of q rows, twice, and of shape (q, q): as in `fesim.march.passing.Rows`.
     temperature: RowBlocks
+    influence: RowBlocks
     joint_influence: Array
-    #: Shape (r,): of A0, zero where temperatures are held: heat of a row enters by its temperature.
-    inverse: Array
 
 
 class Ways(NamedTuple):
@@ -63,6 +62,8 @@ class Ways(NamedTuple):
     positions: Array
     #: Shape (a, n + 1): which of these is the start of each step; the last, the end.
     start: NDArray[np.int64]
+    #: Shape (a, n): what an axis has gone beyond that, there and back, m.
+    more: Array
 
 
 class Passed(NamedTuple):
@@ -94,14 +95,13 @@ class Passed(NamedTuple):
     entering: Array
     net: Array
     lack: Array
-    #: Shapes (q q,): S and L of some rows; (r,): storage.
+    #: Shapes (q q,): S and L of some rows.
     near: Array
     passes: Array
-    drawn: Array
 
 
-def guides_of(stations: GuideStations, rows: Rows, inverse: Array) -> Guides:
-    """Return the rows of a machine for compiled steps; arguments as in `Guides`."""
+def guides_of(stations: GuideStations, rows: Rows) -> Guides:
+    """Return the rows of a machine for compiled steps."""
     count, groups = stations.count, stations.groups
     return Guides(
         np.concatenate(stations.positions),
@@ -110,8 +110,8 @@ def guides_of(stations: GuideStations, rows: Rows, inverse: Array) -> Guides:
         np.concatenate(groups),
         np.cumsum([0, *(one.size for one in groups)]),
         row_blocks(rows.temperature),
+        row_blocks(rows.influence),
         np.ascontiguousarray(rows.joint_influence),
-        inverse,
     )
 
 
@@ -124,7 +124,7 @@ def new_passed(guides: Guides) -> Passed:
     touched: list[Any] = [np.zeros(n, dtype=np.int64) for n in (size, axes + 2, size)]
     touched.append(np.zeros(size, dtype=np.bool_))
     factors: list[Any] = [np.zeros(whole), np.zeros(size, dtype=np.int32)]
-    more: list[Any] = [*of_rows, np.zeros(whole), np.zeros(whole), np.zeros(guides.inverse.size)]
+    more: list[Any] = [*of_rows, np.zeros(whole), np.zeros(whole)]
     ways: list[Any] = [np.zeros((axes, 2), dtype=np.int64), np.zeros(axes)]
     return Passed(*shares, *ways, *touched, *factors, *more)
 
@@ -162,7 +162,7 @@ def _go_along(guides: Guides, ways: Ways, step: int, axis: int, passed: Passed) 
     positions = guides.positions[low:high]
     mean, square, both = passed.mean[low:high], passed.square[low:high], passed.both[low:high]
     begin, end = ways.start[axis, step], ways.start[axis, step + 1]
-    whole, length = ways.times[end] - ways.times[begin], 0.0
+    whole, length = ways.times[end] - ways.times[begin], ways.more[axis, step]
     for k in range(begin, end):
         way = ways.positions[k], ways.positions[k + 1]
         part = (ways.times[k + 1] - ways.times[k]) / whole
@@ -343,11 +343,7 @@ def exchange(guides: Guides, passed: Passed, conducted: Array, again: bool) -> b
 @compiled_part
 def enter(guides: Guides, passed: Passed, amplitudes: Array) -> None:
     """Add to amplitudes (r,) without exchange what friction and the exchange do."""
-    drawn, inverse = passed.drawn, guides.inverse
-    fill(drawn, 0.0)
-    add_rows(guides.temperature, passed.touched, passed.entering, drawn)
-    for k in range(amplitudes.size):
-        amplitudes[k] += inverse[k] * drawn[k]
+    add_rows(guides.influence, passed.touched, passed.entering, amplitudes)
 
 
 @compiled_part

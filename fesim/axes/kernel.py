@@ -64,7 +64,7 @@ class AxesMarch:
         ]
         joint = JointState(own[0], kernel.pads.slip, own[1], own[2])
         now = AxesState(own[3], joint, owned(state.turning.copy()), state.drive.copy())
-        record = self._new_record(len(inputs))
+        record = new_record(self.work, len(inputs))
         taken, steps = 0, self._steps(state.index, inputs)
         with suppress(np.linalg.LinAlgError):
             taken = march_axes(kernel, self.work, steps, now, record)
@@ -113,14 +113,15 @@ class AxesMarch:
             np.empty((len(near.corners), self.work.here.free.size)),
         )
 
-    def _new_record(self, steps: int) -> AxesRecord:
-        work, count = self.work, self.kernel.scale.size
-        probes = work.here.free.size - work.here.gap.size
-        joint = [(3, count), (2, count), (count,), (3, count), (3, count)]
-        before, after = [(work.driven.size,), (work.without.size,)], [(work.state.size,)]
-        shapes = [*before, *joint, *after, (count,), (count,), (probes,), (3 * count,), ()]
-        values: list[Any] = [np.empty((steps, *shape)) for shape in shapes]
-        return AxesRecord(*values, *[np.empty(steps, dtype=np.int64)])
+
+def new_record(work: AxesWork, steps: int) -> AxesRecord:
+    """Return storage for what steps leave."""
+    count, probes = work.pressure.size, work.here.free.size - work.here.gap.size
+    joint = [(3, count), (2, count), (count,), (3, count), (3, count)]
+    before, after = [(work.driven.size,), (work.without.size,)], [(work.state.size,)]
+    shapes = [*before, *joint, *after, (count,), (count,), (probes,), (3 * count,), ()]
+    values: list[Any] = [np.empty((steps, *shape)) for shape in shapes]
+    return AxesRecord(*values, *[np.empty(steps, dtype=np.int64)])
 
 
 def ways_of(axes: Sequence[Axis], ends: Array) -> Ways:
@@ -133,7 +134,8 @@ def ways_of(axes: Sequence[Axis], ends: Array) -> Ways:
         places.append(axis.course(own))
         starts.append(size + np.searchsorted(own, ends))
         size += own.size
-    return Ways(np.concatenate(times), np.concatenate(places), np.array(starts))
+    none = np.zeros((len(axes), ends.size - 1))
+    return Ways(np.concatenate(times), np.concatenate(places), np.array(starts), none)
 
 
 def axes_march(moving: MovingMachine, axes: Sequence[Axis]) -> AxesMarch | None:
@@ -145,13 +147,12 @@ def axes_march(moving: MovingMachine, axes: Sequence[Axis]) -> AxesMarch | None:
         return None
     diagonal, none = thermal.factor.matrix.diagonal(), np.zeros((0, 0))
     decay = thermal.capacity_rate.diagonal() / diagonal
-    inverse = np.where(np.arange(diagonal.size) < moving.free, 1.0 / diagonal, 0.0)
     elastic = contact.elastic
     held = tables.held, tables.begin
     slip, (untied, warmed) = np.zeros((2, count)), moving.blocks
     kernel = AxesKernel(
         HeatStep(decay, owned(thermal.inputs / diagonal[:, None]), none, none),
-        guides_of(guideway.stations, moving.rows, inverse),
+        guides_of(guideway.stations, moving.rows),
         drives_of(axes, diagonal.size),
         joint,
         Pads(*held, joint.laws, slip, elastic.reference, elastic.area, contact.tolerance),
@@ -165,12 +166,13 @@ def axes_march(moving: MovingMachine, axes: Sequence[Axis]) -> AxesMarch | None:
     )
     here = new_here(tables.held, len(elastic.probe_compliance), trial_at(np.zeros((3, count))))
     sizes = cold_drives(axes).size, len(guideway.elastic.thermal)
-    return AxesMarch(moving, axes, kernel, _storage(kernel, here, *sizes))
+    return AxesMarch(moving, axes, kernel, axes_work(kernel, here, *sizes))
 
 
-def _storage(kernel: AxesKernel, here: Here, drives: int, untied: int) -> AxesWork:
+def axes_work(kernel: AxesKernel, here: Here, drives: int, untied: int) -> AxesWork:
+    """Return storage, for a state of drives and untied displacements of these sizes."""
     count, held = kernel.scale.size, kernel.pads.held.size
-    rows, modes = len(kernel.guides.joint_influence), kernel.guides.inverse.size
+    rows, modes = len(kernel.guides.joint_influence), kernel.heat.decay.size
     own: dict[str, Any] = {name: np.zeros_like(getattr(here, name)) for name in APART}
     sizes = [held * (held + 1) // 2, (here.free.size - held) * held, count, modes, modes]
     more: list[Any] = [

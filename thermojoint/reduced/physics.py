@@ -36,6 +36,7 @@ from fesim.march.kernel import joint_kernel, new_kept, new_record, owned
 from fesim.march.passing import exchange, leaving
 from fesim.march.settling import Rest, settle_along
 from thermojoint.artefacts.arrays import Array
+from thermojoint.reduced import axes_march
 from thermojoint.reduced.axis_way import Way, way_between
 from thermojoint.reduced.guided_march import (
     Aligned,
@@ -476,6 +477,18 @@ def guided_steps(physics: Physics, length: float) -> tuple[Guided, Steps] | None
     return guide, new_steps(guide, there_of(physics.aligned, joint))
 
 
+def _several_axes(physics: Physics, length: float) -> axes_march.AxesMarch | None:
+    """Return a compiled march along several axes; None with one, or if it is not supported."""
+    way, contact = physics.modes.way, physics.contact
+    if way is None or len(way.stations.positions) == 1 or physics.held.any():
+        return None
+    kernel = joint_kernel(contact, np.zeros((physics.contacts, 0)), physics.held)
+    if kernel is None or not contact.conducts_by_pressure:
+        return None
+    heat = heat_step(physics.modes, length)
+    return axes_march.axes_march(heat, way, kernel, contact, physics.tables, length)
+
+
 def _march_moving(
     physics: Physics, inputs: Array, length: float, gone: Array | None
 ) -> tuple[Array, Array]:
@@ -491,13 +504,17 @@ def _march_moving(
     now, k = Moving(modes.start.copy(), physics.at_rest()), 0
     history = np.empty((len(ways), modes.start.size))
     displacement = np.empty((len(ways), len(modes.elastic.probe_thermal)))
-    guide = guided_steps(physics, length)
+    guide, several = guided_steps(physics, length), _several_axes(physics, length)
     while k < len(ways):
+        part, taken = (history[k:], displacement[k:]), 0
         if guide is not None:
-            k += march_along(*guide, ways[k:], now, (history[k:], displacement[k:]))
-            if k == len(ways):
-                break
-        # Several axes, laws that are not compiled, or a joint that snaps.
+            taken = march_along(*guide, ways[k:], now, part)
+        elif several is not None:
+            taken = axes_march.march_along(several, ways[k:], k, now, part)
+        if taken:
+            k += taken
+            continue
+        # Modes with an exchange, laws that are not compiled, or a joint that snaps.
         row, (begun, loads, told) = ways[k], np.split(ways[k, known:], 3)
         way = way_of(modes, begun, loads, told.tolist())
         amplitudes = conduct(physics, now.amplitudes, row[:known], now.joint, length, way)

@@ -22,6 +22,7 @@ from estimator.joint_aware.model_file import fingerprint, read_observer, write_o
 from estimator.joint_aware.readings import samples_in
 from estimator.lines import Stroke, here
 from fesim.simulate import simulate
+from thermojoint.reduced import physics
 from thermojoint.reduced.machine import along
 from thermojoint.reduced.physics import simulate_known
 
@@ -68,6 +69,23 @@ def test_the_reduced_machine_marches_as_the_simulator(machine, response):
     np.testing.assert_allclose(sensed, temperature, rtol=0.0, atol=1e-6)
     np.testing.assert_allclose(moved, run.displacement[1:], rtol=0.0, atol=1e-9)
     assert np.abs(moved).max() > 1e-5
+
+
+def test_known_inputs_are_marched_in_compiled_steps_that_are_the_plain_ones(
+    machine, response, monkeypatch
+):
+    """At other parameters, with sensors that lag and ways that positions do not show."""
+    inputs = run_in(response, machine, "run").inputs
+    gone = np.linspace(0.0, 0.4, inputs.shape[0])[:, None] * [1.0, 0.0, 2.0]
+    compiled = physics_with(machine, {"film": 1.4, "preload": 0.8, "lag ram, s": 20.0})
+    # What an exchange in the modes would be: none, but not known to be.
+    plain = replace(compiled, held=np.full(compiled.contacts, 1e-12))
+    expected = simulate_known(plain, inputs, machine.step, gone)
+    monkeypatch.setattr(physics, "conduct", lambda *_: pytest.fail("a plain step"))
+    found = simulate_known(compiled, inputs, machine.step, gone)
+    np.testing.assert_allclose(found[0], expected[0], rtol=0.0, atol=1e-7)
+    np.testing.assert_allclose(found[1], expected[1], rtol=0.0, atol=1e-11)
+    assert np.abs(found[1]).max() > 1e-5
 
 
 def told(estimator, samples, response):
