@@ -82,12 +82,12 @@ class Run:
 
 def counted_in(run: Run, axes: Sequence[int]) -> Array:
     """Return what odometers of some axes (c,) count at the samples of a run, (k, c), m."""
-    if not axes:
+    if run.gone is None:
         return np.zeros((run.times.size, 0))
-    gone = np.zeros((len(run.inputs), 0)) if run.gone is None else run.gone
-    grid = run.length * np.arange(len(gone) + 1.0)
-    whole = np.vstack([np.zeros(gone.shape[1]), np.cumsum(gone, axis=0)])
-    return np.column_stack([np.interp(run.times, grid, whole[:, axis]) for axis in axes])
+    grid = run.length * np.arange(len(run.gone) + 1.0)
+    whole = np.pad(np.cumsum(run.gone, axis=0), ((1, 0), (0, 0)))[:, list(axes)]
+    counted = [np.interp(run.times, grid, column) for column in whole.T]
+    return np.array(counted).reshape(whole.shape[1], run.times.size).T
 
 
 def coarser(run: Run, steps: int) -> Run:
