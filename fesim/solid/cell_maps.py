@@ -1,11 +1,15 @@
 """Maps of cells from their own coordinates to space, with each derivative evaluated once.
 
 scikit-fem evaluates all functions of a cell anew for each of the nine entries of a gradient, and
-keeps every gradient for as long as the mesh lives. Here those of one set of points are evaluated
-together, in the same order and to the same bit, and only the last ones are kept.
+inverts it for each function of a basis; it looks for the points of a facet twice, and keeps every
+gradient for as long as the mesh lives. Here those of one set of points are evaluated together, in
+the same order and to the same bit, and only the last ones are kept.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,17 +21,34 @@ from thermojoint.artefacts.arrays import Array
 #: Cells whose numbers a map takes.
 Cells = NDArray[np.int64] | None
 
+_Method = Callable[[MappingIsoparametric, Array, Cells], Array]
+
+
+def _last_kept(method: _Method) -> Callable[..., Array]:
+    """Method that returns its last array again where it is asked for the same points and cells."""
+    place = f"_last_{method.__name__}"
+
+    @wraps(method)
+    def looked_up(self: MappingIsoparametric, points: Array, tind: Cells = None) -> Array:
+        key = points.shape, points.tobytes(), None if tind is None else tind.tobytes()
+        last: tuple[object, Array] = getattr(self, place, (None, np.empty(0)))
+        if last[0] != key:
+            last = key, method(self, points, tind)
+            setattr(self, place, last)
+        return last[1]
+
+    return looked_up
+
 
 class _Isoparametric(MappingIsoparametric):
-    _last: tuple[object, Array] = (None, np.empty(0))
+    invDF = _last_kept(MappingIsoparametric.invDF)
+    invF = _last_kept(MappingIsoparametric.invF)
 
     def J(self, i: int, j: int, X: Array, tind: Cells = None) -> Array:
         """Return entry (i, j) of the gradient at points X of the cells."""
-        key = X.shape, X.tobytes(), None if tind is None else tind.tobytes()
-        if self._last[0] != key:
-            self._last = key, self._gradient(X, tind)
-        return self._last[1][i, j]
+        return np.asarray(self._gradient(X, tind)[i, j])
 
+    @_last_kept
     def _gradient(self, points: Array, cells: Cells) -> Array:
         nodes = self.mesh.dofs.element_dofs
         nodes = nodes if cells is None else nodes[:, cells]
