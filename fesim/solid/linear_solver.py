@@ -112,11 +112,11 @@ def factorise_upper(upper: csr_array, what: str, solver: str | None = None) -> F
     what, solver
         As for `factorise`, and so is what is raised.
     """
-    return _factoriser(upper, what, solver)(upper)
+    return _not_singular(_factoriser(upper, what, solver)(upper), what)
 
 
 def shifted_factors(
-    upper: csr_array, what: str, solver: str | None = None
+    upper: csr_array, least: Array, what: str, solver: str | None = None
 ) -> Callable[[Array], Factor]:
     """Return a function that factorises A + diag(d) for one diagonal d after the other.
 
@@ -126,6 +126,8 @@ def shifted_factors(
     ----------
     upper : scipy.sparse.csr_array, shape (n, n)
         Upper triangle of A; every place of the diagonal is stored.
+    least : ndarray, shape (n,)
+        The smallest of the diagonals: what is not singular with it is not so with others.
     what, solver
         As for `factorise`, and so is what is raised.
     """
@@ -137,6 +139,7 @@ def shifted_factors(
         data[upper.indptr[:-1]] += diagonal
         return make(csr_array((data, upper.indices, upper.indptr), shape=upper.shape))
 
+    _not_singular(factor(least), what)
     return factor
 
 
@@ -149,15 +152,14 @@ def _factoriser(upper: csr_array, what: str, solver: str | None) -> Callable[[cs
         make = _superlu(what)
     else:
         raise InputError(f"linear solver: {name!r} is unknown; use one of {', '.join(SOLVERS)}")
-    probe = np.cos(np.arange(upper.shape[0]))
+    return lambda matrix: Factor(matrix, make(matrix), name)
 
-    def factor(matrix: csr_array) -> Factor:
-        factorised = Factor(matrix, make(matrix), name)
-        # The factorisation accepts a pivot that is zero except for rounding; a solve reveals it.
-        if not _relative_residual(factorised, factorised.solve(probe), probe) <= RESIDUAL_LIMIT:
-            raise singular(what)
-        return factorised
 
+def _not_singular(factor: Factor, what: str) -> Factor:
+    """The factor, whose pivots may be zero except for rounding; a solve reveals it."""
+    probe = np.cos(np.arange(factor.matrix.shape[0]))
+    if not _relative_residual(factor, factor.solve(probe), probe) <= RESIDUAL_LIMIT:
+        raise singular(what)
     return factor
 
 

@@ -15,19 +15,14 @@ in the same way: by the transfer function and by free decay.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, diags_array
 from scipy.sparse.csgraph import connected_components
 
-from fesim.solid.linear_solver import (
-    Factor,
-    checked_solve,
-    shifted_factors,
-    upper_triangle,
-)
+from fesim.solid.linear_solver import checked_solve, shifted_factors, upper_triangle
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
 
@@ -36,11 +31,13 @@ ROUNDING = 1e-13
 #: Relative accuracy of the full responses: a body that gives off no heat gets very hot at the
 #: slowest shifts, where no smaller tolerance can be checked.
 SOLVED = 1e-9
-#: The transfer is checked at about this many shifts, the march over this many steps, each this many
-#: times the shortest time: real shifts alone would underestimate the error.
-CHECKED, STEPS, STEP = 4, 200, 2.0
-#: Number of steps whose outputs are computed together.
-TOGETHER = 50
+#: The transfer is checked at about this many shifts, the march over this many steps of each length,
+#: in units of the shortest time: real shifts alone would underestimate the error, which is largest
+#: after a few steps or after hundreds of times the shortest time.
+CHECKED, STEPS, LENGTHS = 3, 50, (2.0, 6.0)
+
+#: From a diagonal d to what solves (A + diag(d)) x = right-hand sides.
+_Shifted = Callable[[Array], Callable[[Array], Array]]
 
 
 @dataclass(frozen=True)
@@ -117,10 +114,8 @@ def reduce_heat(
     root = np.sqrt(capacity)
     stored = capacity[:, None] * fields
     upper = upper_triangle(csr_array(system.conduction))
-    factors = shifted_factors(upper, "shifted heat equation", solver)
-    step = STEP * shortest
-    rate = capacity / step
-    exact = _unit_march(factors(rate), rate, _together(drives), outputs, fields)
+    factors = shifted_factors(upper, capacity / longest, "shifted heat equation", solver)
+    exact = _unit_march(lambda added: factors(added).solve, system, shortest)
     cut, error = search.cut, np.inf
     for count in search.shifts:
         shifts = np.geomspace(1.0 / longest, 1.0 / shortest, count)
@@ -129,7 +124,8 @@ def reduce_heat(
         for shift in shifts:
             factor, driving = factors(shift * capacity), np.hstack([drives, shift * stored])
             for sample in _samples(driving.shape[1], search.sample):
-                block = root[:, None] * _response(factor, driving @ sample)
+                # Only what the basis is measured by is checked.
+                block = root[:, None] * factor.solve(driving @ sample)
                 directions = _orthonormal(block, basis, cut)
                 basis = np.hstack([basis, directions])
                 if 2 * directions.shape[1] < sample.shape[1]:
@@ -138,19 +134,23 @@ def reduce_heat(
         rates, turn = np.linalg.eigh(vectors.T @ (system.conduction @ vectors))
         modes = np.ascontiguousarray(vectors @ turn)
         rates = np.maximum(rates, 0.0)
-        reduced = (outputs @ modes, rates, modes.T @ drives, modes.T @ stored)
+        reduced = _projected(system, modes, rates)
         between = np.sqrt(shifts[1:] * shifts[:-1])[:: max(1, (count - 1) // CHECKED)]
         error = max(
             *(
                 _transfer_error(
                     outputs
-                    @ _response(factors(shift * capacity), np.hstack([drives, shift * stored])),
+                    @ checked_solve(
+                        factors(shift * capacity),
+                        np.hstack([drives, shift * stored]),
+                        "reduction of the heat equation",
+                    ),
                     reduced,
                     shift,
                 )
                 for shift in between
             ),
-            _march_error(exact, reduced, step),
+            _largest(exact, _unit_march(_divided(rates), reduced, shortest)),
         )
         if error <= 1.0:
             return ReducedHeat(modes, rates, error, shifts)
@@ -210,10 +210,6 @@ def _together(drives: Array) -> Array:
     return drives @ np.column_stack([np.ones(drives.shape[1]), signs])
 
 
-def _response(factor: Factor, drives: Array) -> Array:
-    return checked_solve(factor, drives, "reduction of the heat equation")
-
-
 def _samples(count: int, size: int) -> Iterator[Array]:
     """Combinations of inputs, shape (count, columns): each alone if they are few, else random.
 
@@ -227,39 +223,40 @@ def _samples(count: int, size: int) -> Iterator[Array]:
         yield rng.standard_normal((count, size)) / np.sqrt(size)
 
 
-def _unit_march(factor: Factor, rate: Array, drives: Array, outputs: Array, fields: Array) -> Array:
-    """Outputs (steps, q, p + f) of the full model: steps of the inputs, free decay of the fields.
-
-    `factor` is that of a step, `rate` (n,) its M/dt.
-    """
-    state, responses = np.hstack([np.zeros(drives.shape), fields]), []
-    right_side = np.hstack([drives, np.zeros(fields.shape)])
-    for _ in range(STEPS // TOGETHER):
-        states = []
-        for _ in range(TOGETHER):
-            state = factor.solve(right_side + rate[:, None] * state)
+def _unit_march(solver: _Shifted, system: HeatSystem, shortest: float) -> Array:
+    """Outputs (q, steps (p + f)) of `STEPS` of each of `LENGTHS`: driven ones, and free decay."""
+    drives = _together(system.drives)
+    right_side = np.asfortranarray(np.hstack([drives, np.zeros(system.start.shape)]))
+    state, responses = np.hstack([np.zeros(drives.shape), system.start]), []
+    for length in LENGTHS:
+        rate = system.capacity / (length * shortest)
+        solve, states = solver(rate), []
+        for _ in range(STEPS):
+            state = solve(right_side + rate[:, None] * state)
             states.append(state)
-        moved = outputs @ np.hstack(states)
-        responses.extend(np.hsplit(moved, TOGETHER))
-    return np.array(responses)
+        responses.append(system.outputs @ np.hstack(states))
+    return np.hstack(responses)
 
 
-#: Outputs, rates, drives and fields of a reduced model.
-_Reduced = tuple[Array, Array, Array, Array]
+def _projected(system: HeatSystem, modes: Array, rates: Array) -> HeatSystem:
+    """The reduced model: its capacities are one, its conduction is diagonal."""
+    return HeatSystem(
+        np.ones(rates.size),
+        csr_array(diags_array(rates)),
+        modes.T @ system.drives,
+        system.outputs @ modes,
+        modes.T @ (system.capacity[:, None] * system.start),
+    )
 
 
-def _march_error(exact: Array, reduced: _Reduced, step: float) -> float:
-    outputs, rates, drives, fields = reduced
-    powers = (1.0 + step * rates) ** -np.arange(1, STEPS + 1)[:, None]
-    # The sum of the first n powers, also where the rate is zero.
-    driven = step * np.cumsum(powers, axis=0)[:, :, None] * _together(drives)
-    alone = powers[:, :, None] * fields
-    return _largest(exact, outputs @ np.concatenate([driven, alone], axis=2))
+def _divided(rates: Array) -> _Shifted:
+    """Solver of a reduced model."""
+    return lambda added: lambda right_side: right_side / (rates + added)[:, None]
 
 
-def _transfer_error(exact: Array, reduced: _Reduced, shift: float) -> float:
-    outputs, rates, drives, fields = reduced
-    return _largest(exact, (outputs / (rates + shift)) @ np.hstack([drives, shift * fields]))
+def _transfer_error(exact: Array, reduced: HeatSystem, shift: float) -> float:
+    driving = np.hstack([reduced.drives, shift * reduced.start])
+    return _largest(exact, (reduced.outputs / (reduced.conduction.diagonal() + shift)) @ driving)
 
 
 def _largest(exact: Array, reduced: Array) -> float:
