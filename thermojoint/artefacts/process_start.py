@@ -1,7 +1,11 @@
 """What every process of the program does before it loads the libraries.
 
 Loading them makes several hundred thousand objects, all of which stay. Python's collector of
-garbage would look through them again and again, for a fifth of the time.
+garbage would look through them again and again, for a fifth of the time, and once more when the
+process ends, for a tenth of that of a short one.
+
+SciPy asks NumPy for all of its parts, among them the translator from Fortran, which takes as long
+to load as all else that sparse matrices need. It is loaded when something of it is used: never.
 
 Where Dask is installed, xarray loads it and its arrays with the first variable, to ask whether it
 is one; that takes as long as xarray itself. No command and none of their child processes makes
@@ -10,11 +14,16 @@ one, and only a batch on a cluster needs Dask at all. A user's own process keeps
 
 from __future__ import annotations
 
+import atexit
 import gc
 import sys
+from collections.abc import Sequence
+from importlib.machinery import ModuleSpec, PathFinder
+from importlib.util import LazyLoader
 from types import ModuleType
 from typing import cast
 
+_LATER = "numpy.f2py"
 _NAMES = ("dask", "dask.array")
 #: Objects made between two collections, and collections of a generation between two of the next.
 _COLLECTIONS = (50_000, 20, 20)
@@ -23,9 +32,14 @@ _COLLECTIONS = (50_000, 20, 20)
 def prepare_process() -> None:
     """Collect garbage less often, and let imports of Dask fail: xarray finds no arrays of it then.
 
+    NumPy's translator from Fortran is loaded when something of it is used.
+
     Where xarray is loaded, Dask stays: xarray may have found it already, and would miss it.
     """
     gc.set_threshold(*_COLLECTIONS)
+    atexit.register(gc.freeze)
+    if _Later not in sys.meta_path:
+        sys.meta_path.insert(0, _Later)
     if "xarray" in sys.modules:
         return
     for name in _NAMES:
@@ -38,3 +52,16 @@ def let_dask_load() -> None:
     for name in _NAMES:
         if name in sys.modules and sys.modules[name] is None:
             del sys.modules[name]
+
+
+class _Later:
+    """Finder of the modules that are loaded when something of them is used."""
+
+    @staticmethod
+    def find_spec(
+        fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        spec = PathFinder.find_spec(fullname, path, target) if fullname == _LATER else None
+        if spec is not None and spec.loader is not None:
+            spec.loader = LazyLoader(spec.loader)
+        return spec

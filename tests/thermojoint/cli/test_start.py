@@ -92,7 +92,31 @@ def test_a_simulation_loads_neither_xarray_nor_pandas(tmp_path):
     case = ROOT / "examples" / "two_rods" / "case.toml"
     (found,) = loaded([["simulate", str(case), "--out", str(tmp_path / "rods.nc")]])
     assert (tmp_path / "rods.nc").is_file()
-    assert not found & {"xarray", "pandas", "h5netcdf"}
+    assert not found & {"xarray", "pandas", "h5netcdf", "numpy.f2py.f2py2e"}
+
+
+#: A command, then SciPy, which asks NumPy for all of its parts, then one of these parts.
+TRANSLATOR = """
+import sys
+from thermojoint.cli import main as cli
+
+try:
+    cli.main()
+except SystemExit:
+    pass
+import scipy.sparse
+print("numpy.f2py.f2py2e" in sys.modules)
+import numpy
+print(numpy.f2py.get_include())
+"""
+
+
+def test_numpys_translator_is_loaded_when_it_is_used():
+    command = [sys.executable, "-c", TRANSLATOR, "--version"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    _, loaded_before, place = done.stdout.splitlines()
+    assert loaded_before == "False"
+    assert place.endswith("src")
 
 
 def test_python_runs_the_package_as_the_command():
