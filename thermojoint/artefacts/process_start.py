@@ -5,7 +5,12 @@ garbage would look through them again and again, for a fifth of the time, and on
 process ends, for a tenth of that of a short one.
 
 SciPy asks NumPy for all of its parts, among them the translator from Fortran, which takes as long
-to load as all else that sparse matrices need. It is loaded when something of it is used: never.
+to load as all else that sparse matrices need; its spatial search brings its rotations along. Both
+are loaded when something of them is used: never.
+
+A thread of OpenBLAS, NumPy's library of linear algebra, waits actively for 20 ms for another
+product before it sleeps, and so it does when it is started. Beside small products that is most of
+its time, and on a busy computer products wait for it; here it sleeps after 20 us.
 
 Where Dask is installed, xarray loads it and its arrays with the first variable, to ask whether it
 is one; that takes as long as xarray itself. No command and none of their child processes makes
@@ -16,6 +21,7 @@ from __future__ import annotations
 
 import atexit
 import gc
+import os
 import sys
 from collections.abc import Sequence
 from importlib.machinery import ModuleSpec, PathFinder
@@ -23,7 +29,9 @@ from importlib.util import LazyLoader
 from types import ModuleType
 from typing import cast
 
-_LATER = "numpy.f2py"
+_LATER = ("numpy.f2py", "scipy.spatial.transform")
+#: For OpenBLAS: it waits actively for so many clock cycles, as a power of two.
+_WAITING = ("OPENBLAS_THREAD_TIMEOUT", "16")
 _NAMES = ("dask", "dask.array")
 #: Objects made between two collections, and collections of a generation between two of the next.
 _COLLECTIONS = (50_000, 20, 20)
@@ -32,12 +40,14 @@ _COLLECTIONS = (50_000, 20, 20)
 def prepare_process() -> None:
     """Collect garbage less often, and let imports of Dask fail: xarray finds no arrays of it then.
 
-    NumPy's translator from Fortran is loaded when something of it is used.
+    Modules that nothing uses are loaded when something of them is used. Threads of OpenBLAS wait as
+    the user's environment says, or little.
 
     Where xarray is loaded, Dask stays: xarray may have found it already, and would miss it.
     """
     gc.set_threshold(*_COLLECTIONS)
     atexit.register(gc.freeze)
+    os.environ.setdefault(*_WAITING)
     if _Later not in sys.meta_path:
         sys.meta_path.insert(0, _Later)
     if "xarray" in sys.modules:
@@ -61,7 +71,7 @@ class _Later:
     def find_spec(
         fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        spec = PathFinder.find_spec(fullname, path, target) if fullname == _LATER else None
+        spec = PathFinder.find_spec(fullname, path, target) if fullname in _LATER else None
         if spec is not None and spec.loader is not None:
             spec.loader = LazyLoader(spec.loader)
         return spec

@@ -1,6 +1,7 @@
 """What a command loads before it begins: as little as it needs."""
 
 import json
+import os
 import subprocess
 import sys
 from importlib.metadata import version
@@ -117,6 +118,23 @@ def test_numpys_translator_is_loaded_when_it_is_used():
     _, loaded_before, place = done.stdout.splitlines()
     assert loaded_before == "False"
     assert place.endswith("src")
+
+
+#: What every command and every child process begins with.
+BEGIN = """
+import os
+from thermojoint.artefacts.process_start import prepare_process
+
+prepare_process()
+print(os.environ["OPENBLAS_THREAD_TIMEOUT"])
+"""
+
+
+def test_threads_of_openblas_wait_as_long_as_the_user_says():
+    environment = os.environ | {"OPENBLAS_THREAD_TIMEOUT": "20"}
+    command = [sys.executable, "-c", BEGIN]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+    assert done.stdout.strip() == "20"
 
 
 def test_python_runs_the_package_as_the_command():
