@@ -9,7 +9,7 @@ a cool-down, everything on steps of 20 s, as the bands are drawn; the fit ends s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -163,12 +163,21 @@ class Fitted(NamedTuple):
     largest: Array
 
 
-def fitted(machines: Machines, plant: Plant, exact: Mapping[str, Answer], sensors: int) -> Fitted:
-    """Return the fit of the model with its first sensors to a plant's steps and cool-down."""
+def fitted(
+    machines: Machines,
+    plant: Plant,
+    exact: Mapping[str, Answer],
+    sensors: int,
+    parameters: Sequence[str] | None = None,
+) -> Fitted:
+    """Return the fit of the model with its first sensors to a plant's steps and cool-down.
+
+    `parameters`: those that are fitted; default all.
+    """
     responses = shown(machines, plant, exact, CALIBRATIONS[LABEL])
     machine = with_sensors(machines.model, machines.model.sensor_names[:sensors])
     runs = [fewer(run_in(response, machine, name)) for name, response in responses.items()]
-    fit = fit_physics(machine, runs, search=SEARCH)
+    fit = fit_physics(machine, runs, parameters, SEARCH)
     largest = np.max([np.abs(run.displacement).max(axis=0) for run in runs], axis=0)
     return Fitted(machine, fit, calibrated_range(machine, responses), largest)
 

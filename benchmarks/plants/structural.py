@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from benchmarks.plants.drawing import PARTS, Plant, Unlike
 from benchmarks.plants.driving import Drive, switched
@@ -79,26 +80,51 @@ def _with_structure(
         x = 600.0 - wall if x == 550.0 else x + along_x * moved[0]
         place = [x, y + (not along_x) * moved[0], min(z + moved[1], 240.0)]
         probes[name] = data["probes"][name] | {"position_mm": place}
-    base, screw = ({"stiffness_N_um": [stiffness] * 3} for stiffness in unlike.feet)
     unknown = {"reference_power_W": 1.0, "reading": "total"}
     return dict(data) | {
         "structure": data["structure"]
         | {"dimensions_mm": lengths | {"source_inset": max(50.0, wall)}},
         "joints": {joint: section},
         "probes": probes,
-        "supports": {
-            "symmetry": data["supports"]["symmetry"],
-            "springs": {"column_base": base, "screw_foot": screw},
-        },
+        "supports": on_feet(data["supports"], unlike.feet),
         "sources": data["sources"]
         | {"table": unknown | {"body": "table"}, "base": unknown | {"surface": "column_base"}},
+    }
+
+
+def on_feet(supports: Mapping[str, Any], feet: tuple[float, float]) -> dict[str, Any]:
+    """Return the supports of a case on elastic feet, N/um (`Unlike.feet`)."""
+    base, screw = ({"stiffness_N_um": [stiffness] * 3} for stiffness in feet)
+    return {
+        "symmetry": supports["symmetry"],
+        "springs": {"column_base": base, "screw_foot": screw},
     }
 
 
 def _with_surroundings(machine: ReducedMachine, setup: Setup, unlike: Unlike) -> ReducedMachine:
     """Return the machine with its films; warmer air at its top, per K there, is one more source."""
     assert setup.modes is not None
-    structure, basis = setup.structure, setup.modes.basis
+    basis, height = setup.modes.basis, setup.spaces.heat.doflocs[1]
+    warmer = basis.T @ (_convection(setup, unlike.films) @ (height / height.max()))
+    found = with_films(machine, setup, unlike.films)
+    return replace(found, sources=np.column_stack([machine.sources, warmer]))
+
+
+def with_films(machine: ReducedMachine, setup: Setup, films: Mapping[str, float]) -> ReducedMachine:
+    """Return a machine with the films of a plant, W/(m2 K), and no film as a parameter."""
+    assert setup.modes is not None
+    basis, convection = setup.modes.basis, _convection(setup, films)
+    return replace(
+        machine,
+        convection=basis.T @ (convection @ basis),
+        ambient=basis.T @ (convection @ np.ones(len(basis))),
+        films=(),
+    )
+
+
+def _convection(setup: Setup, films: Mapping[str, float]) -> csr_array:
+    """Convection matrix of a plant's films on all parts of its surface, W/K."""
+    structure = setup.structure
     outside, rear = structure.surfaces["exterior"], structure.surfaces["rear"]
     height = structure.mesh.p[1, structure.mesh.facets[:, outside]].mean(axis=0)
     top = height > height.max() - 1e-6
@@ -108,19 +134,11 @@ def _with_surroundings(machine: ReducedMachine, setup: Setup, unlike: Unlike) ->
     own = {f"{name} part": outside[part] for name, part in zip(PARTS, parts, strict=True)}
     own["interior part"] = structure.surfaces["interior"]
     named = replace(structure, surfaces=structure.surfaces | own)
-    convection = sum(
-        film * convection_matrix(named, setup.spaces.heat, f"{name} part", setup.joints)
-        for name, film in unlike.films.items()
-    )
-    height = setup.spaces.heat.doflocs[1]
-    return replace(
-        machine,
-        convection=basis.T @ (convection @ basis),
-        ambient=basis.T @ (convection @ np.ones(height.size)),
-        sources=np.column_stack(
-            [machine.sources, basis.T @ (convection @ (height / height.max()))]
-        ),
-        films=(),
+    return csr_array(
+        sum(
+            film * convection_matrix(named, setup.spaces.heat, f"{name} part", setup.joints)
+            for name, film in films.items()
+        )
     )
 
 
