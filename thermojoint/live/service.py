@@ -14,6 +14,7 @@ from datetime import UTC, datetime
 
 from thermojoint.live import floor as floors
 from thermojoint.live.arrivals import Arrival, Note
+from thermojoint.live.cancelling import cancelled
 from thermojoint.live.certificates import ending
 from thermojoint.live.changed_settings import note_settings
 from thermojoint.live.consistency import contradictions
@@ -96,9 +97,7 @@ async def run(
             await stop.wait()
         finally:
             tell_systemd("STOPPING=1")
-            for task in (*sources, ended, watch, *doors):
-                task.cancel()
-            await asyncio.gather(*sources, ended, watch, *doors, return_exceptions=True)
+            await cancelled(*sources, ended, watch, *doors)
             # What has arrived is still processed; an empty block ends the queue.
             if not work.done():
                 await running.arrivals.put([])

@@ -5,6 +5,7 @@ import contextlib
 import itertools
 import json
 import time
+from functools import partial
 
 import aiomqtt
 import httpx
@@ -22,6 +23,7 @@ from thermojoint.compensation.offsets.handshake import STANDS
 from thermojoint.compensation.offsets.settings import read_settings, with_slopes
 from thermojoint.live.access_store import open_access
 from thermojoint.live.arrivals import Arrival
+from thermojoint.live.cancelling import cancelled
 from thermojoint.live.machine import Times, at_rest, restored
 from thermojoint.live.publication import Layout, as_json, as_row, from_row
 from thermojoint.live.served import served
@@ -222,14 +224,7 @@ async def followed_by(running, works, names):
         )
     )
 
-    async def end():
-        for task in tasks:
-            task.cancel()
-        for task in tasks:
-            with contextlib.suppress(asyncio.CancelledError):
-                await task
-
-    return end
+    return partial(cancelled, *tasks)
 
 
 async def acknowledged_slope(page):

@@ -7,6 +7,8 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
 from contextlib import asynccontextmanager
 from typing import Any
 
+from thermojoint.live.cancelling import cancelled
+
 
 @asynccontextmanager
 async def beside(
@@ -33,5 +35,4 @@ async def beside(
     try:
         yield heard
     finally:
-        session.cancel()
-        await asyncio.gather(session, return_exceptions=True)
+        await cancelled(session)

@@ -13,6 +13,7 @@ from typing import Any
 import aiomqtt
 
 from thermojoint.live.audit import Audit
+from thermojoint.live.cancelling import cancelled
 from thermojoint.live.floor import Floor
 from thermojoint.live.hub import Hub
 from thermojoint.live.mqtt_session import Address, connected, is_behind, lost, publish
@@ -71,8 +72,7 @@ async def write_topics(
                 try:
                     await _publish(hub, client, topics.topic, watch)
                 finally:
-                    watch.cancel()
-                    await asyncio.gather(watch, return_exceptions=True)
+                    await cancelled(watch)
                     await _say_goodbye(client, status_topic)
         except aiomqtt.MqttError as error:
             log.say(time.time(), "disconnected", f"MQTT broker {where}, to publish: {error}")
@@ -103,9 +103,7 @@ async def _any(*endless: Coroutine[Any, Any, None]) -> None:
     try:
         await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
     finally:
-        for task in tasks:
-            task.cancel()
-        results = await asyncio.gather(*tasks, return_exceptions=True)
+        results = await cancelled(*tasks)
     for error in results:
         if isinstance(error, Exception):
             raise error
