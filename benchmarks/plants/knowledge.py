@@ -16,17 +16,14 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from threadpoolctl import threadpool_limits
-
-from benchmarks.plants.ablation import STEP, fitted, largest_errors, on_steps_of, without
+from benchmarks.plants.ablation import STEP, fitted, on_steps_of, without
 from benchmarks.plants.drawing import Plant, draw_unlike
 from benchmarks.plants.judging import Machines, exact_answers
 from benchmarks.plants.preparing import AXES, MODEL, machine_data, prepared
 from benchmarks.plants.responding import Answer
 from benchmarks.plants.structural import on_feet, with_films
-from benchmarks.study import case_file, options_of, write_rows
-from calibrate.joint_aware.assembling import UNKNOWN, observer_from_rest
-from estimator.joint_aware.filter_design import Noise
+from benchmarks.plants.unknown_heat import errors_of, write_plants
+from benchmarks.study import case_file, options_of
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from thermojoint.reduced.machine import ReducedMachine, along, reduce_machine
@@ -39,12 +36,7 @@ USUAL = (1700.0, 1700.0)
 
 def main(arguments: list[str] | None = None) -> None:
     """Print a row for every plant and everything that may be known, and write them."""
-    parser = options_of(__doc__, "knowledge.json")
-    parser.add_argument("--seed", type=int, default=5)
-    parser.add_argument("--count", type=int, default=4)
-    options = parser.parse_args(arguments)
-    with threadpool_limits(limits=1):
-        write_rows(_rows(options.seed, options.count), options.out)
+    write_plants(options_of(__doc__, "knowledge.json"), _rows, arguments)
 
 
 def _rows(seed: int, count: int) -> Iterator[dict[str, Any]]:
@@ -81,13 +73,8 @@ def _errors(machines: Machines, plant: Plant, exact: Mapping[str, Answer]) -> di
     model = machines.model
     # What is known exactly is no parameter.
     free = [one.name for one in active(model) if model.films or one.name != "film"]
-    machine, fit, known, _ = fitted(machines, plant, exact, SENSORS, free)
-    heat = UNKNOWN * float(machine.power.mean())
-    noises = {"without": Noise(), "with": Noise(unknown_heat=heat)}
-    return {"doubt": fit.doubt} | {
-        name: largest_errors(observer_from_rest(machine, fit, known, noise), machines, plant, exact)
-        for name, noise in noises.items()
-    }
+    own = fitted(machines, plant, exact, SENSORS, free)
+    return {"doubt": own.fit.doubt} | errors_of(own, machines, plant, exact)
 
 
 if __name__ == "__main__":

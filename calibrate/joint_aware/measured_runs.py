@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import xarray as xr
 
+from fesim.axes.axis import gone_along
 from fesim.case.schema import Case
 from fesim.setup.loads import source_power
 from fesim.solid.elasticity import DIRECTIONS
@@ -14,7 +15,6 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.response import make_response
-from thermojoint.reduced.axis_way import gone_along
 
 #: Fraction of the samples in which a reading may be missing.
 MOST_MISSING = 0.2

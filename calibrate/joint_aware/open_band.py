@@ -36,9 +36,9 @@ from estimator.joint_aware.observer import Observer
 from estimator.joint_aware.observer_model import Band, Calibrated, ObserverModel
 from estimator.joint_aware.observer_state import KNOWN
 from estimator.joint_aware.thresholds import Thresholds
+from fesim.axes.axis import gone_along
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
-from thermojoint.reduced.axis_way import gone_along
 from thermojoint.reduced.discrepancy import COUNT, Discrepancy, make_ridge, relaxed
 from thermojoint.reduced.machine import ReducedMachine
 from thermojoint.reduced.parameters import LAG_UNIT, factors_of

@@ -13,11 +13,11 @@ from estimator.joint_aware.readings import (
     temperatures_in,
     ways_in,
 )
+from fesim.axes.axis import gone_along
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import columns_of
 from thermojoint.reduced.axis_drive import AxisDrives, carried_along
-from thermojoint.reduced.axis_way import gone_along
 from thermojoint.reduced.machine import ReducedMachine
 from thermojoint.reduced.physics import at_start
 

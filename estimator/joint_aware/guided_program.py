@@ -28,6 +28,7 @@ from estimator.export.program import (
 from estimator.interface import Estimate
 from estimator.joint_aware.driven_program import TERMS, driven
 from estimator.joint_aware.estimator import OVERTRAVEL, JointAware
+from fesim.axes.axis import gone_along
 from fesim.axes.corner_table import CornerTable
 from fesim.axes.guideway import Guideway
 from fesim.axes.occupation import STILL
@@ -35,7 +36,6 @@ from fesim.march.compiled_step import JointKernel
 from fesim.march.kernel import joint_kernel
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
-from thermojoint.reduced.axis_way import gone_along
 from thermojoint.reduced.machine import MovingAxis
 from thermojoint.reduced.physics import Physics, heat_step
 

@@ -51,11 +51,7 @@ def loads_in(response: xr.Dataset, loads: Sequence[str]) -> Array:
     InputError
         A load is missing.
     """
-    if not loads:
-        return np.zeros((response.sizes["time"], 0))
-    if "load_factor" not in response:
-        raise InputError(f"response: no 'load_factor', needed for {', '.join(loads)}; record it")
-    return columns_of(response, "load_factor", loads)
+    return _recorded(response, "load_factor", loads)
 
 
 def positions_in(response: xr.Dataset, axes: Sequence[str]) -> Array:
@@ -66,11 +62,7 @@ def positions_in(response: xr.Dataset, axes: Sequence[str]) -> Array:
     InputError
         One is missing.
     """
-    if not axes:
-        return np.zeros((response.sizes["time"], 0))
-    if "axis_position" not in response:
-        raise InputError(f"response: no 'axis_position', needed for {', '.join(axes)}; record it")
-    return columns_of(response, "axis_position", axes)
+    return _recorded(response, "axis_position", axes)
 
 
 def ways_in(response: xr.Dataset, axes: Sequence[str]) -> Array:
@@ -81,11 +73,16 @@ def ways_in(response: xr.Dataset, axes: Sequence[str]) -> Array:
     InputError
         One is missing.
     """
-    if not axes:
+    return _recorded(response, "axis_way", axes)
+
+
+def _recorded(response: xr.Dataset, variable: str, names: Sequence[str]) -> Array:
+    """Columns of a variable that a response has where it is wanted, (n, k)."""
+    if not names:
         return np.zeros((response.sizes["time"], 0))
-    if "axis_way" not in response:
-        raise InputError(f"response: no 'axis_way', needed for {', '.join(axes)}; record it")
-    return columns_of(response, "axis_way", axes)
+    if variable not in response:
+        raise InputError(f"response: no '{variable}', needed for {', '.join(names)}; record it")
+    return columns_of(response, variable, names)
 
 
 def powers_in(response: xr.Dataset, shares: Mapping[str, float]) -> Array:

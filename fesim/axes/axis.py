@@ -48,12 +48,17 @@ def place_of(axes: Sequence[Axis], time: float) -> Place:
     return tuple(float(axis.course(np.array(time))) for axis in axes)
 
 
+def gone_along(positions: Array) -> Array:
+    """Return how far axes have gone since the first of positions (n, ...), m, at each of them."""
+    way = np.cumsum(np.abs(np.diff(positions, axis=0)), axis=0)
+    return np.concatenate([np.zeros_like(positions[:1]), way])
+
+
 def gone(axis: Axis, times: Array) -> Array:
     """Return how far an axis has gone since time zero, there and back, at times (n,), s, in m."""
     turns = axis.course.times
     every = np.union1d(np.append(times, 0.0), turns[(turns > 0.0) & (turns < times.max())])
-    way = np.append(0.0, np.cumsum(np.abs(np.diff(axis.course(every)))))
-    return np.asarray(way[np.searchsorted(every, times)])
+    return np.asarray(gone_along(axis.course(every))[np.searchsorted(every, times)])
 
 
 def cold_drives(axes: Sequence[Axis]) -> Array:

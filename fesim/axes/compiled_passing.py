@@ -15,15 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fesim.axes.compiled_occupation import add_shares
-from fesim.axes.compiled_rows import add_rows, multiply
+from fesim.axes.compiled_rows import add_row, add_rows, multiply
 from fesim.axes.guideway import GuideStations
-from fesim.axes.row_blocks import RowBlocks, row_blocks
+from fesim.axes.row_blocks import BodyRows, RowBlocks
 from fesim.jit import compiled_part
 from fesim.joint.compiled_gap import largest
 from fesim.joint.frozen_tangent import add_product
 from fesim.joint.in_place import fill
 from fesim.joint.linear_system import factorise_columns, solve_again
-from fesim.march.passing import Rows
 from thermojoint.artefacts.arrays import Array, Flags
 
 #: What the iteration may leave: in a step, relative to the warmest row; in a second one that only
@@ -100,8 +99,8 @@ class Passed(NamedTuple):
     passes: Array
 
 
-def guides_of(stations: GuideStations, rows: Rows) -> Guides:
-    """Return the rows of a machine for compiled steps."""
+def guides_of(stations: GuideStations, rows: BodyRows, joint_influence: Array) -> Guides:
+    """Return the rows of a machine for compiled steps; `joint_influence` as in `Guides`."""
     count, groups = stations.count, stations.groups
     return Guides(
         np.concatenate(stations.positions),
@@ -109,9 +108,9 @@ def guides_of(stations: GuideStations, rows: Rows) -> Guides:
         np.ascontiguousarray(np.vstack(stations.place) + count),
         np.concatenate(groups),
         np.cumsum([0, *(one.size for one in groups)]),
-        row_blocks(rows.temperature),
-        row_blocks(rows.influence),
-        np.ascontiguousarray(rows.joint_influence),
+        rows.temperature,
+        rows.influence,
+        np.ascontiguousarray(joint_influence),
     )
 
 
@@ -215,13 +214,6 @@ def _leave(guides: Guides, passed: Passed, conducted: Array) -> None:
             leaving[e] += given
     for row in range(leaving.size):
         passed.entering[row] = passed.rubbed[row] - leaving[row]
-
-
-@compiled_part
-def add_row(factor: float, source: Array, into: Array) -> None:
-    """Add a row, times a factor, to another."""
-    for j in range(into.size):
-        into[j] += factor * source[j]
 
 
 @compiled_part

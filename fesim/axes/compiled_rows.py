@@ -31,6 +31,13 @@ def multiply(blocks: RowBlocks, wanted: Flags, vector: Array, into: Array) -> No
 
 
 @compiled_part
+def add_row(factor: float, source: Array, into: Array) -> None:
+    """Add a row, times a factor, to another."""
+    for j in range(into.size):
+        into[j] += factor * source[j]
+
+
+@compiled_part
 def add_rows(blocks: RowBlocks, wanted: Flags, factors: Array, into: Array) -> None:
     """Add the wanted rows, each times its factor (k,), to a vector (n,)."""
     for b in range(len(blocks.where)):
@@ -39,6 +46,4 @@ def add_rows(blocks: RowBlocks, wanted: Flags, factors: Array, into: Array) -> N
         for row in range(begin, end):
             if wanted[row]:
                 begun = at + (row - begin) * (high - low)
-                source, factor = blocks.entries[begun : begun + high - low], factors[row]
-                for j in range(part.size):
-                    part[j] += factor * source[j]
+                add_row(factors[row], blocks.entries[begun : begun + high - low], part)

@@ -25,7 +25,7 @@ from fesim.axes.compiled_march import (
 from fesim.axes.compiled_passing import Ways, guides_of, new_passed
 from fesim.axes.corner_table import around
 from fesim.axes.machine import MovingMachine
-from fesim.axes.survey import Here, Pads, new_here
+from fesim.axes.survey import Here, new_here, pads_of
 from fesim.joint.compiled_gap import trial_at
 from fesim.joint.loosening import watch_work
 from fesim.march.compiled_step import HeatStep, JointState
@@ -147,24 +147,24 @@ def axes_march(moving: MovingMachine, axes: Sequence[Axis]) -> AxesMarch | None:
         return None
     diagonal, none = thermal.factor.matrix.diagonal(), np.zeros((0, 0))
     decay = thermal.capacity_rate.diagonal() / diagonal
-    elastic = contact.elastic
-    held = tables.held, tables.begin
-    slip, (untied, warmed) = np.zeros((2, count)), moving.blocks
+    blocks = moving.blocks
     kernel = AxesKernel(
         HeatStep(decay, owned(thermal.inputs / diagonal[:, None]), none, none),
-        guides_of(guideway.stations, moving.rows),
+        guides_of(guideway.stations, blocks, moving.rows.joint_influence),
         drives_of(axes, diagonal.size),
         joint,
-        Pads(*held, joint.laws, slip, elastic.reference, elastic.area, contact.tolerance),
-        untied,
-        warmed,
+        pads_of(tables, contact, joint.laws, np.zeros((2, count))),
+        blocks.untied,
+        blocks.warmed,
         owned(guideway.running / thermal.step),
         owned(contact.reference_pressure),
         watched_in(contact),
         moving.copies,
         thermal.step,
     )
-    here = new_here(tables.held, len(elastic.probe_compliance), trial_at(np.zeros((3, count))))
+    here = new_here(
+        tables.held, len(contact.elastic.probe_compliance), trial_at(np.zeros((3, count)))
+    )
     sizes = cold_drives(axes).size, len(guideway.elastic.thermal)
     return AxesMarch(moving, axes, kernel, axes_work(kernel, here, *sizes))
 

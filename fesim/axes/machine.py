@@ -18,7 +18,7 @@ from scipy.sparse import csr_array
 from fesim.axes.corner_table import CornerTables
 from fesim.axes.guideway import Guideway, Place
 from fesim.axes.occupation import Shares, even
-from fesim.axes.row_blocks import RowBlocks, row_blocks
+from fesim.axes.row_blocks import BodyRows, body_rows
 from fesim.march.contact import ContactProblem
 from fesim.march.machine import CondensedMachine
 from fesim.march.passing import Passing, Rows
@@ -79,17 +79,9 @@ class MovingMachine:
         return CornerTables(self.guideway)
 
     @cached_property
-    def warmed(self) -> Array:
-        """Untied displacements per W that enters each row, (q, u), m, as `elastic.alone` has them.
-
-        The rows are those of `rows`, and the displacements are made once for all marches.
-        """
-        return np.ascontiguousarray(self.rows.influence @ self.guideway.elastic.thermal.T)
-
-    @cached_property
-    def blocks(self) -> tuple[RowBlocks, RowBlocks]:
-        """Untied displacements, and `warmed`, without what is zero."""
-        return row_blocks(self.guideway.elastic.thermal), row_blocks(self.warmed)
+    def blocks(self) -> BodyRows:
+        """`rows` and untied displacements without what is zero, made once for all marches."""
+        return body_rows(self.rows, self.guideway.elastic.thermal)
 
     @property
     def axes(self) -> int:

@@ -87,7 +87,7 @@ def surveyed(
         m.
     """
     # Imported here because they load a compiler, as in `fesim.march.contact.gap_solver`.
-    from fesim.axes.survey import Pads, Survey, grown, new_here, settle_all
+    from fesim.axes.survey import Survey, grown, new_here, pads_of, settle_all
     from fesim.joint.compiled_gap import compile_gap, trial_at
 
     nothing = np.full(len(places), np.nan)
@@ -102,9 +102,7 @@ def surveyed(
         halves = (surveyed(contact, tables, joint, alone, part) for part in parts)
         return Seen(*map(np.concatenate, zip(*halves, strict=True)))
     table, held = tables.table(near.corners), tables.held
-    elastic = contact.elastic
-    held_of = held, tables.begin
-    pads = Pads(*held_of, law.laws, joint[1], elastic.reference, elastic.area, contact.tolerance)
+    pads = pads_of(tables, contact, law.laws, joint[1])
     free = np.empty((len(near.corners), held.size + probes))
     grown(table, pads, alone, free)
     found = Survey(*seen, np.empty((len(places), held.size)))

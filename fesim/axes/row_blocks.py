@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fesim.march.passing import Rows
 from thermojoint.artefacts.arrays import Array
 
 
@@ -22,6 +23,24 @@ class RowBlocks(NamedTuple):
     where: NDArray[np.int64]
     #: Of all blocks, one after the other, row after row.
     entries: Array
+
+
+class BodyRows(NamedTuple):
+    """What a march on axes multiplies with amplitudes, and with the heat of rows."""
+
+    #: Of the q rows, as in `fesim.march.passing.Rows`.
+    temperature: RowBlocks
+    influence: RowBlocks
+    #: Of u rows: untied displacements of pads, stations, anchors and probes, m/K.
+    untied: RowBlocks
+    #: Of q rows: the same per W that enters each row of the guides, m.
+    warmed: RowBlocks
+
+
+def body_rows(rows: Rows, untied: Array) -> BodyRows:
+    """Return the rows of a machine, with untied displacements (u, r), m/K."""
+    each = rows.temperature, rows.influence, untied, rows.influence @ untied.T
+    return BodyRows(*map(row_blocks, each))
 
 
 def row_blocks(rows: Array) -> RowBlocks:

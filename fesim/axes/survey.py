@@ -18,12 +18,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fesim.axes.corner_table import CornerTable
+from fesim.axes.corner_table import CornerTable, CornerTables
 from fesim.jit import compiled, compiled_part
 from fesim.joint.compiled_gap import Trial, evaluate_in_place, lacking, largest
 from fesim.joint.gap import SHORTEST_STEP
 from fesim.joint.in_place import fill, put
 from fesim.joint.linear_system import factorise_single, solve_again
+from fesim.march.contact import ContactProblem
 from thermojoint.artefacts.arrays import Array
 
 #: Most iterations at a place, and how often its Jacobian may be factorised.
@@ -54,6 +55,13 @@ class Pads(NamedTuple):
     area: Array
     #: Largest residual accepted, m.
     tolerance: float
+
+
+def pads_of(tables: CornerTables, contact: ContactProblem, laws: Array, slip: Array) -> Pads:
+    """Return the joints of a machine whose combinations are in `tables`; others as in `Pads`."""
+    elastic = contact.elastic
+    own = elastic.reference, elastic.area, contact.tolerance
+    return Pads(tables.held, tables.begin, laws, slip, *own)
 
 
 class Survey(NamedTuple):

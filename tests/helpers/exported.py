@@ -9,10 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from observed import estimates
 
 from estimator.export.c_source import c_files
 from estimator.export.fmu import write_fmu
-from estimator.export.program import Precision
+from estimator.export.program import COMMON, Precision
 
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc (Debian: gcc)")
 needs_gxx = pytest.mark.skipif(shutil.which("g++") is None, reason="needs g++ (Debian: g++)")
@@ -29,6 +30,16 @@ def written(found, folder):
     for name, text in c_files(found).items():
         (folder / name).write_text(text, encoding="utf-8")
     return folder
+
+
+def as_in_python(found, estimator, rows, folder):
+    """Estimates of a program for samples in which readings may be missing: those of Python."""
+    got = list(compiled(found, folder)([row[1:] for row in rows]))
+    _, there = estimates(estimator, rows)
+    for one, other in zip(got, there, strict=True):
+        assert one.status & COMMON == int(other.status)
+        assert list(one.displacement) == pytest.approx(list(other.displacement), rel=0.0, abs=1e-11)
+    return got
 
 
 def library(found, folder):
@@ -56,7 +67,7 @@ def compiled(found, folder):
     estimate = type("Estimate", (ctypes.Structure,), {"_fields_": fields})
     loaded = library(found, folder)
 
-    def estimates(rows):
+    def given(rows):
         state = ctypes.create_string_buffer(found.state)
         loaded.m_init(state)
         for row in rows:
@@ -67,7 +78,7 @@ def compiled(found, folder):
             assert word == result.status
             yield result
 
-    return estimates
+    return given
 
 
 def co_simulated(found, path, standard, rows):

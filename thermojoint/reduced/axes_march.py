@@ -19,8 +19,8 @@ from fesim.axes.compiled_passing import Ways, guides_of
 from fesim.axes.corner_table import CornerTables, around
 from fesim.axes.guideway import Guideway
 from fesim.axes.kernel import axes_work, new_record
-from fesim.axes.row_blocks import row_blocks
-from fesim.axes.survey import Pads, new_here
+from fesim.axes.row_blocks import body_rows
+from fesim.axes.survey import new_here, pads_of
 from fesim.case.history import History
 from fesim.joint.compiled_gap import trial_at
 from fesim.joint.loosening import UNWATCHED
@@ -74,34 +74,26 @@ def axes_march(
         Of a step, s.
     """
     axes, (modes, _) = len(way.stations.positions), heat.drive.shape
-    influence, untied = owned(heat.influence.T), owned(way.elastic.thermal)
-    count, elastic = joint.preload.size, contact.elastic
-    slip = np.zeros((2, count))
+    rows = Rows(way.temperature, heat.influence.T, heat.joint_influence)
+    blocks, count = body_rows(rows, way.elastic.thermal), joint.preload.size
     kernel = AxesKernel(
         # The last inputs of the simulator count the heat of friction.
         heat._replace(drive=np.hstack([heat.drive, np.zeros((modes, axes))])),
-        guides_of(way.stations, Rows(way.temperature, influence, heat.joint_influence)),
+        guides_of(way.stations, blocks, heat.joint_influence),
         drives_of([_UNDRIVEN] * axes, modes),
         joint,
-        Pads(
-            tables.held,
-            tables.begin,
-            joint.laws,
-            slip,
-            elastic.reference,
-            elastic.area,
-            contact.tolerance,
-        ),
-        row_blocks(untied),
-        row_blocks(influence @ untied.T),
+        pads_of(tables, contact, joint.laws, np.zeros((2, count))),
+        blocks.untied,
+        blocks.warmed,
         owned(way.running / length),
         owned(contact.reference_pressure),
         UNWATCHED,
         1,
         length,
     )
-    here = new_here(tables.held, len(elastic.probe_compliance), trial_at(np.zeros((3, count))))
-    return AxesMarch(tables, kernel, axes_work(kernel, here, 0, len(untied)))
+    probes = len(contact.elastic.probe_compliance)
+    here = new_here(tables.held, probes, trial_at(np.zeros((3, count))))
+    return AxesMarch(tables, kernel, axes_work(kernel, here, 0, len(way.elastic.thermal)))
 
 
 def march_along(

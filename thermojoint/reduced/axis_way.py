@@ -10,10 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import numpy as np
-
 from fesim.axes.guideway import Place
-from thermojoint.artefacts.arrays import Array
 
 
 class Way(NamedTuple):
@@ -31,8 +28,3 @@ def way_between(start: Sequence[float], end: Sequence[float], gone: Sequence[flo
     least = [abs(after - before) for before, after in zip(start, end, strict=True)]
     whole = [max(pair) for pair in zip(least, gone, strict=True)] if len(gone) else least
     return Way(tuple(start), tuple(end), tuple(whole))
-
-
-def gone_along(positions: Array) -> Array:
-    """Return how far axes have gone since the first of positions (n, x), m, at each of them."""
-    return np.pad(np.cumsum(np.abs(np.diff(positions, axis=0)), axis=0), ((1, 0), (0, 0)))

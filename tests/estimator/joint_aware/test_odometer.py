@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from exported import SANITISED, compiled, needs_gcc, selftest, written
+from exported import SANITISED, as_in_python, needs_gcc, selftest, written
 from matiec import needs_matiec, selftest_by_both
 from moving_knee import SCREW, STEEL, moving
 from observed import estimates, observer
@@ -13,18 +13,17 @@ from calibrate.joint_aware.calibration import machine_of
 from calibrate.joint_aware.measured_runs import runs_of
 from calibrate.joint_aware.misfit import physics_with
 from calibrate.joint_aware.readings import run_in
-from estimator.export.program import COMMON
 from estimator.exporting import export_program
 from estimator.interface import Status
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.kind import KIND
 from estimator.joint_aware.model_file import read_observer, write_observer
 from estimator.lines import here
+from fesim.axes.axis import gone_along
 from fesim.simulate import simulate
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.quantities import column_named
-from thermojoint.reduced.axis_way import gone_along
 from thermojoint.reduced.machine import along
 from thermojoint.reduced.physics import simulate_known
 
@@ -197,11 +196,7 @@ def test_its_programs_know_the_odometer(counting, samples, tmp_path):
     assert done.returncode == 0, done.stdout + done.stderr
     assert figures["state"] == program.state
     rows[10:13, WAY] = np.nan
-    got = list(compiled(program, tmp_path)(rows[:, 1:].tolist()))
-    _, found = estimates(counting, rows.tolist())
-    for one, other in zip(got, found, strict=True):
-        assert list(one.displacement) == pytest.approx(list(other.displacement), rel=0.0, abs=1e-11)
-        assert one.status & COMMON == int(other.status)
+    as_in_python(program, counting, rows.tolist(), tmp_path)
 
 
 @pytest.mark.long

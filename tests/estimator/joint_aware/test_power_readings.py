@@ -5,14 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from exported import SANITISED, compiled, needs_gcc, selftest, written
+from exported import SANITISED, as_in_python, needs_gcc, selftest, written
 from matiec import needs_matiec, selftest_by_both
 from observed import errors, estimates, observer, run, step
 
 from calibrate.joint_aware.calibration import Effort, calibrate_joint_aware
 from calibrate.joint_aware.open_band import Drawing
 from calibrate.joint_aware.physics_fit import Search
-from estimator.export.program import COMMON
 from estimator.exporting import export_program
 from estimator.interface import Status
 from estimator.joint_aware.estimator import JointAware
@@ -134,11 +133,7 @@ def test_its_program_knows_the_power(program, tmp_path):
 def test_a_power_that_is_none_is_missing_in_its_program(told, response, program, tmp_path):
     rows = np.array(samples(response, told))
     rows[30:60, 4] = np.nan
-    got = list(compiled(program, tmp_path)(rows[:, 1:].tolist()))
-    _, found = estimates(told, rows.tolist())
-    for one, other in zip(got, found, strict=True):
-        assert list(one.displacement) == pytest.approx(list(other.displacement), rel=0.0, abs=1e-11)
-        assert one.status & COMMON == int(other.status)
+    as_in_python(program, told, rows.tolist(), tmp_path)
 
 
 @pytest.mark.long
