@@ -3,25 +3,26 @@
 PARDISO where its wheel is installed, SciPy's SuperLU otherwise; the environment variable
 `VARIABLE` names another default. Both take symmetric positive definite matrices here; the residual
 of a solve is checked by `checked_solve`.
+
+PARDISO's factors of a large matrix are of single precision: half the memory, half the time. Their
+solutions are refined (`fesim.solid.refinement`); where that fails, a factor of double precision
+takes their place.
 """
 
 from __future__ import annotations
 
-import ctypes
 import os
-import site
-import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from importlib.util import find_spec
-from pathlib import Path
-from weakref import finalize
 
 import numpy as np
 from scipy.sparse import csc_array, csr_array, diags_array, sparray
 from scipy.sparse.linalg import splu
 
+from fesim.solid.pardiso import Substitution, pardiso
+from fesim.solid.refinement import refined
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError, InputError
 
@@ -30,21 +31,16 @@ SOLVERS = ("pardiso", "superlu")
 #: Environment variable with the default solver.
 VARIABLE = "THERMOJOINT_SOLVER"
 
-#: PARDISO's phases: fill-in reduction, numerical factorisation, substitution.
-ANALYSIS, NUMBERS, SOLUTION = 11, 22, 33
-
-#: PARDISO's parameters, numbered from 1: use these instead of the defaults; nested dissection;
-#: indices from zero. By default MKL refines every solution twice, which takes four times as long
-#: and is not needed: the residual is checked here.
-PARAMETERS = {1: 1, 2: 2, 35: 1}
-
+#: From so many unknowns on a factor is of single precision: on smaller ones, refinement takes more
+#: time than that saves with two threads.
+LARGE = 500_000
 #: Largest accepted residual relative to the right-hand side.
 RESIDUAL_LIMIT = 1e-6
 #: The residuals of many columns are looked for in so many combinations of them with random signs:
 #: in each the largest one is undiminished with a probability of one half or more.
 COMBINED = 16
-#: Numbers in the products that a residual is computed from, at a time: 20 MB.
-CHECKED_AT_ONCE = 2_500_000
+#: Numbers in a product, at a time: 20 MB.
+AT_ONCE = 2_500_000
 #: A larger residual is accepted if rounding explains it, up to this fraction of |A| |x| and up to
 #: this limit: forces in a body a million times stiffer than its surroundings are large and cancel.
 ROUNDING, ROUNDING_LIMIT = 16.0 * float(np.finfo(float).eps), 1e-5
@@ -112,7 +108,9 @@ def factorise_upper(upper: csr_array, what: str, solver: str | None = None) -> F
     what, solver
         As for `factorise`, and so is what is raised.
     """
-    return _not_singular(_factoriser(upper, what, solver)(upper), what)
+    large = upper.shape[0] >= LARGE and (solver or default_solver()) == "pardiso"
+    make = partial(_rough_factor, what=what) if large else _factoriser(upper, what, solver)
+    return _not_singular(make(upper), what)
 
 
 def shifted_factors(
@@ -146,13 +144,32 @@ def shifted_factors(
 def _factoriser(upper: csr_array, what: str, solver: str | None) -> Callable[[csr_array], Factor]:
     """Return a function that factorises matrices of one pattern."""
     name = solver or default_solver()
-    if name == "pardiso":
-        make = _pardiso(upper, what)
-    elif name == "superlu":
-        make = _superlu(what)
-    else:
+    if name not in SOLVERS:
         raise InputError(f"linear solver: {name!r} is unknown; use one of {', '.join(SOLVERS)}")
-    return lambda matrix: Factor(matrix, make(matrix), name)
+    make = _superlu if name == "superlu" else _pardiso(upper, what)
+
+    def factor(matrix: csr_array) -> Factor:
+        try:
+            return Factor(matrix, make(matrix), name)
+        except np.linalg.LinAlgError as error:
+            raise singular(what) from error
+
+    return factor
+
+
+def _rough_factor(upper: csr_array, what: str) -> Factor:
+    """Factorise in single precision, and in double only where that does not do."""
+    precise = cache(lambda: _factoriser(upper, what, "pardiso")(upper))
+    try:
+        rough = _pardiso(upper, what, single=True)(upper)
+    except np.linalg.LinAlgError:
+        return precise()
+
+    def solve(right_side: Array) -> Array:
+        solution = refined(partial(_product_in_parts, upper), rough, right_side)
+        return precise().solve(right_side) if solution is None else solution
+
+    return Factor(upper, solve, "pardiso")
 
 
 def _not_singular(factor: Factor, what: str) -> Factor:
@@ -211,13 +228,26 @@ def _relative_residual(factor: Factor, solution: Array, right_side: Array) -> fl
 
 
 def _largest_residual(factor: Factor, solution: Array, right_side: Array) -> float:
-    # A few columns at a time: whole, the products are several times as large as the solution.
-    width, residual = max(1, CHECKED_AT_ONCE // len(solution)), 0.0
-    for first in range(0, solution.shape[1], width):
-        part = np.s_[:, first : first + width]
+    residual = 0.0
+    for part in _parts(solution):
         missing = symmetric_product(factor.matrix, solution[part]) - right_side[part]
         residual = np.maximum(residual, np.abs(missing).max())
     return float(residual)
+
+
+def _product_in_parts(upper: csr_array, vectors: Array) -> Array:
+    """`symmetric_product` of vectors (n, k), stored as they are."""
+    found = np.empty_like(vectors)
+    for part in _parts(vectors):
+        found[part] = symmetric_product(upper, vectors[part])
+    return found
+
+
+def _parts(vectors: Array) -> Iterator[tuple[slice, slice]]:
+    """A few columns at a time: whole, products need several times the memory of the vectors."""
+    width = max(1, AT_ONCE // len(vectors))
+    for first in range(0, vectors.shape[1], width):
+        yield np.s_[:, first : first + width]
 
 
 def _is_rounding(factor: Factor, solution: Array, right_side: Array, residual: float) -> bool:
@@ -235,86 +265,28 @@ def singular(what: str) -> InputError:
     )
 
 
-def _superlu(what: str) -> Callable[[csr_array], Callable[[Array], Array]]:
-    def factorised(upper: csr_array) -> Callable[[Array], Array]:
-        try:
-            lu = splu(
-                csc_array(symmetric(upper)),
-                permc_spec="MMD_AT_PLUS_A",
-                diag_pivot_thresh=0.0,
-                options={"SymmetricMode": True},
-            )
-        except RuntimeError as error:
-            raise singular(what) from error
-        return lambda right_side: lu.solve(np.ascontiguousarray(right_side))
-
-    return factorised
-
-
-def _tell_where_mkl_is() -> None:
-    """Name MKL's library, for which pypardiso would otherwise search the whole installation.
-
-    That takes up to a second of every process. MKL's wheels put it into ``lib`` of an installation.
-    """
-    if "PYPARDISO_MKL_RT" in os.environ:
-        return
-    for prefix in (sys.prefix, site.USER_BASE):
-        for library in sorted(Path(prefix or "", "lib").glob("libmkl_rt.so*")):
-            os.environ.setdefault("PYPARDISO_MKL_RT", str(library))
-
-
-def _pardiso(upper: csr_array, what: str) -> Callable[[csr_array], Callable[[Array], Array]]:
-    _tell_where_mkl_is()
+def _superlu(upper: csr_array) -> Substitution:
     try:
-        from pypardiso import PyPardisoSolver
+        lu = splu(
+            csc_array(symmetric(upper)),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+    except RuntimeError as error:
+        raise np.linalg.LinAlgError(str(error)) from error
+    return lambda right_side: lu.solve(np.ascontiguousarray(right_side))
+
+
+def _pardiso(
+    upper: csr_array, what: str, single: bool = False
+) -> Callable[[csr_array], Substitution]:
+    if not np.diff(upper.indptr).all():
+        raise singular(what)
+    try:
+        return pardiso(upper, single)
     except ImportError as error:
         raise InputError(
             "linear solver: 'pardiso' is not installed; install the extra "
             "thermojoint[pardiso] or use 'superlu'"
         ) from error
-    # A row without entries would crash MKL.
-    if not np.diff(upper.indptr).all():
-        raise singular(what)
-    solver = PyPardisoSolver(mtype=2)
-    for parameter, value in PARAMETERS.items():
-        solver.set_iparm(parameter, value)
-    # Where it had to be searched for, it is not searched for again.
-    os.environ.setdefault("PYPARDISO_MKL_RT", solver.libmkl._name)
-
-    # The public calls compare the whole matrix with a copy of it, and store the copy; the private
-    # one copies the pattern at every call, and the solution.
-    number, to = ctypes.c_int32, ctypes.POINTER(ctypes.c_int32)
-    count, one, kind, silent = map(number, (upper.shape[0], 1, solver.mtype, 0))
-    pattern = [part.astype(np.int32, copy=False) for part in (upper.indptr, upper.indices)]
-    store = solver.pt.ctypes.data_as(ctypes.POINTER(ctypes.c_int64))
-    starts, columns, order, settings = (
-        part.ctypes.data_as(to) for part in (*pattern, solver.perm, solver.iparm)
-    )
-
-    def run(phase: int, values: Array, right_side: Array) -> Array:
-        """Solution, columns one after the other in memory, of a matrix with these `values`."""
-        solution = np.zeros_like(right_side)
-        many = number(1 if right_side.ndim == 1 else right_side.shape[1])
-        error = number(0)
-        solver._mkl_pardiso(
-            *(store, one, one, kind, number(phase), count),
-            *(values.ctypes.data, starts, columns, order, many, settings, silent),
-            *(right_side.ctypes.data, solution.ctypes.data, error),
-        )
-        if error.value:
-            raise singular(what)
-        return solution
-
-    # MKL stores a factorisation until it is released.
-    finalize(run, solver.free_memory, everything=True).atexit = False
-    nothing = np.zeros(upper.shape[0])
-    run(ANALYSIS, upper.data, nothing)
-
-    def factorised(matrix: csr_array) -> Callable[[Array], Array]:
-        run(NUMBERS, matrix.data, nothing)
-
-        return lambda right_side: run(
-            SOLUTION, matrix.data, np.asfortranarray(right_side, dtype=np.float64)
-        )
-
-    return factorised

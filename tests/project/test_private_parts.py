@@ -23,7 +23,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 #: The module that fences a library's private parts, and the library.
 FENCES = {
     "fesim/joint/linear_system.py": "numba",
-    "fesim/solid/linear_solver.py": "pypardiso",
+    "fesim/solid/pardiso.py": "pypardiso",
     "meshes/exchange.py": "meshio",
     "thermojoint/live/http/patience.py": "uvicorn",
     "thermojoint/live/mqtt_session.py": "aiomqtt",
@@ -154,7 +154,7 @@ def test_uvicorns_protocol_has_what_is_overridden():
 
 def test_pypardiso_calls_mkl_without_comparing_the_matrix():
     pypardiso = pytest.importorskip("pypardiso")
-    where = "fesim/solid/linear_solver.py"
+    where = "fesim/solid/pardiso.py"
     solver = pypardiso.PyPardisoSolver(mtype=2)
     assert callable(solver._call_pardiso), relied_on("_call_pardiso", where)
     assert solver.libmkl._name, relied_on("libmkl", where)

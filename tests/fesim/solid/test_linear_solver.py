@@ -155,6 +155,39 @@ def test_pardiso_that_is_not_installed_says_what_to_install(monkeypatch):
         factorise(chain(3), "chain", "pardiso")
 
 
+@pytest.fixture
+def large(monkeypatch):
+    """Every matrix counts as large, for factors of single precision."""
+    pytest.importorskip("pypardiso")
+    monkeypatch.setattr("fesim.solid.linear_solver.LARGE", 0)
+
+
+def test_large_stiffness_is_solved_as_exactly_by_factors_of_single_precision(large):
+    matrix = stiffness_of(block(), fixed=["left"], symmetry={})
+    loads = np.random.default_rng(3).standard_normal((matrix.shape[0], 20))
+    loads[:, 7] = 0.0
+    exact, found = (factorise(matrix, "block", name) for name in ("superlu", "pardiso"))
+    right, solved = (checked_solve(factor, loads, "block") for factor in (exact, found))
+    np.testing.assert_allclose(solved, right, rtol=0.0, atol=1e-9 * np.abs(right).max())
+    alone = checked_solve(found, loads[:, 0], "block")
+    np.testing.assert_allclose(alone, right[:, 0], rtol=0.0, atol=1e-9 * np.abs(right).max())
+
+
+@pytest.mark.parametrize("soft", [1e-4, 1e-9])
+def test_what_single_precision_cannot_hold_is_factorised_in_double(large, soft):
+    """Masses that hang on springs which are small beside those between them, or lost there."""
+    matrix = csr_array(chain(40, loose=True) + soft * diags_array([np.ones(40)], offsets=[0]))
+    load = np.cos(np.arange(40))
+    solved = checked_solve(factorise(matrix, "chain", "pardiso"), load, "chain")
+    right = factorise(matrix, "chain", "superlu").solve(load)
+    np.testing.assert_allclose(solved, right, rtol=1e-4)
+
+
+def test_a_large_matrix_that_is_singular_is_an_input_error(large):
+    with pytest.raises(InputError, match="singular"):
+        factorise(chain(50, loose=True), "chain", "pardiso")
+
+
 @pytest.mark.parametrize("wrong", [0.0, np.nan, 2.0])
 def test_a_wrong_solution_is_never_passed_on(wrong):
     factor = Factor(chain(5), lambda right_side: wrong * np.ones_like(right_side), "broken")
