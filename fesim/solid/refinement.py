@@ -13,7 +13,7 @@ import numpy as np
 
 from thermojoint.artefacts.arrays import Array
 
-#: What may be left of a column's residual, relative to its right-hand side. Solutions then agree with
+#: What may be left of a residual, relative to its right-hand side. Solutions then agree with
 #: those by a factor of double precision to about 1e-10 of the largest.
 LEFT = 1e-9
 #: Most iterations.
