@@ -1,8 +1,12 @@
-"""Solution of a dense linear system in JIT-compiled code, by LAPACK as Numba links it.
+"""Solution of a dense linear system in JIT-compiled code: our own elimination, LAPACK for large ones.
+
+All systems here are the unit matrix and something that a joint adds, and nearly all can be solved
+without exchanging rows. With few equations, to look for the rows and to be called takes LAPACK half
+of its time.
 
 ``np.linalg.solve`` does the same in compiled code. Its checks take longer to compile than most of a
-march, and its copies a sixth of the time where 50 equations are solved. LAPACK's name in Numba is
-private: it is used here alone, and `tests/project/test_private_parts.py` says what is relied on.
+march. LAPACK's name in Numba is private: it is used here alone, and
+`tests/project/test_private_parts.py` says what is relied on.
 """
 
 from __future__ import annotations
@@ -19,6 +23,10 @@ _gesv = _LAPACK().numba_xgesv(types.float64)
 _gesv_single = _LAPACK().numba_xgesv(types.float32)
 #: Numba's letters for double and single precision.
 _DOUBLE, _SINGLE = ord("d"), ord("s")
+#: Most equations that our own elimination takes.
+FEW = 128
+#: Least pivot that is taken without looking for a larger one.
+LEAST = 1e-3
 
 
 @compiled_part
@@ -53,9 +61,99 @@ def factorise_columns(columns: Array, pivots: NDArray[np.int32], found: Array) -
         As `solve`.
     """
     size = found.size
-    if size:
+    if size <= FEW:
+        _eliminate(columns, pivots, _eliminate_fours(columns))
+        solve_again(columns, pivots, found)
+        _check_finite(found, True)
+    else:
         failed = _gesv(_DOUBLE, size, 1, columns.ctypes, size, pivots.ctypes, found.ctypes, size)
         _check(failed, columns, pivots, found)
+
+
+@compiled_part
+def _eliminate_fours(columns: Array) -> int:
+    """Factorise four columns at a time, as they are, up to a small pivot: how many are done.
+
+    What is left of the others is updated two at a time, so that the four are read half as often;
+    slices that begin at zero let the loops take several numbers at once.
+    """
+    size = columns.shape[0]
+    for k in range(0, size - 3, 4):
+        a, b, c, d = columns[k], columns[k + 1], columns[k + 2], columns[k + 3]
+        # The square of the four: reciprocal pivots p, q, r, s.
+        p = 1.0 / a[k]
+        a1, a2, a3 = p * a[k + 1], p * a[k + 2], p * a[k + 3]
+        b0, b1 = b[k], b[k + 1] - a1 * b[k]
+        q = 1.0 / b1
+        b2, b3 = q * (b[k + 2] - a2 * b0), q * (b[k + 3] - a3 * b0)
+        c0, c1 = c[k], c[k + 1] - a1 * c[k]
+        c2 = c[k + 2] - a2 * c0 - b2 * c1
+        r = 1.0 / c2
+        c3 = r * (c[k + 3] - a3 * c0 - b3 * c1)
+        d0, d1 = d[k], d[k + 1] - a1 * d[k]
+        d2 = d[k + 2] - a2 * d0 - b2 * d1
+        s = 1.0 / (d[k + 3] - a3 * d0 - b3 * d1 - c3 * d2)
+        if not max(max(abs(p), abs(q)), max(abs(r), abs(s))) * LEAST < 1.0:
+            return k
+        a[k], a[k + 1], a[k + 2], a[k + 3] = p, a1, a2, a3
+        b[k + 1], b[k + 2], b[k + 3] = q, b2, b3
+        c[k + 1], c[k + 2], c[k + 3] = c1, r, c3
+        d[k + 1], d[k + 2], d[k + 3] = d1, d2, s
+        a, b, c, d = a[k + 4 :], b[k + 4 :], c[k + 4 :], d[k + 4 :]
+        for i in range(a.size):
+            a[i] = p * a[i]
+            b[i] = q * (b[i] - b0 * a[i])
+            c[i] = r * (c[i] - c0 * a[i] - c1 * b[i])
+            d[i] = s * (d[i] - d0 * a[i] - d1 * b[i] - d2 * c[i])
+        for j in range(k + 4, size - 1, 2):
+            t, u, v, w = _lower(columns, k, j)
+            e, f, g, h = _lower(columns, k, j + 1)
+            x, y = columns[j, k + 4 :], columns[j + 1, k + 4 :]
+            for i in range(x.size):
+                first, second, third, fourth = a[i], b[i], c[i], d[i]
+                x[i] -= t * first + u * second + v * third + w * fourth
+                y[i] -= e * first + f * second + g * third + h * fourth
+        if (size - k) % 2 == 1:
+            t, u, v, w = _lower(columns, k, size - 1)
+            x = columns[size - 1, k + 4 :]
+            for i in range(x.size):
+                x[i] -= t * a[i] + u * b[i] + v * c[i] + w * d[i]
+    return size - size % 4
+
+
+@compiled_part
+def _lower(columns: Array, k: int, j: int) -> tuple[float, float, float, float]:
+    """Four entries of column j after elimination with the four columns from k on."""
+    a, b, c, x = columns[k], columns[k + 1], columns[k + 2], columns[j]
+    t = x[k]
+    u = x[k + 1] - t * a[k + 1]
+    v = x[k + 2] - t * a[k + 2] - u * b[k + 2]
+    w = x[k + 3] - t * a[k + 3] - u * b[k + 3] - v * c[k + 3]
+    x[k + 1], x[k + 2], x[k + 3] = u, v, w
+    return t, u, v, w
+
+
+@compiled_part
+def _eliminate(columns: Array, pivots: NDArray[np.int32], done: int) -> None:
+    """Factorise what is left after so many columns, with partial pivoting."""
+    size = columns.shape[0]
+    for k in range(done):
+        pivots[k] = k + 1
+    for k in range(done, size):
+        best = k
+        for i in range(k + 1, size):
+            if abs(columns[k, i]) > abs(columns[k, best]):
+                best = i
+        pivots[k] = best + 1
+        if best > k:
+            for j in range(size):
+                columns[j, k], columns[j, best] = columns[j, best], columns[j, k]
+        columns[k, k] = 1.0 / columns[k, k]
+        for i in range(k + 1, size):
+            columns[k, i] *= columns[k, k]
+        for j in range(k + 1, size):
+            for i in range(k + 1, size):
+                columns[j, i] -= columns[j, k] * columns[k, i]
 
 
 @compiled_part
@@ -78,13 +176,18 @@ def _check(
     pivots: NDArray[np.int32],
     found: NDArray[np.floating],
 ) -> None:
-    finite = failed == 0
     for k in range(found.size):
-        finite = finite and np.isfinite(found[k])
         # `solve_again` divides by it.
         columns[k, k] = 1.0 / columns[k, k]
     # To name the arrays here keeps them until LAPACK is done with them.
-    if not finite or columns.size + pivots.size < 0:
+    _check_finite(found, failed == 0 and columns.size + pivots.size > 0)
+
+
+@compiled_part
+def _check_finite(found: NDArray[np.floating], solved: bool) -> None:
+    for k in range(found.size):
+        solved = solved and np.isfinite(found[k])
+    if not solved:
         raise np.linalg.LinAlgError("the matrix is singular, or something is not finite")
 
 
