@@ -185,7 +185,7 @@ def evaluate_in_place(laws: Array, slip: Array, trial: Trial) -> None:
         stiffness = law[_STIFFNESS]
         first = -stiffness * (gap[1, e] - slip[0, e])
         second = -stiffness * (gap[2, e] - slip[1, e])
-        size, bound = math.hypot(first, second), law[_FRICTION] * pressure
+        size, bound = math.sqrt(first * first + second * second), law[_FRICTION] * pressure
         value[0, e] = pressure - law[_PRELOAD]
         tangent[NORMAL, e] = slope
         if size <= bound and bound > 0.0:
@@ -336,17 +336,19 @@ def _newton_step(kernel: GapKernel, tangent: Array, work: NewtonWork, anew: bool
     With y = dT step, the tractions missing in the springs: (I - dT F) y = -dT r on the nonzero rows
     of dT, and step = F y - r.
     """
-    columns, rows, step, moved = kernel.columns, work.rows, work.step, work.moved
+    columns, rows, step = kernel.columns, work.rows, work.step
+    lacks, moved = work.remainder, work.moved
     count = tangent.shape[1]
     for i in range(3 * count):
-        step[i], moved[i] = -work.residual[i], 0.0
+        step[i], lacks[i] = -work.residual[i], 0.0
     size = lacking_rows(kernel.springs, tangent, rows) if anew else work.kept[0]
     entries, forces = work.entries[: 3 * size].reshape(3, size), work.forces[:size]
     system, pivots = work.system[: size * size].reshape(size, size), work.pivots[:size]
     if anew:
         lacking_entries(kernel.springs, tangent, rows, entries)
     for k in range(size):
-        e = rows[k] % count
+        # The pressures, then both shears of one contact element after another.
+        e = k if k < count else rows[k - (k - count) % 2] - count
         forces[k] = entries[0, k] * step[e] + entries[1, k] * step[count + e]
         forces[k] += entries[2, k] * step[2 * count + e]
     if anew:
@@ -356,11 +358,9 @@ def _newton_step(kernel: GapKernel, tangent: Array, work: NewtonWork, anew: bool
         work.kept[0] = size
     else:
         solve_again(system, pivots, forces)
-    # Column after column, so that several sums are made at once.
     for k in range(size):
-        column, force = columns[rows[k]], forces[k]
-        for i in range(3 * count):
-            moved[i] += column[i] * force
+        lacks[rows[k]] = forces[k]
+    np.dot(kernel.compliance, lacks, moved)
     add(moved, step)
 
 

@@ -1,8 +1,8 @@
-"""Solution of a dense linear system in JIT-compiled code: our own elimination, LAPACK for large ones.
+"""Solution of a dense linear system in JIT-compiled code: by elimination; large ones by LAPACK.
 
-All systems here are the unit matrix and something that a joint adds, and nearly all can be solved
-without exchanging rows. With few equations, to look for the rows and to be called takes LAPACK half
-of its time.
+All systems here are the unit matrix and what joints add to it, and nearly all can be solved without
+exchanging rows. Where few equations are solved, LAPACK takes twice as long as elimination that only
+looks for another row where a pivot is small.
 
 ``np.linalg.solve`` does the same in compiled code. Its checks take longer to compile than most of a
 march. LAPACK's name in Numba is private: it is used here alone, and

@@ -257,8 +257,9 @@ def _storage(kernel: AdaptiveKernel, lengths: Lengths) -> Storage:
         displacement=np.zeros((2, axes)),
         inputs=np.zeros(kernel.modes.inputs.shape[1] + kernel.joint.loaded.shape[1]),
         system=np.zeros((count, count)),
+        pivots=np.zeros(count, dtype=np.int32),
         moved=np.zeros(axes),
-        free_gap=np.zeros(3 * count),
+        free_gap=np.zeros((2, 3 * count)),
         sweeps=np.zeros(3),
         turn=np.zeros(1, dtype=np.int64),
     )

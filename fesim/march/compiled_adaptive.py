@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from fesim.jit import compiled, compiled_part
 from fesim.joint.compiled_gap import NewtonWork, Trial, evaluate_in_place, largest
 from fesim.joint.in_place import add, fill, put
-from fesim.joint.linear_system import solve
+from fesim.joint.linear_system import factorise_columns
 from fesim.joint.loosening import Watched, WatchWork, surely_held
 from fesim.march import iteration
 from fesim.march.compiled_exponential import (
@@ -40,7 +40,6 @@ from fesim.march.compiled_step import (
     add_loads,
     conduct,
     displace,
-    flow_system,
     settle_by_newton,
     take,
 )
@@ -174,9 +173,11 @@ class Work(NamedTuple):
     displacement: Array
     #: Shape (k + l,): at that time.
     inputs: Array
-    #: Shape (m, m): `flow_system`.
+    #: Shapes (m, m) and (m,): I + diag(conductance times area) S column after column; its factors.
     system: Array
-    #: Shapes (axes,), (3 m,) and (3,): displacement by the joint, m; J0^-1 g_T, m; see `WEIGHT`.
+    pivots: NDArray[np.int32]
+    #: Shapes (axes,), (2, 3 m) and (3,): displacement by the joint, m; J0^-1 g_T, m, of the step
+    #: (`WHOLE`) and of a part or a time within it; see `WEIGHT`.
     moved: Array
     free_gap: Array
     sweeps: Array
@@ -275,11 +276,14 @@ def _within(course: Course, weights: Array, into: Array) -> None:
 def _flows(heat: Heat, work: Work, flow: Array) -> None:
     """Joint heat flows at conductances and jumps, and what they draw from the unknowns."""
     conducted, jump, at = work.contact[CONDUCTED], work.contact[JUMP], work.unknowns[AT]
-    for e in range(flow.size):
-        flow[e] = conducted[e] * jump[e]
-    flow_system(heat.influence, conducted, work.system)
-    put(solve(work.system, flow), flow)
-    drawn = work.unknowns[DRAWN]
+    drawn, system, count = work.unknowns[DRAWN], work.system, flow.size
+    for f in range(count):
+        flow[f] = conducted[f] * jump[f]
+        # Column after column: S is symmetric.
+        for e in range(count):
+            system[f, e] = conducted[e] * heat.influence[f, e]
+        system[f, f] += 1.0
+    factorise_columns(system, work.pivots, flow)
     np.dot(heat.drawn, flow, drawn)
     for k in range(at.size):
         at[k] -= heat.weights[TURNS, k] * drawn[k]
@@ -308,6 +312,7 @@ def _first_guess(heat: Heat, joint: JointKernel, work: Work, trial: Trial, cours
     for e in range(value.size):
         value[e] = joint.preload[e] + trial.value[0, e]
         work.contact[MISFIT_BEFORE, e] = 0.0
+    np.dot(heat.jump, base, work.contact[JUMP])
     work.sweeps[WEIGHT], work.sweeps[LARGEST] = 1.0, 0.0
 
 
@@ -338,7 +343,6 @@ def _prepare(heat: Heat, work: Work, course: Course, stage: int) -> None:
     if stage == SWEEP:
         put(course.unknowns[AFTER], at)
         put(course.inputs[AFTER], work.inputs)
-        np.dot(heat.jump, at, work.contact[JUMP])
         _flows(heat, work, course.flow[AFTER])
     elif stage == LACKING:
         _lacking(heat, work, course)
@@ -352,10 +356,10 @@ def _prepare(heat: Heat, work: Work, course: Course, stage: int) -> None:
         for k in range(part.change.size):
             first, last = gap[BEFORE].flat[k], gap[AFTER].flat[k]
             part.change.flat[k] = first + share * (last - first) - part.gap.flat[k]
-        # In the order of `fesim.march.compiled_exponential.SHARES`.
-        first = 3 * (1 - turn)
-        _within(course, heat.weights[first : first + 3], at)
-        _between(course.inputs, share, work.inputs)
+        if turn == 0:
+            # The second of `fesim.march.compiled_exponential.SHARES`.
+            _within(course, heat.weights[3:6], at)
+            _between(course.inputs, share, work.inputs)
     elif stage == WHOLE_STEP:
         put(course.unknowns[AFTER], at)
         put(course.inputs[AFTER], work.inputs)
@@ -395,7 +399,7 @@ def _swept(machine: Sweeping, work: Work, trial: Trial, gap: Array) -> int:
         return LACKING
     for k in range(gap.size):
         work.gap[CHANGE].flat[k] = trial.gap.flat[k] - gap.flat[k]
-    if change > 0.5 * work.sweeps[LARGEST]:
+    if work.turn[0] > 0:
         factor = 1.0
         if along < 0.0:
             factor = -work.sweeps[WEIGHT] * along / across
@@ -497,6 +501,13 @@ def _conclude(work: Work, course: Course, stage: int) -> int:
 
 
 @compiled_part
+def _free_gap(stage: int, turn: int) -> tuple[int, bool]:
+    """Row of `Work.free_gap` for an equilibrium, and whether one before has the same."""
+    ends = stage == WHOLE_STEP or (stage == HALVES and turn == 1)
+    return WHOLE if ends or stage == SWEEP else PART, ends or stage == BENT_MOMENT
+
+
+@compiled_part
 def _solved(
     machine: AdaptiveKernel, storage: Storage, heat: Heat, course: Course, stage: int
 ) -> tuple[bool, float, int]:
@@ -506,7 +517,7 @@ def _solved(
     to compile.
     """
     joint, work, trial, newton = machine.joint, storage.work, storage.trial, storage.newton
-    part, free_gap, at = _part(work), work.free_gap, work.unknowns[AT]
+    part, at = _part(work), work.unknowns[AT]
     loads = work.inputs[heat.inputs.shape[1] :]
     sweeping = Sweeping(joint.preload, machine.scale, machine.left_open)
     largest_residual, all_iterations = 0.0, 0
@@ -517,8 +528,11 @@ def _solved(
                 _first_guess(heat, joint, work, trial, course)
             conduct(joint, work.contact[VALUE], work.contact[CONDUCTED])
         _prepare(heat, work, course, stage)
-        np.dot(joint.gap, at, free_gap)
-        add_loads(joint.loaded_gap, loads, free_gap)
+        of, known = _free_gap(stage, work.turn[0])
+        free_gap = work.free_gap[of]
+        if not known:
+            np.dot(joint.gap, at, free_gap)
+            add_loads(joint.loaded_gap, loads, free_gap)
         put(part.gap, trial.gap)
         add(part.change, trial.gap)
         solved, residual, iterations = settle_by_newton(joint, free_gap, part, trial, newton)

@@ -93,7 +93,7 @@ def weigh(rates: Array, length: float, share: float, weights: Array) -> None:
             weights[STAYS, k], weights[STARTS, k], weights[TURNS, k] = 0.0, 1.0, share
             continue
         first, second, _ = phi(rates[k] * time)
-        weights[STAYS, k] = math.exp(-rates[k] * time)
+        weights[STAYS, k] = 1.0 - rates[k] * time * first
         weights[STARTS, k], weights[TURNS, k] = time * first, time * share * second
 
 
