@@ -210,8 +210,9 @@ def solve_again(
         r = found[j + 2] - a[j + 2] * p - b[j + 2] * q
         s = found[j + 3] - a[j + 3] * p - b[j + 3] * q - c[j + 3] * r
         found[j + 1], found[j + 2], found[j + 3] = q, r, s
-        for i in range(j + 4, size):
-            found[i] -= p * a[i] + q * b[i] + r * c[i] + s * d[i]
+        rest, a, b, c, d = found[j + 4 :], a[j + 4 :], b[j + 4 :], c[j + 4 :], d[j + 4 :]
+        for i in range(rest.size):
+            rest[i] -= p * a[i] + q * b[i] + r * c[i] + s * d[i]
     for j in range(fours, size):
         for i in range(j + 1, size):
             found[i] -= columns[j, i] * found[j]
