@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fesim.axes.compiled_occupation import add_shares
 from fesim.axes.compiled_rows import add_row, add_rows, multiply
 from fesim.axes.guideway import GuideStations
-from fesim.axes.row_blocks import BodyRows, RowBlocks
+from fesim.axes.row_blocks import BodyRows, RowBlocks, row_blocks
 from fesim.jit import compiled_part
 from fesim.joint.compiled_gap import largest
 from fesim.joint.frozen_tangent import add_product
@@ -27,7 +27,7 @@ from thermojoint.artefacts.arrays import Array, Flags
 
 #: What the iteration may leave: in a step, relative to the warmest row; in a second one that only
 #: shows a gain, relative to what it begins with. Most iterations.
-LEFT, ROUGHLY, MOST = 1e-12, 1e-2, 40
+LEFT, ROUGHLY, MOST = 1e-10, 1e-2, 40
 #: An iteration that leaves no more than this share of what may be left, at the rate of the one
 #: before, is the last one.
 SURELY = 0.1
@@ -47,10 +47,12 @@ class Guides(NamedTuple):
     #: those that ride on none, and where each of these groups begins.
     riding: NDArray[np.int64]
     group: NDArray[np.int64]
-    #: Of q rows, twice, and of shape (q, q): as in `fesim.march.passing.Rows`.
+    #: Of q rows, twice, and of shape (q, q), once whole and once as rows: as in
+    #: `fesim.march.passing.Rows`.
     temperature: RowBlocks
     influence: RowBlocks
     joint_influence: Array
+    between: RowBlocks
 
 
 class Ways(NamedTuple):
@@ -111,6 +113,7 @@ def guides_of(stations: GuideStations, rows: BodyRows, joint_influence: Array) -
         rows.temperature,
         rows.influence,
         np.ascontiguousarray(joint_influence),
+        row_blocks(joint_influence),
     )
 
 
@@ -282,7 +285,7 @@ def _refine(guides: Guides, passed: Passed, conducted: Array, groups: int, again
         before = max(before, abs(passed.found[rows[i]] - passed.warm[rows[i]]))
     for iteration in range(MOST):
         _leave(guides, passed, conducted)
-        np.dot(guides.joint_influence, passed.entering, passed.net)
+        multiply(guides.between, passed.touched, passed.entering, passed.net)
         left = 0.0
         for i in range(total):
             at = rows[i]

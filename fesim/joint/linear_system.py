@@ -71,7 +71,7 @@ def factorise_columns(columns: Array, pivots: NDArray[np.int32], found: Array) -
 
 
 @compiled_part
-def _eliminate_fours(columns: Array) -> int:
+def _eliminate_fours(columns: NDArray[np.floating]) -> int:
     """Factorise four columns at a time, as they are, up to a small pivot: how many are done.
 
     What is left of the others is updated two at a time, so that the four are read half as often;
@@ -122,7 +122,7 @@ def _eliminate_fours(columns: Array) -> int:
 
 
 @compiled_part
-def _lower(columns: Array, k: int, j: int) -> tuple[float, float, float, float]:
+def _lower(columns: NDArray[np.floating], k: int, j: int) -> tuple[float, float, float, float]:
     """Four entries of column j after elimination with the four columns from k on."""
     a, b, c, x = columns[k], columns[k + 1], columns[k + 2], columns[j]
     t = x[k]
@@ -134,7 +134,7 @@ def _lower(columns: Array, k: int, j: int) -> tuple[float, float, float, float]:
 
 
 @compiled_part
-def _eliminate(columns: Array, pivots: NDArray[np.int32], done: int) -> None:
+def _eliminate(columns: NDArray[np.floating], pivots: NDArray[np.int32], done: int) -> None:
     """Factorise what is left after so many columns, with partial pivoting."""
     size = columns.shape[0]
     for k in range(done):
@@ -162,7 +162,11 @@ def factorise_single(
 ) -> None:
     """`factorise_columns` in single precision."""
     size = found.size
-    if size:
+    if size <= FEW:
+        _eliminate(columns, pivots, _eliminate_fours(columns))
+        solve_again(columns, pivots, found)
+        _check_finite(found, True)
+    else:
         failed = _gesv_single(
             _SINGLE, size, 1, columns.ctypes, size, pivots.ctypes, found.ctypes, size
         )
