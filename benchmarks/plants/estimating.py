@@ -21,6 +21,7 @@ from estimator.joint_aware.readings import samples_in
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.response import columns_of
 from thermojoint.models.sensors import rises
+from thermojoint.reduced.loosened import Loosening
 from thermojoint.reduced.machine import ReducedMachine
 
 REFERENCE = "step-1.0"
@@ -38,6 +39,13 @@ class Errors(NamedTuple):
     band: Array | None
 
 
+class Known(NamedTuple):
+    """What an estimator knows of a plant: `machine` with its sensors, and what else it may have."""
+
+    machine: ReducedMachine
+    loosening: Loosening | None
+
+
 #: A run, and whether it begins on a machine of whose past nothing is known, to estimator -> errors.
 Judge = Callable[[xr.Dataset, bool], dict[str, Errors]]
 
@@ -52,16 +60,21 @@ class Calibrated(NamedTuple):
     report: dict[str, object]
 
 
-def joint_aware(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> Calibrated:
+def joint_aware(known: Known, responses: Mapping[str, xr.Dataset]) -> Calibrated:
     """Calibrate the joint-aware estimator."""
     # One search for each: that others come to the same is reported for single machines.
-    found = calibrate_machine(machine, responses, effort=Effort(Search(starts=0)))
+    found = calibrate_machine(
+        known.machine,
+        responses,
+        effort=Effort(Search(starts=0)),
+        loosening=lambda: known.loosening,
+    )
     return Calibrated(observing(JointAware(found.model)), report(found.fit))
 
 
-def kalman_linear(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> Calibrated:
+def kalman_linear(known: Known, responses: Mapping[str, xr.Dataset]) -> Calibrated:
     """Calibrate the Kalman filter on the machine with a linear joint."""
-    found = calibrate_linear_joint(machine, responses, effort=Effort(Search(starts=0)))
+    found = calibrate_linear_joint(known.machine, responses, effort=Effort(Search(starts=0)))
     return Calibrated(observing(JointAware(found.model)), report(found.fit))
 
 
@@ -80,7 +93,7 @@ def observing(estimator: JointAware) -> Judge:
     return judge
 
 
-def fchs(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> Calibrated:
+def fchs(known: Known, responses: Mapping[str, xr.Dataset]) -> Calibrated:
     """Calibrate FCHS and its linear part by the steps among the responses.
 
     Raises `ThermojointError`: the sensors give no stable estimator on this plant.
@@ -99,15 +112,16 @@ def fchs(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> Calibr
     return Calibrated(judge, {})
 
 
-def baselines(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> Calibrated:
+def baselines(known: Known, responses: Mapping[str, xr.Dataset]) -> Calibrated:
     """Fit the regressions to every response, and add the uncompensated displacement."""
-    fitted = regressions(fit_baselines(list(responses.values())), machine.step)
+    fitted = regressions(fit_baselines(list(responses.values())), known.machine.step)
 
     def judge(response: xr.Dataset, warm: bool) -> dict[str, Errors]:
         del warm
         samples = np.column_stack((response["time"].to_numpy(), rises(response))).tolist()
-        nothing = -columns_of(response, "displacement", machine.axes)
-        found = {"none": Errors(machine.axes, nothing, None)}
+        axes = known.machine.axes
+        nothing = -columns_of(response, "displacement", axes)
+        found = {"none": Errors(axes, nothing, None)}
         for one in fitted:
             estimates = [each for _, each in follow(one, samples, one.initial_state())]
             actual = columns_of(response, "displacement", one.axes)
@@ -119,7 +133,7 @@ def baselines(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> C
 
 
 #: Estimators that are calibrated with a plant's responses; add another one here.
-ESTIMATORS: dict[str, Callable[[ReducedMachine, Mapping[str, xr.Dataset]], Calibrated]] = {
+ESTIMATORS: dict[str, Callable[[Known, Mapping[str, xr.Dataset]], Calibrated]] = {
     "joint-aware": joint_aware,
     "kalman-linear": kalman_linear,
     "fchs": fchs,

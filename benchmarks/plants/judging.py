@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.plants.drawing import Plant
 from benchmarks.plants.driving import STEPS, drives
-from benchmarks.plants.estimating import BY_STEPS, ESTIMATORS, Calibrated, Errors
+from benchmarks.plants.estimating import BY_STEPS, ESTIMATORS, Calibrated, Errors, Known
 from benchmarks.plants.responding import (
     DISPLACEMENT_NOISE,
     TEMPERATURE_NOISE,
@@ -26,6 +26,7 @@ from benchmarks.plants.structural import structural_answers
 from estimator.rows import interval_score
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ThermojointError
+from thermojoint.reduced.loosened import Loosening
 from thermojoint.reduced.machine import ReducedMachine
 
 #: Calibration to the runs that it has.
@@ -48,6 +49,8 @@ class Machines:
     plant: ReducedMachine
     #: A response of it, of any length.
     places: xr.Dataset
+    #: What the model may have beside its case.
+    loosening: Loosening | None
     #: Of the plants' case, for a plant that is set up anew.
     data: dict[str, Any]
 
@@ -90,8 +93,8 @@ def judge_plant(machines: Machines, plant: Plant, wanted: tuple[str, ...]) -> di
             begun = time.process_time()
             about = {"plant": plant.number, "calibration": label, "sensors": count}
             try:
-                model = with_sensors(machines.model, names[:count])
-                calibrated = by_steps.get(kind) or ESTIMATORS[kind](model, responses)
+                known = Known(with_sensors(machines.model, names[:count]), machines.loosening)
+                calibrated = by_steps.get(kind) or ESTIMATORS[kind](known, responses)
                 taken = time.process_time() - begun
                 if kind in BY_STEPS:
                     by_steps[kind] = calibrated

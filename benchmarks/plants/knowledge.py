@@ -5,7 +5,8 @@
 Plants of the structural family with ten thermometers, calibrated by steps and a cool-down, as
 `benchmarks.plants.ablation` does. The case has fixed supports, or feet: those of the plant, or
 `USUAL` ones. Known films are those of the plant; its heat is known if there is none beside that of
-its sources, no open door and even air.
+its sources, no open door and even air. Feet that are found are those of a second fit, with films of
+patches (`thermojoint.reduced.loosened`).
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from benchmarks.plants.unknown_heat import errors_of, write_plants
 from benchmarks.study import case_file, options_of
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
+from thermojoint.reduced.loosened import loosening_of
 from thermojoint.reduced.machine import ReducedMachine, along, reduce_machine
 from thermojoint.reduced.parameters import active
 
@@ -48,7 +50,8 @@ def _rows(seed: int, count: int) -> Iterator[dict[str, Any]]:
         for heat in (False, True):
             own = without(plant, "unknown heat, all three") if heat else plant
             exact = exact_answers(machines, own)
-            for films, feet in product((False, True), ("fixed", "usual", "known")):
+            every = product((False, True), ("fixed", "usual", "known"))
+            for films, feet in (*every, (False, "found")):
                 told = replace(machines, model=_told(path, plant, films, feet))
                 about = {"plant": number, "heat": heat, "films": films, "feet": feet}
                 yield about | _errors(told, own, exact)
@@ -58,13 +61,17 @@ def _told(path: Path, plant: Plant, films: bool, feet: str) -> ReducedMachine:
     """Return the model of a case that has the films of a plant, and some feet."""
     assert plant.unlike is not None
     data = machine_data(path, MODEL, more=True)
-    if feet != "fixed":
+    if feet in ("usual", "known"):
         own = USUAL if feet == "usual" else plant.unlike.feet
         data["supports"] = on_feet(data["supports"], own)
     case = case_from_data(data, str(path), path.parent)
     setup = set_up(case)
     machine = along(reduce_machine(case, setup, tuple(case.probes)), AXES)
     machine = with_films(machine, setup, plant.unlike.films) if films else machine
+    if feet == "found":
+        loosening = loosening_of(case, setup)
+        assert loosening is not None
+        machine = loosening.of(machine)
     return replace(machine, step=STEP)
 
 

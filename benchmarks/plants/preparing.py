@@ -17,6 +17,7 @@ from fesim.case.schema import Case, case_from_data
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 from thermojoint.models.sensors import ROLES
+from thermojoint.reduced.loosened import loosening_of
 from thermojoint.reduced.machine import ReducedMachine, along, reduce_machine
 
 #: Element sizes of the bodies and of the joint, mm.
@@ -66,7 +67,8 @@ def prepared(path: Path, more: bool = False) -> tuple[Case, Machines]:
         for case, setup in zip(cases, setups, strict=True)
     )
     places = simulate(cases[1], setup=setups[1]).response
-    return cases[0], Machines(model, plant, places.sel(axis=list(AXES)), data[1])
+    loosening = loosening_of(cases[0], setups[0])
+    return cases[0], Machines(model, plant, places.sel(axis=list(AXES)), loosening, data[1])
 
 
 def with_parameters(data: dict[str, Any], factors: dict[str, float]) -> dict[str, Any]:

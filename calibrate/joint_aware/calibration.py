@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 import xarray as xr
@@ -30,6 +31,7 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import columns_of, probes_of
 from thermojoint.artefacts.units import MEGA
 from thermojoint.reduced.axis_drive import check_drive, drive_on
+from thermojoint.reduced.loosened import Loosening, loosening_of
 from thermojoint.reduced.machine import (
     Guide,
     MovingAxis,
@@ -41,6 +43,8 @@ from thermojoint.reduced.machine import (
 
 #: A singular value above this is determined by the data: the prior contributes less than a tenth.
 DECIDED = 3.0
+#: A machine is taken for one on feet if that leaves no more than this share of the doubt.
+CLEARLY = 0.95
 #: An axis with less than this fraction of the largest displacement does not move.
 STILL = 1e-6
 
@@ -68,7 +72,7 @@ class JointAwareCalibration(Described):
     model : ObserverModel
     fit : Fit
     machine : ReducedMachine
-        As described by the case, with the axes that move.
+        As described by the case, with the axes that move; loosened if that fits clearly better.
     runs : tuple of Run
         Calibration runs.
     unchecked : tuple of str
@@ -145,8 +149,11 @@ def calibrate_joint_aware(
     if not responses:
         raise InputError("joint-aware: no response to calibrate with; give one or more")
     names = tuple(sensors) if sensors is not None else sensors_of(case, responses)
-    machine = machine_of(case, names)
-    return calibrate_machine(machine, responses, noise, fitted, effort)
+    if case.axes:
+        return calibrate_machine(machine_of(case, names), responses, noise, fitted, effort)
+    setup = set_up(case)
+    machine, loosening = reduce_machine(case, setup, names), partial(loosening_of, case, setup)
+    return calibrate_machine(machine, responses, noise, fitted, effort, loosening)
 
 
 def machine_of(case: Case, sensors: Sequence[str]) -> ReducedMachine:
@@ -186,14 +193,20 @@ def calibrate_machine(
     noise: Noise | None = None,
     fitted: Sequence[str] | None = None,
     effort: Effort = USUAL,
+    loosening: Callable[[], Loosening | None] = lambda: None,
 ) -> JointAwareCalibration:
-    """Return the observer of an already reduced machine; see `calibrate_joint_aware`."""
+    """Return the observer of an already reduced machine; see `calibrate_joint_aware`.
+
+    `loosening`: makes what else the machine may have, for one that is unlike its case.
+    """
     machine = along(machine, _moving(machine, responses))
     whole = [run_in(response, machine, name) for name, response in responses.items()]
     # The runs are without what the drive adds, and so is all that is fitted to them.
     moving, machine = () if machine.guide is None else machine.guide.axes, undriven(machine)
     runs = [fewer(run) for run in whole]
     fit = fit_physics(machine, runs, fitted, effort.search)
+    if fitted is None:
+        machine, fit = loosened(machine, runs, fit, effort.search, loosening)
     known = calibrated_range(machine, responses)
     noises = [noise] if noise else _noises(machine, fit, known, runs)
     # Of two observers the one whose band, checked on runs that it has not seen, is narrower.
@@ -205,6 +218,43 @@ def calibrate_machine(
     apart = tuple(names[k] for k in unchecked)
     heat = noises[chosen].unknown_heat
     return JointAwareCalibration(model, fit, machine, tuple(runs), apart, heat)
+
+
+def loosened(
+    machine: ReducedMachine,
+    runs: Sequence[Run],
+    fit: Fit,
+    search: Search,
+    loosening: Callable[[], Loosening | None],
+) -> tuple[ReducedMachine, Fit]:
+    """Return a machine with its fit, or loosened with its own if that leaves clearly less doubt.
+
+    A machine of the family of its case is not fitted again. On one whose supports are fixed, others
+    would only be in the way.
+
+    Parameters
+    ----------
+    machine : ReducedMachine
+        As its case says.
+    runs : sequence of Run
+        From rest.
+    fit : Fit
+        Of all its parameters.
+    search : Search
+        Effort and tolerances.
+    loosening : callable
+        Makes what else the machine may have; called if it is wanted.
+
+    Raises
+    ------
+    ConvergenceError
+        The loosened machine cannot be marched through the runs.
+    """
+    if fit.doubt <= 1.0 or (loose := loosening()) is None:
+        return machine, fit
+    other = loose.of(machine)
+    again = fit_physics(other, runs, search=search)
+    return (other, again) if again.doubt <= CLEARLY * fit.doubt else (machine, fit)
 
 
 def _noises(

@@ -90,14 +90,18 @@ def thermal_loads(case: Case, structure: Structure) -> ThermalLoads:
 
 def relative_rows(whole: Discretised) -> csr_array:
     """Rows of the displacement probe along x, y and z, then of the bolts' stretch."""
-    structure, names = whole.parts.structure, measured_points(whole.case)
-    if not names:
+    if not measured_points(whole.case):
         return whole.stretch
-    points = {name: structure.probes[name] for name in names}
-    rows = probe_rows(whole.spaces.displacement, structure, points)
-    relative = rows[[0]] - rows[[1]] if len(names) == 2 else rows
-    probes = kron(relative, np.eye(len(DIRECTIONS)), format="csr")
+    probes = displacement_rows(whole.case, whole.parts.structure, whole.spaces)
     return csr_array(vstack([probes, whole.stretch]))
+
+
+def displacement_rows(case: Case, structure: Structure, spaces: Spaces) -> csr_array:
+    """Rows of the displacement probe of a case along x, y and z."""
+    points = {name: structure.probes[name] for name in measured_points(case)}
+    rows = probe_rows(spaces.displacement, structure, points)
+    relative = rows[[0]] - rows[[1]] if len(points) == 2 else rows
+    return kron(relative, np.eye(len(DIRECTIONS)), format="csr")
 
 
 def load_forces(whole: Discretised) -> Array:

@@ -18,6 +18,8 @@ from meshes.structure import Probe, Structure
 
 #: Numbers of facets.
 Facets = NDArray[np.int64]
+#: Directions that a facet looks in.
+LOOKS = ("-x", "-y", "-z", "+x", "+y", "+z")
 
 
 def with_faces(
@@ -56,7 +58,7 @@ def with_faces(
 
 def _pieces(structure: Structure, facets: Facets) -> NDArray[np.int32]:
     """Number of the piece of each facet: those hang together by edges and look the same way."""
-    looks = _directions(structure, facets)
+    looks = directions_of(structure, facets)
 
     def one(pairs: coo_array) -> NDArray[np.bool_]:
         return np.asarray((pairs.data > 1.5) & (looks[pairs.row] == looks[pairs.col]))
@@ -64,8 +66,8 @@ def _pieces(structure: Structure, facets: Facets) -> NDArray[np.int32]:
     return linked_parts(structure.mesh.facets[:, facets], one)
 
 
-def _directions(structure: Structure, facets: Facets) -> NDArray[np.int64]:
-    """Direction that each facet looks in: 0 to 2 backwards along x, y and z, 3 to 5 forwards."""
+def directions_of(structure: Structure, facets: Facets) -> NDArray[np.int64]:
+    """Return the direction that each facet looks in, as its place in `LOOKS`."""
     areas = outward_areas(structure.mesh, facets)
     axis = np.abs(areas).argmax(axis=1)
     return np.asarray(axis + 3 * (np.take_along_axis(areas, axis[:, None], axis=1)[:, 0] > 0.0))

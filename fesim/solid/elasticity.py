@@ -127,7 +127,7 @@ def elastic_pieces(
     """
     free = np.ones(spaces.displacement_size, dtype=bool)
     free[held_unknowns(structure, spaces, fixed, symmetry)] = False
-    beds = _beds(structure, spaces, springs or {})
+    beds = beds_under(structure, spaces, springs or {})
     lame = {name: m.lame[0] for name, m in materials.items()}
     shear = {name: m.lame[1] for name, m in materials.items()}
     bulk = {n: (3.0 * lame[n] + 2.0 * shear[n]) * m.expansion for n, m in materials.items()}
@@ -197,7 +197,7 @@ def _of_nodes(nodes: NDArray[np.int64]) -> NDArray[np.int64]:
     return (3 * nodes.astype(np.int64)[:, None] + np.arange(3)).ravel()
 
 
-def _beds(
+def beds_under(
     structure: Structure, spaces: Spaces, springs: Mapping[str, tuple[float, float, float]]
 ) -> csr_array:
     """Stiffness (n, n) of the springs under surfaces, N/m."""

@@ -2,24 +2,29 @@
 
 A real machine has no even film: draughts, fans and enclosed air differ from surface to surface.
 Every named surface that convects has a factor of its own beside the common one. A named surface
-without convection may have a little that the case does not know.
+without convection may have a little that the case does not know. Patches of them, by body and by
+direction, are for a machine that is unlike its case.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from fesim.case.schema import Case
+from fesim.setup.faces import LOOKS, directions_of
 from fesim.setup.machine import Setup
 from fesim.solid.heat import convection_matrix
 from thermojoint.artefacts.arrays import Array
 
 #: Largest number of surfaces with a film of their own; smaller ones share the common factor.
 MOST = 6
+#: Likewise of patches, and the least share of all of them that one has: smaller ones tell nothing.
+MOST_PATCHES, LEAST = 12, 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,16 +48,58 @@ def films_of(case: Case, setup: Setup) -> tuple[Film, ...]:
     The surfaces that convect are divided among those of them that have a name of their own. The
     part with the largest heat loss has no film here: its factor is the common one.
     """
+    return _films(setup, _divided(case, setup), _without_film(case, setup), MOST)
+
+
+def patches_of(case: Case, setup: Setup) -> tuple[Film, ...]:
+    """Return the films of patches of the surfaces, likewise.
+
+    A patch is what looks one way of a body and a surface that convects, or what of a body is on a
+    surface to which the case gives no film.
+    """
+    structure = setup.structure
+    convecting: dict[str, csr_array] = {}
+    free: dict[str, csr_array] = {}
+    for whole, coefficient in case.convection_W_m2K.items():
+        if coefficient:
+            looks = np.array(LOOKS)[directions_of(structure, structure.surfaces[whole])]
+            patched = _patched(setup, whole, looks)
+            convecting |= {name: coefficient * matrix for name, matrix in patched.items()}
+    for whole in _without_film(case, setup):
+        free |= _patched(setup, whole, np.full(structure.surfaces[whole].size, whole))
+    return _films(setup, convecting, free, MOST_PATCHES)
+
+
+def _films(
+    setup: Setup, convecting: dict[str, csr_array], free: dict[str, csr_array], most: int
+) -> tuple[Film, ...]:
+    """Films of parts of the surface, by their matrices, but for the largest that convects."""
     assert setup.modes is not None  # reduce_machine needs them
     basis = setup.modes.basis
     ones = np.ones(basis.shape[0])
-    parts = [(name, 1.0, matrix) for name, matrix in _divided(case, setup).items()]
+    parts = [(name, 1.0, matrix) for name, matrix in convecting.items()]
     parts.sort(key=lambda part: -float(part[2].sum()))
-    parts = parts[1:] + [(name, 0.0, matrix) for name, matrix in _without_film(case, setup).items()]
+    parts = parts[1:] + [(name, 0.0, matrix) for name, matrix in free.items()]
     return tuple(
         Film(name, nominal, basis.T @ (matrix @ basis), basis.T @ (matrix @ ones))
-        for name, nominal, matrix in parts[:MOST]
+        for name, nominal, matrix in parts[:most]
     )
+
+
+def _patched(setup: Setup, whole: str, labels: NDArray[np.str_]) -> dict[str, csr_array]:
+    """Convection matrices at 1 W/(m2 K) of what of a surface is of one body and label."""
+    structure = setup.structure
+    facets = structure.surfaces[whole]
+    patches = {
+        f"{body} {label}": facets[(labels == label) & np.isin(structure.mesh.f2t[0, facets], cells)]
+        for body, cells in structure.bodies.items()
+        for label in np.unique(labels)
+    }
+    patches = {name: own for name, own in patches.items() if own.size}
+    named = replace(structure, surfaces=structure.surfaces | patches)
+    matrices = {name: _matrix(replace(setup, structure=named), name) for name in patches}
+    least = LEAST * sum(float(matrix.sum()) for matrix in matrices.values())
+    return {name: matrix for name, matrix in matrices.items() if matrix.sum() > least}
 
 
 def _divided(case: Case, setup: Setup) -> dict[str, csr_array]:

@@ -38,6 +38,7 @@ from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.artefacts.errors import InputError
 from thermojoint.reduced.axis_drive import AxisDrive
 from thermojoint.reduced.films import Film, films_of
+from thermojoint.reduced.supports import Supports
 
 #: Rate at which the amplitude of a held surface follows its temperature, 1/s: at once, in any step.
 FOLLOWS = 1e12
@@ -182,6 +183,8 @@ class ReducedMachine:
     power_shares: Mapping[str, float] = field(default_factory=dict)
     #: Convection of single surfaces: what of `convection` and `ambient` is theirs, or could be.
     films: tuple[Film, ...] = ()
+    #: Fixed supports, where their give is a parameter; `elastic` is with the usual one.
+    supports: Supports | None = None
     #: Loads and bolts.
     acting: Acting | None = None
     #: Held surfaces.

@@ -10,6 +10,7 @@ All of them reuse one condensation:
   docs/joint-aware.md shows what that costs.
 - heat: the columns of the sources.
 - expansion: thermal gap and probe rows.
+- give of a fixed support, for a machine that is unlike its case: um/kN (`supports`).
 - modulus: compliance falls, the reference springs rise (they follow the modulus), and so do bolts;
   the thermal gap stays.
 - preload: of the joints, and the forces of the bolts.
@@ -64,6 +65,15 @@ class Added(Parameter):
         return max(coordinate, 0.0)
 
 
+@dataclass(frozen=True)
+class Give(Parameter):
+    """The give of a support that the case fixes, along every axis."""
+
+    def factor(self, coordinate: float) -> float:
+        """Return the give of a coordinate, the logarithm of its ratio to the usual, um/kN."""
+        return GIVE * math.exp(coordinate)
+
+
 #: In this order everywhere.
 PARAMETERS = (
     Parameter("friction", 0.4),
@@ -84,8 +94,10 @@ PARAMETERS = (
 OF_SURFACE, ADDED = 0.7, 3.0
 #: Spread of the time constant of a sensor in its mounting, s.
 LAG = 30.0
+#: Median of the give of a support, um/kN, and spread of its logarithm: feet of 300 to 8 000 N/um.
+GIVE, OF_GIVE = 0.6, 0.8
 #: Ends of the names of parameters that are no factors.
-ABSOLUTE = (FILM_UNIT, LAG_UNIT) = (", W/m2K", ", s")
+ABSOLUTE = (FILM_UNIT, LAG_UNIT, GIVE_UNIT) = (", W/m2K", ", s", ", um/kN")
 
 #: What is no parameter here, as it changes the modes or the condensed stiffness as a whole.
 NEW_CONDENSATION = (
@@ -118,12 +130,19 @@ def active(machine: ReducedMachine) -> tuple[Parameter, ...]:
     own = (parameter for parameter in PARAMETERS if parameter.name not in absent)
     read = (name for name in machine.sensor_names if name not in machine.held.names)
     lags = (Added(lag_name(name), LAG) for name in read)
-    return (*own, *(film_parameter(film) for film in machine.films), *lags)
+    supports = () if machine.supports is None else machine.supports.names
+    gives = (Give(give_name(name), OF_GIVE) for name in supports)
+    return (*own, *(film_parameter(film) for film in machine.films), *gives, *lags)
 
 
 def lag_name(sensor: str) -> str:
     """Return the name of a sensor's lag among the parameters."""
     return f"lag {sensor}{LAG_UNIT}"
+
+
+def give_name(support: str) -> str:
+    """Return the name of a support's give among the parameters."""
+    return f"give {support}{GIVE_UNIT}"
 
 
 def bolted(machine: ReducedMachine) -> bool:
@@ -140,7 +159,7 @@ def film_parameter(film: Film) -> Parameter:
 
 def shown(name: str, factor: float, deviation: float) -> tuple[str, str]:
     """Return the texts of a parameter's factor and of its standard deviation."""
-    if name.endswith(ABSOLUTE):
+    if name.endswith((FILM_UNIT, LAG_UNIT)):
         return f"{factor:.2f}", f"{deviation:.2f}"
     return f"{factor:.3f}", f"{100.0 * deviation:.1f} %"
 
@@ -168,6 +187,9 @@ def with_factors(machine: ReducedMachine, factors: dict[str, float]) -> ReducedM
         more *= by["film"] if film.nominal else 1.0
         convection, ambient = convection + more * film.convection, ambient + more * film.ambient
 
+    if (supports := machine.supports) is not None:
+        gives = [by.get(give_name(name), GIVE) for name in supports.names]
+        machine = replace(machine, elastic=supports.elastic(gives), supports=None)
     lags = [by.get(lag_name(sensor), 0.0) for sensor in machine.sensor_names]
     return replace(
         machine.strained(by["modulus"], by["expansion"]),
