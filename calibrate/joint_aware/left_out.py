@@ -30,7 +30,7 @@ from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.observer_model import Band, ObserverModel
 from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.artefacts.errors import ConvergenceError
-from thermojoint.reduced.discrepancy import told_by
+from thermojoint.reduced.discrepancy import REACH, told_by
 from thermojoint.reduced.machine import ReducedMachine
 
 #: Share of the samples of a run that the band has to hold: errors last, so that it is nearly all.
@@ -49,8 +49,8 @@ def widened(
 ) -> tuple[Band, list[int]]:
     """Return the band of a model, wide enough to hold on every run that is left out.
 
-    Also the positions of runs that it was not checked on: the others have no fit, or its machine
-    cannot be marched.
+    Also the positions of runs that it was not checked on: the others have no fit, its machine
+    cannot be marched, or the run alone tells of slow errors (`_alone`).
 
     Parameters
     ----------
@@ -70,6 +70,9 @@ def widened(
     unseen, unchecked = list[_Unseen](), list[int]()
     thinned = [fewer(run) for run in runs]
     for k, run in enumerate(runs if len(runs) > 1 else ()):
+        if fit.doubt > 1.0 and _alone(runs, k):
+            unchecked.append(k)
+            continue
         others = [*thinned[:k], *thinned[k + 1 :]]
         try:
             fitted = refit(machine, thinned, fit, k)
@@ -81,6 +84,16 @@ def widened(
         return model.band, unchecked
     more = [_missing(unseen, axis, drawing.floor) for axis in range(len(machine.axes))]
     return replace(model.band, square=model.band.square + np.array(more)), unchecked
+
+
+def _alone(runs: Sequence[Run], k: int) -> bool:
+    """Whether a run lasts so long that none of the others, at least one, tells of its slow errors.
+
+    On a machine unlike its case a fit without it takes them for films and heat: its errors in this
+    run are none of the fit with it.
+    """
+    lengths = [run.length * len(run.inputs) for run in runs]
+    return lengths[k] > REACH * max(lengths[:k] + lengths[k + 1 :])
 
 
 class _Others(NamedTuple):

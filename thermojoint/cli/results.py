@@ -124,7 +124,8 @@ def show_physics(console: Console, report: Mapping[str, Any]) -> None:
         )
     if unchecked := report["unchecked_runs"]:
         console.print(
-            f"The band is not checked on {', '.join(unchecked)}: the other runs alone have no fit."
+            f"The band is not checked on {', '.join(unchecked)}: the other runs alone tell too "
+            "little for a fit."
         )
     console.print(further_run_line(report["further_runs"]))
 

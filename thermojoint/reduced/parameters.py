@@ -105,7 +105,7 @@ NEW_CONDENSATION = (
     "mesh",
     "Poisson's ratio",
     "material of one body alone",
-    "supports",
+    "supports that are not fixed",
 )
 
 

@@ -497,6 +497,22 @@ def test_a_machine_unlike_its_case_is_known_less_the_longer_it_is_warm(machine, 
     assert np.sqrt(unlike[:, -1]) == pytest.approx(0.169 * size, rel=0.01)
 
 
+def test_a_band_is_not_checked_on_slow_errors_of_which_the_other_runs_cannot_tell(machine):
+    """Those of a machine unlike its case, in a run that is several times as long as all others."""
+    inputs = np.tile(np.append(machine.power, 0.0), (120, 1))
+    sensed, moved = simulate_known(physics_with(machine, {}), inputs, 20.0)
+    small, times = along(machine, ["x", "y"]), 20.0 * np.arange(1.0, 121.0)
+    long, short = (Run(inputs[:n], times[:n], sensed[:n], moved[:n, :2], 20.0) for n in (120, 30))
+    fit = fit_physics(small, [long, short], ["heat"], Search(starts=0))
+    known = Calibrated(2400.0, 1.0, dict.fromkeys(SENSORS, (0.0, 50.0)))
+    model, drawing = make_observer(small, fit, known), Drawing(draws=2, duration=900.0)
+    unchecked = [
+        widened(small, [long, short], replace(fit, doubt=doubt), model, None, drawing)[1]
+        for doubt in (1.0, 1.5)
+    ]
+    assert unchecked == [[], [0]]
+
+
 def test_a_run_that_the_others_do_not_predict_widens_the_band(machine, plant, fit):
     """A machine of the family keeps its band; one that no parameter explains does not."""
     small = along(machine, ["x", "y"])
