@@ -27,7 +27,7 @@ from fesim.setup.parts import unit_direction
 from fesim.solid.elasticity import DIRECTIONS
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.display import Described
-from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.errors import ConvergenceError, InputError
 from thermojoint.artefacts.response import columns_of, probes_of
 from thermojoint.artefacts.units import MEGA
 from thermojoint.reduced.axis_drive import check_drive, drive_on
@@ -229,8 +229,7 @@ def loosened(
 ) -> tuple[ReducedMachine, Fit]:
     """Return a machine with its fit, or loosened with its own if that leaves clearly less doubt.
 
-    A machine of the family of its case is not fitted again. On one whose supports are fixed, others
-    would only be in the way.
+    A machine of the family of its case is not fitted again.
 
     Parameters
     ----------
@@ -244,16 +243,14 @@ def loosened(
         Effort and tolerances.
     loosening : callable
         Makes what else the machine may have; called if it is wanted.
-
-    Raises
-    ------
-    ConvergenceError
-        The loosened machine cannot be marched through the runs.
     """
     if fit.doubt <= 1.0 or (loose := loosening()) is None:
         return machine, fit
     other = loose.of(machine)
-    again = fit_physics(other, runs, search=search)
+    try:
+        again = fit_physics(other, runs, search=search)
+    except ConvergenceError:
+        return machine, fit
     return (other, again) if again.doubt <= CLEARLY * fit.doubt else (machine, fit)
 
 
