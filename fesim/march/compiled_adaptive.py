@@ -399,7 +399,7 @@ def _swept(machine: Sweeping, work: Work, trial: Trial, gap: Array) -> int:
         return LACKING
     for k in range(gap.size):
         work.gap[CHANGE].flat[k] = trial.gap.flat[k] - gap.flat[k]
-    if work.turn[0] > 0:
+    if change > 0.5 * work.sweeps[LARGEST]:
         factor = 1.0
         if along < 0.0:
             factor = -work.sweeps[WEIGHT] * along / across
