@@ -62,12 +62,20 @@ def factorise_columns(columns: Array, pivots: NDArray[np.int32], found: Array) -
     """
     size = found.size
     if size <= FEW:
-        _eliminate(columns, pivots, _eliminate_fours(columns))
-        solve_again(columns, pivots, found)
-        _check_finite(found, True)
+        _solve_few(columns, pivots, found)
     else:
         failed = _gesv(_DOUBLE, size, 1, columns.ctypes, size, pivots.ctypes, found.ctypes, size)
         _check(failed, columns, pivots, found)
+
+
+@compiled_part
+def _solve_few(
+    columns: NDArray[np.floating], pivots: NDArray[np.int32], found: NDArray[np.floating]
+) -> None:
+    """`factorise_columns` by elimination."""
+    _eliminate(columns, pivots, _eliminate_fours(columns))
+    solve_again(columns, pivots, found)
+    _check_finite(found, True)
 
 
 @compiled_part
@@ -163,9 +171,7 @@ def factorise_single(
     """`factorise_columns` in single precision."""
     size = found.size
     if size <= FEW:
-        _eliminate(columns, pivots, _eliminate_fours(columns))
-        solve_again(columns, pivots, found)
-        _check_finite(found, True)
+        _solve_few(columns, pivots, found)
     else:
         failed = _gesv_single(
             _SINGLE, size, 1, columns.ctypes, size, pivots.ctypes, found.ctypes, size
