@@ -94,7 +94,7 @@ PARAMETERS = (
 OF_SURFACE, ADDED = 0.7, 3.0
 #: Spread of the time constant of a sensor in its mounting, s.
 LAG = 30.0
-#: Median of the give of a support, um/kN, and spread of its logarithm: feet of 300 to 8 000 N/um.
+#: Median of the give of a support, um/kN, and spread of its logarithm: feet of 350 to 8 000 N/um.
 GIVE, OF_GIVE = 0.6, 0.8
 #: Ends of the names of parameters that are no factors.
 ABSOLUTE = (FILM_UNIT, LAG_UNIT, GIVE_UNIT) = (", W/m2K", ", s", ", um/kN")
