@@ -272,8 +272,9 @@ def settle_here(pads: Pads, here: Here, made: bool, share: float) -> tuple[float
     """Settle from the gaps, with factors if they are made: error left, m, or NaN; iterations.
 
     A share of the first correction may be left. Factors are made again where a step leaves too
-    much; then the step is shortened until the residual falls, as in `fesim.joint.gap.solve_gap`. At
-    a kink of the law no length may do, and a full step leaves it.
+    much, as a whole where those in parts do as well; then the step is shortened until the residual
+    falls, as in `fesim.joint.gap.solve_gap`. At a kink of the law no length may do, and a full step
+    leaves it.
     """
     kept, groups = 0, pads.begin.size - 1
     (left, norm), moves, fresh = _corrected(pads, here, kept if made else groups), 0, not made
@@ -288,19 +289,20 @@ def settle_here(pads: Pads, here: Here, made: bool, share: float) -> tuple[float
             for i in range(here.gap.size):
                 here.gap[i] = here.before[i] - length * here.step[i]
             after, rest = _corrected(pads, here, kept)
-            falls = rest <= (1.0 - 1e-4 * length) * norm if fresh else after <= SLOW * left
+            # In parts, factors lack what one group of contact elements does to another.
+            apart = fresh and here.parts[0] > 1
+            newton = fresh and not apart
+            falls = rest <= (1.0 - 1e-4 * length) * norm if newton else after <= SLOW * left
             if falls:
                 left, norm, fresh = after, rest, False
                 break
-            # In parts, factors lack what one group of contact elements does to another.
-            apart = fresh and here.parts[0] > 1
             length /= 2.0
-            if fresh and not apart and length >= SHORTEST_STEP:
+            if newton and length >= SHORTEST_STEP:
                 continue
             if moves == MOST_MOVES:
                 return math.nan, iteration
             for i in range(here.gap.size):
-                here.gap[i] = here.before[i] - (here.step[i] if fresh and not apart else 0.0)
+                here.gap[i] = here.before[i] - (here.step[i] if newton else 0.0)
             if apart:
                 groups = 1
             (left, norm), moves, fresh = _corrected(pads, here, groups), moves + 1, True
