@@ -39,7 +39,7 @@ _UNDRIVEN = Axis(
 )
 
 
-class AxesMarch(NamedTuple):
+class ReducedAxesMarch(NamedTuple):
     """A compiled march, and its storage."""
 
     #: Of the guideway.
@@ -48,14 +48,14 @@ class AxesMarch(NamedTuple):
     work: AxesWork
 
 
-def axes_march(
+def reduced_axes_march(
     heat: HeatStep,
     way: Guideway,
     joint: JointKernel,
     contact: ContactProblem,
     tables: CornerTables,
     length: float,
-) -> AxesMarch:
+) -> ReducedAxesMarch:
     """Return the march of a machine on axes.
 
     Parameters
@@ -93,17 +93,17 @@ def axes_march(
     )
     probes = len(contact.elastic.probe_compliance)
     here = new_here(tables.held, probes, trial_at(np.zeros((3, count))))
-    return AxesMarch(tables, kernel, axes_work(kernel, here, 0, len(way.elastic.thermal)))
+    return ReducedAxesMarch(tables, kernel, axes_work(kernel, here, 0, len(way.elastic.thermal)))
 
 
 def march_along(
-    march: AxesMarch, inputs: Array, first: int, now: Moving, record: tuple[Array, Array]
+    march: ReducedAxesMarch, inputs: Array, first: int, now: Moving, record: tuple[Array, Array]
 ) -> int:
     """March through inputs, into a record of amplitudes (n, r) and displacements (n, axes), m.
 
     Parameters
     ----------
-    march : AxesMarch
+    march : ReducedAxesMarch
         The machine.
     inputs : ndarray, shape (n, k + 3 x)
         Heat and temperatures of each step, then the positions of x axes at its start and end, and

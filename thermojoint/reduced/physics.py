@@ -477,7 +477,7 @@ def guided_steps(physics: Physics, length: float) -> tuple[Guided, Steps] | None
     return guide, new_steps(guide, there_of(physics.aligned, joint))
 
 
-def _several_axes(physics: Physics, length: float) -> axes_march.AxesMarch | None:
+def _several_axes(physics: Physics, length: float) -> axes_march.ReducedAxesMarch | None:
     """Return a compiled march along several axes; None with one, or if it is not supported."""
     way, contact = physics.modes.way, physics.contact
     if way is None or len(way.stations.positions) == 1 or physics.held.any():
@@ -486,7 +486,7 @@ def _several_axes(physics: Physics, length: float) -> axes_march.AxesMarch | Non
     if kernel is None or not contact.conducts_by_pressure:
         return None
     heat = heat_step(physics.modes, length)
-    return axes_march.axes_march(heat, way, kernel, contact, physics.tables, length)
+    return axes_march.reduced_axes_march(heat, way, kernel, contact, physics.tables, length)
 
 
 def _march_moving(
