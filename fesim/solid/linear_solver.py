@@ -192,7 +192,11 @@ def upper_triangle(matrix: csr_array) -> csr_array:
 
 def symmetric_product(upper: csr_array, vectors: Array) -> Array:
     """Multiply a symmetric matrix, of which the upper triangle is given, with vectors."""
-    return np.asarray(upper @ vectors + upper.T @ vectors - (vectors.T * upper.diagonal()).T)
+    return _product(upper, upper.diagonal(), vectors)
+
+
+def _product(upper: csr_array, diagonal: Array, vectors: Array) -> Array:
+    return np.asarray(upper @ vectors + upper.T @ vectors - (vectors.T * diagonal).T)
 
 
 def symmetric(upper: csr_array) -> csr_array:
@@ -229,25 +233,25 @@ def _relative_residual(factor: Factor, solution: Array, right_side: Array) -> fl
 
 def _largest_residual(factor: Factor, solution: Array, right_side: Array) -> float:
     residual = 0.0
-    for part in _parts(solution):
-        missing = symmetric_product(factor.matrix, solution[part]) - right_side[part]
-        residual = np.maximum(residual, np.abs(missing).max())
+    for part, product in _products(factor.matrix, solution):
+        residual = np.maximum(residual, np.abs(product - right_side[part]).max())
     return float(residual)
 
 
 def _product_in_parts(upper: csr_array, vectors: Array) -> Array:
     """`symmetric_product` of vectors (n, k), stored as they are."""
     found = np.empty_like(vectors)
-    for part in _parts(vectors):
-        found[part] = symmetric_product(upper, vectors[part])
+    for part, product in _products(upper, vectors):
+        found[part] = product
     return found
 
 
-def _parts(vectors: Array) -> Iterator[tuple[slice, slice]]:
+def _products(upper: csr_array, vectors: Array) -> Iterator[tuple[tuple[slice, slice], Array]]:
     """A few columns at a time: whole, products need several times the memory of the vectors."""
-    width = max(1, AT_ONCE // len(vectors))
+    diagonal, width = upper.diagonal(), max(1, AT_ONCE // len(vectors))
     for first in range(0, vectors.shape[1], width):
-        yield np.s_[:, first : first + width]
+        part = np.s_[:, first : first + width]
+        yield part, _product(upper, diagonal, vectors[part])
 
 
 def _is_rounding(factor: Factor, solution: Array, right_side: Array, residual: float) -> bool:
