@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 import xarray as xr
@@ -22,6 +22,7 @@ from estimator.joint_aware.estimator import JointAware
 from fesim.setup.machine import set_up
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.log import Log
+from thermojoint.reduced.loosened import Loosening, loosening_of
 from thermojoint.reduced.machine import ReducedMachine, along, reduce_machine
 
 SENSORS = ("a", "b", "T1", "T2")
@@ -29,12 +30,12 @@ SENSORS = ("a", "b", "T1", "T2")
 
 def joint_aware(training: Log, test: Log) -> dict[str, Array]:
     """The joint-aware estimator with the four sensors of the paper, and its band."""
-    return _followed(_fitted(training, calibrate_machine), training, test)
+    return _followed(_fitted(training, _calibrated), training, test)
 
 
 def kalman_linear(training: Log, test: Log) -> dict[str, Array]:
     """The same on the machine with a linear joint: a Kalman filter."""
-    return _followed(_fitted(training, calibrate_linear_joint), training, test)
+    return _followed(_fitted(training, _calibrated_linear), training, test)
 
 
 def _followed(estimator: JointAware, training: Log, test: Log) -> dict[str, Array]:
@@ -55,16 +56,26 @@ def _followed(estimator: JointAware, training: Log, test: Log) -> dict[str, Arra
 
 
 @lru_cache(maxsize=1)
-def _machine() -> ReducedMachine:
+def _machine() -> tuple[ReducedMachine, Callable[[], Loosening | None]]:
     case = model_case()
-    return along(reduce_machine(case, set_up(case), SENSORS), list(AXES))
+    setup = set_up(case)
+    machine = along(reduce_machine(case, setup, SENSORS), list(AXES))
+    return machine, partial(loosening_of, case, setup)
+
+
+def _calibrated(runs: Mapping[str, xr.Dataset]) -> JointAwareCalibration:
+    machine, loosening = _machine()
+    return calibrate_machine(machine, runs, loosening=loosening)
+
+
+def _calibrated_linear(runs: Mapping[str, xr.Dataset]) -> JointAwareCalibration:
+    return calibrate_linear_joint(_machine()[0], runs)
 
 
 @lru_cache(maxsize=2)
 def _fitted(
-    training: Log,
-    calibrate: Callable[[ReducedMachine, Mapping[str, xr.Dataset]], JointAwareCalibration],
+    training: Log, calibrate: Callable[[Mapping[str, xr.Dataset]], JointAwareCalibration]
 ) -> JointAware:
     # Before the machine is set up: the log may have nothing of it.
     runs = {f"run {k}": one for k, (_, one) in enumerate(responses(training, SENSORS))}
-    return JointAware(calibrate(_machine(), runs).model)
+    return JointAware(calibrate(runs).model)
