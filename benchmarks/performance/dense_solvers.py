@@ -116,7 +116,7 @@ def made(along: int, across: int) -> Program:
         machine.contact.elastic,
         machine.contact.count,
     )
-    free_gaps = track.temperature @ (problem.exchange @ elastic.thermal_gap).T
+    free_gaps = track.temperature @ problem.at_rest(elastic.thermal_gap).T
     # Without the joint's own springs: g = G + K z.
     bare = np.linalg.inv(np.eye(3 * count) - problem.compliance * problem.springs)
     compliance = (bare @ problem.compliance)[:count, :count]

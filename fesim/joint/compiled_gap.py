@@ -100,11 +100,12 @@ class CompiledGap:
     ) -> Equilibrium:
         """Find the gaps in equilibrium with a thermal gap; see `fesim.joint.gap.solve_gap`."""
         trial, problem = trial_at(guess), self.problem
-        columns = np.ascontiguousarray(problem.compliance.T)
-        kernel = GapKernel(problem.springs, problem.compliance, columns, self.laws, tolerance)
+        kernel = GapKernel(
+            problem.springs, problem.compliance, problem.columns, self.laws, tolerance
+        )
         try:
             outcome, size, iterations = solve_in_place(
-                kernel, problem.exchange @ thermal_gap, slip, trial, newton_work(slip.shape[1])
+                kernel, problem.at_rest(thermal_gap), slip, trial, newton_work(slip.shape[1])
             )
         except np.linalg.LinAlgError as error:
             raise singular() from error

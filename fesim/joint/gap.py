@@ -17,8 +17,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy.linalg import lapack
 
 from fesim.joint.law import Traction, tangent_matrix
 from thermojoint.artefacts.arrays import Array
@@ -33,6 +35,8 @@ SHORTEST_STEP = 2.0**-10
 MAX_FULL_STEPS = 10
 #: Reference springs that differ from the joint's own by less, relative to these, are nearly equal.
 NEAR = 0.01
+#: Rows that are copied at a time from one triangle of a symmetric matrix into the other.
+AT_ONCE = 64
 
 
 @dataclass(frozen=True)
@@ -55,17 +59,31 @@ class GapProblem:
 
     #: Shape (3 m,): k0: stiffness of the joint at its preload while it sticks, Pa/m.
     springs: Array
-    #: Shape (3 m, 3 m): F: gap per traction of the structure with these springs, m/Pa.
+    #: Shape (3 m,): k - k0: by how much the condensation's springs are stiffer, Pa/m.
+    change: Array
+    #: Shape (3 m, 3 m): F: gap per traction of the structure with the springs k0, m/Pa.
     compliance: Array
-    #: Shape (3 m, 3 m): J0^-1: thermal gap with the condensation's springs to that with these.
-    exchange: Array
     #: (gap, slip) to `Traction`.
     law: Law
+
+    @cached_property
+    def columns(self) -> Array:
+        """F transposed, contiguous: shape (3 m, 3 m), m/Pa."""
+        return np.ascontiguousarray(self.compliance.T)
+
+    def at_rest(self, gap: Array) -> Array:
+        """J0^-1 g of gaps g with the condensation's springs, shape (3 m,) or (3 m, n), m.
+
+        J0^-1 = I + F (k - k0).
+        """
+        moved = self.compliance @ (self.change * gap.T).T
+        moved += gap
+        return np.asarray(moved)
 
     def residual(self, gap: Array, traction: Traction, thermal_gap: Array) -> Array:
         """r(g), shape (3 m,), m."""
         remainder = traction.value.ravel() + self.springs * gap.ravel()
-        return gap.ravel() - self.exchange @ thermal_gap - self.compliance @ remainder
+        return gap.ravel() - self.at_rest(thermal_gap) - self.compliance @ remainder
 
     def jacobian(self, traction: Traction) -> Array:
         """dr/dg, shape (3 m, 3 m)."""
@@ -79,13 +97,17 @@ class GapProblem:
         return product
 
 
-def gap_problem(force_compliance: Array, reference: Array, springs: Array, law: Law) -> GapProblem:
+def gap_problem(
+    compliance: Array, area: Array, reference: Array, springs: Array, law: Law
+) -> GapProblem:
     """Put springs as stiff as the joint in the place of those of the condensation.
 
     Parameters
     ----------
-    force_compliance : ndarray, shape (3 m, 3 m)
-        C A: gap per traction with the reference springs, m/Pa.
+    compliance : ndarray, shape (3 m, 3 m)
+        C, symmetric: gap per joint force with the reference springs, m/N.
+    area : ndarray, shape (3 m,)
+        A, m2.
     reference : ndarray, shape (3 m,)
         k, Pa/m.
     springs : ndarray, shape (3 m,)
@@ -98,19 +120,60 @@ def gap_problem(force_compliance: Array, reference: Array, springs: Array, law: 
     ConvergenceError
         A body is constrained by the joint alone, and not sufficiently.
     """
-    tangent = np.eye(springs.size) - force_compliance * (reference - springs)
-    try:
-        exchange = np.asarray(np.linalg.inv(tangent), dtype=np.float64)
-    except np.linalg.LinAlgError as error:
-        raise singular() from error
-    # J0^-1 C A (k - k0) = J0^-1 - I: a product is only needed where k and k0 are nearly equal.
     change = reference - springs
     near = np.abs(change) <= NEAR * springs
+    sides = np.sign(change)
+    found = None
+    if springs.size and not near.any() and (sides == sides[0]).all():
+        found = _definite_inverse(compliance, area * change)
+    if found is None:
+        found = _inverse(compliance, area * change)
+    # J0^-1 C A (k - k0) = J0^-1 - I: a product is only needed where k and k0 are nearly equal.
+    product = found @ (compliance[:, near] * area[near])
     divisor = np.where(near, 1.0, change)
-    compliance = exchange / divisor
-    compliance[np.diag_indices(springs.size)] -= 1.0 / divisor
-    compliance[:, near] = exchange @ force_compliance[:, near]
-    return GapProblem(springs, compliance, exchange, law)
+    found /= divisor
+    found[np.diag_indices(springs.size)] -= 1.0 / divisor
+    found[:, near] = product
+    return GapProblem(springs, change, found, law)
+
+
+def _inverse(compliance: Array, change: Array) -> Array:
+    """(I - C D)^-1 of stiffnesses D (3 m,), N/m."""
+    tangent = compliance * -change
+    tangent[np.diag_indices(change.size)] += 1.0
+    try:
+        return np.asarray(np.linalg.inv(tangent), dtype=np.float64)
+    except np.linalg.LinAlgError as error:
+        raise singular() from error
+
+
+def _definite_inverse(compliance: Array, change: Array) -> Array | None:
+    """`_inverse` of stiffnesses of one sign; None if it is not definite.
+
+    With R = |D|^1/2 it is R^-1 (I -+ R C R)^-1 R: a symmetric matrix, which takes less than half as
+    long to invert. It is positive definite wherever supports and joints hold all bodies.
+    """
+    root = np.sqrt(np.abs(change))
+    system = compliance * root
+    system *= (-np.sign(change) * root)[:, None]
+    system[np.diag_indices(root.size)] += 1.0
+    # In place, as a large array costs more than what is done to it. LAPACK counts along columns:
+    # its lower triangle is the upper one here.
+    factor, failed = lapack.dpotrf(system.T, lower=True, clean=False, overwrite_a=True)
+    if failed:
+        return None
+    inverse, failed = lapack.dpotri(factor, lower=True, overwrite_c=True)
+    if failed:
+        return None
+    inverse = inverse.T
+    for start in range(0, root.size, AT_ONCE):
+        block = slice(start, start + AT_ONCE)
+        inverse[block, :start] = inverse[:start, block].T
+        own = np.triu(inverse[block, block])
+        inverse[block, block] = own + np.triu(own, 1).T
+    inverse *= root
+    inverse /= root[:, None]
+    return np.asarray(inverse)
 
 
 # Too long a step ends in infinities, which are never accepted.

@@ -53,7 +53,8 @@ class ContactProblem:
         """The gap equations."""
         elastic = self.elastic
         return gap_problem(
-            elastic.compliance * elastic.area,
+            elastic.compliance,
+            elastic.area,
             elastic.reference,
             stiffness_at_rest(self.laws),
             self.traction,
@@ -62,7 +63,7 @@ class ContactProblem:
     @cached_property
     def thermal_gap(self) -> Array:
         """J0^-1 S_T (3 m, n), m/K: gaps of a joint that sticks at its preload, by temperatures."""
-        return np.ascontiguousarray(self.gap_problem.exchange @ self.elastic.thermal_gap)
+        return np.ascontiguousarray(self.gap_problem.at_rest(self.elastic.thermal_gap))
 
     @cached_property
     def tolerance(self) -> float:

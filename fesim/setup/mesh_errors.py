@@ -140,8 +140,8 @@ def _pressed(
 def dual_rows(condensed: ElasticCondensation, contact: ContactProblem) -> Array:
     """Return the displacement per nodal temperature, (3, n_heat), m/K, with joints that stick."""
     problem, axes = contact.gap_problem, len(DIRECTIONS)
-    tied = condensed.area * (condensed.reference - problem.springs)
-    closing = (condensed.probe_compliance[:axes] * tied) @ problem.exchange
+    closing = condensed.probe_compliance[:axes] * (condensed.area * problem.change)
+    closing = closing + (closing @ problem.compliance) * problem.change
     return np.asarray(condensed.probe_thermal[:axes] + closing @ condensed.thermal_gap)
 
 

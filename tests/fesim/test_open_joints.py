@@ -92,7 +92,9 @@ def test_machine_code_and_plain_newton_close_a_gap_alike(extra, closing, slip, o
     alone = np.array([2e-12, 1e-12, 1e-12])
     # As a condensation has it, with its springs across the gap.
     compliance = np.diag(alone / (1.0 + alone * springs))
-    problem = gap_problem(compliance, springs, springs, lambda gap, s: evaluate(law, gap, s))
+    problem = gap_problem(
+        compliance, np.ones(3), springs, springs, lambda gap, s: evaluate(law, gap, s)
+    )
     compiled = compile_gap(problem, laws)
     start = np.zeros((3, 1))
     free = np.array([closing, slip, 0.0]) / (1.0 + alone * springs)

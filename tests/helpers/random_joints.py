@@ -31,6 +31,7 @@ def held_by_a_joint(law, compliance):
     """The problem of one contact element with reference springs, of a body that hangs on it."""
     return gap_problem(
         compliance,
+        np.ones(3),
         np.full(3, K_N),
         stiffness_at_rest([(law, 1)]),
         lambda gap, slip: evaluate(law, gap, slip),
@@ -55,7 +56,8 @@ def problem_of(stiffness, friction, springs=1.0, law=None):
     compliance = np.linalg.inv(stiffness + CONTACT_AREA * np.diag(reference))
     compliance = 0.5 * (compliance + compliance.T)
     problem = gap_problem(
-        compliance * CONTACT_AREA,
+        compliance,
+        np.full(3 * count, CONTACT_AREA),
         reference,
         stiffness_at_rest([(law, count)]),
         lambda gap, slip: evaluate(law, gap, slip),
@@ -109,8 +111,7 @@ TIGHT = 1e-16
 def settled(problem, laws, thermal_gap, slip, guess, tangents, tolerance=TIGHT):
     """Whether it is solved, the residual, the gaps and the slip."""
     trial, law = trial_at(guess), compile_gap(problem, laws).laws
-    columns = np.ascontiguousarray(problem.compliance.T)
-    kernel = GapKernel(problem.springs, problem.compliance, columns, law, tolerance)
-    free_gap = problem.exchange @ thermal_gap
+    kernel = GapKernel(problem.springs, problem.compliance, problem.columns, law, tolerance)
+    free_gap = problem.at_rest(thermal_gap)
     found, residual, _ = settle_near(kernel, tangents, free_gap, slip, trial)
     return found, residual, trial.gap, trial.moved

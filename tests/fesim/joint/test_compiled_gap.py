@@ -107,7 +107,9 @@ def test_a_march_is_that_of_the_plain_method(friction):
 
 def test_a_body_that_hangs_loose_raises():
     springs, laws = np.full(3, 11e12), [(surface_law(0.6), 1)]
-    problem = gap_problem(np.diag(1.0 / springs), springs, stiffness_at_rest(laws), None)
+    problem = gap_problem(
+        np.diag(1.0 / springs), np.ones(3), springs, stiffness_at_rest(laws), None
+    )
     made = compile_gap(problem, laws)
     far = np.full((3, 1), 2.0**40)
     with pytest.raises(ConvergenceError, match="has come loose"):

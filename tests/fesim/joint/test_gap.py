@@ -22,16 +22,28 @@ from fesim.joint.gap import TOLERANCE, gap_problem, solve_gap
 from thermojoint.artefacts.errors import ConvergenceError
 
 
-def test_gaps_by_tractions_are_those_of_the_exchanged_springs():
-    """F = J0^-1 C A, where the joint's springs are none, soft, nearly the same, equal and stiff."""
-    rng, ratio = np.random.default_rng(4), np.array([0.0, 1e-6, 0.5, 0.98, 0.995, 1.0, 2.0, 1e6])
-    modes, _ = np.linalg.qr(rng.normal(size=(24, 24)))
-    force_compliance = (modes * rng.uniform(0.01, 0.5, 24)) @ modes.T / K_N
-    reference, springs = np.full(24, K_N), K_N * np.tile(ratio, 3)
-    problem = gap_problem(force_compliance, reference, springs, surface_law(0.1))
-    system = np.eye(24) - force_compliance * (reference - springs)
-    exact = np.linalg.solve(system, force_compliance)
-    np.testing.assert_allclose(problem.compliance, exact, rtol=0.0, atol=1e-13 / K_N)
+@pytest.mark.parametrize(
+    "ratios",
+    [[0.0, 1e-6, 0.5, 0.98, 0.995, 1.0, 2.0, 1e6], [0.0, 1e-6, 0.5, 0.98], [1.02, 2.0, 50.0, 1e6]],
+)
+def test_gaps_by_tractions_are_those_of_the_exchanged_springs(ratios):
+    """F = J0^-1 C A, where the joint's springs are none, soft, nearly the same, equal and stiff.
+
+    All softer, or all stiffer, the inverse is that of a symmetric matrix.
+    """
+    rng, size = np.random.default_rng(4), 48
+    modes, _ = np.linalg.qr(rng.normal(size=(size, size)))
+    area = rng.uniform(0.5, 1.0, size)
+    compliance = (modes * rng.uniform(0.01, 0.5, size)) @ modes.T / K_N
+    compliance /= np.sqrt(area) * np.sqrt(area)[:, None]
+    reference, springs = np.full(size, K_N), K_N * np.resize(ratios, size)
+    problem = gap_problem(compliance, area, reference, springs, surface_law(0.1))
+    system = np.eye(size) - compliance * area * (reference - springs)
+    exact = np.linalg.solve(system, compliance * area)
+    np.testing.assert_allclose(problem.compliance, exact, rtol=0.0, atol=2e-13 / K_N)
+    gaps = rng.normal(size=(size, 2))
+    exact = np.linalg.solve(system, gaps)
+    np.testing.assert_allclose(problem.at_rest(gaps), exact, rtol=0.0, atol=1e-12)
 
 
 @settings(max_examples=200, deadline=None, derandomize=True)

@@ -120,7 +120,9 @@ def sliding_problem(friction):
     compliance = np.linalg.inv(
         np.linalg.inv(half @ half.T * 1e12 + 1e-12 * np.eye(6)) + np.diag(springs)
     )
-    return gap_problem(compliance, springs, springs, lambda gap, slip: evaluate(law, gap, slip))
+    return gap_problem(
+        compliance, np.ones(6), springs, springs, lambda gap, slip: evaluate(law, gap, slip)
+    )
 
 
 def test_a_gap_in_equilibrium_is_held_by_its_thermal_gap():
