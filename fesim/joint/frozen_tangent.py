@@ -92,7 +92,6 @@ class Iteration(NamedTuple):
     #: Shape (3 m,): in one block.
     own_lack: Array
     own_step: Array
-    own_shift: Array
 
 
 class FrozenTangents(NamedTuple):
@@ -136,7 +135,7 @@ def frozen_tangents(blocks: Blocks) -> FrozenTangents:
         ),
     )
     size = 3 * every
-    iteration = Iteration(*(np.empty(n) for n in [size] * 5 + [2 * size] + [size] * 3))
+    iteration = Iteration(*(np.empty(n) for n in [size] * 5 + [2 * size] + [size] * 2))
     begins = np.zeros((5, blocks.starts.size), dtype=np.int64)
     sizes = [counts, slots, counts * counts, slots * counts, slots * slots]
     np.cumsum(sizes, axis=1, out=begins[:, 1:])
@@ -195,13 +194,6 @@ class Lacking(NamedTuple):
     least: float
 
 
-class Correction(NamedTuple):
-    """Newton's step: y, tractions (3 m,), Pa, and F y, gaps (3 m,), m; written in place."""
-
-    step: Array
-    shift: Array
-
-
 @compiled
 def freeze_tangent(frozen: FrozenTangent, block: Block) -> None:
     """Factorise the system of a frozen tangent."""
@@ -222,7 +214,7 @@ def freeze_tangent(frozen: FrozenTangent, block: Block) -> None:
 
 
 @compiled_part
-def add_product(columns: Array, factors: Array, total: Array) -> None:
+def add_product(columns: NDArray[np.floating], factors: Array, total: Array) -> None:
     """Add the sum of the rows of `columns`, each by its factor, to `total`; factors may be zero.
 
     Four rows at a time: the total is read and written once for them.
@@ -348,14 +340,13 @@ def _move(frozen: FrozenTangent, compliance: Array, slot: int, by: int) -> None:
 
 
 @compiled_part
-def correct(frozen: FrozenTangent, block: Block, now: Lacking, correction: Correction) -> bool:
-    """Newton's step for what is lacking; False: too much changed.
+def correct(frozen: FrozenTangent, block: Block, now: Lacking, step: Array) -> bool:
+    """Newton's step y (3 m,), Pa, for what is lacking, in place; False: too much changed.
 
     With E = dT - dT_frozen of the changed contact elements (rows P) and A the frozen system:
     (A - P E F_P) y = lack, so y = A^-1 lack + A^-1 P (I - E F_P A^-1 P)^-1 E F_P A^-1 lack.
     """
     springs, tangent, lack = block.springs, now.tangent, now.lack
-    step, shift = correction.step, correction.shift
     count = tangent.shape[1]
     changed = frozen.scratch.changed[: frozen.element.size]
     number = _changed(frozen, springs, now, changed)
@@ -373,8 +364,6 @@ def correct(frozen: FrozenTangent, block: Block, now: Lacking, correction: Corre
     _combine(frozen, changed, factors, step)
     if number > 0:
         _follow_change(frozen, block, tangent, changed[:number], step)
-    fill(shift, 0.0)
-    add_product(block.columns, step, shift)
     return True
 
 

@@ -22,7 +22,6 @@ from fesim.joint.blocks import Block, part_of
 from fesim.joint.compiled_gap import GapKernel, Trial, evaluate_in_place, lacking, largest
 from fesim.joint.frozen_tangent import (
     MADE,
-    Correction,
     FrozenTangent,
     FrozenTangents,
     Lacking,
@@ -44,6 +43,8 @@ PATIENCE = 8
 #: Residual of an accepted state, relative to the tolerance: the last iterations of Newton's own
 #: method leave as little, and friction remembers it.
 LEFT = 0.01
+#: Relative error of gaps in single precision.
+SINGLE = float(np.finfo(np.float32).eps)
 
 #: Outcome of a correction: too much has changed; the frozen tangent was sufficient; it was updated.
 _FAILED, _CORRECTED, _MOVED = range(3)
@@ -56,7 +57,7 @@ def _correct_or_move(
     now: Lacking,
     stale: bool,
     may_move: bool,
-    correction: Correction,
+    step: Array,
 ) -> int:
     """`correct`, after updating the tangent if it is stale or too much has changed."""
     move = stale or frozen.about[MADE] == 0
@@ -66,7 +67,7 @@ def _correct_or_move(
                 return _FAILED
             put(now.tangent, frozen.tangent)
             freeze_tangent(frozen, block)
-        if correct(frozen, block, now, correction):
+        if correct(frozen, block, now, step):
             return _MOVED if move else _CORRECTED
         if move:
             return _FAILED
@@ -74,22 +75,15 @@ def _correct_or_move(
 
 
 @compiled_part
-def _sweep(
-    tangents: FrozenTangents,
-    columns: Array,
-    now: Lacking,
-    most: float,
-    may_move: bool,
-    correction: Correction,
-) -> int:
-    """One sweep over the blocks.
+def _sweep(tangents: FrozenTangents, now: Lacking, most: float, may_move: bool) -> int:
+    """One sweep over the blocks: into the step and the shift of the storage.
 
     Blocks whose residual is above `most`, a gap in m, update their tangent.
     """
     tangent, lack = now.tangent, now.lack
-    step, shift = correction.step, correction.shift
     count, outcome = tangent.shape[1], _CORRECTED
-    storage, part = tangents.iteration, tangents.iteration.part
+    storage = tangents.iteration
+    step, shift, part = storage.step, storage.shift, storage.part
     fill(step, 0.0)
     fill(shift, 0.0)
     for k in range(tangents.blocks.starts.size - 1):
@@ -97,7 +91,7 @@ def _sweep(
         elements, springs, size = block.elements, block.springs, block.elements.size
         own_tangent = storage.tangent[: 6 * size].reshape(6, size)
         own_now = Lacking(own_tangent, storage.own_lack[: 3 * size], now.least)
-        own = Correction(storage.own_step[: 3 * size], storage.own_shift[: 3 * size])
+        own_step = storage.own_step[: 3 * size]
         largest_gap = 0.0
         for j in range(size):
             e = elements[j]
@@ -114,7 +108,7 @@ def _sweep(
                     + across * shift[2 * count + e]
                 )
         outcome_of = _correct_or_move(
-            block_tangent(tangents, k), block, own_now, largest_gap > most, may_move, own
+            block_tangent(tangents, k), block, own_now, largest_gap > most, may_move, own_step
         )
         if outcome_of == _FAILED:
             return _FAILED
@@ -122,9 +116,9 @@ def _sweep(
         fill(part, 0.0)
         for i in range(3):
             for j in range(size):
-                part[i * count + elements[j]] = own.step[i * size + j]
+                part[i * count + elements[j]] = own_step[i * size + j]
         add(part, step)
-        add_product(columns, part, shift)
+        add_product(tangents.blocks.between, part, shift)
     return outcome
 
 
@@ -163,13 +157,14 @@ def settle_near(
     columns = kernel.columns
     flat, storage = gap.reshape(-1), tangents.iteration
     force, lack, step, shift = storage.force, storage.lack, storage.step, storage.shift
-    correction = Correction(step, shift)
     evaluate_in_place(kernel.laws, slip, trial)
     fill(step, 0.0)
     _lack(springs, trial, step, force)
     put(free_gap, flat)
     add_product(columns, force, flat)
     moves, before, corrected, least = 0, math.inf, math.inf, 0.1 * LEFT * tolerance
+    # Gaps that were moved since then in single precision.
+    rounded = 0.0
     now = Lacking(trial.tangent, lack, least)
     # Not of block 0: a literal would be another type, and all that takes it compiled twice.
     last = tangents.blocks.starts.size - 2
@@ -181,8 +176,16 @@ def settle_near(
             return False, size, iteration
         left = corrected * size <= LEFT * tolerance * before if iteration > 0 else False
         if left or size <= least:
+            if SINGLE * rounded > LEFT * tolerance:
+                put(free_gap, flat)
+                add_product(columns, force, flat)
+                rounded = 0.0
+                continue
             fill(shift, 0.0)
-            add_product(columns, lack, shift)
+            if last == 0:
+                add_product(columns, lack, shift)
+            else:
+                add_product(tangents.blocks.between, lack, shift)
             residual = largest(shift)
             if residual <= tolerance and np.spacing(largest(gap)) <= tolerance:
                 if iteration > PATIENCE:
@@ -191,9 +194,12 @@ def settle_near(
         may_move = moves < MOST_MOVES
         if last == 0:
             stale = size > SLOW * before
-            outcome = _correct_or_move(whole_tangent, whole, now, stale, may_move, correction)
+            outcome = _correct_or_move(whole_tangent, whole, now, stale, may_move, step)
+            fill(shift, 0.0)
+            add_product(columns, step, shift)
         else:
-            outcome = _sweep(tangents, columns, now, SLOW * before, may_move, correction)
+            outcome = _sweep(tangents, now, SLOW * before, may_move)
+            rounded += largest(shift)
         if outcome == _FAILED:
             return False, size, iteration
         moves += outcome == _MOVED

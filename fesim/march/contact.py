@@ -16,6 +16,7 @@ from fesim.solid.rigid_motions import Constraints
 from thermojoint.artefacts.arrays import Array
 
 if TYPE_CHECKING:
+    from fesim.joint.blocks import Blocks
     from fesim.joint.loosening import Watch
 
 #: Thermal gap (3 m,), slip (2, m) at the start of the step and a first guess of the gaps (3, m).
@@ -77,6 +78,19 @@ class ContactProblem:
     def settle(self) -> Settle:
         """Their compiled solver."""
         return gap_solver(self.gap_problem, self.laws, self.tolerance)
+
+    @cached_property
+    def blocks(self) -> Blocks:
+        """Weakly coupled blocks of contact elements; a single one if no constraints are known."""
+        # Here, not above, as in `gap_solver`.
+        from fesim.joint.blocks import blocks_of, one_block
+
+        problem, constraints = self.gap_problem, self.constraints
+        linear = problem.springs, problem.compliance, problem.columns
+        if constraints is None:
+            return one_block(*linear)
+        counts = [count for _, count in self.laws]
+        return blocks_of(*linear, counts, constraints.share, constraints.supports)
 
     @cached_property
     def watch(self) -> Watch | None:

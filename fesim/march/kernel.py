@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fesim.joint.blocks import Blocks, blocks_of, one_block, part_of
+from fesim.joint.blocks import Blocks, part_of
 from fesim.joint.compiled_gap import compile_gap
 from fesim.joint.conductance import FixedConductance
 from fesim.joint.frozen_tangent import (
@@ -151,7 +151,7 @@ def step_kernel(machine: CondensedMachine) -> StepKernel | None:
         joint_influence=owned(thermal.joint_influence),
     )
     watched = watched_in(machine.contact)
-    return StepKernel(MarchKernel(heat, joint, watched), _blocks(machine.contact, joint))
+    return StepKernel(MarchKernel(heat, joint, watched), machine.contact.blocks)
 
 
 def watched_in(contact: ContactProblem) -> Watched:
@@ -196,15 +196,6 @@ def joint_kernel(contact: ContactProblem, jump: Array, held: Array) -> JointKern
         loaded=owned(loaded),
         tolerance=contact.tolerance,
     )
-
-
-def _blocks(contact: ContactProblem, joint: JointKernel) -> Blocks:
-    """Weakly coupled blocks of contact elements; a single block if no constraints are known."""
-    linear, constraints = (joint.springs, joint.compliance, joint.columns), contact.constraints
-    if constraints is None:
-        return one_block(*linear)
-    counts = [count for _, count in contact.laws]
-    return blocks_of(*linear, counts, constraints.share, constraints.supports)
 
 
 def owned(values: Array) -> Array:

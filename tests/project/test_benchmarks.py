@@ -87,9 +87,7 @@ def test_the_law_of_the_comparison_with_calculix_is_not_machine_code():
     """Which is what the notes of its rows say."""
     law = comparable(problem_of(calculix.long_case("staggered")).law)
     laws = [(law, 1)]
-    problem = gap_problem(
-        1e-13 * np.eye(3), np.ones(3), np.ones(3), stiffness_at_rest(laws), None
-    )
+    problem = gap_problem(1e-13 * np.eye(3), np.ones(3), np.ones(3), stiffness_at_rest(laws), None)
     assert compile_gap(problem, laws) is None
 
 

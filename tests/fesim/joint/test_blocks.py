@@ -142,6 +142,8 @@ def test_a_sweep_over_blocks_finds_the_equilibrium_of_the_plain_method(seed, spr
     found, residual, gap, slip = settled(*given, frozen_tangents(blocks))
     assert found
     assert residual <= TIGHT
+    left = problem.residual(gap, problem.law(gap, zero[1:]), thermal_gap)
+    assert np.abs(left).max() <= 2.0 * TIGHT
     np.testing.assert_allclose(gap, theirs.gap, rtol=1e-9, atol=1e-13)
     np.testing.assert_allclose(slip, theirs.traction.slip, rtol=1e-9, atol=1e-13)
 
