@@ -18,8 +18,16 @@ import math
 import numpy as np
 
 from fesim.jit import compiled, compiled_part
-from fesim.joint.blocks import Block, part_of
-from fesim.joint.compiled_gap import GapKernel, Trial, evaluate_in_place, lacking, largest
+from fesim.joint.blocks import Block, Blocks, part_of
+from fesim.joint.compiled_gap import (
+    CompiledGap,
+    GapKernel,
+    Trial,
+    evaluate_in_place,
+    lacking,
+    largest,
+    trial_at,
+)
 from fesim.joint.frozen_tangent import (
     MADE,
     FrozenTangent,
@@ -30,8 +38,11 @@ from fesim.joint.frozen_tangent import (
     correct,
     forget,
     freeze_tangent,
+    frozen_tangents,
 )
+from fesim.joint.gap import Equilibrium
 from fesim.joint.in_place import add, fill, put
+from fesim.joint.law import Traction
 from thermojoint.artefacts.arrays import Array
 
 #: Most iterations of a step, and most updates of the tangent in it.
@@ -207,3 +218,30 @@ def settle_near(
         add(shift, flat)
         before, corrected = size, largest(shift)
     return False, before, MAX_ITERATIONS
+
+
+def solve_in_blocks(
+    solver: CompiledGap,
+    blocks: Blocks,
+    thermal_gap: Array,
+    slip: Array,
+    guess: Array,
+    tolerance: float,
+) -> Equilibrium:
+    """Find the gaps by sweeps over blocks, without frozen tangents of earlier steps.
+
+    By Newton's method where that fails; arguments and errors as for `fesim.joint.gap.solve_gap`.
+    """
+    problem, trial = solver.problem, trial_at(guess)
+    kernel = GapKernel(problem.springs, problem.compliance, problem.columns, solver.laws, tolerance)
+    try:
+        found = settle_near(
+            kernel, frozen_tangents(blocks), problem.at_rest(thermal_gap), slip, trial
+        )
+    except np.linalg.LinAlgError:
+        found = False, math.inf, 0
+    solved, residual, iterations = found
+    if not solved:
+        return solver.solve(thermal_gap, slip, guess, tolerance)
+    traction = Traction(trial.value, trial.tangent, trial.moved)
+    return Equilibrium(trial.gap, traction, residual, iterations)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fesim.joint.gap import TOLERANCE, Equilibrium, GapProblem, gap_problem, solve_gap
+from fesim.joint.gap import Equilibrium, GapProblem, gap_problem, solve_gap
 from fesim.joint.law import JointLaw, Traction, evaluate, stiffness_at_rest
 from fesim.solid.condensation import ElasticCondensation, LoadInfluence
 from fesim.solid.rigid_motions import Constraints
@@ -77,7 +77,7 @@ class ContactProblem:
     @cached_property
     def settle(self) -> Settle:
         """Their compiled solver."""
-        return gap_solver(self.gap_problem, self.laws, self.tolerance)
+        return gap_solver(self)
 
     @cached_property
     def blocks(self) -> Blocks:
@@ -147,11 +147,17 @@ class ContactProblem:
         return np.concatenate([np.empty(0), *parts])
 
 
-def gap_solver(problem: GapProblem, laws: Laws, tolerance: float = TOLERANCE) -> Settle:
+def gap_solver(contact: ContactProblem) -> Settle:
     """Return the solver of a gap problem: compiled, or `solve_gap` if a law is not built in."""
     # Imported here because it loads a compiler, which structures without joints do not need.
     from fesim.joint.compiled_gap import compile_gap
 
-    compiled = compile_gap(problem, laws)
-    solve = compiled.solve if compiled is not None else partial(solve_gap, problem)
-    return partial(solve, tolerance=tolerance)
+    problem, tolerance = contact.gap_problem, contact.tolerance
+    compiled = compile_gap(problem, contact.laws)
+    if compiled is None:
+        return partial(solve_gap, problem, tolerance=tolerance)
+    if contact.blocks.starts.size > 2:
+        from fesim.joint.modified_newton import solve_in_blocks
+
+        return partial(solve_in_blocks, compiled, contact.blocks, tolerance=tolerance)
+    return partial(compiled.solve, tolerance=tolerance)

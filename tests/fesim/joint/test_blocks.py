@@ -1,5 +1,8 @@
 """Blocks of contact elements: one inverse each, and the equilibria and marches of a whole one."""
 
+from dataclasses import replace
+from functools import partial
+
 import numpy as np
 import pytest
 from bars import surface_law
@@ -188,10 +191,25 @@ def test_a_machine_of_many_joints_marches_in_blocks_as_it_does_plainly(pillar):
     machine, inputs = pillar
     assert step_kernel(machine).blocks.starts.tolist() == [0, 20, 40, 60, 80, 100]
     found = np.vstack([track.displacement for track in marched(machine, inputs)])
-    steps = marched(machine, inputs, advance=plainly_staggered)
+    contact = replace(machine.contact)
+    vars(contact)["settle"] = partial(solve_gap, contact.gap_problem)
+    steps = marched(replace(machine, contact=contact), inputs, advance=plainly_staggered)
     plain = np.vstack([track.displacement for track in steps])
     assert np.abs(plain).max() > 1e-6
     np.testing.assert_allclose(found, plain, rtol=0.0, atol=1e-12)
+
+
+def test_steps_that_are_settled_one_by_one_go_in_blocks_too(pillar):
+    machine, inputs = pillar
+    contact, sized = machine.contact, {"rtol": 0.0, "atol": 1e-12}
+    zero, driven = np.zeros((3, 100)), inputs[:12]
+    for step in marched(machine, driven)[0].temperature:
+        opened = contact.elastic.thermal_gap @ step
+        found = contact.settle(opened, zero[1:], zero)
+        plain = solve_gap(contact.gap_problem, opened, zero[1:], zero)
+        assert found.residual <= contact.tolerance
+        np.testing.assert_allclose(found.gap, plain.gap, **sized)
+        np.testing.assert_allclose(found.traction.slip, plain.traction.slip, **sized)
 
 
 def test_a_march_in_blocks_goes_on_from_a_saved_state_with_the_same_bits(pillar):
