@@ -208,7 +208,12 @@ def _tangents(modes: Modes, machine: ReducedMachine) -> list[Array]:
     strokes = [positions.tolist() for positions in modes.way.stations.positions]
     if len(strokes) > 1:
         strokes = [[one[0], one[len(one) // 2], one[-1]] for one in strokes]
-    return [sticking_tangent(placed(modes, at), machine.laws) for at in product(*strokes)]
+    drives = modes.drives
+    assert drives is not None  # with axes
+    return [
+        drives.tangent(sticking_tangent(placed(modes, at), machine.laws), at)
+        for at in product(*strokes)
+    ]
 
 
 def warm_columns(

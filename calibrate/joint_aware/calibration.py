@@ -30,7 +30,7 @@ from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import ConvergenceError, InputError
 from thermojoint.artefacts.response import columns_of, probes_of
 from thermojoint.artefacts.units import MEGA
-from thermojoint.reduced.axis_drive import check_drive, drive_on
+from thermojoint.reduced.axis_drive import displacement_probes, drives_on
 from thermojoint.reduced.loosened import Loosening, loosening_of
 from thermojoint.reduced.machine import (
     Guide,
@@ -38,7 +38,6 @@ from thermojoint.reduced.machine import (
     ReducedMachine,
     along,
     reduce_machine,
-    undriven,
 )
 
 #: A singular value above this is determined by the data: the prior contributes less than a tenth.
@@ -162,29 +161,24 @@ def machine_of(case: Case, sensors: Sequence[str]) -> ReducedMachine:
     Raises
     ------
     InputError
-        As `fesim.setup.machine.set_up` and `reduce_machine`; or a drive feels the machine.
+        As `fesim.setup.machine.set_up`, `reduce_machine` and `drives_on`.
     """
     if not case.axes:
         return reduce_machine(case, set_up(case), sensors)
-    for name, section in case.axes.items():
-        check_drive(name, section)
     ready = set_up_axes(case)
     axes = tuple(_moving_axis(case, axis) for axis in ready.axes)
-    guide = Guide(axes, ready.moving.guideway, place_of(ready.axes, 0.0))
+    drives, way = drives_on(case, ready), ready.moving.guideway
+    guide = Guide(axes, drives, way, place_of(ready.axes, 0.0))
     machine = reduce_machine(case, ready.setup, sensors, guide)
-    # Without those of a rotation.
-    return machine.with_probes(range(len(machine.axes)))
+    return machine.with_probes(displacement_probes(ready).tolist())
 
 
 def _moving_axis(case: Case, axis: Axis) -> MovingAxis:
     """What a model knows of an axis of its case."""
     section = case.axes[axis.name]
-    screw = section.ball_screw
-    material = None if screw is None else case.materials[screw.material]
-    drive = drive_on(section, material, axis.carried)
     own = np.abs(unit_direction(section)).round(9) == 1.0
     along = "".join(one for one, moves in zip(DIRECTIONS, own, strict=True) if moves)
-    return MovingAxis(axis.name, along, axis.asked, axis.reference, drive, section.odometer)
+    return MovingAxis(axis.name, along, axis.asked, axis.reference, section.odometer)
 
 
 def calibrate_machine(
@@ -201,8 +195,6 @@ def calibrate_machine(
     """
     machine = along(machine, _moving(machine, responses))
     whole = [run_in(response, machine, name) for name, response in responses.items()]
-    # The runs are without what the drive adds, and so is all that is fitted to them.
-    moving, machine = () if machine.guide is None else machine.guide.axes, undriven(machine)
     runs = [fewer(run) for run in whole]
     fit = fit_physics(machine, runs, fitted, effort.search)
     if fitted is None:
@@ -214,7 +206,6 @@ def calibrate_machine(
     chosen = int(np.argmin([variance_of_heat(model).sum() for model, _ in found]))
     model, unchecked = found[chosen]
     names = tuple(responses)
-    model = replace(model, moving_axes=moving)
     apart = tuple(names[k] for k in unchecked)
     heat = noises[chosen].unknown_heat
     return JointAwareCalibration(model, fit, machine, tuple(runs), apart, heat)

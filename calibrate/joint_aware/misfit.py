@@ -296,7 +296,7 @@ def physics_with(machine: ReducedMachine, factors: dict[str, float]) -> Physics:
 
     The modes assume the joint of the case, whatever its parameters: a march does not depend on this
     assumption, and so they are recomputed for a changed convection or conduction only. On several
-    axes they assume none (`thermojoint.reduced.axes_march`).
+    axes, or with a drive, they assume none (`thermojoint.reduced.axes_march`).
     """
     other, held = with_factors(machine, factors), _assumed(machine)
     modes = on_basis(other, *basis_with(machine, factors), held)
@@ -320,8 +320,9 @@ def _basis(machine: ReducedMachine, turning: tuple[tuple[str, float], ...]) -> t
 
 def _assumed(machine: ReducedMachine) -> Array:
     """Conductance times area (m,), W/K, that the modes have."""
-    several = len(machine.axis_names) > 1
-    return np.zeros_like(machine.at_preload) if several else machine.at_preload
+    guide = machine.guide
+    free = guide is not None and (len(guide.axes) > 1 or guide.drives.any)
+    return np.zeros_like(machine.at_preload) if free else machine.at_preload
 
 
 def residuals(problem: Problem, parameters: tuple[Parameter, ...], coordinates: Array) -> Array:

@@ -42,7 +42,13 @@ from thermojoint.artefacts.errors import ConvergenceError
 from thermojoint.reduced.discrepancy import COUNT, Discrepancy, make_ridge, relaxed
 from thermojoint.reduced.machine import ReducedMachine
 from thermojoint.reduced.parameters import LAG_UNIT, factors_of
-from thermojoint.reduced.physics import at_start, march_known, settle_joint, simulate_known
+from thermojoint.reduced.physics import (
+    at_start,
+    displaced,
+    march_known,
+    settle_joint,
+    simulate_known,
+)
 
 
 @dataclass(frozen=True)
@@ -296,13 +302,14 @@ def _history(observer: JointAware, machine: ReducedMachine, history: History) ->
     """Mean square change of the displacement by slips of the past, m2, shape (axes,)."""
     physics = observer.observer.physics
     inputs = machine.inputs(history.heat * machine.power, history.course)
-    amplitudes, moved, _ = march_known(physics, inputs, machine.step)
+    marched = march_known(physics, inputs, machine.step)
     loads = np.tile(physics.modes.factors, (len(inputs), 1))
     loads[:, loads.shape[1] - history.course.shape[1] :] = history.course
-    joint, without = physics.at_rest(), np.empty_like(moved)
-    for k, (now, acting) in enumerate(zip(amplitudes, loads, strict=True)):
-        joint, without[k] = settle_joint(physics, joint, now, acting)
+    joint, probes = physics.at_rest(), np.empty_like(marched.probes)
+    for k, (now, acting) in enumerate(zip(marched.amplitudes, loads, strict=True)):
+        joint, probes[k] = settle_joint(physics, joint, now, acting)
         joint = joint._replace(slip=physics.rest.slip)
+    moved, without = (displaced(physics, marched, one) for one in (marched.probes, probes))
     return np.asarray(np.mean(np.square(moved - without), axis=0))
 
 

@@ -17,7 +17,6 @@ from fesim.axes.axis import gone_along
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import columns_of
-from thermojoint.reduced.axis_drive import AxisDrives, carried_along
 from thermojoint.reduced.machine import ReducedMachine
 from thermojoint.reduced.physics import at_start
 
@@ -41,9 +40,7 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
         axis, or a probe, an axis or a load is missing.
     """
     guide = machine.guide
-    drives = AxisDrives(() if guide is None else tuple(axis.drive for axis in guide.axes))
-    driven = any(drive is not None for drive in drives.each)
-    if not driven and "positioning_error" in response:
+    if (guide is None or not guide.drives.any) and "positioning_error" in response:
         raise InputError(
             f"{where}: its displacement has the error of a ball screw or a scale, which the model "
             "does not know; record where the body is"
@@ -69,11 +66,8 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     if not displacement[0].any():
         # A log counts from its beginning, a machine under loads from where nothing acts.
         displacement = displacement + at_start(physics_with(machine, {}))[1]
-    way = _ways(response, machine, positions)
-    if driven:
-        added = carried_along(drives, times, ambient_in(response), positions, way)
-        displacement = displacement - added
-    ends = [np.interp(grid, times, column) for column in way.T]
+    ways = _ways(response, machine, positions).T
+    ends = [np.interp(grid, times, column) for column in ways]
     return Run(
         inputs=np.column_stack([powers, held, ambient, *factors]),
         times=times,

@@ -6,17 +6,18 @@ A step takes the nominal interval, so that all but the film is constant.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from estimator.export.program import Operations, Table
+from estimator.joint_aware.observer_model import ObserverModel
+from fesim.axes.compiled_drive import SHORTEST
 from fesim.axes.positioning import Scale, Screw
-from thermojoint.reduced.axis_drive import SHORTEST
-from thermojoint.reduced.machine import MovingAxis
+from fesim.march.exponential import phi_functions
+from thermojoint.reduced.physics import heat_step
 
-#: Terms of the series of phi_1, for decays below one.
+#: Terms of the series of phi_1 and phi_2, for decays below one.
 TERMS = 18
 
 
@@ -26,6 +27,9 @@ class Driven(NamedTuple):
     #: Numbers of each drive.
     drives: list[dict[str, Any]]
     tables: list[Table]
+    #: How many surfaces screws heat, and how many temperatures of the machine drives feel.
+    heated: int
+    felt: int
     #: Numbers of the state.
     state: int
     #: Of the drives' step, and of what they add at a place.
@@ -33,43 +37,63 @@ class Driven(NamedTuple):
     place: Operations
 
 
-def driven(axes: Sequence[MovingAxis], step: float) -> Driven:
-    """Return what the program of these axes has of their drives; the step is in s."""
+def driven(model: ObserverModel) -> Driven:
+    """Return what the program of a model with moving axes has of their drives."""
+    every, step = model.modes.drives, model.step
+    assert every is not None  # with axes
     drives, tables = list[dict[str, Any]](), list[Table]()
-    for k, axis in enumerate(axes):
-        if axis.drive is None or (axis.drive.screw is None and axis.drive.scale is None):
+    for k, (axis, one) in enumerate(zip(model.moving_axes, every.each, strict=True)):
+        if one is None:
             continue
-        own = axis.drive.drive
-        tables.append(
-            Table(f"carried_{k}", "Displacement per error, per axis.", axis.drive.carried)
-        )
-        common = {"axis": k, "zero": own.zero, "counted": axis.odometer, "shortest": SHORTEST}
-        if own.scale is not None:
-            # The control reads it, wherever a screw has gone.
-            drives.append(common | _scale(own.scale, step))
-        elif own.screw is not None:
+        own = one.drive
+        tables.append(Table(f"carried_{k}", "Displacement per error, per axis.", one.carried))
+        common = {
+            "axis": k,
+            "cells": 0,
+            "zero": own.zero,
+            "counted": axis.odometer,
+            "shortest": SHORTEST,
+            "seat": one.seat.tolist(),
+            "column": one.column.tolist(),
+            "follows": one.follows,
+        }
+        if own.screw is not None:
             along = own.screw.made.conduction
             tables.append(Table(f"rates_{k}", "Of the modes of a screw, 1/s.", along.rates))
             tables.append(Table(f"modes_{k}", "Their cells, mode by mode.", along.modes.T.copy()))
-            drives.append(common | _screw(own.screw, step))
+            common |= _screw(own.screw, step)
+        # The control reads a scale, wherever a screw has gone.
+        drives.append(common | _scale(own.scale, step) if own.scale is not None else common)
+    heated, felt = every.heated.shape[1], len(every.felt)
+    if heated:
+        given = heat_step(model.modes, step).drive[:, -heated:]
+        tables.append(Table("given", "Modes per W of each surface that a screw heats.", given))
+    if felt:
+        tables.append(Table("felt_of", "What drives feel of the modes, K.", every.felt))
     cells = [drive["cells"] for drive in drives]
-    most = max(cells, default=0)
-    products = sum(4 * n * n + (2 * TERMS + 30) * n + 30 for n in cells)
+    most, scales = max(cells, default=0), sum("expansion" in drive for drive in drives)
+    products = sum(4 * n * n + (4 * TERMS + 40) * n + 60 for n in cells)
+    products += model.modes.rates.size * (heated + 2 * felt)
     return Driven(
         drives,
         tables,
-        sum(2 * n + 1 for n in cells) + 2 * most,
-        Operations(products, products, sum((TERMS + 3) * n + 8 for n in cells), sum(cells)),
+        heated,
+        felt,
+        sum(2 * n + 1 for n in cells if n) + scales + 2 * most + heated + 2 * felt,
+        Operations(products, products, sum((2 * TERMS + 3) * n + 8 for n in cells), sum(cells)),
         Operations(20, 20, 4).times(2 * len(drives)),
     )
 
 
 def _scale(scale: Scale, step: float) -> dict[str, Any]:
+    decay = step / scale.lag if scale.lag else math.inf
+    one = float(phi_functions(np.array([decay]))[0][0]) if scale.lag else 0.0
     return {
-        "cells": 0,
         "expansion": scale.expansion,
-        "offset": scale.head - scale.fixed,
-        "kept": math.exp(-step / scale.lag) if scale.lag else 0.0,
+        "head": scale.head - scale.fixed,
+        "kept": math.exp(-decay),
+        # Of the change of what it follows, in a step.
+        "taken": 1.0 - one,
     }
 
 
@@ -78,7 +102,7 @@ def _screw(screw: Screw, step: float) -> dict[str, Any]:
     rod, film, heat, hold = made.rod, made.film, made.heat, made.hold
     cells = along.rates.size
     flexibility = 1.0 / (rod.material.youngs_modulus * rod.area)
-    near, far = np.array(heat.bearings) * along.reaching / step
+    near, far = np.array(heat.bearings) / step
     return {
         "cells": cells,
         "width": rod.length / cells,
@@ -92,11 +116,14 @@ def _screw(screw: Screw, step: float) -> dict[str, Any]:
         "half": 0.5 * heat.nut_length,
         "near": near,
         "far": far,
-        "motor": heat.motor * along.reaching[0],
+        "motor": heat.motor,
+        "reaching": along.reaching.tolist(),
+        "sinks": along.sinks.tolist(),
+        "spared": (screw.spared / step).tolist(),
         "per_heat": 1.0 / along.capacity,
         "strain": rod.material.expansion * rod.length / cells,
         "tension": hold.tension,
-        "seat": hold.compliance[0],
+        "gives": hold.compliance[0],
         "flexibility": flexibility,
         "whole": rod.length * flexibility + sum(hold.compliance),
     }

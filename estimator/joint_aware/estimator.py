@@ -37,8 +37,6 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.units import MILLI
-from thermojoint.reduced.axis_drive import AxisDrives
-from thermojoint.reduced.axis_way import way_between
 from thermojoint.reduced.physics import heat_step
 
 #: Half-width of the 95 % interval, in standard deviations.
@@ -190,7 +188,7 @@ class JointAware(Described):
             system.size,
             (
                 self.model.modes.factors.size,
-                self._drives.cold.size,
+                self._cold_drives.size,
                 len(self.model.ways),
                 len(self.model.powers),
             ),
@@ -201,9 +199,10 @@ class JointAware(Described):
         )
 
     @cached_property
-    def _drives(self) -> AxisDrives:
-        """What positions the axes, where its error is known."""
-        return AxisDrives(tuple(axis.drive for axis in self.model.moving_axes))
+    def _cold_drives(self) -> Array:
+        """Temperatures (d,) of the axes' drives at the start, K."""
+        drives = self.model.modes.drives
+        return np.zeros(0) if drives is None else drives.cold
 
     def _place(self, loads: Array) -> Array:
         """Where the axes stand, (x,), m, by the factors (l,) of a sample."""
@@ -248,7 +247,7 @@ class JointAware(Described):
             loads=modes.factors,
             **self.observer.physics.at_rest()._asdict(),
             covariance_factor=factor,
-            drive=self._drives.cold,
+            drive=self._cold_drives,
             gone=np.full(len(self.model.ways), np.nan),
             told=np.zeros(len(self.model.powers)),
             watch=sensor_faults.fresh(len(self.observer.system.rows), self.thresholds.faults),
@@ -513,23 +512,17 @@ class JointAware(Described):
         used = trusted(self.observer, before, expected, moment, readings, self._readable)
         linear, factor = self._corrected(used, moment, readings)
         expected = used.expected
-        settled = self.observer.read(linear, expected.joint, expected.memory, loads)
+        settled = self.observer.read(expected, linear, loads)
         elapsed, probe = moment.length * moment.steps, self.thresholds.probe
-        drive = before.drive
-        if elapsed > 0.0:
-            start, end = (self._place(one).tolist() for one in (before.loads, loads))
-            way = way_between(start, end, moment.gone.tolist())
-            drive = self._drives.later(drive, float(linear[-1]), way, elapsed)
-        driven = self._drives.displacement(drive, self._place(loads)[None])[0]
         known = displacement_readings.later(before.model_error, elapsed, probe)
         refused = False
         if np.isfinite(probed).any():
             lasting = used.watch.lasting
             parts = self.observer.model_error(settled.relaxed, expected.memory, lasting)
-            correction = self._corrected_by_probe(probed - driven, settled, parts, factor, known)
+            correction = self._corrected_by_probe(probed, settled, parts, factor, known)
             linear, factor = linear + correction.state, correction.covariance_factor
             known, refused = correction.known, correction.refused
-            settled = self.observer.read(linear, expected.joint, expected.memory, loads)
+            settled = self.observer.read(expected, linear, loads)
         after = ObserverState(
             time=np.array(moment.time),
             begun=before.begun if moment.steps else np.array(moment.time),
@@ -538,14 +531,14 @@ class JointAware(Described):
             loads=loads,
             **settled.joint._asdict(),
             covariance_factor=self.observer.onward(factor),
-            drive=drive,
+            drive=expected.drive,
             gone=before.gone,
             told=before.told,
             watch=used.watch,
             model_error=known,
             pending=used.pending,
         )
-        moved = settled.displacement + driven
+        moved = settled.displacement
         return Taken(after, moved, expected.memory, factor, used.believed, refused)
 
     def _estimate(self, taken: Taken, time: float, read: Read) -> Estimate:
@@ -615,8 +608,7 @@ class JointAware(Described):
             places.append(np.tile(self._place(after.loads), (axis.asked.size, 1)))
             places[k][:, k] = axis.asked
         every = np.vstack(places)
-        asked = self.observer.seen_from(after.linear, after.joint, taken.memory, every)
-        asked = asked + known + self._drives.displacement(after.drive, every)
+        asked = known + self.observer.seen_from(after, taken.memory, every)
         ends = np.cumsum([axis.asked.size for axis in moving])[:-1]
         return np.split(asked, ends)
 

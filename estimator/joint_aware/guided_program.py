@@ -107,11 +107,13 @@ def guided(estimator: JointAware, kernel: JointKernel) -> Placed:
     for axis, riding in enumerate(way.stations.riding):
         rides[riding] = axis
     count = physics.contacts
-    drives = driven(model.moving_axes, model.step)
+    drives = driven(model)
+    probes = len(model.modes.elastic.probe_thermal)
     more = drives.step + drives.place.times(len(model.axes) * (1 + values["asked"]))
     sizes = _Sizes(
         count,
         len(model.axes),
+        probes,
         model.modes.rates.size,
         len(counts),
         way.stations.size,
@@ -131,6 +133,9 @@ def guided(estimator: JointAware, kernel: JointKernel) -> Placed:
             "moving": len(counts),
             "drives": drives.drives,
             "cells": max((drive["cells"] for drive in drives.drives), default=0),
+            "heated": drives.heated,
+            "felt": drives.felt,
+            "seats": probes - len(model.axes),
             "terms": TERMS,
             "line_held": LINE_HELD,
             "counts": counts,
@@ -186,6 +191,8 @@ class _Sizes(NamedTuple):
 
     contacts: int
     axes: int
+    #: Of the displacement: axes, and seats of drives.
+    probes: int
     modes: int
     moving: int
     rows: int
@@ -201,7 +208,7 @@ class _Sizes(NamedTuple):
 def _state(of: _Sizes) -> int:
     """Numbers of the state beyond those of a machine that stands at one place."""
     kept = 2 * of.moving + of.asked * (3 * of.contacts + of.axes) - 3 * of.contacts
-    frame = (of.held + of.axes) * (of.held + 1) + 3 * of.held + 1
+    frame = (of.held + of.probes) * (of.held + 1) + 3 * of.held + 1
     room = 2 * of.contacts + 9 * of.contacts**2 + frame + of.grown + 3 * of.rows + 3 * of.stops
     return kept + room + max(0, of.rows**2 - 9 * of.contacts**2)
 
@@ -211,10 +218,10 @@ def _operations(of: _Sizes, stops: int) -> Operations:
     touches = of.contacts * (1 + 3 * stops + 2 * (stops - 1))
     heat = 2 * of.rows * of.modes + 2 * of.rows**2 + touches * (of.rows + 2) + of.modes
     heat += of.grown * of.modes + of.contacts * (3 + stops)
-    frame = (of.held + of.axes) * (of.held + 1)
-    tied = 2 * of.held**2 + 2 * of.held * (2 + of.axes) + (of.held + of.axes) * of.anchors
+    frame = (of.held + of.probes) * (of.held + 1)
+    tied = 2 * of.held**2 + 2 * of.held * (2 + of.probes) + (of.held + of.probes) * of.anchors
     place = 2**of.moving * (tied + 4 * of.moving) + of.exchanged * frame + 2 * of.held**2
-    place += of.axes * (2 * of.held + of.modes) + 10 * of.moving
+    place += of.axes * ((1 + of.probes - of.axes) * 2 * of.held + of.modes) + 10 * of.moving
     ways = Operations(8 * of.stops, 16 * of.stops, 4 * of.stops, of.contacts)
     places = Operations(place, place, of.held + of.moving).times(1 + of.asked)
     return Operations(heat, heat + 2 * of.modes) + solving(of.rows) + ways + places

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -35,11 +35,11 @@ from fesim.solid.condensation import ElasticCondensation, LoadInfluence
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import write_bytes
-from thermojoint.reduced.axis_drive import AxisDrive
+from thermojoint.reduced.axis_drive import AxisDrive, AxisDrives
 from thermojoint.reduced.discrepancy import Discrepancy
 from thermojoint.reduced.machine import Joint, Modes, MovingAxis
 
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 
 #: Reads the kind; other values are refused.
 KIND: pydantic.TypeAdapter[Kind] = pydantic.TypeAdapter(Kind)
@@ -177,10 +177,13 @@ def _arrays(model: ObserverModel) -> dict[str, Array]:
         arrays |= {f"way/positions/{k}": each for k, each in enumerate(way.stations.positions)}
         arrays |= {f"way/place/{k}": each for k, each in enumerate(way.stations.place)}
         arrays |= {"way/thermal": way.elastic.thermal, "way/modulus": way.elastic.modulus}
+    if (drives := model.modes.drives) is not None:
+        arrays |= {"drives/heated": drives.heated, "drives/felt": drives.felt}
+        for k, drive in enumerate(drives.each):
+            if drive is not None:
+                arrays[f"drives/{k}"] = drive.carried
     for k, axis in enumerate(model.moving_axes):
         arrays[f"strokes/{k}/asked"] = axis.asked
-        if axis.drive is not None:
-            arrays[f"strokes/{k}/carried"] = axis.drive.carried
     for k, joint in enumerate(model.joints):
         arrays[f"joints/{k}"] = joint.conductivity
         if joint.opening is not None:
@@ -196,10 +199,10 @@ def _header(model: ObserverModel) -> str:
             "along": axis.along,
             "reference_m": axis.reference,
             "odometer": axis.odometer,
-            **_drive_header(axis.drive),
         }
         for axis in model.moving_axes
     ]
+    drives = model.modes.drives
     return json.dumps(
         {
             "schema": SCHEMA,
@@ -219,6 +222,7 @@ def _header(model: ObserverModel) -> str:
             },
             "factors": model.factors,
             "strokes": moving,
+            "drives": [] if drives is None else [_drive_header(one) for one in drives.each],
             "power_shares": dict(model.power_shares),
         },
         allow_nan=False,
@@ -240,6 +244,7 @@ def _model(header: dict[str, Any], arrays: Mapping[str, Array]) -> ObserverModel
             elastic=ElasticCondensation(**part("elastic", _ELASTIC)),
             loads=LoadInfluence(**part("loads", _LOADS)),
             way=_way(arrays) if header["strokes"] else None,
+            drives=_drives(header["drives"], arrays) if header["strokes"] else None,
         ),
         held=arrays["held"],
         joints=tuple(
@@ -277,7 +282,6 @@ def _model(header: dict[str, Any], arrays: Mapping[str, Array]) -> ObserverModel
                 str(stroke["along"]),
                 arrays[f"strokes/{k}/asked"],
                 float(stroke["reference_m"]),
-                _drive(stroke.get("drive"), arrays.get(f"strokes/{k}/carried")),
                 bool(stroke.get("odometer", False)),
             )
             for k, stroke in enumerate(header["strokes"])
@@ -286,17 +290,24 @@ def _model(header: dict[str, Any], arrays: Mapping[str, Array]) -> ObserverModel
     )
 
 
-def _drive_header(drive: AxisDrive | None) -> dict[str, Any]:
+def _drive_header(drive: AxisDrive | None) -> dict[str, Any] | None:
     if drive is None:
-        return {}
+        return None
     sections = {name: getattr(drive, name) for name in _DRIVE}
     given = {name: one.model_dump(mode="json") for name, one in sections.items() if one is not None}
-    return {"drive": {"zero_m": drive.zero, **given}}
+    places = {"column": drive.column.tolist(), "seat": drive.seat.tolist()}
+    return {"zero_m": drive.zero, "follows": drive.follows, **places, **given}
 
 
-def _drive(header: dict[str, Any] | None, carried: Array | None) -> AxisDrive | None:
-    if header is None or carried is None:
-        return None
+def _drives(headers: Sequence[dict[str, Any] | None], arrays: Mapping[str, Array]) -> AxisDrives:
+    each = [
+        None if header is None else _drive(header, arrays[f"drives/{k}"])
+        for k, header in enumerate(headers)
+    ]
+    return AxisDrives(tuple(each), arrays["drives/heated"], arrays["drives/felt"])
+
+
+def _drive(header: dict[str, Any], carried: Array) -> AxisDrive:
     screw, material, scale = (header.get(name) for name in _DRIVE)
     return AxisDrive(
         screw=None if screw is None else BallScrewSection.model_validate(screw),
@@ -304,6 +315,9 @@ def _drive(header: dict[str, Any] | None, carried: Array | None) -> AxisDrive | 
         scale=None if scale is None else ScaleSection.model_validate(scale),
         zero=header["zero_m"],
         carried=carried,
+        column=np.array(header["column"], dtype=np.int64),
+        follows=int(header["follows"]),
+        seat=np.array(header["seat"], dtype=np.int64),
     )
 
 

@@ -16,10 +16,12 @@ from estimator.joint_aware.observer_state import FOLLOWED, KNOWN, UNKNOWN, Obser
 from estimator.joint_aware.thresholds import USUAL, Thresholds
 from thermojoint.artefacts.arrays import Array
 from thermojoint.reduced.physics import (
+    Driving,
     JointState,
     Physics,
     Way,
     conduct,
+    conduct_driven,
     make_physics,
     seen_from,
     settle_joint,
@@ -52,6 +54,7 @@ class Expected(NamedTuple):
 
     linear: Array
     joint: JointState
+    drive: Array
     covariance_factor: Array
     memory: float
 
@@ -145,16 +148,17 @@ class Observer:
         """
         length, steps, loads = moment.length, moment.steps, moment.loads
         gone = moment.gone / max(steps, 1)
-        linear, joint, factor = before.linear, before.joint, before.covariance_factor
-        memory, last = float(before.memory), before.loads
+        linear, joint, drive = before.linear, before.joint, before.drive
+        factor, memory, last = before.covariance_factor, float(before.memory), before.loads
         for k in range(steps):
             now = self._meanwhile(before.loads, loads, (k + 1) / steps)
             way = way_of(self.model.modes, last, now, gone.tolist())
-            linear, last = self._later(linear, joint, length, way), now
+            linear, drive = self._later((linear, drive), joint, length, way)
+            last = now
             if k + 1 < steps:
                 joint, _ = self._settled(joint, linear, memory, now)
                 factor = self._forgetting(factor, length)
-        return Expected(linear, joint, factor, memory)
+        return Expected(linear, joint, drive, factor, memory)
 
     def _meanwhile(self, before: Array, after: Array, share: float) -> Array:
         """Loads (l,) between two samples: as before, but for the positions of axes."""
@@ -164,8 +168,11 @@ class Observer:
         now[-axes:] += share * (after[-axes:] - before[-axes:])
         return now
 
-    def _later(self, linear: Array, joint: JointState, length: float, way: Way | None) -> Array:
-        """The linear state one step later, with the joint unchanged."""
+    def _later(
+        self, before: tuple[Array, Array], joint: JointState, length: float, way: Way | None
+    ) -> tuple[Array, Array]:
+        """The linear state and the drives one step later, with the joint unchanged."""
+        linear, drive = before
         count, dynamic = self.model.modes.rates.size, self.system.decay.size
         inputs = linear[dynamic:]
         sources, rates = self.model.power.size, self.model.discrepancy.rates
@@ -173,10 +180,14 @@ class Observer:
         relaxed = linear[count:dynamic].reshape(sources, -1)
         heat = inputs[:sources] / self.model.power
         after = np.empty_like(linear)
-        after[:count] = conduct(self.physics, linear[:count], inputs, joint, length, way)
+        if way is None:
+            after[:count] = conduct(self.physics, linear[:count], inputs, joint, length)
+        else:
+            driving = Driving(linear[:count], drive)
+            after[:count], drive = conduct_driven(self.physics, driving, inputs, joint, length, way)
         after[count:dynamic] = (decay * relaxed + (1.0 - decay) * heat[:, None]).ravel()
         after[dynamic:] = inputs
-        return after
+        return after, drive
 
     def gain(
         self, present: NDArray[np.int64], factor: Array, length: float, memory: float
@@ -222,7 +233,7 @@ class Observer:
     def _settled(
         self, joint: JointState, linear: Array, memory: float, loads: Array
     ) -> tuple[JointState, Array]:
-        """The joint and the displacement at the present temperatures.
+        """The joint and the displacement probes at the present temperatures.
 
         As long as the temperatures are uncertain, the joint is loaded from rest each time: a path
         through temperatures that never occurred would leave slips that never occurred.
@@ -237,20 +248,26 @@ class Observer:
         known = uncertain.max() <= self.thresholds.followable**2
         return FOLLOWED if memory == UNKNOWN and known else memory
 
-    def read(self, linear: Array, joint: JointState, memory: float, loads: Array) -> Settled:
-        """The joint in equilibrium at the corrected temperatures, and the displacement."""
-        count = self.model.modes.rates.size
-        joint, moved = self._settled(joint, linear, memory, loads)
+    def read(self, expected: Expected, linear: Array, loads: Array) -> Settled:
+        """The joint in equilibrium at the corrected linear state, and the displacement."""
+        count, drives = self.model.modes.rates.size, self.model.modes.drives
+        joint, moved = self._settled(expected.joint, linear, expected.memory, loads)
+        if drives is not None:
+            place = loads[None, loads.size - len(drives.each) :]
+            moved = drives.displacement(expected.drive, place, moved[None])[0]
         relaxed = linear[count : self.system.decay.size]
         return Settled(joint, relaxed, moved + self.model.discrepancy.displacement @ relaxed)
 
-    def seen_from(self, linear: Array, joint: JointState, memory: float, places: Array) -> Array:
+    def seen_from(self, state: ObserverState, memory: float, places: Array) -> Array:
         """Return the displacement (n, axes), m, if the axes stood at places (n, x), m."""
+        linear, joint, drives = state.linear, state.joint, self.model.modes.drives
+        assert drives is not None  # asked for with axes only
         if memory == UNKNOWN:
             joint = joint._replace(slip=self.physics.rest.slip)
         count = self.model.modes.rates.size
-        moved = seen_from(self.physics, joint, linear[:count], places)
+        probes = seen_from(self.physics, joint, linear[:count], places)
         relaxed = linear[count : self.system.decay.size]
+        moved = drives.displacement(state.drive, places, probes)
         return np.asarray(moved + self.model.discrepancy.displacement @ relaxed)
 
     def model_error(self, relaxed: Array, memory: float, lasting: Array) -> Array:

@@ -229,6 +229,7 @@ def _tables(
     system = observer.system
     start = _start(estimator)
     relaxing = model.step * model.discrepancy.rates / (1.0 + model.step * model.discrepancy.rates)
+    known = heat.drive[:, : model.modes.drive.shape[1]]
     # decay - 1 without cancellation.
     loss = -model.step * model.modes.rates * heat.decay
     calibrated = estimator.calibrated_readings
@@ -239,7 +240,7 @@ def _tables(
     most = estimator.thresholds.onset * model.calibrated.heat * power
     return [
         Table("loss", "What a mode loses in a step.", loss),
-        Table("drive", "Modes per W of each source and K of the ambient.", heat.drive),
+        Table("drive", "Modes per W of each source and K of the ambient.", known),
         Table("conductance", "Factor times area, W/K, hardness, Pa, exponent.", kernel.conductance),
         *way.tables,
         Table("power", "Of each source at heat input 1, W.", model.power),
@@ -291,7 +292,8 @@ def _standing(estimator: JointAware, kernel: JointKernel) -> Placed:
         Table("moved_by", "Displacement per traction, m/Pa.", kernel.moved),
         Table("free_moved", "Displacement per mode, m.", kernel.free),
     ]
-    return Placed({"moving": 0, "drives": (), "asked": 0}, tables, [], 0, own, own)
+    none = {"moving": 0, "drives": (), "asked": 0, "seats": 0, "heated": 0, "felt": 0}
+    return Placed(none, tables, [], 0, own, own)
 
 
 class _Start(NamedTuple):

@@ -250,34 +250,50 @@ def _below(distance: Array, length: float) -> Array:
 
 
 def grown(screw: BallScrew, temperature: Array, at: Array) -> Array:
-    """Return the free thermal elongation (k,) from the fixed bearing to places `at` (k,), m."""
-    edges = screw.conduction.edges
-    strain = screw.rod.material.expansion * temperature * np.diff(edges)
-    return np.asarray(np.interp(at, edges, np.concatenate([np.zeros(1), np.cumsum(strain)])))
-
-
-def tension(screw: BallScrew, temperature: Array, apart: float = 0.0) -> float:
-    """Return the tension of a screw, N; bearings only pull, so at 0 it is slack.
+    """Return the free thermal elongation (..., k) from the fixed bearing to places, m.
 
     Parameters
     ----------
     screw : BallScrew
         The screw.
-    temperature : ndarray, shape (n,)
+    temperature : ndarray, shape (..., n)
         Of its cells, K.
-    apart : float
+    at : ndarray, shape (..., k)
+        Places, m from the fixed bearing; beyond the ends nothing more grows.
+    """
+    edges = screw.conduction.edges
+    strain = screw.rod.material.expansion * temperature * np.diff(edges)
+    reach = np.concatenate([np.zeros_like(strain[..., :1]), np.cumsum(strain, axis=-1)], axis=-1)
+    cells = edges.size - 1
+    place = np.clip(at / (edges[-1] / cells), 0.0, cells)
+    first = np.minimum(place.astype(np.int64), cells - 1)
+    low, high = (np.take_along_axis(reach, one, axis=-1) for one in (first, first + 1))
+    return np.asarray(low + (place - first) * (high - low))
+
+
+def tension(screw: BallScrew, temperature: Array, apart: Array | float = 0.0) -> Array:
+    """Return the tension of a screw, N, (..., k); bearings only pull, so at 0 it is slack.
+
+    Parameters
+    ----------
+    screw : BallScrew
+        The screw.
+    temperature : ndarray, shape (..., n)
+        Of its cells, K.
+    apart : float or ndarray, shape (..., k)
         How far the seats of its bearings have moved apart, m.
     """
-    if not screw.hold.tension:
-        return 0.0
-    rod = screw.rod
-    compliance = rod.length / (rod.material.youngs_modulus * rod.area) + sum(screw.hold.compliance)
-    whole = float(grown(screw, temperature, np.array(rod.length)))
-    return max(screw.hold.tension - (whole - apart) / compliance, 0.0)
+    rod, hold = screw.rod, screw.hold
+    if not hold.tension:
+        return np.zeros(np.broadcast_shapes(np.shape(apart), (*temperature.shape[:-1], 1)))
+    compliance = rod.length / (rod.material.youngs_modulus * rod.area) + sum(hold.compliance)
+    ends = np.full((*temperature.shape[:-1], 1), rod.length)
+    whole = grown(screw, temperature, ends)
+    return np.maximum(hold.tension - (whole - apart) / compliance, 0.0)
 
 
-def moved(screw: BallScrew, temperature: Array, at: Array, apart: float = 0.0) -> Array:
-    """Return how far places have moved away from the fixed bearing's seat, m.
+def moved(screw: BallScrew, temperature: Array, at: Array, apart: Array | float = 0.0) -> Array:
+    """Return how far places have moved away from the fixed bearing's seat, m, (..., k).
 
     From where they are in the cold screw under its own tension: what warms grows, and what loses
     tension becomes shorter.
@@ -286,7 +302,7 @@ def moved(screw: BallScrew, temperature: Array, at: Array, apart: float = 0.0) -
     ----------
     screw, temperature, apart
         As for `tension`.
-    at : ndarray, shape (k,)
+    at : ndarray, shape (..., k)
         Places, m from the fixed bearing.
     """
     rod, hold = screw.rod, screw.hold

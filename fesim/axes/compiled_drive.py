@@ -18,7 +18,10 @@ from fesim.jit import compiled_part
 from fesim.joint.in_place import fill
 from fesim.march.compiled_exponential import phi
 from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.units import MILLI
 
+#: Least distance over which the heat of a longer way is spread along a screw, m.
+SHORTEST = MILLI
 #: Columns of `Drives.numbers`.
 (
     _CAPACITY,
@@ -151,11 +154,22 @@ def _rub(drives: Drives, ways: Ways, step: int, a: int, work: DriveWork) -> tupl
     numbers, cells, edges = drives.numbers[a], drives.state[a, 1], drives.edges[a]
     begin, end = ways.start[a, step], ways.start[a, step + 1]
     whole, film, way = ways.times[end] - ways.times[begin], 0.0, 0.0
+    more, least = ways.more[a, step], 0.0
+    for k in range(begin, end):
+        least += abs(ways.positions[k + 1] - ways.positions[k])
+    # What an axis has gone there and back is spread over its way, or around where it stands.
+    stands = more > 0.0 and least < SHORTEST
+    times = 1.0
+    if more > 0.0:
+        times = (least + more) / (SHORTEST if stands else least)
     fill(work.heat, 0.0)
     for k in range(begin, end):
         time = ways.times[k + 1] - ways.times[k]
         first, second = ways.positions[k], ways.positions[k + 1]
-        gone = abs(second - first)
+        if stands:
+            share = 0.5 * SHORTEST * time / whole
+            first, second = 0.5 * (first + second) - share, 0.5 * (first + second) + share
+        gone = times * abs(second - first)
         way += gone
         film += time * (gone / time / numbers[_SPEED]) ** numbers[_EXPONENT]
         first, second = (
@@ -167,7 +181,7 @@ def _rub(drives: Drives, ways: Ways, step: int, a: int, work: DriveWork) -> tupl
         for i in range(cells + 1):
             after = _below(edges[i] - low, length) - _below(edges[i] - high, length)
             if i > 0:
-                work.heat[i - 1] += numbers[_NUT] / whole * (after - passed)
+                work.heat[i - 1] += times * numbers[_NUT] / whole * (after - passed)
             passed = after
     for k in range(2):
         work.ends[k] = (numbers[_MOTOR] if k == 0 else 0.0) + drives.bearings[a, k] * way / whole

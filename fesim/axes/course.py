@@ -183,8 +183,8 @@ def _errors(ready: MovingSetup, states: Array, places: Array, probes: Array) -> 
     errors = np.zeros(places.shape)
     for a, (axis, part) in enumerate(zip(ready.axes, parts_of(ready.axes), strict=True)):
         if (drive := axis.drive) is not None:
-            each = zip(states[:, part], places[..., a], seated(drive, probes), strict=True)
-            errors[..., a] = [positioning_error(drive, *one) for one in each]
+            seats = seated(drive, probes)
+            errors[..., a] = positioning_error(drive, states[:, part], places[..., a], seats)
     return errors
 
 
@@ -228,5 +228,5 @@ def _screw_values(drive: Drive | None, states: Array, probes: Array) -> tuple[Ar
     count = len(states)
     if drive is None or (screw := drive.screw) is None:
         return np.zeros(1), np.zeros((count, 1)), np.zeros(count)
-    pulled = [screw_tension(screw, *one) for one in zip(states, seated(drive, probes), strict=True)]
-    return station_positions(screw), screw_temperature(screw, states), np.array(pulled)
+    pulled = screw_tension(screw, states, seated(drive, probes))
+    return station_positions(screw), screw_temperature(screw, states), pulled

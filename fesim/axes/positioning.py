@@ -56,9 +56,9 @@ class Screw:
         """Return how far from the fixed bearing the nut is at positions of the axis, m."""
         return self.towards * (positions + self.nut - self.start)
 
-    def apart(self, seats: Array) -> float:
-        """Return how far seats (3,) have moved apart, m."""
-        return self.towards * float(seats[1] - seats[0])
+    def apart(self, seats: Array) -> Array:
+        """Return how far seats (..., 3) have moved apart, m."""
+        return np.asarray(self.towards * (seats[..., 1] - seats[..., 0]))
 
 
 @dataclass(frozen=True)
@@ -294,34 +294,32 @@ def positioning_error(drive: Drive, state: Array, positions: Array, seats: Array
     ----------
     drive : Drive
         The drive.
-    state : ndarray, shape (d,)
+    state : ndarray, shape (..., d)
         Its temperatures, K.
-    positions : ndarray, shape (k,)
+    positions : ndarray, shape (..., k)
         Of the axis, m.
-    seats : ndarray, shape (k, 3)
+    seats : ndarray, shape (..., k, 3)
         At these positions, by `seated`.
 
     Returns
     -------
-    ndarray, shape (k,)
+    ndarray, shape (..., k)
         Along the axis, m; not yet less that at `zero`.
     """
     if (scale := drive.scale) is not None:
         from_fixed = positions + scale.head - scale.fixed
-        return np.asarray(seats[:, 2] + scale.expansion * state[-1] * from_fixed)
+        return np.asarray(seats[..., 2] + scale.expansion * state[..., -1:] * from_fixed)
     if (screw := drive.screw) is None:
         return np.zeros_like(positions)
     temperature, places = screw_temperature(screw, state), screw.along(positions)
-    grown = [
-        moved(screw.made, temperature, places[[k]], screw.apart(one))[0]
-        for k, one in enumerate(seats)
-    ]
-    return seats[:, 0] + screw.towards * np.array(grown)
+    grown = moved(screw.made, temperature, places, screw.apart(seats))
+    return np.asarray(seats[..., 0] + screw.towards * grown)
 
 
-def screw_tension(screw: Screw, state: Array, seats: Array) -> float:
-    """Return the tension of a screw in the state (d,) of its drive, with seats (3,), N."""
-    return tension(screw.made, screw_temperature(screw, state), screw.apart(seats))
+def screw_tension(screw: Screw, state: Array, seats: Array) -> Array:
+    """Return the tension (...) of a screw in states (..., d) of its drive, seats (..., 3), N."""
+    apart = screw.apart(seats)[..., None]
+    return tension(screw.made, screw_temperature(screw, state), apart)[..., 0]
 
 
 def station_positions(screw: Screw) -> Array:

@@ -58,7 +58,7 @@ from thermojoint.artefacts.units import MILLI
 #: A rotation counts as its displacement at this distance, m.
 LEVER = 0.1
 #: Displacement probes that are rotations, if they are asked for.
-_TURNED = slice(3, 6)
+TURNED = slice(3, 6)
 #: Positions along the stroke at which displacements are given if the case names none.
 USUAL = 5
 #: A recorded position this far beyond an end of the stroke, mm, is that end.
@@ -224,7 +224,7 @@ def drive_of(case: Case, setup: Setup, name: str, surfaces: Surfaces) -> Drive |
         if axis.scale.follows is not None:
             followed = setup.probe_rows[list(setup.probes).index(axis.scale.follows)]
     zero = None if axis.zero_mm is None else MILLI * axis.zero_mm
-    first = _TURNED.stop if turned_within(case) is not None else _TURNED.start
+    first = TURNED.stop if turned_within(case) is not None else TURNED.start
     seats = {seat: first + k for k, seat in enumerate(_all_seats(case))}
     seat = np.array([-1 if at is None else seats[name, at] for at in seats_of(axis)])
     return Drive(screw, scale, followed, input_layout(case).ambient, zero, surfaces, seat)
@@ -384,7 +384,7 @@ def _modes(
     ties = pads.gap.shape[0] + operators.gap.shape[0]
     moved = apart.thermal[apart.springs.size :] / DISPLACEMENT_ERROR
     if turned_within(whole.case) is not None:
-        moved[_TURNED] *= LEVER
+        moved[TURNED] *= LEVER
     outputs = np.vstack(
         [whole.rows.toarray() / TEMPERATURE_ERROR, apart.thermal[:ties] / GAP_ERROR, moved]
     )

@@ -1,4 +1,4 @@
-"""The shipped machine with three axes on a coarse mesh, its drives on ground that stands."""
+"""The shipped machine with three axes on a coarse mesh."""
 
 import tomllib
 from importlib.resources import files
@@ -9,11 +9,9 @@ from meshes.exchange import write_structure
 from meshes.three_axes import three_axis_machine
 
 PATH = Path(str(files("thermojoint").joinpath("cases/three_axes.toml")))
-#: What a drive feels of the machine, which joint-aware models leave out.
-FELT = ("seat", "far_seat", "nut_surface", "bearing_surface", "follows")
 
 
-def coarse(folder, courses, driven=True):
+def coarse(folder, courses):
     """Elements and contact elements of 100 mm; courses are (s, mm) pairs of x, y and z."""
     data = tomllib.loads(PATH.read_text("utf-8"))
     write_structure(three_axis_machine(0.1), folder / "coarse.vtu")
@@ -25,10 +23,6 @@ def coarse(folder, courses, driven=True):
         rows = "".join(f"{time:g},{place:g}\n" for time, place in courses[name])
         (folder / f"{name}.csv").write_text("time_s,position_mm\n" + rows)
         axis |= {"file": f"{name}.csv", "station_mm": 100.0}
-        for kind in ("ball_screw", "scale"):
-            drive = {key: value for key, value in axis.pop(kind, {}).items() if key not in FELT}
-            if driven and drive:
-                axis[kind] = drive
     data["axes"]["x"].pop("rotation_within_mm")
     data["march"] |= {"step_s": 30.0, "duration_min": 20.0}
     return case_from_data(data, "three axes", folder)

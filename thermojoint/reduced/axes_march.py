@@ -1,8 +1,8 @@
-"""Known inputs marched along several axes: the compiled steps of the simulator on reduced modes.
+"""Known inputs marched along axes: the compiled steps of the simulator on reduced modes.
 
 `fesim.axes.compiled_march` takes modes that have nothing of the exchange between pads and guides
-(`calibrate.joint_aware.misfit.physics_with`). One axis has a march of its own (`guided_march`),
-whose modes have that exchange in the mean.
+(`calibrate.joint_aware.misfit.physics_with`). One axis without a drive has a march of its own
+(`guided_march`), whose modes have that exchange in the mean.
 """
 
 from __future__ import annotations
@@ -17,53 +17,67 @@ from fesim.axes.compiled_drive import drives_of
 from fesim.axes.compiled_march import AxesKernel, AxesState, AxesSteps, AxesWork, march_axes
 from fesim.axes.compiled_passing import Ways, guides_of
 from fesim.axes.corner_table import CornerTables, around
-from fesim.axes.guideway import Guideway
-from fesim.axes.kernel import axes_work, new_record
+from fesim.axes.kernel import axes_work
+from fesim.axes.kernel import new_record as new_steps
 from fesim.axes.row_blocks import body_rows
 from fesim.axes.survey import new_here, pads_of
 from fesim.case.history import History
 from fesim.joint.compiled_gap import trial_at
 from fesim.joint.loosening import UNWATCHED
-from fesim.march.compiled_march import Moving
 from fesim.march.compiled_step import HeatStep, JointKernel, JointState
 from fesim.march.contact import ContactProblem
 from fesim.march.kernel import owned
 from fesim.march.passing import Rows
 from thermojoint.artefacts.arrays import Array
+from thermojoint.reduced.machine import Modes
 
 #: Steps whose places are tied together.
 AT_ONCE = 64
-#: The screws of a reduced machine are apart from it (`axis_drive`).
-_UNDRIVEN = Axis(
-    "", History(np.zeros(1), np.zeros(1)), np.zeros(0), 0.0, drive=None, carried=np.zeros(3)
-)
 
 
-class ReducedAxesMarch(NamedTuple):
+class ReducedMarch(NamedTuple):
     """A compiled march, and its storage."""
 
     #: Of the guideway.
     tables: CornerTables
     kernel: AxesKernel
     work: AxesWork
+    #: Number of inputs that are known before a step: the heat of drives and of friction is not.
+    known: int
 
 
-def reduced_axes_march(
+class Record(NamedTuple):
+    """n steps."""
+
+    #: Shape (n, r).
+    amplitudes: Array
+    #: Shape (n, d): temperatures of the drives, K.
+    drive: Array
+    #: Shape (n, p): displacement probes, m.
+    probes: Array
+
+
+def new_record(steps: int, first: tuple[Array, Array], probes: int) -> Record:
+    """Return storage for some steps from amplitudes (r,) and drives (d,) on, and p probes."""
+    return Record(*(np.empty((steps, size)) for size in (*(one.size for one in first), probes)))
+
+
+def reduced_march(
     heat: HeatStep,
-    way: Guideway,
+    modes: Modes,
     joint: JointKernel,
     contact: ContactProblem,
     tables: CornerTables,
     length: float,
-) -> ReducedAxesMarch:
+) -> ReducedMarch:
     """Return the march of a machine on axes.
 
     Parameters
     ----------
     heat : HeatStep
         Of its steps; its influences are those of the guideway's q rows.
-    way : Guideway
-        On the modes.
+    modes : Modes
+        Of the machine, with the guideway and the drives.
     joint : JointKernel
         At the first positions.
     contact : ContactProblem
@@ -73,14 +87,21 @@ def reduced_axes_march(
     length : float
         Of a step, s.
     """
-    axes, (modes, _) = len(way.stations.positions), heat.drive.shape
+    way, drives = modes.way, modes.drives
+    assert way is not None  # with axes
+    assert drives is not None
+    size, known = modes.drive.shape
     rows = Rows(way.temperature, heat.influence.T, heat.joint_influence)
     blocks, count = body_rows(rows, way.elastic.thermal), joint.preload.size
+    axes = [
+        Axis("", History(np.zeros(1), np.zeros(1)), np.zeros(0), 0.0, drive, np.zeros(3))
+        for drive in drives.driving(known - 1, known)
+    ]
     kernel = AxesKernel(
         # The last inputs of the simulator count the heat of friction.
-        heat._replace(drive=np.hstack([heat.drive, np.zeros((modes, axes))])),
+        heat._replace(drive=np.pad(heat.drive, ((0, 0), (0, len(axes))))),
         guides_of(way.stations, blocks, heat.joint_influence),
-        drives_of([_UNDRIVEN] * axes, modes),
+        drives_of(axes, size),
         joint,
         pads_of(tables, contact, joint.laws, np.zeros((2, count))),
         blocks.untied,
@@ -93,26 +114,31 @@ def reduced_axes_march(
     )
     probes = len(contact.elastic.probe_compliance)
     here = new_here(tables.held, probes, trial_at(np.zeros((3, count))))
-    return ReducedAxesMarch(tables, kernel, axes_work(kernel, here, 0, len(way.elastic.thermal)))
+    work = axes_work(kernel, here, drives.cold.size, len(way.elastic.thermal))
+    return ReducedMarch(tables, kernel, work, known)
 
 
 def march_along(
-    march: ReducedAxesMarch, inputs: Array, first: int, now: Moving, record: tuple[Array, Array]
+    march: ReducedMarch,
+    inputs: Array,
+    first: int,
+    now: tuple[tuple[Array, Array], JointState],
+    record: Record,
 ) -> int:
-    """March through inputs, into a record of amplitudes (n, r) and displacements (n, axes), m.
+    """March through inputs, into a record.
 
     Parameters
     ----------
-    march : ReducedAxesMarch
+    march : ReducedMarch
         The machine.
     inputs : ndarray, shape (n, k + 3 x)
         Heat and temperatures of each step, then the positions of x axes at its start and end, and
         how far each has gone, m.
     first : int
         Which step of the march the first one is.
-    now : Moving
-        Amplitudes and joints, in place.
-    record : tuple of ndarray, shapes (n, r) and (n, axes)
+    now : tuple
+        Amplitudes (r,) with temperatures of the drives (d,), K, and joints, in place.
+    record : Record
         After each step.
 
     Returns
@@ -121,16 +147,17 @@ def march_along(
         Number of steps taken: fewer than n if the plain method must take the next one, or the
         places of more are to be tied; `now` is before it then.
     """
-    tables, kernel, work = march
+    tables, kernel, work, known = march
+    (amplitudes, drive), moving = now
     axes, some = len(tables.guideway.stations.positions), inputs[:AT_ONCE]
-    known = inputs.shape[1] - 3 * axes
     starts, ends, gone = np.split(some[:, known:], 3, axis=1)
     near, count = around(tables.guideway.stations, ends), len(some)
+    unknown = kernel.heat.drive.shape[1] - known
     steps = AxesSteps(
         first,
-        owned(np.hstack([some[:, :known], np.zeros((count, axes))])),
+        owned(np.pad(some[:, :known], ((0, 0), (0, unknown)))),
         Ways(
-            np.tile(np.arange(count + 1.0), axes),
+            np.tile(kernel.length * np.arange(count + 1.0), axes),
             np.vstack([starts[:1], ends]).T.ravel(),
             (count + 1) * np.arange(axes)[:, None] + np.arange(count + 1),
             owned(np.maximum(gone - np.abs(ends - starts), 0.0).T),
@@ -140,17 +167,19 @@ def march_along(
         near.weight,
         np.empty((len(near.corners), work.here.free.size)),
     )
-    kernel.pads.slip[:] = now.joint.slip
-    joint = JointState(*map(owned, now.joint))._replace(slip=kernel.pads.slip)
-    state = AxesState(now.amplitudes.copy(), joint, np.zeros((3, joint.pressure.size)), np.zeros(0))
-    found, taken = new_record(work, count), 0
+    kernel.pads.slip[:] = moving.slip
+    joint = JointState(*map(owned, moving))._replace(slip=kernel.pads.slip)
+    turning = np.zeros((3, joint.pressure.size))
+    state = AxesState(amplitudes.copy(), joint, turning, drive.copy())
+    found, taken = new_steps(work, count), 0
     with suppress(np.linalg.LinAlgError):
         taken = march_axes(kernel, work, steps, state, found)
     if not taken:
         return 0
-    record[0][:taken], record[1][:taken] = found.amplitudes[:taken], found.displacement[:taken]
+    record.amplitudes[:taken], record.drive[:taken] = found.amplitudes[:taken], found.drive[:taken]
+    record.probes[:taken] = found.displacement[:taken]
     last = taken - 1
-    now.amplitudes[:] = found.amplitudes[last]
+    amplitudes[:], drive[:] = found.amplitudes[last], found.drive[last]
     for name in JointState._fields:
-        getattr(now.joint, name)[:] = getattr(found, name)[last]
+        getattr(moving, name)[:] = getattr(found, name)[last]
     return taken

@@ -1,19 +1,22 @@
-"""The positioning error of the drives of axes, apart from the machine.
+"""Drives of axes on the modes of a machine: ball screws and scales, as `fesim.axes.positioning`.
 
-Their seats stand and no surface feels them. A ball screw warms up by its own motion, and a scale
-follows the ambient; both depend on the way of the axis alone, as in `fesim.axes.positioning`.
+A ball screw warms up by its own motion, heats surfaces of the machine and feels their temperature;
+a scale follows the ambient or a probe; both stand on seats that the machine moves. What an axis is
+displaced by that its control does not see is the positioning error.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fesim.axes.ball_screw import BallScrew, Beside, warmed
+from fesim.axes.compiled_drive import SHORTEST
 from fesim.axes.positioning import (
     Drive,
     Surfaces,
@@ -23,18 +26,22 @@ from fesim.axes.positioning import (
     scale_of,
     screw_of,
     screw_temperature,
+    seated,
 )
-from fesim.case.axis_section import AxisSection, seats_of
+from fesim.axes.setup import TURNED, MovingSetup
+from fesim.case.axis_section import seats_of
 from fesim.case.drive_sections import BallScrewSection, ScaleSection
+from fesim.case.schema import Case, heated_by_drives
 from fesim.case.thermal_sections import MaterialSection
 from fesim.setup.structure import material_of
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
-from thermojoint.artefacts.units import MILLI
-from thermojoint.reduced.axis_way import Way, way_between
+from thermojoint.reduced.axis_way import Way
 
-#: Least distance over which the heat of a longer way is spread along a screw, m.
-SHORTEST = MILLI
+#: Heat of a screw in its case.
+HEATS = ("nut_torque_Nm", "bearing_torque_Nm", "far_bearing_torque_Nm", "motor_heat_W")
+#: Displacement of a seat that no screw goes slack by, m.
+TIGHT = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,106 +58,222 @@ class AxisDrive:
     zero: float | None
     #: Shape (axes,): displacement per m that the bodies on the axis move along it.
     carried: Array
+    #: Shape (3,): which of `AxisDrives.heated` are the surfaces at the nut, the near and the far
+    #: bearing; -1 where there is none.
+    column: NDArray[np.int64]
+    #: Which row of `AxisDrives.felt` the scale follows; -1 for the ambient.
+    follows: int
+    #: Shape (3,): which displacement probe is that of the near and the far bearing and of the
+    #: scale, along the axis; -1 for none.
+    seat: NDArray[np.int64]
 
     @cached_property
     def drive(self) -> Drive:
-        """What the simulator has of it."""
+        """What the simulator has of it, on ground that it neither heats nor feels."""
         screw = None
         if self.screw is not None and self.material is not None:
             screw = screw_of(self.screw, material_of(self.material))
         scale = None if self.scale is None else scale_of(self.scale)
-        nowhere = np.full(3, -1)
-        none = Surfaces(nowhere, np.zeros((3, 0)))
-        return Drive(screw, scale, None, 0, self.zero, none, nowhere)
-
-    @property
-    def cold(self) -> Array:
-        """Its temperatures (d,) at the initial ambient, K: of the screw, then of the scale."""
-        return cold(self.drive)
-
-    def later(
-        self, state: Array, air: float, way: tuple[float, float, float], length: float
-    ) -> Array:
-        """Return its temperatures (d,), K, after a step.
-
-        Parameters
-        ----------
-        state : ndarray, shape (d,)
-            Before, K.
-        air : float
-            The ambient, K.
-        way : (float, float, float)
-            Positions between which the axis moves evenly, and how far it has gone, m.
-        length : float
-            Of the step, s.
-        """
-        drive, after = self.drive, state.copy()
-        if (screw := drive.screw) is not None:
-            temperature, beside = screw_temperature(screw, state), Beside(air, np.full(2, air))
-            made, ends = moved_so_far(screw.made, way)
-            times, places = np.array([0.0, length]), screw.along(np.array(ends))
-            after[: temperature.size] = warmed(made, temperature, beside, times, places).temperature
-        if drive.scale is not None:
-            after[-1] = followed(drive.scale, float(state[-1]), (air, air), length)
-        return after
-
-    def displacement(self, state: Array, positions: Array) -> Array:
-        """Return what the error adds to the displacement (k, axes) at positions (k,), m.
-
-        Parameters
-        ----------
-        state : ndarray, shape (d,)
-            Its temperatures, K.
-        positions : ndarray, shape (k,)
-            Of the axis, m.
-        """
-        zero = positions[:1] if self.zero is None else np.array([self.zero])
-        places = np.concatenate([positions, zero])
-        error = positioning_error(self.drive, state, places, np.zeros((places.size, 3)))
-        least = 0.0 if self.zero is None else error[-1]
-        return np.asarray((error[:-1] - least)[:, None] * self.carried)
+        none = Surfaces(np.full(3, -1), np.zeros((3, 0)))
+        return Drive(screw, scale, None, 0, self.zero, none, self.seat)
 
     def along(self, kept: Sequence[int]) -> AxisDrive:
-        """Return the drive for some of the axes of the displacement."""
-        return replace(self, carried=self.carried[kept])
+        """Return it for some of the axes of the displacement."""
+        fewer = self.carried.size - len(kept)
+        seat = np.where(self.seat >= 0, self.seat - fewer, -1)
+        return replace(self, carried=self.carried[kept], seat=seat)
+
+    def scaled(self, by: Mapping[str, float]) -> AxisDrive:
+        """Return it with factors on what a fit may change (`scalable`), by their names."""
+        screw, scale = self.screw, self.scale
+        if screw is not None:
+            rotating, heat, film = screw.rotating_film, by["screw heat"], by["screw film"]
+            if rotating is not None:
+                added = film * rotating.added_W_m2K
+                rotating = rotating.model_copy(update={"added_W_m2K": added})
+            values = {name: heat * getattr(screw, name) for name in HEATS}
+            films = {"film_W_m2K": film * screw.film_W_m2K, "rotating_film": rotating}
+            screw = screw.model_copy(update=values | films)
+        if scale is not None:
+            values = {
+                "expansion_1_K": by["scale expansion"] * scale.expansion_1_K,
+                "lag_s": by["scale lag"] * scale.lag_s,
+            }
+            scale = scale.model_copy(update=values)
+        return replace(self, screw=screw, scale=scale)
+
+    @property
+    def scalable(self) -> tuple[str, ...]:
+        """What of it a fit may change: it is zero in the case otherwise."""
+        found = list[str]()
+        if (screw := self.screw) is not None and any(getattr(screw, name) for name in HEATS):
+            found += ["screw heat", "screw film"]
+        if self.scale is not None:
+            found += ["scale expansion", "scale lag"] if self.scale.lag_s else ["scale expansion"]
+        return tuple(found)
 
 
 @dataclass(frozen=True, eq=False)
 class AxisDrives:
-    """The drives of all axes of a machine; None for an axis that has none."""
+    """The drives of all axes of a machine with r modes."""
 
-    #: In the order of the axes.
+    #: In the order of the axes; None for an axis that has none.
     each: tuple[AxisDrive | None, ...]
+    #: Shape (r, c): what heat of 1 W at each of the surfaces that screws heat drives.
+    heated: Array
+    #: Shape (c + f, r): mean temperatures of these surfaces, K, then of probes that scales follow.
+    felt: Array
 
     @cached_property
     def _parts(self) -> list[tuple[int, AxisDrive, slice]]:
         """Axis, drive, and its part of the state of all."""
         driven = [(a, drive) for a, drive in enumerate(self.each) if drive is not None]
-        ends = np.cumsum([0, *(drive.cold.size for _, drive in driven)]).tolist()
+        ends = np.cumsum([0, *(cold(drive.drive).size for _, drive in driven)]).tolist()
         return [(*one, slice(*part)) for one, part in zip(driven, pairwise(ends), strict=True)]
 
     @property
-    def cold(self) -> Array:
-        """Their temperatures (d,) at the initial ambient, K, one after the other."""
-        return np.concatenate([np.zeros(0), *(drive.cold for _, drive, _ in self._parts)])
+    def any(self) -> bool:
+        """Whether there is one."""
+        return bool(self._parts)
 
-    def later(self, state: Array, air: float, way: Way, length: float) -> Array:
-        """Return their temperatures (d,), K, after a step; as `AxisDrive.later`."""
+    @property
+    def cold(self) -> Array:
+        """Their temperatures (d,) at the initial ambient, K: of screws, each before its scale."""
+        return np.concatenate([np.zeros(0), *(cold(one.drive) for _, one, _ in self._parts)])
+
+    def along(self, kept: Sequence[int]) -> AxisDrives:
+        """Return the drives for some of the axes of the displacement, before their seats."""
+        each = tuple(None if one is None else one.along(kept) for one in self.each)
+        return replace(self, each=each)
+
+    def turned(
+        self, rows: Callable[[Array], Array], columns: Callable[[Array], Array]
+    ) -> AxisDrives:
+        """Return them on other modes, by what becomes of rows (..., r) and of columns (r, ...)."""
+        return replace(self, heated=columns(self.heated), felt=rows(self.felt))
+
+    def scaled(self, factors: Sequence[Mapping[str, float]]) -> AxisDrives:
+        """Return them with factors of each axis, as for `AxisDrive.scaled`."""
+        pairs = zip(self.each, factors, strict=True)
+        each = tuple(None if one is None else one.scaled(by) for one, by in pairs)
+        return replace(self, each=each)
+
+    def driving(self, ambient: int, first: int) -> list[Drive | None]:
+        """Return what the simulator has of them, on these modes.
+
+        Parameters
+        ----------
+        ambient, first : int
+            Which inputs of a step are the ambient and the heat of the first heated surface.
+        """
+        found: list[Drive | None] = [None] * len(self.each)
+        rows = np.pad(self.felt, ((0, 1), (0, 0)))
+        for a, one, _ in self._parts:
+            column = np.where(one.column >= 0, first + one.column, -1)
+            found[a] = replace(
+                one.drive,
+                followed=rows[one.follows] if one.follows >= 0 else None,
+                ambient=ambient,
+                surfaces=Surfaces(column, rows[one.column]),
+            )
+        return found
+
+    def warmed(
+        self, state: Array, felt: Array, air: float, way: Way, length: float
+    ) -> tuple[Array, Array]:
+        """Take a step of the screws; scales stay.
+
+        Parameters
+        ----------
+        state : ndarray, shape (d,)
+            Before, K.
+        felt : ndarray, shape (c + f,)
+            Temperatures that they feel before the step, by `felt`, K.
+        air : float
+            The ambient, K.
+        way : Way
+            Of the axes.
+        length : float
+            Of the step, s.
+
+        Returns
+        -------
+        tuple of ndarray, shapes (d,) and (c,)
+            Temperatures after it, K; mean heat of the surfaces that they heat, W.
+        """
+        after, heat = state.copy(), np.zeros(self.heated.shape[1] + 1)
+        # What is numbered -1 is the ambient, and heats nothing.
+        around, times = np.append(felt, air), np.array([0.0, length])
+        for a, one, part in self._parts:
+            if (screw := one.drive.screw) is None:
+                continue
+            temperature = screw_temperature(screw, state[part])
+            made, ends = moved_so_far(screw.made, (way.start[a], way.end[a], way.gone[a]))
+            beside = Beside(air, around[one.column[1:]])
+            step = warmed(made, temperature, beside, times, screw.along(np.array(ends)))
+            after[part.start : part.start + temperature.size] = step.temperature
+            heat[one.column] = screw.spared * way.gone[a] / length + np.append(0.0, step.seated)
+        return after, heat[:-1]
+
+    def followed(self, state: Array, ends: tuple[Array, Array], air: float, length: float) -> Array:
+        """Take a step of the scales: their temperatures after it among those of all, (d,), K.
+
+        Parameters
+        ----------
+        state : ndarray, shape (d,)
+            By `warmed`, K.
+        ends : tuple of ndarray, shape (c + f,)
+            Temperatures that they feel before and after the step, by `felt`, K.
+        air, length : float
+            As for `warmed`.
+        """
         after = state.copy()
-        for a, drive, part in self._parts:
-            own = way.start[a], way.end[a], way.gone[a]
-            after[part] = drive.later(state[part], air, own, length)
+        start, end = (np.append(one, air) for one in ends)
+        for _, one, part in self._parts:
+            if (scale := one.drive.scale) is not None:
+                at, place = one.follows, part.stop - 1
+                beside = float(start[at]), float(end[at])
+                after[place] = followed(scale, float(state[place]), beside, length)
         return after
 
-    def displacement(self, state: Array, places: Array) -> Array:
-        """Return what the errors add to the displacement (k, axes), m, at places (k, x), m.
+    def displacement(self, state: Array, places: Array, probes: Array) -> Array:
+        """Return the displacement (..., k, axes), m, with the positioning errors of the axes.
 
-        Without any drive it is zero, of shape (k, 1).
+        Parameters
+        ----------
+        state : ndarray, shape (..., d)
+            Temperatures of the drives, K.
+        places : ndarray, shape (..., k, x)
+            Where the axes stand, m.
+        probes : ndarray, shape (..., k, p)
+            Displacement probes there, m, of the axes of the displacement and of seats.
         """
-        added = np.zeros((len(places), 1))
-        for a, drive, part in self._parts:
-            added = added + drive.displacement(state[part], places[:, a])
-        return added
+        if not self._parts:
+            return probes
+        found = probes[..., : self._parts[0][1].carried.size].copy()
+        for a, one, part in self._parts:
+            own, at = state[..., part], places[..., a]
+            error = positioning_error(one.drive, own, at, seated(one.drive, probes))
+            if one.zero is not None:
+                # On ground that stands (`drives_on`).
+                there = np.full_like(at[..., :1], one.zero)
+                ground = np.zeros((*there.shape, 3))
+                error = error - positioning_error(one.drive, own, there, ground)
+            found += error[..., None] * one.carried
+        return found
+
+    def tangent(self, rows: Array, place: Sequence[float]) -> Array:
+        """Return rows (p, n) of displacement probes as rows (axes, n), with what seats do.
+
+        Parameters
+        ----------
+        rows : ndarray, shape (p, n)
+            Of the axes of the displacement and of seats.
+        place : sequence of float, length x
+            Where the axes stand, m. Screws that are held at both ends are tight.
+        """
+        at, probes = np.array([place]), TIGHT * np.eye(len(rows))
+        return np.asarray(self.displacement(self.cold, at, probes).T / TIGHT @ rows)
 
 
 def moved_so_far(
@@ -174,69 +297,60 @@ def moved_so_far(
     return replace(made, heat=heat, film=film), (start, end)
 
 
-def check_drive(name: str, axis: AxisSection) -> None:
-    """Refuse the drive of an axis that heats the machine, or is moved or warmed by it.
+def drives_on(case: Case, ready: MovingSetup) -> AxisDrives:
+    """Return the drives of a case's axes, on the modes of its set-up.
+
+    Parameters
+    ----------
+    case : Case
+        The machine.
+    ready : MovingSetup
+        Of this case; `displacement_probes` are those of the drives.
 
     Raises
     ------
     InputError
-        It does.
+        A drive is set right somewhere, and stands on seats.
     """
-    screw, scale = axis.ball_screw, axis.scale
-    given = [] if screw is None else [f"surface at its {part}" for part in screw.surfaces()]
-    if any(seats_of(axis)):
-        given.append("seat")
-    if scale is not None and scale.follows is not None:
-        given.append("probe that it follows")
-    if given:
-        raise InputError(
-            f"joint-aware: axes.{name}: its drive has a {given[0]}; that of a model stands on "
-            "ground that neither warms nor moves: leave it out"
+    first, count = len(case.sources), len(heated_by_drives(case))
+    inputs = ready.setup.machine.thermal.inputs
+    felt, each = [np.zeros(len(inputs))] * count, list[AxisDrive | None]()
+    probes = displacement_probes(ready).tolist()
+    for axis in ready.axes:
+        if (drive := axis.drive) is None:
+            each.append(None)
+            continue
+        section = case.axes[axis.name]
+        if section.zero_mm is not None and any(seats_of(section)):
+            raise InputError(
+                f"joint-aware: axes.{axis.name}: has zero_mm and a seat, but the model does not "
+                "know how the seat is displaced while the axis is at zero_mm; leave one of them out"
+            )
+        column, follows = drive.surfaces.column, -1
+        for at, row in zip(column, drive.surfaces.temperature, strict=True):
+            if at >= 0:
+                felt[at - first] = row
+        if drive.followed is not None:
+            follows, felt = len(felt), [*felt, drive.followed]
+        screw = section.ball_screw
+        each.append(
+            AxisDrive(
+                screw,
+                None if screw is None else case.materials[screw.material],
+                section.scale,
+                drive.zero,
+                axis.carried,
+                np.where(column >= 0, column - first, -1),
+                follows,
+                np.array([probes.index(at) if at >= 0 else -1 for at in drive.seat]),
+            )
         )
+    rows = np.array(felt).reshape(len(felt), len(inputs))
+    return AxisDrives(tuple(each), inputs[:, first : first + count], rows)
 
 
-def drive_on(
-    axis: AxisSection, material: MaterialSection | None, carried: Array
-) -> AxisDrive | None:
-    """Return the drive of a case's axis, or None if it has none.
-
-    Parameters
-    ----------
-    axis : AxisSection
-        The axis, by `check_drive`.
-    material : MaterialSection, optional
-        Of its screw.
-    carried : ndarray, shape (axes,)
-        As in `AxisDrive`.
-    """
-    if axis.ball_screw is None and axis.scale is None:
-        return None
-    zero = None if axis.zero_mm is None else MILLI * axis.zero_mm
-    return AxisDrive(axis.ball_screw, material, axis.scale, zero, carried)
-
-
-def carried_along(
-    drives: AxisDrives, times: Array, air: Array, positions: Array, gone: Array
-) -> Array:
-    """Return what the errors of drives add to a displacement (n, axes), m, from a cold start.
-
-    Parameters
-    ----------
-    drives : AxisDrives
-        The drives.
-    times : ndarray, shape (n,)
-        From the start, s.
-    air : ndarray, shape (n,)
-        The ambient, K.
-    positions : ndarray, shape (n, x)
-        Of the axes, between which they move evenly, m.
-    gone : ndarray, shape (n, x)
-        How far they have gone since the first one, m.
-    """
-    state, found = drives.cold, [drives.displacement(drives.cold, positions[:1])[0]]
-    for k in range(1, times.size):
-        told = gone[k] - gone[k - 1]
-        way = way_between(*map(np.ndarray.tolist, (positions[k - 1], positions[k], told)))
-        state = drives.later(state, float(air[k]), way, float(times[k] - times[k - 1]))
-        found.append(drives.displacement(state, positions[k : k + 1])[0])
-    return np.array(found)
+def displacement_probes(ready: MovingSetup) -> NDArray[np.int64]:
+    """Return which displacement probes of a set-up a model has: all but those of rotations."""
+    every = np.arange(len(ready.setup.machine.contact.elastic.probe_thermal))
+    rotations = every[TURNED] if ready.turned else every[:0]
+    return np.setdiff1d(every, rotations)

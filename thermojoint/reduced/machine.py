@@ -6,7 +6,7 @@ parameters cost a small eigenvalue problem and no finite element (`parameters`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -36,7 +36,7 @@ from fesim.solid.elasticity import DIRECTIONS
 from fesim.solid.heat import HeatSource, ThermalLoads, heat_operators
 from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.artefacts.errors import InputError
-from thermojoint.reduced.axis_drive import AxisDrive
+from thermojoint.reduced.axis_drive import AxisDrives
 from thermojoint.reduced.films import Film, films_of
 from thermojoint.reduced.supports import Supports
 
@@ -110,8 +110,6 @@ class MovingAxis:
     asked: Array
     #: P0 of the line through them, m.
     reference: float
-    #: What positions it; without one the bodies stand where the control believes.
-    drive: AxisDrive | None = None
     #: Whether its way is counted, there and back.
     odometer: bool = False
 
@@ -122,7 +120,10 @@ class Guide:
 
     #: In the case's order.
     axes: tuple[MovingAxis, ...]
-    #: On the machine's modes.
+    #: What positions them; without one the bodies stand where the control believes. On the
+    #: machine's modes.
+    drives: AxisDrives
+    #: On the same.
     way: Guideway
     #: Positions at time zero, m.
     first: Place
@@ -131,10 +132,9 @@ class Guide:
         """Return it with other condensations at its aligned positions."""
         return replace(self, way=replace(self.way, elastic=elastic))
 
-    def positioned(self, drives: Sequence[AxisDrive | None]) -> Guide:
-        """Return it with other drives of its axes."""
-        pairs = zip(self.axes, drives, strict=True)
-        return replace(self, axes=tuple(replace(axis, drive=drive) for axis, drive in pairs))
+    def turned(self, rows: Callable[[Array], Array], columns: Callable[[Array], Array]) -> Guide:
+        """Return it on other modes, by what becomes of rows (..., r) and of columns (r, ...)."""
+        return replace(self, way=self.way.turned(rows), drives=self.drives.turned(rows, columns))
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +167,7 @@ class ReducedMachine:
     #: Shape (r,): amplitudes at time zero.
     start: Array
     #: Gaps and displacement on the modes; before the bolts are tightened, with their ends behind.
-    #: On axes, at the first positions.
+    #: On axes, at the first positions, with the seats of drives behind.
     elastic: ElasticCondensation
     #: In the order of the contact elements.
     joints: tuple[Joint, ...]
@@ -442,16 +442,7 @@ def along(machine: ReducedMachine, axes: Sequence[str]) -> ReducedMachine:
     if (guide := turned.guide) is None:
         return turned
     kept = [machine.axes.index(axis) for axis in axes]
-    drives = [axis.drive and axis.drive.along(kept) for axis in guide.axes]
-    return replace(turned, guide=guide.positioned(drives))
-
-
-def undriven(machine: ReducedMachine) -> ReducedMachine:
-    """Return the machine with axes that stand where their control believes."""
-    guide = machine.guide
-    if guide is None:
-        return machine
-    return replace(machine, guide=guide.positioned([None] * len(guide.axes)))
+    return replace(turned, guide=replace(guide, drives=guide.drives.along(kept)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -483,6 +474,8 @@ class Modes:
         without bolts.
     way : Guideway, optional
         Of a machine with moving axes.
+    drives : AxisDrives, optional
+        Of the same.
     """
 
     rates: Array
@@ -498,6 +491,7 @@ class Modes:
     factors: Array
     tight: Array
     way: Guideway | None = None
+    drives: AxisDrives | None = None
 
 
 def placed(modes: Modes, at: Place) -> Modes:
@@ -610,8 +604,9 @@ def on_basis(
         As from and for `diagonal_basis`.
     """
     turned = coupled_in(machine, basis)
-    elastic, acting, axes = turned.elastic, turned.acting, len(machine.axes)
-    loads = LoadInfluence(np.zeros((len(elastic.reference), 0)), np.zeros((axes, 0)))
+    elastic, acting, guide = turned.elastic, turned.acting, turned.guide
+    probes = len(machine.axes) if guide is None else len(elastic.probe_thermal)
+    loads = LoadInfluence(np.zeros((len(elastic.reference), 0)), np.zeros((probes, 0)))
     factors, tight = np.zeros(0), np.zeros((6, elastic.area.size))
     if acting is not None:
         loads, factors = acting.influence, acting.factors
@@ -622,11 +617,11 @@ def on_basis(
         assert bolted.loads is not None  # tightened_contact makes them
         elastic, loads, factors = bolted.elastic, bolted.loads, np.append(factors, 1.0)
         tight = np.vstack([assembly.gap, assembly.slip, assembly.pressure])
-    if machine.guide is not None:
+    if guide is not None:
         # A position displaces nothing by itself.
-        more = ((0, 0), (0, len(machine.guide.first)))
+        more = ((0, 0), (0, len(guide.first)))
         loads = LoadInfluence(np.pad(loads.gap, more), np.pad(loads.probes, more))
-        factors = np.append(factors, machine.guide.first)
+        factors = np.append(factors, guide.first)
     modes = Modes(
         rates=rates,
         drive=_drive(machine, turned, rates, basis, held),
@@ -640,7 +635,8 @@ def on_basis(
         loads=loads,
         factors=factors,
         tight=tight,
-        way=None if turned.guide is None else turned.guide.way,
+        way=None if guide is None else guide.way,
+        drives=None if guide is None else guide.drives,
     )
     return lagging(modes, np.array(machine.lags)) if machine.lags else modes
 
@@ -672,17 +668,22 @@ def lagging(modes: Modes, lags: Array) -> Modes:
     def none(rows: Array) -> Array:
         return np.pad(rows, ((0, 0), (0, slow.size)))
 
+    def driven(columns: Array) -> Array:
+        return np.vstack([columns, -followed @ columns])
+
+    drives = modes.drives
     return replace(
         modes,
         rates=np.append(modes.rates, 1.0 / lag),
-        drive=np.vstack([modes.drive, -followed @ modes.drive]),
+        drive=driven(modes.drive),
         jump=none(modes.jump),
-        entry=np.vstack([modes.entry, -followed @ modes.entry]),
+        entry=driven(modes.entry),
         mean=none(modes.mean),
         sensors=sensors,
         start=np.append(modes.start, (seen - followed) @ modes.start),
         elastic=modes.elastic.turned(none),
         way=None if modes.way is None else modes.way.turned(none),
+        drives=None if drives is None else drives.turned(none, driven),
     )
 
 
@@ -726,6 +727,6 @@ def coupled_in(machine: ReducedMachine, basis: Array) -> ReducedMachine:
         sensors=machine.sensors @ basis,
         start=start,
         elastic=machine.elastic.turned(turned),
-        guide=None if guide is None else replace(guide, way=guide.way.turned(turned)),
+        guide=None if guide is None else guide.turned(turned, lambda columns: basis.T @ columns),
         acting=acting,
     )

@@ -15,11 +15,13 @@ All of them reuse one condensation:
   the thermal gap stays.
 - preload: of the joints, and the forces of the bolts.
 - the rest of the joint's: the law alone.
+- heat and film of an axis's screw, expansion and lag of its scale: its drive alone.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -89,6 +91,8 @@ PARAMETERS = (
     Parameter("modulus", 0.06),
 )
 
+#: Of the drive of an axis, whose name comes behind: friction of a nut changes with its grease.
+OF_DRIVE = {"screw heat": 0.4, "screw film": 0.4, "scale expansion": 0.1, "scale lag": 0.5}
 #: Spread of the factor of one surface's film beside the common one, and of a film that the case
 #: does not have, W/(m2 K): enclosed air, or an outside that was left out.
 OF_SURFACE, ADDED = 0.7, 3.0
@@ -132,7 +136,16 @@ def active(machine: ReducedMachine) -> tuple[Parameter, ...]:
     lags = (Added(lag_name(name), LAG) for name in read)
     supports = () if machine.supports is None else machine.supports.names
     gives = (Give(give_name(name), OF_GIVE) for name in supports)
-    return (*own, *(film_parameter(film) for film in machine.films), *gives, *lags)
+    films = (film_parameter(film) for film in machine.films)
+    return (*own, *_of_drives(machine), *films, *gives, *lags)
+
+
+def _of_drives(machine: ReducedMachine) -> Iterator[Parameter]:
+    if (guide := machine.guide) is None:
+        return
+    for axis, drive in zip(guide.axes, guide.drives.each, strict=True):
+        for what in () if drive is None else drive.scalable:
+            yield Parameter(f"{what} {axis.name}", OF_DRIVE[what])
 
 
 def lag_name(sensor: str) -> str:
@@ -190,6 +203,11 @@ def with_factors(machine: ReducedMachine, factors: dict[str, float]) -> ReducedM
     if (supports := machine.supports) is not None:
         gives = [by.get(give_name(name), GIVE) for name in supports.names]
         machine = replace(machine, elastic=supports.elastic(gives), supports=None)
+    if (guide := machine.guide) is not None:
+        scaled = guide.drives.scaled(
+            [{what: by.get(f"{what} {axis.name}", 1.0) for what in OF_DRIVE} for axis in guide.axes]
+        )
+        machine = replace(machine, guide=replace(guide, drives=scaled))
     lags = [by.get(lag_name(sensor), 0.0) for sensor in machine.sensor_names]
     return replace(
         machine.strained(by["modulus"], by["expansion"]),

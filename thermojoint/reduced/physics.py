@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -63,6 +64,15 @@ from thermojoint.reduced.machine import (
 SHORTEST = 0.05
 #: Positions of axes at which the joints are kept ready.
 KEPT = 64
+
+
+class Driving(NamedTuple):
+    """Temperatures of a machine with moving axes."""
+
+    #: Shape (r,): amplitudes of its modes.
+    amplitudes: Array
+    #: Shape (d,): of the drives, K.
+    drive: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,9 +185,12 @@ def make_physics(modes: Modes, joints: Sequence[Joint], held: Array) -> Physics:
 def heat_step(modes: Modes, length: float) -> HeatStep:
     """Return the step of some length (s); kept, as samples usually come evenly."""
     decay = 1.0 / (1.0 + length * modes.rates)
+    entering = modes.drive
+    if modes.drives is not None:
+        entering = np.hstack([entering, modes.drives.heated])
     drive, influence = (
         np.ascontiguousarray(length * decay[:, None] * influence)
-        for influence in (modes.drive, modes.entry)
+        for influence in (entering, modes.entry)
     )
     return HeatStep(decay, drive, influence, np.ascontiguousarray(modes.jump @ influence))
 
@@ -198,8 +211,9 @@ def conduct(
         The machine.
     amplitudes : ndarray, shape (r,)
         Before.
-    inputs : ndarray, shape (s + h + 1,)
-        Heat of each source, W, the held surfaces and the ambient, K.
+    inputs : ndarray, shape (s + h + 1 + c,)
+        Heat of each source, W, the held surfaces and the ambient, K, and heat of the surfaces that
+        screws of axes heat, W.
     joint : JointState
         After the last step.
     length : float
@@ -224,6 +238,23 @@ def conduct(
     system.flat[:: len(beyond) + 1] += 1.0
     flow = np.linalg.solve(system, beyond * (physics.modes.jump @ alone))
     return np.asarray(alone - step.influence @ flow)
+
+
+def conduct_driven(
+    physics: Physics, before: Driving, inputs: Array, joint: JointState, length: float, way: Way
+) -> Driving:
+    """Return amplitudes and drives after `length` (s) of a way; otherwise as `conduct`.
+
+    A screw heats and feels what it is beside as that is before the step; a scale follows.
+    """
+    drives, air = physics.modes.drives, float(inputs[-1])
+    assert drives is not None  # there is a way on an axis only
+    felt = drives.felt @ before.amplitudes
+    state, heat = drives.warmed(before.drive, felt, air, way, length)
+    entering = np.append(inputs, heat)
+    amplitudes = conduct(physics, before.amplitudes, entering, joint, length, way)
+    ends = felt, drives.felt @ amplitudes
+    return Driving(amplitudes, drives.followed(state, ends, air, length))
 
 
 def place_in(modes: Modes, loads: Array) -> Place | None:
@@ -273,7 +304,9 @@ def _conduct_passing(
 def settle_joint(
     physics: Physics, joint: JointState, amplitudes: Array, loads: Array
 ) -> tuple[JointState, Array]:
-    """Return the joint in equilibrium with the temperatures, and the displacement (axes,), m.
+    """Return the joint in equilibrium with the temperatures, and displacement probes (p,), m.
+
+    Those are the axes of the displacement; with drives, `positioned` makes it of them.
 
     Parameters
     ----------
@@ -340,7 +373,7 @@ def settle_plainly(
 
 
 def seen_from(physics: Physics, joint: JointState, amplitudes: Array, places: Array) -> Array:
-    """Return the displacement (n, axes), m, if the axes of a machine stood at places (n, x), m.
+    """Return displacement probes (n, p), m, if the axes of a machine stood at places (n, x), m.
 
     Parameters
     ----------
@@ -368,7 +401,7 @@ def seen_from(physics: Physics, joint: JointState, amplitudes: Array, places: Ar
 
 
 def moved_by(physics: Physics, joint: JointState, amplitudes: Array, loads: Array) -> Array:
-    """Return the displacement (axes,), m, with a joint in equilibrium; as `settle_joint`."""
+    """Return displacement probes (p,), m, with a joint in equilibrium; as `settle_joint`."""
     physics, amplitudes = physics.standing(loads), physics.felt(amplitudes, loads)
     elastic, influence = physics.modes.elastic, physics.modes.loads
     moved = elastic.probe_thermal @ amplitudes + influence.probes @ loads
@@ -383,6 +416,9 @@ def at_start(physics: Physics) -> tuple[Array, Array]:
     """Return sensors (p,), K, and displacement (axes,), m, before the first step."""
     modes = physics.modes
     moved = moved_by(physics, physics.rest, modes.start, modes.factors)
+    if modes.drives is not None:
+        place = np.array([place_in(modes, modes.factors)])
+        moved = modes.drives.displacement(modes.drives.cold, place, moved[None])[0]
     return modes.sensors @ modes.start, moved
 
 
@@ -409,30 +445,48 @@ def simulate_known(
     tuple of ndarray, shapes (n, p) and (n, axes)
         Sensors, K, and displacement, m.
     """
-    history, displacement, pressure = march_known(physics, inputs, length, gone)
+    marched = march_known(physics, inputs, length, gone)
     judged = physics.modes.way is None and physics.contacts > 0 and length > SHORTEST
-    if judged and alternating(pressure / physics.contact.reference_pressure):
+    if judged and alternating(marched.pressure / physics.contact.reference_pressure):
         halves = np.repeat(inputs, 2, axis=0)
         sensed, moved = simulate_known(physics, halves, 0.5 * length)
         return sensed[1::2], moved[1::2]
-    return history @ physics.modes.sensors.T, displacement
+    sensed = marched.amplitudes @ physics.modes.sensors.T
+    return sensed, displaced(physics, marched, marched.probes)
+
+
+class Marched(NamedTuple):
+    """n steps of a march."""
+
+    #: Shape (n, r).
+    amplitudes: Array
+    #: Shape (n, d): temperatures of the drives of axes, K.
+    drive: Array
+    #: Shape (n, p): displacement probes, m.
+    probes: Array
+    #: Shape (n, m): pressures of the contact elements, Pa; empty of a machine with axes.
+    pressure: Array
+    #: Shape (n, x): where the axes stand at the end of each step, m.
+    places: Array
+
+
+def displaced(physics: Physics, marched: Marched, probes: Array) -> Array:
+    """Return the displacement (n, axes), m, of steps if their probes (n, p), m, were these."""
+    if (drives := physics.modes.drives) is None:
+        return probes
+    moved = drives.displacement(marched.drive, marched.places[:, None], probes[:, None])
+    return np.asarray(moved[:, 0])
 
 
 def march_known(
     physics: Physics, inputs: Array, length: float, gone: Array | None = None
-) -> tuple[Array, Array, Array]:
-    """March from rest under known inputs, as `simulate_known` without halving steps.
-
-    Returns
-    -------
-    tuple of ndarray, shapes (n, r), (n, axes) and (n, m)
-        Amplitudes, displacement, m, and, but for axes, pressures of the m contact elements, Pa.
-    """
+) -> Marched:
+    """March from rest under known inputs, as `simulate_known` without halving steps."""
     modes = physics.modes
     known = modes.drive.shape[1]
-    pressure = np.empty((len(inputs), physics.contacts))
     if modes.way is not None:
-        return *_march_moving(physics, inputs, length, gone), pressure
+        return _march_moving(physics, inputs, length, gone)
+    nothing, pressure = np.empty((len(inputs), 0)), np.empty((len(inputs), physics.contacts))
     constant = np.tile(modes.factors[inputs.shape[1] - known :], (len(inputs), 1))
     inputs = np.ascontiguousarray(np.hstack([inputs, constant]), dtype=np.float64)
     amplitudes, joint = modes.start.copy(), physics.at_rest()
@@ -444,7 +498,7 @@ def march_known(
             amplitudes = step.decay * amplitudes + driven
             history[at] = amplitudes
         moved = history @ modes.elastic.probe_thermal.T + inputs[:, known:] @ modes.loads.probes.T
-        return history, moved, pressure
+        return Marched(history, nothing, moved, pressure, nothing)
     if kernel is not None:
         machine = MarchKernel(step, kernel, UNWATCHED)
         kept = new_kept(machine, one_block(kernel.springs, kernel.compliance, kernel.columns))
@@ -464,36 +518,37 @@ def march_known(
         joint, displacement[k] = settle_plainly(physics, joint, amplitudes, inputs[k, known:])
         history[k], pressure[k] = amplitudes, joint.pressure
         k += 1
-    return history, displacement, pressure
+    return Marched(history, nothing, displacement, pressure, nothing)
 
 
 def guided_steps(physics: Physics, length: float) -> tuple[Guided, Steps] | None:
     """Return what a compiled march along an axis needs; None where there is no `guided_joint`."""
-    way, joint = physics.modes.way, physics.guided_joint
-    if way is None or joint is None:
+    way, drives, joint = physics.modes.way, physics.modes.drives, physics.guided_joint
+    if way is None or joint is None or (drives is not None and drives.any):
         return None
     step, held = heat_step(physics.modes, length), physics.held_exchange
     guide = guided(step, way, held, physics.aligned, length)
     return guide, new_steps(guide, there_of(physics.aligned, joint))
 
 
-def _several_axes(physics: Physics, length: float) -> axes_march.ReducedAxesMarch | None:
-    """Return a compiled march along several axes; None with one, or if it is not supported."""
-    way, contact = physics.modes.way, physics.contact
-    if way is None or len(way.stations.positions) == 1 or physics.held.any():
+def _along_axes(physics: Physics, length: float) -> axes_march.ReducedMarch | None:
+    """Return a compiled march along axes with drives, or several; None where it does not apply."""
+    way, contact, drives = physics.modes.way, physics.contact, physics.modes.drives
+    if way is None or drives is None or physics.held.any():
+        return None
+    if len(way.stations.positions) == 1 and not drives.any:
         return None
     kernel = joint_kernel(contact, np.zeros((physics.contacts, 0)), physics.held)
     if kernel is None or not contact.conducts_by_pressure:
         return None
     heat = heat_step(physics.modes, length)
-    return axes_march.reduced_axes_march(heat, way, kernel, contact, physics.tables, length)
+    return axes_march.reduced_march(heat, physics.modes, kernel, contact, physics.tables, length)
 
 
-def _march_moving(
-    physics: Physics, inputs: Array, length: float, gone: Array | None
-) -> tuple[Array, Array]:
+def _march_moving(physics: Physics, inputs: Array, length: float, gone: Array | None) -> Marched:
     """As `march_known` of a machine with axes; without positions they stand."""
     modes = physics.modes
+    assert modes.drives is not None  # with axes
     known, first = modes.drive.shape[1], np.array(place_in(modes, modes.factors))
     if inputs.shape[1] == known:
         inputs = np.column_stack([inputs, np.tile(first, (len(inputs), 1))])
@@ -501,24 +556,27 @@ def _march_moving(
     starts = np.vstack([first, ends])[:-1]
     whole = np.abs(ends - starts) if gone is None else np.maximum(gone, np.abs(ends - starts))
     ways = np.column_stack([inputs[:, :known], starts, ends, whole])
-    now, k = Moving(modes.start.copy(), physics.at_rest()), 0
-    history = np.empty((len(ways), modes.start.size))
-    displacement = np.empty((len(ways), len(modes.elastic.probe_thermal)))
-    guide, several = guided_steps(physics, length), _several_axes(physics, length)
+    now, k = Driving(modes.start.copy(), modes.drives.cold), 0
+    joint = physics.at_rest()
+    found = axes_march.new_record(len(ways), now, len(modes.elastic.probe_thermal))
+    guide, along = guided_steps(physics, length), _along_axes(physics, length)
     while k < len(ways):
-        part, taken = (history[k:], displacement[k:]), 0
+        part, taken = axes_march.Record(*(one[k:] for one in found)), 0
         if guide is not None:
-            taken = march_along(*guide, ways[k:], now, part)
-        elif several is not None:
-            taken = axes_march.march_along(several, ways[k:], k, now, part)
+            moving = Moving(now.amplitudes, joint)
+            taken = march_along(*guide, ways[k:], moving, (part.amplitudes, part.probes))
+        elif along is not None:
+            taken = axes_march.march_along(along, ways[k:], k, (now, joint), part)
         if taken:
             k += taken
             continue
         # Modes with an exchange, laws that are not compiled, or a joint that snaps.
         row, (begun, loads, told) = ways[k], np.split(ways[k, known:], 3)
         way = way_of(modes, begun, loads, told.tolist())
-        amplitudes = conduct(physics, now.amplitudes, row[:known], now.joint, length, way)
-        joint, displacement[k] = settle_joint(physics, now.joint, amplitudes, loads)
-        now, history[k] = Moving(amplitudes, JointState(*map(owned, joint))), amplitudes
+        assert way is not None  # with axes
+        now = conduct_driven(physics, now, row[:known], joint, length, way)
+        settled, part.probes[0] = settle_joint(physics, joint, now.amplitudes, loads)
+        joint = JointState(*map(owned, settled))
+        part.amplitudes[0], part.drive[0] = now
         k += 1
-    return history, displacement
+    return Marched(*found, np.empty((len(ways), 0)), ends)

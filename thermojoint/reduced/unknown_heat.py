@@ -76,6 +76,7 @@ def with_unknown_heat(
         elastic=modes.elastic.turned(rows),
         film=driven(rows(modes.film)),
         way=None if modes.way is None else modes.way.turned(rows),
+        drives=None if modes.drives is None else modes.drives.turned(rows, driven),
     )
     return found, added * size * np.sqrt(1.0 - keeps**2)
 

@@ -179,7 +179,7 @@ def _tension_checks() -> Iterator[Check]:
     ):
         screw = screw_with(**keys)
         warm = _standing(screw, RISE)
-        yield pull.check(f"screw, fixed-fixed, {name}", pulled, tension(screw.made, warm))
+        yield pull.check(f"screw, fixed-fixed, {name}", pulled, tension(screw.made, warm)[0])
         yield ELONGATION.check(
             f"screw, fixed-fixed, {name}", 1e6 * error, error_at(screw, warm), scale=1e6 * grown
         )

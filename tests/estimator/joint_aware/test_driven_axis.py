@@ -1,5 +1,7 @@
 """A joint-aware model with a ball screw or a scale: its error is part of the estimate."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from exported import SANITISED, needs_gcc, selftest, written
@@ -8,6 +10,8 @@ from observed import observer
 from structured_text import run as run_structured_text
 
 from calibrate.joint_aware.calibration import machine_of
+from calibrate.joint_aware.misfit import physics_with
+from calibrate.joint_aware.physics_fit import Search, fit_physics
 from calibrate.joint_aware.readings import run_in
 from estimator.export.structured_text import st_files
 from estimator.exporting import export_program
@@ -17,13 +21,30 @@ from estimator.joint_aware.readings import samples_in
 from estimator.lines import here
 from fesim.simulate import simulate
 from thermojoint.artefacts.errors import InputError
-from thermojoint.reduced.machine import along, undriven
+from thermojoint.reduced.axis_drive import HEATS, AxisDrives
+from thermojoint.reduced.machine import along
+from thermojoint.reduced.parameters import active
+from thermojoint.reduced.physics import simulate_known
 
 SENSORS = ("bearing", "guide")
 COURSE = [(0, 0), (60, 0), (90, 200), (240, 200), (270, -100), (480, 30), (510, 85), (1200, 85)]
 SCALE = {"expansion_1_K": 8.0e-6, "fixed_mm": -150.0, "lag_s": 300.0}
 DRIVES = {"screw": {"ball_screw": SCREW}, "set right": {"ball_screw": SCREW, "zero_mm": 100.0}}
 DRIVES["scale"] = {"scale": SCALE}
+#: Of drives that heat the machine, are warmed by it and stand on seats that it moves.
+FEELING = {
+    "bearings": "fixed-fixed",
+    "stretch_um": 30.0,
+    "seat": "guide",
+    "far_seat": "nose",
+    "nut_surface": "screw_foot",
+    "nut_share": 0.7,
+    "bearing_conductance_W_K": 3.0,
+    "bearing_surface": "rear",
+    "bearing_share": 0.5,
+}
+DRIVES["feeling screw"] = {"ball_screw": SCREW | FEELING}
+DRIVES["feeling scale"] = {"scale": SCALE | {"seat": "guide", "follows": "bearing"}}
 
 
 def case_with(folder, drive):
@@ -32,7 +53,14 @@ def case_with(folder, drive):
 
 
 @pytest.fixture(
-    scope="module", params=["screw", pytest.param("set right", marks=pytest.mark.long), "scale"]
+    scope="module",
+    params=[
+        pytest.param("screw", marks=pytest.mark.long),
+        "set right",
+        pytest.param("scale", marks=pytest.mark.long),
+        "feeling screw",
+        "feeling scale",
+    ],
 )
 def driven(request, tmp_path_factory):
     """The machine, and its response."""
@@ -47,9 +75,9 @@ def test_told_its_heat_it_is_the_simulator_with_its_drive(driven, tmp_path):
     write_observer(made.model, tmp_path / "model.h5")
     told = JointAware(read_observer(tmp_path / "model.h5"))
     assert fingerprint(told.model) == fingerprint(made.model)
-    state, found = told.initial_state(), []
+    state, found, heat = told.initial_state(), [], response["source_power"].to_numpy()[:, :1]
     samples = samples_in(response, SENSORS, axes=["y"])
-    for (time, *_, place), power in zip(samples, response["source_power"].to_numpy(), strict=True):
+    for (time, *_, place), power in zip(samples, heat, strict=True):
         told.parts.views(state)["linear"][-2:] = *power, 0.0
         state, estimate = told.sample(state, time, [np.nan] * 3 + [place])
         found.append(estimate)
@@ -77,27 +105,38 @@ def test_its_program_has_the_drive(driven, tmp_path):
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_a_calibration_run_is_without_what_the_drive_adds(driven):
+def test_known_inputs_are_marched_as_the_simulator_does(driven):
     machine, response = driven
-    # It moves what the displacement is relative to.
-    error = -response["positioning_error"].to_numpy()[:, 0]
-    without = run_in(response, machine, "run").displacement
-    added = response["displacement"].sel(axis=["x", "y"]).to_numpy() - without
-    np.testing.assert_allclose(added[:, 1], error, rtol=0.0, atol=1e-10)
-    np.testing.assert_allclose(added[:, 0], 0.0, rtol=0.0, atol=1e-15)
+    run = run_in(response, machine, "run")
+    sensed, moved = simulate_known(physics_with(machine, {}), run.inputs, machine.step)
+    actual = response["temperature"].sel(probe=list(SENSORS))[1:]
+    np.testing.assert_allclose(sensed, actual, rtol=0.0, atol=1e-6)
+    actual = response["displacement"].sel(axis=["x", "y"])[1:]
+    np.testing.assert_allclose(moved, actual, rtol=0.0, atol=1e-9)
+    assert np.abs(moved).max() > 1e-5
+
+
+def test_responses_of_a_driven_machine_need_a_model_with_its_drive(driven):
+    machine, response = driven
+    nothing = AxisDrives((None,), np.zeros((len(machine.start), 0)), np.zeros((0, 1)))
+    without = replace(machine, guide=replace(machine.guide, drives=nothing))
     with pytest.raises(InputError, match="run 1: its displacement has the error of a ball screw"):
-        run_in(response, undriven(machine), "run 1")
+        run_in(response, without, "run 1")
 
 
-@pytest.mark.parametrize(
-    ("drive", "says"),
-    [
-        ({"scale": SCALE | {"seat": "guide"}}, "has a seat"),
-        ({"scale": SCALE | {"follows": "guide"}}, "has a probe that it follows"),
-        ({"ball_screw": SCREW | {"nut_surface": "table_top"}}, "has a surface at its nut"),
-    ],
-    ids=["seat", "follows", "surface"],
-)
-def test_a_drive_that_feels_the_machine_is_refused(tmp_path, drive, says):
-    with pytest.raises(InputError, match=rf"axes\.y: its drive {says}"):
+def test_a_drive_that_is_set_right_and_stands_on_seats_is_refused(tmp_path):
+    drive = {"scale": SCALE | {"seat": "guide"}, "zero_mm": 0.0}
+    with pytest.raises(InputError, match=r"axes\.y: has zero_mm and a seat"):
         machine_of(case_with(tmp_path, drive), SENSORS)
+
+
+def test_the_friction_of_a_screw_is_fitted(tmp_path):
+    """Its nut and its bearing rub half as much again as the case says."""
+    case = case_with(tmp_path, {"ball_screw": SCREW | FEELING})
+    rubs = {name: 1.5 * SCREW[name] for name in HEATS if name in SCREW}
+    response = simulate(case.replace(axes={"y": {"ball_screw": rubs}}), accuracy=False).response
+    machine = along(machine_of(case, SENSORS), ["x", "y"])
+    assert {"screw heat y", "screw film y"} <= {one.name for one in active(machine)}
+    search = Search(starts=0, evaluations=8)
+    fit = fit_physics(machine, [run_in(response, machine, "run")], ["screw heat y"], search)
+    assert np.exp(fit.coordinates) == pytest.approx(1.5, rel=1e-3)

@@ -62,7 +62,7 @@ def samples(response):
 
 
 def test_the_reduced_machine_marches_as_the_simulator(machine, response):
-    """Without what the drives add, as calibration runs are."""
+    """With its drives: two heat it, stand on seats that it moves or follow a probe of it."""
     run = run_in(response, machine, "run")
     sensed, moved = simulate_known(physics_with(machine, {}), run.inputs, machine.step)
     temperature = response["temperature"].sel(probe=list(SENSORS))[1:]
@@ -81,7 +81,7 @@ def test_known_inputs_are_marched_in_compiled_steps_that_are_the_plain_ones(
     # What an exchange in the modes would be: none, but not known to be.
     plain = replace(compiled, held=np.full(compiled.contacts, 1e-12))
     expected = simulate_known(plain, inputs, machine.step, gone)
-    monkeypatch.setattr(physics, "conduct", lambda *_: pytest.fail("a plain step"))
+    monkeypatch.setattr(physics, "conduct_driven", lambda *_: pytest.fail("a plain step"))
     found = simulate_known(compiled, inputs, machine.step, gone)
     np.testing.assert_allclose(found[0], expected[0], rtol=0.0, atol=1e-7)
     np.testing.assert_allclose(found[1], expected[1], rtol=0.0, atol=1e-11)
@@ -91,7 +91,7 @@ def test_known_inputs_are_marched_in_compiled_steps_that_are_the_plain_ones(
 def told(estimator, samples, response):
     """Estimates without thermometers: heat and positions are given."""
     state, found = estimator.initial_state(), []
-    power = response["source_power"].to_numpy()
+    power = response["source_power"].to_numpy()[:, :1]
     for (time, *_, x, y, z), heat in zip(samples, power, strict=True):
         estimator.parts.views(state)["linear"][-2:] = *heat, 0.0
         state, estimate = estimator.sample(state, time, [np.nan] * 4 + [x, y, z])
