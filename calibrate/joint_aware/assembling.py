@@ -133,6 +133,7 @@ def observer_from_rest(
             ).clip(0.0),
             constant=fit.residual_displacement**2,
             history=np.zeros(len(machine.axes)),
+            drive=np.zeros(len(machine.axes)),
             open=np.zeros((len(machine.axes), 1, 2 * fit.discrepancy.displacement.shape[1])),
             square=nothing,
             surprise=np.zeros((len(machine.axes), len(system.rows))),

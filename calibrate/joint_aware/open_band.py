@@ -147,9 +147,11 @@ def open_band(
     claimed = np.mean((weights @ features.T) ** 2, axis=1)
     squares = np.vstack([history.squares for history in histories])
     more = [shortfall(squares, *axis, drawing.floor) for axis in zip(claimed, every, strict=True)]
+    slips, drives = _pasts(slow.observer, slow.machine, histories[0])
     return replace(
         model.band,
-        history=_history(slow.observer, slow.machine, histories[0]),
+        history=slips,
+        drive=drives,
         open=weights,
         square=unlike_its_case(slow) + np.array(more),
         surprise=surprise_of(runs, fit.doubt),
@@ -298,8 +300,8 @@ class Drawn:
     offset: Array
 
 
-def _history(observer: JointAware, machine: ReducedMachine, history: History) -> Array:
-    """Mean square change of the displacement by slips of the past, m2, shape (axes,)."""
+def _pasts(observer: JointAware, machine: ReducedMachine, history: History) -> tuple[Array, Array]:
+    """Mean squares of what slips of the past and warm drives displace, m2, (axes,) each."""
     physics = observer.observer.physics
     inputs = machine.inputs(history.heat * machine.power, history.course)
     marched = march_known(physics, inputs, machine.step)
@@ -310,7 +312,9 @@ def _history(observer: JointAware, machine: ReducedMachine, history: History) ->
         joint, probes[k] = settle_joint(physics, joint, now, acting)
         joint = joint._replace(slip=physics.rest.slip)
     moved, without = (displaced(physics, marched, one) for one in (marched.probes, probes))
-    return np.asarray(np.mean(np.square(moved - without), axis=0))
+    cold = displaced(physics, marched._replace(drive=np.zeros_like(marched.drive)), marched.probes)
+    slips, drives = (np.square(moved - other).mean(axis=0) for other in (without, cold))
+    return slips, drives
 
 
 def _directions(rng: np.random.Generator, draws: int, size: int) -> Array:

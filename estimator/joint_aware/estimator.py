@@ -480,7 +480,8 @@ class JointAware(Described):
         """The model error per part (`Observer.model_error`)."""
         count, dynamic = self.model.modes.rates.size, self.observer.system.decay.size
         relaxed, lasting = taken.after.linear[count:dynamic], taken.after.watch.lasting
-        return self.observer.model_error(relaxed, taken.memory, lasting)
+        since = float(taken.after.time - taken.after.begun)
+        return self.observer.model_error(relaxed, taken.memory, lasting, since)
 
     def _usual(
         self, state: ObserverState, moment: Moment, readings: Array, probed: Array
@@ -514,18 +515,20 @@ class JointAware(Described):
         expected = used.expected
         settled = self.observer.read(expected, linear, loads)
         elapsed, probe = moment.length * moment.steps, self.thresholds.probe
+        begun = before.begun if moment.steps else np.array(moment.time)
         known = displacement_readings.later(before.model_error, elapsed, probe)
         refused = False
         if np.isfinite(probed).any():
             lasting = used.watch.lasting
-            parts = self.observer.model_error(settled.relaxed, expected.memory, lasting)
+            since = moment.time - float(begun)
+            parts = self.observer.model_error(settled.relaxed, expected.memory, lasting, since)
             correction = self._corrected_by_probe(probed, settled, parts, factor, known)
             linear, factor = linear + correction.state, correction.covariance_factor
             known, refused = correction.known, correction.refused
             settled = self.observer.read(expected, linear, loads)
         after = ObserverState(
             time=np.array(moment.time),
-            begun=before.begun if moment.steps else np.array(moment.time),
+            begun=begun,
             memory=np.array(self.observer.remembered(expected.memory, factor)),
             linear=linear,
             loads=loads,

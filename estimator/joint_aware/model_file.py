@@ -63,7 +63,7 @@ _DRIVE = ("screw", "material", "scale")
 _TABLE = ("pressures", "rises", "values")
 _REMAINDER = ("rates", "temperature", "displacement")
 _FILTER = ("cross", "innovation", "noise", "lasting", "scale", "walk")
-_BAND = ("tangent", "steady", "constant", "history", "open", "square", "surprise")
+_BAND = ("tangent", "steady", "constant", "history", "drive", "open", "square", "surprise")
 
 
 def write_observer(model: ObserverModel, path: Path) -> None:

@@ -66,7 +66,9 @@ def bands_around(estimator: JointAware, state: Array, due: float) -> tuple[Array
     relaxed = now.linear[model.modes.rates.size : dynamic].reshape(sources, -1)
     kept = np.exp(-rates * due)
     relaxed = kept * relaxed + (1.0 - kept) * heat[:, None]
-    parts = estimator.observer.model_error(relaxed.ravel(), float(now.memory), now.watch.lasting)
+    since = float(now.time - now.begun) + due
+    memory, lasting = float(now.memory), now.watch.lasting
+    parts = estimator.observer.model_error(relaxed.ravel(), memory, lasting, since)
     known, factor = later(now.model_error, due, estimator.probe), now.covariance_factor
     after = []
     for innovation in np.where(np.eye(len(estimator.axes), dtype=bool), 0.0, np.nan):

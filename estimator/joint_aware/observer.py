@@ -270,7 +270,9 @@ class Observer:
         moved = drives.displacement(state.drive, places, probes)
         return np.asarray(moved + self.model.discrepancy.displacement @ relaxed)
 
-    def model_error(self, relaxed: Array, memory: float, lasting: Array) -> Array:
+    def model_error(
+        self, relaxed: Array, memory: float, lasting: Array, since: float = math.inf
+    ) -> Array:
         """Displacement per part of the model error, m, shape (..., axes, d + axes).
 
         The parts, of unit variance, are those of the drawn machines and of every axis
@@ -284,6 +286,8 @@ class Observer:
             Knowledge of the joint's slips.
         lasting : ndarray, shape (..., p + 1)
             Innovations that last (`Watch.lasting`), K.
+        since : float
+            How long ago the machine has started, s; of interest after a warm start.
         """
         band, rates = self.model.band, self.model.discrepancy.rates.size
         sources = relaxed.shape[-1] // rates
@@ -293,7 +297,7 @@ class Observer:
         rest = band.constant + square / sources @ band.square.T
         rest = rest + np.square(lasting) @ band.surprise.T
         if memory != KNOWN:
-            rest = rest + band.history
+            rest = rest + band.history + self.model.cold_drives(since)
         draws, axes = drawn.shape[-1], rest.shape[-1]
         parts = np.zeros((*rest.shape, draws + axes))
         parts[..., :draws] = drawn

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
+
+import numpy as np
 
 from estimator.joint_aware.filter_design import SteadyFilter
 from estimator.lines import Stroke
@@ -31,6 +34,8 @@ class Band:
     constant: Array
     #: Shape (axes,): unknown slips after a warm start, m2.
     history: Array
+    #: Shape (axes,): of drives that count as cold when a warm machine starts, m2.
+    drive: Array
     #: Shape (axes, draws, 2 s q): error of machines that the calibration cannot distinguish, per
     #: relaxation of the heat and per square of it, m.
     open: Array
@@ -134,6 +139,19 @@ class ObserverModel(Described):
     kind: Kind = "joint-aware"
     moving_axes: tuple[MovingAxis, ...] = ()
     power_shares: Mapping[str, float] = field(default_factory=dict)
+
+    def cold_drives(self, since: float) -> Array:
+        """Return the variance (axes,) of drives that have counted as cold at a warm start, m2.
+
+        Parameters
+        ----------
+        since : float
+            How long ago that was, s.
+        """
+        drives = self.modes.drives
+        if drives is None or not (lasts := drives.lasts):
+            return np.zeros_like(self.band.drive)
+        return np.asarray(self.band.drive * math.exp(-2.0 * since / lasts))
 
     @property
     def powers(self) -> tuple[str, ...]:

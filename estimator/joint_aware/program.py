@@ -331,9 +331,12 @@ def _start(estimator: JointAware) -> _Start:
         after = left @ covariance @ left.T + noise
         variance = limits.doubt**2 * ((band.tangent @ after) * band.tangent).sum(axis=1)
         known.append(np.append(k * model.step, variance))
+        cold = model.cold_drives(k * model.step)
         gains.append(usual + own_gain)
         spread.append(np.diag(steady + rows @ seen))
-        if (variance <= band.constant + band.history).all() or k * model.step > LONGEST_START:
+        if (
+            variance + cold <= band.constant + band.history
+        ).all() or k * model.step > LONGEST_START:
             break
         # The same gain for some samples: twice as many by each squaring.
         count = 1
@@ -349,6 +352,7 @@ def _start(estimator: JointAware) -> _Start:
     every[:, 1:] = np.maximum.accumulate(every[::-1, 1:])[::-1]
     near = every[(every[:, 1:] <= (limits.doubt * limits.followable) ** 2).all(axis=1), 0]
     followed = float(near[0] if near.size else every[-1, 0])
+    every[:, 1:] += [model.cold_drives(time) for time in every[:, 0]]
     return _Start(every, np.array(gains), np.array(spread), followed)
 
 

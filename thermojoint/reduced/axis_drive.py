@@ -141,6 +141,19 @@ class AxisDrives:
         """Their temperatures (d,) at the initial ambient, K: of screws, each before its scale."""
         return np.concatenate([np.zeros(0), *(cold(one.drive) for _, one, _ in self._parts)])
 
+    @property
+    def lasts(self) -> float:
+        """Longest time constant with which a drive forgets what it was, s."""
+        lasting = [0.0]
+        for _, one, _ in self._parts:
+            if (screw := one.drive.screw) is not None:
+                along = screw.made.conduction
+                film = screw.made.film.still * along.surface / along.capacity
+                lasting.append(1.0 / float(along.rates.min() + film))
+            if (scale := one.drive.scale) is not None:
+                lasting.append(scale.lag)
+        return max(lasting)
+
     def along(self, kept: Sequence[int]) -> AxisDrives:
         """Return the drives for some of the axes of the displacement, before their seats."""
         each = tuple(None if one is None else one.along(kept) for one in self.each)

@@ -185,6 +185,15 @@ def test_calibrated_it_runs_free_on_a_plant_that_differs(case, tmp_path):
     assert off[20:].max() > 0.1 * np.abs(actual).max()
     assert error[20:].max() < 0.2 * off[20:].max()
     assert (error <= band).mean() > 0.8
+    # In the middle of the run its drives are warm, and count as cold.
+    samples = list(samples_in(response, SENSORS, axes=AXES))[20:]
+    made = estimates(estimator, samples, estimator.warm_state())[1]
+    moved, wide = here(estimator.axes, estimator.details, made)
+    assert (np.abs(moved - actual[20:]) <= wide).mean() > 0.9
+    cold, lasts = found.model.band.drive, found.model.modes.drives.lasts
+    assert (wide[0] ** 2 > 1.96**2 * cold).all()
+    assert cold.max() > 0.0
+    np.testing.assert_allclose(found.model.cold_drives(lasts), cold * np.exp(-2.0))
 
 
 @needs_gcc
