@@ -33,6 +33,9 @@ MAX_ITERATIONS, MOST_MOVES = 60, 10
 SLOW = 0.5
 #: Residual of an accepted state, relative to the tolerance, as `fesim.joint.modified_newton`.
 LEFT = 0.01
+#: A residual of less than this part of it is accepted whatever the correction is: where nothing but
+#: friction that slides holds a body, picometres along its way are below rounding.
+SLIDES = 1e-3
 #: Nothing of the first correction may be left. A name: literals are compiled apart from others.
 EXACT = 0.0
 #: Places before in which near ones are looked for.
@@ -280,7 +283,7 @@ def settle_here(pads: Pads, here: Here, made: bool, share: float) -> tuple[float
     (left, norm), moves, fresh = _corrected(pads, here, kept if made else groups), 0, not made
     enough = max(LEFT * pads.tolerance, share * left)
     for iteration in range(MAX_ITERATIONS):
-        if left <= enough:
+        if left <= enough or norm <= SLIDES * LEFT * pads.tolerance:
             return left, iteration
         put(here.gap, here.before)
         put(here.correction, here.step)

@@ -26,7 +26,8 @@ from thermojoint.artefacts.errors import ConvergenceError
 
 #: Most viscous steps, including failed ones.
 MAX_STEPS = 500
-#: Most Newton iterations of a viscous step; one that needs more is too long.
+#: Most Newton iterations of a viscous step, or without dampers; where more are needed, it is too
+#: long, or dampers are needed still.
 MAX_ITERATIONS = 12
 #: Tolerance of a viscous step, relative to its initial residual.
 ROUGHLY = 1e-2
@@ -64,7 +65,7 @@ def relax(
     for steps in range(1, MAX_STEPS + 1):
         if damping <= WEAK:
             try:
-                settled = solve_gap(problem, thermal_gap, slip, gap, tolerance)
+                settled = solve_gap(problem, thermal_gap, slip, gap, tolerance, MAX_ITERATIONS)
             except ConvergenceError:
                 pass
             else:

@@ -283,7 +283,8 @@ def settle_along(
     ConvergenceError
         There is no equilibrium, or a body has come loose.
     """
-    for guess in (state.gap + state.change, state.gap):
+    moves = [state.gap + state.change] if state.change.any() else []
+    for guess in (*moves, state.gap):
         with suppress(ConvergenceError):
             return contact.settle(thermal_gap, state.slip, guess), 0
     step = contact.gap_problem, thermal_gap, state.slip, state.gap, contact.tolerance
