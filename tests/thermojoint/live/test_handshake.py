@@ -1,7 +1,6 @@
 """The handshake with a control: no offset follows, or is good, without its word."""
 
 import asyncio
-import contextlib
 import itertools
 import json
 import math
@@ -30,6 +29,7 @@ from thermojoint.compensation.offsets.handshake import (
 )
 from thermojoint.live import floor as floors
 from thermojoint.live.arrivals import Arrival
+from thermojoint.live.cancelling import cancelled
 from thermojoint.live.control_message import answer_of
 from thermojoint.live.floor import Floor, Place
 from thermojoint.live.log_lines import EventLog
@@ -332,11 +332,7 @@ def test_controls_shake_hands_by_opcua_and_by_mqtt(model, tmp_path):
                     await stranger.get_node("ns=2;s=mill.Control.Enable").write_value(True)
             controls.answers = True
             await until(lambda: all_do("follow", STANDS))
-            for task in tasks:
-                task.cancel()
-            for task in tasks:
-                with contextlib.suppress(asyncio.CancelledError):
-                    await task
+            await cancelled(*tasks)
 
     for name in names:
         (tmp_path / f"{name}.csv").write_text("")
