@@ -46,6 +46,8 @@ STEP, SIZE = 30.0, 0.1
 RUNS = {"0.5": (60.0, 0.5), "1": (60.0, 1.0), "cool-down": (120.0, 1.0), "day": (480.0, None)}
 #: For how many minutes of a cool-down the source is on.
 HEATED = 30.0
+#: Beginnings of the names of parameters of drives.
+DRIVES = tuple(OF_DRIVE)
 
 
 def model_case(folder: Path) -> Case:
@@ -153,10 +155,6 @@ def rows_of(rng: np.random.Generator, number: int, folder: Path) -> list[dict[st
         rows.append(row | {"doubt": found.fit.doubt} | figures(JointAware(found.model), day))
         print(json.dumps(rows[-1]), flush=True)
     return rows
-
-
-#: Beginnings of the names of parameters of drives.
-DRIVES = tuple(OF_DRIVE)
 
 
 def undriven(responses: dict[str, xr.Dataset]) -> dict[str, xr.Dataset]:
