@@ -133,11 +133,11 @@ def responses_of(
             (folder / f"{name}-heat.csv").write_text(heat)
             heat = {"kind": "sampled", "file": str(folder / f"{name}-heat.csv")}
         given = plant.replace(axes={axis: {"file": str(moves)}}, march={"duration_min": minutes})
-        found[name] = _read(given.replace(heat_input=heat), rng)
+        found[name] = read_by(given.replace(heat_input=heat), rng)
     return found
 
 
-def _read(plant: Case, rng: np.random.Generator) -> xr.Dataset:
+def read_by(plant: Case, rng: np.random.Generator) -> xr.Dataset:
     """The response of a plant with noise on its thermometers."""
     response = simulate(plant, accuracy=False).response
     read = response["temperature"]
@@ -153,7 +153,7 @@ def fchs_along(plant: Case, rng: np.random.Generator) -> list[Fchs]:
             axes={axis: {"file": None, "position_mm": place}}, march={"duration_min": STEPS}
         )
         runs = {
-            level: _read(still.replace(heat_input={"kind": "step", "level": level}), rng)
+            level: read_by(still.replace(heat_input={"kind": "step", "level": level}), rng)
             for level in (0.5, 1.0, 2.0)
         }
         model = calibrate_responses(runs.pop(1.0), runs).model
@@ -177,7 +177,7 @@ def fchs_figures(estimators: Sequence[Fchs], response: xr.Dataset) -> dict[str, 
     each = []
     for one in estimators:
         samples = response_samples(response, one.model)
-        made = np.array([estimate.displacement for estimate in _estimates(one, samples)])
+        made = np.array([estimate.displacement for estimate in estimates_of(one, samples)])
         each.append(made[:, [one.axes.index(axis) for axis in axes]])
     place, knots = response["axis_position"].to_numpy().ravel() / MILLI, np.array(AT)
     shares = np.array([np.interp(place, knots, own) for own in np.eye(knots.size)])
@@ -190,7 +190,7 @@ def figures(estimator: JointAware, response: xr.Dataset) -> dict[str, Any]:
     (axis,) = estimator.model.moving_axes
     samples = np.array(list(KIND.response(estimator.model, response)))
     actual = columns_of(response, "displacement", estimator.axes)
-    made = _estimates(estimator, samples.tolist())
+    made = estimates_of(estimator, samples.tolist())
     moved, band = here(estimator.axes, estimator.details, made)
     place = response["axis_position"].to_numpy()
     lines = [lines_of(estimator.axes, estimator.details, one.details) for one in made]
@@ -200,7 +200,17 @@ def figures(estimator: JointAware, response: xr.Dataset) -> dict[str, Any]:
     still = samples.copy()
     at = len(estimator.model.sensors) + 2
     still[:, at], still[:, at + 1 :] = axis.reference, 0.0
-    middle, _ = here(estimator.axes, estimator.details, _estimates(estimator, still.tolist()))
+    middle, _ = here(estimator.axes, estimator.details, estimates_of(estimator, still.tolist()))
+    return errors_of(moved, band, actual) | {
+        "line_max_um": _um(np.abs(line - actual).max(axis=0)),
+        "table_max_um": _um(np.abs(table - actual).max(axis=0)),
+        "table_off_map_um": _um(np.abs(table - moved).max(axis=0)),
+        "one_position_max_um": _um(np.abs(middle - actual).max(axis=0)),
+    }
+
+
+def errors_of(moved: Array, band: Array, actual: Array) -> dict[str, Any]:
+    """Return errors of estimates (n, axes) with their half-bands, m, beside what they should be."""
     error = np.abs(moved - actual)
     return {
         "size_um": _um(np.abs(actual).max(axis=0)),
@@ -208,10 +218,6 @@ def figures(estimator: JointAware, response: xr.Dataset) -> dict[str, Any]:
         "rms_um": _um(np.sqrt(np.mean(error**2, axis=0))),
         "inside_percent": (100.0 * np.mean(error <= band, axis=0)).round(1).tolist(),
         "half_band_um": _um(band.mean(axis=0)),
-        "line_max_um": _um(np.abs(line - actual).max(axis=0)),
-        "table_max_um": _um(np.abs(table - actual).max(axis=0)),
-        "table_off_map_um": _um(np.abs(table - moved).max(axis=0)),
-        "one_position_max_um": _um(np.abs(middle - actual).max(axis=0)),
     }
 
 
@@ -229,7 +235,8 @@ def by_table(estimator: JointAware, made: Sequence[Estimate], place: Array) -> A
     return found
 
 
-def _estimates(estimator: Estimator, samples: Iterable[Sequence[float]]) -> list[Estimate]:
+def estimates_of(estimator: Estimator, samples: Iterable[Sequence[float]]) -> list[Estimate]:
+    """Return what an estimator makes of samples, from a cold start."""
     return [one for _, one in follow(estimator, samples, estimator.initial_state())]
 
 

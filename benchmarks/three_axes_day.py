@@ -22,21 +22,17 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from benchmarks.moving_axis import NOISE, course
+from benchmarks.moving_axis import course, errors_of, estimates_of, read_by
 from benchmarks.study import case_data, case_file, options_of, write_json
 from calibrate.joint_aware.calibration import calibrate_joint_aware, machine_of
 from calibrate.joint_aware.random_heat import random_levels
-from estimator.interface import follow
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.kind import KIND
 from estimator.lines import here
 from fesim.case.schema import Case, case_from_data, read_case
-from fesim.simulate import simulate
 from meshes.exchange import write_structure
 from meshes.three_axes import three_axis_machine
-from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.response import columns_of
-from thermojoint.artefacts.units import MEGA
 from thermojoint.reduced.parameters import OF_DRIVE, active
 
 SENSORS = ("ram", "column_top", "bed_left", "bed_front")
@@ -111,9 +107,7 @@ def response_of(plant: Case, rng: np.random.Generator, run: str, folder: Path) -
         axes[name] = {"file": str(moves)}
     heat = {"kind": "sampled", "file": str(folder / f"{run}.csv")}
     given = plant.replace(axes=axes, heat_input=heat, march={"duration_min": minutes})
-    response = simulate(given, accuracy=False).response
-    read = response["temperature"]
-    return response.assign(temperature=read + rng.uniform(-NOISE, NOISE, read.shape))
+    return read_by(given, rng)
 
 
 def figures(estimator: JointAware, response: xr.Dataset) -> dict[str, Any]:
@@ -121,19 +115,10 @@ def figures(estimator: JointAware, response: xr.Dataset) -> dict[str, Any]:
     samples = list(KIND.response(estimator.model, response))
     actual = columns_of(response, "displacement", estimator.axes)
     began = process_time()
-    made = [one for _, one in follow(estimator, samples, estimator.initial_state())]
+    made = estimates_of(estimator, samples)
     spent = process_time() - began
-    moved, band = here(estimator.axes, estimator.details, made)
-    error = np.abs(moved - actual)
-    return {
-        "axes": estimator.axes,
-        "size_um": _um(np.abs(actual).max(axis=0)),
-        "max_um": _um(error.max(axis=0)),
-        "rms_um": _um(np.sqrt(np.mean(error**2, axis=0))),
-        "inside_percent": (100.0 * np.mean(error <= band, axis=0)).round(1).tolist(),
-        "half_band_um": _um(band.mean(axis=0)),
-        "sample_ms": round(1e3 * spent / len(made), 1),
-    }
+    errors = errors_of(*here(estimator.axes, estimator.details, made), actual)
+    return {"axes": estimator.axes, "sample_ms": round(1e3 * spent / len(made), 1)} | errors
 
 
 def rows_of(rng: np.random.Generator, number: int, folder: Path) -> list[dict[str, Any]]:
@@ -161,10 +146,6 @@ def undriven(responses: dict[str, xr.Dataset]) -> dict[str, xr.Dataset]:
     """Return responses as the log of a machine whose drives nobody knows."""
     names = ("positioning_error", "asked_positioning_error")
     return {run: one.drop_vars(names) for run, one in responses.items()}
-
-
-def _um(values: Array) -> list[float]:
-    return [round(float(value), 2) for value in MEGA * values]
 
 
 def main(arguments: list[str] | None = None) -> None:

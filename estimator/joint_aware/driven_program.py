@@ -12,7 +12,7 @@ import numpy as np
 
 from estimator.export.program import Operations, Table
 from estimator.joint_aware.observer_model import ObserverModel
-from fesim.axes.compiled_drive import SHORTEST
+from fesim.axes.ball_screw import SHORTEST
 from fesim.axes.positioning import Scale, Screw
 from fesim.march.exponential import phi_functions
 from thermojoint.reduced.physics import heat_step

@@ -23,6 +23,7 @@ from thermojoint.reduced.physics import (
     conduct,
     conduct_driven,
     make_physics,
+    positioned,
     seen_from,
     settle_joint,
     way_of,
@@ -250,11 +251,9 @@ class Observer:
 
     def read(self, expected: Expected, linear: Array, loads: Array) -> Settled:
         """The joint in equilibrium at the corrected linear state, and the displacement."""
-        count, drives = self.model.modes.rates.size, self.model.modes.drives
-        joint, moved = self._settled(expected.joint, linear, expected.memory, loads)
-        if drives is not None:
-            place = loads[None, loads.size - len(drives.each) :]
-            moved = drives.displacement(expected.drive, place, moved[None])[0]
+        modes, count = self.model.modes, self.model.modes.rates.size
+        joint, probes = self._settled(expected.joint, linear, expected.memory, loads)
+        moved = positioned(modes, expected.drive, loads, probes)
         relaxed = linear[count : self.system.decay.size]
         return Settled(joint, relaxed, moved + self.model.discrepancy.displacement @ relaxed)
 

@@ -12,7 +12,7 @@ the heat of each cell, both means over the step.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import eigh_tridiagonal
@@ -20,6 +20,10 @@ from scipy.linalg import eigh_tridiagonal
 from fesim.march.exponential import phi_functions
 from fesim.solid.materials import Material
 from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.units import MILLI
+
+#: Least distance over which the heat of a longer way is spread along a screw, m.
+SHORTEST = MILLI
 
 
 @dataclass(frozen=True)
@@ -218,6 +222,34 @@ def warmed(
     )
 
 
+def moved_so_far(
+    made: BallScrew, way: tuple[float, float, float]
+) -> tuple[BallScrew, tuple[float, float]]:
+    """Return a screw and positions between which it is heated and cooled as on a longer way, m.
+
+    Per metre between the positions, which are `SHORTEST` apart at least, it takes the heat of all
+    that the nut has gone.
+
+    Parameters
+    ----------
+    made : BallScrew
+        The screw.
+    way : (float, float, float)
+        Positions between which its nut moves evenly, and how far it has gone, there and back, m.
+    """
+    start, end, gone = way
+    if gone <= abs(end - start):
+        return made, (start, end)
+    if abs(end - start) < SHORTEST:
+        middle = 0.5 * (start + end)
+        start, end = middle - 0.5 * SHORTEST, middle + 0.5 * SHORTEST
+    times, heat = gone / abs(end - start), made.heat
+    near, far = heat.bearings
+    heat = replace(heat, nut=times * heat.nut, bearings=(times * near, times * far))
+    film = replace(made.film, speed=made.film.speed / times)
+    return replace(made, heat=heat, film=film), (start, end)
+
+
 def film_over(film: Film, times: Array, places: Array) -> float:
     """Return the mean film over a step of times and places (k,), W/(m2 K)."""
     lengths = np.diff(times)
@@ -276,10 +308,8 @@ def tension(screw: BallScrew, temperature: Array, apart: Array | float = 0.0) ->
 
     Parameters
     ----------
-    screw : BallScrew
-        The screw.
-    temperature : ndarray, shape (..., n)
-        Of its cells, K.
+    screw, temperature
+        As for `grown`.
     apart : float or ndarray, shape (..., k)
         How far the seats of its bearings have moved apart, m.
     """

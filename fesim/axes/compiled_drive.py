@@ -13,15 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fesim.axes.axis import Axis, parts_of
+from fesim.axes.ball_screw import SHORTEST
 from fesim.axes.compiled_passing import Ways
 from fesim.jit import compiled_part
 from fesim.joint.in_place import fill
 from fesim.march.compiled_exponential import phi
 from thermojoint.artefacts.arrays import Array
-from thermojoint.artefacts.units import MILLI
 
-#: Least distance over which the heat of a longer way is spread along a screw, m.
-SHORTEST = MILLI
 #: Columns of `Drives.numbers`.
 (
     _CAPACITY,
@@ -157,7 +155,7 @@ def _rub(drives: Drives, ways: Ways, step: int, a: int, work: DriveWork) -> tupl
     more, least = ways.more[a, step], 0.0
     for k in range(begin, end):
         least += abs(ways.positions[k + 1] - ways.positions[k])
-    # What an axis has gone there and back is spread over its way, or around where it stands.
+    # `fesim.axes.ball_screw.moved_so_far`.
     stands = more > 0.0 and least < SHORTEST
     times = 1.0
     if more > 0.0:

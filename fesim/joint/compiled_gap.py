@@ -95,17 +95,19 @@ class CompiledGap:
     #: Shape (m, 7): parameters of the law of each contact element.
     laws: Array
 
+    def kernel(self, tolerance: float) -> GapKernel:
+        """Return its data for machine code, and for residuals up to a tolerance, m."""
+        linear = self.problem.springs, self.problem.compliance, self.problem.columns
+        return GapKernel(*linear, self.laws, tolerance)
+
     def solve(
         self, thermal_gap: Array, slip: Array, guess: Array, tolerance: float = TOLERANCE
     ) -> Equilibrium:
         """Find the gaps in equilibrium with a thermal gap; see `fesim.joint.gap.solve_gap`."""
-        trial, problem = trial_at(guess), self.problem
-        kernel = GapKernel(
-            problem.springs, problem.compliance, problem.columns, self.laws, tolerance
-        )
+        trial, kernel = trial_at(guess), self.kernel(tolerance)
         try:
             outcome, size, iterations = solve_in_place(
-                kernel, problem.at_rest(thermal_gap), slip, trial, newton_work(slip.shape[1])
+                kernel, self.problem.at_rest(thermal_gap), slip, trial, newton_work(slip.shape[1])
             )
         except np.linalg.LinAlgError as error:
             raise singular() from error

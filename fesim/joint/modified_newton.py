@@ -232,12 +232,10 @@ def solve_in_blocks(
 
     By Newton's method where that fails; arguments and errors as for `fesim.joint.gap.solve_gap`.
     """
-    problem, trial = solver.problem, trial_at(guess)
-    kernel = GapKernel(problem.springs, problem.compliance, problem.columns, solver.laws, tolerance)
+    kernel, trial = solver.kernel(tolerance), trial_at(guess)
+    free_gap = solver.problem.at_rest(thermal_gap)
     try:
-        found = settle_near(
-            kernel, frozen_tangents(blocks), problem.at_rest(thermal_gap), slip, trial
-        )
+        found = settle_near(kernel, frozen_tangents(blocks), free_gap, slip, trial)
     except np.linalg.LinAlgError:
         found = False, math.inf, 0
     solved, residual, iterations = found

@@ -7,7 +7,7 @@ from bars import surface_law
 from hypothesis import assume
 from hypothesis import strategies as st
 
-from fesim.joint.compiled_gap import GapKernel, compile_gap, trial_at
+from fesim.joint.compiled_gap import compile_gap, trial_at
 from fesim.joint.gap import gap_problem
 from fesim.joint.law import BackBurdekinLaw, evaluate, stiffness_at_rest
 from fesim.joint.modified_newton import settle_near
@@ -110,8 +110,7 @@ TIGHT = 1e-16
 
 def settled(problem, laws, thermal_gap, slip, guess, tangents, tolerance=TIGHT):
     """Whether it is solved, the residual, the gaps and the slip."""
-    trial, law = trial_at(guess), compile_gap(problem, laws).laws
-    kernel = GapKernel(problem.springs, problem.compliance, problem.columns, law, tolerance)
+    trial, kernel = trial_at(guess), compile_gap(problem, laws).kernel(tolerance)
     free_gap = problem.at_rest(thermal_gap)
     found, residual, _ = settle_near(kernel, tangents, free_gap, slip, trial)
     return found, residual, trial.gap, trial.moved

@@ -15,8 +15,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from fesim.axes.ball_screw import BallScrew, Beside, warmed
-from fesim.axes.compiled_drive import SHORTEST
+from fesim.axes.ball_screw import Beside, moved_so_far, warmed
 from fesim.axes.positioning import (
     Drive,
     Surfaces,
@@ -287,27 +286,6 @@ class AxisDrives:
         """
         at, probes = np.array([place]), TIGHT * np.eye(len(rows))
         return np.asarray(self.displacement(self.cold, at, probes).T / TIGHT @ rows)
-
-
-def moved_so_far(
-    made: BallScrew, way: tuple[float, float, float]
-) -> tuple[BallScrew, tuple[float, float]]:
-    """Return a screw and positions between which it is heated and cooled as on a longer way, m.
-
-    Per metre between the positions, which are `SHORTEST` apart at least, it takes the heat of all
-    that the nut has gone.
-    """
-    start, end, gone = way
-    if gone <= abs(end - start):
-        return made, (start, end)
-    if abs(end - start) < SHORTEST:
-        middle = 0.5 * (start + end)
-        start, end = middle - 0.5 * SHORTEST, middle + 0.5 * SHORTEST
-    times, heat = gone / abs(end - start), made.heat
-    near, far = heat.bearings
-    heat = replace(heat, nut=times * heat.nut, bearings=(times * near, times * far))
-    film = replace(made.film, speed=made.film.speed / times)
-    return replace(made, heat=heat, film=film), (start, end)
 
 
 def drives_on(case: Case, ready: MovingSetup) -> AxisDrives:

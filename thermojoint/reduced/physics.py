@@ -264,6 +264,17 @@ def place_in(modes: Modes, loads: Array) -> Place | None:
     return tuple(loads[loads.size - len(modes.way.stations.positions) :].tolist())
 
 
+def positioned(modes: Modes, drive: Array, loads: Array, probes: Array) -> Array:
+    """Return the displacement (axes,), m, by displacement probes (p,), m, where the axes stand.
+
+    Without drives they are the same; `drive` (d,) are the temperatures of these, K.
+    """
+    if modes.drives is None:
+        return probes
+    place = np.array([place_in(modes, loads)])
+    return np.asarray(modes.drives.displacement(drive, place, probes[None])[0])
+
+
 def way_of(modes: Modes, before: Array, loads: Array, gone: Sequence[float] = ()) -> Way | None:
     """Return the way of axes between two samples, by their factors (l,); None without any.
 
@@ -306,7 +317,7 @@ def settle_joint(
 ) -> tuple[JointState, Array]:
     """Return the joint in equilibrium with the temperatures, and displacement probes (p,), m.
 
-    Those are the axes of the displacement; with drives, `positioned` makes it of them.
+    Those are the axes of the displacement, and seats of drives: `positioned`.
 
     Parameters
     ----------
@@ -415,11 +426,9 @@ def moved_by(physics: Physics, joint: JointState, amplitudes: Array, loads: Arra
 def at_start(physics: Physics) -> tuple[Array, Array]:
     """Return sensors (p,), K, and displacement (axes,), m, before the first step."""
     modes = physics.modes
-    moved = moved_by(physics, physics.rest, modes.start, modes.factors)
-    if modes.drives is not None:
-        place = np.array([place_in(modes, modes.factors)])
-        moved = modes.drives.displacement(modes.drives.cold, place, moved[None])[0]
-    return modes.sensors @ modes.start, moved
+    probes = moved_by(physics, physics.rest, modes.start, modes.factors)
+    cold = np.zeros(0) if modes.drives is None else modes.drives.cold
+    return modes.sensors @ modes.start, positioned(modes, cold, modes.factors, probes)
 
 
 def simulate_known(
