@@ -162,13 +162,14 @@ def _gap_equations(program: Program, kept: bool) -> Solve:
         raise ConvergenceError("dense-solvers: the joint has no kernel")
     blocks = one_block(joint.springs, joint.compliance, joint.columns)
     anchors, slip, work = frozen_tangents(blocks), np.zeros((2, count)), newton_work(count)
+    rest = np.zeros(3 * count)  # `free_gaps` are those at rest
     gaps = np.zeros((2, 3, count))  # of the last two steps
 
     def solve(step: int) -> Array:
         gap, free = 2.0 * gaps[1] - gaps[0], program.free_gaps[step]
         kernel, trial = gap_kernel(joint), trial_at(gap)
         if kept:
-            settle_near(kernel, anchors, free, slip, trial)
+            settle_near(kernel, anchors, free, rest, slip, trial)
         else:
             solve_in_place(kernel, free, slip, trial, work)
         slip[:], gaps[0], gaps[1] = trial.moved, gaps[1], trial.gap

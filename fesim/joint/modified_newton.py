@@ -1,6 +1,7 @@
 """Modified Newton method for the gap equations with a frozen tangent over many steps.
 
-Unknown: the tractions w = z(g) + k0 g missing in the springs, with g = J0^-1 g_T + F w. A Newton
+Unknown: the tractions w = z(g) + k0 g missing in the springs, with g = J0^-1 g_T + F w. As
+J0^-1 g_T = g_T + F (k - k0) g_T, one product with F does both. A Newton
 step solves (I - dT F) y = z(g) + k0 g - w by the factors of a frozen tangent
 (`fesim.joint.frozen_tangent`), which is updated where the iteration converges badly. With several
 blocks of contact elements it is replaced by a Gauss-Seidel sweep over the blocks, each with its own
@@ -134,14 +135,14 @@ def _sweep(tangents: FrozenTangents, now: Lacking, most: float, may_move: bool) 
 
 
 @compiled_part
-def _lack(springs: Array, trial: Trial, force: Array, lack: Array) -> float:
-    """z(g) + k0 g - w into `lack`; return its largest entry in gaps, m."""
+def _lack(springs: Array, trial: Trial, rest: Array, force: Array, lack: Array) -> float:
+    """z(g) + k0 g + rest - force into `lack`; return its largest entry in gaps, m."""
     gap, value = trial.gap, trial.value
     count, size = gap.shape[1], 0.0
     for i in range(3):
         for e in range(count):
             at = i * count + e
-            lack[at] = value[i, e] + springs[at] * gap[i, e] - force[at]
+            lack[at] = value[i, e] + springs[at] * gap[i, e] + rest[at] - force[at]
             if springs[at] == 0.0:  # of a gap that has no traction
                 continue
             length = abs(lack[at]) / springs[at]
@@ -156,12 +157,15 @@ def settle_near(
     kernel: GapKernel,
     tangents: FrozenTangents,
     free_gap: Array,
+    rest: Array,
     slip: Array,
     trial: Trial,
 ) -> tuple[bool, float, int]:
     """Iterate from the gaps of a trial: whether it is solved, the residual and the iterations.
 
-    Arguments as in `fesim.joint.compiled_gap.solve_in_place`. An accepted state has
+    J0^-1 g_T is `free_gap` (3 m,), m, and what tractions `rest` (3 m,), Pa, do: g_T and
+    (k - k0) g_T, or J0^-1 g_T and zero. Other arguments as in
+    `fesim.joint.compiled_gap.solve_in_place`. An accepted state has
     a residual g - J0^-1 g_T - F (z(g) + k0 g) within the tolerance.
     """
     springs, tolerance, gap = kernel.springs, kernel.tolerance, trial.gap
@@ -170,7 +174,7 @@ def settle_near(
     force, lack, step, shift = storage.force, storage.lack, storage.step, storage.shift
     evaluate_in_place(kernel.laws, slip, trial)
     fill(step, 0.0)
-    _lack(springs, trial, step, force)
+    _lack(springs, trial, rest, step, force)
     put(free_gap, flat)
     add_product(columns, force, flat)
     moves, before, corrected, least = 0, math.inf, math.inf, 0.1 * LEFT * tolerance
@@ -182,7 +186,7 @@ def settle_near(
     whole, whole_tangent = part_of(tangents.blocks, last), block_tangent(tangents, last)
     for iteration in range(MAX_ITERATIONS):
         evaluate_in_place(kernel.laws, slip, trial)
-        size = _lack(springs, trial, force, lack)
+        size = _lack(springs, trial, rest, force, lack)
         if size == math.inf:
             return False, size, iteration
         left = corrected * size <= LEFT * tolerance * before if iteration > 0 else False
@@ -233,9 +237,9 @@ def solve_in_blocks(
     By Newton's method where that fails; arguments and errors as for `fesim.joint.gap.solve_gap`.
     """
     kernel, trial = solver.kernel(tolerance), trial_at(guess)
-    free_gap = solver.problem.at_rest(thermal_gap)
+    rest = solver.problem.change * thermal_gap
     try:
-        found = settle_near(kernel, frozen_tangents(blocks), free_gap, slip, trial)
+        found = settle_near(kernel, frozen_tangents(blocks), thermal_gap, rest, slip, trial)
     except np.linalg.LinAlgError:
         found = False, math.inf, 0
     solved, residual, iterations = found

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fesim.jit import compiled, compiled_part
-from fesim.joint.frozen_tangent import FrozenTangents, forget, put_tangents
+from fesim.joint.frozen_tangent import FrozenTangents, add_product, forget, put_tangents
 from fesim.joint.in_place import add, put
 from fesim.joint.loosening import Watched, WatchWork, surely_held
 from fesim.joint.modified_newton import settle_near
@@ -97,12 +97,12 @@ class Record(NamedTuple):
 @compiled_part
 def settle(joint: JointKernel, kept: Kept, now: JointState) -> tuple[bool, float, int]:
     """By the stored factors, else by Newton's method: whether solved, residual, iterations."""
-    free_gap, trial = kept.work.free_gap, kept.work.trial
+    free_gap, rest, trial = kept.work.free_gap, kept.work.rest, kept.work.trial
     put(now.gap, trial.gap)
     add(now.change, trial.gap)
     try:
         solved, residual, iterations = settle_near(
-            gap_kernel(joint), kept.tangents, free_gap, now.slip, trial
+            gap_kernel(joint), kept.tangents, free_gap, rest, now.slip, trial
         )
     except Exception:  # a singular tangent
         solved, residual, iterations = False, np.nan, 0
@@ -111,6 +111,7 @@ def settle(joint: JointKernel, kept: Kept, now: JointState) -> tuple[bool, float
     forget(kept.tangents)
     put(now.gap, trial.gap)
     add(now.change, trial.gap)
+    add_product(joint.columns, rest, free_gap)
     return settle_by_newton(joint, free_gap, now, trial, kept.work.newton)
 
 
@@ -131,7 +132,8 @@ def march_steps(
     heat, joint = machine.heat, machine.joint
     count, thermal = now.joint.pressure.size, heat.drive.shape[1]
     flow, conducted = np.empty(count), np.empty(count)
-    beyond, jump, free_gap = np.empty(count), np.empty(count), kept.work.free_gap
+    beyond, jump = np.empty(count), np.empty(count)
+    free_gap, rest = kept.work.free_gap, kept.work.rest
     amplitudes, drawn = np.empty_like(now.amplitudes), np.empty_like(now.amplitudes)
     for k in range(len(inputs)):
         put(now.amplitudes, amplitudes)
@@ -146,6 +148,8 @@ def march_steps(
             amplitudes[r] -= drawn[r]
         np.dot(joint.gap, amplitudes, free_gap)
         add_loads(joint.loaded_gap, inputs[k, thermal:], free_gap)
+        for row in range(rest.size):
+            rest[row] = joint.change[row] * free_gap[row]
         solved, residual, iterations = settle(joint, kept, now.joint)
         if not solved:
             return k, SNAPS

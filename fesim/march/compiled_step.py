@@ -53,10 +53,11 @@ class JointKernel(NamedTuple):
     springs: Array
     compliance: Array
     columns: Array
-    #: Shapes (3 m, r) and (3 m, l): J0^-1 S_T, and the same of loads: gaps of the joint that sticks
-    #: at its preload, m.
+    #: Shapes (3 m, r) and (3 m, l): gaps that heat and loads open, m: J0^-1 S_T, of the joint that
+    #: sticks at its preload, and `change` is zero; or S_T, and it is k - k0, (3 m,), Pa/m.
     gap: Array
     loaded_gap: Array
+    change: Array
     #: Shape (m,): Pa.
     preload: Array
     #: Shape (3 m,): k, Pa/m.
@@ -105,8 +106,9 @@ class JointWork(NamedTuple):
     trial: Trial
     #: Of their solution by Newton's method.
     newton: NewtonWork
-    #: Shape (3 m,): J0^-1 g_T, m, and z + k g, Pa.
+    #: Shape (3 m,): J0^-1 g_T, m, or g_T and the tractions (k - k0) g_T, Pa; z + k g, Pa.
     free_gap: Array
+    rest: Array
     remainder: Array
     #: Shape (axes,): displacement by the joint, m.
     moved: Array
@@ -122,7 +124,8 @@ def joint_work(joint: JointKernel) -> JointWork:
     """Return storage for the settling of a joint."""
     size, axes = joint.springs.size, len(joint.free)
     trial, newton = trial_at(np.zeros((3, size // 3))), newton_work(size // 3)
-    return JointWork(trial, newton, np.empty(size), np.empty(size), np.empty(axes))
+    free_gap, rest, remainder = np.empty(size), np.zeros(size), np.empty(size)
+    return JointWork(trial, newton, free_gap, rest, remainder, np.empty(axes))
 
 
 @compiled_part

@@ -62,11 +62,6 @@ class ContactProblem:
         )
 
     @cached_property
-    def thermal_gap(self) -> Array:
-        """J0^-1 S_T (3 m, n), m/K: gaps of a joint that sticks at its preload, by temperatures."""
-        return np.ascontiguousarray(self.gap_problem.at_rest(self.elastic.thermal_gap))
-
-    @cached_property
     def tolerance(self) -> float:
         """Largest residual of the gap equations, m."""
         if self.gap_tolerance is not None:

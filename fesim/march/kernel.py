@@ -140,7 +140,8 @@ def step_kernel(machine: CondensedMachine) -> StepKernel | None:
     thermal = machine.thermal
     if not machine.contact.count or thermal.factor.solver != "diagonal":
         return None
-    joint = joint_kernel(machine.contact, np.asarray(thermal.jump), np.zeros(machine.contact.count))
+    contact = machine.contact
+    joint = sprung_kernel(contact, np.asarray(thermal.jump), np.zeros(contact.count))
     if joint is None:
         return None
     diagonal = thermal.factor.matrix.diagonal()
@@ -150,8 +151,7 @@ def step_kernel(machine: CondensedMachine) -> StepKernel | None:
         influence=owned(thermal.influence),
         joint_influence=owned(thermal.joint_influence),
     )
-    watched = watched_in(machine.contact)
-    return StepKernel(MarchKernel(heat, joint, watched), machine.contact.blocks)
+    return StepKernel(MarchKernel(heat, joint, watched_in(contact)), contact.blocks)
 
 
 def watched_in(contact: ContactProblem) -> Watched:
@@ -171,6 +171,23 @@ def joint_kernel(contact: ContactProblem, jump: Array, held: Array) -> JointKern
     held : ndarray, shape (m,)
         Conductance times area that the modes include, W/K.
     """
+    joint = sprung_kernel(contact, jump, held)
+    if joint is None:
+        return None
+    at_rest = contact.gap_problem.at_rest
+    return joint._replace(
+        gap=owned(at_rest(joint.gap)),
+        loaded_gap=owned(at_rest(joint.loaded_gap)),
+        change=np.zeros_like(joint.change),
+    )
+
+
+def sprung_kernel(contact: ContactProblem, jump: Array, held: Array) -> JointKernel | None:
+    """`joint_kernel` with the gaps of the condensation's springs, for `march_steps`.
+
+    J0^-1 S_T of many modes takes as long as many steps, and a step by frozen tangents has a product
+    with F anyway.
+    """
     elastic = contact.elastic
     solver = compile_gap(contact.gap_problem, contact.laws)
     conductance = _conductance_table(contact.laws, elastic.area)
@@ -187,8 +204,9 @@ def joint_kernel(contact: ContactProblem, jump: Array, held: Array) -> JointKern
         springs=owned(problem.springs),
         compliance=owned(problem.compliance),
         columns=owned(problem.columns),
-        gap=contact.thermal_gap,
-        loaded_gap=owned(problem.at_rest(loaded_gap)),
+        gap=owned(elastic.thermal_gap),
+        loaded_gap=owned(loaded_gap),
+        change=owned(problem.change),
         preload=owned(contact.preload),
         reference=owned(elastic.reference),
         moved=owned(elastic.probe_compliance * elastic.area),
