@@ -212,7 +212,7 @@ def _tangents(modes: Modes, machine: ReducedMachine) -> list[Array]:
     drives = modes.drives
     assert drives is not None  # with axes
     return [
-        drives.tangent(sticking_tangent(placed(modes, at), machine.laws), at)
+        drives.tangent(lambda place: sticking_tangent(placed(modes, place), machine.laws), at)
         for at in product(*strokes)
     ]
 

@@ -43,6 +43,7 @@ from thermojoint.reduced.discrepancy import COUNT, Discrepancy, make_ridge, rela
 from thermojoint.reduced.machine import ReducedMachine
 from thermojoint.reduced.parameters import LAG_UNIT, factors_of
 from thermojoint.reduced.physics import (
+    JointState,
     at_start,
     displaced,
     march_known,
@@ -307,12 +308,17 @@ def _pasts(observer: JointAware, machine: ReducedMachine, history: History) -> t
     marched = march_known(physics, inputs, machine.step)
     loads = np.tile(physics.modes.factors, (len(inputs), 1))
     loads[:, loads.shape[1] - history.course.shape[1] :] = history.course
-    joint, probes = physics.at_rest(), np.empty_like(marched.probes)
+    joint, joints, probes = physics.at_rest(), list[JointState](), np.empty_like(marched.probes)
     for k, (now, acting) in enumerate(zip(marched.amplitudes, loads, strict=True)):
         joint, probes[k] = settle_joint(physics, joint, now, acting)
         joint = joint._replace(slip=physics.rest.slip)
-    moved, without = (displaced(physics, marched, one) for one in (marched.probes, probes))
-    cold = displaced(physics, marched._replace(drive=np.zeros_like(marched.drive)), marched.probes)
+        joints.append(joint)
+    every = JointState(*map(np.array, zip(*joints, strict=True)))
+    others = (
+        marched._replace(probes=probes, joint=every),
+        marched._replace(drive=np.zeros_like(marched.drive)),
+    )
+    moved, without, cold = (displaced(physics, one) for one in (marched, *others))
     slips, drives = (np.square(moved - other).mean(axis=0) for other in (without, cold))
     return slips, drives
 

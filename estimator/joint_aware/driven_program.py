@@ -50,7 +50,8 @@ def driven(model: ObserverModel) -> Driven:
         common = {
             "axis": k,
             "cells": 0,
-            "zero": own.zero,
+            # Of one that stands on seats, what it adds there is found beside the lines.
+            "zero": None if k in every.seated_zeros else own.zero,
             "counted": axis.odometer,
             "shortest": SHORTEST,
             "seat": one.seat.tolist(),

@@ -263,7 +263,14 @@ def _grown(way: Guideway, held: NDArray[np.int64]) -> tuple[Array, NDArray[np.in
 
 def _asked_axes(estimator: JointAware) -> NDArray[np.int64]:
     counts = [axis.asked.size for axis in estimator.model.moving_axes]
-    return np.repeat(np.arange(len(counts)), counts)
+    return np.append(np.repeat(np.arange(len(counts)), counts), list(_zeros(estimator))).astype(int)
+
+
+def _zeros(estimator: JointAware) -> dict[int, float]:
+    """Axes whose drives are set right on seats, and where, m: the last of the positions asked."""
+    drives = estimator.model.modes.drives
+    assert drives is not None  # with axes
+    return drives.seated_zeros
 
 
 def _lines(estimator: JointAware) -> tuple[dict[str, Any], list[Table]]:
@@ -276,15 +283,18 @@ def _lines(estimator: JointAware) -> tuple[dict[str, Any], list[Table]]:
         offset.append(1.0 / arm.size + (axis.reference - axis.asked.mean()) * slope[-1])
     ends = np.cumsum([0, *(axis.asked.size for axis in moving)]).tolist()
     sloped, strokes = estimator.model.sloped, estimator.model.strokes
+    zeros = _zeros(estimator)
+    places = [*(axis.asked for axis in moving), np.array(list(zeros.values()))]
     values = {
-        "asked": ends[-1],
+        "asked": ends[-1] + len(zeros),
+        "zeros": [(ends[-1] + z, a) for z, a in enumerate(zeros)],
         "asked_of": [(start, end) for start, end in pairwise(ends)],
         "sloped": [(estimator.axes.index(axis), at) for axis, at in sloped.items()],
         "strokes": [(one.reference, one.high - one.low) for one in strokes.values()],
         "several": len(moving) > 1,
     }
     tables = [
-        Table("asked_at", "Positions asked for, m.", np.concatenate([a.asked for a in moving])),
+        Table("asked_at", "Positions asked for, m.", np.concatenate(places)),
         Table("asked_offset", "Their parts of K0.", np.concatenate(offset)),
         Table("asked_slope", "... and of the slope, 1/m.", np.concatenate(slope)),
     ]

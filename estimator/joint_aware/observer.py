@@ -251,9 +251,10 @@ class Observer:
 
     def read(self, expected: Expected, linear: Array, loads: Array) -> Settled:
         """The joint in equilibrium at the corrected linear state, and the displacement."""
-        modes, count = self.model.modes, self.model.modes.rates.size
+        count = self.model.modes.rates.size
         joint, probes = self._settled(expected.joint, linear, expected.memory, loads)
-        moved = positioned(modes, expected.drive, loads, probes)
+        now = Driving(linear[:count], expected.drive)
+        moved = positioned(self.physics, now, joint, loads, probes)
         relaxed = linear[count : self.system.decay.size]
         return Settled(joint, relaxed, moved + self.model.discrepancy.displacement @ relaxed)
 
@@ -263,10 +264,12 @@ class Observer:
         assert drives is not None  # asked for with axes only
         if memory == UNKNOWN:
             joint = joint._replace(slip=self.physics.rest.slip)
-        count = self.model.modes.rates.size
-        probes = seen_from(self.physics, joint, linear[:count], places)
+        count, axes = self.model.modes.rates.size, places.shape[1]
+        stands = state.loads[state.loads.size - axes :]
+        every = np.vstack([places, drives.with_zeros(stands)[1:]])
+        probes = seen_from(self.physics, joint, linear[:count], every)
         relaxed = linear[count : self.system.decay.size]
-        moved = drives.displacement(state.drive, places, probes)
+        moved = drives.displacement(state.drive, every, probes)
         return np.asarray(moved + self.model.discrepancy.displacement @ relaxed)
 
     def model_error(

@@ -292,7 +292,7 @@ def _standing(estimator: JointAware, kernel: JointKernel) -> Placed:
         Table("moved_by", "Displacement per traction, m/Pa.", kernel.moved),
         Table("free_moved", "Displacement per mode, m.", kernel.free),
     ]
-    none = {"moving": 0, "drives": (), "asked": 0, "seats": 0, "heated": 0, "felt": 0}
+    none = {"moving": 0, "drives": (), "asked": 0, "zeros": (), "seats": 0, "heated": 0, "felt": 0}
     return Placed(none, tables, [], 0, own, own)
 
 

@@ -47,7 +47,7 @@ class ReducedMarch(NamedTuple):
 
 
 class Record(NamedTuple):
-    """n steps."""
+    """n steps; joints as in `JointState`."""
 
     #: Shape (n, r).
     amplitudes: Array
@@ -55,11 +55,16 @@ class Record(NamedTuple):
     drive: Array
     #: Shape (n, p): displacement probes, m.
     probes: Array
+    gap: Array
+    slip: Array
+    pressure: Array
+    change: Array
 
 
-def new_record(steps: int, first: tuple[Array, Array], probes: int) -> Record:
-    """Return storage for some steps from amplitudes (r,) and drives (d,) on, and p probes."""
-    return Record(*(np.empty((steps, size)) for size in (*(one.size for one in first), probes)))
+def new_record(steps: int, first: tuple[Array, Array], probes: int, joint: JointState) -> Record:
+    """Return storage for some steps from amplitudes (r,), drives (d,) and joints on, p probes."""
+    shapes = [*(one.shape for one in first), (probes,), *(one.shape for one in joint)]
+    return Record(*(np.empty((steps, *shape)) for shape in shapes))
 
 
 def reduced_march(
@@ -181,5 +186,6 @@ def march_along(
     last = taken - 1
     amplitudes[:], drive[:] = found.amplitudes[last], found.drive[last]
     for name in JointState._fields:
+        getattr(record, name)[:taken] = getattr(found, name)[:taken]
         getattr(moving, name)[:] = getattr(found, name)[last]
     return taken

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fesim.axes.ball_screw import Beside, moved_so_far, warmed
+from fesim.axes.guideway import Place
 from fesim.axes.positioning import (
     Drive,
     Surfaces,
@@ -28,13 +29,11 @@ from fesim.axes.positioning import (
     seated,
 )
 from fesim.axes.setup import TURNED, MovingSetup
-from fesim.case.axis_section import seats_of
 from fesim.case.drive_sections import BallScrewSection, ScaleSection
 from fesim.case.schema import Case, heated_by_drives
 from fesim.case.thermal_sections import MaterialSection
 from fesim.setup.structure import material_of
 from thermojoint.artefacts.arrays import Array
-from thermojoint.artefacts.errors import InputError
 from thermojoint.reduced.axis_way import Way
 
 #: Heat of a screw in its case.
@@ -248,6 +247,23 @@ class AxisDrives:
                 after[place] = followed(scale, float(state[place]), beside, length)
         return after
 
+    @cached_property
+    def seated_zeros(self) -> dict[int, float]:
+        """Axes whose drive stands on seats and is set right somewhere, and where, m."""
+        found = ((a, one) for a, one, _ in self._parts if (one.seat >= 0).any())
+        return {a: one.zero for a, one in found if one.zero is not None}
+
+    def with_zeros(self, places: Array) -> Array:
+        """Return places (..., x), m, with where drives are set right meanwhile, (..., 1 + z, x).
+
+        One drive after the other, the other axes at the place; of drives that stand on seats, as
+        what displaces a seat depends on the positions.
+        """
+        every = np.repeat(places[..., None, :], 1 + len(self.seated_zeros), axis=-2)
+        for z, (a, zero) in enumerate(self.seated_zeros.items(), start=1):
+            every[..., z, a] = zero
+        return every
+
     def displacement(self, state: Array, places: Array, probes: Array) -> Array:
         """Return the displacement (..., k, axes), m, with the positioning errors of the axes.
 
@@ -255,37 +271,45 @@ class AxisDrives:
         ----------
         state : ndarray, shape (..., d)
             Temperatures of the drives, K.
-        places : ndarray, shape (..., k, x)
-            Where the axes stand, m.
-        probes : ndarray, shape (..., k, p)
+        places : ndarray, shape (..., k + z, x)
+            Where the axes stand, m; the last z of them by `with_zeros`.
+        probes : ndarray, shape (..., k + z, p)
             Displacement probes there, m, of the axes of the displacement and of seats.
         """
         if not self._parts:
             return probes
-        found = probes[..., : self._parts[0][1].carried.size].copy()
+        count = places.shape[-2] - len(self.seated_zeros)
+        right = {a: count + z for z, a in enumerate(self.seated_zeros)}
+        found = probes[..., :count, : self._parts[0][1].carried.size].copy()
         for a, one, part in self._parts:
             own, at = state[..., part], places[..., a]
             error = positioning_error(one.drive, own, at, seated(one.drive, probes))
-            if one.zero is not None:
-                # On ground that stands (`drives_on`).
+            if a in right:
+                error = error - error[..., right[a], None]
+            elif one.zero is not None:
+                # On ground that stands.
                 there = np.full_like(at[..., :1], one.zero)
                 ground = np.zeros((*there.shape, 3))
                 error = error - positioning_error(one.drive, own, there, ground)
-            found += error[..., None] * one.carried
+            found += error[..., :count, None] * one.carried
         return found
 
-    def tangent(self, rows: Array, place: Sequence[float]) -> Array:
-        """Return rows (p, n) of displacement probes as rows (axes, n), with what seats do.
+    def tangent(self, rows_at: Callable[[Place], Array], place: Place) -> Array:
+        """Return rows (axes, n) of the displacement by those of its probes, with what seats do.
 
         Parameters
         ----------
-        rows : ndarray, shape (p, n)
-            Of the axes of the displacement and of seats.
-        place : sequence of float, length x
-            Where the axes stand, m. Screws that are held at both ends are tight.
+        rows_at : callable
+            Rows (p, n) of the displacement probes while the axes stand at a place.
+        place : tuple of float, length x
+            Where they stand, m. Screws that are held at both ends are tight.
         """
-        at, probes = np.array([place]), TIGHT * np.eye(len(rows))
-        return np.asarray(self.displacement(self.cold, at, probes).T / TIGHT @ rows)
+        places = self.with_zeros(np.array(place))
+        rows = np.concatenate([rows_at(tuple(at)) for at in places.tolist()])
+        # One row after the other moves its probe.
+        probes = TIGHT * np.eye(len(rows)).reshape(len(rows), len(places), -1)
+        moved = self.displacement(self.cold, places, probes)[:, 0]
+        return np.asarray(moved.T / TIGHT @ rows)
 
 
 def drives_on(case: Case, ready: MovingSetup) -> AxisDrives:
@@ -297,11 +321,6 @@ def drives_on(case: Case, ready: MovingSetup) -> AxisDrives:
         The machine.
     ready : MovingSetup
         Of this case; `displacement_probes` are those of the drives.
-
-    Raises
-    ------
-    InputError
-        A drive is set right somewhere, and stands on seats.
     """
     first, count = len(case.sources), len(heated_by_drives(case))
     inputs = ready.setup.machine.thermal.inputs
@@ -312,11 +331,6 @@ def drives_on(case: Case, ready: MovingSetup) -> AxisDrives:
             each.append(None)
             continue
         section = case.axes[axis.name]
-        if section.zero_mm is not None and any(seats_of(section)):
-            raise InputError(
-                f"joint-aware: axes.{axis.name}: has zero_mm and a seat, but the model does not "
-                "know how the seat is displaced while the axis is at zero_mm; leave one of them out"
-            )
         column, follows = drive.surfaces.column, -1
         for at, row in zip(column, drive.surfaces.temperature, strict=True):
             if at >= 0:

@@ -264,15 +264,19 @@ def place_in(modes: Modes, loads: Array) -> Place | None:
     return tuple(loads[loads.size - len(modes.way.stations.positions) :].tolist())
 
 
-def positioned(modes: Modes, drive: Array, loads: Array, probes: Array) -> Array:
+def positioned(
+    physics: Physics, now: Driving, joint: JointState, loads: Array, probes: Array
+) -> Array:
     """Return the displacement (axes,), m, by displacement probes (p,), m, where the axes stand.
 
-    Without drives they are the same; `drive` (d,) are the temperatures of these, K.
+    Without drives they are the same. `joint` is settled there.
     """
-    if modes.drives is None:
+    drives, place = physics.modes.drives, place_in(physics.modes, loads)
+    if drives is None or place is None:
         return probes
-    place = np.array([place_in(modes, loads)])
-    return np.asarray(modes.drives.displacement(drive, place, probes[None])[0])
+    places = drives.with_zeros(np.array(place))
+    every = np.vstack([probes, seen_from(physics, joint, now.amplitudes, places[1:])])
+    return np.asarray(drives.displacement(now.drive, places, every)[0])
 
 
 def way_of(modes: Modes, before: Array, loads: Array, gone: Sequence[float] = ()) -> Way | None:
@@ -402,6 +406,8 @@ def seen_from(physics: Physics, joint: JointState, amplitudes: Array, places: Ar
     ConvergenceError
         As `settle_joint`.
     """
+    if not len(places):
+        return np.empty((0, len(physics.modes.elastic.probe_thermal)))
     assert physics.modes.way is not None  # asked for on an axis only
     alone = physics.modes.way.elastic.alone(amplitudes)
     found = surveyed(physics.contact, physics.tables, (joint.gap, joint.slip), alone, places)
@@ -427,8 +433,9 @@ def at_start(physics: Physics) -> tuple[Array, Array]:
     """Return sensors (p,), K, and displacement (axes,), m, before the first step."""
     modes = physics.modes
     probes = moved_by(physics, physics.rest, modes.start, modes.factors)
-    cold = np.zeros(0) if modes.drives is None else modes.drives.cold
-    return modes.sensors @ modes.start, positioned(modes, cold, modes.factors, probes)
+    cold = Driving(modes.start, np.zeros(0) if modes.drives is None else modes.drives.cold)
+    moved = positioned(physics, cold, physics.rest, modes.factors, probes)
+    return modes.sensors @ modes.start, moved
 
 
 def simulate_known(
@@ -456,12 +463,12 @@ def simulate_known(
     """
     marched = march_known(physics, inputs, length, gone)
     judged = physics.modes.way is None and physics.contacts > 0 and length > SHORTEST
-    if judged and alternating(marched.pressure / physics.contact.reference_pressure):
+    if judged and alternating(marched.joint.pressure / physics.contact.reference_pressure):
         halves = np.repeat(inputs, 2, axis=0)
         sensed, moved = simulate_known(physics, halves, 0.5 * length)
         return sensed[1::2], moved[1::2]
     sensed = marched.amplitudes @ physics.modes.sensors.T
-    return sensed, displaced(physics, marched, marched.probes)
+    return sensed, displaced(physics, marched)
 
 
 class Marched(NamedTuple):
@@ -473,18 +480,24 @@ class Marched(NamedTuple):
     drive: Array
     #: Shape (n, p): displacement probes, m.
     probes: Array
-    #: Shape (n, m): pressures of the contact elements, Pa; empty of a machine with axes.
-    pressure: Array
     #: Shape (n, x): where the axes stand at the end of each step, m.
     places: Array
+    #: The joints after each step, (n, ...): pressures alone of a machine without axes; of no
+    #: meaning of one axis without a drive.
+    joint: JointState
 
 
-def displaced(physics: Physics, marched: Marched, probes: Array) -> Array:
-    """Return the displacement (n, axes), m, of steps if their probes (n, p), m, were these."""
+def displaced(physics: Physics, marched: Marched) -> Array:
+    """Return the displacement (n, axes), m, after the steps of a march."""
     if (drives := physics.modes.drives) is None:
-        return probes
-    moved = drives.displacement(marched.drive, marched.places[:, None], probes[:, None])
-    return np.asarray(moved[:, 0])
+        return marched.probes
+    places = drives.with_zeros(marched.places)
+    every = np.repeat(marched.probes[:, None], places.shape[1], axis=1)
+    if places.shape[1] > 1:
+        steps = zip(*marched.joint, marched.amplitudes, places, every, strict=True)
+        for *joint, amplitudes, at, probes in steps:
+            probes[1:] = seen_from(physics, JointState(*joint), amplitudes, at[1:])
+    return np.asarray(drives.displacement(marched.drive, places, every)[:, 0])
 
 
 def march_known(
@@ -496,6 +509,7 @@ def march_known(
     if modes.way is not None:
         return _march_moving(physics, inputs, length, gone)
     nothing, pressure = np.empty((len(inputs), 0)), np.empty((len(inputs), physics.contacts))
+    pressures = JointState(nothing, nothing, pressure, nothing)
     constant = np.tile(modes.factors[inputs.shape[1] - known :], (len(inputs), 1))
     inputs = np.ascontiguousarray(np.hstack([inputs, constant]), dtype=np.float64)
     amplitudes, joint = modes.start.copy(), physics.at_rest()
@@ -507,7 +521,7 @@ def march_known(
             amplitudes = step.decay * amplitudes + driven
             history[at] = amplitudes
         moved = history @ modes.elastic.probe_thermal.T + inputs[:, known:] @ modes.loads.probes.T
-        return Marched(history, nothing, moved, pressure, nothing)
+        return Marched(history, nothing, moved, nothing, pressures)
     if kernel is not None:
         machine = MarchKernel(step, kernel, UNWATCHED)
         kept = new_kept(machine, one_block(kernel.springs, kernel.compliance, kernel.columns))
@@ -527,7 +541,7 @@ def march_known(
         joint, displacement[k] = settle_plainly(physics, joint, amplitudes, inputs[k, known:])
         history[k], pressure[k] = amplitudes, joint.pressure
         k += 1
-    return Marched(history, nothing, displacement, pressure, nothing)
+    return Marched(history, nothing, displacement, nothing, pressures)
 
 
 def guided_steps(physics: Physics, length: float) -> tuple[Guided, Steps] | None:
@@ -567,7 +581,7 @@ def _march_moving(physics: Physics, inputs: Array, length: float, gone: Array | 
     ways = np.column_stack([inputs[:, :known], starts, ends, whole])
     now, k = Driving(modes.start.copy(), modes.drives.cold), 0
     joint = physics.at_rest()
-    found = axes_march.new_record(len(ways), now, len(modes.elastic.probe_thermal))
+    found = axes_march.new_record(len(ways), now, len(modes.elastic.probe_thermal), joint)
     guide, along = guided_steps(physics, length), _along_axes(physics, length)
     while k < len(ways):
         part, taken = axes_march.Record(*(one[k:] for one in found)), 0
@@ -587,5 +601,6 @@ def _march_moving(physics: Physics, inputs: Array, length: float, gone: Array | 
         settled, part.probes[0] = settle_joint(physics, joint, now.amplitudes, loads)
         joint = JointState(*map(owned, settled))
         part.amplitudes[0], part.drive[0] = now
+        part.gap[0], part.slip[0], part.pressure[0], part.change[0] = joint
         k += 1
-    return Marched(*found, np.empty((len(ways), 0)), ends)
+    return Marched(*found[:3], ends, JointState(*found[3:]))

@@ -45,6 +45,9 @@ FEELING = {
 }
 DRIVES["feeling screw"] = {"ball_screw": SCREW | FEELING}
 DRIVES["feeling scale"] = {"scale": SCALE | {"seat": "guide", "follows": "bearing"}}
+#: Set right where their seats are displaced otherwise than where the axis stands.
+DRIVES["seated screw"] = DRIVES["feeling screw"] | {"zero_mm": 170.0}
+DRIVES["seated scale"] = DRIVES["feeling scale"] | {"zero_mm": -60.0}
 
 
 def case_with(folder, drive):
@@ -58,8 +61,10 @@ def case_with(folder, drive):
         pytest.param("screw", marks=pytest.mark.long),
         "set right",
         pytest.param("scale", marks=pytest.mark.long),
-        "feeling screw",
-        "feeling scale",
+        pytest.param("feeling screw", marks=pytest.mark.long),
+        pytest.param("feeling scale", marks=pytest.mark.long),
+        "seated screw",
+        "seated scale",
     ],
 )
 def driven(request, tmp_path_factory):
@@ -116,18 +121,25 @@ def test_known_inputs_are_marched_as_the_simulator_does(driven):
     assert np.abs(moved).max() > 1e-5
 
 
+def test_its_tangent_is_what_small_motions_of_its_probes_do(driven):
+    """Also where the drive is set right, away from the place."""
+    machine, _ = driven
+    drives, rng = machine.guide.drives, np.random.default_rng(7)
+    places = drives.with_zeros(np.array([0.05]))
+    rows = {tuple(at): rng.normal(size=(len(machine.elastic.probe_thermal), 3)) for at in places}
+    small = 1e-9 * rng.normal(size=3)
+    probes = np.array([rows[tuple(at)] @ small for at in places])
+    moved = drives.displacement(drives.cold, places, probes)[0]
+    found = drives.tangent(rows.__getitem__, (0.05,)) @ small
+    np.testing.assert_allclose(found, moved, rtol=1e-6, atol=1e-16)
+
+
 def test_responses_of_a_driven_machine_need_a_model_with_its_drive(driven):
     machine, response = driven
     nothing = AxisDrives((None,), np.zeros((len(machine.start), 0)), np.zeros((0, 1)))
     without = replace(machine, guide=replace(machine.guide, drives=nothing))
     with pytest.raises(InputError, match="run 1: its displacement has the error of a ball screw"):
         run_in(response, without, "run 1")
-
-
-def test_a_drive_that_is_set_right_and_stands_on_seats_is_refused(tmp_path):
-    drive = {"scale": SCALE | {"seat": "guide"}, "zero_mm": 0.0}
-    with pytest.raises(InputError, match=r"axes\.y: has zero_mm and a seat"):
-        machine_of(case_with(tmp_path, drive), SENSORS)
 
 
 def test_the_friction_of_a_screw_is_fitted(tmp_path):

@@ -38,7 +38,9 @@ AXES = ("x", "y", "z")
 
 @pytest.fixture(scope="module")
 def case(tmp_path_factory):
-    return coarse(tmp_path_factory.mktemp("axes"), COURSES)
+    """The drive along y is set right away from where the axis stands, on its seats."""
+    case = coarse(tmp_path_factory.mktemp("axes"), COURSES)
+    return case.replace(axes={"y": {"zero_mm": 120.0}})
 
 
 @pytest.fixture(scope="module")
