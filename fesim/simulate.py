@@ -47,7 +47,7 @@ from fesim.one_thread import one_dense_thread, one_thread
 from fesim.setup.bolts import first_forces
 from fesim.setup.loads import MarchInputs, march_inputs, source_names, source_power
 from fesim.setup.machine import Setup, set_up
-from fesim.setup.structure import measured_points
+from fesim.setup.structure import displacement_of
 from fesim.setup.temperature_dependence import convecting_surfaces
 from fesim.solid.elasticity import DIRECTIONS
 from fesim.solid.friction_heat import friction_work
@@ -461,7 +461,7 @@ def _response(
         "thermal_modes": 0 if setup.modes is None else int(setup.modes.rates.size),
         "reduction_error": 0.0 if setup.modes is None else setup.modes.error,
         "displacement_unknowns": int(setup.spaces.displacement_size),
-        "displacement_of": " relative to ".join(measured_points(case)),
+        "displacement_of": displacement_of(case),
         "covered_area_m2": json.dumps(
             _covered(setup.structure, tuple(convecting_surfaces(case)), tuple(setup.joints))
         ),

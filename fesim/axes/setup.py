@@ -18,7 +18,6 @@ from fesim.axes.guideway import GuideStations, Guideway
 from fesim.axes.machine import MovingMachine
 from fesim.axes.operators import GuidedOperators, guided_operators, places_at
 from fesim.axes.positioning import Drive, Screw, Surfaces, scale_of, screw_of
-from fesim.axes.rotation import rotation_rows
 from fesim.cache import remembered
 from fesim.case.axis_section import AxisSection, seats_of
 from fesim.case.drive_sections import HEATED
@@ -48,6 +47,7 @@ from fesim.setup.structure import material_of, measured_points
 from fesim.setup.temperature_dependence import convecting_surfaces
 from fesim.solid.condensation import ThermalCondensation
 from fesim.solid.reduction import reduce_apart
+from fesim.solid.rotation import rotation_rows
 from fesim.solid.spaces import probe_cells, probe_rows
 from fesim.solid.substructures import UntiedCondensation
 from meshes.travel import Travel, stations_of

@@ -169,6 +169,17 @@ class DisplacementSection(Section):
 
     point: str
     relative_to: str | None = None
+    tool_mm: Point | None = None
+    tool_within_mm: Positive | None = None
+
+    @model_validator(mode="after")
+    def _turns_a_tool(self) -> DisplacementSection:
+        if (self.tool_mm is None) != (self.tool_within_mm is None):
+            raise ValueError(
+                "tool_mm and tool_within_mm: where the tip of the tool is from the point, and how "
+                "near nodes show how the point turns; give both, or neither"
+            )
+        return self
 
 
 class CandidatesSection(Section):

@@ -24,9 +24,11 @@ from fesim.solid.forces import nodal_forces
 from fesim.solid.heat import HeatOperators, ThermalLoads, heat_operators
 from fesim.solid.joint_operators import JointOperators, joint_operators
 from fesim.solid.materials import Material
+from fesim.solid.rotation import rotation_rows
 from fesim.solid.spaces import Spaces, make_spaces, probe_rows
 from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.units import MILLI
 
 
 @dataclass(frozen=True)
@@ -97,11 +99,20 @@ def relative_rows(whole: Discretised) -> csr_array:
 
 
 def displacement_rows(case: Case, structure: Structure, spaces: Spaces) -> csr_array:
-    """Rows of the displacement probe of a case along x, y and z."""
+    """Rows of the displacement probe of a case along x, y and z.
+
+    The tip of a rigid tool at r from the point moves by w x r more, as the point turns by w.
+    """
     points = {name: structure.probes[name] for name in measured_points(case)}
     rows = probe_rows(spaces.displacement, structure, points)
     relative = rows[[0]] - rows[[1]] if len(points) == 2 else rows
-    return kron(relative, np.eye(len(DIRECTIONS)), format="csr")
+    moved = kron(relative, np.eye(len(DIRECTIONS)), format="csr")
+    section = case.displacement
+    if section is None or section.tool_mm is None or section.tool_within_mm is None:
+        return moved
+    turned = rotation_rows(structure, spaces, section.point, MILLI * section.tool_within_mm)
+    lever = np.cross(np.eye(len(DIRECTIONS)), MILLI * np.array(section.tool_mm)).T
+    return csr_array(moved + csr_array(lever) @ turned)
 
 
 def load_forces(whole: Discretised) -> Array:

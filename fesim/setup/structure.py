@@ -16,7 +16,7 @@ from meshes.milling_machine import MillingMachineDimensions, box_milling_machine
 from meshes.structure import Probe, Structure
 from meshes.units import UNITS
 from meshes.wall import face_of, with_wall
-from thermojoint.artefacts.errors import InputError, unknown_name
+from thermojoint.artefacts.errors import InputError, shown_point, unknown_name
 from thermojoint.artefacts.settings.toml import as_key
 
 #: More possible sensors than this are probably a mistake of the unit.
@@ -158,3 +158,11 @@ def measured_points(case: Case) -> list[str]:
         return []
     point, origin = case.displacement.point, case.displacement.relative_to
     return [point] if origin is None else [point, origin]
+
+
+def displacement_of(case: Case) -> str:
+    """Return what is displaced, and relative to what, for a person."""
+    names, section = measured_points(case), case.displacement
+    if section is not None and section.tool_mm is not None:
+        names[0] = f"a tool's tip, {shown_point(section.tool_mm)} mm from {names[0]},"
+    return " relative to ".join(names)

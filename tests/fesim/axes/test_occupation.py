@@ -1,4 +1,4 @@
-"""Shares of positions in a step, the line of a control, rotations, for all inputs."""
+"""Shares of positions in a step, the line of a control, for all inputs."""
 
 import numpy as np
 import pytest
@@ -7,10 +7,7 @@ from hypothesis import strategies as st
 
 from fesim.axes.line import line_over
 from fesim.axes.occupation import distance, shares_of, weights_at
-from fesim.axes.rotation import rotation_rows
 from fesim.case.history import History, sampled_history
-from fesim.solid.spaces import make_spaces
-from meshes.milling_machine import box_milling_machine
 
 POSITIONS = np.linspace(-0.1, 0.3, 9)
 inside = st.floats(-0.1, 0.3)
@@ -65,18 +62,3 @@ def test_a_line_is_found_whole(offset, slope, reference):
     assert line.offset[0] == pytest.approx(offset, abs=1e-12)
     assert line.slope[0] == pytest.approx(slope, abs=1e-11)
     assert line.left[0] == pytest.approx(0.0, abs=1e-12)
-
-
-@given(st.tuples(*[st.floats(-1.0, 1.0)] * 3), st.tuples(*[st.floats(-1.0, 1.0)] * 3))
-def test_the_rotation_of_a_rigid_motion_is_its_own(turn, shift):
-    basis, rows = _machine()
-    moved = np.array(shift)[:, None] + np.cross(turn, basis.doflocs.T).T
-    assert rows @ moved.T.ravel() == pytest.approx(np.array(turn), abs=1e-9)
-
-
-def _machine(kept=[]):  # noqa: B006 - made once
-    if not kept:
-        structure = box_milling_machine(element_size=0.2)
-        spaces = make_spaces(structure.mesh)
-        kept.append((spaces.displacement, rotation_rows(structure, spaces, "B", 0.15)))
-    return kept[0]

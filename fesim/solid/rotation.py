@@ -8,6 +8,7 @@ from scipy.sparse import csr_array
 from fesim.solid.spaces import Spaces, cells_around
 from meshes.structure import Probe, Structure
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.units import MILLI
 
 #: Nodes on a line do not show every rotation: smallest over largest moment of inertia.
 ON_A_LINE = 1e-6
@@ -44,8 +45,8 @@ def rotation_rows(structure: Structure, spaces: Spaces, name: str, radius: float
     sizes = np.linalg.eigvalsh(inertia)
     if near.size < 3 or sizes[0] <= ON_A_LINE * sizes[-1]:
         raise InputError(
-            f"axes.rotation_within_mm: {near.size} nodes so near {name!r} lie on a line and show "
-            "no rotation; take a larger radius"
+            f"rotation at {name!r}: {near.size} nodes within {radius / MILLI:g} mm of it lie on a "
+            "line and show none; take a larger radius"
         )
     # r x u as a matrix on u.
     zero = np.zeros(near.size)

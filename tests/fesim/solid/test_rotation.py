@@ -1,0 +1,75 @@
+"""How a body turns at a point, and the tip of a tool that turns with it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from moving_knee import coarse_data
+
+from fesim.case.schema import case_from_data
+from fesim.setup.discretised import displacement_rows
+from fesim.simulate import simulate
+from fesim.solid.rotation import rotation_rows
+from fesim.solid.spaces import make_spaces
+from meshes.milling_machine import box_milling_machine
+from thermojoint.artefacts.errors import InputError
+
+VECTORS = st.tuples(*[st.floats(-1.0, 1.0)] * 3)
+TOOL = {"tool_mm": [30.0, -120.0, 50.0], "tool_within_mm": 150.0}
+
+
+@pytest.fixture(scope="module")
+def machine():
+    structure = box_milling_machine(element_size=0.2)
+    return structure, make_spaces(structure.mesh)
+
+
+def knee(**displacement):
+    """The knee of the tests, whose point is B alone."""
+    data = coarse_data() | {"displacement": {"point": "B"} | displacement}
+    data["march"] |= {"duration_min": 2.0}
+    data["axes"]["y"] |= {"rotation_within_mm": 150.0}
+    return case_from_data(data, "knee", Path())
+
+
+def rigid(spaces, turn, shift):
+    places = spaces.displacement.doflocs.T
+    return (np.array(shift) + np.cross(turn, places)).ravel()
+
+
+@given(turn=VECTORS, shift=VECTORS)
+def test_the_rotation_of_a_rigid_motion_is_its_own(machine, turn, shift):
+    structure, spaces = machine
+    rows = rotation_rows(structure, spaces, "B", 0.15)
+    assert rows @ rigid(spaces, turn, shift) == pytest.approx(np.array(turn), abs=1e-9)
+
+
+@given(turn=VECTORS, shift=VECTORS)
+def test_in_a_rigid_motion_the_tip_of_a_tool_moves_as_the_place_where_it_is(machine, turn, shift):
+    structure, spaces = machine
+    rows = displacement_rows(knee(**TOOL), structure, spaces)
+    tip = np.array(structure.probes["B"].position) + 1e-3 * np.array(TOOL["tool_mm"])
+    moved = shift + np.cross(turn, tip)
+    assert rows @ rigid(spaces, turn, shift) == pytest.approx(moved, abs=1e-9)
+
+
+def test_a_tool_is_a_lever_where_the_axis_stands_and_elsewhere():
+    bare, tipped = (simulate(knee(**one), accuracy=False).response for one in ({}, TOOL))
+    arm = 1e-3 * np.array(TOOL["tool_mm"])
+    for name in ("", "asked_"):
+        turned = np.cross(bare[f"{name}rotation"], arm)
+        further = tipped[f"{name}displacement"] - bare[f"{name}displacement"]
+        # The bases of the two differ.
+        size = np.abs(turned).max()
+        np.testing.assert_allclose(further, turned, rtol=0.0, atol=1e-4 * size)
+        assert size > 1e-7
+    assert "tip, (30, -120, 50) mm from B," in tipped.attrs["displacement_of"]
+
+
+def test_a_tool_without_its_place_or_the_nodes_that_turn_is_refused(machine):
+    with pytest.raises(InputError, match="tool_within_mm"):
+        knee(tool_mm=[0.0, 0.0, 1.0])
+    with pytest.raises(InputError, match="take a larger radius"):
+        displacement_rows(knee(**TOOL | {"tool_within_mm": 1.0}), *machine)
