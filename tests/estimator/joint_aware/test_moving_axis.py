@@ -40,6 +40,7 @@ from estimator.joint_aware.model_file import fingerprint, read_observer, write_o
 from estimator.joint_aware.readings import samples_in
 from estimator.kind import Options
 from estimator.lines import Stroke, here, name_at
+from estimator.probe_readings import with_probe_readings
 from fesim.simulate import simulate
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
@@ -170,6 +171,51 @@ def test_a_continued_run_is_the_uninterrupted_one(estimator, samples):
     for one, other in zip(whole[40:], rest, strict=True):
         assert np.array_equal(one.displacement, other.displacement)
         assert np.array_equal(one.details, other.details)
+
+
+def test_a_broken_thermometer_is_left_out_while_the_axis_moves(estimator, response, samples):
+    broken = np.array(samples)
+    broken[40:, 2] += 8.0
+    _, found = estimates(estimator, broken.tolist())
+    assert {name for one in found[40:] for name in one.distrusted} == {"guide"}
+    moved, band = here(estimator.axes, estimator.details, found)
+    assert (np.abs(moved - actual(response)) <= band).all()
+    assert (band[-1] < 1e-3 * np.abs(actual(response)).max(axis=0)).all()
+
+
+def test_a_reading_where_the_axis_stands_corrects_a_warm_start_along_the_stroke(
+    estimator, response, samples
+):
+    late, start = samples[60:], estimator.warm_state()
+    shown = actual(response)[60:]
+    times = [time for time, *_ in late]
+    touched = list(with_probe_readings(late, np.array(times[5:6]), shown[5:6]))
+    (_, alone), (_, told) = (estimates(estimator, rows, start) for rows in (late, touched))
+    asked = actual(response, "asked_displacement")[60:, 0]
+    for at in (0, -1):
+        name = name_at("x", 1e3 * response["asked_position"].to_numpy()[0, at])
+        before, after = (
+            np.abs(detail(estimator, found, name) - asked[:, at, 0])[5:11].max()
+            for found in (alone, told)
+        )
+        assert after < 0.1 * before
+    assert (told[5].band < 0.3 * alone[5].band).all()
+
+
+def test_a_power_that_a_control_knows_is_one_more_reading_beside_the_position(
+    estimator, response, samples
+):
+    """Its heat is known at once: nothing is left to the thermometers."""
+    shares = {"bearings": 0.3}
+    told = replace(estimator, model=replace(estimator.model, power_shares=shares))
+    rows = list(samples_in(response, SENSORS, axes=["y"], shares=shares))
+    assert [one.name for one in told.channels][4:6] == ["y_pos", "bearings_power"]
+    (_, blind), (_, found) = estimates(estimator, samples), estimates(told, rows)
+    without, error = (
+        np.abs(here(told.axes, told.details, one)[0] - actual(response)).max(axis=0)
+        for one in (blind, found)
+    )
+    assert (error < 1e-3 * without).all()
 
 
 @pytest.mark.parametrize("place", [np.nan, 0.3, -5.0], ids=["none", "beyond", "far"])
