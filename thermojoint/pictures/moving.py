@@ -27,6 +27,8 @@ from thermojoint.pictures.structure_scene import onto
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
+    from mpl_toolkits.mplot3d import Axes3D
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
 #: Longest arrow, relative to the largest edge of the volume.
 LONGEST = 0.3
@@ -36,6 +38,8 @@ FLAT = 0.2
 
 def volume_figure(response: xr.Dataset, case: Case) -> Figure:
     """Displacement at the points of the volume, as arrows where the axes stand, at the last survey.
+
+    Rotations, if the response has them, are arrows along the axes about which they turn.
 
     Raises
     ------
@@ -49,33 +53,42 @@ def volume_figure(response: xr.Dataset, case: Case) -> Figure:
             "--show volume: the response says nothing of the volume; simulate to volume.at_s"
         )
     last = response.isel(survey=-1)
-    moved = last["volume_displacement"].to_numpy()
     directions = np.array([unit_direction(axis) for axis in case.axes.values()])
     places = 1e3 * response["volume_position"].to_numpy() @ directions
-    size = np.linalg.norm(moved, axis=1)
-    span = np.ptp(places, axis=0)
-    factor = _round(LONGEST * span.max() / (1e3 * size.max())) if size.max() > 0.0 else 1.0
-    figure = Figure(figsize=(7.0, 6.0))
-    axes = figure.add_subplot(projection="3d")
+    when = f"{response.attrs['displacement_of']}\n"
+    when += f"where the axes stand, after {float(last['survey']) / 60.0:.3g} min,\n"
+    shown = {"displacement": ("µm", "drawn {:g} times too large")}
+    if "volume_rotation" in response:
+        shown["rotation"] = ("µrad", "drawn along its axis, {:g} mm per mrad")
+    figure = Figure(figsize=(7.0 * len(shown), 6.0))
+    for k, (name, (unit, scale)) in enumerate(shown.items(), start=1):
+        axes = figure.add_subplot(1, len(shown), k, projection="3d")
+        vectors = 1e3 * last[f"volume_{name}"].to_numpy()
+        arrows, factor = _arrows(axes, places, vectors)
+        figure.colorbar(arrows, ax=axes, shrink=0.7, pad=0.12, label=f"{name} ({unit})")
+        axes.set_title(f"{name} of {when}{scale.format(factor)}", fontsize=11)
+    figure.subplots_adjust(left=0.02, right=0.95, bottom=0.02, top=0.9, wspace=0.05)
+    return figure
+
+
+def _arrows(axes: Axes3D, places: Array, vectors: Array) -> tuple[Line3DCollection, float]:
+    """Draw vectors (n, 3) at places (n, 3), mm, and their thousandths' sizes as colours.
+
+    Also returned is what the vectors were multiplied by.
+    """
+    size, span = np.linalg.norm(vectors, axis=1), np.ptp(places, axis=0)
+    factor = _round(LONGEST * span.max() / size.max()) if size.max() > 0.0 else 1.0
     # y is up; with z towards the eye the axes are right-handed.
     order = [0, 2, 1]
-    arrows = axes.quiver(*places.T[order], *(1e3 * factor * moved).T[order], linewidth=1.6)
+    arrows = axes.quiver(*places.T[order], *(factor * vectors).T[order], linewidth=1.6)
     # The shafts, then one side of all heads, then the other.
-    arrows.set_array(np.tile(1e6 * size, 3))
+    arrows.set_array(np.tile(1e3 * size, 3))
     axes.scatter(*places.T[order], color="black", s=6)
     axes.set_box_aspect(np.maximum(span, FLAT * span.max())[order])
     axes.invert_yaxis()
-    figure.subplots_adjust(left=0.0, right=0.95, bottom=0.02, top=0.92)
     for setter, k in zip((axes.set_xlabel, axes.set_ylabel, axes.set_zlabel), order, strict=True):
         setter(f"{'xyz'[k]} (mm)")
-    figure.colorbar(arrows, ax=axes, shrink=0.7, pad=0.12, label="displacement (µm)")
-    minutes = float(last["survey"]) / 60.0
-    axes.set_title(
-        f"displacement of {response.attrs['displacement_of']} where the axes stand,\n"
-        f"after {minutes:.3g} min, drawn {factor:g} times too large",
-        fontsize=11,
-    )
-    return figure
+    return arrows, factor
 
 
 def _round(value: float) -> float:

@@ -56,16 +56,19 @@ def test_where_the_mesh_shows_the_axes_does_not_move_the_picture_alone(case):
     assert top[:, 2].max() == pytest.approx(0.8)
 
 
-def test_arrows_over_the_volume_are_its_displacements(case):
-    response = simulate(case).response
+def test_arrows_over_the_volume_are_its_displacements_and_rotations(case):
+    response = simulate(case.replace(axes={"x": {"rotation_within_mm": 150.0}})).response
     figure = volume_figure(response, case)
-    axes, bar = figure.axes
-    assert "2 min" in axes.get_title()
-    assert bar.get_ylabel() == "displacement (µm)"
-    (shown,) = (one.get_array() for one in axes.collections if one.get_array() is not None)
-    sizes = 1e6 * np.linalg.norm(response["volume_displacement"][-1], axis=1)
-    # A shaft and two sides of a head.
-    assert np.allclose(shown.reshape(3, -1), sizes)
+    shown = [axes for axes in figure.axes if axes.get_title()]
+    bars = [axes.get_ylabel() for axes in figure.axes if not axes.get_title()]
+    assert bars == ["displacement (µm)", "rotation (µrad)"]
+    for axes, name in zip(shown, ("displacement", "rotation"), strict=True):
+        assert axes.get_title().startswith(f"{name} of ")
+        assert "2 min" in axes.get_title()
+        (found,) = (one.get_array() for one in axes.collections if one.get_array() is not None)
+        sizes = 1e6 * np.linalg.norm(response[f"volume_{name}"][-1], axis=1)
+        # A shaft and two sides of a head.
+        assert np.allclose(found.reshape(3, -1), sizes)
 
 
 def test_a_case_without_a_volume_is_told_before_it_is_simulated(tmp_path, capsys):
