@@ -257,8 +257,8 @@ def set_up(case: Case) -> Setup:
     """
     if case.axes:
         raise InputError(
-            f"axes.{next(iter(case.axes))}: only `thermojoint simulate` moves bodies so far; leave "
-            "out [axes] for a machine that stands"
+            f"axes.{next(iter(case.axes))}: `simulate`, `view` and joint-aware models move bodies; "
+            "leave out [axes] for a machine that stands"
         )
     before = thermal_key(case)
     parts = make_parts(case)

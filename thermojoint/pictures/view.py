@@ -98,12 +98,12 @@ def draw(source: Path, show: Show | None, out: Path, report: Report, up: Up | No
     only_curves = "so only its curves can be drawn; use --show curves"
     case = read_case(source) if response is None else case_in(response, str(source), only_curves)
     warn(of_case(case, str(source)))
-    if show is Show.volume:
-        if case.volume is None:
-            raise InputError(f"{source}: it asks about no volume; add [volume]")
+    if show is Show.volume and case.volume is None:
+        raise InputError(f"{source}: it asks about no volume; add [volume]")
+    if show is Show.volume or (case.axes and show in CURVES):
         marching = partial(report, "marching")
-        surveyed = response if response is not None else simulate(case, progress=marching).response
-        write_figure(volume_figure(surveyed, case), out)
+        found = response if response is not None else simulate(case, progress=marching).response
+        write_figure(CURVES[show](found) if show in CURVES else volume_figure(found, case), out)
         return
     # Here, not above: mistakes in a case are reported before the drawing libraries are loaded.
     from thermojoint.pictures.stills import write_pictures
@@ -113,6 +113,11 @@ def draw(source: Path, show: Show | None, out: Path, report: Report, up: Up | No
         write_pictures({out: whole_structure(case, structure, up=up)})
         return
     _check_joints(source, case, show)
+    if case.axes:
+        _check_moving(show)
+        (end,) = moving_scenes(case, report, 2, _upwards(case, build_structure(case), up))
+        write_pictures({out: end})
+        return
     setup, result, last = run_to_end(case, report)
     if show in CURVES:
         write_figure(CURVES[show](result), out)
@@ -151,8 +156,7 @@ def draw_film(
     if show is not None:
         _check_joints(source, case, show)
     if case.axes:
-        if show not in (None, Show.temperature):
-            raise InputError(f"--show {show}: a film of a machine that moves shows its temperature")
+        _check_moving(show or Show.temperature)
         upwards = _upwards(case, build_structure(case), up)
         moving = moving_scenes(case, report, count or FRAMES, upwards)
         write_film(moving, out, partial(report, "drawing"))
@@ -167,6 +171,11 @@ def _check_joints(source: Path, case: Case, show: Show) -> None:
         raise InputError(
             f"{source}: no joints, so no contact pressure; use --show {Show.temperature}"
         )
+
+
+def _check_moving(show: Show) -> None:
+    if show is not Show.temperature:
+        raise InputError(f"--show {show}: of a machine that moves, --show temperature is drawn")
 
 
 def run_to_end(

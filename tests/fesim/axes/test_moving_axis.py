@@ -200,5 +200,5 @@ def test_the_command_prints_the_line_and_refuses_with_exit_code_2(tmp_path, caps
 
 
 def test_what_cannot_move_says_so(case):
-    with pytest.raises(InputError, match="only `thermojoint simulate` moves bodies"):
+    with pytest.raises(InputError, match="`simulate`, `view` and joint-aware models move bodies"):
         set_up(case)

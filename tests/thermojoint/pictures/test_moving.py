@@ -10,6 +10,8 @@ from fesim.case.schema import case_from_data
 from fesim.simulate import simulate
 from thermojoint.artefacts.errors import InputError
 from thermojoint.pictures.moving import moving_scenes, volume_figure
+from thermojoint.pictures.show import Show
+from thermojoint.pictures.view import draw
 from thermojoint.verification.axis_chain import chain_data, on_axes
 
 UP = (0.0, 1.0, 0.0)
@@ -17,6 +19,13 @@ UP = (0.0, 1.0, 0.0)
 
 def quiet(*_):
     pass
+
+
+def draw_case(case, show, out):
+    """By the response that has it."""
+    response = simulate(case).response
+    response.to_netcdf(out.with_suffix(".nc"))
+    draw(out.with_suffix(".nc"), show, out, quiet)
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +95,16 @@ def test_a_response_that_ends_before_the_survey_is_refused_in_one_line(case):
         volume_figure(early, case)
 
 
-def test_a_film_of_a_moving_machine_shows_its_temperature_only(tmp_path, capsys):
+def test_temperature_and_curves_of_a_moving_machine_are_drawn(case, folder):
+    for show in (Show.temperature, Show.pressures):
+        path = folder / f"{show}.png"
+        draw_case(case, show, path)
+        assert path.stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("more", [["--film"], []], ids=["film", "picture"])
+def test_of_a_moving_machine_only_the_temperature_is_drawn(tmp_path, capsys, more):
     shipped = files("thermojoint").joinpath("cases/moving_knee.toml")
-    assert run("view", shipped, "--film", "--show", "pressure", "--out", tmp_path / "a.gif") == 2
-    assert "shows its temperature" in capsys.readouterr().err
+    out = tmp_path / ("a.gif" if more else "a.png")
+    assert run("view", shipped, *more, "--show", "pressure", "--out", out) == 2
+    assert "--show temperature is drawn" in capsys.readouterr().err
