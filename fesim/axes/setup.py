@@ -275,22 +275,7 @@ def _moving_points(parts: Parts, axis: AxisSection, names: Sequence[str]) -> NDA
 def _moving(whole: Discretised, keys: CacheKeys) -> tuple[MovingMachine, ThermalModes]:
     """Condense pads, guides and modes once; combinations of positions are tied when wanted."""
     case, parts = whole.case, whole.parts
-    positions = tuple(map(aligned_positions, case.axes.values()))
-    travels = [
-        Travel(
-            name,
-            axis.bodies,
-            {
-                rides: (joint.along, joint.across)
-                for rides, joint in case.joints.items()
-                if joint.axis == name
-            },
-            (aligned - MILLI * axis.mesh_position_mm)[:, None] * unit_direction(axis),
-        )
-        for (name, axis), aligned in zip(case.axes.items(), positions, strict=True)
-    ]
-    stations = stations_of(parts.structure, parts.joints, travels)
-    operators = guided_operators(parts.joints, stations, whole.spaces)
+    positions, operators = operators_of(whole)
     _check_held(whole, operators)
     _check_size(whole, operators)
     apart = _apart(whole, operators, _probes(whole), keys.elasticity)
@@ -325,6 +310,27 @@ def _moving(whole: Discretised, keys: CacheKeys) -> tuple[MovingMachine, Thermal
         copies,
         modes.rates.size,
     ), modes
+
+
+def operators_of(whole: Discretised) -> tuple[tuple[Array, ...], GuidedOperators]:
+    """Return the aligned positions (k,) of every axis, m, and the rows of pads and stations."""
+    case, parts = whole.case, whole.parts
+    positions = tuple(map(aligned_positions, case.axes.values()))
+    travels = [
+        Travel(
+            name,
+            axis.bodies,
+            {
+                rides: (joint.along, joint.across)
+                for rides, joint in case.joints.items()
+                if joint.axis == name
+            },
+            (aligned - MILLI * axis.mesh_position_mm)[:, None] * unit_direction(axis),
+        )
+        for (name, axis), aligned in zip(case.axes.items(), positions, strict=True)
+    ]
+    stations = stations_of(parts.structure, parts.joints, travels)
+    return positions, guided_operators(parts.joints, stations, whole.spaces)
 
 
 def _probes(whole: Discretised) -> csr_array:

@@ -9,7 +9,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from fesim.axes.occupation import weights_at
+from fesim.axes.setup import operators_of
 from fesim.case.schema import case_from_data
+from fesim.setup.discretised import discretised
+from fesim.setup.parts import make_parts
 from fesim.simulate import simulate
 from meshes.exchange import write_structure
 from meshes.three_axes import three_axis_machine
@@ -19,9 +23,10 @@ from thermojoint.verification.structures import IRON, material_section
 
 #: Mesh size, and length of a contact element, m.
 SIZE = 0.1
-#: Where the mesh shows the axes, and where they stand, m.
+#: Where the mesh shows the axes, and where they stand, last between stations, m.
 SHOWN = (0.0, 0.0, 0.0)
 STANDS = ((0.2, 0.3, -0.1), (-0.3, -0.2, 0.2))
+BETWEEN = (0.13, -0.07, 0.11)
 #: Ways of the axes in the expansion, s and mm: they stand, move alone and together.
 WAYS = {
     "x": [(0, -300), (300, 250), (600, 250)],
@@ -54,6 +59,7 @@ def checks() -> Iterator[Check]:
     with temporary_folder() as folder:
         for at in STANDS:
             yield from _position_checks(folder, at)
+        yield _rigid_check(folder)
         yield from _expansion_checks(folder)
         yield from _energy_checks(folder)
 
@@ -142,6 +148,35 @@ def _position_checks(folder: Path, at: tuple[float, float, float]) -> Iterator[C
             float(found[k]),
             relative_error=float(np.abs(found - reference).max() / np.abs(reference[k])),
         )
+
+
+def _rigid_check(folder: Path) -> Check:
+    """Largest gap that a rigid motion of the whole machine opens, aligned or between stations.
+
+    Each body is displaced by a + w x (x + s), s being where the axes have taken it.
+    """
+    standing = {name: {"position_mm": 0.0} for name in AXES}
+    case = case_from_data(on_axes(chain_data(folder, SHOWN), standing), "chain", folder)
+    whole = discretised(case, make_parts(case))
+    positions, operators = operators_of(whole)
+    basis, bodies = whole.spaces.displacement, whole.parts.structure.bodies
+    worst = 0.0
+    for at in (*STANDS, BETWEEN):
+        places = basis.doflocs.T.copy()
+        for moved, (_, _, names, _), way in zip(np.eye(3), AXES.values(), at, strict=True):
+            cells = np.concatenate([bodies[name] for name in names])
+            places[np.unique(basis.element_dofs[:, cells])] += way * moved
+        for motion in np.eye(6):
+            moved = (motion[:3] + np.cross(motion[3:], places)).ravel()
+            gap = (operators.pads.gap @ moved).reshape(3, -1)
+            below = (operators.gap @ moved).reshape(3, -1)
+            for aligned, one, of_axis in zip(positions, at, operators.place, strict=True):
+                for weight, station in zip(weights_at(aligned, one), of_axis, strict=True):
+                    gap += weight * np.where(station >= 0, below[:, station], 0.0)
+            worst = max(worst, float(np.abs(gap).max() / np.abs(moved).max()))
+    return Quantity("gap", "1", 1e-12, "compatibility").check(
+        "three axes, rigid motions, relative to the motion", 0.0, worst, scale=1.0
+    )
 
 
 def _expansion_checks(folder: Path) -> Iterator[Check]:

@@ -5,6 +5,7 @@ import pytest
 from in_process import run
 from moving_knee import PATH, coarse, coarse_data, meshed_at, moving, standing_at
 
+from fesim.axes import setup as axes_setup
 from fesim.axes.setup import course_of, set_up_axes
 from fesim.case.schema import case_from_data
 from fesim.march.state_file import load_state, save_state
@@ -60,6 +61,21 @@ def test_energy_and_equilibrium_hold_while_it_moves(response):
     change = response["pressure"] - response["pressure"][0]
     forces = change * response["contact_area"]
     assert float(np.abs(forces.sum("contact")).max()) < 1e-5 * float(np.abs(forces).max())
+
+
+def test_the_basis_of_modes_holds_over_the_stroke(case, response, monkeypatch):
+    """A hundredth of its tolerances finds more modes, which change next to nothing anywhere."""
+    monkeypatch.setenv("THERMOJOINT_CACHE", "off")
+    for name in ("TEMPERATURE_ERROR", "GAP_ERROR", "DISPLACEMENT_ERROR"):
+        monkeypatch.setattr(axes_setup, name, getattr(axes_setup, name) / 100.0)
+    finer = simulate(case, accuracy=False).response
+    assert finer.attrs["thermal_modes"] > response.attrs["thermal_modes"]
+    for name, most in (
+        ("displacement", 1e-11),
+        ("asked_displacement", 1e-11),
+        ("temperature", 1e-4),
+    ):
+        np.testing.assert_allclose(finer[name], response[name], rtol=0.0, atol=most)
 
 
 def test_friction_heat_is_that_of_force_and_way(case, setup, response):
