@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from benchmarks.study import case_file, options_of, write_json
 from calibrate.chain import calibrate_responses
@@ -196,12 +197,19 @@ def figures(estimator: JointAware, response: xr.Dataset) -> dict[str, Any]:
     lines = [lines_of(estimator.axes, estimator.details, one.details) for one in made]
     slope = np.array([one.slope for one in lines if one is not None])
     line = np.array([one.displacement for one in made]) + slope * (place - axis.reference)
-    table = by_table(estimator, made, place)
+    asked = asked_by(estimator, made)
+    table = np.empty_like(moved)
+    for k, at in enumerate(place.ravel()):
+        table[k] = [np.interp(at, axis.asked, column) for column in asked[k].T]
+    wanted = response["asked_displacement"][:, 0].sel(axis=list(estimator.axes)).to_numpy()
+    anywhere = np.abs(asked - wanted)
     still = samples.copy()
     at = len(estimator.model.sensors) + 2
     still[:, at], still[:, at + 1 :] = axis.reference, 0.0
     middle, _ = here(estimator.axes, estimator.details, estimates_of(estimator, still.tolist()))
     return errors_of(moved, band, actual) | {
+        "anywhere_max_um": _um(anywhere.max(axis=(0, 1))),
+        "anywhere_inside_percent": _percent(anywhere <= band[:, None], (0, 1)),
         "line_max_um": _um(np.abs(line - actual).max(axis=0)),
         "table_max_um": _um(np.abs(table - actual).max(axis=0)),
         "table_off_map_um": _um(np.abs(table - moved).max(axis=0)),
@@ -216,28 +224,27 @@ def errors_of(moved: Array, band: Array, actual: Array) -> dict[str, Any]:
         "size_um": _um(np.abs(actual).max(axis=0)),
         "max_um": _um(error.max(axis=0)),
         "rms_um": _um(np.sqrt(np.mean(error**2, axis=0))),
-        "inside_percent": (100.0 * np.mean(error <= band, axis=0)).round(1).tolist(),
+        "inside_percent": _percent(error <= band, 0),
         "half_band_um": _um(band.mean(axis=0)),
     }
 
 
-def by_table(estimator: JointAware, made: Sequence[Estimate], place: Array) -> Array:
-    """Return displacements (n, axes), m, that a control interpolates from the asked positions."""
+def asked_by(estimator: JointAware, made: Sequence[Estimate]) -> Array:
+    """Return displacements (n, k, axes), m, in estimates at the positions asked about."""
     (axis,) = estimator.model.moving_axes
     at = {channel: k for k, channel in enumerate(estimator.details)}
-    found = np.empty((len(made), len(estimator.axes)))
-    for c, name in enumerate(estimator.axes):
-        own = [at[one] for one in channels_at(name, axis.asked)]
-        knots = np.array([one.details[own] for one in made])
-        found[:, c] = [
-            np.interp(here, axis.asked, row) for here, row in zip(place.ravel(), knots, strict=True)
-        ]
-    return found
+    own = [[at[one] for one in channels_at(name, axis.asked)] for name in estimator.axes]
+    return np.array([one.details[np.array(own)].T for one in made])
 
 
 def estimates_of(estimator: Estimator, samples: Iterable[Sequence[float]]) -> list[Estimate]:
     """Return what an estimator makes of samples, from a cold start."""
     return [one for _, one in follow(estimator, samples, estimator.initial_state())]
+
+
+def _percent(holds: NDArray[np.bool_], axis: int | tuple[int, ...]) -> list[float]:
+    share: list[float] = (100.0 * np.mean(holds, axis=axis)).round(1).tolist()
+    return share
 
 
 def _um(values: Array) -> list[float]:

@@ -280,6 +280,10 @@ def test_a_calibration_finds_what_differs_and_its_band_holds_along_the_stroke(ca
     error = np.abs(moved - actual(response))
     assert (error[30:].max(axis=0) < 0.02 * np.abs(actual(response)).max(axis=0)).all()
     assert (error <= band).mean() > 0.8
+    places = 1e3 * response["asked_position"].to_numpy()[0]
+    there = [[detail(estimator, made, name_at(axis, at)) for axis in "xy"] for at in places]
+    wanted = actual(response, "asked_displacement")[:, 0].transpose(1, 2, 0)
+    assert (np.abs(there - wanted) <= band.T).mean() > 0.8
 
 
 def test_what_knows_no_axis_says_so_in_one_line(machine, estimator):
