@@ -33,7 +33,7 @@ from thermojoint.standards.iso230_3.record import (
 from thermojoint.standards.iso230_3.report import parameters_json, report_html
 
 CASES = files("thermojoint").joinpath("cases")
-NAMES = ("etve", "spindle", "spindle_rear", "spectrum", "linear_axis", "linear_axis_far")
+NAMES = ("etve", "spindle", "spindle_rear", "spectrum")
 HOUR = 3600.0
 
 signals = st.lists(st.floats(-1e3, 1e3), min_size=3, max_size=20).map(np.array)

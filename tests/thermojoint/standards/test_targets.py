@@ -60,7 +60,7 @@ def test_the_tests_of_turning_differ_in_what_runs_alone():
     assert machine(TURNING[0]) == machine(TURNING[1]) == machine(TURNING[2])
 
 
-@pytest.mark.parametrize("name", [*TURNING, "iso230_3_rotary_axis"])
+@pytest.mark.parametrize("name", [*TURNING, "iso230_3_rotary_axis", "iso230_3_linear_axis"])
 def test_a_shipped_case_is_warned_of_nothing(name):
     assert of_case(case_of(name), name) == []
 
@@ -85,6 +85,16 @@ def test_the_screw_makes_the_far_target_move_further(z_axis):
     # The screw, 1 to 10 K warmer, between the targets.
     assert 11.5e-6 < found["d(scale)60"] < 115e-6
     assert not [symbol for symbol in found if symbol.startswith("d(x")]
+
+
+@pytest.mark.long
+def test_a_knee_that_warms_by_moving_is_read_at_its_two_targets():
+    response = simulated("iso230_3_linear_axis")
+    found = by_symbol(Protocol.LINEAR_AXIS, response_record(response, {"y": "y"}))
+    # Of the height of the stroke the screw grows, and the column beside it.
+    assert found["d(yP2)60"] > 2e-6
+    assert found["d(yP1)60"] > 0.0
+    assert float(response["running_heat"].max()) > 10.0
 
 
 @pytest.mark.long
