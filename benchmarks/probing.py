@@ -1,12 +1,14 @@
 """How many readings of the displacement keep a band: asked for by the estimator, or at intervals.
 
     python -m benchmarks.probing --out probing.json [--family films] [--seed 2] [--count 2]
+        [--sensors 4] [--calibration steps] [--days 1]
     python -m benchmarks.probing --log LOG.csv --displacement disp1_um --out probing.json
 
 Without a log: the plants of `benchmarks.plants`, calibrated from steps, and from steps and a
-cool-down, with four sensors, through their day of 8 h. The axis that `next_reading` names is read
-as soon as it is due (noise 0.5 um), and not again within the interval; beside it stand no readings
-and as many at equal intervals, of one axis after the other. With a log: the learned model of its
+cool-down, through their day of 8 h. The axis that `next_reading` names is read as soon as it is due
+(noise 0.5 um), and not again within the interval; beside it stand no readings and as many at equal
+intervals, of one axis after the other, and readings of all axes at fixed intervals, also on further
+days with heat of their own, between which the machine cools. With a log: the learned model of its
 first 60 % on the rest, where the displacements are read whose band is above the limit. Tables in
 docs/faulty-sensors.md.
 """
@@ -15,13 +17,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
-from itertools import cycle
+from itertools import chain, cycle
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
+from threadpoolctl import threadpool_limits
 
 from benchmarks.plants.drawing import FAMILIES, Plant
 from benchmarks.plants.judging import (
@@ -39,8 +43,10 @@ from calibrate.joint_aware.physics_fit import Search
 from calibrate.learning.learn import learn
 from estimator.columns import samples_of
 from estimator.interface import READING_NOISE, Estimate, Estimator, Status
+from estimator.joint_aware.displacement_readings import later
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.next_reading import next_reading
+from estimator.joint_aware.observer_state import unpacked
 from estimator.joint_aware.readings import samples_in
 from estimator.learned.estimator import Learned
 from estimator.rows import interval_score
@@ -52,6 +58,8 @@ from thermojoint.reduced.machine import ReducedMachine
 
 #: Limits of the band, m, and shortest intervals between requests, s.
 LIMITS, INTERVALS = (2.0 * MICRO, 3.0 * MICRO), (1800.0, 7200.0)
+#: Intervals at which all axes are read, and the time between two days, s.
+EVERY, NIGHT = (4 * 3600.0, 2 * 3600.0, 3600.0), 16 * 3600.0
 #: Within this an estimate is meant to be, m.
 WANTED = 2.0 * MICRO
 #: Share of a log that is learned from; every so many of its samples are judged.
@@ -102,7 +110,7 @@ def above(limit: float, interval: float) -> Policy:
 
 def at_intervals(times: Array, count: int, turns: Sequence[Sequence[int]]) -> Policy:
     """Return the policy of so many readings, evenly over a run, of some axes in turn."""
-    due = list(np.linspace(times[0], times[-1], count + 1)[:-1] + 0.5 * np.ptp(times) / count)
+    due = list(np.linspace(times[0], times[-1], 2 * count + 1)[1::2])
     axes = cycle(turns)
 
     def policy(state: Array, estimate: Estimate, time: float) -> Sequence[int]:
@@ -116,8 +124,15 @@ def at_intervals(times: Array, count: int, turns: Sequence[Sequence[int]]) -> Po
 
 def followed(estimator: Estimator, run: Run, policy: Policy) -> dict[str, Any]:
     """Return the figures of a run; each time at which something is read counts once."""
+    return followed_from(estimator.initial_state(), estimator, run, policy)[0]
+
+
+def followed_from(
+    state: Array, estimator: Estimator, run: Run, policy: Policy
+) -> tuple[dict[str, Any], Array]:
+    """Return the figures of a run, and the state after it."""
     rng = np.random.default_rng(1)
-    axes, state, count = len(estimator.axes), estimator.initial_state(), 0
+    axes, count, refusals = len(estimator.axes), 0, 0
     probed, read = np.full(axes, math.nan), list[int]()
     error, band = np.zeros_like(run.actual), np.zeros_like(run.actual)
     for k, (time, *values) in enumerate(run.samples):
@@ -126,12 +141,14 @@ def followed(estimator: Estimator, run: Run, policy: Policy) -> dict[str, Any]:
         probed, last = np.full(axes, math.nan), min(k + 1, len(run.samples) - 1)
         # A reading that is refused is repeated at once.
         refused = Status.READING_REFUSED in estimate.status
+        refusals += refused
         read = read if refused else list(policy(state, estimate, time))
         probed[read] = run.actual[last, read] + READING_NOISE * rng.normal(size=len(read))
         count += bool(read)
     size = np.abs(error)
-    return {
+    figures = {
         "readings": count,
+        "refused": refusals,
         "max_um": (MEGA * size.max(axis=0)).round(2).tolist(),
         "p90_um": (MEGA * np.quantile(size, 0.9, axis=0)).round(2).tolist(),
         "within_percent": round(100.0 * float(np.mean(size.max(axis=1) <= WANTED)), 1),
@@ -141,6 +158,7 @@ def followed(estimator: Estimator, run: Run, policy: Policy) -> dict[str, Any]:
             round(MEGA * float(interval_score(size[:, a], band[:, a])), 2) for a in range(axes)
         ],
     }
+    return figures, state
 
 
 class Plants(NamedTuple):
@@ -157,28 +175,69 @@ def drawn(family: str, seed: int, count: int) -> Plants:
     return Plants(machines, [draw(case, names, seed, number) for number in range(count)])
 
 
+@threadpool_limits.wrap(limits=1)
 def calibrated(
     machines: Machines, model: ReducedMachine, plant: Plant, label: str
 ) -> tuple[JointAware, xr.Dataset]:
     """Return the estimator of a plant that is calibrated like `CALIBRATIONS`, and its day."""
     exact = exact_answers(machines, plant)
     responses = shown(machines, plant, exact, CALIBRATIONS[label])
-    found = calibrate_machine(model, responses, effort=Effort(Search(starts=0)))
+    loosening = machines.loosening
+    found = calibrate_machine(
+        model, responses, effort=Effort(Search(starts=0)), loosening=lambda: loosening
+    )
     return JointAware(found.model), judged_run(machines, plant, exact, "day")[0]
 
 
-def plant_rows(plants: Plants) -> Iterator[dict[str, Any]]:
+def further_days(machines: Machines, plant: Plant, count: int) -> list[xr.Dataset]:
+    """Return days of a plant with other heat, doors and noise than its own."""
+    others = [replace(plant, seed=plant.seed + k) for k in range(1, count + 1)]
+    return [
+        judged_run(machines, other, exact_answers(machines, other), "day")[0] for other in others
+    ]
+
+
+def plant_rows(
+    plants: Plants, sensors: int, labels: Sequence[str], days: int
+) -> Iterator[dict[str, Any]]:
     """Yield the figures of every plant, calibration, limit and interval."""
-    model = with_sensors(plants.machines.model, plants.machines.model.sensor_names[:4])
+    model = with_sensors(plants.machines.model, plants.machines.model.sensor_names[:sensors])
     for plant in plants.drawn:
-        for label in CALIBRATIONS:
+        others = further_days(plants.machines, plant, days - 1)
+        for label in labels:
             estimator, day = calibrated(plants.machines, model, plant, label)
-            samples = list(samples_in(day, model.sensor_names))
-            run = Run(samples, columns_of(day, "displacement", estimator.axes))
+            runs = [
+                Run(
+                    list(samples_in(one, model.sensor_names)),
+                    columns_of(one, "displacement", estimator.axes),
+                )
+                for one in (day, *others)
+            ]
             about = {"plant": plant.number, "calibration": label}
             turns = [(axis,) for axis in range(len(estimator.axes))]
-            for row in compared(estimator, run, partial(asked_for, estimator), turns):
+            asking = partial(asked_for, estimator)
+            for row in chain(compared(estimator, runs[0], asking, turns), regular(estimator, runs)):
                 yield about | row
+
+
+def regular(estimator: JointAware, days: Sequence[Run]) -> Iterator[dict[str, Any]]:
+    """Yield the figures of days one after the other, with readings of all axes at intervals."""
+    for every in (math.inf, *EVERY):
+        state = estimator.initial_state()
+        for k, run in enumerate(days):
+            times = np.array([sample[0] for sample in run.samples])
+            count = round(float(np.ptp(times)) / every)
+            policy = at_intervals(times, count, [range(len(estimator.axes))])
+            figures, state = followed_from(state, estimator, run, policy)
+            state = next_morning(estimator, state)
+            yield {"policy": f"all axes every {every / 3600.0:g} h", "day": k + 1} | figures
+
+
+def next_morning(estimator: JointAware, state: Array) -> Array:
+    """Return the state of a machine that has cooled overnight, which keeps what was read."""
+    evening, cold = (unpacked(one, estimator.parts) for one in (state, estimator.initial_state()))
+    known = later(evening.model_error, NIGHT, estimator.forgetting)
+    return cold._replace(model_error=known).flat()
 
 
 def log_rows(path: Path, displacements: Sequence[str]) -> Iterator[dict[str, Any]]:
@@ -218,13 +277,18 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--family", choices=list(FAMILIES), default="films")
     parser.add_argument("--count", type=int, default=2)
     parser.add_argument("--seed", type=int, default=2)
+    parser.add_argument("--sensors", type=int, default=4)
+    parser.add_argument("--calibration", choices=list(CALIBRATIONS), action="append", default=[])
+    parser.add_argument("--days", type=int, default=1)
     parser.add_argument("--log", type=Path)
     parser.add_argument("--displacement", action="append", default=[])
     options = parser.parse_args(arguments)
     if options.log:
         rows = log_rows(options.log, options.displacement)
     else:
-        rows = plant_rows(drawn(options.family, options.seed, options.count))
+        plants = drawn(options.family, options.seed, options.count)
+        labels = options.calibration or list(CALIBRATIONS)
+        rows = plant_rows(plants, options.sensors, labels, options.days)
     write_rows(rows, options.out)
 
 

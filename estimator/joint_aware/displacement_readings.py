@@ -3,10 +3,12 @@
 The uncertainty of the displacement given the temperatures has two parts: that of the state (the
 columns L, corrected by a reading like by any other measurement), and the model error b = E e. Its
 parts e have unit variance before any reading: one for each drawn machine of the band (`Band.open`),
-whose error in the displacement follows the heat of the last hours, and one for each axis, for the
-rest of the band. A reading thus tells which of the machines that the calibration cannot distinguish
-this one is, and corrects all axes, at any later heat. The errors of drawn machines decay over
-`DisplacementProbe.machine_memory`, the rest over `DisplacementProbe.memory`.
+whose error in the displacement follows the heat of the last hours, for each axis one for each
+thermometer, whose error follows the innovations that last (`Band.surprise`), and one for each axis,
+for the rest of the band. A reading thus tells which of the machines that the calibration cannot
+distinguish this one is, and corrects all axes, at any later heat; and what it means for the
+displacement that a thermometer disagrees with the model, which is a property of the machine. The
+parts decay over `machine_memory`, `innovation_memory` and `memory` of `DisplacementProbe`.
 """
 
 from __future__ import annotations
@@ -27,10 +29,11 @@ class DisplacementProbe:
 
     #: Standard deviation of a reading, m.
     noise: float = READING_NOISE
-    #: Correlation times of the model's error, s: of its rest, and of what the calibration did not
-    #: determine.
+    #: Correlation times of the model's error, s: of its rest, of what the calibration did not
+    #: determine, and of what innovations of the thermometers mean.
     memory: float = 4.0 * 3600.0
     machine_memory: float = 8.0 * 3600.0
+    innovation_memory: float = 8.0 * 86400.0
     #: Innovation gate in standard deviations, beyond which a reading is refused.
     gate: float = 5.0
     #: A second reading beyond the gate confirms the first if it differs by no more than this share
@@ -39,7 +42,9 @@ class DisplacementProbe:
 
 
 class ModelError(NamedTuple):
-    """Estimate of the parts e of the model error: those of d drawn machines, then of the axes.
+    """Estimate of the parts e of the model error: d that axes share, then those of the axes.
+
+    The shared ones are those of the drawn machines, then of the lasting innovations.
 
     `refused` is what the last refused reading differed by from the estimate, m; NaN for none.
     """
@@ -47,17 +52,17 @@ class ModelError(NamedTuple):
     #: Shape (axes,): of the axes' own parts; 0 and 1 without any reading.
     mean: Array
     variance: Array
-    #: Shape (d,): mean of the drawn machines' parts; 0 without any reading.
+    #: Shape (d,): mean of the shared parts; 0 without any reading.
     drawn: Array
     #: Shape (d + axes, d + axes): covariance of all parts, less `variance` on its diagonal.
     shared: Array
     refused: Array
 
 
-def unknown(draws: int, axes: int) -> ModelError:
+def unknown(shared: int, axes: int) -> ModelError:
     """Return the prior before any reading."""
-    own = np.diag(np.append(np.ones(draws), np.zeros(axes)))
-    return ModelError(np.zeros(axes), np.ones(axes), np.zeros(draws), own, np.full(axes, np.nan))
+    own = np.diag(np.append(np.ones(shared), np.zeros(axes)))
+    return ModelError(np.zeros(axes), np.ones(axes), np.zeros(shared), own, np.full(axes, np.nan))
 
 
 def mean_of(known: ModelError) -> Array:
@@ -78,16 +83,17 @@ def known_error(mean: Array, covariance: Array, refused: Array) -> ModelError:
     return ModelError(mean[draws:], variance, mean[:draws], shared, refused)
 
 
-def later(known: ModelError, elapsed: float, probe: DisplacementProbe) -> ModelError:
-    """Return the estimate after some time, s."""
-    kept = np.exp(-elapsed * forgetting(known.drawn.size, known.mean.size, probe))
+def later(known: ModelError, elapsed: float, rates: Array) -> ModelError:
+    """Return the estimate after some time, s; `rates` are those of `forgetting`."""
+    kept = np.exp(-elapsed * rates)
     covariance = kept[:, None] * covariance_of(known) * kept + np.diag(1.0 - kept**2)
     return known_error(kept * mean_of(known), covariance, known.refused)
 
 
-def forgetting(draws: int, axes: int, probe: DisplacementProbe) -> Array:
-    """Return the decay rates of e, 1/s, shape (draws + axes,)."""
-    return np.repeat([1.0 / probe.machine_memory, 1.0 / probe.memory], [draws, axes])
+def forgetting(band: Band, probe: DisplacementProbe) -> Array:
+    """Return the decay rates of e, 1/s, shape (d + axes,)."""
+    lasts = [probe.machine_memory, probe.innovation_memory, probe.memory]
+    return 1.0 / np.repeat(lasts, [*band.shared, len(band.constant)])
 
 
 class Correction(NamedTuple):

@@ -176,6 +176,11 @@ class JointAware(Described):
         return replace(self.thresholds.probe, noise=self.reading_noise)
 
     @cached_property
+    def forgetting(self) -> Array:
+        """How fast displacement readings are forgotten (`displacement_readings.forgetting`)."""
+        return displacement_readings.forgetting(self.model.band, self.thresholds.probe)
+
+    @cached_property
     def observer(self) -> Observer:
         """The recursion from sample to sample."""
         return Observer(self.model, self.thresholds)
@@ -211,7 +216,7 @@ class JointAware(Described):
     @property
     def _nothing_read(self) -> ModelError:
         """The model error before any displacement reading."""
-        return displacement_readings.unknown(self.model.band.open.shape[1], len(self.axes))
+        return displacement_readings.unknown(sum(self.model.band.shared), len(self.axes))
 
     @cached_property
     def calibrated_readings(self) -> tuple[Array, Array]:
@@ -277,9 +282,7 @@ class JointAware(Described):
             channels=self._readable,
             rules=self.thresholds.faults,
             possible=self._possible,
-            forgetting=displacement_readings.forgetting(
-                model.band.open.shape[1], len(self.axes), self.thresholds.probe
-            ),
+            forgetting=self.forgetting,
         )
         return compiled_sample.place_of(own, heat_step(model.modes, model.step), kernel)
 
@@ -514,9 +517,9 @@ class JointAware(Described):
         linear, factor = self._corrected(used, moment, readings)
         expected = used.expected
         settled = self.observer.read(expected, linear, loads)
-        elapsed, probe = moment.length * moment.steps, self.thresholds.probe
+        elapsed = moment.length * moment.steps
         begun = before.begun if moment.steps else np.array(moment.time)
-        known = displacement_readings.later(before.model_error, elapsed, probe)
+        known = displacement_readings.later(before.model_error, elapsed, self.forgetting)
         refused = False
         if np.isfinite(probed).any():
             lasting = used.watch.lasting

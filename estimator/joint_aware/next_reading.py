@@ -69,7 +69,7 @@ def bands_around(estimator: JointAware, state: Array, due: float) -> tuple[Array
     since = float(now.time - now.begun) + due
     memory, lasting = float(now.memory), now.watch.lasting
     parts = estimator.observer.model_error(relaxed.ravel(), memory, lasting, since)
-    known, factor = later(now.model_error, due, estimator.probe), now.covariance_factor
+    known, factor = later(now.model_error, due, estimator.forgetting), now.covariance_factor
     after = []
     for innovation in np.where(np.eye(len(estimator.axes), dtype=bool), 0.0, np.nan):
         told = correct_by(innovation, estimator.probe, model.band, parts, factor, known)

@@ -277,8 +277,8 @@ class Observer:
     ) -> Array:
         """Displacement per part of the model error, m, shape (..., axes, d + axes).
 
-        The parts, of unit variance, are those of the drawn machines and of every axis
-        (`displacement_readings`).
+        The parts, of unit variance, are those of the drawn machines, of the lasting innovations
+        along every axis, and of every axis' rest (`displacement_readings`).
 
         Parameters
         ----------
@@ -297,11 +297,15 @@ class Observer:
         features = np.concatenate([relaxed, relaxed**2], axis=-1)[..., None, :, None]
         drawn = (band.open @ features)[..., 0] / math.sqrt(band.open.shape[1])
         rest = band.constant + square / sources @ band.square.T
-        rest = rest + np.square(lasting) @ band.surprise.T
         if memory != KNOWN:
             rest = rest + band.history + self.model.cold_drives(since)
-        draws, axes = drawn.shape[-1], rest.shape[-1]
-        parts = np.zeros((*rest.shape, draws + axes))
+        (draws, innovations), axes, told = band.shared, rest.shape[-1], band.surprising
+        shared = draws + innovations
+        meant = np.zeros((*rest.shape, axes, told.size))
+        own = np.sqrt(band.surprise[:, told]) * lasting[..., None, told]
+        meant[..., range(axes), range(axes), :] = own
+        parts = np.zeros((*rest.shape, shared + axes))
         parts[..., :draws] = drawn
-        parts[..., range(axes), range(draws, draws + axes)] = np.sqrt(rest)
+        parts[..., draws:shared] = meant.reshape(*rest.shape, innovations)
+        parts[..., range(axes), range(shared, shared + axes)] = np.sqrt(rest)
         return parts

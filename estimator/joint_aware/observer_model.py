@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimator.joint_aware.filter_design import SteadyFilter
 from estimator.lines import Stroke
@@ -44,6 +46,19 @@ class Band:
     #: Shape (axes, p + 1): error per square of the innovation of each reading that lasts
     #: (`Watch.lasting`), m2/K2.
     surprise: Array
+
+    @cached_property
+    def surprising(self) -> NDArray[np.int64]:
+        """Readings whose lasting innovations are part of the band, shape (c,)."""
+        return np.flatnonzero(self.surprise.any(axis=0))
+
+    @property
+    def shared(self) -> tuple[int, int]:
+        """Parts of the model error beside those of the axes' rest (`displacement_readings`).
+
+        Of the drawn machines, and of the lasting innovations along every axis.
+        """
+        return self.open.shape[1], self.surprising.size * len(self.surprise)
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,8 @@ from typer.testing import CliRunner
 from estimator.interface import Status, follow
 from estimator.joint_aware.compiled_sample import forget
 from estimator.joint_aware.displacement_readings import (
-    DisplacementProbe,
     ModelError,
     covariance_of,
-    forgetting,
     known_error,
     later,
     mean_of,
@@ -117,17 +115,65 @@ def test_two_readings_that_agree_against_the_band_are_believed_and_widen_it(unde
     assert second.band[1] > 3.0 * alone[151].band[1]
 
 
+@pytest.fixture(scope="module")
+def unlike(estimator):
+    """An observer whose band takes lasting innovations of T1 for 20 um a kelvin."""
+    surprise = np.zeros_like(estimator.model.band.surprise)
+    surprise[:, SENSORS.index("T1")] = (20.0 * MICRO) ** 2
+    return JointAware(
+        replace(estimator.model, band=replace(estimator.model.band, surprise=surprise))
+    )
+
+
+@pytest.fixture(scope="module")
+def warmer_than_said(unlike, stepped):
+    """Samples in which T1 is 0.4 K above the model, the state after each, and the estimates."""
+    samples = np.array(list(samples_in(stepped, SENSORS)))
+    samples[:, 1 + SENSORS.index("T1")] += 0.4
+    found = list(follow(unlike, samples.tolist(), unlike.initial_state()))
+    return samples.tolist(), [state for state, _ in found], [estimate for _, estimate in found]
+
+
+def test_a_reading_tells_what_a_thermometer_that_disagrees_means(unlike, warmer_than_said):
+    """The correction grows with the innovation, along the axis that was read only."""
+    samples, states, alone = warmer_than_said
+    (time, *values) = samples[100]
+    off = alone[100].displacement + np.array([3.0 * MICRO, 0.0])
+    state, told = unlike.sample(states[99], time, with_reading(unlike, values, "x", off))
+    assert told.displacement == pytest.approx(off, abs=0.5 * MICRO)
+    assert told.band[0] < 0.5 * alone[100].band[0]
+    assert told.band[1] == pytest.approx(alone[100].band[1], rel=1e-6)
+    *_, (_, last) = follow(unlike, samples[101:], state)
+    at = SENSORS.index("T1")
+    now, then = (
+        unpacked(states[k], unlike.parts).watch.lasting[at] for k in (len(samples) - 1, 100)
+    )
+    corrected = last.displacement - alone[-1].displacement
+    assert now > 1.5 * then
+    assert corrected[0] == pytest.approx(3.0 * MICRO * now / then, rel=0.1)
+    assert told.band[0] < last.band[0] < alone[-1].band[0]
+
+
+def test_what_a_thermometer_means_is_known_the_next_day(unlike):
+    rates = unlike.forgetting
+    innovations = slice(unlike.model.band.shared[0], sum(unlike.model.band.shared))
+    known = known_error(np.ones(rates.size), np.eye(rates.size), np.full(2, np.nan))
+    kept = mean_of(later(known, 16.0 * 3600.0, rates))
+    assert np.all(kept[innovations] > 0.9)
+    assert np.all(kept[-2:] < 0.05)
+
+
 def test_readings_are_forgotten_alike_in_machine_code():
     rng = np.random.default_rng(2)
     root = rng.normal(size=(5, 5))
     known = known_error(rng.normal(size=5), root @ root.T, np.full(2, np.nan))
-    probe = DisplacementProbe()
-    slowly = later(known, 600.0, probe)
+    rates = np.array([1e-5, 2e-5, 3e-5, 4e-5, 5e-5])
+    slowly = later(known, 600.0, rates)
     quickly = ModelError(*(part.copy() for part in known))
-    forget(quickly, forgetting(3, 2, probe), 600.0)
+    forget(quickly, rates, 600.0)
     assert mean_of(quickly) == pytest.approx(mean_of(slowly), rel=1e-12)
     assert covariance_of(quickly) == pytest.approx(covariance_of(slowly), rel=1e-12)
-    long = later(known, 1e9, probe)
+    long = later(known, 1e9, rates)
     assert covariance_of(long) == pytest.approx(covariance_of(unknown(3, 2)), abs=1e-12)
 
 
