@@ -59,7 +59,7 @@ from thermojoint.reduced.machine import ReducedMachine
 #: Limits of the band, m, and shortest intervals between requests, s.
 LIMITS, INTERVALS = (2.0 * MICRO, 3.0 * MICRO), (1800.0, 7200.0)
 #: Intervals at which all axes are read, and the time between two days, s.
-EVERY, NIGHT = (4 * 3600.0, 2 * 3600.0, 3600.0), 16 * 3600.0
+EVERY, NIGHT = (4 * 3600.0, 2 * 3600.0, 3600.0, 1800.0), 16 * 3600.0
 #: Within this an estimate is meant to be, m.
 WANTED = 2.0 * MICRO
 #: Share of a log that is learned from; every so many of its samples are judged.

@@ -299,13 +299,10 @@ class Observer:
         rest = band.constant + square / sources @ band.square.T
         if memory != KNOWN:
             rest = rest + band.history + self.model.cold_drives(since)
-        (draws, innovations), axes, told = band.shared, rest.shape[-1], band.surprising
-        shared = draws + innovations
-        meant = np.zeros((*rest.shape, axes, told.size))
-        own = np.sqrt(band.surprise[:, told]) * lasting[..., None, told]
-        meant[..., range(axes), range(axes), :] = own
+        axes, draws, shared = rest.shape[-1], drawn.shape[-1], sum(band.shared)
+        reading, meaning = band.surprising
         parts = np.zeros((*rest.shape, shared + axes))
         parts[..., :draws] = drawn
-        parts[..., draws:shared] = meant.reshape(*rest.shape, innovations)
+        parts[..., draws:shared] = meaning * lasting[..., None, reading]
         parts[..., range(axes), range(shared, shared + axes)] = np.sqrt(rest)
         return parts

@@ -48,17 +48,23 @@ class Band:
     surprise: Array
 
     @cached_property
-    def surprising(self) -> NDArray[np.int64]:
-        """Readings whose lasting innovations are part of the band, shape (c,)."""
-        return np.flatnonzero(self.surprise.any(axis=0))
+    def surprising(self) -> tuple[NDArray[np.int64], Array]:
+        """What lasting innovations may mean: a reading (c,), the error by it (axes, c), m/K.
+
+        One for every axis and reading that is in the band.
+        """
+        axis, reading = np.nonzero(self.surprise)
+        meaning = np.zeros((len(self.surprise), axis.size))
+        meaning[axis, range(axis.size)] = np.sqrt(self.surprise[axis, reading])
+        return reading, meaning
 
     @property
     def shared(self) -> tuple[int, int]:
         """Parts of the model error beside those of the axes' rest (`displacement_readings`).
 
-        Of the drawn machines, and of the lasting innovations along every axis.
+        Of the drawn machines, and of the lasting innovations.
         """
-        return self.open.shape[1], self.surprising.size * len(self.surprise)
+        return self.open.shape[1], self.surprising[0].size
 
 
 @dataclass(frozen=True)
