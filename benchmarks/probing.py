@@ -223,6 +223,7 @@ def plant_rows(
 def regular(estimator: JointAware, days: Sequence[Run]) -> Iterator[dict[str, Any]]:
     """Yield the figures of days one after the other, with readings of all axes at intervals."""
     for every in (math.inf, *EVERY):
+        name = f"all axes every {every / 3600.0:g} h" if math.isfinite(every) else "none"
         state = estimator.initial_state()
         for k, run in enumerate(days):
             times = np.array([sample[0] for sample in run.samples])
@@ -230,7 +231,7 @@ def regular(estimator: JointAware, days: Sequence[Run]) -> Iterator[dict[str, An
             policy = at_intervals(times, count, [range(len(estimator.axes))])
             figures, state = followed_from(state, estimator, run, policy)
             state = next_morning(estimator, state)
-            yield {"policy": f"all axes every {every / 3600.0:g} h", "day": k + 1} | figures
+            yield {"policy": name, "day": k + 1} | figures
 
 
 def next_morning(estimator: JointAware, state: Array) -> Array:
