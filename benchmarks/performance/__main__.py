@@ -47,6 +47,7 @@ GROUPS: dict[str, Group] = {
     "contacts-2000": set_up.contact_rows,
     "setup-589k": set_up.large_rows,
     "setup-largest": set_up.largest_rows,
+    "setup-changed-589k": set_up.changed_large_rows,
     "closed-form": closed_form.rows,
     "refactor": march.rows,
     "calculix": calculix.rows,

@@ -71,6 +71,7 @@ TARGETS: dict[str, tuple[Target, ...]] = {
     "batch-10000": (Target("ours", 8000.0, at_least=True),),
     "setup-changed-source": (Target("ours", 0.6),),
     "setup-changed-film": (Target("ours", 0.6),),
+    "setup-changed-589k": (Target("ours", 5.0),),
     "contacts-2000": (Target("ours", 600.0),),
     "contacts-2000-memory": (Target("ours", 20.0),),
     "contacts-2000-step": (Target("ours", 80.0),),

@@ -5,9 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import partial
 
-from benchmarks.performance.cases import condensations, fresh_condensations, reference_machine
+from benchmarks.performance.cases import (
+    condensations,
+    fresh_condensations,
+    reference_case,
+    reference_machine,
+    with_elements,
+)
 from benchmarks.performance.scaling import LARGE_LIMIT, Size, free_memory, measured_once
-from benchmarks.performance.timing import Row, Skipped, paired
+from benchmarks.performance.timing import Row, Skipped, paired, seconds
 from fesim.case.schema import Case
 from fesim.setup.machine import set_up
 
@@ -67,6 +73,23 @@ def read_at(case: Case, height: float) -> Case:
     probe = {"position_mm": [625.0, height, 87.5], "body": "column"}
     data = case.model_dump()
     return Case.model_validate(data | {"probes": data["probes"] | {"T9": probe}})
+
+
+def changed_large_rows() -> Iterator[Row]:
+    """Yield the row of a set-up of 589 000 displacements of which only the source changed."""
+    case = with_elements(reference_case(), float(LARGE), None)
+    with fresh_condensations():
+        whole = seconds(lambda: set_up(case))
+        again = seconds(lambda: set_up(heated_at(case, "rear")))
+    yield Row(
+        "setup-changed-589k",
+        again,
+        whole,
+        whole / again,
+        "s",
+        "set-up of 589 000 displacements with another source and the rest on the disk against an "
+        "empty folder; measured once",
+    )
 
 
 def contact_rows() -> Iterator[Row | Skipped]:
