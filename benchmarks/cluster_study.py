@@ -30,7 +30,9 @@ from benchmarks.performance.cases import fresh_condensations
 from benchmarks.study import command, free_port, options_of, write_json
 from fesim.simulate import simulate
 
-WORKERS, LOOK = 2, 0.05
+WORKERS = 2
+#: Between two looks at the processes and the journal, s.
+LOOK = 0.1
 #: A study or a cluster that takes longer has failed, s.
 PATIENCE = 3600.0
 
@@ -65,7 +67,7 @@ def undisturbed(folder: Path, count: int) -> dict[str, Any]:
             for name, one in seen.items():
                 with suppress(psutil.NoSuchProcess):  # the command has ended meanwhile
                     looks[name].append(used_by(one))
-            time.sleep(10.0 * LOOK)
+            time.sleep(LOOK)
         taken = time.perf_counter() - begun
     _all_done(folder, count)
     files = [path for path in (folder / "out").rglob("*") if path.is_file()]

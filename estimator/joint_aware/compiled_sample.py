@@ -276,15 +276,15 @@ def forget(error: ModelError, rates: Array, length: float) -> None:
     length : float
         s.
     """
-    draws = error.drawn.size
+    count = error.shared_mean.size
     for i in range(rates.size):
         kept = math.exp(-rates[i] * length)
         for k in range(rates.size):
             error.shared[i, k] *= kept
             error.shared[k, i] *= kept
-        if i < draws:
-            error.drawn[i] *= kept
+        if i < count:
+            error.shared_mean[i] *= kept
             error.shared[i, i] += 1.0 - kept * kept
         else:
-            error.mean[i - draws] *= kept
-            error.variance[i - draws] = 1.0 - kept * kept * (1.0 - error.variance[i - draws])
+            error.mean[i - count] *= kept
+            error.variance[i - count] = 1.0 - kept * kept * (1.0 - error.variance[i - count])

@@ -53,7 +53,7 @@ class ModelError(NamedTuple):
     mean: Array
     variance: Array
     #: Shape (d,): mean of the shared parts; 0 without any reading.
-    drawn: Array
+    shared_mean: Array
     #: Shape (d + axes, d + axes): covariance of all parts, less `variance` on its diagonal.
     shared: Array
     refused: Array
@@ -67,20 +67,20 @@ def unknown(shared: int, axes: int) -> ModelError:
 
 def mean_of(known: ModelError) -> Array:
     """Return the mean of e, shape (d + axes,)."""
-    return np.concatenate([known.drawn, known.mean])
+    return np.concatenate([known.shared_mean, known.mean])
 
 
 def covariance_of(known: ModelError) -> Array:
     """Return the covariance of e, shape (d + axes, d + axes)."""
-    return known.shared + np.diag(np.append(np.zeros(known.drawn.size), known.variance))
+    return known.shared + np.diag(np.append(np.zeros(known.shared_mean.size), known.variance))
 
 
 def known_error(mean: Array, covariance: Array, refused: Array) -> ModelError:
     """Return the estimate of a mean (d + axes,) and a covariance of e."""
     axes = refused.size
-    draws, variance = mean.size - axes, np.diag(covariance)[mean.size - axes :]
-    shared = covariance - np.diag(np.append(np.zeros(draws), variance))
-    return ModelError(mean[draws:], variance, mean[:draws], shared, refused)
+    count, variance = mean.size - axes, np.diag(covariance)[mean.size - axes :]
+    shared = covariance - np.diag(np.append(np.zeros(count), variance))
+    return ModelError(mean[count:], variance, mean[:count], shared, refused)
 
 
 def later(known: ModelError, elapsed: float, rates: Array) -> ModelError:

@@ -723,7 +723,7 @@ class JointAware(Described):
         """
         # As E var(e) E', of which only the diagonal is needed, in every sample.
         shared = ((parts @ known.shared) * parts).sum(axis=-1)
-        own = np.square(parts[..., known.drawn.size :]) @ known.variance
+        own = np.square(parts[..., known.shared_mean.size :]) @ known.variance
         variance = self.model.band.steady + shared + own
         if factor.any():
             uncertain = np.square(self.model.band.tangent @ factor).sum(axis=1)

@@ -127,7 +127,7 @@ def layout(
             **{f"model_error.{name}": error.mean.shape for name in ModelError._fields[:_FIRST]},
             **{f"pending.{name}": () for name in PendingJump._fields[:-1]},
             "pending.linear": (states,),
-            "model_error.drawn": error.drawn.shape,
+            "model_error.shared_mean": error.shared_mean.shape,
             "model_error.shared": error.shared.shape,
             "model_error.refused": error.refused.shape,
         }

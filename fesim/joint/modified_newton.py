@@ -1,11 +1,10 @@
 """Modified Newton method for the gap equations with a frozen tangent over many steps.
 
 Unknown: the tractions w = z(g) + k0 g missing in the springs, with g = J0^-1 g_T + F w. As
-J0^-1 g_T = g_T + F (k - k0) g_T, one product with F does both. A Newton
-step solves (I - dT F) y = z(g) + k0 g - w by the factors of a frozen tangent
-(`fesim.joint.frozen_tangent`), which is updated where the iteration converges badly. With several
-blocks of contact elements it is replaced by a Gauss-Seidel sweep over the blocks, each with its own
-frozen tangent.
+J0^-1 g_T = g_T + F (k - k0) g_T, both terms take one product with F. A Newton step solves
+(I - dT F) y = z(g) + k0 g - w by the factors of a frozen tangent (`fesim.joint.frozen_tangent`),
+which is updated where the iteration converges badly. With several blocks of contact elements it is
+replaced by a Gauss-Seidel sweep over the blocks, each with its own frozen tangent.
 
 Start at `settle_near`; read `fesim.joint.gap` first, which solves the same equations plainly.
 `tests/fesim/joint/test_modified_newton.py` compares the equilibria of random joints with those of
@@ -163,10 +162,9 @@ def settle_near(
 ) -> tuple[bool, float, int]:
     """Iterate from the gaps of a trial: whether it is solved, the residual and the iterations.
 
-    J0^-1 g_T is `free_gap` (3 m,), m, and what tractions `rest` (3 m,), Pa, do: g_T and
-    (k - k0) g_T, or J0^-1 g_T and zero. Other arguments as in
-    `fesim.joint.compiled_gap.solve_in_place`. An accepted state has
-    a residual g - J0^-1 g_T - F (z(g) + k0 g) within the tolerance.
+    J0^-1 g_T is given as `free_gap` + F `rest`, (3 m,), m and Pa: g_T and (k - k0) g_T, or
+    J0^-1 g_T and zero. Other arguments as in `fesim.joint.compiled_gap.solve_in_place`. An accepted
+    state has a residual g - J0^-1 g_T - F (z(g) + k0 g) within the tolerance.
     """
     springs, tolerance, gap = kernel.springs, kernel.tolerance, trial.gap
     columns = kernel.columns

@@ -111,7 +111,7 @@ def settle(joint: JointKernel, kept: Kept, now: JointState) -> tuple[bool, float
     forget(kept.tangents)
     put(now.gap, trial.gap)
     add(now.change, trial.gap)
-    add_product(joint.columns, rest, free_gap)
+    add_product(joint.columns, rest, free_gap)  # J0^-1 g_T
     return settle_by_newton(joint, free_gap, now, trial, kept.work.newton)
 
 

@@ -47,7 +47,7 @@ class ReducedMarch(NamedTuple):
 
 
 class Record(NamedTuple):
-    """n steps; joints as in `JointState`."""
+    """n steps; the last four are as in `JointState`, and NaN where they are not recorded."""
 
     #: Shape (n, r).
     amplitudes: Array
@@ -64,7 +64,7 @@ class Record(NamedTuple):
 def new_record(steps: int, first: tuple[Array, Array], probes: int, joint: JointState) -> Record:
     """Return storage for some steps from amplitudes (r,), drives (d,) and joints on, p probes."""
     shapes = [*(one.shape for one in first), (probes,), *(one.shape for one in joint)]
-    return Record(*(np.empty((steps, *shape)) for shape in shapes))
+    return Record(*(np.full((steps, *shape), np.nan) for shape in shapes))
 
 
 def reduced_march(

@@ -482,8 +482,8 @@ class Marched(NamedTuple):
     probes: Array
     #: Shape (n, x): where the axes stand at the end of each step, m.
     places: Array
-    #: The joints after each step, (n, ...): pressures alone of a machine without axes; of no
-    #: meaning of one axis without a drive.
+    #: The joints after each step, (n, ...): pressures alone of a machine without axes; NaN of one
+    #: axis without a drive.
     joint: JointState
 
 

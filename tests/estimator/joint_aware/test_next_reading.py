@@ -180,7 +180,7 @@ def test_readings_are_forgotten_alike_in_machine_code():
 def test_a_state_of_an_earlier_version_has_read_nothing_of_the_machines(undecided, warmed):
     _, states, _ = warmed
     parts = undecided.parts.parts
-    begins = next(at.start for name, at, _ in parts if name == "model_error.drawn")
+    begins = next(at.start for name, at, _ in parts if name == "model_error.shared_mean")
     whole = completed(states[100][:begins], undecided.initial_state())
     assert whole == pytest.approx(states[100], rel=1e-9, nan_ok=True)
     known = unpacked(whole, undecided.parts).model_error
