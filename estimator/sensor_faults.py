@@ -91,6 +91,10 @@ class Thresholds(NamedTuple):
     #: Time over which innovations are averaged, s: new heat is found within it, so that an
     #: innovation that is left after it is an error of the model.
     lasts: float = 600.0
+    #: Times over which these means are averaged again, s: what an error of the model means for the
+    #: displacement depends on how long it has lasted.
+    longer: float = 3600.0
+    longest: float = 4.0 * 3600.0
 
 
 class Channels(NamedTuple):
@@ -149,6 +153,14 @@ class Watch(NamedTuple):
     #: Mean of its innovations over the last ten minutes, each at most the gate of a certain model,
     #: K; as it was before the channel was distrusted.
     lasting: Array
+    #: Means of `lasting` over the last hour and the last four, K.
+    longer: Array
+    longest: Array
+
+    @property
+    def means(self) -> Array:
+        """Means of the innovations: of all channels over ten minutes, then longer, (3 n,), K."""
+        return np.concatenate([self.lasting, self.longer, self.longest])
 
 
 def fresh(channels: int, rules: Thresholds) -> Watch:
@@ -169,6 +181,8 @@ def fresh(channels: int, rules: Thresholds) -> Watch:
         turned=nothing,
         off=unknown,
         lasting=nothing,
+        longer=nothing,
+        longest=nothing,
     )
 
 
@@ -279,6 +293,9 @@ def look(
             most = rules.gate * imperfect
             innovation = min(max(reading - expected, -most), most)
             watch.lasting[k] += since / (since + rules.lasts) * (innovation - watch.lasting[k])
+            mean = watch.lasting[k]
+            watch.longer[k] += since / (since + rules.longer) * (mean - watch.longer[k])
+            watch.longest[k] += since / (since + rules.longest) * (mean - watch.longest[k])
         watch.read[k] = time
         if change <= rules.rounding:
             watch.repeats[k] += 1.0

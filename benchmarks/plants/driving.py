@@ -27,8 +27,11 @@ class Drive:
     ambient: Array
 
 
-def drives(step: float, seed: int) -> dict[str, Drive]:
-    """Return every run by name, on steps of `step` (s); the day is drawn by `seed`."""
+def drives(step: float, seed: int, days: int = 0) -> dict[str, Drive]:
+    """Return every run by name, on steps of `step` (s); the day is drawn by `seed`.
+
+    So are `days` further ones, each with other heat.
+    """
 
     def times(length: float) -> Array:
         return step * np.arange(1, round(length / step) + 1)
@@ -44,6 +47,7 @@ def drives(step: float, seed: int) -> dict[str, Drive]:
         ),
         "cool-down": still(np.where(long <= RUN, max(STEPS), 0.0)),
         "day": _day(times(DAY), seed),
+        **{f"day-{k}": _day(times(DAY), seed + k) for k in range(1, days + 1)},
     }
 
 

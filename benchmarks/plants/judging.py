@@ -34,6 +34,8 @@ CALIBRATIONS = {
     "steps": tuple(f"step-{level}" for level in STEPS),
     "steps and cool-down": (*(f"step-{level}" for level in STEPS), "cool-down"),
 }
+#: Numbers of recorded days that a plant is calibrated with beside these.
+DAYS = (1, 2, 5)
 CASES = ("step-1.5", "step-3.0", "triangle", "triangle-noise", "day", "cool-down", "warm-start")
 #: A warm start, this long after the start of the day, and when it is judged, s.
 WARM, SETTLED = 4 * 3600.0, 1200.0
@@ -55,14 +57,24 @@ class Machines:
     data: dict[str, Any]
 
 
+def calibrations(days: int) -> dict[str, tuple[str, ...]]:
+    """Return every calibration with the runs that it has, of up to so many recorded days."""
+    whole = CALIBRATIONS["steps and cool-down"]
+    return CALIBRATIONS | {
+        f"steps, cool-down, days: {count}": (*whole, *(f"day-{k + 1}" for k in range(count)))
+        for count in DAYS
+        if count <= days
+    }
+
+
 def with_sensors(machine: ReducedMachine, names: Sequence[str]) -> ReducedMachine:
     """Return a machine with some of its sensors."""
     return machine.with_sensors(names)
 
 
-def exact_answers(machines: Machines, plant: Plant) -> dict[str, Answer]:
-    """Return the exact answers of a plant to all its runs."""
-    runs = drives(machines.plant.step, plant.seed)
+def exact_answers(machines: Machines, plant: Plant, days: int = 0) -> dict[str, Answer]:
+    """Return the exact answers of a plant to all its runs, with so many recorded days."""
+    runs = drives(machines.plant.step, plant.seed, days)
     if plant.unlike is None:
         return answers(machines.plant, plant, runs)
     return structural_answers(machines.data, machines.plant.sensor_names, plant, runs)
@@ -80,14 +92,17 @@ def shown(
 
 
 @threadpool_limits.wrap(limits=1)
-def judge_plant(machines: Machines, plant: Plant, wanted: tuple[str, ...]) -> dict[str, Any]:
+def judge_plant(
+    machines: Machines, plant: Plant, wanted: tuple[str, ...], days: int
+) -> dict[str, Any]:
     """Return all that a plant says: rows, calibrations and what it was drawn with."""
-    names, exact = machines.plant.sensor_names, exact_answers(machines, plant)
-    every = shown(machines, plant, exact, CALIBRATIONS["steps and cool-down"])
+    names, exact = machines.plant.sensor_names, exact_answers(machines, plant, days)
+    labels = calibrations(days)
+    every = shown(machines, plant, exact, max(labels.values(), key=len))
     rows: list[dict[str, Any]] = []
     reports: list[dict[str, Any]] = []
     by_steps: dict[str, Calibrated] = {}
-    for count, (label, named) in product(sorted({4, len(names)}), CALIBRATIONS.items()):
+    for count, (label, named) in product(sorted({4, len(names)}), labels.items()):
         responses = {name: every[name] for name in named}
         for kind in wanted:
             begun = time.process_time()

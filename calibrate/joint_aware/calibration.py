@@ -16,6 +16,7 @@ from calibrate.joint_aware.misfit import Run, fewer
 from calibrate.joint_aware.open_band import Drawing, open_band, variance_of_heat
 from calibrate.joint_aware.physics_fit import SEARCH, Fit, Search, fit_physics
 from calibrate.joint_aware.readings import run_in
+from calibrate.joint_aware.recorded_days import is_day, shown_in, with_days
 from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.observer_model import Calibrated, ObserverModel
 from estimator.joint_aware.readings import temperatures_in
@@ -78,6 +79,8 @@ class JointAwareCalibration(Described):
         Runs that the band was not checked on: without them there is no fit.
     unknown_heat : float
         Heat of each face that no source brings, W, if it is estimated; zero if not.
+    days : tuple of str
+        Recorded days, which tell how a machine is unlike its case, and no parameters.
     """
 
     model: ObserverModel
@@ -86,6 +89,7 @@ class JointAwareCalibration(Described):
     runs: tuple[Run, ...]
     unchecked: tuple[str, ...] = ()
     unknown_heat: float = 0.0
+    days: tuple[str, ...] = ()
 
     def _facts(self) -> dict[str, str]:
         return {"model": repr(self.model), "runs": str(len(self.runs))}
@@ -194,21 +198,41 @@ def calibrate_machine(
     `loosening`: makes what else the machine may have, for one that is unlike its case.
     """
     machine = along(machine, _moving(machine, responses))
-    whole = [run_in(response, machine, name) for name, response in responses.items()]
+    every = {name: run_in(response, machine, name) for name, response in responses.items()}
+    days = () if machine.guide else tuple(name for name, run in every.items() if is_day(run))
+    names = tuple(name for name in every if name not in days) or tuple(every)
+    fit = fit_physics(machine, [fewer(every[name]) for name in names], fitted, effort.search)
+    if days and fit.doubt <= 1.0:
+        # A machine of the family: its days tell parameters, like any run, and nothing else.
+        days, names = (), tuple(every)
+        fit = fit_physics(machine, list(map(fewer, every.values())), fitted, effort.search)
+    whole = [every[name] for name in names]
     runs = [fewer(run) for run in whole]
-    fit = fit_physics(machine, runs, fitted, effort.search)
     if fitted is None:
         machine, fit = loosened(machine, runs, fit, effort.search, loosening)
     known = calibrated_range(machine, responses)
     noises = [noise] if noise else _noises(machine, fit, known, runs)
-    # Of two observers the one whose band, checked on runs that it has not seen, is narrower.
     found = [_observer(machine, whole, fit, known, one, effort.drawing) for one in noises]
-    chosen = int(np.argmin([variance_of_heat(model).sum() for model, _ in found]))
+    # Of two observers the one whose band, checked on runs that it has not seen, is narrower.
+    worth = [float(variance_of_heat(model).sum()) for model, _ in found]
+    if days:
+        # Days that are left out tell it better.
+        recorded = [every[name] for name in days]
+        told = [_with_days(model, recorded, whole) for model, _ in found]
+        worth = [squares for _, squares in told]
+        found = [(model, apart) for (model, _), (_, apart) in zip(told, found, strict=True)]
+    chosen = int(np.argmin(worth))
     model, unchecked = found[chosen]
-    names = tuple(responses)
-    apart = tuple(names[k] for k in unchecked)
-    heat = noises[chosen].unknown_heat
-    return JointAwareCalibration(model, fit, machine, tuple(runs), apart, heat)
+    apart, heat = tuple(names[k] for k in unchecked), noises[chosen].unknown_heat
+    return JointAwareCalibration(model, fit, machine, tuple(runs), apart, heat, days)
+
+
+def _with_days(
+    model: ObserverModel, days: Sequence[Run], others: Sequence[Run]
+) -> tuple[ObserverModel, float]:
+    """A model that knows what days tell, and its mean square error in days left out, m2."""
+    seen = ([shown_in(model, run) for run in runs] for runs in (days, others))
+    return with_days(model, *seen)
 
 
 def loosened(

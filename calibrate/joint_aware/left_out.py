@@ -142,7 +142,7 @@ def _unseen(
     filtered = observer_from_rest(machine, fit, model.calibrated, others.noise)
     observer, sources = JointAware(filtered), machine.power.size
     moving = len(machine.axis_names)
-    given = _samples(run, sources + len(machine.held.names))
+    given = samples_of(run, sources + len(machine.held.names))
     found = observer.displacements(np.hstack([given, counted_in(run, filtered.counted)]))
     # What the posterior expects, on the longer steps of the band.
     slow = on_longer_steps(machine, others.runs, model.calibrated, fit, others.noise, drawing)
@@ -169,8 +169,11 @@ def _means(values: Array, times: Array, grid: Array) -> tuple[Array, Flags]:
     return (step.T @ values)[read] / count[read, None], read
 
 
-def _samples(run: Run, driven: int) -> Array:
-    """Times and readings of a run, with the inputs after the first `driven`: ambient and loads."""
+def samples_of(run: Run, driven: int) -> Array:
+    """Return times and readings of a run, with the inputs after the first `driven`.
+
+    They are the ambient and the loads.
+    """
     grid = run.length * np.arange(1, len(run.inputs) + 1)
     given = [np.interp(run.times, grid, column) for column in run.inputs[:, driven:].T]
     return np.column_stack([run.times, run.temperature, *given])

@@ -94,8 +94,8 @@ HEALTHY = Thresholds(faults=sensor_faults.Thresholds(gate=1e6, jump=1e6, stuck=1
 def variance_of_heat(model: ObserverModel) -> Array:
     """Return the variance of the displacement that a band expects after hours of heat 1, m2."""
     heat = np.ones(model.power.size * model.discrepancy.rates.size)
-    innovations = np.zeros(model.band.surprise.shape[1])
-    parts = Observer(model).model_error(heat, KNOWN, innovations)
+    means = np.zeros(3 * model.band.surprise.shape[1])
+    parts = Observer(model).model_error(heat, KNOWN, means)
     return np.asarray(model.band.steady + np.square(parts).sum(axis=1))
 
 

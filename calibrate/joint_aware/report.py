@@ -30,7 +30,8 @@ def short_report(calibrated: JointAwareCalibration) -> dict[str, Any]:
     Returns
     -------
     dict
-        Content of `report`; unchecked_runs: those that the band was not checked on;
+        Content of `report`; unchecked_runs: those that the band was not checked on; recorded_days:
+        those that tell how the machine is unlike its case, and no parameters;
         unknown_heat_W: standard deviation of the heat of each face that is estimated beside that of
         the sources, zero without it; further_runs:
         standard deviation of every parameter and of the displacement in a day, um, root mean
@@ -40,6 +41,7 @@ def short_report(calibrated: JointAwareCalibration) -> dict[str, Any]:
     names = [parameter.name for parameter in fit.parameters]
     return report(fit) | {
         "unchecked_runs": list(calibrated.unchecked),
+        "recorded_days": list(calibrated.days),
         "unknown_heat_W": calibrated.unknown_heat,
         "further_runs": [
             {

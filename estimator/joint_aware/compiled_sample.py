@@ -72,17 +72,16 @@ class Filter(NamedTuple):
 class Shown(NamedTuple):
     """What n samples show, written in place."""
 
-    #: Shape (n, axes): displacement, m, without the correction by displacement readings.
+    #: Shape (n, axes): displacement, m, without corrections by innovations and by readings of it.
     displacement: Array
     #: Shape (n, s q): relaxations of the heat.
     relaxed: Array
-    #: Shape (n, p + 1): innovations that last, K.
-    lasting: Array
+    #: Shape (n, 3 (p + 1)): means of the innovations (`Watch.means`), K.
+    means: Array
 
 
-def shown_by(count: int, own: Filter) -> Shown:
-    """Return storage for so many samples."""
-    sizes = len(own.discrepancy), own.relaxing.size, len(own.rows)
+def shown_by(count: int, sizes: tuple[int, int, int]) -> Shown:
+    """Return storage for so many samples; `sizes`: what each of them has of each."""
     return Shown(*(np.empty((count, size)) for size in sizes))
 
 
@@ -169,13 +168,15 @@ def usual_samples(
     for more in state.covariance_factor.flat:
         if more != 0.0:
             return 0
-    modes = place.heat.decay.size
+    modes, channels = place.heat.decay.size, readings.shape[1]
     relaxed = state.linear[modes : modes + shown.relaxed.shape[1]]
     for k in range(times.size):
         if not _usual(place, state, times[k], length, readings[k], shown.displacement[k]):
             return k
         put(relaxed, shown.relaxed[k])
-        put(state.watch.lasting, shown.lasting[k])
+        put(state.watch.lasting, shown.means[k, :channels])
+        put(state.watch.longer, shown.means[k, channels : 2 * channels])
+        put(state.watch.longest, shown.means[k, 2 * channels :])
     return times.size
 
 

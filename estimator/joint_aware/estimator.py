@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -18,7 +18,7 @@ from estimator.joint_aware.displacement_readings import (
     ModelError,
     mean_of,
 )
-from estimator.joint_aware.observer import Moment, Observer, Settled
+from estimator.joint_aware.observer import Moment, Observer
 from estimator.joint_aware.observer_model import SCHEMA, Kind, ObserverModel
 from estimator.joint_aware.observer_state import (
     KNOWN,
@@ -71,7 +71,7 @@ class Taken(NamedTuple):
 
     #: State after the sample.
     after: ObserverState
-    #: Shape (axes,): m, without the correction by displacement readings.
+    #: Shape (axes,): m, without corrections by innovations and by readings of it.
     displacement: Array
     #: Knowledge of the joint's slips before it.
     memory: float
@@ -395,15 +395,29 @@ class JointAware(Described):
         InputError, ConvergenceError
             As `sample`.
         """
-        state = self.initial_state()
-        if not self.model.moving_axes:
-            return self.whole_run(samples, state)[0]
-        # Without the lines along moving axes, which take longer than the sample.
-        moved = np.empty((len(samples), len(self.axes)))
-        for k, (time, *values) in enumerate(samples.tolist()):
-            state, taken, _ = self._processed(state, time, values)
-            moved[k] = taken.displacement + self._known(taken)
-        return moved
+        shown = self.shown(samples)
+        return shown.displacement + self.observer.meant(shown.means)
+
+    def shown(self, samples: Array) -> compiled_sample.Shown:
+        """Return what a run from rest without displacement readings shows; see `displacements`."""
+        shown = compiled_sample.shown_by(len(samples), self._sizes)
+        for at, _, found in self._stretches(samples, self.initial_state()):
+            now = found if isinstance(found, compiled_sample.Shown) else self._shown_by(found[0])
+            for whole, part in zip(shown, now, strict=True):
+                whole[at] = part
+        return shown
+
+    @property
+    def _sizes(self) -> tuple[int, int, int]:
+        """Numbers of displacements, relaxations and mean innovations of a sample."""
+        relaxations = self.observer.system.decay.size - self.model.modes.rates.size
+        return len(self.axes), relaxations, 3 * len(self.observer.system.rows)
+
+    def _shown_by(self, taken: Taken) -> compiled_sample.Shown:
+        """What a sample that was taken alone shows."""
+        count, dynamic = self.model.modes.rates.size, self.observer.system.decay.size
+        relaxed, means = taken.after.linear[count:dynamic], taken.after.watch.means
+        return compiled_sample.Shown(taken.displacement, relaxed, means)
 
     def whole_run(self, samples: Array, state: Array) -> tuple[Array, Array]:
         """Return displacements and half-widths of their bands in a run, (n, axes), m.
@@ -424,20 +438,36 @@ class JointAware(Described):
             As `sample`.
         """
         moved, bands = np.empty((2, len(samples), len(self.axes)))
+        for at, after, found in self._stretches(samples, state):
+            if isinstance(found, compiled_sample.Shown):
+                moved[at] = found.displacement + self.observer.meant(found.means)
+                bands[at] = self._bands(after, found)
+            else:
+                taken, read = found
+                estimate = self._estimate(taken, float(samples[at.start, 0]), read)
+                moved[at], bands[at] = estimate.displacement, estimate.band
+        return moved, bands
+
+    def _stretches(
+        self, samples: Array, state: Array
+    ) -> Iterator[tuple[slice, Array, compiled_sample.Shown | tuple[Taken, Read]]]:
+        """Yield the places of samples, the state after them, and what they show.
+
+        Usual samples that follow one another are one stretch, any other is taken alone.
+        """
         readings, k = self._readings_of(samples, state), 0
         while k < len(samples):
             time, *values = samples[k].tolist()
-            state, estimate = self.sample(state, time, values)
-            moved[k], bands[k] = estimate.displacement, estimate.band
+            state, taken, read = self._processed(state, time, values)
+            yield slice(k, k + 1), state, (taken, read)
             k += 1
             # Where a start or a gap still has an effect, no sample is usual.
-            unsettled = Status.UNSETTLED in estimate.status
+            unsettled = taken.covariance_factor.any()
             if readings is not None and not unsettled and k < len(samples):
                 state, shown = self._run(state, samples[k:, 0], readings[k:])
                 at = slice(k, k + len(shown.displacement))
-                moved[at], bands[at] = shown.displacement, self._bands(state, shown)
+                yield at, state, shown
                 k = at.stop
-        return moved, bands
 
     def _readings_of(self, samples: Array, state: Array) -> Array | None:
         """Readings of samples (n, 1 + channels) that may be usual, (n, p + 1), K; None of others.
@@ -459,7 +489,7 @@ class JointAware(Described):
         assert self._compiled is not None
         count = min(len(times), AT_ONCE)
         while True:
-            after, shown = state.copy(), compiled_sample.shown_by(count, self._compiled.own)
+            after, shown = state.copy(), compiled_sample.shown_by(count, self._sizes)
             now = times[:count].copy(), self.model.step, readings[:count], shown
             own = unpacked(after, self.parts)
             usual = compiled_sample.usual_samples(self._compiled, own, *now)
@@ -471,20 +501,21 @@ class JointAware(Described):
     def _bands(self, state: Array, shown: compiled_sample.Shown) -> Array:
         """Half-widths of the bands (n, axes), m, of usual samples; `state` is after the last."""
         last = unpacked(state, self.parts)
-        parts = self.observer.model_error(shown.relaxed, float(last.memory), shown.lasting)
+        parts = self.observer.model_error(shown.relaxed, float(last.memory), shown.means)
         return self.half_band(parts, last.model_error, last.covariance_factor)
 
-    def _known(self, taken: Taken) -> Array:
-        """What displacement readings have told of the model's error, (axes,), m."""
-        parts = self._error_parts(taken)
-        return np.asarray(parts @ mean_of(taken.after.model_error))
+    def _known(self, taken: Taken, parts: Array) -> Array:
+        """What innovations and displacement readings tell of the model's error, (axes,), m."""
+        after = taken.after
+        by_readings = parts @ mean_of(after.model_error)
+        return np.asarray(by_readings + self.observer.meant(after.watch.means))
 
     def _error_parts(self, taken: Taken) -> Array:
         """The model error per part (`Observer.model_error`)."""
         count, dynamic = self.model.modes.rates.size, self.observer.system.decay.size
-        relaxed, lasting = taken.after.linear[count:dynamic], taken.after.watch.lasting
+        relaxed, means = taken.after.linear[count:dynamic], taken.after.watch.means
         since = float(taken.after.time - taken.after.begun)
-        return self.observer.model_error(relaxed, taken.memory, lasting, since)
+        return self.observer.model_error(relaxed, taken.memory, means, since)
 
     def _usual(
         self, state: ObserverState, moment: Moment, readings: Array, probed: Array
@@ -494,7 +525,7 @@ class JointAware(Described):
             return None
         if not np.isnan(probed).all():
             return None
-        shown, times = compiled_sample.shown_by(1, self._compiled.own), np.array([moment.time])
+        shown, times = compiled_sample.shown_by(1, self._sizes), np.array([moment.time])
         if not compiled_sample.usual_samples(
             self._compiled, state, times, moment.length, readings[None], shown
         ):
@@ -522,10 +553,11 @@ class JointAware(Described):
         known = displacement_readings.later(before.model_error, elapsed, self.forgetting)
         refused = False
         if np.isfinite(probed).any():
-            lasting = used.watch.lasting
+            means = used.watch.means
             since = moment.time - float(begun)
-            parts = self.observer.model_error(settled.relaxed, expected.memory, lasting, since)
-            correction = self._corrected_by_probe(probed, settled, parts, factor, known)
+            parts = self.observer.model_error(settled.relaxed, expected.memory, means, since)
+            apart = probed - settled.displacement - self.observer.meant(means)
+            correction = self._corrected_by_probe(apart, parts, factor, known)
             linear, factor = linear + correction.state, correction.covariance_factor
             known, refused = correction.known, correction.refused
             settled = self.observer.read(expected, linear, loads)
@@ -569,7 +601,7 @@ class JointAware(Described):
         ):
             if holds:
                 status |= flag
-        known = parts @ mean_of(after.model_error)
+        known = self._known(taken, parts)
         band = self.half_band(parts, after.model_error, factor) + self._undecided(after)
         moved, line = taken.displacement + known, np.empty(0)
         if self.model.moving_axes:
@@ -690,10 +722,10 @@ class JointAware(Described):
         return expected.linear + gain @ innovation[at], factor
 
     def _corrected_by_probe(
-        self, probed: Array, settled: Settled, parts: Array, factor: Array, known: ModelError
+        self, apart: Array, parts: Array, factor: Array, known: ModelError
     ) -> displacement_readings.Correction:
-        """Correction by a displacement reading."""
-        innovation = probed - settled.displacement - parts @ mean_of(known)
+        """Correction by a displacement reading that is `apart` from the model, (axes,), m."""
+        innovation = apart - parts @ mean_of(known)
         return displacement_readings.correct_by(
             innovation, self.probe, self.model.band, parts, factor, known
         )

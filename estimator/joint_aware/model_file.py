@@ -39,7 +39,7 @@ from thermojoint.reduced.axis_drive import AxisDrive, AxisDrives
 from thermojoint.reduced.discrepancy import Discrepancy
 from thermojoint.reduced.machine import Joint, Modes, MovingAxis
 
-SCHEMA_VERSION = 7
+SCHEMA_VERSION = 8
 
 #: Reads the kind; other values are refused.
 KIND: pydantic.TypeAdapter[Kind] = pydantic.TypeAdapter(Kind)
@@ -63,7 +63,10 @@ _DRIVE = ("screw", "material", "scale")
 _TABLE = ("pressures", "rises", "values")
 _REMAINDER = ("rates", "temperature", "displacement")
 _FILTER = ("cross", "innovation", "noise", "lasting", "scale", "walk")
-_BAND = ("tangent", "steady", "constant", "history", "drive", "open", "square", "surprise")
+_BAND = (
+    *("tangent", "steady", "constant", "history", "drive", "open", "square", "surprise"),
+    *("seen", "told", "allowed"),
+)
 
 
 def write_observer(model: ObserverModel, path: Path) -> None:

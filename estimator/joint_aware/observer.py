@@ -272,8 +272,16 @@ class Observer:
         moved = drives.displacement(state.drive, every, probes)
         return np.asarray(moved + self.model.discrepancy.displacement @ relaxed)
 
+    def meant(self, means: Array) -> Array:
+        """Return the displacement (..., axes), m, that mean innovations (..., 3 (p + 1)), K, mean.
+
+        As the recorded days of the calibration tell; no more than they show is taken from them.
+        """
+        band = self.model.band
+        return np.asarray(band.within(means) @ band.told.T)
+
     def model_error(
-        self, relaxed: Array, memory: float, lasting: Array, since: float = math.inf
+        self, relaxed: Array, memory: float, means: Array, since: float = math.inf
     ) -> Array:
         """Displacement per part of the model error, m, shape (..., axes, d + axes).
 
@@ -286,15 +294,16 @@ class Observer:
             Heat relaxed at each rate, relative to the reference.
         memory : float
             Knowledge of the joint's slips.
-        lasting : ndarray, shape (..., p + 1)
-            Innovations that last (`Watch.lasting`), K.
+        means : ndarray, shape (..., 3 (p + 1))
+            Mean innovations (`Watch.means`), K.
         since : float
             How long ago the machine has started, s; of interest after a warm start.
         """
         band, rates = self.model.band, self.model.discrepancy.rates.size
         sources = relaxed.shape[-1] // rates
         square = np.square(relaxed).reshape(*relaxed.shape[:-1], sources, rates).sum(axis=-2)
-        features = np.concatenate([relaxed, relaxed**2], axis=-1)[..., None, :, None]
+        features = np.concatenate([relaxed, relaxed**2, band.within(means)], axis=-1)
+        features = features[..., None, :, None]
         drawn = (band.open @ features)[..., 0] / math.sqrt(band.open.shape[1])
         rest = band.constant + square / sources @ band.square.T
         if memory != KNOWN:
@@ -303,6 +312,6 @@ class Observer:
         reading, meaning = band.surprising
         parts = np.zeros((*rest.shape, shared + axes))
         parts[..., :draws] = drawn
-        parts[..., draws:shared] = meaning * lasting[..., None, reading]
+        parts[..., draws:shared] = meaning * band.surprising_of(means)[..., None, reading]
         parts[..., range(axes), range(shared, shared + axes)] = np.sqrt(rest)
         return parts

@@ -38,14 +38,31 @@ class Band:
     history: Array
     #: Shape (axes,): of drives that count as cold when a warm machine starts, m2.
     drive: Array
-    #: Shape (axes, draws, 2 s q): error of machines that the calibration cannot distinguish, per
-    #: relaxation of the heat and per square of it, m.
+    #: Shape (axes, draws, 2 s q + m): error of machines that the calibration cannot distinguish,
+    #: per relaxation of the heat and per square of it, m, and per mean innovation, m/K.
     open: Array
     #: Shape (axes, q): remaining error, per square of the heat relaxed at each rate, m2.
     square: Array
     #: Shape (axes, p + 1): error per square of the innovation of each reading that lasts
     #: (`Watch.lasting`), m2/K2.
     surprise: Array
+    #: Shape (m,): largest mean innovations (`Watch.means`) in recorded days, K; m is zero without.
+    seen: Array
+    #: Shape (axes, m): what they mean for the displacement as these days tell, m/K.
+    told: Array
+    #: Shape (): share of the innovations that days show which `surprise` still counts.
+    allowed: Array
+
+    def within(self, means: Array) -> Array:
+        """Return the part (..., m) of mean innovations (..., 3 (p + 1)), K, that days show."""
+        return np.clip(means[..., : self.seen.size], -self.seen, self.seen)
+
+    def surprising_of(self, means: Array) -> Array:
+        """Return the innovations that last, (..., p + 1), K, as far as days do not explain them."""
+        lasting = means[..., : self.surprise.shape[1]]
+        if not self.seen.size:
+            return lasting
+        return lasting - (1.0 - self.allowed) * self.within(means)[..., : lasting.shape[-1]]
 
     @cached_property
     def surprising(self) -> tuple[NDArray[np.int64], Array]:

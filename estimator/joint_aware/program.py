@@ -34,6 +34,7 @@ from estimator.joint_aware.estimator import WIDTH, JointAware
 from estimator.joint_aware.guided_program import Placed, kernel_of
 from estimator.joint_aware.model_file import fingerprint
 from estimator.joint_aware.observer import ANSWER
+from estimator.joint_aware.observer_model import Band
 from estimator.joint_aware.observer_state import KNOWN
 from estimator.joint_aware.trust import channels_of
 from estimator.span import SETTLING, SLACK
@@ -133,6 +134,8 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             "modes": model.modes.rates.size,
             "rates": model.discrepancy.rates.size,
             "draws": draws,
+            "means": model.band.seen.size,
+            "explained": 1.0 - float(model.band.allowed),
             "starts": len(start.known),
             "followed": start.followed,
             "iterations": ITERATIONS,
@@ -156,7 +159,7 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             **way.values,
         },
         constants=sum(table.values.size for table in tables),
-        state=5 * linear + 44 * contacts + 9 * contacts**2 + 14 * count + 11 + own,
+        state=5 * linear + 44 * contacts + 9 * contacts**2 + 16 * count + 11 + own,
         usual=fixed + way.usual + usual.times(places),
         worst=fixed + way.worst + judged + worst.times(places),
         labels=("a sample of two Newton steps, nothing slides", "any sample, at most"),
@@ -269,8 +272,16 @@ def _tables(
         Table("squares", "... per square of the heat relaxed, m2.", band.square),
         Table("surprise", "... per square of an innovation that lasts, m2/K2.", band.surprise),
         Table("open_band", "Error of machines not told apart, m.", band.open),
+        *(_days_told(band) if band.seen.size else ()),
         Table("tolerance", "Of the gap equations, m.", np.array(tolerance)),
     ]
+
+
+def _days_told(band: Band) -> tuple[Table, Table]:
+    return (
+        Table("seen", "Largest mean innovations in recorded days, K.", band.seen),
+        Table("meaning", "Displacement per mean innovation, m/K.", band.told),
+    )
 
 
 def _standing(estimator: JointAware, kernel: JointKernel) -> Placed:
@@ -408,7 +419,7 @@ def _every_sample(estimator: JointAware, linear: int) -> Operations:
     modes, inputs = model.modes.rates.size, model.power.size + 1
     read, (axes, draws, twice) = model.offset.size + 1, model.band.open.shape
     products = modes * (1 + inputs) + linear * 2 * read
-    products += axes * (twice + draws * (twice + 2) + twice + 2 * read)
+    products += axes * (twice + draws * (twice + 2) + twice + 2 * read + model.band.seen.size)
     return Operations(products, products + 8 * linear + modes * 4 + 20 * read, 2 * linear)
 
 

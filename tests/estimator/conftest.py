@@ -1,14 +1,15 @@
 """The coarse machine with a sensor on its source, and the observer that knows it."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from observed import SENSORS, observed_data, run, step
+from observed import MINUTE, PLACES, SENSORS, observed_data, run, step
 from observed import observer as observer_of
 
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
-from thermojoint.reduced.machine import reduce_machine
+from thermojoint.reduced.machine import along, reduce_machine
 
 
 @pytest.fixture(scope="session")
@@ -36,3 +37,22 @@ def estimator(data, setup, machine):
 def stepped(data, setup):
     """Ten minutes of heat input 1.5."""
     return run(data, setup, step(1.5))
+
+
+@pytest.fixture(scope="session")
+def spread_data(data):
+    """The coarse machine with a thermometer on its source and on four faces."""
+    probes = {name: {"position_mm": at, "body": body} for name, (body, at) in PLACES.items()}
+    return data | {"probes": probes, "displacement": data["displacement"]}
+
+
+@pytest.fixture(scope="session")
+def spread_setup(spread_data):
+    return set_up(case_from_data(spread_data, "case", Path()))
+
+
+@pytest.fixture(scope="session")
+def spread(spread_data, spread_setup):
+    case = case_from_data(spread_data, "case", Path())
+    machine = reduce_machine(case, spread_setup, tuple(PLACES))
+    return along(replace(machine, step=MINUTE), ["x", "y"])

@@ -1,6 +1,7 @@
 """A coarse machine on its reduced model and its observer, for the tests of the latter."""
 
 import copy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,15 @@ from fesim.simulate import simulate
 from thermojoint.reduced.machine import along
 
 SENSORS = ("s", "b", "T1", "T2")
+#: A thermometer on the source and on four faces, by body; the step of the march there, s.
+PLACES = {
+    "s": ("column", [550.0, 700.0, 100.0]),
+    "rear": ("column", [0.0, 600.0, 150.0]),
+    "top": ("column", [300.0, 1150.0, 150.0]),
+    "table": ("table", [1050.0, 350.0, 150.0]),
+    "screw": ("screw", [1025.0, 175.0, 225.0]),
+}
+MINUTE = 60.0
 ONSET = 60  # sample at which a fault begins
 FAULTS = {
     "stuck": lambda values: np.full_like(values, values[0]),
@@ -73,3 +83,22 @@ def faulty(response, sensor, change, until=None):
     part = slice(ONSET, until)
     samples[part, 1 + sensor] = change(samples[part, 1 + sensor])
     return samples.tolist()
+
+
+def that_knows_days(estimator):
+    """An observer with what recorded days may tell: a part of its innovations, on both axes."""
+    band, rng = estimator.model.band, np.random.default_rng(1)
+    axes, draws, twice = band.open.shape
+    seen = np.full(3 * band.surprise.shape[1], 0.1)
+    opened = np.zeros((axes, draws + 2, twice + seen.size))
+    opened[:, :draws, :twice] = band.open
+    opened[:, draws:, twice:] = 2e-6 * rng.normal(size=(axes, 2, seen.size))
+    told = replace(
+        band,
+        open=opened,
+        surprise=np.full(band.surprise.shape, 1e-12),
+        seen=seen,
+        told=1e-5 * rng.normal(size=(axes, seen.size)),
+        allowed=np.array(0.5),
+    )
+    return JointAware(replace(estimator.model, band=told))

@@ -122,6 +122,13 @@ def show_physics(console: Console, report: Mapping[str, Any]) -> None:
             else "Heat that no source brings is not estimated; thermometers all over the machine "
             "would tell it."
         )
+        days = report["recorded_days"]
+        console.print(
+            f"What thermometers mean that disagree with the model is told by {', '.join(days)}."
+            if days
+            else "Two to five recorded days of ordinary work as further runs would tell what "
+            "thermometers mean that disagree with the model."
+        )
     if unchecked := report["unchecked_runs"]:
         console.print(
             f"The band is not checked on {', '.join(unchecked)}: the other runs alone tell too "

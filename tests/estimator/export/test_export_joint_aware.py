@@ -18,7 +18,17 @@ from exported import (
     with_no_step,
     written,
 )
-from observed import FAULTS, ONSET, SENSORS, errors, estimates, faulty, run, step
+from observed import (
+    FAULTS,
+    ONSET,
+    SENSORS,
+    errors,
+    estimates,
+    faulty,
+    run,
+    step,
+    that_knows_days,
+)
 
 from estimator.export.fmu import Standard
 from estimator.export.program import COMMON, Precision
@@ -119,6 +129,21 @@ def test_innovations_that_last_widen_the_band_as_in_python(surprised, samples, e
     here = np.array([list(one.band) for one in estimates(rows[:, 1:].tolist())])
     np.testing.assert_allclose(here, there, rtol=1e-9)
     assert (here[-1] > 1.05 * expected[-1].band).all()
+
+
+@needs_gcc
+def test_what_days_tell_of_innovations_is_as_in_python(estimator, samples, tmp_path):
+    knowing, rows = that_knows_days(estimator), np.array(samples)
+    rows[:, 1:3] += 0.4
+    there = [one for _, one in follow(knowing, rows.tolist(), knowing.initial_state())]
+    plain = [one for _, one in follow(estimator, rows.tolist(), estimator.initial_state())]
+    estimates = compiled(export_program(knowing, Precision.DOUBLE, "m"), tmp_path)
+    here = list(estimates(rows[:, 1:].tolist()))
+    for name in ("displacement", "band"):
+        got = np.array([list(getattr(one, name)) for one in here])
+        wanted = np.array([getattr(one, name) for one in there])
+        np.testing.assert_allclose(got, wanted, rtol=1e-9, atol=1e-15)
+    assert (np.abs(there[-1].displacement - plain[-1].displacement) > 1e-7).all()
 
 
 @needs_gcc

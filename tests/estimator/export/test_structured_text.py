@@ -11,7 +11,7 @@ import structured_text
 from exported import PRECISIONS, needs_gcc, with_no_step
 from machine_logs import machine_log
 from matiec import needs_matiec, selftest_by_matiec
-from observed import estimates, faulty
+from observed import estimates, faulty, that_knows_days
 from structured_text import FLAGS, Translator, parsed, run
 
 from estimator.columns import samples_of
@@ -83,6 +83,14 @@ def test_innovations_that_last_widen_the_band_as_in_python(estimator, tmp_path):
     bands = [one.band for _, one in follow(wider, duty.tolist(), wider.initial_state())]
     plain = [one.band for _, one in follow(estimator, duty.tolist(), estimator.initial_state())]
     assert (bands[-1] > 1.0001 * plain[-1]).all()
+
+
+@pytest.mark.long
+def test_what_days_tell_of_innovations_is_as_in_python(estimator, tmp_path):
+    knowing = that_knows_days(estimator)
+    duty = np.array(list(joint_aware.contents(knowing, Precision.DOUBLE).duty())[:200])
+    duty[:, 1:3] += 0.4
+    agrees(export_program(knowing, Precision.DOUBLE, "machine", duty.tolist()), tmp_path)
 
 
 @needs_matiec

@@ -1,11 +1,12 @@
 """Heat that no source of the case brings: where it enters, how it is followed, what it is worth."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from exported import needs_gcc, selftest, written
+from observed import MINUTE as STEP
+from observed import PLACES
 
 from calibrate.joint_aware.assembling import make_observer, observer_from_rest, seen_heat
 from calibrate.joint_aware.misfit import Run, physics_with
@@ -15,40 +16,12 @@ from estimator.exporting import export_program
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.observer_model import Calibrated
-from fesim.case.schema import case_from_data
 from fesim.setup.faces import with_faces
-from fesim.setup.machine import set_up
-from thermojoint.reduced.machine import along, diagonal_modes, reduce_machine
+from thermojoint.reduced.machine import diagonal_modes
 from thermojoint.reduced.physics import simulate_known
 from thermojoint.reduced.unknown_heat import with_unknown_heat
 
-STEP, LASTS = 60.0, 4.0 * 3600.0
-PLACES = {
-    "s": ("column", [550.0, 700.0, 100.0]),
-    "rear": ("column", [0.0, 600.0, 150.0]),
-    "top": ("column", [300.0, 1150.0, 150.0]),
-    "table": ("table", [1050.0, 350.0, 150.0]),
-    "screw": ("screw", [1025.0, 175.0, 225.0]),
-}
-
-
-@pytest.fixture(scope="module")
-def spread_data(data):
-    """The coarse machine with a thermometer on its source and on four faces."""
-    probes = {name: {"position_mm": at, "body": body} for name, (body, at) in PLACES.items()}
-    return data | {"probes": probes, "displacement": data["displacement"]}
-
-
-@pytest.fixture(scope="module")
-def spread_setup(spread_data):
-    return set_up(case_from_data(spread_data, "case", Path()))
-
-
-@pytest.fixture(scope="module")
-def spread(spread_data, spread_setup):
-    case = case_from_data(spread_data, "case", Path())
-    machine = reduce_machine(case, spread_setup, tuple(PLACES))
-    return along(replace(machine, step=STEP), ["x", "y"])
+LASTS = 4.0 * 3600.0
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,228 @@
+"""What recorded days tell of a machine that is unlike its case.
+
+Its parameters cannot follow such a machine, and its errors last: they are nearly linear in the mean
+innovations of the thermometers over ten minutes, an hour and four, and in the heat of the last
+hours (docs/joint-aware.md). What these mean is a property of the machine that steps and a cool-down
+do not show. Here it is regressed on the errors of the observer in recorded days and in the other
+runs. The size of the coefficients is that of the largest evidence, zero among the sizes. What the
+band allows for a machine unlike its case shrinks as days that are left out turn out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibrate.joint_aware.left_out import samples_of
+from calibrate.joint_aware.misfit import Run
+from estimator.joint_aware.estimator import JointAware
+from estimator.joint_aware.observer import Observer
+from estimator.joint_aware.observer_model import ObserverModel
+from estimator.joint_aware.observer_state import KNOWN
+from thermojoint.artefacts.arrays import Array
+
+#: A run longer than this is a recorded day, s: longer than any that is made to find parameters.
+LONGEST = 5.0 * 3600.0
+#: Errors are compared as means over this time, and are alike for that long, s: so much less do they
+#: tell than as many independent ones.
+MEAN, ALIKE = 480.0, 1800.0
+#: Relaxations of the heat that days tell of are slower than this, s.
+SLOW = 3600.0
+#: Sizes of the coefficients that are tried: what the root mean square of each feature explains,
+#: relative to what is left.
+SIZES = (0.0, *np.geomspace(0.02, 200.0, 25))
+#: Directions of the coefficients, of every axis, whose uncertainty is in the band.
+DIRECTIONS = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """A run, or a part of it, as an observer shows it."""
+
+    #: Shape (n, s q): relaxations of the heat.
+    relaxed: Array
+    #: Shape (n, 3 (p + 1)): mean innovations, K.
+    means: Array
+    #: Shape (n, axes): estimate less displacement, m.
+    errors: Array
+
+    def part(self, at: slice) -> Shown:
+        """Return a part of it."""
+        return Shown(self.relaxed[at], self.means[at], self.errors[at])
+
+
+class _Told(NamedTuple):
+    """Coefficients of an axis: f features, of variance `left` (m2) what they do not explain."""
+
+    #: Shape (f,): m and m/K.
+    mean: Array
+    #: Shape (f, f): covariance.
+    covariance: Array
+    left: float
+
+
+def is_day(run: Run) -> bool:
+    """Whether a run is a recorded day."""
+    return run.length * len(run.inputs) > LONGEST
+
+
+def shown_in(model: ObserverModel, run: Run) -> Shown:
+    """Return a run as its observer shows it, in means over `MEAN`."""
+    samples = samples_of(run, len(model.sources) + len(model.surfaces))
+    shown = JointAware(replace(model, power_shares={})).shown(samples)
+    each = shown.relaxed, shown.means, shown.displacement - run.displacement
+    ends = np.arange(MEAN, run.times[-1] + MEAN, MEAN)
+    part = np.searchsorted(ends, run.times)
+    count = np.maximum(np.bincount(part), 1)[:, None]
+    total = [np.zeros((len(count), values.shape[1])) for values in each]
+    for values, sums in zip(each, total, strict=True):
+        np.add.at(sums, part, values)
+    read = np.bincount(part) > 0
+    return Shown(*((sums / count)[read] for sums in total))
+
+
+def with_days(
+    model: ObserverModel, days: Sequence[Shown], others: Sequence[Shown]
+) -> tuple[ObserverModel, float]:
+    """Return a model that knows what recorded days tell.
+
+    And the mean square of its errors, m2, in days that are left out; with a single one, in a half
+    of it.
+
+    Parameters
+    ----------
+    model : ObserverModel
+        Whose observer shows the days.
+    days : sequence of Shown
+        At least one.
+    others : sequence of Shown
+        The other runs, which what the days tell must not contradict.
+    """
+    every, parts = [*others, *days], list(days) if len(days) > 1 else _halves(days[0])
+    found = _told(model, every)
+    if not any(one.mean.any() for one in found):
+        return model, float(np.mean([np.mean(np.square(day.errors)) for day in days]))
+    squares, allowed = np.zeros(len(parts)), np.zeros(len(parts))
+    for k, part in enumerate(parts):
+        seen = [*others, *parts[:k], *parts[k + 1 :]]
+        left = _left(model, _knowing(model, _told(model, seen), seen), part)
+        squares[k], allowed[k] = np.mean(np.square(left)), np.mean(_expected(model, part))
+    # What was allowed for counts as one more day, on which the band was just as wide as needed.
+    shares = len(days) * np.mean(squares / allowed)
+    share = float(1.0 + shares) / (1.0 + len(days))
+    known = _knowing(model, found, every)
+    square = known.band.square.copy()
+    square[:, -1] *= share
+    band = replace(known.band, square=square, allowed=np.array(math.sqrt(share)))
+    return replace(known, band=band), float(squares.mean())
+
+
+def _halves(day: Shown) -> list[Shown]:
+    middle = len(day.errors) // 2
+    return [day.part(slice(middle)), day.part(slice(middle, None))]
+
+
+def _slow(model: ObserverModel) -> NDArray[np.int64]:
+    """Positions of the relaxations that are features, (s k,)."""
+    rates = model.discrepancy.rates
+    slow = np.tile(rates * SLOW < 1.0, len(model.sources))
+    return np.flatnonzero(slow)
+
+
+def _features(model: ObserverModel, shown: Shown) -> Array:
+    return np.hstack([shown.relaxed[:, _slow(model)], shown.means])
+
+
+def _told(model: ObserverModel, runs: Sequence[Shown]) -> list[_Told]:
+    """What runs tell of the features, axis by axis."""
+    features = np.vstack([_features(model, run) for run in runs])
+    errors = np.vstack([run.errors for run in runs])
+    return [_regressed(features, error) for error in errors.T]
+
+
+def _regressed(features: Array, error: Array) -> _Told:
+    """Coefficients of features (n, f) that explain the negative of an error (n,).
+
+    The coefficients of features of root mean square 1 are normal with a standard deviation of
+    `size` times that of what is left; size and rest are those of the largest evidence.
+    """
+    scale = np.sqrt(np.mean(features**2, axis=0))
+    scale[scale == 0.0] = np.inf
+    share = MEAN / ALIKE
+    found, singular, right = np.linalg.svd(features / scale, full_matrices=False)
+    singular, along = np.sqrt(share) * singular, np.sqrt(share) * (found.T @ -error)
+    count, whole = share * error.size, share * float(error @ error)
+
+    def rest(size: float) -> float:
+        gain = 1.0 + (size * singular) ** 2
+        left = (whole - float(((1.0 - 1.0 / gain) * along**2).sum())) / count
+        return max(left, np.finfo(float).tiny)
+
+    def evidence(size: float) -> float:
+        gain = 1.0 + (size * singular) ** 2
+        return -count * np.log(rest(size)) - float(np.log(gain).sum())
+
+    size = max(SIZES, key=evidence)
+    gain, variance = 1.0 + (size * singular) ** 2, rest(size)
+    mean = right.T @ (size**2 * singular / gain * along) / scale
+    known = (right.T * (1.0 - 1.0 / gain)) @ right
+    covariance = size**2 * variance * (np.eye(scale.size) - known) / np.outer(scale, scale)
+    return _Told(mean, covariance, variance)
+
+
+def _knowing(model: ObserverModel, found: Sequence[_Told], runs: Sequence[Shown]) -> ObserverModel:
+    """The model with what `runs` tell: they are no longer allowed for, their rest is."""
+    slow, band = _slow(model), model.band
+    gains = np.array([one.mean for one in found])
+    gain = np.zeros_like(model.discrepancy.displacement)
+    gain[:, slow] = gains[:, : slow.size]
+    tangent, modes = band.tangent.copy(), model.modes.rates.size
+    tangent[:, modes : modes + gain.shape[1]] += gain
+    seen = np.max([np.abs(run.means).max(axis=0) for run in runs], axis=0)
+    every = np.vstack([_features(model, run) for run in runs])
+    _, draws, twice = band.open.shape
+    rows = [_directions(one.covariance, every) for one in found]
+    count = draws + sum(map(len, rows))
+    opened = np.zeros((len(found), count, twice + seen.size))
+    opened[:, :draws, :twice] = np.sqrt(count / draws) * band.open
+    for axis, own in enumerate(rows):
+        at = draws + sum(map(len, rows[:axis]))
+        part = opened[axis, at : at + len(own)]
+        part[:, slow] = np.sqrt(count) * own[:, : slow.size]
+        part[:, twice:] = np.sqrt(count) * own[:, slow.size :]
+    discrepancy = replace(model.discrepancy, displacement=model.discrepancy.displacement + gain)
+    told = replace(
+        band,
+        tangent=tangent,
+        constant=band.constant + np.array([one.left for one in found]),
+        open=opened,
+        seen=seen,
+        told=gains[:, slow.size :],
+    )
+    return replace(model, discrepancy=discrepancy, band=told)
+
+
+def _directions(covariance: Array, features: Array) -> Array:
+    """Rows (r, f) whose squares are most of the variance of features with a covariance (f, f)."""
+    values, vectors = np.linalg.eigh(covariance)
+    factor = vectors * np.sqrt(np.maximum(values, 0.0))
+    turned = np.linalg.svd(features @ factor, full_matrices=False)[2]
+    return np.asarray((factor @ turned.T).T[:DIRECTIONS])
+
+
+def _left(model: ObserverModel, known: ObserverModel, shown: Shown) -> Array:
+    """Errors (n, axes), m, of a model that knows, in a part of a run that `model` shows."""
+    gain = known.discrepancy.displacement - model.discrepancy.displacement
+    corrected = shown.relaxed @ gain.T + Observer(known).meant(shown.means)
+    return np.asarray(shown.errors + corrected)
+
+
+def _expected(model: ObserverModel, shown: Shown) -> Array:
+    """Variance (n, axes), m2, that the band of a model gives a part of a run."""
+    parts = Observer(model).model_error(shown.relaxed, KNOWN, shown.means)
+    return np.asarray(model.band.steady + np.square(parts).sum(axis=-1))
