@@ -203,9 +203,10 @@ def calibrate_machine(
     names = tuple(name for name in every if name not in days) or tuple(every)
     fit = fit_physics(machine, [fewer(every[name]) for name in names], fitted, effort.search)
     if days and fit.doubt <= 1.0:
-        # A machine of the family: its days tell parameters, like any run, and nothing else.
-        days, names = (), tuple(every)
-        fit = fit_physics(machine, list(map(fewer, every.values())), fitted, effort.search)
+        # On a machine of the family days tell parameters, like any run, and nothing else.
+        again = fit_physics(machine, list(map(fewer, every.values())), fitted, effort.search)
+        if again.doubt <= 1.0:
+            days, names, fit = (), tuple(every), again
     whole = [every[name] for name in names]
     runs = [fewer(run) for run in whole]
     if fitted is None:

@@ -12,7 +12,7 @@ from benchmarks.plants.ablation import WITHOUT, without
 from benchmarks.plants.drawing import FAMILIES, OFFSET, PARTS, Unlike, draw_plant
 from benchmarks.plants.driving import DAY, LEVELS, drives
 from benchmarks.plants.estimating import Errors
-from benchmarks.plants.judging import figures
+from benchmarks.plants.judging import CALIBRATIONS, calibrations, figures
 from benchmarks.plants.preparing import with_parameters
 from benchmarks.plants.responding import answers, measured
 from benchmarks.plants.structural import structural_answers
@@ -170,6 +170,15 @@ def test_the_summary_takes_the_larger_axis_and_counts_who_is_worse_than_linear(d
     assert own["band_cover"] == pytest.approx(0.95)
     assert linear["worse_than_linear"] == 0
     assert linear["band_cover"] is None
+
+
+def test_recorded_days_are_others_than_the_day_that_is_judged():
+    runs = drives(60.0, 5, days=2)
+    heats = [runs[name].heat for name in ("day", "day-1", "day-2")]
+    assert np.array_equal(heats[0], drives(60.0, 5)["day"].heat)
+    assert not any(np.array_equal(heats[k], heats[k - 1]) for k in range(3))
+    assert calibrations(0) == CALIBRATIONS
+    assert list(calibrations(2).values())[-1][-2:] == ("day-1", "day-2")
 
 
 def test_a_warm_start_is_judged_from_when_it_has_settled():

@@ -114,6 +114,15 @@ def test_a_day_of_a_machine_like_its_case_is_a_run_like_any_other(spread):
     assert not found.model.band.seen.size
 
 
+def test_days_may_be_the_first_to_show_that_a_machine_is_unlike_its_case(spread):
+    runs = [*steps(spread, 0.0), day(spread, 1)]
+    responses = {str(k): response_of(run, spread) for k, run in enumerate(runs)}
+    found = calibrate_machine(spread, responses, Noise(), ["heat"], FEW)
+    assert found.fit.doubt == 1.0
+    assert found.days == ("3",)
+    assert found.model.band.told.any()
+
+
 def test_only_a_run_of_hours_is_a_day(spread):
     assert is_day(day(spread, 1))
     assert not is_day(steps(spread, 1.0)[0])
