@@ -34,8 +34,8 @@ MEAN, ALIKE = 480.0, 1800.0
 #: Relaxations of the heat that days tell of are slower than this, s.
 SLOW = 3600.0
 #: A run that is over before slow errors arise shows what is none of them: in the sum of squares
-#: its errors are so many times as large. As large as the others, they let a step of 3 with four
-#: thermometers be off by up to 8.7 um instead of 3.7.
+#: its errors are so many times as large. If they count once, a step of 3 with four thermometers is
+#: off by up to 9.3 um instead of 4.0 (docs/joint-aware.md, eight plants, five days).
 SHORT = 10.0
 #: Sizes of the coefficients that are tried: what the root mean square of each feature explains,
 #: relative to what is left.

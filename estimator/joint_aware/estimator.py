@@ -399,7 +399,18 @@ class JointAware(Described):
         return shown.displacement + self.observer.meant(shown.means)
 
     def shown(self, samples: Array) -> compiled_sample.Shown:
-        """Return what a run from rest without displacement readings shows; see `displacements`."""
+        """Return what a run from rest without displacement readings shows.
+
+        Parameters
+        ----------
+        samples : ndarray, shape (n, 1 + channels)
+            Times, s, and the values of the channels.
+
+        Raises
+        ------
+        InputError, ConvergenceError
+            As `sample`.
+        """
         shown = compiled_sample.shown_by(len(samples), self._sizes)
         for at, _, found in self._stretches(samples, self.initial_state()):
             now = found if isinstance(found, compiled_sample.Shown) else self._shown_by(found[0])
