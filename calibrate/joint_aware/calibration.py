@@ -199,8 +199,10 @@ def calibrate_machine(
     """
     machine = along(machine, _moving(machine, responses))
     every = {name: run_in(response, machine, name) for name, response in responses.items()}
-    days = () if machine.guide else tuple(name for name, run in every.items() if is_day(run))
-    names = tuple(name for name in every if name not in days) or tuple(every)
+    names = tuple(name for name, run in every.items() if machine.guide or not is_day(run))
+    # Without any shorter run days are all that there is to fit.
+    names = names or tuple(every)
+    days = tuple(name for name in every if name not in names)
     fit = fit_physics(machine, [fewer(every[name]) for name in names], fitted, effort.search)
     if days and fit.doubt <= 1.0:
         # On a machine of the family days tell parameters, like any run, and nothing else.

@@ -123,6 +123,14 @@ def test_days_may_be_the_first_to_show_that_a_machine_is_unlike_its_case(spread)
     assert found.model.band.told.any()
 
 
+def test_where_all_runs_are_days_they_are_fitted(spread):
+    found = calibrate_machine(
+        spread, {"day": response_of(day(spread, 1), spread)}, Noise(), ["heat"], FEW
+    )
+    assert not found.days
+    assert len(found.runs) == 1
+
+
 def test_only_a_run_of_hours_is_a_day(spread):
     assert is_day(day(spread, 1))
     assert not is_day(steps(spread, 1.0)[0])
