@@ -68,7 +68,7 @@ def pardiso(upper: csr_array, single: bool) -> Callable[[csr_array], Substitutio
 
     def run(phase: int, values: Array, right_side: Array) -> Array:
         """Solution, columns one after the other in memory, of a matrix with these `values`."""
-        solution = np.zeros_like(right_side)
+        solution = np.empty_like(right_side)
         many = number(1 if right_side.ndim == 1 else right_side.shape[1])
         error = number(0)
         solver._mkl_pardiso(

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.sparse import csr_array, diags_array
 from scipy.sparse.csgraph import connected_components
 
-from fesim.solid.linear_solver import checked_solve, shifted_factors, upper_triangle
+from fesim.solid.linear_solver import Factor, checked_solve, shifted_factors, upper_triangle
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
 
@@ -38,6 +38,8 @@ CHECKED, STEPS, LENGTHS = 3, 50, (2.0, 6.0)
 
 #: From a diagonal d to what solves (A + diag(d)) x = right-hand sides.
 _Shifted = Callable[[Array], Callable[[Array], Array]]
+#: By `shifted_factors`.
+_Factors = Callable[[Array], Factor]
 
 
 @dataclass(frozen=True)
@@ -111,7 +113,6 @@ def reduce_heat(
         The error stays above the tolerance with the most shifts.
     """
     capacity, drives, outputs, fields = system.capacity, system.drives, system.outputs, system.start
-    root = np.sqrt(capacity)
     stored = capacity[:, None] * fields
     upper = upper_triangle(csr_array(system.conduction))
     factors = shifted_factors(upper, capacity / longest, "shifted heat equation", solver)
@@ -119,20 +120,9 @@ def reduce_heat(
     cut, error = search.cut, np.inf
     for count in search.shifts:
         shifts = np.geomspace(1.0 / longest, 1.0 / shortest, count)
-        held = np.hstack([np.ones((len(root), 1)), fields])
-        basis = _orthonormal(root[:, None] * held, np.empty((len(root), 0)), 0.0)
-        for shift in shifts:
-            factor, driving = factors(shift * capacity), np.hstack([drives, shift * stored])
-            for sample in _samples(driving.shape[1], search.sample):
-                # Only what the basis is measured by is checked.
-                block = root[:, None] * factor.solve(driving @ sample)
-                directions = _orthonormal(block, basis, cut)
-                basis = np.hstack([basis, directions])
-                if 2 * directions.shape[1] < sample.shape[1]:
-                    break
-        vectors = basis / root[:, None]
+        vectors = _krylov_basis(system, factors, shifts, cut, search.sample)
         rates, turn = np.linalg.eigh(vectors.T @ (system.conduction @ vectors))
-        modes = np.ascontiguousarray(vectors @ turn)
+        modes = vectors @ turn
         rates = np.maximum(rates, 0.0)
         reduced = _projected(system, modes, rates)
         between = np.sqrt(shifts[1:] * shifts[:-1])[:: max(1, (count - 1) // CHECKED)]
@@ -210,17 +200,54 @@ def _together(drives: Array) -> Array:
     return drives @ np.column_stack([np.ones(drives.shape[1]), signs])
 
 
-def _samples(count: int, size: int) -> Iterator[Array]:
-    """Combinations of inputs, shape (count, columns): each alone if they are few, else random.
+def _krylov_basis(
+    system: HeatSystem, factors: _Factors, shifts: Array, cut: float, sample: int
+) -> Array:
+    """Columns (n, r), orthonormal in the capacities, from the responses at all shifts."""
+    root, fields = np.sqrt(system.capacity)[:, None], system.start
+    basis = _orthonormal(
+        root * np.hstack([np.ones(root.shape), fields]), np.empty((len(root), 0)), 0.0
+    )
+    rank = basis.shape[1]
+    for shift in shifts:
+        factor = factors(shift * system.capacity)
+        driving = np.hstack([system.drives, shift * system.capacity[:, None] * fields])
+        for combined in _samples(driving, sample):
+            # Only what the basis is measured by is checked.
+            block = root * factor.solve(combined)
+            directions = _orthonormal(block, basis[:, :rank], cut)
+            basis = _added(basis, rank, directions)
+            rank += directions.shape[1]
+            if 2 * directions.shape[1] < combined.shape[1]:
+                break
+    return np.divide(basis[:, :rank], root, order="C")
+
+
+def _added(room: Array, rank: int, columns: Array) -> Array:
+    """`room` with columns behind the first `rank`; twice as wide a one where they do not fit.
+
+    Columns are one after the other in memory: the first ones of a room are no copy.
+    """
+    width = rank + columns.shape[1]
+    if width > room.shape[1]:
+        narrow, room = room, np.empty((len(room), 2 * width), order="F")
+        room[:, :rank] = narrow[:, :rank]
+    room[:, rank:width] = columns
+    return room
+
+
+def _samples(driving: Array, size: int) -> Iterator[Array]:
+    """Combinations of right-hand sides (n, k): each by itself if they are few, else random ones.
 
     A combination is scaled so that inputs of unit size give a response of unit size.
     """
+    count = driving.shape[1]
     if count <= 2 * size:
-        yield np.eye(count)
+        yield driving
         return
     rng = np.random.default_rng(0)
     for _ in range(-(-count // size)):
-        yield rng.standard_normal((count, size)) / np.sqrt(size)
+        yield driving @ (rng.standard_normal((count, size)) / np.sqrt(size))
 
 
 def _unit_march(solver: _Shifted, system: HeatSystem, shortest: float) -> Array:
@@ -266,10 +293,25 @@ def _largest(exact: Array, reduced: Array) -> float:
 
 def _orthonormal(block: Array, basis: Array, cut: float) -> Array:
     """Directions of `block` that `basis` lacks by more than `cut` and rounding, orthonormal."""
-    rest = block - basis @ (basis.T @ block)
-    rest -= basis @ (basis.T @ rest)
-    vectors, sizes, _ = np.linalg.svd(rest, full_matrices=False)
-    directions = vectors[:, sizes > max(cut, ROUNDING * float(np.linalg.norm(block)))]
-    # The rounding of a large block leaves some of the basis in a small direction: project again.
-    directions = directions - basis @ (basis.T @ directions)
-    return np.asarray(np.linalg.qr(directions)[0])
+    least = max(cut, ROUNDING * float(np.linalg.norm(block)))
+    rest, sizes = _principal(_without(block, basis))
+    # The rounding of a large block leaves some of the basis in a small direction: project again,
+    # each direction by itself, and only then decide.
+    rest, sizes = _principal(_without(rest[:, sizes > least / 2.0], basis))
+    directions = rest[:, sizes > least] / sizes[sizes > least]
+    # Orthogonal but for the rounding of the larger ones, which is little enough for their squares.
+    lower = np.linalg.cholesky(directions.T @ directions)
+    return np.asarray(directions @ np.linalg.inv(lower).T)
+
+
+def _without(block: Array, basis: Array) -> Array:
+    return np.asarray(block - basis @ (basis.T @ block))
+
+
+def _principal(block: Array) -> tuple[Array, Array]:
+    """Left singular vectors times their singular values, and these.
+
+    Without the vectors' own orthogonalisation, which takes most of the time of a tall matrix.
+    """
+    _, sizes, turn = np.linalg.svd(np.linalg.qr(block, mode="r"), full_matrices=False)
+    return block @ turn.T, sizes
