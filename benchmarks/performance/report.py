@@ -63,6 +63,7 @@ TARGETS: dict[str, tuple[Target, ...]] = {
     "start-memory": (Target("ours", 200.0),),
     "map-1000": (Target("ours", 0.1),),
     "moving-step": (Target("ratio", 0.5, at_least=True),),
+    "moving-step-knee": (Target("ratio", 0.5, at_least=True),),
     "moving-set-up": (Target("ratio", 1.0 / 3.0, at_least=True),),
     "march-ensemble": (Target("ratio", 13.5, at_least=True),),
     "march-ensemble-full": (Target("ratio", 5.4, at_least=True),),

@@ -46,6 +46,7 @@ from fesim.march.alternation import (
     LARGE,
     LEADING,
     LEAST,
+    SELDOM,
     SOMETIMES,
     STILL,
     STUBBORN,
@@ -176,13 +177,14 @@ def march_axes(
     """
     pressure, turning = work.pressure, now.turning
     for n in range(len(steps.inputs)):
+        at = steps.first + n
         put(steps.inputs[n], work.driven)
         put(now.drive, work.state)
         go(machine.guides, steps.ways, n, work.passed)
         _rub(machine, work, now.joint.pressure)
         before = now.amplitudes
         warm_screw(machine.drives, (steps.ways, n), work.drive, before, work.state, work.driven)
-        if _may_alternate(turning, LARGE) and not _dies_out(machine, work, steps, n, now):
+        if at % SELDOM == 0 and _may_alternate(turning, LARGE) and not _dies_out(machine, work, steps, n, now):
             return n
         taken, residual, iterations = _step(machine, work, steps, n, now)
         if not taken:
@@ -192,7 +194,7 @@ def march_axes(
         for e in range(pressure.size):
             record.heat_flow[n, e] = work.left[e]
         record.residual[n], record.iterations[n] = residual, iterations
-        looks = (steps.first + n) % SOMETIMES == 0 and _may_alternate(turning, 0.0)
+        looks = at % SOMETIMES == 0 and _may_alternate(turning, 0.0)
         if looks and not _gain(machine, work, steps, n, now) <= GAIN:
             return n
         turn(turning, now.joint.pressure, pressure, machine.scale)

@@ -29,8 +29,10 @@ from thermojoint.artefacts.arrays import Array
 
 #: Most iterations at a place, and how often its Jacobian may be factorised.
 MAX_ITERATIONS, MOST_MOVES = 60, 10
-#: An iteration that leaves more than this fraction factorises it again.
+#: An iteration that leaves more than this fraction is taken back, for a Jacobian of its own.
 SLOW = 0.5
+#: So many more iterations at the rate of the last one cost more than to factorise it again.
+WORTH = 2.0
 #: Residual of an accepted state, relative to the tolerance, as `fesim.joint.modified_newton`.
 LEFT = 0.01
 #: A residual of less than this part of it is accepted whatever the correction is: where nothing but
@@ -271,12 +273,20 @@ def _corrected(pads: Pads, here: Here, anew: int) -> tuple[float, float]:
 
 
 @compiled_part
+def _iterations_left(before: float, after: float, enough: float) -> float:
+    """How many more iterations leave enough, if each leaves as much of the last as this one."""
+    if after <= enough or after >= before:
+        return 0.0
+    return math.log(enough / after) / math.log(after / before)
+
+
+@compiled_part
 def settle_here(pads: Pads, here: Here, made: bool, share: float) -> tuple[float, int]:
     """Settle from the gaps, with factors if they are made: error left, m, or NaN; iterations.
 
-    A share of the first correction may be left. Factors are made again where a step leaves too
-    much, as a whole where those in parts do as well; then the step is shortened until the residual
-    falls, as in `fesim.joint.gap.solve_gap`. At a kink of the law no length may do, and a full step
+    A share of the first correction may be left. Factors are made again where many more iterations
+    with them would follow, or a step leaves too much, as a whole where those in parts do as well;
+    then the step is shortened until the residual falls, as in `fesim.joint.gap.solve_gap`. At a kink of the law no length may do, and a full step
     leaves it.
     """
     kept, groups = 0, pads.begin.size - 1
@@ -297,7 +307,10 @@ def settle_here(pads: Pads, here: Here, made: bool, share: float) -> tuple[float
             newton = fresh and not apart
             falls = rest <= (1.0 - 1e-4 * length) * norm if newton else after <= SLOW * left
             if falls:
-                left, norm, fresh = after, rest, False
+                old = not fresh and moves < MOST_MOVES and _iterations_left(left, after, enough) > WORTH
+                left, norm, fresh = after, rest, old
+                if old:
+                    (left, norm), moves = _corrected(pads, here, groups), moves + 1
                 break
             length /= 2.0
             if newton and length >= SHORTEST_STEP:

@@ -29,6 +29,9 @@ STUBBORN = 6
 #: Motion to and fro turns increments in most steps. A compiled march on axes looks at the gain in
 #: one of so many: it changes slowly, and steps that alternate still do so then.
 SOMETIMES = 4
+#: And whether longer periods die out, for which steps are taken while inputs and ways are held, in
+#: one of so many.
+SELDOM = 8
 #: Increments below this part of the largest one tell no gain.
 LEADING = 0.1
 #: Increments from which on periods of more than two steps are looked for, of what they are relative
