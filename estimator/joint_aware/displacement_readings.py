@@ -99,9 +99,9 @@ def forgetting(band: Band, probe: DisplacementProbe) -> Array:
 class Correction(NamedTuple):
     """Correction by a displacement reading."""
 
-    #: Shape (n,): increment of the linear state.
+    #: Shape (n + p + 1,): increment of the linear state, and of the errors of the readings.
     state: Array
-    #: Shape (n, k): L after it.
+    #: Shape (n + p + 1, k): L after it.
     covariance_factor: Array
     #: After it.
     known: ModelError
@@ -136,13 +136,13 @@ def correct_by(
         Band of the model: T, displacement per state, and the variance by the steady covariance.
     parts : ndarray, shape (axes, d + axes)
         E: model error per part, m.
-    factor : ndarray, shape (n, k)
+    factor : ndarray, shape (n + p + 1, k)
         L.
     known : ModelError
         Before it.
     """
     at = np.flatnonzero(np.isfinite(innovation))
-    before, seen = covariance_of(known), band.tangent[at] @ factor
+    before, seen = covariance_of(known), band.tangent[at] @ factor[: band.tangent.shape[1]]
     noise = np.diag(band.steady[at] + probe.noise**2)
     across = parts[at] @ before
     own = across @ parts[at].T + noise

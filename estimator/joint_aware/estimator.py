@@ -198,7 +198,7 @@ class JointAware(Described):
                 len(self.model.powers),
             ),
             self.observer.physics.contacts,
-            self.model.warm.shape[1],
+            self.observer.unknown_start.shape[1],
             len(system.rows),
             self._nothing_read,
         )
@@ -232,11 +232,11 @@ class JointAware(Described):
 
     def initial_state(self) -> Array:
         """Return the state of a machine at rest, before any sample."""
-        return self._state(np.zeros(self.model.warm.shape), KNOWN)
+        return self._state(self.observer.known_start, KNOWN)
 
     def warm_state(self) -> Array:
         """Return the state of a machine with an unknown past, before any sample."""
-        return self._state(self.model.warm, UNKNOWN)
+        return self._state(self.observer.unknown_start, UNKNOWN)
 
     def _state(self, factor: Array, memory: float) -> Array:
         unseen, modes, size = np.array(np.nan), self.model.modes, self.observer.system.size
@@ -252,6 +252,7 @@ class JointAware(Described):
             loads=modes.factors,
             **self.observer.physics.at_rest()._asdict(),
             covariance_factor=factor,
+            errors=np.zeros(len(self.observer.rows)),
             drive=self._cold_drives,
             gone=np.full(len(self.model.ways), np.nan),
             told=np.zeros(len(self.model.powers)),
@@ -290,7 +291,7 @@ class JointAware(Described):
     def _possible(self) -> compiled_sample.Possible:
         """What changes of heat since the last step explain of the innovations."""
         onset, most, slack = possible_heat(self.observer, 1)
-        covariance = self.observer.innovation_covariance(np.zeros(self.model.warm.shape))
+        covariance = self.observer.innovation_covariance(self.observer.known_start)
         found = fault_isolation.explaining_heat(onset, covariance)
         return compiled_sample.Possible(*map(owned, (onset, found, most, slack, covariance)))
 
@@ -556,7 +557,7 @@ class JointAware(Described):
         loads = moment.loads
         expected = self.observer.expected(before, moment)
         used = trusted(self.observer, before, expected, moment, readings, self._readable)
-        linear, factor = self._corrected(used, moment, readings)
+        (linear, errors), factor = self._corrected(used, moment, readings)
         expected = used.expected
         settled = self.observer.read(expected, linear, loads)
         elapsed = moment.length * moment.steps
@@ -569,9 +570,11 @@ class JointAware(Described):
             parts = self.observer.model_error(settled.relaxed, expected.memory, means, since)
             apart = probed - settled.displacement - self.observer.meant(means)
             correction = self._corrected_by_probe(apart, parts, factor, known)
-            linear, factor = linear + correction.state, correction.covariance_factor
+            size, factor = linear.size, correction.covariance_factor
+            linear, errors = linear + correction.state[:size], errors + correction.state[size:]
             known, refused = correction.known, correction.refused
             settled = self.observer.read(expected, linear, loads)
+        left = self.observer.onward(factor)
         after = ObserverState(
             time=np.array(moment.time),
             begun=begun,
@@ -579,7 +582,8 @@ class JointAware(Described):
             linear=linear,
             loads=loads,
             **settled.joint._asdict(),
-            covariance_factor=self.observer.onward(factor),
+            covariance_factor=left,
+            errors=errors if left.any() else np.zeros_like(errors),
             drive=expected.drive,
             gone=before.gone,
             told=before.told,
@@ -724,13 +728,15 @@ class JointAware(Described):
         near = abs(length - self.model.step) <= 1e-6 * self.model.step
         return Moment(time, self.model.step if near else length, steps)
 
-    def _corrected(self, used: Trusted, moment: Moment, readings: Array) -> tuple[Array, Array]:
-        """The linear state and the covariance factor after the readings that are used."""
-        at, expected = np.flatnonzero(used.believed), used.expected
+    def _corrected(
+        self, used: Trusted, moment: Moment, readings: Array
+    ) -> tuple[tuple[Array, Array], Array]:
+        """The linear state, the errors, and their covariance factor after the used readings."""
+        at, expected, size = np.flatnonzero(used.believed), used.expected, self.observer.system.size
         length = moment.length if moment.steps else self.model.step
         gain, factor = self.observer.gain(at, expected.covariance_factor, length, expected.memory)
-        innovation = readings - self.observer.system.rows @ expected.linear
-        return expected.linear + gain @ innovation[at], factor
+        moved = gain @ (readings - self.observer.readings(expected))[at]
+        return (expected.linear + moved[:size], expected.errors + moved[size:]), factor
 
     def _corrected_by_probe(
         self, apart: Array, parts: Array, factor: Array, known: ModelError
@@ -761,7 +767,7 @@ class JointAware(Described):
             Model error per part, m (`Observer.model_error`).
         known : ModelError
             What displacement readings have told of it.
-        factor : ndarray, shape (n, k)
+        factor : ndarray, shape (n + p + 1, k)
             Covariance factor.
         """
         # As E var(e) E', of which only the diagonal is needed, in every sample.
@@ -769,7 +775,8 @@ class JointAware(Described):
         own = np.square(parts[..., known.shared_mean.size :]) @ known.variance
         variance = self.model.band.steady + shared + own
         if factor.any():
-            uncertain = np.square(self.model.band.tangent @ factor).sum(axis=1)
+            own = factor[: self.observer.system.size]
+            uncertain = np.square(self.model.band.tangent @ own).sum(axis=1)
             variance = variance + self.thresholds.doubt**2 * uncertain
         return np.asarray(WIDTH * np.sqrt(variance))
 

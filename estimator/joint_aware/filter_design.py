@@ -10,7 +10,7 @@ covariance factor L of few columns: an unknown start, missing readings, late sam
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -185,6 +185,16 @@ def design_filter(
     after = before - cross @ cho_solve(factor, cross.T)
     steady = SteadyFilter(cross, innovation, readings, lasting, np.ones(size), walk)
     return steady, 0.5 * (after + after.T)
+
+
+def with_errors(steady: SteadyFilter) -> SteadyFilter:
+    """Return the filter of the states and, after them, of errors of the readings (p + 1,), K.
+
+    In the steady covariance the errors are zero: only a covariance factor knows of them.
+    """
+    none = np.zeros((len(steady.noise), len(steady.noise)))
+    scale = np.concatenate([steady.scale, np.ones(len(none))])
+    return replace(steady, cross=np.vstack([steady.cross, none]), scale=scale)
 
 
 def correct(

@@ -10,7 +10,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.joint_aware.filter_design import LinearSystem, compressed, correct, linear_system
+from estimator.joint_aware.filter_design import (
+    LinearSystem,
+    Noise,
+    SteadyFilter,
+    compressed,
+    correct,
+    linear_system,
+    with_errors,
+)
 from estimator.joint_aware.observer_model import ObserverModel
 from estimator.joint_aware.observer_state import FOLLOWED, KNOWN, UNKNOWN, ObserverState
 from estimator.joint_aware.thresholds import USUAL, Thresholds
@@ -57,6 +65,7 @@ class Expected(NamedTuple):
     joint: JointState
     drive: Array
     covariance_factor: Array
+    errors: Array
     memory: float
 
 
@@ -89,11 +98,40 @@ class Observer:
         return linear_system(model.modes, model.discrepancy, model.power, model.step)
 
     @cached_property
+    def both(self) -> SteadyFilter:
+        """The steady filter of the linear state (n,) and the errors of the readings (p + 1,)."""
+        return with_errors(self.model.filter)
+
+    @cached_property
+    def rows(self) -> Array:
+        """Readings per linear state and error, shape (p + 1, n + p + 1)."""
+        return np.hstack([self.system.rows, np.eye(len(self.system.rows))])
+
+    @cached_property
+    def unknown_start(self) -> Array:
+        """Covariance factor of both where the past is unknown, shape (n + p + 1, k).
+
+        A reading that the model follows badly is off by about as much for hours: it tells less by
+        what it is than by how it changes.
+        """
+        ill = np.maximum(self.model.filter.lasting - np.square(Noise().lasting), 0.0)
+        errors = self.thresholds.start_error * np.sqrt(ill)
+        size, columns = self.model.warm.shape
+        start = np.zeros((size + errors.size, columns + errors.size))
+        start[:size, :columns], start[size:, columns:] = self.model.warm, np.diag(errors)
+        return start
+
+    @cached_property
+    def known_start(self) -> Array:
+        """The same of a machine at rest: zeros."""
+        return np.zeros_like(self.unknown_start)
+
+    @cached_property
     def usual_gain(self) -> Array:
         """Gain of all readings with the steady covariance, shape (n, p + 1)."""
-        none = np.zeros(self.model.warm.shape)
-        everything = np.arange(len(self.system.rows))
-        return correct(self.model.filter, self.system.rows, everything, none, 1.0)[0]
+        everything = np.arange(len(self.rows))
+        gain, _ = correct(self.both, self.rows, everything, self.known_start, 1.0)
+        return gain[: self.system.size]
 
     @cached_property
     def onset(self) -> Array:
@@ -159,7 +197,12 @@ class Observer:
             if k + 1 < steps:
                 joint, _ = self._settled(joint, linear, memory, now)
                 factor = self._forgetting(factor, length)
-        return Expected(linear, joint, drive, factor, memory)
+        errors = self.lasting_on(moment.length * steps) * before.errors
+        return Expected(linear, joint, drive, factor, errors, memory)
+
+    def lasting_on(self, elapsed: float) -> float:
+        """What is left of the errors of the readings at a start some time (s) later."""
+        return math.exp(-elapsed / self.thresholds.start_error_lasts)
 
     def _meanwhile(self, before: Array, after: Array, share: float) -> Array:
         """Loads (l,) between two samples: as before, but for the positions of axes."""
@@ -193,40 +236,46 @@ class Observer:
     def gain(
         self, present: NDArray[np.int64], factor: Array, length: float, memory: float
     ) -> tuple[Array, Array]:
-        """Gain of the present readings, and the covariance factor after them."""
+        """Gain (n + p + 1, q) of the present readings, and the covariance factor after them."""
         weight = max(1.0, self.model.step / length)
-        if present.size == len(self.system.rows) and weight == 1.0 and not factor.any():
-            return self.usual_gain, factor
         known, unknown = self.thresholds.doubt_of_heat, self.thresholds.doubt_of_past
         doubt = known if memory == KNOWN else unknown
-        gain, after = correct(self.model.filter, self.system.rows, present, factor, weight, doubt)
-        return gain, compressed(after, self.model.filter.scale, factor.shape[1])
+        gain, after = correct(self.both, self.rows, present, factor, weight, doubt)
+        return gain, compressed(after, self.both.scale, factor.shape[1])
+
+    def readings(self, expected: Expected) -> Array:
+        """Return the readings that are expected, K, shape (p + 1,)."""
+        return np.asarray(self.system.rows @ expected.linear + expected.errors)
 
     def innovation_covariance(self, factor: Array) -> Array:
         """Covariance of the innovations, K2, shape (p + 1, p + 1)."""
-        seen = self.system.rows @ factor
+        seen = self.rows @ factor
         own = np.diag(self.model.filter.noise)
         return np.asarray(self.model.filter.innovation + own + seen @ seen.T)
 
     def _forgetting(self, factor: Array, length: float) -> Array:
         """Covariance factor after a step of some length without any reading."""
-        nothing, own = np.arange(0), self.model.filter
-        _, after = correct(own, self.system.rows, nothing, factor, 1.0)
-        after = compressed(after, own.scale, factor.shape[1])
+        _, after = correct(self.both, self.rows, np.arange(0), factor, 1.0)
+        after = compressed(after, self.both.scale, factor.shape[1])
         walks = max(length / self.model.step - 1.0, 0.0) ** 0.5 * self.model.filter.walk
         if walks.any():
-            more = np.zeros((len(after), walks.size))
-            more[-walks.size :] = np.diag(walks)
-            after = compressed(np.hstack([after, more]), self.model.filter.scale, factor.shape[1])
+            more, inputs = np.zeros((len(after), walks.size)), self.system.decay.size
+            more[inputs : inputs + walks.size] = np.diag(walks)
+            after = compressed(np.hstack([after, more]), self.both.scale, factor.shape[1])
         return self.onward(after)
+
+    def advance(self, columns: Array) -> Array:
+        """Return columns (n + p + 1, k) of the linear state and the errors one step later."""
+        size, kept = self.system.size, self.lasting_on(self.model.step)
+        return np.vstack([self.system.advance(columns[:size]), kept * columns[size:]])
 
     def onward(self, factor: Array) -> Array:
         """Covariance factor one step later; zero once it is negligible."""
         if not factor.any():
             return factor
-        after = self.system.advance(factor)
-        seen = np.square(self.system.rows @ after).sum(axis=1) / self.model.filter.noise
-        moved = np.square(self.model.band.tangent @ after).sum(axis=1)
+        size, after = self.system.size, self.advance(factor)
+        seen = np.square(self.system.rows @ after[:size]).sum(axis=1) / self.model.filter.noise
+        moved = np.square(self.model.band.tangent @ after[:size]).sum(axis=1)
         least = self.thresholds.forgotten
         known = np.all(moved <= least * self.model.band.steady)
         return np.zeros_like(after) if seen.max() <= least and known else after
@@ -245,7 +294,7 @@ class Observer:
 
     def remembered(self, memory: float, factor: Array) -> float:
         """Knowledge of the slips after a sample."""
-        uncertain = np.square(self.model.band.tangent @ factor).sum(axis=1)
+        uncertain = np.square(self.model.band.tangent @ factor[: self.system.size]).sum(axis=1)
         known = uncertain.max() <= self.thresholds.followable**2
         return FOLLOWED if memory == UNKNOWN and known else memory
 

@@ -40,8 +40,10 @@ class ObserverState(NamedTuple):
     slip: Array
     pressure: Array
     change: Array
-    #: Shape (n, k): covariance factor L of P + L L^T.
+    #: Shape (n + p + 1, k): covariance factor L of P + L L^T, of `linear` and then of `errors`.
     covariance_factor: Array
+    #: Shape (p + 1,): errors of the readings that stem from an unknown start, K.
+    errors: Array
     #: Shape (d,): temperatures of the axes' drives, K.
     drive: Array
     #: Shape (c,): odometers as they were read last, m; NaN before.
@@ -119,7 +121,8 @@ def layout(
             "slip": (2, contacts),
             "pressure": (contacts,),
             "change": (3, contacts),
-            "covariance_factor": (states, columns),
+            "covariance_factor": (states + channels, columns),
+            "errors": (channels,),
             "drive": (drive,),
             "gone": (odometers,),
             "told": (powers,),

@@ -137,6 +137,7 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             "means": model.band.seen.size,
             "explained": 1.0 - float(model.band.allowed),
             "starts": len(start.known),
+            "error_kept": estimator.observer.lasting_on(model.step),
             "followed": start.followed,
             "iterations": ITERATIONS,
             "halvings": HALVINGS,
@@ -159,7 +160,7 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             **way.values,
         },
         constants=sum(table.values.size for table in tables),
-        state=5 * linear + 44 * contacts + 9 * contacts**2 + 16 * count + 11 + own,
+        state=5 * linear + 44 * contacts + 9 * contacts**2 + 17 * count + 11 + own,
         usual=fixed + way.usual + usual.times(places),
         worst=fixed + way.worst + judged + worst.times(places),
         labels=("a sample of two Newton steps, nothing slides", "any sample, at most"),
@@ -229,7 +230,7 @@ def _tables(
 ) -> list[Table]:
     model, observer = estimator.model, estimator.observer
     heat = heat_step(model.modes, model.step)
-    system = observer.system
+    system, size = observer.system, observer.system.size
     start = _start(estimator)
     relaxing = model.step * model.discrepancy.rates / (1.0 + model.step * model.discrepancy.rates)
     known = heat.drive[:, : model.modes.drive.shape[1]]
@@ -251,7 +252,8 @@ def _tables(
         Table("rows_read", "What the sensors read of the linear state, K.", system.rows),
         Table("start", "s after an unknown past; variance then, m2.", start.known),
         Table("history", "Of the slips before that, m2.", band.history),
-        Table("gain", "Of the readings then; at the end the steady one.", start.gain),
+        Table("gain", "Of the readings then; at the end the steady one.", start.gain[:, :size]),
+        Table("error_gain", "... for what they err by at a start, K.", start.gain[:, size:]),
         Table("gain_without", "Of the others where one is left out.", gains),
         Table("without", "Variance of that, and without any, m2.", without),
         Table("tangent_of", "Displacement per state, m.", band.tangent),
@@ -312,7 +314,8 @@ class _Start(NamedTuple):
 
     #: Shape (k, 1 + axes): time, s, and from then on the variance of the displacement, m2.
     known: Array
-    #: Shape (k, n, p + 1): from then on; the last one is the steady gain.
+    #: Shape (k, n + p + 1, p + 1): from then on, of the linear state and of the errors of the
+    #: readings; the last one is the steady gain.
     gain: Array
     #: Shape (k, p + 1): variance of the innovations, K2; of the steady covariance at the end.
     spread: Array
@@ -328,11 +331,13 @@ def _start(estimator: JointAware) -> _Start:
     from P to (1 - K H) P (1 - K H)^T + D S D^T. It ends when slips and calibration leave more.
     """
     observer, model, limits = estimator.observer, estimator.model, estimator.thresholds
-    own, rows, band, usual = model.filter, observer.system.rows, model.band, observer.usual_gain
+    own, rows, band = model.filter, observer.rows, model.band
+    usual = np.vstack([observer.usual_gain, np.zeros((len(rows), len(rows)))])
+    tangent = np.hstack([band.tangent, np.zeros((len(band.tangent), len(rows)))])
     steady = own.innovation + np.diag(own.noise)
     doubted = steady + limits.doubt_of_past**2 * np.diag(own.lasting)
-    identity = np.eye(observer.system.size)
-    covariance, k = model.warm @ model.warm.T, 0
+    identity = np.eye(rows.shape[1])
+    covariance, k = observer.unknown_start @ observer.unknown_start.T, 0
     known, gains, spread = list[Array](), list[Array](), list[Array]()
     while True:
         seen = covariance @ rows.T
@@ -340,7 +345,7 @@ def _start(estimator: JointAware) -> _Start:
         left = identity - (usual + own_gain) @ rows
         noise = own_gain @ doubted @ own_gain.T
         after = left @ covariance @ left.T + noise
-        variance = limits.doubt**2 * ((band.tangent @ after) * band.tangent).sum(axis=1)
+        variance = limits.doubt**2 * ((tangent @ after) * tangent).sum(axis=1)
         known.append(np.append(k * model.step, variance))
         cold = model.cold_drives(k * model.step)
         gains.append(usual + own_gain)
@@ -353,8 +358,8 @@ def _start(estimator: JointAware) -> _Start:
         count = 1
         while 2 * count <= k // (1 if k < FEW else 2):
             count *= 2
-        onward = observer.system.advance(left)
-        noise = observer.system.advance(observer.system.advance(noise).T)
+        onward = observer.advance(left)
+        noise = observer.advance(observer.advance(noise).T)
         for _ in range(count.bit_length() - 1):
             noise, onward = noise + onward @ noise @ onward.T, onward @ onward
         covariance, k = onward @ covariance @ onward.T + noise, k + count
@@ -379,14 +384,14 @@ def _without(estimator: JointAware) -> tuple[Array, Array]:
     without = []
     for left_out in (*every, every):
         present = np.delete(every, left_out)
-        factor = np.zeros(model.warm.shape)
+        factor = observer.known_start
         duration = WITHOUT_ONE if present.size else WITHOUT_ALL
         for _ in range(math.ceil(duration / model.step)):
             gain, after = observer.gain(present, factor, model.step, KNOWN)
             factor = observer.onward(after)
         if present.size:
-            gains[left_out][:, present] = gain
-        uncertain = np.square(model.band.tangent @ after).sum(axis=1)
+            gains[left_out][:, present] = gain[: observer.system.size]
+        uncertain = np.square(model.band.tangent @ after[: observer.system.size]).sum(axis=1)
         without.append(estimator.thresholds.doubt**2 * uncertain)
     return gains, np.array(without)
 

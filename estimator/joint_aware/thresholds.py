@@ -53,9 +53,13 @@ class Thresholds:
     #: The same when the past is unknown. Of 1, 0.5, 0.3 and 0.1 on warm starts after 2, 4 and 6 h
     #: (docs/joint-aware.md, on the initial state), 0.1 was off by twice as much.
     doubt_of_past: float = 0.3
-    #: The covariance factor ignores reading errors that last for hours: the displacement is this
-    #: many times less certain than it says (warm starts after 2, 4 and 6 h, which were off by up to
-    #: 2.6 times the band, docs/joint-aware.md).
+    #: Where the past is unknown, readings that the model follows badly err by unknowns, which last
+    #: for this time, s: their standard deviation is this part of what the model's errors add to the
+    #: lasting ones (docs/joint-aware.md, on warm starts).
+    start_error: float = 1.0 / 16.0
+    start_error_lasts: float = 7200.0
+    #: The covariance factor does not know that the machine is nonlinear: the displacement is this
+    #: many times less certain than it says (warm starts after 2, 4 and 6 h, docs/joint-aware.md).
     doubt: float = 3.0
     #: Tolerated change of the ambient without a flag, K.
     ambient: float = 10.0

@@ -77,16 +77,19 @@ def trusted(
         expected = expected._replace(linear=open_.linear)
     if judgement is Judgement.OFFSET:
         channel = int(open_.channel)
-        predicted = observer.system.rows[channel] @ open_.linear
+        predicted = observer.system.rows[channel] @ open_.linear + expected.errors[channel]
         watch = _distrusting(watch, channel, moment.time, abs(float(readings[channel] - predicted)))
     if judgement is not Judgement.OPEN:
         open_ = fault_isolation.none(expected.linear.size)
-    rows = observer.system.rows
-    lost = expected._replace(covariance_factor=observer.model.warm, memory=UNKNOWN)
+    lost = expected._replace(
+        covariance_factor=observer.unknown_start,
+        errors=np.zeros_like(expected.errors),
+        memory=UNKNOWN,
+    )
     for attempt in (expected, lost):
         verdict = judge_sample(
             watch,
-            Sample(moment.time, readings, rows @ attempt.linear),
+            Sample(moment.time, readings, observer.readings(attempt)),
             partial(_unexplained, observer, attempt, moment),
             channels,
             rules,
@@ -99,8 +102,9 @@ def trusted(
     newly = _believed_before(before) & ~verdict.believed
     if newly.any():
         attempt = _heat_unknown(observer, attempt, newly, verdict.believed)
-    innovation = np.where(verdict.believed, readings - rows @ attempt.linear, 0.0)
-    imperfect = model_error(rows @ attempt.linear, rules)
+    predicted = observer.readings(attempt)
+    innovation = np.where(verdict.believed, readings - predicted, 0.0)
+    imperfect = model_error(predicted, rules)
     jumps = bool((np.abs(innovation) > rules.gate * imperfect).any())
     if jumps and not np.isfinite(open_.channel):
         own = np.diag(observer.innovation_covariance(attempt.covariance_factor))
@@ -136,7 +140,7 @@ def _followed(
     if readings[channel] == before.watch.last[channel] and before.watch.repeats[channel] > 0.0:
         # It may be stuck, which takes longer to detect.
         return known, Judgement.OPEN
-    predicted = observer.system.rows[channel] @ alone.linear
+    predicted = observer.readings(alone)[channel]
     departure, rules = float(readings[channel] - predicted), observer.thresholds
     limit = rules.faults.gate * float(model_error(predicted, rules.faults))
     elapsed = moment.time - float(known.since)
@@ -166,18 +170,18 @@ def _heat_unknown(
     observer: Observer, expected: Expected, newly: Flags, believed: Flags
 ) -> Expected:
     """The same, with the heat unknown for the sources that an excluded channel saw best."""
-    power, scale = observer.model.power, observer.model.filter.scale
+    power = observer.model.power
     answers = np.abs(observer.sudden)
     lost = answers[newly].max(axis=0) > answers[believed].max(axis=0, initial=0.0)
     if not lost.any():
         return expected
-    unknown = np.zeros((observer.system.size, power.size))
+    unknown = np.zeros((observer.rows.shape[1], power.size))
     unknown[observer.system.decay.size :][: power.size] = np.diag(
         np.where(lost, observer.model.calibrated.heat * power, 0.0)
     )
     more = np.hstack([expected.covariance_factor, unknown])
     return expected._replace(
-        covariance_factor=compressed(more, scale, expected.covariance_factor.shape[1])
+        covariance_factor=compressed(more, observer.both.scale, expected.covariance_factor.shape[1])
     )
 
 

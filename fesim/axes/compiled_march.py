@@ -184,7 +184,11 @@ def march_axes(
         _rub(machine, work, now.joint.pressure)
         before = now.amplitudes
         warm_screw(machine.drives, (steps.ways, n), work.drive, before, work.state, work.driven)
-        if at % SELDOM == 0 and _may_alternate(turning, LARGE) and not _dies_out(machine, work, steps, n, now):
+        if (
+            at % SELDOM == 0
+            and _may_alternate(turning, LARGE)
+            and not _dies_out(machine, work, steps, n, now)
+        ):
             return n
         taken, residual, iterations = _step(machine, work, steps, n, now)
         if not taken:

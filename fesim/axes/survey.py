@@ -285,9 +285,9 @@ def settle_here(pads: Pads, here: Here, made: bool, share: float) -> tuple[float
     """Settle from the gaps, with factors if they are made: error left, m, or NaN; iterations.
 
     A share of the first correction may be left. Factors are made again where many more iterations
-    with them would follow, or a step leaves too much, as a whole where those in parts do as well;
-    then the step is shortened until the residual falls, as in `fesim.joint.gap.solve_gap`. At a kink of the law no length may do, and a full step
-    leaves it.
+    with them would follow, or where a step leaves too much, as a whole where those in parts do as
+    well; then the step is shortened until the residual falls, as in `fesim.joint.gap.solve_gap`. At
+    a kink of the law no length may do, and a full step leaves it.
     """
     kept, groups = 0, pads.begin.size - 1
     (left, norm), moves, fresh = _corrected(pads, here, kept if made else groups), 0, not made
@@ -307,7 +307,11 @@ def settle_here(pads: Pads, here: Here, made: bool, share: float) -> tuple[float
             newton = fresh and not apart
             falls = rest <= (1.0 - 1e-4 * length) * norm if newton else after <= SLOW * left
             if falls:
-                old = not fresh and moves < MOST_MOVES and _iterations_left(left, after, enough) > WORTH
+                old = (
+                    not fresh
+                    and moves < MOST_MOVES
+                    and _iterations_left(left, after, enough) > WORTH
+                )
                 left, norm, fresh = after, rest, old
                 if old:
                     (left, norm), moves = _corrected(pads, here, groups), moves + 1

@@ -9,6 +9,7 @@ from observed import SENSORS, errors, estimates, run, step
 from calibrate.joint_aware.assembling import warm_columns
 from calibrate.joint_aware.past import Duty, Pasts, random_pasts, states_after
 from estimator.joint_aware.estimator import JointAware
+from estimator.joint_aware.observer_state import UNKNOWN
 from estimator.joint_aware.readings import samples_in
 
 SHORT = Duty(pasts=40, step=60.0, begun=(1200.0, 14400.0))
@@ -73,4 +74,23 @@ def test_a_start_holds_within_its_band_and_narrows(data, setup, estimator):
     _, found = estimates(estimator, samples_in(late, SENSORS), estimator.warm_state())
     band = np.array([one.band for one in found])
     assert np.all(np.abs(errors(estimator, late, found)) <= band)
-    assert np.all(band[-1] < 0.3 * band[0])
+    assert np.all(band[-1] < 0.5 * band[0])
+
+
+def test_a_reading_that_the_model_follows_badly_errs_by_an_unknown_of_the_filter(estimator):
+    """The textbook's gain and covariance for it, from the covariance that it begins with."""
+    steady = estimator.model.filter
+    ill = steady.lasting.copy()
+    ill[SENSORS.index("T2")] *= 50.0
+    own = replace(steady, lasting=ill)
+    observer = replace(estimator.observer, model=replace(estimator.model, filter=own))
+    start, size = observer.unknown_start, observer.system.size
+    every = np.arange(len(observer.rows))
+    gain, after = observer.gain(every, start, estimator.model.step, UNKNOWN)
+    seen, errors = observer.rows @ start, start[size:]
+    assert np.flatnonzero(errors.any(axis=1)).tolist() == [SENSORS.index("T2")]
+    doubted = own.noise + estimator.thresholds.doubt_of_past**2 * own.lasting
+    expected = errors @ seen.T @ np.linalg.inv(own.innovation + np.diag(doubted) + seen @ seen.T)
+    assert gain[size:] == pytest.approx(expected, rel=1e-8, abs=1e-12)
+    left = errors @ errors.T - expected @ seen @ errors.T
+    assert after[size:] @ after[size:].T == pytest.approx(left, rel=1e-8, abs=1e-10)
