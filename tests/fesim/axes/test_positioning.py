@@ -304,7 +304,8 @@ def test_a_seat_that_the_structure_moves_moves_the_bodies(case_with, alone):
     zeroed = simulate(case_with(scale=still, zero_mm=50.0)).response
     errors = zeroed["asked_positioning_error"][:, 0]
     assert np.allclose(errors, asked - asked[:, 2], rtol=0.0, atol=1e-4 * size)
-    assert not errors[:, 2].any()
+    # Zero but for rounding.
+    assert float(np.abs(errors[:, 2]).max()) < 1e-9 * size
 
 
 def test_seats_that_move_apart_stretch_the_screw():
