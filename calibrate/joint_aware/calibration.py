@@ -203,14 +203,14 @@ def calibrate_machine(
     # Without any shorter run days are all that there is to fit.
     names = names or tuple(every)
     days = tuple(name for name in every if name not in names)
-    fit = fit_physics(machine, [fewer(every[name]) for name in names], fitted, effort.search)
+    coarse = {name: fewer(run) for name, run in every.items()}
+    fit = fit_physics(machine, [coarse[name] for name in names], fitted, effort.search)
     if days and fit.doubt <= 1.0:
         # On a machine of the family days tell parameters, like any run, and nothing else.
-        again = fit_physics(machine, list(map(fewer, every.values())), fitted, effort.search)
+        again = fit_physics(machine, list(coarse.values()), fitted, effort.search)
         if again.doubt <= 1.0:
             days, names, fit = (), tuple(every), again
-    whole = [every[name] for name in names]
-    runs = [fewer(run) for run in whole]
+    whole, runs = [every[name] for name in names], [coarse[name] for name in names]
     if fitted is None:
         machine, fit = loosened(machine, runs, fit, effort.search, loosening)
     known = calibrated_range(machine, responses)
@@ -234,8 +234,8 @@ def _with_days(
     model: ObserverModel, days: Sequence[Run], others: Sequence[Run]
 ) -> tuple[ObserverModel, float]:
     """A model that knows what days tell, and its mean square error in days left out, m2."""
-    seen = ([shown_in(model, run) for run in runs] for runs in (days, others))
-    return with_days(model, *seen)
+    shown = [[shown_in(model, run) for run in runs] for runs in (days, others)]
+    return with_days(model, *shown)
 
 
 def loosened(

@@ -150,7 +150,7 @@ def _unseen(
     steps = coarser(run, max(2, round(run.length * len(run.inputs) / step)))
     grid = steps.length * np.arange(1.0, len(steps.inputs) + 1.0)
     # Means over these steps: the noise of the displacement's readings is no error.
-    errors, read = _means(found - run.displacement, run.times, grid)
+    errors, read = means_in(found - run.displacement, run.times, grid)
     driven, course = steps.inputs[:, :sources], steps.inputs[:, steps.inputs.shape[1] - moving :]
     history = history_of(driven / machine.power, fit.discrepancy.rates, step, course)
     drawn = drawn_errors(np.random.default_rng(drawing.seed), slow, [history], drawing)
@@ -161,8 +161,11 @@ def _unseen(
     return _Unseen((history.squares * told)[read], expected[read], errors)
 
 
-def _means(values: Array, times: Array, grid: Array) -> tuple[Array, Flags]:
-    """Means of values (n, c) read at `times` (n,) in every step of `grid`, and which have any."""
+def means_in(values: Array, times: Array, grid: Array) -> tuple[Array, Flags]:
+    """Return means of values (n, c) read at `times` (n,) in steps of `grid`, and which have any.
+
+    Steps without any reading are left out of the means.
+    """
     step = np.searchsorted(grid * (1.0 + 1e-9), times)[:, None] == np.arange(grid.size)
     count = step.sum(axis=0)
     read = count > 0

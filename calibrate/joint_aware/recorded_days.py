@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from calibrate.joint_aware.left_out import samples_of
+from calibrate.joint_aware.left_out import means_in, samples_of
 from calibrate.joint_aware.misfit import Run
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.observer import Observer
@@ -83,14 +83,8 @@ def shown_in(model: ObserverModel, run: Run) -> Shown:
     shown = JointAware(replace(model, power_shares={})).shown(samples)
     each = shown.relaxed, shown.means, shown.displacement - run.displacement
     ends = np.arange(MEAN, run.times[-1] + MEAN, MEAN)
-    part = np.searchsorted(ends, run.times)
-    count = np.maximum(np.bincount(part), 1)[:, None]
-    total = [np.zeros((len(count), values.shape[1])) for values in each]
-    for values, sums in zip(each, total, strict=True):
-        np.add.at(sums, part, values)
-    read = np.bincount(part) > 0
+    relaxed, means, errors = (means_in(values, run.times, ends)[0] for values in each)
     weight = SHORT if run.length * len(run.inputs) <= SLOW else 1.0
-    relaxed, means, errors = ((sums / count)[read] for sums in total)
     return Shown(relaxed, means, errors, weight)
 
 

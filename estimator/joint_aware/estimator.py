@@ -524,10 +524,8 @@ class JointAware(Described):
 
     def _error_parts(self, taken: Taken) -> Array:
         """The model error per part (`Observer.model_error`)."""
-        count, dynamic = self.model.modes.rates.size, self.observer.system.decay.size
-        relaxed, means = taken.after.linear[count:dynamic], taken.after.watch.means
-        since = float(taken.after.time - taken.after.begun)
-        return self.observer.model_error(relaxed, taken.memory, means, since)
+        shown, since = self._shown_by(taken), float(taken.after.time - taken.after.begun)
+        return self.observer.model_error(shown.relaxed, taken.memory, shown.means, since)
 
     def _usual(
         self, state: ObserverState, moment: Moment, readings: Array, probed: Array
@@ -775,8 +773,8 @@ class JointAware(Described):
         own = np.square(parts[..., known.shared_mean.size :]) @ known.variance
         variance = self.model.band.steady + shared + own
         if factor.any():
-            own = factor[: self.observer.system.size]
-            uncertain = np.square(self.model.band.tangent @ own).sum(axis=1)
+            fields = factor[: self.observer.system.size]
+            uncertain = np.square(self.model.band.tangent @ fields).sum(axis=1)
             variance = variance + self.thresholds.doubt**2 * uncertain
         return np.asarray(WIDTH * np.sqrt(variance))
 

@@ -127,11 +127,15 @@ class Observer:
         return np.zeros_like(self.unknown_start)
 
     @cached_property
-    def usual_gain(self) -> Array:
-        """Gain of all readings with the steady covariance, shape (n, p + 1)."""
+    def usual_gain_of_both(self) -> Array:
+        """Gain of all readings with the steady covariance, shape (n + p + 1, p + 1)."""
         everything = np.arange(len(self.rows))
-        gain, _ = correct(self.both, self.rows, everything, self.known_start, 1.0)
-        return gain[: self.system.size]
+        return correct(self.both, self.rows, everything, self.known_start, 1.0)[0]
+
+    @property
+    def usual_gain(self) -> Array:
+        """The same of the linear state, shape (n, p + 1)."""
+        return self.usual_gain_of_both[: self.system.size]
 
     @cached_property
     def onset(self) -> Array:
@@ -238,6 +242,8 @@ class Observer:
     ) -> tuple[Array, Array]:
         """Gain (n + p + 1, q) of the present readings, and the covariance factor after them."""
         weight = max(1.0, self.model.step / length)
+        if present.size == len(self.rows) and weight == 1.0 and not factor.any():
+            return self.usual_gain_of_both, factor
         known, unknown = self.thresholds.doubt_of_heat, self.thresholds.doubt_of_past
         doubt = known if memory == KNOWN else unknown
         gain, after = correct(self.both, self.rows, present, factor, weight, doubt)

@@ -332,7 +332,7 @@ def _start(estimator: JointAware) -> _Start:
     """
     observer, model, limits = estimator.observer, estimator.model, estimator.thresholds
     own, rows, band = model.filter, observer.rows, model.band
-    usual = np.vstack([observer.usual_gain, np.zeros((len(rows), len(rows)))])
+    usual = observer.usual_gain_of_both
     tangent = np.hstack([band.tangent, np.zeros((len(band.tangent), len(rows)))])
     steady = own.innovation + np.diag(own.noise)
     doubted = steady + limits.doubt_of_past**2 * np.diag(own.lasting)

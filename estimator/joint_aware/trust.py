@@ -77,7 +77,7 @@ def trusted(
         expected = expected._replace(linear=open_.linear)
     if judgement is Judgement.OFFSET:
         channel = int(open_.channel)
-        predicted = observer.system.rows[channel] @ open_.linear + expected.errors[channel]
+        predicted = observer.readings(expected)[channel]
         watch = _distrusting(watch, channel, moment.time, abs(float(readings[channel] - predicted)))
     if judgement is not Judgement.OPEN:
         open_ = fault_isolation.none(expected.linear.size)

@@ -85,6 +85,17 @@ def faulty(response, sensor, change, until=None):
     return samples.tolist()
 
 
+def heated_through(machine, names):
+    """A machine of `PLACES` with sources of 1 W on some of its faces, after its own."""
+    faces = machine.faces[:, [list(PLACES).index(name) for name in names]]
+    return replace(
+        machine,
+        sources=np.hstack([machine.sources, faces]),
+        power=np.append(machine.power, np.ones(len(names))),
+        source_names=(*machine.source_names, *names),
+    )
+
+
 def that_knows_days(estimator):
     """An observer with what recorded days may tell: a part of its innovations, on both axes."""
     band, rng = estimator.model.band, np.random.default_rng(1)

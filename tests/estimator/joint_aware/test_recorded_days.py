@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from observed import MINUTE as STEP
-from observed import PLACES
+from observed import PLACES, heated_through
 
 from calibrate.joint_aware.calibration import Effort, calibrate_machine
 from calibrate.joint_aware.misfit import Run, physics_with
@@ -28,13 +28,7 @@ FEW = Effort(Search(starts=0), Drawing(draws=2, duration=3600.0, step=120.0))
 
 def marched(machine, heat, unlike):
     """A run of a machine; one unlike its case has heat of its own on two faces."""
-    faces = machine.faces[:, [list(PLACES).index(name) for name in ("top", "table")]]
-    plant = replace(
-        machine,
-        sources=np.hstack([machine.sources, faces]),
-        power=np.append(machine.power, [1.0, 1.0]),
-        source_names=(*machine.source_names, "top", "table"),
-    )
+    plant = heated_through(machine, ("top", "table"))
     # A bearing that warms with the spindle, and a cabinet that is slow to warm.
     own = heat[:, None] * machine.power
     slow = 60.0 * -np.expm1(-np.arange(len(heat)) / 120.0)

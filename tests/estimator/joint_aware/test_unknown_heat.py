@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from exported import needs_gcc, selftest, written
 from observed import MINUTE as STEP
-from observed import PLACES
+from observed import PLACES, heated_through
 
 from calibrate.joint_aware.assembling import make_observer, observer_from_rest, seen_heat
 from calibrate.joint_aware.misfit import Run, physics_with
@@ -76,13 +76,7 @@ def warmed(machine):
     count = 360
     hours = np.arange(count) / 60.0
     unknown = 60.0 * np.stack([np.sin(0.9 * hours) ** 2, (hours > 2.0) * 0.5], axis=1)
-    faces = machine.faces[:, [list(PLACES).index(name) for name in ("top", "table")]]
-    plant = replace(
-        machine,
-        sources=np.hstack([machine.sources, faces]),
-        power=np.append(machine.power, [1.0, 1.0]),
-        source_names=(*machine.source_names, "top", "table"),
-    )
+    plant = heated_through(machine, ("top", "table"))
     own = np.full((count, 1), machine.power[0])
     inputs = np.hstack([own, unknown, np.zeros((count, 1))])
     temperatures, moved = simulate_known(physics_with(plant, {}), inputs, STEP)
