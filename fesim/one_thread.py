@@ -3,10 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import cache
 
 from threadpoolctl import ThreadpoolController
+
+#: From so many contact elements on, the matrices of a march do not fit into a processor's cache,
+#: and its products wait for the memory; with fewer, a second thread gains nothing.
+MANY = 1_000
+
+
+def threads_of_march(contacts: int) -> AbstractContextManager[None]:
+    """Let a march use one thread, or all of them if it has many contact elements."""
+    return one_thread() if contacts < MANY else nullcontext()
+
+
+def threads_beside_solver(contacts: int) -> AbstractContextManager[None]:
+    """`one_dense_thread`, or all threads for as many contact elements as `threads_of_march`."""
+    return one_dense_thread() if contacts < MANY else nullcontext()
 
 
 @contextmanager

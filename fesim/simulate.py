@@ -43,7 +43,7 @@ from fesim.march.stepping import (
     staggered,
 )
 from fesim.march.track import Track, joined, track_of
-from fesim.one_thread import one_dense_thread, one_thread
+from fesim.one_thread import threads_beside_solver, threads_of_march
 from fesim.setup.bolts import first_forces
 from fesim.setup.loads import MarchInputs, march_inputs, source_names, source_power
 from fesim.setup.machine import Setup, set_up
@@ -185,7 +185,7 @@ def simulate(
         )
     ends = case.march.step_s * (first.index + 1.0 + np.arange(count, dtype=np.float64))
     state, done, passed = first, 0, None
-    with one_thread():
+    with threads_of_march(ready.machine.contact.count):
         for track, adaptive in _marching(case, given, inputs, ends, first):
             passed = adaptive
             _check_pressures(ready, track)
@@ -210,7 +210,7 @@ def simulate(
     if accuracy and case.displacement is not None and moving is None:
         taken = course.track.displacement[-count:]
         marched = Marched(case, ready, COUPLINGS[case.march.coupling], start, taken)
-        with one_dense_thread():
+        with threads_beside_solver(ready.machine.contact.count):
             response.attrs.update(_good_to(accuracy_of(marched, known)))
     return Simulation(response, state)
 

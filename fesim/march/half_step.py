@@ -8,10 +8,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from fesim.march.machine import CondensedMachine, Step
-from fesim.march.reduced import with_diagonal
+from fesim.march.reduced import at_step
 from fesim.solid.condensation import FULL
 
 
@@ -26,17 +24,7 @@ def can_be_halved(machine: CondensedMachine) -> bool:
 
 def halved(machine: CondensedMachine) -> CondensedMachine:
     """Return a machine with steps of half the length, of one that `can_be_halved`."""
-    thermal = machine.thermal
-    rate = thermal.capacity_rate.diagonal()
-    diagonal = thermal.factor.matrix.diagonal() + rate
-    influence = np.where(rate > 0.0, np.asarray(thermal.jump) / diagonal, 0.0).T
-    sums = thermal.balance
-    shorter = replace(
-        with_diagonal(thermal, diagonal, 2.0 * rate, influence),
-        balance=replace(sums, after=sums.after + sums.before, before=2.0 * sums.before),
-        step=0.5 * thermal.step,
-    )
-    return replace(machine, thermal=shorter)
+    return replace(machine, thermal=at_step(machine.thermal, 0.5 * machine.thermal.step))
 
 
 def joined(first: Step, second: Step) -> Step:

@@ -27,6 +27,10 @@ TOLERANCE = 1e-13
 PATIENCE = 8
 #: Largest number of restarts: the recurrence of GMRES only estimates the residual.
 LOOKS = 4
+#: From so many contact elements on, the first guess continues the flows of the last two steps. A
+#: march resumed from a saved state does not know them: its flows then agree to `TOLERANCE`, where
+#: those of fewer elements are the same bits.
+MANY = 1_000
 
 
 class Equations(NamedTuple):
@@ -64,6 +68,8 @@ class Flows(NamedTuple):
     solved: NDArray[np.float32]
     #: Shape (m,): storage: conductance times area times temperature jump, W.
     driving: Array
+    #: Shape (2, m): flows of the last step and of the one before, W; NaN before there are two.
+    before: Array
     #: Storage.
     krylov: Krylov
 
@@ -83,6 +89,7 @@ def new_flows(count: int) -> Flows:
         pivots=np.empty(count, dtype=np.int32),
         solved=np.empty(count, dtype=np.float32),
         driving=np.empty(count),
+        before=np.full((2, count), np.nan),
         krylov=krylov,
     )
 
@@ -93,7 +100,8 @@ def freeze_flows(joint_influence: Array, beyond: Array, flows: Flows) -> None:
     put(beyond, flows.conducted)
     for f in range(beyond.size):
         for e in range(beyond.size):
-            flows.factors[f, e] = beyond[e] * joint_influence[e, f]
+            # S is symmetric, and read as it is stored.
+            flows.factors[f, e] = beyond[e] * joint_influence[f, e]
         flows.factors[f, f] += 1.0
     fill(flows.solved, 1.0)
     factorise_single(flows.factors, flows.pivots, flows.solved)
@@ -109,23 +117,38 @@ def solve_flows(
     equations = Equations(joint_influence, beyond, flows.driving)
     if not flows.conducted.any():
         freeze_flows(joint_influence, beyond, flows)
+    solved = False
     for attempt in range(2):
-        if _improve(equations, flows, flow):
-            return
+        _guess(flows, flow)
+        solved = _improve(equations, flows, flow)
+        if solved:
+            break
         if attempt == 0:
             freeze_flows(joint_influence, beyond, flows)
-    # Too nearly singular for factors in single precision.
-    system = np.empty((beyond.size, beyond.size))
-    flow_system(joint_influence, beyond, system)
-    put(solve(system, flows.driving), flow)
+    if not solved:
+        # Too nearly singular for factors in single precision.
+        system = np.empty((beyond.size, beyond.size))
+        flow_system(joint_influence, beyond, system)
+        put(solve(system, flows.driving), flow)
+    put(flows.before[0], flows.before[1])
+    put(flow, flows.before[0])
+
+
+@compiled_part
+def _guess(flows: Flows, flow: Array) -> None:
+    """Put a first guess of the flows into `flow`."""
+    if flow.size < MANY or math.isnan(flows.before[1, 0]):
+        _precondition(flows, flows.driving, flow)
+        return
+    for e in range(flow.size):
+        flow[e] = 2.0 * flows.before[0, e] - flows.before[1, e]
 
 
 @compiled_part
 def _improve(equations: Equations, flows: Flows, flow: Array) -> bool:
-    """Whether preconditioned GMRES finds the flows within the allowed iterations."""
+    """Whether preconditioned GMRES leads from a guess to the flows in the allowed iterations."""
     driving, lack = equations.driving, flows.krylov.basis[0]
     enough = TOLERANCE * largest(driving)
-    _precondition(flows, driving, flow)
     taken = 0
     for _ in range(LOOKS):
         _apply(equations, flow, lack)

@@ -139,8 +139,9 @@ def project_heat(
     held = heat.layout.held
     diagonal = np.concatenate([1.0 / step + modes.rates, np.ones(held)])
     jump = joints.jump @ modes.basis
-    influence = np.zeros((count + held, jump.shape[0]))
-    influence[:count] = jump[:, :count].T / diagonal[:count, None]
+    influence, joint_influence = _influences(
+        jump, np.append(1.0 / diagonal[:count], np.zeros(held))
+    )
     projected = np.vstack([modes.basis[:, :count].T @ inputs, np.zeros((held, inputs.shape[1]))])
     # A held surface's amplitude is its input.
     projected[count:, heat.layout.held_columns] = np.eye(held)
@@ -153,7 +154,7 @@ def project_heat(
         jump=jump,
         mean=joints.mean @ modes.basis,
         influence=influence,
-        joint_influence=jump @ influence,
+        joint_influence=joint_influence,
         balance=replace(
             sums,
             stored=sums.stored @ modes.basis,
@@ -202,8 +203,29 @@ def _held_surfaces(heat: HeatOperators) -> Array:
     return surfaces
 
 
+def at_step(thermal: ThermalCondensation, step: float) -> ThermalCondensation:
+    """Return the heat step of another length on the same modes, as `project_heat` would.
+
+    Parameters
+    ----------
+    thermal : ThermalCondensation
+        By `project_heat`.
+    step : float
+        s.
+    """
+    rate, ratio = thermal.capacity_rate.diagonal(), thermal.step / step
+    diagonal = thermal.factor.matrix.diagonal() + (ratio - 1.0) * rate
+    sums = thermal.balance
+    after = sums.after + (ratio - 1.0) * sums.before
+    return replace(
+        with_diagonal(thermal, diagonal, ratio * rate),
+        balance=replace(sums, after=after, before=ratio * sums.before),
+        step=step,
+    )
+
+
 def with_diagonal(
-    thermal: ThermalCondensation, diagonal: Array, kept: Array, influence: Array
+    thermal: ThermalCondensation, diagonal: Array, kept: Array
 ) -> ThermalCondensation:
     """Return a heat step on the modes with another diagonal of A0, as for another length.
 
@@ -214,16 +236,22 @@ def with_diagonal(
     diagonal, kept : ndarray, shape (r + s,)
         Of A0, and of what multiplies the unknowns at the start of the step; zero where they are
         held.
-    influence : ndarray, shape (r + s, m)
-        W = A0^-1 B^T.
     """
+    influence, joint_influence = _influences(np.asarray(thermal.jump), (kept > 0.0) / diagonal)
     return replace(
         thermal,
         factor=diagonal_factor(diagonal),
         capacity_rate=diags_array(kept, format="csr"),
         influence=influence,
-        joint_influence=np.asarray(thermal.jump) @ influence,
+        joint_influence=joint_influence,
     )
+
+
+def _influences(jump: Array, weights: Array) -> tuple[Array, Array]:
+    """W (r + s, m) and S (m, m) by jumps B (m, r + s) and the inverse of A0, zero where held."""
+    # A product with its own transpose takes half as long as one with another matrix.
+    half = jump * np.sqrt(weights)
+    return np.multiply(jump.T, weights[:, None], order="C"), half @ half.T
 
 
 def diagonal_factor(diagonal: Array) -> Factor:

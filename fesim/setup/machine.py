@@ -26,6 +26,7 @@ from fesim.march.contact import ContactProblem
 from fesim.march.machine import CondensedMachine, State, Step, load_factors
 from fesim.march.reduced import (
     ThermalModes,
+    at_step,
     outputs_of,
     project_elasticity,
     project_heat,
@@ -276,8 +277,9 @@ def _condensed(case: Case, parts: Parts, keys: CacheKeys) -> Setup:
     loads = _loads(whole, keys, field, forces)
     outputs = _outputs(whole, keys, field, forces)
     modes = _modes(whole, keys, condensed)
-    thermal = partial(_thermal, whole, modes)
-    machine = _machine(whole, condensed, loads, modes, thermal(case.march.step_s))
+    full = partial(condense_heat, whole.heat, whole.operators, solver=case.march.solver)
+    thermal = _thermal(whole, modes, full)
+    machine = _machine(whole, condensed, loads, modes, thermal)
     machine = replace(machine, stiffness=_variable_stiffness(whole, field, forces))
     errors = partial(_mesh_errors, whole, keys, condensed, machine, stress)
     bolts = None
@@ -301,7 +303,7 @@ def _condensed(case: Case, parts: Parts, keys: CacheKeys) -> Setup:
         outputs=outputs,
         bolts=bolts,
         materials=whole.materials,
-        make_thermal=thermal,
+        make_thermal=full if modes is None else partial(at_step, thermal),
         make_mesh_errors=cache(errors),
     )
 
@@ -445,11 +447,12 @@ def _rubbed(whole: Discretised) -> csr_array:
     return csr_array(whole.operators.mean[np.flatnonzero(_counted(whole))])
 
 
-def _thermal(whole: Discretised, modes: ThermalModes | None, step: float) -> ThermalCondensation:
-    """One heat step of some length, s."""
-    if modes is None:
-        return condense_heat(whole.heat, whole.operators, step, whole.case.march.solver)
-    return project_heat(whole.heat, whole.operators, step, modes)
+def _thermal(
+    whole: Discretised, modes: ThermalModes | None, full: Callable[[float], ThermalCondensation]
+) -> ThermalCondensation:
+    """A heat step of the march, by its length (s) on all unknowns or on the modes."""
+    step = whole.case.march.step_s
+    return full(step) if modes is None else project_heat(whole.heat, whole.operators, step, modes)
 
 
 def _machine(

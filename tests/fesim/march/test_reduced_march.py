@@ -71,9 +71,10 @@ def reduced_setup(reduced_case):
 
 def test_a_step_halved_is_the_step_of_half_the_length():
     """Held surfaces, whose balance depends on the step, among its unknowns."""
-    setup = set_up(read_case(ROOT / "examples/two_rods/case.toml"))
-    machine = setup.machine
-    found, expected = halved(machine).thermal, setup.make_thermal(0.5 * machine.thermal.step)
+    case = read_case(ROOT / "examples/two_rods/case.toml")
+    shorter = case.march.model_copy(update={"step_s": 0.5 * case.march.step_s})
+    found = halved(set_up(case).machine).thermal
+    expected = set_up(case.model_copy(update={"march": shorter})).machine.thermal
     assert found.step == expected.step
     ones = np.ones(len(found.influence))
 
