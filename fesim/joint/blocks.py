@@ -51,6 +51,8 @@ class Blocks(NamedTuple):
     #: Shape (3 m, 3 m): the whole of F transposed in single precision, m/Pa, in the order of the
     #: machine; (0, 0) for a single block.
     between: NDArray[np.float32]
+    #: Largest gap anywhere, in m, by tractions that close their own springs k0 by 1 m each.
+    reach: float
 
 
 class Block(NamedTuple):
@@ -72,6 +74,7 @@ def one_block(springs: Array, compliance: Array, columns: Array) -> Blocks:
         compliance=compliance.ravel(),
         columns=columns.ravel(),
         between=np.empty((0, 0), dtype=np.float32),
+        reach=np.inf,
     )
 
 
@@ -114,6 +117,7 @@ def blocks_of(
         compliance=np.concatenate([block.ravel() for block in diagonal]),
         columns=np.concatenate([block.T.ravel() for block in diagonal]),
         between=columns.astype(np.float32),
+        reach=float(max((abs(row) @ springs for row in compliance), default=0.0)),
     )
 
 

@@ -151,6 +151,16 @@ def test_a_sweep_over_blocks_finds_the_equilibrium_of_the_plain_method(seed, spr
     np.testing.assert_allclose(slip, theirs.traction.slip, rtol=1e-9, atol=1e-13)
 
 
+def test_the_reach_bounds_the_gaps_of_all_tractions_that_stay_below_the_springs():
+    problem, _ = coupled_problem(2, 1e-7, 0.15)
+    blocks, compliance = divided(problem), problem.compliance
+    share = np.random.default_rng(1).uniform(-1.0, 1.0, (50, 3 * TOTAL))
+    assert np.abs(share * problem.springs @ compliance.T).max() <= blocks.reach
+    worst = np.argmax(np.abs(compliance) @ problem.springs)
+    most = compliance[worst] @ (np.sign(compliance[worst]) * problem.springs)
+    np.testing.assert_allclose(most, blocks.reach, rtol=1e-12)
+
+
 def test_only_the_frozen_tangent_of_a_joint_that_changes_is_updated():
     problem, thermal_gap = coupled_problem(3, 1e-7, 0.15)
     blocks, zero = divided(problem), np.zeros((3, TOTAL))

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fesim.march.joint_flows import TOLERANCE, freeze_flows, new_flows, solve_flows
+from fesim.march.joint_flows import MANY, TOLERANCE, freeze_flows, new_flows, solve_flows
 
 cases = {"seed": st.integers(0, 2**32 - 1), "count": st.integers(1, 30)}
 
@@ -49,6 +49,24 @@ def test_factors_are_made_at_first_and_kept_while_they_serve():
     solve_flows(jumps, far, jump, flows, flow)
     np.testing.assert_array_equal(flows.conducted, far)
     np.testing.assert_allclose(flow, exact(jumps, far, jump), rtol=1e-9, atol=1e-12)
+
+
+def test_flows_of_many_contact_elements_continue_those_of_the_last_steps():
+    """As exactly as others, also where the temperatures turn."""
+    rng, count = np.random.default_rng(7), MANY
+    roots = rng.normal(size=(count, 40))
+    jumps, jump = np.diag(rng.uniform(0.1, 1.0, count)) + roots @ roots.T, rng.normal(size=count)
+    then, turn = 10.0 ** rng.uniform(0.0, 1.0, count), rng.normal(size=count)
+    flows, flow = new_flows(count), np.empty(count)
+    for step in range(5):
+        now, driven = (
+            then * (1.0 + 0.02 * step),
+            jump * (1.0 + 0.1 * step) * (turn if step > 3 else 1.0),
+        )
+        solve_flows(jumps, now, driven, flows, flow)
+        lack = now * driven - flow - now * (jumps @ flow)
+        assert np.abs(lack).max() <= 10.0 * TOLERANCE * np.abs(now * driven).max()
+    np.testing.assert_array_equal(flows.before[0], flow)
 
 
 def test_what_single_precision_cannot_factorise_is_solved_in_double_precision():
