@@ -25,6 +25,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from fesim.jit import compiled
+from fesim.joint.gap import GapProblem, transposed
 from thermojoint.artefacts.arrays import Array, Flags
 
 #: Up to this many contact elements are one block in any case: their factors fit into the cache.
@@ -78,35 +79,32 @@ def one_block(springs: Array, compliance: Array, columns: Array) -> Blocks:
     )
 
 
-def blocks_of(
-    springs: Array,
-    compliance: Array,
-    columns: Array,
-    counts: Sequence[int],
-    share: Array,
-    supports: Array,
-) -> Blocks:
+def columns_for(problem: GapProblem, blocks: Blocks) -> Array:
+    """Return F transposed (3 m, 3 m), m/Pa, for one block; sweeps over several need none."""
+    return problem.columns if blocks.starts.size == 2 else np.empty((0, 0))
+
+
+def blocks_of(problem: GapProblem, counts: Sequence[int], share: Array, supports: Array) -> Blocks:
     """Divide the contact elements.
 
     Parameters
     ----------
-    springs : ndarray, shape (3 m,)
-        k0, Pa/m.
-    compliance, columns : ndarray, shape (3 m, 3 m)
-        F and its transpose, m/Pa.
+    problem : GapProblem
+        Their gap equations; F transposed is only made where one block remains.
     counts : sequence of int
         Number of contact elements of each joint, in order.
     share, supports : ndarray, shapes (m, p) and (k, 6 p)
         Connections of the p pieces of the structure, as in `fesim.solid.rigid_motions.Constraints`.
     """
+    springs, compliance = problem.springs, problem.compliance
     total = springs.size // 3
     if total <= WHOLE or len(counts) < 2:
-        return one_block(springs, compliance, columns)
+        return one_block(springs, compliance, problem.columns)
     joints = np.split(np.arange(total), np.cumsum(counts)[:-1])
     own = _together(springs, compliance, joints, side_by_side(joints, share, supports))
     parts = [np.concatenate([joints[j] for j in np.flatnonzero(own == k)]) for k in np.unique(own)]
     if len(parts) == 1:
-        return one_block(springs, compliance, columns)
+        return one_block(springs, compliance, problem.columns)
     sizes = np.array([part.size for part in parts])
     rows = [unknowns_of(part, total) for part in parts]
     diagonal = [compliance[np.ix_(row, row)] for row in rows]
@@ -116,7 +114,7 @@ def blocks_of(
         springs=np.concatenate([springs[row] for row in rows]),
         compliance=np.concatenate([block.ravel() for block in diagonal]),
         columns=np.concatenate([block.T.ravel() for block in diagonal]),
-        between=columns.astype(np.float32),
+        between=transposed(compliance, np.float32),
         reach=float(max((abs(row) @ springs for row in compliance), default=0.0)),
     )
 

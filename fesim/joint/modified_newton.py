@@ -18,7 +18,7 @@ import math
 import numpy as np
 
 from fesim.jit import compiled, compiled_part
-from fesim.joint.blocks import Block, Blocks, part_of
+from fesim.joint.blocks import Block, Blocks, columns_for, part_of
 from fesim.joint.compiled_gap import (
     CompiledGap,
     GapKernel,
@@ -134,6 +134,17 @@ def _sweep(tangents: FrozenTangents, now: Lacking, most: float, may_move: bool) 
 
 
 @compiled_part
+def _gaps(kernel: GapKernel, free_gap: Array, force: Array, whole: bool, gap: Array) -> None:
+    """Put `free_gap` + F `force` (3 m,) into `gap`; `whole`: if there is one block."""
+    if whole:
+        put(free_gap, gap)
+        add_product(kernel.columns, force, gap)
+    else:
+        np.dot(kernel.compliance, force, gap)
+        add(free_gap, gap)
+
+
+@compiled_part
 def _lack(springs: Array, trial: Trial, rest: Array, force: Array, lack: Array) -> float:
     """z(g) + k0 g + rest - force into `lack`; return its largest entry in gaps, m."""
     gap, value = trial.gap, trial.value
@@ -164,8 +175,9 @@ def settle_near(
 
     J0^-1 g_T is given as `free_gap` + F `rest`, (3 m,), m and Pa: g_T and (k - k0) g_T, or
     J0^-1 g_T and zero. Other arguments as in `fesim.joint.compiled_gap.solve_in_place`. An accepted
-    state has a residual g - J0^-1 g_T - F (z(g) + k0 g) within the tolerance. Of several blocks an
-    upper bound is returned where that suffices, as a product with F takes a seventh of a step.
+    state has a residual g - J0^-1 g_T - F (z(g) + k0 g) within the tolerance. Of several blocks,
+    whose kernel has no F transposed, an upper bound is returned where that suffices: a product with
+    F takes a seventh of a step.
     """
     springs, tolerance, gap = kernel.springs, kernel.tolerance, trial.gap
     columns = kernel.columns
@@ -174,14 +186,13 @@ def settle_near(
     evaluate_in_place(kernel.laws, slip, trial)
     fill(step, 0.0)
     _lack(springs, trial, rest, step, force)
-    put(free_gap, flat)
-    add_product(columns, force, flat)
+    # Not of block 0: a literal would be another type, and all that takes it compiled twice.
+    last = tangents.blocks.starts.size - 2
+    _gaps(kernel, free_gap, force, last == 0, flat)
     moves, before, corrected, least = 0, math.inf, math.inf, 0.1 * LEFT * tolerance
     # Gaps that were moved since then in single precision.
     rounded = 0.0
     now = Lacking(trial.tangent, lack, least)
-    # Not of block 0: a literal would be another type, and all that takes it compiled twice.
-    last = tangents.blocks.starts.size - 2
     whole, whole_tangent = part_of(tangents.blocks, last), block_tangent(tangents, last)
     for iteration in range(MAX_ITERATIONS):
         evaluate_in_place(kernel.laws, slip, trial)
@@ -191,8 +202,7 @@ def settle_near(
         left = corrected * size <= LEFT * tolerance * before if iteration > 0 else False
         if left or size <= least:
             if SINGLE * rounded > LEFT * tolerance:
-                put(free_gap, flat)
-                add_product(columns, force, flat)
+                _gaps(kernel, free_gap, force, last == 0, flat)
                 rounded = 0.0
                 continue
             residual = size * tangents.blocks.reach
@@ -237,8 +247,9 @@ def solve_in_blocks(
 
     By Newton's method where that fails; arguments and errors as for `fesim.joint.gap.solve_gap`.
     """
-    kernel, trial = solver.kernel(tolerance), trial_at(guess)
-    rest = solver.problem.change * thermal_gap
+    problem, trial = solver.problem, trial_at(guess)
+    linear = problem.springs, problem.compliance, columns_for(problem, blocks)
+    kernel, rest = GapKernel(*linear, solver.laws, tolerance), problem.change * thermal_gap
     try:
         found = settle_near(kernel, frozen_tangents(blocks), thermal_gap, rest, slip, trial)
     except np.linalg.LinAlgError:

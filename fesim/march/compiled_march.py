@@ -108,6 +108,8 @@ def settle(joint: JointKernel, kept: Kept, now: JointState) -> tuple[bool, float
         solved, residual, iterations = False, np.nan, 0
     if solved:
         return True, residual, iterations
+    if not joint.columns.size:  # several blocks: the plain step has what Newton's method needs
+        return False, residual, iterations
     forget(kept.tangents)
     put(now.gap, trial.gap)
     add(now.change, trial.gap)

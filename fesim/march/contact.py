@@ -81,11 +81,10 @@ class ContactProblem:
         from fesim.joint.blocks import blocks_of, one_block
 
         problem, constraints = self.gap_problem, self.constraints
-        linear = problem.springs, problem.compliance, problem.columns
         if constraints is None:
-            return one_block(*linear)
+            return one_block(problem.springs, problem.compliance, problem.columns)
         counts = [count for _, count in self.laws]
-        return blocks_of(*linear, counts, constraints.share, constraints.supports)
+        return blocks_of(problem, counts, constraints.share, constraints.supports)
 
     @cached_property
     def watch(self) -> Watch | None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fesim.joint.blocks import Blocks, part_of
+from fesim.joint.blocks import Blocks, columns_for, part_of
 from fesim.joint.compiled_gap import compile_gap
 from fesim.joint.conductance import FixedConductance
 from fesim.joint.frozen_tangent import (
@@ -176,6 +176,7 @@ def joint_kernel(contact: ContactProblem, jump: Array, held: Array) -> JointKern
         return None
     at_rest = contact.gap_problem.at_rest
     return joint._replace(
+        columns=owned(contact.gap_problem.columns),
         gap=owned(at_rest(joint.gap)),
         loaded_gap=owned(at_rest(joint.loaded_gap)),
         change=np.zeros_like(joint.change),
@@ -186,7 +187,7 @@ def sprung_kernel(contact: ContactProblem, jump: Array, held: Array) -> JointKer
     """`joint_kernel` with the gaps of the condensation's springs, for `march_steps`.
 
     J0^-1 S_T of many modes takes as long as many steps, and a step by frozen tangents has a product
-    with F anyway.
+    with F anyway. Nor is there F transposed where there are several blocks.
     """
     elastic = contact.elastic
     solver = compile_gap(contact.gap_problem, contact.laws)
@@ -203,7 +204,7 @@ def sprung_kernel(contact: ContactProblem, jump: Array, held: Array) -> JointKer
         laws=owned(solver.laws),
         springs=owned(problem.springs),
         compliance=owned(problem.compliance),
-        columns=owned(problem.columns),
+        columns=columns_for(problem, contact.blocks),
         gap=owned(elastic.thermal_gap),
         loaded_gap=owned(loaded_gap),
         change=owned(problem.change),

@@ -55,13 +55,8 @@ for number, elements in enumerate(JOINTS):
 STANDING = np.eye(6, 24)
 
 
-def linear(problem):
-    """Springs, F and its transpose."""
-    return problem.springs, problem.compliance, np.ascontiguousarray(problem.compliance.T)
-
-
 def divided(problem):
-    return blocks_of(*linear(problem), COUNTS, CHAIN, STANDING)
+    return blocks_of(problem, COUNTS, CHAIN, STANDING)
 
 
 def test_there_are_tests_of_several_blocks():
@@ -91,10 +86,10 @@ def test_few_contact_elements_are_one_block():
     problem, _ = coupled_problem(1, 1e-6, 0.3)
     few = unknowns_of(np.arange(WHOLE), TOTAL)
     compliance = problem.compliance[np.ix_(few, few)]
-    own = problem.springs[few], compliance, np.ascontiguousarray(compliance.T)
+    own = replace(problem, springs=problem.springs[few], compliance=compliance)
     hung = CHAIN[:WHOLE], STANDING
-    assert blocks_of(*own, (40, 30, WHOLE - 70), *hung).starts.size == 2
-    assert blocks_of(*linear(problem), (TOTAL,), CHAIN, STANDING).starts.size == 2
+    assert blocks_of(own, (40, 30, WHOLE - 70), *hung).starts.size == 2
+    assert blocks_of(problem, (TOTAL,), CHAIN, STANDING).starts.size == 2
 
 
 def test_joints_of_a_chain_lie_on_no_loop():
