@@ -24,6 +24,7 @@ from fesim.march.machine import CondensedMachine, State
 from fesim.march.settling import initial_state
 from fesim.march.stepping import Advance, march_along, plainly_staggered, staggered
 from fesim.march.track import Track, joined
+from fesim.one_thread import threads_of_march
 from fesim.setup.loads import march_inputs
 from fesim.setup.machine import Setup, set_up, with_laws
 from fesim.simulate import COUPLINGS, simulate
@@ -171,6 +172,7 @@ def course(
     start: State | None = None,
     advance: Advance = staggered,
 ) -> Track:
-    """March from a state, or from rest."""
+    """March from a state, or from rest, on as many threads as `simulate`."""
     begun = start or initial_state(machine, inputs[0])
-    return joined(list(march_along(machine, inputs, advance, begun)))
+    with threads_of_march(machine.contact.count):
+        return joined(list(march_along(machine, inputs, advance, begun)))

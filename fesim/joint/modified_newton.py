@@ -134,17 +134,6 @@ def _sweep(tangents: FrozenTangents, now: Lacking, most: float, may_move: bool) 
 
 
 @compiled_part
-def _gaps(kernel: GapKernel, free_gap: Array, force: Array, whole: bool, gap: Array) -> None:
-    """Put `free_gap` + F `force` (3 m,) into `gap`; `whole`: if there is one block."""
-    if whole:
-        put(free_gap, gap)
-        add_product(kernel.columns, force, gap)
-    else:
-        np.dot(kernel.compliance, force, gap)
-        add(free_gap, gap)
-
-
-@compiled_part
 def _lack(springs: Array, trial: Trial, rest: Array, force: Array, lack: Array) -> float:
     """z(g) + k0 g + rest - force into `lack`; return its largest entry in gaps, m."""
     gap, value = trial.gap, trial.value
@@ -180,7 +169,7 @@ def settle_near(
     F takes a seventh of a step.
     """
     springs, tolerance, gap = kernel.springs, kernel.tolerance, trial.gap
-    columns = kernel.columns
+    compliance = kernel.compliance
     flat, storage = gap.reshape(-1), tangents.iteration
     force, lack, step, shift = storage.force, storage.lack, storage.step, storage.shift
     evaluate_in_place(kernel.laws, slip, trial)
@@ -188,7 +177,8 @@ def settle_near(
     _lack(springs, trial, rest, step, force)
     # Not of block 0: a literal would be another type, and all that takes it compiled twice.
     last = tangents.blocks.starts.size - 2
-    _gaps(kernel, free_gap, force, last == 0, flat)
+    np.dot(compliance, force, flat)
+    add(free_gap, flat)
     moves, before, corrected, least = 0, math.inf, math.inf, 0.1 * LEFT * tolerance
     # Gaps that were moved since then in single precision.
     rounded = 0.0
@@ -202,15 +192,16 @@ def settle_near(
         left = corrected * size <= LEFT * tolerance * before if iteration > 0 else False
         if left or size <= least:
             if SINGLE * rounded > LEFT * tolerance:
-                _gaps(kernel, free_gap, force, last == 0, flat)
+                np.dot(compliance, force, flat)
+                add(free_gap, flat)
                 rounded = 0.0
                 continue
             residual = size * tangents.blocks.reach
             if residual > tolerance:
-                fill(shift, 0.0)
                 if last == 0:
-                    add_product(columns, lack, shift)
+                    np.dot(compliance, lack, shift)
                 else:
+                    fill(shift, 0.0)
                     add_product(tangents.blocks.between, lack, shift)
                 residual = largest(shift)
             if residual <= tolerance and np.spacing(largest(gap)) <= tolerance:
@@ -221,8 +212,7 @@ def settle_near(
         if last == 0:
             stale = size > SLOW * before
             outcome = _correct_or_move(whole_tangent, whole, now, stale, may_move, step)
-            fill(shift, 0.0)
-            add_product(columns, step, shift)
+            np.dot(compliance, step, shift)
         else:
             outcome = _sweep(tangents, now, SLOW * before, may_move)
             rounded += largest(shift)
