@@ -18,7 +18,8 @@ from functools import cache, partial
 from importlib.util import find_spec
 
 import numpy as np
-from scipy.sparse import csc_array, csr_array, diags_array, sparray
+from numpy.typing import NDArray
+from scipy.sparse import bsr_array, csc_array, csr_array, diags_array, sparray
 from scipy.sparse.linalg import splu
 
 from fesim.solid.pardiso import Substitution, pardiso
@@ -34,6 +35,8 @@ VARIABLE = "THERMOJOINT_SOLVER"
 #: From so many unknowns on a factor is of single precision: on smaller ones, refinement takes more
 #: time than that saves with two threads.
 LARGE = 500_000
+#: From so many unknowns on PARDISO is given the blocks of nodes, where these are known.
+BLOCKED = 150_000
 #: Largest accepted residual relative to the right-hand side.
 RESIDUAL_LIMIT = 1e-6
 #: The residuals of many columns are looked for in so many combinations of them with random signs:
@@ -98,7 +101,12 @@ def factorise(matrix: sparray, what: str, solver: str | None = None) -> Factor:
     return factorise_upper(upper_triangle(csr_array(matrix)), what, solver)
 
 
-def factorise_upper(upper: csr_array, what: str, solver: str | None = None) -> Factor:
+def factorise_upper(
+    upper: csr_array,
+    what: str,
+    solver: str | None = None,
+    places: NDArray[np.int64] | None = None,
+) -> Factor:
     """Factorise a symmetric positive definite matrix given by its upper triangle.
 
     Parameters
@@ -107,10 +115,14 @@ def factorise_upper(upper: csr_array, what: str, solver: str | None = None) -> F
         As `upper_triangle` gives it.
     what, solver
         As for `factorise`, and so is what is raised.
+    places : ndarray of int, shape (n,), optional
+        Ascending: unknown 3 i + c is direction c at node i. Where it is given, PARDISO's analysis
+        of a large matrix takes a quarter of the time and a sixth of the memory.
     """
     large = upper.shape[0] >= LARGE and (solver or default_solver()) == "pardiso"
-    make = partial(_rough_factor, what=what) if large else _factoriser(upper, what, solver)
-    return _not_singular(make(upper), what)
+    if large:
+        return _not_singular(_rough_factor(upper, what, places), what)
+    return _not_singular(_factoriser(upper, what, solver, places)(upper), what)
 
 
 def shifted_factors(
@@ -141,12 +153,14 @@ def shifted_factors(
     return factor
 
 
-def _factoriser(upper: csr_array, what: str, solver: str | None) -> Callable[[csr_array], Factor]:
+def _factoriser(
+    upper: csr_array, what: str, solver: str | None, places: NDArray[np.int64] | None = None
+) -> Callable[[csr_array], Factor]:
     """Return a function that factorises matrices of one pattern."""
     name = solver or default_solver()
     if name not in SOLVERS:
         raise InputError(f"linear solver: {name!r} is unknown; use one of {', '.join(SOLVERS)}")
-    make = _superlu if name == "superlu" else _pardiso(upper, what)
+    make = _superlu if name == "superlu" else _pardiso(upper, what, False, places)
 
     def factor(matrix: csr_array) -> Factor:
         try:
@@ -157,11 +171,11 @@ def _factoriser(upper: csr_array, what: str, solver: str | None) -> Callable[[cs
     return factor
 
 
-def _rough_factor(upper: csr_array, what: str) -> Factor:
+def _rough_factor(upper: csr_array, what: str, places: NDArray[np.int64] | None) -> Factor:
     """Factorise in single precision, and in double only where that does not do."""
-    precise = cache(lambda: _factoriser(upper, what, "pardiso")(upper))
+    precise = cache(lambda: _factoriser(upper, what, "pardiso", places)(upper))
     try:
-        rough = _pardiso(upper, what, single=True)(upper)
+        rough = _pardiso(upper, what, True, places)(upper)
     except np.linalg.LinAlgError:
         return precise()
 
@@ -283,14 +297,71 @@ def _superlu(upper: csr_array) -> Substitution:
 
 
 def _pardiso(
-    upper: csr_array, what: str, single: bool = False
+    upper: csr_array, what: str, single: bool, places: NDArray[np.int64] | None
 ) -> Callable[[csr_array], Substitution]:
     if not np.diff(upper.indptr).all():
         raise singular(what)
     try:
-        return pardiso(upper, single)
+        if places is None or upper.shape[0] < BLOCKED:
+            return pardiso(upper, single)
+        return _by_nodes(upper, single, places)
     except ImportError as error:
         raise InputError(
             "linear solver: 'pardiso' is not installed; install the extra "
             "thermojoint[pardiso] or use 'superlu'"
         ) from error
+
+
+def _by_nodes(
+    upper: csr_array, single: bool, places: NDArray[np.int64]
+) -> Callable[[csr_array], Substitution]:
+    """Factors by PARDISO of matrices in blocks of nodes; right-hand sides are as for `upper`."""
+    precision = np.float32 if single else np.float64
+    make = pardiso(in_blocks(upper, places, precision), single)
+
+    def factorised(matrix: csr_array) -> Substitution:
+        substitution = make(in_blocks(matrix, places, precision))
+
+        def solve(right_side: Array) -> Array:
+            shape = (_whole_size(places), *right_side.shape[1:])
+            whole = np.zeros(shape, precision, order="F")
+            whole.T[..., places] = right_side.T
+            return np.asarray(substitution(whole).T[..., places].T)
+
+        return solve
+
+    return factorised
+
+
+def in_blocks(
+    upper: csr_array, places: NDArray[np.int64], precision: type[np.floating]
+) -> bsr_array:
+    """Return the upper triangle of a symmetric matrix in blocks of three, one for each two nodes.
+
+    Blocks on the diagonal are whole. Where no unknown is placed the diagonal is one.
+
+    Parameters
+    ----------
+    upper : scipy.sparse.csr_array, shape (n, n)
+        As `upper_triangle` gives it.
+    places : ndarray of int, shape (n,)
+        Ascending: unknown 3 i + c is direction c at node i.
+    precision : type
+        Of the numbers.
+    """
+    size = _whole_size(places)
+    counts, lacking = np.zeros(size + 1, dtype=np.int32), np.ones(size, dtype=precision)
+    counts[places + 1], lacking[places] = np.diff(upper.indptr), 0.0
+    columns = places.astype(np.int32)[upper.indices]
+    starts = np.cumsum(counts, dtype=np.int32)
+    spread = csr_array((upper.data.astype(precision), columns, starts), (size, size))
+    blocks = csr_array(spread + diags_array(lacking)).tobsr((3, 3))
+    blocks.sort_indices()
+    # Rows of an upper triangle begin with the diagonal.
+    first = blocks.indptr[:-1]
+    blocks.data[first] += np.triu(blocks.data[first], 1).transpose(0, 2, 1)
+    return bsr_array(blocks)
+
+
+def _whole_size(places: NDArray[np.int64]) -> int:
+    return 3 * (int(places[-1]) // 3 + 1)

@@ -15,7 +15,7 @@ from pathlib import Path
 from weakref import finalize
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse import bsr_array, csr_array
 
 from thermojoint.artefacts.arrays import Array
 
@@ -28,17 +28,20 @@ ANALYSIS, NUMBERS, SOLUTION = 11, 22, 33
 #: Its parameters, numbered from 1: use these instead of the defaults; nested dissection; indices
 #: from zero. By default MKL refines every solution twice, which takes four times as long.
 PARAMETERS = {1: 1, 2: 2, 35: 1}
-#: Whether numbers are of single precision.
-SINGLE = 28
+#: Whether numbers are of single precision; edge of blocks, 0 for none.
+SINGLE, BLOCK = 28, 37
 
 
-def pardiso(upper: csr_array, single: bool) -> Callable[[csr_array], Substitution]:
+def pardiso(
+    upper: csr_array | bsr_array, single: bool
+) -> Callable[[csr_array | bsr_array], Substitution]:
     """Return a function that factorises matrices of one pattern, each until the next one.
 
     Parameters
     ----------
-    upper : scipy.sparse.csr_array, shape (n, n)
-        Upper triangle of one of them, without empty rows, which would crash MKL.
+    upper : scipy.sparse.csr_array or bsr_array, shape (n, n)
+        Upper triangle of one of them, without empty rows, which would crash MKL; in blocks, those
+        on the diagonal whole. Of blocks MKL analyses the pattern, not that of the numbers.
     single : bool
         Whether factors are of single precision, and solutions no better.
 
@@ -53,13 +56,14 @@ def pardiso(upper: csr_array, single: bool) -> Callable[[csr_array], Substitutio
     from pypardiso import PyPardisoSolver
 
     solver, precision = PyPardisoSolver(mtype=2), np.float32 if single else np.float64
-    for parameter, value in (PARAMETERS | {SINGLE: int(single)}).items():
+    block = upper.blocksize[0] if isinstance(upper, bsr_array) else 0
+    for parameter, value in (PARAMETERS | {SINGLE: int(single), BLOCK: block}).items():
         solver.set_iparm(parameter, value)
     # Where it had to be searched for, it is not searched for again.
     os.environ.setdefault("PYPARDISO_MKL_RT", solver.libmkl._name)
 
     number, to = ctypes.c_int32, ctypes.POINTER(ctypes.c_int32)
-    count, one, kind, silent = map(number, (upper.shape[0], 1, solver.mtype, 0))
+    count, one, kind, silent = map(number, (len(upper.indptr) - 1, 1, solver.mtype, 0))
     pattern = [part.astype(np.int32, copy=False) for part in (upper.indptr, upper.indices)]
     store = solver.pt.ctypes.data_as(ctypes.POINTER(ctypes.c_int64))
     starts, columns, order, settings = (
@@ -85,7 +89,7 @@ def pardiso(upper: csr_array, single: bool) -> Callable[[csr_array], Substitutio
     nothing = np.zeros(upper.shape[0], precision)
     run(ANALYSIS, upper.data.astype(precision, copy=False), nothing)
 
-    def factorised(matrix: csr_array) -> Substitution:
+    def factorised(matrix: csr_array | bsr_array) -> Substitution:
         values = matrix.data.astype(precision, copy=False)
         run(NUMBERS, values, nothing)
 

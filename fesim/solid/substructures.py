@@ -75,8 +75,8 @@ class TieCondensation:
 
 def _constrained(
     piece: ElasticPiece, gap: csr_array, springs: Array
-) -> tuple[csr_array, Callable[[Factor], Substructure]]:
-    """Return Kd of a piece, with anchors if it needs some, and what its factor makes of it."""
+) -> tuple[csr_array, NDArray[np.int64], Callable[[Factor], Substructure]]:
+    """Kd of a piece, anchored if it needs that, its own unknowns, and what a factor makes of it."""
     free = np.flatnonzero(piece.free)
     stiffness = piece.stiffness
     if free.size < piece.free.size:
@@ -98,14 +98,15 @@ def _constrained(
     def with_factor(factor: Factor) -> Substructure:
         return Substructure(unknowns, factor, load, unknowns[anchored], anchor)
 
-    return stiffness, with_factor
+    return stiffness, free, with_factor
 
 
 def _factorised(
-    constrained: tuple[csr_array, Callable[[Factor], Substructure]], solver: str | None
+    constrained: tuple[csr_array, NDArray[np.int64], Callable[[Factor], Substructure]],
+    solver: str | None,
 ) -> Substructure:
-    stiffness, with_factor = constrained
-    return with_factor(factorise_upper(stiffness, "stiffness", solver))
+    stiffness, places, with_factor = constrained
+    return with_factor(factorise_upper(stiffness, "stiffness", solver, places))
 
 
 def _far_apart(points: Array) -> NDArray[np.int64]:

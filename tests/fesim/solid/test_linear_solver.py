@@ -16,6 +16,7 @@ from fesim.solid.linear_solver import (
     checked_solve,
     default_solver,
     factorise,
+    factorise_upper,
     upper_triangle,
 )
 from fesim.solid.spaces import make_spaces
@@ -42,10 +43,13 @@ def chain(count, loose=False):
     )
 
 
-def stiffness_of(structure, **supports):
-    spaces = make_spaces(structure.mesh)
+def operators_of(structure, **supports):
     materials = dict.fromkeys(structure.bodies, IRON)
-    elastic = elastic_operators(structure, spaces, materials, **supports)
+    return elastic_operators(structure, make_spaces(structure.mesh), materials, **supports)
+
+
+def stiffness_of(structure, **supports):
+    elastic = operators_of(structure, **supports)
     return elastic.stiffness[elastic.free][:, elastic.free]
 
 
@@ -171,6 +175,32 @@ def test_large_stiffness_is_solved_as_exactly_by_factors_of_single_precision(lar
     np.testing.assert_allclose(solved, right, rtol=0.0, atol=1e-9 * np.abs(right).max())
     alone = checked_solve(found, loads[:, 0], "block")
     np.testing.assert_allclose(alone, right[:, 0], rtol=0.0, atol=1e-9 * np.abs(right).max())
+
+
+@pytest.mark.parametrize("from_size", [0, 500_000], ids=["single precision", "double precision"])
+def test_blocks_of_nodes_give_the_solutions_of_the_plain_matrix(monkeypatch, from_size):
+    """Where supports hold one direction of a node, all of it, or nothing of it."""
+    pytest.importorskip("pypardiso")
+    monkeypatch.setattr("fesim.solid.linear_solver.LARGE", from_size)
+    monkeypatch.setattr("fesim.solid.linear_solver.BLOCKED", 0)
+    piece = next(iter(operators_of(block(), fixed=["left"], symmetry={"back": "z"}).pieces()))
+    places = np.flatnonzero(piece.free)
+    held = np.bincount(places // 3, minlength=len(piece.points))
+    assert set(held) == {0, 2, 3}
+    upper = upper_triangle(piece.stiffness[places][:, places])
+    loads = np.random.default_rng(4).standard_normal((places.size, 20))
+    exact = factorise_upper(upper, "block", "superlu")
+    found = factorise_upper(upper, "block", "pardiso", places)
+    for load in (loads, loads[:, 0]):
+        right, solved = (checked_solve(factor, load, "block") for factor in (exact, found))
+        np.testing.assert_allclose(solved, right, rtol=0.0, atol=1e-9 * np.abs(right).max())
+
+
+def test_a_singular_matrix_in_blocks_is_an_input_error(monkeypatch, large):
+    monkeypatch.setattr("fesim.solid.linear_solver.BLOCKED", 0)
+    loose = upper_triangle(csr_array(chain(51, loose=True)))
+    with pytest.raises(InputError, match="singular"):
+        factorise_upper(loose, "chain", "pardiso", np.arange(51))
 
 
 @pytest.mark.parametrize("soft", [1e-4, 1e-9])
