@@ -108,9 +108,9 @@ def settle(joint: JointKernel, kept: Kept, now: JointState) -> tuple[bool, float
         solved, residual, iterations = False, np.nan, 0
     if solved:
         return True, residual, iterations
+    forget(kept.tangents)
     if not joint.columns.size:  # several blocks: the plain step has what Newton's method needs
         return False, residual, iterations
-    forget(kept.tangents)
     put(now.gap, trial.gap)
     add(now.change, trial.gap)
     add_product(joint.columns, rest, free_gap)  # J0^-1 g_T

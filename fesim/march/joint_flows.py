@@ -18,6 +18,7 @@ from fesim.joint.compiled_gap import largest
 from fesim.joint.in_place import fill, put
 from fesim.joint.linear_system import factorise_single, solve, solve_again
 from fesim.march.compiled_step import flow_system
+from fesim.one_thread import MANY
 from thermojoint.artefacts.arrays import Array
 
 #: Largest residual of the flows, relative to the right-hand side.
@@ -27,10 +28,6 @@ TOLERANCE = 1e-13
 PATIENCE = 8
 #: Largest number of restarts: the recurrence of GMRES only estimates the residual.
 LOOKS = 4
-#: From so many contact elements on, the first guess continues the flows of the last two steps. A
-#: march resumed from a saved state does not know them: its flows then agree to `TOLERANCE`, where
-#: those of fewer elements are the same bits.
-MANY = 1_000
 
 
 class Equations(NamedTuple):
@@ -136,7 +133,12 @@ def solve_flows(
 
 @compiled_part
 def _guess(flows: Flows, flow: Array) -> None:
-    """Put a first guess of the flows into `flow`."""
+    """Put a first guess of the flows into `flow`.
+
+    That of `MANY` contact elements continues the flows of the last two steps. A march resumed from
+    a saved state does not know them: its flows then agree to `TOLERANCE`, where those of fewer
+    elements are the same bits.
+    """
     if flow.size < MANY or math.isnan(flows.before[1, 0]):
         _precondition(flows, flows.driving, flow)
         return
