@@ -19,7 +19,7 @@ def threads_of_march(contacts: int) -> AbstractContextManager[None]:
 
 
 def threads_beside_solver(contacts: int) -> AbstractContextManager[None]:
-    """`one_dense_thread`, or all threads for as many contact elements as `threads_of_march`."""
+    """Let OpenBLAS use one thread beside a sparse solver, or all if there are `MANY` elements."""
     return one_dense_thread() if contacts < MANY else nullcontext()
 
 

@@ -25,7 +25,8 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from fesim.jit import compiled
-from fesim.joint.gap import GapProblem, transposed
+from fesim.joint.gap import GapProblem
+from fesim.one_thread import MANY
 from thermojoint.artefacts.arrays import Array, Flags
 
 #: Up to this many contact elements are one block in any case: their factors fit into the cache.
@@ -52,7 +53,8 @@ class Blocks(NamedTuple):
     #: Shape (3 m, 3 m): the whole of F transposed in single precision, m/Pa, in the order of the
     #: machine; (0, 0) for a single block.
     between: NDArray[np.float32]
-    #: Largest gap anywhere, in m, by tractions that close their own springs k0 by 1 m each.
+    #: Largest gap anywhere by tractions that close their own springs k0 by up to 1 m each, m;
+    #: unknown, and not used, for a single block.
     reach: float
 
 
@@ -75,13 +77,23 @@ def one_block(springs: Array, compliance: Array, columns: Array) -> Blocks:
         compliance=compliance.ravel(),
         columns=columns.ravel(),
         between=np.empty((0, 0), dtype=np.float32),
-        reach=np.inf,
+        reach=np.nan,
     )
 
 
+def whole(problem: GapProblem) -> Blocks:
+    """Return the contact elements of a machine as one block."""
+    return one_block(problem.springs, problem.compliance, problem.columns)
+
+
 def columns_for(problem: GapProblem, blocks: Blocks) -> Array:
-    """Return F transposed (3 m, 3 m), m/Pa, for one block; sweeps over several need none."""
-    return problem.columns if blocks.starts.size == 2 else np.empty((0, 0))
+    """Return F transposed (3 m, 3 m), m/Pa, for Newton's method where sweeps fail.
+
+    It is empty for several blocks of `MANY` contact elements: to store it takes as long as twenty
+    steps, and a plain step, which makes it at need, takes over from sweeps that fail.
+    """
+    apart = blocks.starts.size > 2 and blocks.elements.size >= MANY
+    return np.empty((0, 0)) if apart else problem.columns
 
 
 def blocks_of(problem: GapProblem, counts: Sequence[int], share: Array, supports: Array) -> Blocks:
@@ -99,12 +111,12 @@ def blocks_of(problem: GapProblem, counts: Sequence[int], share: Array, supports
     springs, compliance = problem.springs, problem.compliance
     total = springs.size // 3
     if total <= WHOLE or len(counts) < 2:
-        return one_block(springs, compliance, problem.columns)
+        return whole(problem)
     joints = np.split(np.arange(total), np.cumsum(counts)[:-1])
     own = _together(springs, compliance, joints, side_by_side(joints, share, supports))
     parts = [np.concatenate([joints[j] for j in np.flatnonzero(own == k)]) for k in np.unique(own)]
     if len(parts) == 1:
-        return one_block(springs, compliance, problem.columns)
+        return whole(problem)
     sizes = np.array([part.size for part in parts])
     rows = [unknowns_of(part, total) for part in parts]
     diagonal = [compliance[np.ix_(row, row)] for row in rows]
@@ -114,7 +126,7 @@ def blocks_of(problem: GapProblem, counts: Sequence[int], share: Array, supports
         springs=np.concatenate([springs[row] for row in rows]),
         compliance=np.concatenate([block.ravel() for block in diagonal]),
         columns=np.concatenate([block.T.ravel() for block in diagonal]),
-        between=transposed(compliance, np.float32),
+        between=np.ascontiguousarray(compliance.T, dtype=np.float32),
         reach=float(max((abs(row) @ springs for row in compliance), default=0.0)),
     )
 

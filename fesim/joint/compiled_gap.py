@@ -63,7 +63,7 @@ class GapKernel(NamedTuple):
 
     #: Shape (3 m,): k0, Pa/m.
     springs: Array
-    #: Shape (3 m, 3 m): F and its transpose, m/Pa.
+    #: Shape (3 m, 3 m): F and its transpose, m/Pa; the latter for `solve_in_place` alone.
     compliance: Array
     columns: Array
     #: Shape (m, 7): parameters of the law of each contact element.
@@ -95,16 +95,19 @@ class CompiledGap:
     #: Shape (m, 7): parameters of the law of each contact element.
     laws: Array
 
-    def kernel(self, tolerance: float) -> GapKernel:
-        """Return its data for machine code, and for residuals up to a tolerance, m."""
-        linear = self.problem.springs, self.problem.compliance, self.problem.columns
-        return GapKernel(*linear, self.laws, tolerance)
+    def kernel(self, columns: Array, tolerance: float) -> GapKernel:
+        """Return its data for machine code, and for residuals up to a tolerance, m.
+
+        `columns`: F transposed, (3 m, 3 m), m/Pa, or an empty matrix where it is not used.
+        """
+        springs, compliance = self.problem.springs, self.problem.compliance
+        return GapKernel(springs, compliance, columns, self.laws, tolerance)
 
     def solve(
         self, thermal_gap: Array, slip: Array, guess: Array, tolerance: float = TOLERANCE
     ) -> Equilibrium:
         """Find the gaps in equilibrium with a thermal gap; see `fesim.joint.gap.solve_gap`."""
-        trial, kernel = trial_at(guess), self.kernel(tolerance)
+        trial, kernel = trial_at(guess), self.kernel(self.problem.columns, tolerance)
         try:
             outcome, size, iterations = solve_in_place(
                 kernel, self.problem.at_rest(thermal_gap), slip, trial, newton_work(slip.shape[1])

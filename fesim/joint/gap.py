@@ -18,10 +18,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from fesim.joint.law import Traction, tangent_matrix
@@ -37,10 +35,8 @@ SHORTEST_STEP = 2.0**-10
 MAX_FULL_STEPS = 10
 #: Reference springs that differ from the joint's own by less, relative to these, are nearly equal.
 NEAR = 0.01
-#: Rows that are transposed at a time.
+#: Rows that are copied at a time from one triangle of a symmetric matrix into the other.
 AT_ONCE = 64
-
-F = TypeVar("F", np.float32, np.float64)
 
 
 @dataclass(frozen=True)
@@ -73,7 +69,7 @@ class GapProblem:
     @cached_property
     def columns(self) -> Array:
         """F transposed, contiguous: shape (3 m, 3 m), m/Pa."""
-        return transposed(self.compliance, np.float64)
+        return np.ascontiguousarray(self.compliance.T)
 
     def at_rest(self, gap: Array) -> Array:
         """J0^-1 g of gaps g with the condensation's springs, shape (3 m,) or (3 m, n), m.
@@ -99,16 +95,6 @@ class GapProblem:
         product -= np.einsum("rim,ijm->rjm", blocks, tangent).reshape(size, size)
         product[np.diag_indices(size)] += 1.0
         return product
-
-
-def transposed(matrix: Array, kind: type[F]) -> NDArray[F]:
-    """Return a matrix (n, n) transposed and stored row after row, with numbers of some kind."""
-    found = np.empty(matrix.shape, dtype=kind)
-    # A few rows at a time: otherwise every number is far from the next one.
-    for start in range(0, len(matrix), AT_ONCE):
-        rows = slice(start, start + AT_ONCE)
-        found[:, rows] = matrix[rows].T
-    return found
 
 
 def gap_problem(

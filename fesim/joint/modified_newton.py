@@ -164,9 +164,8 @@ def settle_near(
 
     J0^-1 g_T is given as `free_gap` + F `rest`, (3 m,), m and Pa: g_T and (k - k0) g_T, or
     J0^-1 g_T and zero. Other arguments as in `fesim.joint.compiled_gap.solve_in_place`. An accepted
-    state has a residual g - J0^-1 g_T - F (z(g) + k0 g) within the tolerance. Of several blocks,
-    whose kernel has no F transposed, an upper bound is returned where that suffices: a product with
-    F takes a seventh of a step.
+    state has a residual g - J0^-1 g_T - F (z(g) + k0 g) within the tolerance. Of several blocks an
+    upper bound is returned where that suffices: a product with F takes a seventh of a step.
     """
     springs, tolerance, gap = kernel.springs, kernel.tolerance, trial.gap
     compliance = kernel.compliance
@@ -196,14 +195,15 @@ def settle_near(
                 add(free_gap, flat)
                 rounded = 0.0
                 continue
-            residual = size * tangents.blocks.reach
-            if residual > tolerance:
-                if last == 0:
-                    np.dot(compliance, lack, shift)
-                else:
+            if last == 0:
+                np.dot(compliance, lack, shift)
+                residual = largest(shift)
+            else:
+                residual = size * tangents.blocks.reach
+                if residual > tolerance:
                     fill(shift, 0.0)
                     add_product(tangents.blocks.between, lack, shift)
-                residual = largest(shift)
+                    residual = largest(shift)
             if residual <= tolerance and np.spacing(largest(gap)) <= tolerance:
                 if iteration > PATIENCE:
                     forget(tangents)
@@ -238,8 +238,8 @@ def solve_in_blocks(
     By Newton's method where that fails; arguments and errors as for `fesim.joint.gap.solve_gap`.
     """
     problem, trial = solver.problem, trial_at(guess)
-    linear = problem.springs, problem.compliance, columns_for(problem, blocks)
-    kernel, rest = GapKernel(*linear, solver.laws, tolerance), problem.change * thermal_gap
+    kernel = solver.kernel(columns_for(problem, blocks), tolerance)
+    rest = problem.change * thermal_gap
     try:
         found = settle_near(kernel, frozen_tangents(blocks), thermal_gap, rest, slip, trial)
     except np.linalg.LinAlgError:

@@ -109,7 +109,7 @@ def settle(joint: JointKernel, kept: Kept, now: JointState) -> tuple[bool, float
     if solved:
         return True, residual, iterations
     forget(kept.tangents)
-    if not joint.columns.size:  # several blocks: the plain step has what Newton's method needs
+    if not joint.columns.size:  # the plain step has what Newton's method needs
         return False, residual, iterations
     put(now.gap, trial.gap)
     add(now.change, trial.gap)

@@ -78,11 +78,11 @@ class ContactProblem:
     def blocks(self) -> Blocks:
         """Weakly coupled blocks of contact elements; a single one if no constraints are known."""
         # Here, not above, as in `gap_solver`.
-        from fesim.joint.blocks import blocks_of, one_block
+        from fesim.joint.blocks import blocks_of, whole
 
         problem, constraints = self.gap_problem, self.constraints
         if constraints is None:
-            return one_block(problem.springs, problem.compliance, problem.columns)
+            return whole(problem)
         counts = [count for _, count in self.laws]
         return blocks_of(problem, counts, constraints.share, constraints.supports)
 

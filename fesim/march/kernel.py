@@ -187,7 +187,7 @@ def sprung_kernel(contact: ContactProblem, jump: Array, held: Array) -> JointKer
     """`joint_kernel` with the gaps of the condensation's springs, for `march_steps`.
 
     J0^-1 S_T of many modes takes as long as many steps, and a step by frozen tangents has a product
-    with F anyway. Nor is there F transposed where there are several blocks.
+    with F anyway. Nor is F transposed stored for many contact elements in several blocks.
     """
     elastic = contact.elastic
     solver = compile_gap(contact.gap_problem, contact.laws)

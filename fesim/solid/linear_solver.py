@@ -317,10 +317,13 @@ def _by_nodes(
 ) -> Callable[[csr_array], Substitution]:
     """Factors by PARDISO of matrices in blocks of nodes; right-hand sides are as for `upper`."""
     precision = np.float32 if single else np.float64
-    make = pardiso(in_blocks(upper, places, precision), single)
+    blocks = in_blocks(upper, places, precision)
+    make = pardiso(blocks, single)
 
     def factorised(matrix: csr_array) -> Substitution:
-        substitution = make(in_blocks(matrix, places, precision))
+        # Most often it is the one whose pattern was analysed: its blocks are there.
+        own = blocks if matrix is upper else in_blocks(matrix, places, precision)
+        substitution = make(own)
 
         def solve(right_side: Array) -> Array:
             shape = (_whole_size(places), *right_side.shape[1:])
@@ -336,7 +339,7 @@ def _by_nodes(
 def in_blocks(
     upper: csr_array, places: NDArray[np.int64], precision: type[np.floating]
 ) -> bsr_array:
-    """Return the upper triangle of a symmetric matrix in blocks of three, one for each two nodes.
+    """Return the upper triangle of a symmetric matrix in blocks of three, one per pair of nodes.
 
     Blocks on the diagonal are whole. Where no unknown is placed the diagonal is one.
 

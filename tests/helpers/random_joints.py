@@ -110,7 +110,8 @@ TIGHT = 1e-16
 
 def settled(problem, laws, thermal_gap, slip, guess, tangents, tolerance=TIGHT):
     """Whether it is solved, the residual, the gaps and the slip."""
-    trial, kernel = trial_at(guess), compile_gap(problem, laws).kernel(tolerance)
+    trial, solver = trial_at(guess), compile_gap(problem, laws)
+    kernel = solver.kernel(problem.columns, tolerance)
     rest = problem.change * thermal_gap
     found, residual, _ = settle_near(kernel, tangents, thermal_gap, rest, slip, trial)
     return found, residual, trial.gap, trial.moved

@@ -20,7 +20,7 @@ from fesim.joint.blocks import (
 )
 from fesim.joint.frozen_tangent import FROZEN, frozen_tangents
 from fesim.joint.gap import solve_gap
-from fesim.march.kernel import step_kernel
+from fesim.march.kernel import new_kept, step_kernel
 from fesim.march.settling import initial_state
 from fesim.march.stepping import march_along, plainly_staggered, staggered
 from fesim.setup.loads import march_inputs
@@ -192,16 +192,36 @@ def marched(machine, inputs, start=None, advance=staggered):
     return list(march_along(machine, inputs, advance, start or initial_state(machine)))
 
 
+def plainly(machine, inputs):
+    """Displacements of a march without blocks, frozen tangents and machine code."""
+    contact = replace(machine.contact)
+    vars(contact)["settle"] = partial(solve_gap, contact.gap_problem)
+    steps = marched(replace(machine, contact=contact), inputs, advance=plainly_staggered)
+    return np.vstack([track.displacement for track in steps])
+
+
 def test_a_machine_of_many_joints_marches_in_blocks_as_it_does_plainly(pillar):
     machine, inputs = pillar
     assert step_kernel(machine).blocks.starts.tolist() == [0, 20, 40, 60, 80, 100]
     found = np.vstack([track.displacement for track in marched(machine, inputs)])
-    contact = replace(machine.contact)
-    vars(contact)["settle"] = partial(solve_gap, contact.gap_problem)
-    steps = marched(replace(machine, contact=contact), inputs, advance=plainly_staggered)
-    plain = np.vstack([track.displacement for track in steps])
+    plain = plainly(machine, inputs)
     assert np.abs(plain).max() > 1e-6
     np.testing.assert_allclose(found, plain, rtol=0.0, atol=1e-12)
+
+
+def test_plain_steps_take_over_where_sweeps_fail_and_f_transposed_is_not_stored(
+    pillar, monkeypatch
+):
+    """Fifty times the heat; as with many contact elements."""
+    monkeypatch.setattr("fesim.joint.blocks.MANY", 0)
+    machine, inputs = pillar
+    strong = inputs[:20] * np.array([50.0, 1.0])
+    kernel, start = step_kernel(machine), initial_state(machine)
+    assert not kernel.machine.joint.columns.size
+    _, taken, _ = kernel.run(new_kept(kernel.machine, kernel.blocks), start, strong)
+    assert taken < len(strong)
+    found = np.vstack([track.displacement for track in marched(machine, strong)])
+    np.testing.assert_allclose(found, plainly(machine, strong), rtol=0.0, atol=1e-12)
 
 
 def test_steps_that_are_settled_one_by_one_go_in_blocks_too(pillar):

@@ -78,6 +78,19 @@ def test_a_joint_that_has_slipped_and_sticks_keeps_its_frozen_tangent():
     assert tangents.every.about[0, FROZEN] <= 3
 
 
+def test_a_joint_at_rest_is_settled_at_once():
+    """Exactly nothing is lacking, with Back and Burdekin's law and without friction."""
+    law = law_of(0.0, 0.5)
+    problem, _ = random_problem(1, 5, 1e-6, 0.0, law=law)
+    zero = np.zeros((3, 5))
+    found, residual, gap, _ = settled(
+        problem, [(law, 5)], np.zeros(15), zero[1:], zero, nowhere(problem)
+    )
+    assert found
+    assert residual == 0.0
+    np.testing.assert_array_equal(gap, zero)
+
+
 def test_a_tolerance_out_of_reach_is_not_reached():
     problem, thermal_gap = random_problem(7, 4, 1e-6, 0.6)
     zero = np.zeros((3, 4))
