@@ -34,6 +34,8 @@ WHOLE = 96
 #: Joints with a larger coupling than this are in one block: a sweep would leave about this fraction
 #: of the residual, where drift leaves 0.01 anyway.
 COUPLED = 0.15
+#: Edge of the tiles in which F is transposed.
+TILE = 500
 #: Steps of the power method that estimates a coupling.
 POWERS = 8
 
@@ -126,9 +128,19 @@ def blocks_of(problem: GapProblem, counts: Sequence[int], share: Array, supports
         springs=np.concatenate([springs[row] for row in rows]),
         compliance=np.concatenate([block.ravel() for block in diagonal]),
         columns=np.concatenate([block.T.ravel() for block in diagonal]),
-        between=np.ascontiguousarray(compliance.T, dtype=np.float32),
+        between=_transposed(compliance),
         reach=float(max((abs(row) @ springs for row in compliance), default=0.0)),
     )
+
+
+def _transposed(matrix: Array) -> NDArray[np.float32]:
+    """The transpose of a square matrix, contiguous, in tiles: rows at once would miss the cache."""
+    found = np.empty(matrix.shape, dtype=np.float32)
+    starts = range(0, len(matrix), TILE)
+    for i in starts:
+        for j in starts:
+            found[j : j + TILE, i : i + TILE] = matrix[i : i + TILE, j : j + TILE].T
+    return found
 
 
 @compiled

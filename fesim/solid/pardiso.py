@@ -93,8 +93,9 @@ def pardiso(
         values = matrix.data.astype(precision, copy=False)
         run(NUMBERS, values, nothing)
 
+        # MKL does not refine a solution, so that it reads no numbers of the matrix again.
         return lambda right_side: run(
-            SOLUTION, values, np.asfortranarray(right_side, dtype=precision)
+            SOLUTION, nothing, np.asfortranarray(right_side, dtype=precision)
         )
 
     return factorised

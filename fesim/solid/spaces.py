@@ -53,7 +53,7 @@ class Spaces:
     #: Temperature.
     heat: CellBasis
     #: One component of displacement: its numbering, places and surfaces. It has one quadrature
-    #: point a cell and integrates nothing of second order over cells: `elastic` does.
+    #: point a cell and integrates nothing over cells: `elastic` does.
     displacement: CellBasis
     #: Of the quadrature of the stiffness.
     order: int
@@ -102,7 +102,9 @@ def make_spaces(mesh: Mesh) -> Spaces:
         heat_order, elastic_order = (4, 4) if curved else (2, 2)
     maps = cell_maps(mesh)
     heat = CellBasis(mesh, low, maps, intorder=heat_order)
-    return Spaces(heat, CellBasis(mesh, high, maps, intorder=1), elastic_order)
+    # Not of order one: of a hexahedron that would be eight points.
+    centre = low.refdom.p.mean(axis=1, keepdims=True), np.ones(1)
+    return Spaces(heat, CellBasis(mesh, high, maps, quadrature=centre), elastic_order)
 
 
 def interpolation(
