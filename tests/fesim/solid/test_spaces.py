@@ -9,7 +9,7 @@ from skfem import MeshHex, MeshTet
 
 from fesim.case.schema import CandidatesSection
 from fesim.setup.structure import candidate_probes
-from fesim.solid.spaces import cells_at, probe_cells
+from fesim.solid.spaces import cells_at, make_spaces, probe_cells
 from meshes.structure import Probe, Structure
 from thermojoint.artefacts.errors import InputError
 
@@ -72,3 +72,9 @@ def test_a_point_outside_is_told_as_plain_numbers():
     probe = Probe(tuple(np.array([0.05, 0.03, 9.0])), "left")
     with pytest.raises(InputError, match=r"probe 'far' at \(0.05, 0.03, 9\) m lies in no cell"):
         probe_cells(structure, {"far": probe})
+
+
+@pytest.mark.parametrize("mesh", [GRADED, MeshTet()])
+def test_displacements_are_not_evaluated_where_nothing_is_integrated(mesh):
+    """Their gradients on the points of an integral would be gigabytes of a fine mesh."""
+    assert make_spaces(mesh).displacement.dx.shape == (mesh.nelements, 1)
