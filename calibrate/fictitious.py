@@ -29,6 +29,9 @@ from thermojoint.models.sensors import JOINT_SENSORS
 if TYPE_CHECKING:
     import xarray as xr
 
+#: Name of the responses in error messages.
+WHERE = "calibration responses"
+
 
 @dataclass(frozen=True)
 class Deviations:
@@ -64,9 +67,7 @@ class FictitiousCalibration:
     deformation_errors: dict[str, dict[str, float]]
 
 
-def check_steps(
-    reference: xr.Dataset, others: Mapping[float, xr.Dataset], where: str = "calibration responses"
-) -> float:
+def check_steps(reference: xr.Dataset, others: Mapping[float, xr.Dataset]) -> float:
     """Return the level of the reference step; refuse steps that are inconsistent with it.
 
     Parameters
@@ -75,8 +76,6 @@ def check_steps(
         Step response at the reference input.
     others : mapping
         Heat input to the step response at it, sampled at the same times.
-    where : str
-        For error messages.
 
     Raises
     ------
@@ -84,11 +83,11 @@ def check_steps(
         A response is not to a step, its level is not the one given or is the reference's, or its
         times or axes differ from the reference's.
     """
-    base = steps.step_level(reference, f"{where}, reference")
+    base = steps.step_level(reference, f"{WHERE}, reference")
     t = steps.times(reference)
     axes = axes_of(reference)
     for named, response in sorted(others.items()):
-        name = f"{where}, input {named:g}"
+        name = f"{WHERE}, input {named:g}"
         level = steps.step_level(response, name)
         if abs(level - named) > 1e-9 * abs(named):
             raise InputError(f"{name}: its heat input is {level:g}; name it by its heat input")
@@ -110,34 +109,33 @@ def deviations_from(
     reference: xr.Dataset,
     others: Mapping[float, xr.Dataset],
     sensors: Sequence[str] = JOINT_SENSORS,
-    where: str = "calibration responses",
 ) -> Deviations:
     """Return ∂T_j = T_j - Q̄ T_j(1) and δ_NL = δ - Q̄ δ(1) of further steps.
 
     Parameters
     ----------
-    reference, others, where
+    reference, others
         As in `check_steps`, which checks them; the reference is divided by its level.
     sensors : sequence of str
         T1, T2 ...
     """
-    base = check_steps(reference, others, where)
+    base = check_steps(reference, others)
     t = steps.times(reference)
     axes = axes_of(reference)
     inputs = tuple(sorted(float(level) for level in others))
     temperatures = np.empty((len(inputs), len(sensors), t.size))
     displacements = {axis: np.empty((len(inputs), t.size)) for axis in axes}
     for index, level in enumerate(inputs):
-        name, response = f"{where}, input {level:g}", others[level]
+        name, response = f"{WHERE}, input {level:g}", others[level]
         factor = level / base
         for j, sensor in enumerate(sensors):
             temperatures[index, j] = steps.temperature(
                 response, sensor, name
-            ) - factor * steps.temperature(reference, sensor, where)
+            ) - factor * steps.temperature(reference, sensor, WHERE)
         for axis in axes:
             displacements[axis][index] = steps.displacement(
                 response, axis, name
-            ) - factor * steps.displacement(reference, axis, where)
+            ) - factor * steps.displacement(reference, axis, WHERE)
     return Deviations(inputs, t, temperatures, displacements)
 
 

@@ -170,11 +170,11 @@ def _descend(problem: Separable, start: np.ndarray, scale: float, limit: int) ->
     return _End(np.exp(solution.x), float(solution.cost), evaluations, solution.message)
 
 
-def _starts(problem: Separable, count: int, seed: int) -> np.ndarray:
+def _starts(problem: Separable, count: int) -> np.ndarray:
     """Return `count` starts, log-uniform within the bounds, shape (count, k)."""
     from scipy.stats import qmc
 
-    sampler = qmc.Sobol(len(problem.names), seed=seed)
+    sampler = qmc.Sobol(len(problem.names), seed=0)
     points = sampler.random_base2(max(0, int(np.ceil(np.log2(max(1, count))))))[:count]
     lower, upper = np.log(problem.lower), np.log(problem.upper)
     return np.exp(lower + points * (upper - lower))
@@ -196,7 +196,6 @@ def fit(
     coarse: Separable | None = None,
     starts: int = 24,
     guesses: Sequence[Sequence[float]] = (),
-    seed: int = 0,
     polished: int = 3,
 ) -> Fit:
     """Return the best fit found from many starts.
@@ -212,8 +211,6 @@ def fit(
         Scrambled Sobol starts, besides `guesses`.
     guesses : sequence
         Further starts, in the units of the parameters.
-    seed : int
-        Of the Sobol sequence.
     polished : int
         Number of the best results, at different parameters, to be refined.
 
@@ -227,7 +224,7 @@ def fit(
         raise InputError("fit: at least one start is needed")
     trial = coarse or problem
     scale = float(np.abs(problem.data).max()) or 1.0
-    points = [*np.asarray(guesses, dtype=float), *_starts(problem, starts, seed)]
+    points = [*np.asarray(guesses, dtype=float), *_starts(problem, starts)]
     ends = [_descend(trial, point, scale, 60) for point in points]
     ends.sort(key=lambda end: end.cost)
     best = ends[0]

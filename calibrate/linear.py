@@ -29,7 +29,8 @@ from thermojoint.models.sensors import JOINT_SENSORS
 if TYPE_CHECKING:
     import xarray as xr
 
-#: Radius of the ring that represents the main source, m (Attia & Fraser, section 5.3.1).
+#: Radius of the ring that represents the main source, m, chosen rather than fitted (Attia & Fraser,
+#: section 5.3.1).
 RING_RADIUS = 0.12
 #: Slowest rate of a fitted term, per length of the calibration run: two fifths of its change lie
 #: within the run.
@@ -38,12 +39,12 @@ SLOWEST = 0.5
 FADING = 2.0
 #: Error of Eq. 8, relative to the displacement, above which a fourth rate is needed.
 INADEQUATE = 3e-3
-#: Rates of the relaxation spectrum.
+#: Rates of the relaxation spectrum, evenly spaced in their logarithm between the `rate_bounds`.
 RELAXATION_RATES = 24
+#: As in `least_squares`; it keeps neighbouring amplitudes of the spectrum from cancelling.
+RIDGE = 2e-5
 #: Name of the response in error messages.
 WHERE = "reference response"
-
-#: (times s, displacement m per unit heat input) -> model and fit
 
 
 @dataclass(frozen=True)
@@ -117,15 +118,9 @@ def ring_problem(t: np.ndarray, data: np.ndarray, r0: float) -> Separable:
 
 
 def fit_ring(
-    t: np.ndarray,
-    data: np.ndarray,
-    r0: float = RING_RADIUS,
-    *,
-    starts: int = 16,
-    polished: int = 3,
-    seed: int = 0,
+    t: np.ndarray, data: np.ndarray, *, starts: int = 16, polished: int = 3
 ) -> tuple[RingModel, Fit]:
-    """Return Eq. 2 fitted to a step response of temperature.
+    """Return Eq. 2, with a ring of `RING_RADIUS`, fitted to a step response of temperature.
 
     Parameters
     ----------
@@ -133,23 +128,18 @@ def fit_ring(
         Times after the step, s.
     data : ndarray, shape (n,)
         Temperature, K per unit heat input.
-    r0 : float
-        Radius of the ring, m, chosen rather than fitted.
-    starts, polished, seed : int
+    starts, polished : int
         Of the search (`least_squares.fit`).
     """
-    if not r0 > 0.0:
-        raise InputError(f"calibrate: ring radius r0 = {r0} m must be positive")
     thin = steps.thinned(t.size)
     best = fit(
-        ring_problem(t, data, r0),
-        coarse=ring_problem(t[thin], data[thin], r0),
+        ring_problem(t, data, RING_RADIUS),
+        coarse=ring_problem(t[thin], data[thin], RING_RADIUS),
         starts=starts,
         polished=polished,
-        seed=seed,
     )
     value = best.values
-    return RingModel(value["K"], value["a"], value["alpha"], value["r"], r0), best
+    return RingModel(value["K"], value["a"], value["alpha"], value["r"], RING_RADIUS), best
 
 
 def fit_deformation(t: np.ndarray, data: np.ndarray) -> tuple[DeformationModel, Fit]:
@@ -197,9 +187,7 @@ def _best_deformation(
     return [value[name] for name in linear_names], [value[name] for name in rates], best
 
 
-def fit_relaxation(
-    t: np.ndarray, data: np.ndarray, *, count: int = RELAXATION_RATES, ridge: float = 2e-5
-) -> Relaxation:
+def fit_relaxation(t: np.ndarray, data: np.ndarray) -> Relaxation:
     """Return the relaxation spectrum of a step response: rates fixed, amplitudes least squares.
 
     Parameters
@@ -208,15 +196,10 @@ def fit_relaxation(
         Times after the step, s.
     data : ndarray, shape (n,)
         Temperature, K per unit heat input.
-    count : int
-        Rates, evenly spaced in their logarithm between the `rate_bounds`.
-    ridge : float
-        As in `least_squares`; it keeps neighbouring amplitudes from cancelling.
     """
-    slow, fast = rate_bounds(t)
-    rates = np.geomspace(slow, fast, count)
+    rates = np.geomspace(*rate_bounds(t), RELAXATION_RATES)
     columns = -np.expm1(-np.multiply.outer(t, rates))
-    amplitudes = solve_linear(columns, data[:, None], ridge)[:, 0]
+    amplitudes = solve_linear(columns, data[:, None], RIDGE)[:, 0]
     return Relaxation(tuple(map(float, amplitudes)), tuple(map(float, rates)))
 
 

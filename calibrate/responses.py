@@ -85,7 +85,7 @@ def check_responses(
         They are not steps, not sampled evenly at the same times, or too few, or the reference lacks
         the positions of its probes or its power.
     """
-    check_steps(reference, others, WHERE)
+    check_steps(reference, others)
     steps.even_interval(steps.times(reference), f"{WHERE}, reference")
     if len(others) < max(1, sources):
         raise InputError(

@@ -25,8 +25,9 @@ from thermojoint.models import ring_source
 
 #: Radius of the ring that represents a fictitious source, relative to the distance of its sensor.
 SOURCE_RADIUS = 0.4
-#: Starts of the search in the first round of Figure 4's loop.
-FIRST_STARTS = 8
+#: Of Figure 4's loop: starts of the search in the first round, most rounds, and how well the rates
+#: of the inputs must agree (in ln).
+FIRST_STARTS, ROUNDS, TOLERANCE = 8, 20, 1e-3
 
 
 @dataclass(frozen=True)
@@ -39,27 +40,21 @@ class SourceGeometry:
     radii: np.ndarray
 
 
-def make_geometry(
-    distances: Sequence[Sequence[float]] | np.ndarray, radii: Sequence[float] | None = None
-) -> SourceGeometry:
-    """Return a checked geometry; `radii` defaults to `SOURCE_RADIUS` of the own distances.
+def make_geometry(distances: Sequence[Sequence[float]] | np.ndarray) -> SourceGeometry:
+    """Return a checked geometry; the radii are `SOURCE_RADIUS` of the own distances.
 
     Raises
     ------
     InputError
-        A distance or radius is missing, not positive or not finite.
+        A distance is missing, not positive or not finite.
     """
     table = np.asarray(distances, dtype=float)
     if table.ndim != 2 or not table.size:
         raise InputError("fictitious sources: distances must be one row per source, m")
     own = table[np.arange(len(table)), np.minimum(np.arange(len(table)), table.shape[1] - 1)]
-    rings = SOURCE_RADIUS * own if radii is None else np.asarray(radii, float)
-    if rings.shape != (table.shape[0],):
-        raise InputError(f"fictitious sources: {rings.size} radii for {table.shape[0]} sources")
-    for name, values in (("distances", table), ("radii", rings)):
-        if not bool((np.isfinite(values) & (values > 0.0)).all()):
-            raise InputError(f"fictitious sources: {name} must be positive and finite, m")
-    return SourceGeometry(table, rings)
+    if not bool((np.isfinite(table) & (table > 0.0)).all()):
+        raise InputError("fictitious sources: distances must be positive and finite, m")
+    return SourceGeometry(table, SOURCE_RADIUS * own)
 
 
 @dataclass(frozen=True)
@@ -211,26 +206,15 @@ def fit_by_averaging(
     deviations: np.ndarray,
     inputs: Sequence[float],
     geometry: SourceGeometry,
-    *,
-    rounds: int = 20,
-    tolerance: float = 1e-3,
 ) -> Averaging:
     """Return the sources found by the loop of Figure 4.
 
     Each input is fitted separately; if the inputs' a_i and alpha_i differ, their geometric means
     (they are positive) are the next round's initial guess. The first round searches from
-    `FIRST_STARTS` points. The loop ends when every rate is within `tolerance` (in ln) of its mean,
+    `FIRST_STARTS` points. The loop ends when every rate is within `TOLERANCE` (in ln) of its mean,
     when the means no longer change (the optima of the inputs differ, and a good optimiser returns
-    to them from any guess), or after `rounds`. The products are then fitted with the means.
-
-    Parameters
-    ----------
-    t, deviations, inputs, geometry
-        As in `fit_jointly`.
-    rounds : int
-        Most rounds.
-    tolerance : float
-        Required agreement of the inputs.
+    to them from any guess), or after `ROUNDS`. The products are then fitted with the means. Takes
+    what `fit_jointly` takes.
     """
     _check_deviations(t, deviations, inputs, geometry)
     thin = steps.thinned(t.size)
@@ -243,8 +227,8 @@ def fit_by_averaging(
     ]
     names = alone[0][0].names
     history: list[AveragingRound] = []
-    converged, reason = False, f"the inputs did not agree within {rounds} rounds"
-    for index in range(rounds):
+    converged, reason = False, f"the inputs did not agree within {ROUNDS} rounds"
+    for index in range(ROUNDS):
         guesses = [history[-1].averages.tolist()] if history else []
         count = 0 if history else FIRST_STARTS
         ends = [
@@ -255,10 +239,10 @@ def fit_by_averaging(
         averages = np.exp(np.log(rates).mean(axis=0))
         spread = float(np.abs(np.log(rates / averages)).max())
         history.append(AveragingRound(rates, averages, spread))
-        if spread < tolerance:
+        if spread < TOLERANCE:
             converged, reason = True, f"the inputs agree after {index + 1} rounds"
             break
-        if index and float(np.abs(np.log(averages / history[-2].averages)).max()) < tolerance:
+        if index and float(np.abs(np.log(averages / history[-2].averages)).max()) < TOLERANCE:
             reason = f"the means stopped moving after {index + 1} rounds; the inputs differ"
             break
     best = fit_linear(_problem(t, deviations, inputs, geometry), history[-1].averages.tolist())

@@ -17,8 +17,6 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.models.assembly import Assembly, assemble
 from thermojoint.models.sensors import readings, roles_in
 
-Sample = Callable[[int], object]
-
 #: Sampling interval and the two lengths of a run, s.
 INTERVAL, SHORT, LONG = 2.0, 2100.0, 86400.0
 #: Error of the pole fit of the long run; the usual one needs more poles there than are tried.

@@ -114,9 +114,9 @@ def searched(machine: ReducedMachine, runs: Sequence[Run], steps: int) -> list[R
     ]
 
 
-def fewer(run: Run, samples: int = SIGMAS.samples) -> Run:
-    """Return a run with at most this many samples; the first one, at rest, tells the offsets."""
-    kept = slice(None, None, max(1, math.ceil(run.times.size / samples)))
+def fewer(run: Run) -> Run:
+    """Return a run with few samples (`SIGMAS`); the first one, at rest, tells the offsets."""
+    kept = slice(None, None, max(1, math.ceil(run.times.size / SIGMAS.samples)))
     return replace(
         run,
         times=run.times[kept],

@@ -37,8 +37,6 @@ def few_starts():
     every = least_squares._starts
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            least_squares,
-            "_starts",
-            lambda problem, count, seed: every(problem, min(count, 4), seed),
+            least_squares, "_starts", lambda problem, count: every(problem, min(count, 4))
         )
         yield

@@ -43,8 +43,8 @@ CLEARANCE = 20e-6
 ROUGHNESS, SLOPE, HARDNESS, FACTOR, EXPONENT = 1.25e-6, 0.14, 1.2e9, 1.45, 0.985
 #: Conductivity of the air, W/(m K), and its temperature jump distance, m.
 AIR, JUMP = 0.026, 0.4e-6
-#: Temperatures of the wall, K, with three states, and with the closed state only.
-WALL, HOTTER = 24.0, 30.0
+#: Temperature of the wall, K, with three states.
+WALL = 24.0
 STATES = ("open", "middle", "closed")
 TITLE = "bistable rod from a case file"
 END = Quantity("temperature of the end", "K", 1e-6, "balance of the rod")
