@@ -95,25 +95,17 @@ class Taken(NamedTuple):
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A state, and the samples since the last checkpoint.
+    """A state, and the samples since the last checkpoint."""
 
-    Attributes
-    ----------
-    era, number, rest
-        As in `Taken`, of the last sample.
-    state : bytes
-        Of the estimator.
-    rows : ndarray, shape (n, layout.width)
-        The samples since the last checkpoint, n may be 0.
-    status : tuple of str
-        Of each.
-    """
-
+    #: As in `Taken`, of the last sample, and so are `number` and `rest`.
     era: int
     number: int
+    #: Of the estimator.
     state: bytes
     rest: str
+    #: Shape (n, layout.width): the samples since the last checkpoint, n may be 0.
     rows: Array
+    #: Of each.
     status: tuple[str, ...]
 
 

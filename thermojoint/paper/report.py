@@ -38,48 +38,33 @@ class Picture:
 
 @dataclass(frozen=True)
 class ReportData:
-    """Content of the page.
+    """Content of the page."""
 
-    Attributes
-    ----------
-    title : str
-        The case's title.
-    facts : sequence of (str, str)
-        Versions, mesh sizes, solver.
-    tables : sequence of PrintedTable
-        Tables 1-3.
-    validation, blocks : sequence of mapping
-        Rows of `estimator.fchs.judging.validate` and `estimator.fchs.block_errors`.
-    schemes : sequence of SchemeErrors
-        The two calibrations of Eq. 18 compared with the linear estimator.
-    convergence : mapping
-        Response to its solver statistics.
-    share : PressureShare, optional
-        At the heat input of Figure 7.
-    left_out : mapping
-        Estimator that could not be had to the reason.
-    placement : str
-        The chosen sensors and the method.
-    fits : mapping
-        Model to the report of its fit.
-    pictures : sequence of Picture
-        In order of appearance.
-    case : str
-        The whole case.
-    """
-
+    #: The case's title.
     title: str
+    #: Versions, mesh sizes, solver.
     facts: Sequence[tuple[str, str]]
+    #: Tables 1-3.
     tables: Sequence[PrintedTable] = ()
+    #: Rows of `estimator.fchs.judging.validate`.
     validation: Sequence[Row] = ()
+    #: The two calibrations of Eq. 18 compared with the linear estimator.
     schemes: Sequence[SchemeErrors] = ()
+    #: Rows of `estimator.fchs.block_errors`.
     blocks: Sequence[Row] = ()
+    #: Response to its solver statistics.
     convergence: Mapping[str, Convergence] = field(default_factory=dict)
+    #: At the heat input of Figure 7.
     share: PressureShare | None = None
+    #: Estimator that could not be had to the reason.
     left_out: Mapping[str, str] = field(default_factory=dict)
+    #: The chosen sensors and the method.
     placement: str = ""
+    #: Model to the report of its fit.
     fits: Mapping[str, str] = field(default_factory=dict)
+    #: In order of appearance.
     pictures: Sequence[Picture] = ()
+    #: The whole case.
     case: str = ""
 
 

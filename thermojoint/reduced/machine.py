@@ -447,49 +447,34 @@ def along(machine: ReducedMachine, axes: Sequence[str]) -> ReducedMachine:
 
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """A reduced machine whose heat equation is diagonal: da/dt + rates a = drive u - B^T j.
+    """A reduced machine whose heat equation is diagonal: da/dt + rates a = drive u - B^T j."""
 
-    Attributes
-    ----------
-    rates : ndarray, shape (r,)
-        1/s.
-    drive : ndarray, shape (r, s + h + 1)
-        Per W of each source, then per K of the held surfaces and of the ambient.
-    jump, mean, sensors, start : ndarray
-        As in `ReducedMachine`.
-    entry : ndarray, shape (r, m)
-        What a heat flow across each contact element takes, per W: the jump's transpose, but for
-        modes of sensors that lag (`lagging`). On an axis, what leaves each row.
-    elastic : ElasticCondensation
-        On these modes; bolts are part of it.
-    film : ndarray, shape (r, r)
-        The part of the rates, a full matrix, that is convection, 1/s; only `diagonal_modes` has it.
-    loads : LoadInfluence
-        Of l factors on gaps and displacement: loads, forces of the bolts, and what bolts count
-        from (`fesim.solid.bolts.fastened`).
-    factors : ndarray, shape (l,)
-        At time zero; of a machine on axes their positions, m, are the last.
-    tight : ndarray, shape (6, m)
-        Gap (m), slip (m) and pressure (Pa) of the joints after the bolts have been tightened; zero
-        without bolts.
-    way : Guideway, optional
-        Of a machine with moving axes.
-    drives : AxisDrives, optional
-        Of the same.
-    """
-
+    #: Shape (r,): 1/s.
     rates: Array
+    #: Shape (r, s + h + 1): per W of each source, then per K of the held surfaces and the ambient.
     drive: Array
+    #: As in `ReducedMachine`, and so are `mean`, `sensors` and `start`.
     jump: Array
+    #: Shape (r, m): what a heat flow across each contact element takes, per W: the jump's
+    #: transpose, but for modes of sensors that lag (`lagging`). On an axis, what leaves each row.
     entry: Array
     mean: Array
     sensors: Array
     start: Array
+    #: On these modes; bolts are part of it.
     elastic: ElasticCondensation
+    #: Shape (r, r): the part of the rates, a full matrix, that is convection, 1/s; only
+    #: `diagonal_modes` has it.
     film: Array
+    #: Of l factors on gaps and displacement: loads, forces of the bolts, and what bolts count from
+    #: (`fesim.solid.bolts.fastened`).
     loads: LoadInfluence
+    #: Shape (l,): at time zero; of a machine on axes their positions, m, are the last.
     factors: Array
+    #: Shape (6, m): gap (m), slip (m) and pressure (Pa) of the joints after the bolts have been
+    #: tightened; zero without bolts.
     tight: Array
+    #: Of a machine with moving axes, and so are `drives`.
     way: Guideway | None = None
     drives: AxisDrives | None = None
 
