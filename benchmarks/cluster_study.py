@@ -95,7 +95,7 @@ def killed(folder: Path, count: int) -> dict[str, Any]:
         _wait(lambda: _events(folder)["done"] >= count // 4, running)
         # Not the process that watches them, which starts another one.
         every = psutil.Process(nanny.pid).children(recursive=True)
-        next(one for one in every if _works(one)).kill()
+        next(one for one in every if one.cpu_times().user > 1.0).kill()
         _wait(lambda: _events(folder)["done"] >= count // 2, running)
         scheduler.kill()
         code = running.wait(PATIENCE)
@@ -161,10 +161,6 @@ def started(folder: Path, address: str) -> subprocess.Popen[bytes]:
     words = command("batch", folder / "study.toml", "--out", folder / "out", "--scheduler", address)
     with (folder / "command.log").open("ab") as log:
         return subprocess.Popen(words, stdout=log, stderr=log)
-
-
-def _works(process: psutil.Process) -> bool:
-    return process.cpu_times().user > 1.0
 
 
 def _write_study(folder: Path, count: int) -> None:

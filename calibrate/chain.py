@@ -50,7 +50,6 @@ from thermojoint.models.parameters import (
     FictitiousSource,
     LinearModel,
     Model,
-    Regularisation,
     RingModel,
     Span,
 )
@@ -282,7 +281,8 @@ def stabilised(model: Model, times: np.ndarray) -> Model:
     interval, length = float(np.diff(times).min()), float(times[-1] - times[0])
     factor = 1.0
     while factor <= MOST_RAISED:
-        raised = [_raised(source.regularisation, factor) for source in model.sources]
+        printed = (source.regularisation for source in model.sources)
+        raised = [replace(f, A=factor * f.A, B=factor * f.B) for f in printed]
         if unstable_zeros(rings, raised, interval, length, "inverse of the sources") == 0:
             sources = zip(model.sources, raised, strict=True)
             return replace(
@@ -293,10 +293,6 @@ def stabilised(model: Model, times: np.ndarray) -> Model:
         f"inverse of the sources: unstable even with A raised {MOST_RAISED:g} times; place the "
         "sensors nearer to their own sources"
     )
-
-
-def _raised(f: Regularisation, factor: float) -> Regularisation:
-    return Regularisation(factor * f.A, factor * f.B, f.gamma)
 
 
 def _driven_models(

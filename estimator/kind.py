@@ -129,18 +129,6 @@ def _judged(
     )
 
 
-def _no_ranges(model: Any) -> tuple[Range, ...]:  # noqa: ANN401
-    return ()
-
-
-def _no_strokes(model: Any) -> Mapping[str, Stroke]:  # noqa: ANN401
-    return {}
-
-
-def _as_it_is(model: Any) -> Mapping[str, str]:  # noqa: ANN401
-    return {}
-
-
 @dataclass(frozen=True)
 class Kind(Generic[M, E]):
     """Definition of a kind of estimator."""
@@ -167,7 +155,7 @@ class Kind(Generic[M, E]):
     intake: Callable[[M, bool], Intake] = _intake
     #: Model to the names that it expects of a log's columns, in the form that
     #: `thermojoint.artefacts.log_file.read_log` takes.
-    renamed: Callable[[M], Mapping[str, str]] = _as_it_is
+    renamed: Callable[[M], Mapping[str, str]] = lambda model: {}
     #: (model, a log in pieces, its name, callback for the first row) to samples.
     log: Callable[[M, Iterable[Log], str, OnFirst | None], Iterator[Sample]] = _log
     #: (model, response) to samples, and to the names of their probes.
@@ -176,10 +164,10 @@ class Kind(Generic[M, E]):
     #: (estimator, samples, state before them) to displacements and half-widths of their bands.
     run: Callable[[E, Iterable[Sample], Array], tuple[Array, Array]] = followed
     #: Model to its calibrated ranges.
-    ranges: Callable[[M], tuple[Range, ...]] = _no_ranges
+    ranges: Callable[[M], tuple[Range, ...]] = lambda model: ()
     #: Model to the strokes of its displacements along an axis, by their names without units; the
     #: details of its estimates have their lines (`estimator.lines`).
-    strokes: Callable[[M], Mapping[str, Stroke]] = _no_strokes
+    strokes: Callable[[M], Mapping[str, Stroke]] = lambda model: {}
     #: (kind, model, name to response, conditions) to errors; None for a kind judged by logs only.
     judge: Callable[[Kind[M, E], M, Mapping[str, xr.Dataset], Conditions], Figures] | None = _judged
     #: (model, name to log) to errors; None for a kind judged by responses only.

@@ -72,18 +72,6 @@ def _with_the_model_s_films(unlike: Unlike) -> Unlike:
     return replace(unlike, films=unlike.films | outside)
 
 
-def _without_either(unlike: Unlike) -> Unlike:
-    return _with_the_model_s_films(_without_unknown_heat(unlike))
-
-
-def _with_constant_material(unlike: Unlike) -> Unlike:
-    return replace(unlike, conduction=0.0, expansion=0.0)
-
-
-def _on_firm_ground(unlike: Unlike) -> Unlike:
-    return replace(unlike, feet=(1e6, 1e6))
-
-
 def _with_exact_sensors(unlike: Unlike) -> Unlike:
     return replace(unlike, lag=np.full_like(unlike.lag, 1e-3), place=np.zeros_like(unlike.place))
 
@@ -96,9 +84,11 @@ WITHOUT: dict[str, Callable[[Unlike], Unlike]] = {
     "warmer air": _with_even_air,
     "unknown heat, all three": _without_unknown_heat,
     "films of top and table": _with_the_model_s_films,
-    "unknown heat, films of top and table": _without_either,
-    "temperature-dependent material": _with_constant_material,
-    "elastic feet": _on_firm_ground,
+    "unknown heat, films of top and table": lambda unlike: _with_the_model_s_films(
+        _without_unknown_heat(unlike)
+    ),
+    "temperature-dependent material": lambda unlike: replace(unlike, conduction=0.0, expansion=0.0),
+    "elastic feet": lambda unlike: replace(unlike, feet=(1e6, 1e6)),
     "lags and places of sensors": _with_exact_sensors,
 }
 

@@ -24,7 +24,6 @@ from benchmarks.plants.responding import (
 )
 from benchmarks.plants.structural import structural_answers
 from estimator.rows import interval_score
-from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ThermojointError
 from thermojoint.reduced.loosened import Loosening
 from thermojoint.reduced.machine import ReducedMachine
@@ -166,7 +165,7 @@ def figures(
                 "max_abs_error_um": 1e6 * float(size[:, k].max()),
                 "rms_error_um": 1e6 * float(np.sqrt(np.mean(size[:, k] ** 2))),
                 "peak_total_um": 1e6 * float(np.abs(actual[:, k]).max()),
-                "band_cover": None if band is None else _share(size[:, k] <= band),
+                "band_cover": None if band is None else float(np.mean(size[:, k] <= band)),
                 "mean_band_width_um": None if band is None else 2e6 * float(band.mean()),
                 "largest_band_width_um": None if band is None else 2e6 * float(band.max()),
                 "interval_score_um": None
@@ -175,7 +174,3 @@ def figures(
             }
         )
     return rows
-
-
-def _share(inside: Array) -> float:
-    return float(np.mean(inside))

@@ -75,14 +75,6 @@ def _log(
     return measured.samples_in(pieces, sensors, where, on_first)
 
 
-def _response(given: Given, response: xr.Dataset) -> Iterator[tuple[float, ...]]:
-    return measured.response_samples(response, _model(given))
-
-
-def _sensors(given: Given, response: xr.Dataset) -> Sequence[str]:
-    return list(dict.fromkeys(roles_in(response, _model(given)).values()))
-
-
 def _ranges(given: Given) -> tuple[Range, ...]:
     span = _model(given).span
     return calibrated_ranges(span.duration_s, span.heat, span.temperatures)
@@ -120,8 +112,8 @@ KIND: Kind[Given, Fchs] = Kind(
     resumed=_resumed,
     intake=_intake,
     log=_log,
-    response=_response,
-    sensors=_sensors,
+    response=lambda given, response: measured.response_samples(response, _model(given)),
+    sensors=lambda given, seen: list(dict.fromkeys(roles_in(seen, _model(given)).values())),
     ranges=_ranges,
     judge=_judge,
     program=_program,

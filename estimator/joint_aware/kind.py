@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from estimator.intake import Intake, intake
-from estimator.interface import NextReading
 from estimator.joint_aware.ageing import AgeingJointAware
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.log import log_samples
@@ -19,7 +18,6 @@ from estimator.joint_aware.observer_model import ObserverModel
 from estimator.joint_aware.readings import samples_in
 from estimator.joint_aware.residuals import residuals
 from estimator.kind import Kind, OnFirst, Options, Sample, followed
-from estimator.lines import Stroke
 from estimator.ranges import Range, calibrated_ranges
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
@@ -41,10 +39,6 @@ def _start(model: ObserverModel, options: Options) -> JointAwareEstimator:
         raise InputError(f"ageing: not of a machine {what}; leave it out")
     observer = JointAware(model, options.noise)
     return AgeingJointAware(observer, options.ageing) if options.ageing else observer
-
-
-def _warm_state(estimator: JointAwareEstimator) -> Array:
-    return estimator.warm_state()
 
 
 def _ageing(estimator: JointAwareEstimator) -> list[str]:
@@ -106,10 +100,6 @@ def _response(model: ObserverModel, response: xr.Dataset) -> Iterator[tuple[floa
     return samples_in(response, model.sensors, model.loads, axes, model.power_shares, counted)
 
 
-def _sensors(model: ObserverModel, response: xr.Dataset) -> Sequence[str]:
-    return model.sensors
-
-
 def _ranges(model: ObserverModel) -> tuple[Range, ...]:
     known = model.calibrated
     return calibrated_ranges(known.duration_s, (0.0, known.heat), known.temperatures)
@@ -119,14 +109,6 @@ def _residuals(estimator: JointAwareEstimator, state: Array, values: Array) -> A
     if isinstance(estimator, AgeingJointAware):
         raise InputError("residuals: not while the machine's parameters are learnt")
     return residuals(estimator, state, values)
-
-
-def _next_reading(estimator: JointAwareEstimator, state: Array, limit: float) -> NextReading | None:
-    return next_reading(_not_learning(estimator), state, limit)
-
-
-def _narrowest_band(estimator: JointAwareEstimator) -> float:
-    return narrowest_band(_not_learning(estimator))
 
 
 def _not_learning(estimator: JointAwareEstimator) -> JointAware:
@@ -155,28 +137,24 @@ def _run(
     return estimator.whole_run(np.array(list(samples)), state)
 
 
-def _strokes(model: ObserverModel) -> Mapping[str, Stroke]:
-    return model.strokes
-
-
 KIND: Kind[ObserverModel, JointAwareEstimator] = Kind(
     name="a joint-aware model",
     read=read_observer,
     fingerprint=fingerprint,
     start=_start,
     options=frozenset({"reading_noise", "ageing"}),
-    warm_state=_warm_state,
+    warm_state=lambda estimator: estimator.warm_state(),
     carried=_ageing,
     resumed=_resumed,
     intake=_intake,
     log=_log,
     response=_response,
-    sensors=_sensors,
+    sensors=lambda model, response: model.sensors,
     run=_run,
     ranges=_ranges,
     residuals=_residuals,
-    next_reading=_next_reading,
-    narrowest_band=_narrowest_band,
+    next_reading=lambda estimator, *given: next_reading(_not_learning(estimator), *given),
+    narrowest_band=lambda estimator: narrowest_band(_not_learning(estimator)),
     program=_program,
-    strokes=_strokes,
+    strokes=lambda model: model.strokes,
 )

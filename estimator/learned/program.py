@@ -28,12 +28,12 @@ from estimator.export.program import (
     listed,
 )
 from estimator.export.recorded import duty_cycle
+from estimator.intake import axis_name
 from estimator.interface import Estimate, Status
 from estimator.learned.estimator import Learned
 from estimator.span import SLACK, with_slack
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
-from thermojoint.artefacts.quantities import column_named
 from thermojoint.models.learned import LARGEST, LearnedChannel, LearnedModel
 
 #: Terms of the series of h, which is accurate for x below 1.
@@ -226,8 +226,8 @@ def gains(taus: Array, interval: float) -> Array:
 
 def _interface(estimator: Learned, interval: float) -> Interface:
     model: LearnedModel = estimator.model
-    inputs = distinct([_base(name) for name in (*model.columns, *model.positions)], "columns")
-    axes = distinct([_base(name) for name in estimator.axes], "displacements")
+    inputs = distinct([axis_name(name) for name in (*model.columns, *model.positions)], "columns")
+    axes = distinct([axis_name(name) for name in estimator.axes], "displacements")
     sloped = [(axes[k], one.slope) for k, one in enumerate(model.channels) if one.slope]
     along = [axis for axis, _ in sloped]
     here, slope = listed("here", "m", along), listed("slope", "m/m", along)
@@ -257,9 +257,3 @@ def _interface(estimator: Learned, interval: float) -> Interface:
             ),
         ),
     )
-
-
-def _base(name: str) -> str:
-    """The name without its unit: the program uses SI."""
-    column = column_named(name)
-    return column.base if column else name

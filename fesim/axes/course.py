@@ -46,7 +46,7 @@ def mapped(ready: MovingSetup, track: Track) -> Mapped:
         seen_from(ready.moving, step, elsewhere(ready, at)).displacement
         for step, at in zip(steps, stands, strict=True)
     ]
-    points, surveyed = _points(ready), _surveyed(ready, track)
+    points, surveyed = [tuple(at) for at in ready.volume.places.tolist()], _surveyed(ready, track)
     volume = [seen_from(ready.moving, steps[at], points) for at in surveyed]
     shape = (surveyed.size, len(points))
     return Mapped(
@@ -59,10 +59,6 @@ def mapped(ready: MovingSetup, track: Track) -> Mapped:
 def _stands(ready: MovingSetup, index: int) -> Place:
     """Where the axes stand after some steps, m."""
     return place_of(ready.axes, index * ready.moving.machine.thermal.step)
-
-
-def _points(ready: MovingSetup) -> list[Place]:
-    return [tuple(at) for at in ready.volume.places.tolist()]
 
 
 def _surveyed(ready: MovingSetup, track: Track) -> np.ndarray:
