@@ -120,10 +120,10 @@ class Report:
         return sum(n for status, n in self.answers.items() if status >= 500)
 
 
-def request(chance: random.Random, token: str) -> bytes:
+def request(chance: random.Random) -> bytes:
     """Return one request, hardly ever a good one."""
     lines = [_first_line(chance)]
-    lines += _credentials(chance, token)
+    lines += _credentials(chance)
     lines += _headers(chance)
     head = b"\r\n".join(line.encode("utf-8", "surrogateescape") for line in lines) + b"\r\n\r\n"
     whole = head + _body(chance)
@@ -140,17 +140,17 @@ def _first_line(chance: random.Random) -> str:
     return f"{method} {target} {version}"
 
 
-def _credentials(chance: random.Random, token: str) -> list[str]:
+def _credentials(chance: random.Random) -> list[str]:
     return chance.choice(
         [
-            [f"Authorization: Bearer {token}"],
-            [f"Authorization: Bearer {token}"],
-            [f"Authorization: Bearer {token}"],
+            [f"Authorization: Bearer {TOKEN}"],
+            [f"Authorization: Bearer {TOKEN}"],
+            [f"Authorization: Bearer {TOKEN}"],
             [],
-            [f"Authorization: Bearer {token[:-1]}\u20ac"],
+            [f"Authorization: Bearer {TOKEN[:-1]}\u20ac"],
             ["Authorization: Bearer " + "x" * chance.randrange(9000)],
             ["Authorization:"],
-            [f"Authorization: Bearer {token}", "Authorization: Bearer x"],
+            [f"Authorization: Bearer {TOKEN}", "Authorization: Bearer x"],
             ["Cookie: thermojoint=" + "9" * chance.randrange(2000) + ".0"],
             ['Cookie: __Host-thermojoint=1e9.zz; ; =; a="b'],
             ["Cookie: " + ";" * 500],
@@ -223,39 +223,27 @@ def _damaged(chance: random.Random, whole: bytes) -> bytes:
     return bytes(found)
 
 
-def attack(
-    host: str,
-    port: int,
-    token: str,
-    count: int,
-    seed: int,
-    security: ssl.SSLContext | None = None,
-) -> Report:
-    """Send malformed requests, some at the same time.
+def attack(port: int, count: int, seed: int, security: ssl.SSLContext) -> Report:
+    """Send malformed requests, some at the same time, some with the right token.
 
-    `host`, `port`: where the server listens. `token`: the right one, so that some get further than
-    the gate. `count`, `seed`: how many, and which. `security`: for TLS; one in twenty then sends
-    what is no TLS.
+    `port`: where the server listens. `count`, `seed`: how many, and which. `security`: for TLS; one
+    in twenty sends what is no TLS.
     """
     with ThreadPoolExecutor(AT_ONCE) as threads:
-        found = list(
-            threads.map(lambda k: _sent(host, port, token, f"{seed} {k}", security), range(count))
-        )
+        found = list(threads.map(lambda k: _sent(port, f"{seed} {k}", security), range(count)))
     hung = found.count(None)
     return Report(count, Counter(one for one in found if one is not None), hung)
 
 
-def _sent(
-    host: str, port: int, token: str, seed: str, security: ssl.SSLContext | None
-) -> int | None:
+def _sent(port: int, seed: str, security: ssl.SSLContext) -> int | None:
     """Send one request; return the status of the answer: 0 without one, None if nothing comes."""
     chance = random.Random(seed)
-    content = request(chance, token)
+    content = request(chance)
     try:
-        with socket.create_connection((host, port), PATIENCE_S) as plain:
-            if security is None or chance.random() < 0.05:
+        with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as plain:
+            if chance.random() < 0.05:
                 return _answer(plain, content)
-            with security.wrap_socket(plain, server_hostname=host) as secured:
+            with security.wrap_socket(plain, server_hostname="127.0.0.1") as secured:
                 return _answer(secured, content)
     except TimeoutError:
         return None
@@ -391,9 +379,9 @@ def judge(process: subprocess.Popen[str], port: int, folder: Path, count: int, s
     """Attack, look at the process before and after, print; return the exit code."""
     security = ssl.create_default_context(cafile=folder / "http_certificate.pem")
     before = latest(port, security)
-    attack("127.0.0.1", port, TOKEN, WARM, seed + 1, security)
+    attack(port, WARM, seed + 1, security)
     held, begun = resident(process.pid), time.monotonic()
-    report = attack("127.0.0.1", port, TOKEN, count, seed, security)
+    report = attack(port, count, seed, security)
     seconds, grown = time.monotonic() - begun, resident(process.pid) - held
     same = latest(port, security) == before
     print(f"requests       {report.sent} in {seconds:.0f} s")

@@ -190,12 +190,7 @@ def _best_deformation(
 def fit_relaxation(t: np.ndarray, data: np.ndarray) -> Relaxation:
     """Return the relaxation spectrum of a step response: rates fixed, amplitudes least squares.
 
-    Parameters
-    ----------
-    t : ndarray, shape (n,)
-        Times after the step, s.
-    data : ndarray, shape (n,)
-        Temperature, K per unit heat input.
+    `t`, `data`: as in `fit_ring`.
     """
     rates = np.geomspace(*rate_bounds(t), RELAXATION_RATES)
     columns = -np.expm1(-np.multiply.outer(t, rates))

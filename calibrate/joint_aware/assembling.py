@@ -180,12 +180,8 @@ def seen_heat(machine: ReducedMachine, fit: Fit, calibrated: Calibrated, largest
 
     Parameters
     ----------
-    machine : ReducedMachine
-        As its case says.
-    fit : Fit
-        Its parameters, discrepancy and sensors.
-    calibrated : Calibrated
-        Range of the calibration.
+    machine, fit, calibrated
+        As in `observer_from_rest`.
     largest : ndarray, shape (axes,)
         Largest displacement in the calibration runs, m.
     """

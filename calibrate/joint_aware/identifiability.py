@@ -74,9 +74,7 @@ class Profile:
     cost: Array
 
 
-def profiles(
-    machine: ReducedMachine, runs: Sequence[Run], fit: Fit, inquiry: Inquiry = INQUIRY
-) -> list[Profile]:
+def profiles(machine: ReducedMachine, runs: Sequence[Run], fit: Fit) -> list[Profile]:
     """Return the profile of every fitted parameter."""
     problem = problem_of(machine, searched(machine, runs, SEARCH.steps), fit)
     at_fit = fit.coordinates / fit.spread
@@ -95,13 +93,13 @@ def profiles(
         others = np.arange(at_fit.size) != k
         improve = np.linalg.pinv(whole[:, others])
         values, costs = [], []
-        for point in inquiry.points:
+        for point in INQUIRY.points:
             scaled = at_fit.copy()
             scaled[k] = max(scaled[k] + point * deviation[k], parameter.least)
             # Follow the valley by the tangent, then by Newton's method with a frozen tangent.
             scaled[others] -= improve @ (whole[:, k] * (scaled[k] - at_fit[k]))
             now = at(scaled)
-            for _ in range(inquiry.improved):
+            for _ in range(INQUIRY.improved):
                 trial = scaled.copy()
                 trial[others] -= improve @ now
                 trial = np.maximum(trial, bounds)
@@ -127,16 +125,14 @@ class FurtherRun:
     day: Array
 
 
-def further_runs(
-    machine: ReducedMachine, runs: Sequence[Run], fit: Fit, inquiry: Inquiry = INQUIRY
-) -> list[FurtherRun]:
+def further_runs(machine: ReducedMachine, runs: Sequence[Run], fit: Fit) -> list[FurtherRun]:
     """Return the uncertainty of the parameters and of a day, without and with each further run."""
     heat = max(
         float(np.abs(run.inputs[:, : machine.power.size] / machine.power).max()) for run in runs
     )
-    step = inquiry.day / inquiry.steps
-    levels = random_levels(inquiry.seed, inquiry.day, step, heat, machine.power.size)
-    day = _planned(machine, fit, levels, inquiry.day)
+    step = INQUIRY.day / INQUIRY.steps
+    levels = random_levels(INQUIRY.seed, INQUIRY.day, step, heat, machine.power.size)
+    day = _planned(machine, fit, levels, INQUIRY.day)
     moved = _day_sensitivity(machine, runs, day, fit)
     further = []
     planned = (

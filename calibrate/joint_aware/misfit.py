@@ -145,8 +145,6 @@ class Problem:
     displacement: tuple[Channel, ...]
     #: Shape (p,): factor on the error of a temperature for every sensor.
     trust: Array
-    #: Assumed errors.
-    sigmas: Sigmas
     #: Factor on all of them, prior sizes of the discrepancy included (`doubt_of`).
     doubt: float = 1.0
 
@@ -171,7 +169,7 @@ class Channel:
         return self.ridge.gains(errors, sigma, self.tau)
 
 
-def make_problem(machine: ReducedMachine, runs: Sequence[Run], sigmas: Sigmas = SIGMAS) -> Problem:
+def make_problem(machine: ReducedMachine, runs: Sequence[Run]) -> Problem:
     """Return the calibration problem of a machine and its runs."""
     rates = relaxation_rates()
     sources = machine.power.size
@@ -191,7 +189,7 @@ def make_problem(machine: ReducedMachine, runs: Sequence[Run], sigmas: Sigmas = 
         return SHARE / level * np.max([np.abs(value).max(axis=0) for value in values], axis=0)
 
     def with_offset(tau: float) -> Array:
-        return np.append(shape, sigmas.offset / tau if tau else 0.0)
+        return np.append(shape, SIGMAS.offset / tau if tau else 0.0)
 
     sensed = taus([run.temperature for run in runs])
     return Problem(
@@ -203,7 +201,6 @@ def make_problem(machine: ReducedMachine, runs: Sequence[Run], sigmas: Sigmas = 
         tuple(Channel(make_ridge(constant, with_offset(tau)), tau) for tau in sensed),
         tuple(Channel(moved, tau) for tau in taus([run.displacement for run in runs])),
         np.ones(len(machine.sensors)),
-        sigmas,
     )
 
 
@@ -262,7 +259,7 @@ def best_lags(
         found[at] = lag
         left, _ = errors(problem, parameters, found)
         for k, sensor in enumerate(lagging):
-            sigma = problem.trust[sensor] * problem.sigmas.temperature
+            sigma = problem.trust[sensor] * SIGMAS.temperature
             white = problem.temperature[sensor].whitened(left[:, sensor], sigma) / problem.doubt
             cost[k] = white @ white + (lag / parameters[at[k]].spread) ** 2
     found[at] = np.array(lags)[costs.argmin(axis=0)]
@@ -335,8 +332,8 @@ def whitened(problem: Problem, left: Array) -> Array:
 
     In units of sigma, shape (n (p + axes),) unless a channel does not move. It is linear in them.
     """
-    sigmas = [*(problem.trust * problem.sigmas.temperature)]
-    sigmas += [problem.sigmas.displacement] * len(problem.displacement)
+    sigmas = [*(problem.trust * SIGMAS.temperature)]
+    sigmas += [SIGMAS.displacement] * len(problem.displacement)
     channels = (*problem.temperature, *problem.displacement)
     parts = [
         channel.whitened(column, sigma)
@@ -376,11 +373,11 @@ class Linear:
 def fit_linear(problem: Problem, temperature: Array, displacement: Array) -> Linear:
     """Return the discrepancy and the offsets that explain the errors, and the residual."""
     sensed = [
-        channel.gains(column, problem.sigmas.discrepancy_temperature)
+        channel.gains(column, SIGMAS.discrepancy_temperature)
         for channel, column in zip(problem.temperature, temperature.T, strict=True)
     ]
     moved = [
-        channel.gains(column, problem.sigmas.discrepancy_displacement)
+        channel.gains(column, SIGMAS.discrepancy_displacement)
         for channel, column in zip(problem.displacement, displacement.T, strict=True)
     ]
     gains = np.array([gain for gain, _ in sensed])
@@ -401,7 +398,7 @@ def trust_in(problem: Problem, left: Array) -> Array:
     """
     own = np.mean(left**2, axis=0) - reading_noise(problem, left) ** 2
     errs = np.sqrt(np.maximum(own, 0.0))
-    return np.asarray(np.maximum(errs / max(float(np.median(errs)), problem.sigmas.alike), 1.0))
+    return np.asarray(np.maximum(errs / max(float(np.median(errs)), SIGMAS.alike), 1.0))
 
 
 def reading_noise(problem: Problem, left: Array) -> Array:

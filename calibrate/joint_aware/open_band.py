@@ -20,6 +20,7 @@ from scipy.stats import t as student
 
 from calibrate.joint_aware.assembling import observer_from_rest
 from calibrate.joint_aware.misfit import (
+    SIGMAS,
     Problem,
     Run,
     errors,
@@ -381,17 +382,16 @@ def _draw(
         + moved[0].discrepancy.displacement
         - moved[1].discrepancy.displacement
     )
-    sigmas = problem.sigmas
     # What is assumed of errors, as far as the fit has found them to be so small.
     assumed = drawing.assumed / problem.doubt
-    sensed_sigma = sigmas.discrepancy_temperature / assumed
+    sensed_sigma = SIGMAS.discrepancy_temperature / assumed
     for row in temperature:
-        tau = _size(row[:-1], sigmas.discrepancy_temperature, drawing.least_share)
-        shape = np.append(tau * problem.shape, sigmas.offset)
+        tau = _size(row[:-1], SIGMAS.discrepancy_temperature, drawing.least_share)
+        shape = np.append(tau * problem.shape, SIGMAS.offset)
         row += _unknown(rng, constant, shape, sensed_sigma)
-    moved_sigma = sigmas.discrepancy_displacement / assumed
+    moved_sigma = SIGMAS.discrepancy_displacement / assumed
     for row in displacement:
-        tau = _size(row, sigmas.discrepancy_displacement, drawing.least_share)
+        tau = _size(row, SIGMAS.discrepancy_displacement, drawing.least_share)
         row += _unknown(rng, problem.states, tau * problem.shape, moved_sigma)
     return Drawn(
         factors_of(fit.parameters, coordinates),

@@ -306,23 +306,19 @@ def _nowhere() -> Found:
     return Found(nothing, nothing, none, 0.0, 0, Slopes(nothing, none, none))
 
 
-def refit(
-    machine: ReducedMachine, runs: Sequence[Run], fit: Fit, left_out: int, search: Search = SEARCH
-) -> Fit:
+def refit(machine: ReducedMachine, runs: Sequence[Run], fit: Fit, left_out: int) -> Fit:
     """Fit once more to the runs of a fit but one, from its parameters and with its slopes.
+
+    By `SEARCH`, but in few evaluations.
 
     Parameters
     ----------
-    machine : ReducedMachine
-        As its case says.
-    runs : sequence of Run
-        From rest.
+    machine, runs
+        As in `fit_physics`.
     fit : Fit
         Of all these runs.
     left_out : int
         Which of them is left out.
-    search : Search
-        As of the fit; of the search itself a few evaluations.
 
     Raises
     ------
@@ -339,11 +335,11 @@ def refit(
     left, slopes = fit.errors[samples], fit.slopes.of(samples)
     linear = fit_linear(whole, *_apart(whole, left))
     whole = replace(whole, trust=trust_in(whole, linear.temperature))
-    coarse = searched(machine, others, search.steps)
+    coarse = searched(machine, others, SEARCH.steps)
     problem = replace(problem_of(machine, coarse, fit), trust=whole.trust)
     defect = whitened(whole, left) - whitened(problem, slopes.errors)
     held = np.array([isinstance(one, Added) for one in parameters]) & (slopes.at == 0.0)
-    few = replace(search, evaluations=REFITTED, close=search.roughly)
+    few = replace(SEARCH, evaluations=REFITTED, close=SEARCH.roughly)
     result = _search(problem, parameters, slopes, defect, few, held)
     return _fit(whole, parameters, result, (), 1 + result.evaluations)
 

@@ -235,10 +235,8 @@ def warm_scale(drive: Drive, state: State, step: Step, length: float) -> Array:
 
     Parameters
     ----------
-    drive : Drive
-        The drive.
-    state : State
-        Of the march, at the start of the step.
+    drive, state
+        As in `warm_screw`.
     step : Step
         Of the machine.
     length : float
