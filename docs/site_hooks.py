@@ -8,7 +8,6 @@
 
 from __future__ import annotations
 
-import ast
 import html
 import posixpath
 import re
@@ -20,6 +19,8 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files, InclusionLevel
 from mkdocs.structure.pages import Page
+
+import thermojoint
 
 ROOT = Path(__file__).parents[1]
 #: Pages that stand outside the folder of the documentation.
@@ -123,16 +124,13 @@ def _titled(found: re.Match[str]) -> str:
 
 def _reference() -> str:
     """Markdown of the page that documents every public name."""
-    [names] = [
-        ast.literal_eval(node.value)
-        for node in ast.parse(_text("thermojoint/__init__.py")).body
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "_HOMES"
-    ]
     packages = sorted(path.parent.name for path in ROOT.glob("*/py.typed"))
     # Public names stand in other packages: without these they could not be followed there.
     options = f"    options:\n      preload_modules: {packages}\n"
     head = "# Public names\n\nAttributes of `thermojoint`; [From Python](api.md) uses them.\n"
-    return "\n".join([head, *(f"::: thermojoint.{name}\n{options}" for name in names)])
+    return "\n".join(
+        [head, *(f"::: thermojoint.{name}\n{options}" for name in thermojoint.__all__)]
+    )
 
 
 def _text(name: str) -> str:
