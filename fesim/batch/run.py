@@ -108,19 +108,13 @@ def run_batch(
 
 
 class _Keeper:
-    """Writer of dataset, records and tables of a study.
-
-    Attributes
-    ----------
-    records : dict
-        Records of the cases that need not run again, by id.
-    damaged : list of StudyCase
-        Cases whose responses in the folder are unreadable; they count as not run.
-    """
+    """Writer of dataset, records and tables of a study."""
 
     def __init__(self, study: Study, folder: Path) -> None:
         self.study, self.folder = study, folder
+        #: Of the cases that need not run again, by id.
         self.records = on_disk.read_records(folder, study)
+        #: Their responses in the folder are unreadable; they count as not run.
         self.damaged: list[StudyCase] = []
         self._dataset = collected.open_dataset(folder / "dataset.zarr", study)
         self._due = monotonic() + TABLE_INTERVAL

@@ -50,16 +50,11 @@ def limit(server: Server, sessions: int, subscriptions: int, items: int) -> None
 
 
 class Callers(list[Any]):
-    """Connections of a server; those that have not logged in cannot block those that have.
-
-    Attributes
-    ----------
-    sessions : int
-        Largest number of connections that have logged in.
-    """
+    """Connections of a server; those that have not logged in cannot block those that have."""
 
     def __init__(self, sessions: int) -> None:
         super().__init__()
+        #: Largest number of connections that have logged in.
         self.sessions = sessions
 
     def append(self, one: Any) -> None:  # noqa: ANN401

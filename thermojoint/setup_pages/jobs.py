@@ -73,22 +73,14 @@ class _Run:
 
 
 class Jobs:
-    """Commands of the steps, one step at a time.
-
-    Attributes
-    ----------
-    folder : Path
-        Where the commands run.
-    records : Path
-        Where their records are.
-    detached : Popen or None
-        The command that goes on when the pages end.
-    """
+    """Commands of the steps, one step at a time."""
 
     def __init__(self, folder: Path) -> None:
+        #: Where the commands run, and where their records are.
         self.folder, self.records = folder, folder / ".thermojoint-setup"
         self._lock = threading.Lock()
         self._run: _Run | None = None
+        #: The command that goes on when the pages end.
         self.detached: subprocess.Popen[bytes] | None = None
 
     @property

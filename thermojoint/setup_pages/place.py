@@ -36,12 +36,7 @@ _OWN_TABLES = ("estimate.csv", "offsets.csv", "writes.csv")
 
 
 class ExistsError(InputError):
-    """Files would be replaced that the pages did not write; they ask first.
-
-    Attributes
-    ----------
-    names : tuple of str
-    """
+    """Files (`names`) would be replaced that the pages did not write; they ask first."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self.names = tuple(names)

@@ -29,15 +29,10 @@ Data = dict[str, Any]
 
 
 class RefusedError(InputError):
-    """Values of a form are refused.
-
-    Attributes
-    ----------
-    lines : mapping
-        Name of a field, empty for none, to what is wrong with it.
-    """
+    """Values of a form are refused."""
 
     def __init__(self, lines: Mapping[str, Sequence[str]]) -> None:
+        #: Name of a field, empty for none, to what is wrong with it.
         self.lines = lines
         super().__init__("\n".join(line for one in lines.values() for line in one))
 
