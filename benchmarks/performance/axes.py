@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.performance.timing import Row
+from benchmarks.performance.timing import Row, paired, seconds
 from benchmarks.study import case_data, case_file
 from fesim.axes.axis import Axis, cold_drives
 from fesim.axes.guideway import Place
@@ -70,21 +70,6 @@ def standing_still(name: str) -> Case:
     return case_from_data(data, f"{name}.toml", case_file(name).parent)
 
 
-def spent(call: Callable[[], object]) -> float:
-    """Processor time of one call, s."""
-    begun = process_time()
-    call()
-    return process_time() - begun
-
-
-def in_turn(
-    ours: Callable[[], object], other: Callable[[], object], repeats: int = REPEATS
-) -> tuple[float, float, float]:
-    """Time two calls in turn; return both medians, s, and the median of other / ours."""
-    pairs = np.array([(spent(ours), spent(other)) for _ in range(repeats)])
-    return (*np.median(pairs, axis=0).tolist(), float(np.median(pairs[:, 1] / pairs[:, 0])))
-
-
 #: From a machine with axes, inputs and a state to the steps.
 March = Callable[[MovingMachine, Sequence[Axis], Array, State], Iterator[Track]]
 
@@ -138,11 +123,14 @@ def map_rows(ready: MovingSetup, step: Step) -> Iterator[Row]:
     places = [tuple(at) for at in np.stack(np.meshgrid(*lines, indexing="ij"), -1).reshape(-1, 3)]
     some = places[::EVERY]
     seen_from(moving, step, places[::50])  # compiled, and few tied
-    first = spent(lambda: seen_from(moving, step, places))
+    first = seconds(lambda: seen_from(moving, step, places), process_time)
     seen = seen_from(moving, step, places)
     off = float(np.abs(seen.displacement[::EVERY] - one_by_one(moving, step, some)).max())
-    ours, other, ratio = in_turn(
-        lambda: seen_from(moving, step, places), lambda: one_by_one(moving, step, some)
+    ours, other, ratio = paired(
+        lambda: seen_from(moving, step, places),
+        lambda: one_by_one(moving, step, some),
+        REPEATS,
+        process_time,
     )
     what = (
         f"{len(places)} places of three_axes.toml, between the stations of all axes, "
@@ -184,13 +172,13 @@ def step_row(row: str, name: str) -> Row:
         return list(march_along(setup.machine, inputs, advance, start))
 
     stands()  # compiled
-    ours, other, ratio = in_turn(lambda: marched(case, ready), stands)
+    ours, other, ratio = paired(lambda: marched(case, ready), stands, REPEATS, process_time)
     steps = 1e3 / len(ends)
     elsewhere = restless(case, ready)
-    first, again = (spent(lambda: marched(case, elsewhere)) for _ in range(2))
-    slowly = spent(lambda: marched(case, elsewhere, plainly))
-    plain = steps * spent(lambda: marched(case, ready, plainly))
-    without = steps * spent(lambda: stands(plainly_staggered))
+    first, again = (seconds(lambda: marched(case, elsewhere), process_time) for _ in range(2))
+    slowly = seconds(lambda: marched(case, elsewhere, plainly), process_time)
+    plain = steps * seconds(lambda: marched(case, ready, plainly), process_time)
+    without = steps * seconds(lambda: stands(plainly_staggered), process_time)
     return Row(
         row,
         steps * ours,
@@ -285,7 +273,8 @@ def set_up_row() -> Row:
     with temporary_folder() as folder:
         riding, stands = guide_cases(folder)
         ready, setup = set_up_axes(riding), set_up(stands)
-        ours, other, ratio = in_turn(lambda: set_up_axes(riding), lambda: set_up(stands), 3)
+        both = lambda: set_up_axes(riding), lambda: set_up(stands)
+        ours, other, ratio = paired(*both, 3, process_time)
     stations = ready.moving.guideway.stations
     return Row(
         "moving-set-up",

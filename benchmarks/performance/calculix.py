@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from statistics import median
 from tempfile import TemporaryDirectory
 
 from benchmarks.against_calculix.compare import Ours, comparable, run_ours, run_theirs
@@ -19,7 +18,7 @@ from benchmarks.against_calculix.problem import problem_of
 from benchmarks.against_calculix.run import PROGRAM, available
 from benchmarks.against_calculix.structures import machine
 from benchmarks.against_calculix.studies import TIMEOUT
-from benchmarks.performance.timing import Row, Skipped
+from benchmarks.performance.timing import Row, Skipped, medians
 from fesim.case.schema import Case
 
 STEPS, REPEATS = 1050, 3
@@ -98,11 +97,4 @@ def compared(name: str, case: Case, pairs: list[tuple[Ours, Theirs]]) -> Iterato
 
 
 def _row(name: str, pairs: list[tuple[float, float]], unit: str, note: str) -> Row:
-    return Row(
-        name,
-        median(ours for ours, _ in pairs),
-        median(theirs for _, theirs in pairs),
-        median(theirs / ours for ours, theirs in pairs),
-        unit,
-        f"{note}; median of {len(pairs)}",
-    )
+    return Row(name, *medians(pairs), unit, f"{note}; median of {len(pairs)}")

@@ -5,13 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from importlib.util import find_spec
-from statistics import median
 
 import numpy as np
 from scipy.sparse import block_array, csr_array, csr_matrix, diags_array
 
 from benchmarks.performance.cases import reference_case
-from benchmarks.performance.timing import Row, Skipped, seconds
+from benchmarks.performance.timing import Row, Skipped, medians, seconds
 from fesim.case.schema import Case
 from fesim.joint.law import tangent_matrix
 from fesim.march.contact import ContactProblem
@@ -124,14 +123,10 @@ def rows() -> Iterator[Row | Skipped]:
         found["other"] = plain.run(MEASURED)
         marching = time.perf_counter() - between
         times.append((mine, between - begun + marching * STEPS / MEASURED))
-    mine, theirs = (median(pair[side] for pair in times) for side in (0, 1))
-    ratio = median(theirs / mine for mine, theirs in times)
     difference = np.abs(found["ours"][MEASURED] - found["other"]).max()
     yield Row(
         "march-vs-refactor",
-        mine,
-        theirs,
-        ratio,
+        *medians(times),
         "s",
         f"{STEPS} coupled steps of the equal-heights machine, {case.march.thermal} thermal model, "
         "set-up included, against assembling and factorising in every step with the same library, "

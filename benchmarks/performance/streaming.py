@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from statistics import median
 from time import perf_counter_ns
 
 import numpy as np
 
 from benchmarks.performance.cases import calibrated
 from benchmarks.performance.convolution import Blocks, Collapsed
-from benchmarks.performance.timing import Row
+from benchmarks.performance.timing import Row, medians
 from estimator.fchs.stream import initial_state, run, step
 from thermojoint.artefacts.arrays import Array
 from thermojoint.models.assembly import Assembly, assemble
@@ -88,14 +87,7 @@ def _row(
         first, second = float(of(np.concatenate(ours))), float(of(np.concatenate(other)))
         return Row(name, first, second, second / first, "µs", note)
     pairs = [(float(of(one)), float(of(two))) for one, two in zip(ours, other, strict=True)]
-    return Row(
-        name,
-        median(one for one, _ in pairs),
-        median(two for _, two in pairs),
-        median(two / one for one, two in pairs),
-        "µs",
-        note,
-    )
+    return Row(name, *medians(pairs), "µs", note)
 
 
 def growth(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import median
 
@@ -52,14 +52,13 @@ def paired(
     clock: Clock = time.perf_counter,
 ) -> tuple[float, float, float]:
     """Time two calls in turn; return both medians (s) and the median of other / ours."""
-    pairs = [(seconds(ours, clock), seconds(other, clock)) for _ in range(repeats)]
+    return medians([(seconds(ours, clock), seconds(other, clock)) for _ in range(repeats)])
+
+
+def medians(pairs: Sequence[tuple[float, float]]) -> tuple[float, float, float]:
+    """Return the medians of ours and of the other's, and the median of other / ours."""
     return (
         median(one for one, _ in pairs),
         median(two for _, two in pairs),
         median(two / one for one, two in pairs),
     )
-
-
-def taken(call: Callable[[], object], repeats: int) -> float:
-    """Median wall time of repeated calls, s."""
-    return median(seconds(call) for _ in range(repeats))
