@@ -25,6 +25,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import psutil
 
 from benchmarks.study import options_of
 
@@ -331,14 +332,6 @@ def serve(folder: Path) -> None:
     asyncio.run(serve_http(opened, asyncio.Event()))
 
 
-def resident(process: int) -> float:
-    """Return the memory that a process holds, MB."""
-    for line in Path(f"/proc/{process}/status").read_text().splitlines():
-        if line.startswith("VmRSS:"):
-            return int(line.split()[1]) / 1024.0
-    raise ValueError(process)
-
-
 def latest(port: int, security: ssl.SSLContext) -> dict[str, object]:
     """Return what the server says of its machine."""
     import httpx
@@ -380,15 +373,16 @@ def judge(process: subprocess.Popen[str], port: int, folder: Path, count: int, s
     security = ssl.create_default_context(cafile=folder / "http_certificate.pem")
     before = latest(port, security)
     attack(port, WARM, seed + 1, security)
-    held, begun = resident(process.pid), time.monotonic()
+    server = psutil.Process(process.pid)
+    held, begun = server.memory_info().rss, time.monotonic()
     report = attack(port, count, seed, security)
-    seconds, grown = time.monotonic() - begun, resident(process.pid) - held
+    seconds, grown = time.monotonic() - begun, (server.memory_info().rss - held) / 2**20
     same = latest(port, security) == before
     print(f"requests       {report.sent} in {seconds:.0f} s")
     print(f"answers        {json.dumps(dict(sorted(report.answers.items())))} (0: closed)")
     print(f"5xx            {report.server_errors}")
     print(f"hung           {report.unanswered}")
-    print(f"memory         {held:.0f} MB after {WARM} requests, {grown:+.1f} MB since")
+    print(f"memory         {held / 2**20:.0f} MB after {WARM} requests, {grown:+.1f} MB since")
     print(f"same answers   {'yes' if same else 'NO'}")
     alive = process.poll() is None
     good = (
