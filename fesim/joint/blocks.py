@@ -134,7 +134,10 @@ def blocks_of(problem: GapProblem, counts: Sequence[int], share: Array, supports
 
 
 def _transposed(matrix: Array) -> NDArray[np.float32]:
-    """The transpose of a square matrix, contiguous, in tiles: rows at once would miss the cache."""
+    """The transpose of a square matrix in single precision.
+
+    It is made tile by tile, as whole rows would miss the cache.
+    """
     found = np.empty(matrix.shape, dtype=np.float32)
     starts = range(0, len(matrix), TILE)
     for i in starts:
