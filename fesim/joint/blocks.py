@@ -25,7 +25,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from fesim.jit import compiled
-from fesim.joint.gap import GapProblem
+from fesim.joint.gap import GapProblem, transposed
 from fesim.one_thread import MANY
 from thermojoint.artefacts.arrays import Array, Flags
 
@@ -34,8 +34,6 @@ WHOLE = 96
 #: Joints with a larger coupling than this are in one block: a sweep would leave about this fraction
 #: of the residual, where drift leaves 0.01 anyway.
 COUPLED = 0.15
-#: Edge of the tiles in which F is transposed.
-TILE = 500
 #: Steps of the power method that estimates a coupling.
 POWERS = 8
 
@@ -128,22 +126,9 @@ def blocks_of(problem: GapProblem, counts: Sequence[int], share: Array, supports
         springs=np.concatenate([springs[row] for row in rows]),
         compliance=np.concatenate([block.ravel() for block in diagonal]),
         columns=np.concatenate([block.T.ravel() for block in diagonal]),
-        between=_transposed(compliance),
+        between=transposed(compliance, np.float32),
         reach=float(max((abs(row) @ springs for row in compliance), default=0.0)),
     )
-
-
-def _transposed(matrix: Array) -> NDArray[np.float32]:
-    """The transpose of a square matrix in single precision.
-
-    It is made tile by tile, as whole rows would miss the cache.
-    """
-    found = np.empty(matrix.shape, dtype=np.float32)
-    starts = range(0, len(matrix), TILE)
-    for i in starts:
-        for j in starts:
-            found[j : j + TILE, i : i + TILE] = matrix[i : i + TILE, j : j + TILE].T
-    return found
 
 
 @compiled

@@ -18,8 +18,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from fesim.joint.law import Traction, tangent_matrix
@@ -27,6 +29,7 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
 
 Law = Callable[[Array, Array], Traction]
+Real = TypeVar("Real", np.float32, np.float64)
 
 #: Largest residual of an accepted state, m.
 TOLERANCE = 1e-13
@@ -37,6 +40,8 @@ MAX_FULL_STEPS = 10
 NEAR = 0.01
 #: Rows that are copied at a time from one triangle of a symmetric matrix into the other.
 AT_ONCE = 64
+#: Edge of the tiles in which a matrix is transposed.
+TILE = 500
 
 
 @dataclass(frozen=True)
@@ -69,7 +74,7 @@ class GapProblem:
     @cached_property
     def columns(self) -> Array:
         """F transposed, contiguous: shape (3 m, 3 m), m/Pa."""
-        return np.ascontiguousarray(self.compliance.T)
+        return transposed(self.compliance, np.float64)
 
     def at_rest(self, gap: Array) -> Array:
         """J0^-1 g of gaps g with the condensation's springs, shape (3 m,) or (3 m, n), m.
@@ -95,6 +100,25 @@ class GapProblem:
         product -= np.einsum("rim,ijm->rjm", blocks, tangent).reshape(size, size)
         product[np.diag_indices(size)] += 1.0
         return product
+
+
+def transposed(matrix: Array, precision: type[Real]) -> NDArray[Real]:
+    """Return the transpose of a square matrix, contiguous.
+
+    It is made tile by tile, as whole rows would miss the cache.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (n, n)
+    precision : type
+        Of the numbers of the transpose.
+    """
+    found = np.empty(matrix.shape, dtype=precision)
+    starts = range(0, len(matrix), TILE)
+    for i in starts:
+        for j in starts:
+            found[j : j + TILE, i : i + TILE] = matrix[i : i + TILE, j : j + TILE].T
+    return found
 
 
 def gap_problem(
