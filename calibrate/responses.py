@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibrate.fictitious import check_steps
+from calibrate.fictitious import WHERE, check_steps
 from calibrate.source_thermal import make_geometry
 from thermojoint.artefacts import steps
 from thermojoint.artefacts.errors import InputError, unknown_name
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
 #: An axis with motion below this fraction of the largest displacement is left out.
 STILL = 1e-3
-#: Names of the responses in errors.
-WHERE = "calibration responses"
 
 
 def candidates_in(response: xr.Dataset) -> tuple[list[str], list[str]]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from estimator.intake import Intake, intake
+from estimator.interface import NextReading
 from estimator.joint_aware.ageing import AgeingJointAware
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.log import log_samples
@@ -111,6 +112,10 @@ def _residuals(estimator: JointAwareEstimator, state: Array, values: Array) -> A
     return residuals(estimator, state, values)
 
 
+def _next_reading(estimator: JointAwareEstimator, state: Array, limit: float) -> NextReading | None:
+    return next_reading(_not_learning(estimator), state, limit)
+
+
 def _not_learning(estimator: JointAwareEstimator) -> JointAware:
     if isinstance(estimator, AgeingJointAware):
         raise InputError("next reading: not while the machine's parameters are learnt")
@@ -153,7 +158,7 @@ KIND: Kind[ObserverModel, JointAwareEstimator] = Kind(
     run=_run,
     ranges=_ranges,
     residuals=_residuals,
-    next_reading=lambda estimator, *given: next_reading(_not_learning(estimator), *given),
+    next_reading=_next_reading,
     narrowest_band=lambda estimator: narrowest_band(_not_learning(estimator)),
     program=_program,
     strokes=lambda model: model.strokes,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from estimator.columns import samples_of
 from estimator.intake import Intake, axis_name, of_columns
 from estimator.judging import Figures
-from estimator.kind import Kind, Options
+from estimator.kind import Kind, OnFirst, Options
 from estimator.learned.estimator import Learned
 from estimator.lines import Stroke
 from estimator.ranges import Range, duration
@@ -38,6 +38,12 @@ def _intake(model: LearnedModel, above_ambient: bool) -> Intake:
     axes = [channel.name for channel in model.channels]
     names = [*model.columns, *model.positions, *axes]
     return of_columns(names, len(names) - len(axes))
+
+
+def _log(
+    model: LearnedModel, pieces: Iterable[Log], where: str, on_first: OnFirst | None
+) -> Iterator[tuple[float, ...]]:
+    return samples_of(model.columns, pieces, model.positions)
 
 
 def _response(model: LearnedModel, response: xr.Dataset) -> Iterator[tuple[float, ...]]:
@@ -87,7 +93,7 @@ KIND: Kind[LearnedModel, Learned] = Kind(
     options=frozenset({"reading_noise"}),
     intake=_intake,
     renamed=lambda model: model.renamed_in((*model.columns, *model.positions)),
-    log=lambda model, pieces, *_: samples_of(model.columns, pieces, model.positions),
+    log=_log,
     response=_response,
     ranges=_ranges,
     strokes=_strokes,
