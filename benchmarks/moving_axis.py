@@ -7,9 +7,10 @@ the second one on, noise of 0.12 K peak to peak on every thermometer. The table 
 two fifths of the time. Calibrated from steps of 0.5, 1 and 2 for 35 min and a cool-down of 4 h;
 judged, free-running, at step 3.0 and in a day of 8 h with random heat. Beside it, on the plant with
 the parameters of its case, FCHS, calibrated from steps of 0.5, 1 and 2 with the table at each of
-three positions, and interpolated. With ``--same-mesh`` the plants have the mesh of the model. With
-``--turning 0.5`` the table turns between samples, too, at every half of a second; ``--odometer``
-tells the model how far it has gone. Tables in docs/moving-axes.md.
+three positions, and interpolated. ``--elements-mm 40 32`` sets element sizes of model and plants;
+twice the same gives both one mesh. With ``--turning 0.5`` the table turns between samples, too,
+at every half of a second; ``--odometer`` tells the model how far it has gone. Tables in
+docs/moving-axes.md.
 """
 
 from __future__ import annotations
@@ -49,8 +50,8 @@ from thermojoint.reduced.machine import ReducedMachine
 from thermojoint.reduced.parameters import factors_of
 from thermojoint.reduced.physics import simulate_known
 
-#: Mesh of the plants, mm, and their steps, s.
-MESH, STEP = {"element_size_mm": 40.0, "joint_element_size_mm": 25.0}, 5.0
+#: Element sizes of model (those of its case) and plants, mm; the steps of plants, s.
+ELEMENTS, STEP = (50.0, 40.0), 5.0
 #: Speed of the table, m/s, and the share of the time that it moves.
 SPEED, MOVES = 0.02, 0.4
 #: Rectangular noise of a thermometer, K, to both sides.
@@ -257,7 +258,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--count", type=int, default=3)
     parser.add_argument("--seed", type=int, default=2)
-    parser.add_argument("--same-mesh", action="store_true")
+    parser.add_argument("--elements-mm", type=float, nargs=2, default=ELEMENTS)
     parser.add_argument("--turning", type=float, default=STEP)
     parser.add_argument("--odometer", action="store_true")
     options = parser.parse_args(arguments)
@@ -266,12 +267,12 @@ def main(arguments: list[str] | None = None) -> None:
     # The points of a table.
     stations = (aligned_positions(section) / MILLI).round(9).tolist()
     reads = {"asked_mm": stations, "odometer": options.odometer}
-    case = case.replace(march={"step_s": STEP}, axes={axis: reads})
-    mesh = {} if options.same_mesh else MESH
+    of_model, of_plant = ({"element_size_mm": size} for size in options.elements_mm)
+    case = case.replace(march={"step_s": STEP}, axes={axis: reads}, structure=of_model)
     rows: list[dict[str, Any]] = []
     for number in range(options.first, options.first + options.count):
         rng = np.random.default_rng((options.seed, number))
-        plant = plant_of(case, rng, number).replace(structure=mesh)
+        plant = plant_of(case, rng, number).replace(structure=of_plant)
         with TemporaryDirectory() as folder:
             responses = responses_of(plant, rng, Path(folder), options.turning)
             if not options.odometer:
