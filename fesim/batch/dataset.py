@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -55,7 +55,11 @@ class Dataset:
 
 
 def open_dataset(path: Path, study: Study) -> Dataset:
-    """Open the dataset of a study; create it if there is none, or one of another study."""
+    """Open the dataset of a study; create it if there is none, or one of another study.
+
+    Of another study's the displacements of common cases are kept; without responses they exist
+    nowhere else.
+    """
     labels = dimension_labels(study)
     layout = _layout_digest(study, labels)
     row = {case.id: number for number, case in enumerate(study.cases)}
@@ -63,7 +67,8 @@ def open_dataset(path: Path, study: Study) -> Dataset:
         group = zarr.open_group(path, mode="r+", zarr_format=2)
         if group.attrs.get("layout") == layout:
             return Dataset(dict(group.arrays()), row, labels)
-    group = _lay_out(path, study, labels, layout)
+    kept = _displacements(path, row) if study.keep == "displacement" else {}
+    group = _lay_out(path, study, labels, layout, kept)
     return Dataset(dict(group.arrays()), row, labels)
 
 
@@ -178,7 +183,31 @@ def _layout_digest(study: Study, labels: dict[str, Labels]) -> str:
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
-def _lay_out(path: Path, study: Study, labels: dict[str, Labels], layout: str) -> zarr.Group:
+def _displacements(path: Path, cases: Iterable[str]) -> dict[str, tuple[Labels, Labels]]:
+    """Return the times and displacements that a complete dataset has of some cases, by their id."""
+    if not (path / ".zgroup").is_file():
+        return {}
+    group = zarr.open_group(path, mode="r", zarr_format=2)
+    if "layout" not in group.attrs:
+        return {}
+    arrays = dict(group.arrays())
+    row = {str(case): at for at, case in enumerate(np.asarray(arrays["case"][...]))}
+    times, found = np.asarray(arrays["time"][...]), {}
+    for case in row.keys() & set(cases):
+        values = np.asarray(arrays["displacement"][row[case]])
+        read = np.isfinite(values).all(axis=1)
+        if read.any():
+            found[case] = times[read], values[read]
+    return found
+
+
+def _lay_out(
+    path: Path,
+    study: Study,
+    labels: dict[str, Labels],
+    layout: str,
+    kept: Mapping[str, tuple[Labels, Labels]],
+) -> zarr.Group:
     group = zarr.open_group(path, mode="w", zarr_format=2)
     count = len(study.cases)
     _coordinate(group, "case", ("case",), np.array([case.id for case in study.cases]))
@@ -219,6 +248,13 @@ def _lay_out(path: Path, study: Study, labels: dict[str, Labels], layout: str) -
         fill_value=None,
         attributes=attributes,
     )
+    displacement = dict(group.arrays())["displacement"]
+    for at, case in enumerate(study.cases):
+        if case.id in kept:
+            times, moved = kept[case.id]
+            whole = np.full(displacement.shape[1:], np.nan)
+            whole[_positions(labels["time"], times)] = moved
+            displacement[at] = whole
     group.attrs.update({"title": study.title, "coordinates": " ".join(varied)})
     # Last: a store without it is not complete and is laid out again.
     group.attrs["layout"] = layout

@@ -45,7 +45,7 @@ def optimise(  # noqa: PLR0913 - options of a command
     out: Annotated[Path, typer.Option(help="Folder for all results; finished cases are kept.")],
     population: Annotated[int, typer.Option(min=5, help="Cases of a generation.")] = 12,
     generations: Annotated[int, typer.Option(min=1, help="At most.")] = 15,
-    seed: Annotated[int, typer.Option(help="Of the search.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Of the search.")] = 1,
     workers: arguments.Workers = None,
     scheduler: arguments.Scheduler = None,
     json: arguments.Json = None,
@@ -73,7 +73,7 @@ def optimise(  # noqa: PLR0913 - options of a command
     given = read_settings(DesignFile, question, "question")
     check_names(given, str(question))
     own = _own_values(given)
-    every: list[Values] = []
+    every = _finished(given, out, str(question))
     refusals: dict[str, str] = {}
     with _one_crew(workers or os.cpu_count() or 1, scheduler) as recruit:
 
@@ -81,6 +81,8 @@ def optimise(  # noqa: PLR0913 - options of a command
             """Run cases beside all before them, so that the tables hold them all."""
             every.extend(rows)
             study = _study(given, every, str(question), refusals)
+            if not study.cases:
+                return np.full((len(rows), len(given.names)), np.nan)
             summary = batch_run.completed(study, str(question), out, recruit)
             return figures_in(given, study, rows, summary)
 
@@ -99,7 +101,7 @@ def optimise(  # noqa: PLR0913 - options of a command
         "refused": refusals,
         "history": history_of(done),
     }
-    _report(given, content, own)
+    _report(given, content, own, json)
     picture = search_figure(
         given.aim,
         done.figures[:, 0],
@@ -125,6 +127,23 @@ def _own_values(given: DesignFile) -> Values:
     own = {each.path: each.value for each in parameters_of(read_case(given.case), paths)}
     inside = all(span.low <= own.get(span.path, math.nan) <= span.high for span in given.ranges)
     return {path: own[path] for path in paths} if inside else {}
+
+
+def _finished(given: DesignFile, out: Path, where: str) -> list[Values]:
+    """Values of the cases that an earlier search of the question finished in the folder.
+
+    They are of the study from the first generation on, so that the dataset keeps them all.
+    """
+    import pandas as pd
+
+    paths = [span.path for span in given.ranges]
+    try:
+        table = pd.read_parquet(out / "summary.parquet", columns=["id", *paths])
+        rows = table[paths].astype(float).to_dict("records")
+    except (OSError, ValueError, ImportError):
+        return []  # There is none, or it is of another question.
+    there = {name for name in table["id"] if (out / "records" / f"{name}.json").is_file()}
+    return [case.values for case in _study(given, rows, where, {}).cases if case.id in there]
 
 
 @contextmanager
@@ -177,7 +196,7 @@ def _full_march(given: DesignFile, values: Values) -> Array:
     return figures_by_name(given.names, values, figures_of(response))
 
 
-def _report(given: DesignFile, content: dict[str, Any], own: Values) -> None:
+def _report(given: DesignFile, content: dict[str, Any], own: Values, as_json: Path | None) -> None:
     """Print the values that were found, and the figures."""
     from thermojoint import console
 
@@ -186,9 +205,9 @@ def _report(given: DesignFile, content: dict[str, Any], own: Values) -> None:
         ends = (own.get(span.path), content["found"][span.path], span.low, span.high)
         chosen.add_row(span.path, *map(console.number, ends))
     title = f"found in {content['cases']} cases{_why(content['refused'])}"
-    console.titled(console.out(), title, chosen)
+    console.titled(console.out(as_json), title, chosen)
     figures = Table("figure", *console.numeric("at least", "at most", "now", "found", "full march"))
     for entry in content["figures"]:
         columns = ("at_least", "at_most", "now", "found", "full_march")
         figures.add_row(entry["figure"], *(console.number(entry[name]) for name in columns))
-    console.titled(console.out(), "displacements by their magnitude", figures)
+    console.titled(console.out(as_json), "displacements by their magnitude", figures)

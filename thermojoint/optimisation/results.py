@@ -34,10 +34,11 @@ def figures_in(
     Raises
     ------
     InputError
-        The cases have no such figure.
+        The cases have results, but no such figure.
     """
+    done = summary[summary["status"] == "done"]
     for name in given.names:
-        if name not in summary or summary[name].isna().all():
+        if len(done) and done[name].isna().all():
             raise InputError(f"{given.case}: its cases have no figure {name!r}; take another one")
     return sizes_of(given.names, figures_of_rows(study, rows, summary, given.names))
 

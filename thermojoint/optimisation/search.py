@@ -88,7 +88,7 @@ def search(
 
     def measured(unit: Array) -> Array:
         """Measure points (values, cases) in the unit cube."""
-        asked = [_rounded(values) for values in values_in(ranges, unit.T)]
+        asked = [_rounded(ranges, values) for values in values_in(ranges, unit.T)]
         more = {_key(values): values for values in [*(() if rows else first), *asked]}
         fresh = {key: values for key, values in more.items() if key not in figures}
         if fresh:
@@ -125,8 +125,12 @@ def search(
     return Search(rows, found, measure(found), sizes)
 
 
-def _rounded(values: Values) -> Values:
-    return {path: float(f"{value:.{DIGITS}g}") for path, value in values.items()}
+def _rounded(ranges: Sequence[RangeSection], values: Values) -> Values:
+    """Values with `DIGITS` digits, or at the end of a range that these would pass."""
+    return {
+        span.path: min(max(float(f"{values[span.path]:.{DIGITS}g}"), span.low), span.high)
+        for span in ranges
+    }
 
 
 def _key(values: Values) -> Key:

@@ -416,6 +416,17 @@ def test_a_changed_study_finds_the_cases_it_has_in_common_with_the_old_one(tmp_p
     assert data["displacement"].sel(time=slice(0, 60)).notnull().all()
 
 
+def test_a_grown_study_of_displacements_runs_only_what_is_new(tmp_path):
+    whole, out = replace(study_in(tmp_path, levels(4), 1.0), keep="displacement"), tmp_path / "out"
+    run_batch(replace(whole, cases=whole.cases[1:3]), out, here())
+    before = opened(out)["displacement"].load()
+    end = run_batch(whole, out, here())
+    assert (end.found, end.ran) == (2, 2)
+    after = opened(out)["displacement"]
+    assert after.notnull().all()
+    np.testing.assert_array_equal(after.sel(case=before["case"]), before)
+
+
 def test_cases_of_different_joints_and_steps_stand_in_one_dataset(tmp_path):
     out = tmp_path / "out"
     varied = grid("joints.knee.across", 1, 2) + grid("march.step_s", 2.0, 3.0)

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from batch_cases import case_text
+from batch_cases import case_text, tally
 from in_process import run
 
 from fesim.batch.study import RangeSection
@@ -82,6 +82,18 @@ def test_cases_without_a_result_are_passed_over(tmp_path):
     assert list(done.rows[done.best()].values()) == pytest.approx([1.25, -0.75], abs=0.1)
 
 
+def test_no_case_is_outside_its_range(tmp_path):
+    """With five digits both ends of this range would be 1."""
+    (narrow,) = spans = [RangeSection(path="x", low=1.000013, high=1.000024)]
+    given = question(tmp_path)
+
+    def line(rows):
+        return np.array([[row["x"]] for row in rows])
+
+    done = search(spans, line, lambda figures: measured(given, figures), Effort(5, 3))
+    assert all(narrow.low <= row["x"] <= narrow.high for row in done.rows)
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("optimisation")
@@ -112,6 +124,7 @@ def test_the_least_preload_that_keeps_a_limit_is_checked_by_a_full_march(folder,
     # A limit that no preload keeps: the same cases, none of them run again, and exit code 1.
     code, content = optimised(folder, 1e-3)
     assert code == 1
+    assert set(tally(folder / "out")["started"].values()) == {1}
     assert not content["figures"][1]["holds"]
     assert "within the limit" in capsys.readouterr().err
 
@@ -130,3 +143,29 @@ def test_a_question_that_makes_no_sense_is_refused(folder, capsys, text, message
     assert run("optimise", folder / "bad.toml", "--out", folder / "none") == 2
     assert message in capsys.readouterr().err
     assert not (folder / "none").exists()
+
+
+@pytest.mark.parametrize(
+    ("path", "low", "high", "reason"),
+    [
+        ("joints.knee.preload_MPa", -10.0, -1.0, "5 are refused: joints.knee.preload_MPa"),
+        ("heat_input.level", 1e9, 1e10, "no case within the ranges has a result"),
+    ],
+)
+def test_ranges_without_any_result_are_told(folder, capsys, path, low, high, reason):
+    (folder / "hopeless.toml").write_text(
+        'case = "machine.toml"\nminimise = "displacement_x_peak_um"\n'
+        f'ranges = [{{ path = "{path}", low = {low}, high = {high} }}]\n'
+    )
+    effort = ("--population", 5, "--generations", 1, "--workers", 1)
+    assert run("optimise", folder / "hopeless.toml", "--out", folder / path, *effort) == 2
+    assert reason in capsys.readouterr().err
+
+
+def test_json_on_standard_output_is_all_that_is_printed_there(folder, capsys):
+    optimised(folder, 1e3)
+    capsys.readouterr()
+    effort = ("--population", 5, "--generations", 3, "--workers", 1)
+    options = ("--out", folder / "out", "--json", "-")
+    run("optimise", folder / "question.toml", *options, *effort)
+    assert json.loads(capsys.readouterr().out)["found"]
