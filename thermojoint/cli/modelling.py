@@ -389,7 +389,7 @@ def validate(  # noqa: PLR0913 - the options of a command
         float | None,
         typer.Option("--noise-pp", help="Peak-to-peak noise added to every temperature, K."),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the noise.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the noise.")] = 0,
     baselines: Annotated[
         Path | None, typer.Option(help="Baselines to compare with ('calibrate --baselines').")
     ] = None,

@@ -40,11 +40,18 @@ def sensitivity(  # noqa: PLR0913 - options of a command
     figure: Annotated[
         list[str] | None, typer.Option(help="Columns of summary.csv to judge; default: all.")
     ] = None,
-    method: Annotated[Method, typer.Option(help="Indices of a file of ranges.")] = "morris",
+    method: Annotated[
+        Method | None, typer.Option(help="Indices of a file of ranges; default: morris.")
+    ] = None,
     samples: Annotated[
-        int, typer.Option(help="Trajectories of morris; base samples of sobol, a power of 2.")
-    ] = 16,
-    seed: Annotated[int, typer.Option(help="Of the samples and of the intervals.")] = 1,
+        int | None,
+        typer.Option(
+            help="Trajectories of morris; base samples of sobol, a power of 2; default: 16."
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Of the samples and of the intervals; default: 1.")
+    ] = None,
     workers: arguments.Workers = None,
     scheduler: arguments.Scheduler = None,
     json: arguments.Json = None,
@@ -62,8 +69,9 @@ def sensitivity(  # noqa: PLR0913 - options of a command
     from thermojoint import console
     from thermojoint.artefacts.settings import toml
     from thermojoint.cli import batch_run
-    from thermojoint.sensitivity.results import chosen_figures, figures_of_rows
+    from thermojoint.sensitivity.results import check_figures, chosen_figures, figures_of_rows
 
+    check_figures(figure or [])
     batch_run.check_workers(workers, scheduler)
     arguments.check_outputs({"--json": (json, file_kinds.SENSITIVITY)}, [given])
 
@@ -76,10 +84,17 @@ def sensitivity(  # noqa: PLR0913 - options of a command
 
     if "ranges" in toml.parse(toml.read_text(given, "case"), str(given)):
         arguments.only_for("a case", {"--parameter": parameter})
-        content = _screened(given, (method, samples, seed), run)
+        sampling = (
+            method or "morris",
+            16 if samples is None else samples,
+            1 if seed is None else seed,
+        )
+        content = _screened(given, sampling, run)
     else:
+        sampled = {"--method": method, "--samples": samples, "--seed": seed}
+        arguments.only_for("a file of ranges", sampled)
         content = _local(given, tuple(parameter or ["*"]), run)
-    _report(content, out)
+    _report(content, out, json)
     arguments.write_json(json, content)
     console.wrote(out / TABLE, out / PICTURE, json)
 
@@ -102,8 +117,13 @@ def _local(given: Path, patterns: tuple[str, ...], run: Run) -> dict[str, Any]:
 
     paths = [each.path for each in parameters]
     study = replace(study_of(given, rows, paths, str(given), refused), keep="displacement")
+    if not study.cases:
+        path, reason = next(iter(reasons.items()))
+        raise InputError(f"{given}: every change is refused; of {path}: {reason}")
     names, figures = run(study, rows)
     effects = local.effects_of(parameters, figures)
+    if not effects:
+        raise InputError(f"{given}: no value has all of its cases; summary.csv has the reasons")
     done = {effect.parameter.path for effect in effects}
     missing = [path for path in paths if path not in done]
     left_out = {path: reasons.get(path, "a case of it has no result") for path in missing}
@@ -135,7 +155,7 @@ def _screened(given: Path, sampling: tuple[Method, int, int], run: Run) -> dict[
     }
 
 
-def _report(content: dict[str, Any], out: Path) -> None:
+def _report(content: dict[str, Any], out: Path, as_json: Path | None) -> None:
     """Print the largest effects; write the table and the picture."""
     import pandas as pd
 
@@ -160,7 +180,7 @@ def _report(content: dict[str, Any], out: Path) -> None:
                 console.number(getattr(row, first), 3),
                 console.number(getattr(row, spread), 2),
             )
-        console.titled(console.out(), f"{name}{per}", shown)
+        console.titled(console.out(as_json), f"{name}{per}", shown)
     write_figure(tornado_figure(panels[:PANELS]), out / PICTURE)
     for path, reason in content.get("left_out", {}).items():
         console.say(f"{path} is left out: {reason}")

@@ -34,15 +34,32 @@ PHYSICAL = (
 )
 
 
+def check_figures(asked: Sequence[str]) -> None:
+    """Refuse figures that no case has.
+
+    Raises
+    ------
+    InputError
+        There is no such figure.
+    """
+    for name in asked:
+        if name not in PHYSICAL:
+            raise unknown_name("figure", name, PHYSICAL, "--figure")
+
+
 def chosen_figures(summary: pd.DataFrame, asked: Sequence[str]) -> list[str]:
     """Return the figures to judge: those asked for, or all of `PHYSICAL` that change.
 
     Raises
     ------
     InputError
-        A figure does not exist.
+        No case has a result, or none has a figure.
     """
     have = [name for name in PHYSICAL if name in summary and summary[name].notna().any()]
+    if not have:
+        raise InputError(
+            "no case has a result, so there are no effects; summary.csv has the reasons"
+        )
     for name in asked:
         if name not in have:
             raise unknown_name("figure", name, have, "--figure")

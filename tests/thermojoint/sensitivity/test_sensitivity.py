@@ -136,10 +136,31 @@ def test_ranges_are_screened_and_a_second_method_shares_what_has_run(folder):
     [
         (("--parameter", "joint.*"), "no number of"),
         (("--figure", "displacement_q_um"), "--figure"),
+        (("--method", "sobol"), "--method: goes with a file of ranges"),
+        (("--samples", "64"), "--samples: goes with a file of ranges"),
+        (("--seed", "2"), "--seed: goes with a file of ranges"),
     ],
 )
-def test_unknown_parameters_and_figures_are_refused(folder, capsys, options, message):
-    chosen = ("--parameter", EFFECTS[0]) if options[0] == "--figure" else ()
-    command = (folder / "machine.toml", "--out", folder / "local", "--workers", 1)
-    assert run("sensitivity", *command, *chosen, *options) == 2
+def test_what_is_unknown_or_of_the_other_kind_is_refused_before_any_case(
+    folder, tmp_path, capsys, options, message
+):
+    command = (folder / "machine.toml", "--out", tmp_path / "none", "--workers", 1)
+    assert run("sensitivity", *command, *options) == 2
     assert message in capsys.readouterr().err
+    assert not (tmp_path / "none").exists()
+
+
+def test_ranges_without_any_result_are_told(folder, capsys):
+    (folder / "hot.toml").write_text(
+        RANGES.replace("low = 0.5, high = 3.0", "low = 1e9, high = 1e10")
+    )
+    command = (folder / "hot.toml", "--out", folder / "hot", "--workers", 1, "--samples", 4)
+    assert run("sensitivity", *command) == 2
+    assert "no case has a result" in capsys.readouterr().err
+
+
+def test_json_on_standard_output_is_all_that_is_printed_there(folder, capsys):
+    command = (folder / "machine.toml", "--out", folder / "local", "--workers", 1)
+    chosen = [part for path in EFFECTS for part in ("--parameter", path)]
+    assert run("sensitivity", *command, *chosen, "--json", "-") == 0
+    assert json.loads(capsys.readouterr().out)["entries"]
