@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
@@ -15,6 +16,9 @@ from thermojoint.standards.iso230_3.protocol import Protocol
 if TYPE_CHECKING:
     from thermojoint.artefacts.log_record import Record as LogRecord
     from thermojoint.standards.iso230_3.record import Record
+
+
+Named = TypeVar("Named")
 
 
 def iso230_3(  # noqa: PLR0913 - the options of a command
@@ -90,14 +94,15 @@ def iso230_3(  # noqa: PLR0913 - the options of a command
         },
         [given, second, mapping, instruments],
     )
-    pairs = dict(_pair(text) for text in tilt or [])
+    pairs = _each_once("--tilt", [_pair(text) for text in tilt or []])
     if bool(pairs) != (distance is not None):
         raise InputError("--tilt and --distance-mm: give both or neither")
     known = None if given.suffix == ".nc" else Instruments()
     if instruments is not None:
         known = read_instruments(instruments)
     renamed = renamed_by(column, mapping)
-    channels = dict(_channel(text) for text in displacement) if displacement else None
+    named = [_channel(text) for text in displacement or []]
+    channels = _each_once("--displacement", named) if named else None
     with console.working("reading"):
         record, read = _record(given, renamed, channels, temperature, speed)
     facts = []
@@ -147,6 +152,16 @@ def _record(
 
     log = read_log([path], renamed)
     return log_record(log, channels, temperatures, speed), log.records
+
+
+def _each_once(option: str, given: Iterable[tuple[str, Named]]) -> dict[str, Named]:
+    """Return what is given by name; refuse a name that is given twice."""
+    found: dict[str, Named] = {}
+    for name, value in given:
+        if name in found:
+            raise InputError(f"{option} {name}: is given twice; give each its own name")
+        found[name] = value
+    return found
 
 
 def _named(option: str, text: str) -> tuple[str, str]:

@@ -298,6 +298,14 @@ def test_a_column_of_another_quantity_is_refused(log):
         log_record(read_log([log]), {"X1": "n_rpm"})
 
 
+def test_columns_that_differ_in_their_unit_alone_are_refused(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("time_s,x_um,x_mm\n0,1,0.2\n7200,4,0.3\n")
+    with pytest.raises(InputError, match="'x_um' and 'x_mm' would both be 'x'"):
+        log_record(read_log([path]))
+    assert set(log_record(read_log([path]), {"near": "x_um"}).displacements) == {"near"}
+
+
 def test_the_command_writes_the_report_and_the_parameters(command, log, tmp_path):
     page, content = tmp_path / "page.html", tmp_path / "found.json"
     channels = ["--displacement", "X1=front_um", "--displacement", "X2=back_um"]
@@ -325,6 +333,9 @@ def test_the_command_takes_a_response(command, coarse_response, tmp_path):
         (["--displacement", "sideways_um"], "no column named 'sideways_um'"),
         (["--tilt", "B=front,back"], "give both or neither"),
         (["--tilt", "B=front", "--distance-mm", "100"], "NAME=FIRST,SECOND"),
+        (["--tilt", "front=front,back", "--distance-mm", "100"], "has such a channel"),
+        (2 * ["--tilt", "B=front,back"] + ["--distance-mm", "100"], "--tilt B: is given twice"),
+        (["--displacement", "X=front", "--displacement", "X=back"], "--displacement X: is given"),
         (["--tilt", "B=front,bac", "--distance-mm", "100"], "did you mean 'back'"),
         (["--tilt", "B=front,back", "--distance-mm", "0"], "positive length"),
         (["--column", "n_rpm"], "write THEIRS=OURS"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -123,13 +123,12 @@ def log_record(
     Raises
     ------
     InputError
-        A column is missing or has another quantity, there are several runs, or there is no
-        displacement.
+        A column is missing or has another quantity, there are several runs, there is no
+        displacement, or two columns have the same name but for the unit.
     """
     if len(log.starts) > 1:
         raise InputError("log: time restarts within it; give the file of one test")
-    lengths = {column.base: column.name for column in log.columns if column.quantity == "length"}
-    wanted = lengths if displacements is None else displacements
+    wanted = _by_base(log, log.of("length")) if displacements is None else displacements
     if not wanted:
         raise InputError("log: no displacement; rename its column to end in _um, _mm or _m")
     speeds = log.of("speed")
@@ -139,11 +138,27 @@ def log_record(
         times=log.times - log.times[0],
         displacements={name: _column(log, column, "length") for name, column in wanted.items()},
         temperatures={
-            log.columns[log.index(name)].base: _celsius(log, name)
-            for name in (log.of("temperature") if temperatures is None else temperatures)
+            base: _celsius(log, name)
+            for base, name in _by_base(
+                log, log.of("temperature") if temperatures is None else temperatures
+            ).items()
         },
         drive=None if speed is None else log.at(speed),
     )
+
+
+def _by_base(log: Log, names: Iterable[str]) -> dict[str, str]:
+    """Return columns by their name without unit, which is that of a channel."""
+    found: dict[str, str] = {}
+    for name in names:
+        base = log.columns[log.index(name)].base
+        if base in found:
+            raise InputError(
+                f"log: columns {found[base]!r} and {name!r} would both be {base!r}; rename one "
+                "with --column"
+            )
+        found[base] = name
+    return found
 
 
 def _column(log: Log, name: str, quantity: str) -> Array:
@@ -196,12 +211,14 @@ def with_tilts(record: Record, pairs: Mapping[str, tuple[str, str]], distance: f
     Raises
     ------
     InputError
-        A channel is missing, or the distance is not positive.
+        A channel is missing, a name is one of the record, or the distance is not positive.
     """
     if not 0.0 < distance < np.inf:
         raise InputError(f"distance of the sensors: {distance:g} m; give a positive length")
     tilts, distances = dict(record.tilts), dict(record.distances)
     for name, pair in pairs.items():
+        if name in tilts or name in record.displacements:
+            raise InputError(f"tilt {name}: the record has such a channel; give it another name")
         for channel in pair:
             if channel not in record.displacements:
                 raise unknown_name("displacement", channel, record.displacements, f"tilt {name}")
