@@ -99,6 +99,16 @@ def _csv(first: bytes, last: bytes) -> Callable[[Path], bool]:
     return holds
 
 
+def _is_of_target(path: Path) -> bool:
+    """Lines for a control, or a table of writes: what `target` writes."""
+    with path.open("rb") as file:
+        first = file.readline(1 << 16).strip()
+    return (
+        first.endswith(b": temperature compensation by thermojoint")
+        or first == b"time_s,axis,node,value,unit"
+    )
+
+
 def _is_report(command: str) -> Callable[[Path], bool]:
     """A page that names the command that wrote it."""
 
@@ -153,6 +163,7 @@ VERIFICATION_PAGE = Kind("a page of the verification", _starts(b"# Verification\
 OFFSETS = Kind("a preview of offsets", _csv(b"time_s,offset_", b",state"), ".csv")
 TEST_REPORT = Kind("a report of a thermal test", _is_report("iso230-3"), ".html")
 TEST_PARAMETERS = Kind("parameters of a thermal test", _schema("thermojoint-iso230-3"), ".json")
+TARGET = Kind("what 'target' writes", _is_of_target)
 SENSORS = Kind(
     "a list of placed sensors", _starts(b"# Sensors placed by 'thermojoint place'"), ".toml"
 )

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from thermojoint.cli import arguments, file_kinds
+
 
 def linuxcnc(
     service: Annotated[Path, typer.Argument(help="File of the service (TOML).")],
@@ -61,15 +63,18 @@ def target(
     """
     from thermojoint import console
     from thermojoint.artefacts.files import write_text
+    from thermojoint.artefacts.tables import source
     from thermojoint.live.targets.dry_run import COLUMNS, writes
     from thermojoint.live.targets.settings import lines_of, read_target
 
+    arguments.check_outputs({"--out": (out, file_kinds.TARGET)}, [target, offsets])
     given = read_target(target)
     if offsets is None:
         lines = list(lines_of(given, dict.fromkeys(given.axes, 0.0)))
     else:
-        rows = writes(given, offsets.read_text("utf-8").splitlines(), str(offsets))
-        lines = [",".join(row) for row in (COLUMNS, *rows)]
+        with source.lines_of(offsets, "table of offsets") as table:
+            rows = writes(given, table, str(offsets))
+            lines = [",".join(row) for row in (COLUMNS, *rows)]
     if out is None:
         print("\n".join(lines))
     else:

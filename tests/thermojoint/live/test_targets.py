@@ -246,3 +246,18 @@ def test_the_graded_page_has_a_true_row_for_every_source_output_and_target():
         # What is played by the manuals is no control and no agent.
         assert grade == ("B" if name.strip("`") in {*CONTROLS, "mtconnect", "shdr"} else "A")
         assert (ROOT / "docs" / re.search(r"\((\S+)\)", guide)[1]).is_file()
+
+
+def test_what_a_control_needs_is_written_over_no_other_file(command, tmp_path):
+    given = tmp_path / "sinumerik.toml"
+    block = re.search(r"^```toml target[^\n]*\n(.*?)^```", PAGES["sinumerik"], re.M | re.S)
+    given.write_text(block[1])
+    out = tmp_path / "parameters.txt"
+    for _ in range(2):  # its own file it replaces
+        assert command("target", given, "--out", out)[0] == 0
+    notes = tmp_path / "notes.txt"
+    notes.write_text("of another origin\n")
+    for taken in (given, notes):
+        before = taken.read_bytes()
+        assert command("target", given, "--out", taken)[0] == 2
+        assert taken.read_bytes() == before
