@@ -8,7 +8,7 @@ import numpy as np
 
 from calibrate.learning.rules import Cleaning
 from calibrate.learning.speed_levels import held_levels
-from calibrate.learning.thinning import Table
+from calibrate.learning.thinning import DRIVES, Table
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log_record import PAUSE
@@ -125,7 +125,7 @@ def _drives(table: Table, rules: Cleaning) -> tuple[list[str], list[str]]:
     """Return the columns that drive heat and vary, and warnings."""
     drives, warnings = [], []
     for k, column in enumerate(table.columns):
-        if column.quantity not in ("speed", "feed", "power", "current", "torque", "load"):
+        if column.quantity not in DRIVES:
             continue
         values = table.values[:, k][np.isfinite(table.values[:, k])]
         largest = float(np.abs(values).max(initial=0.0))
@@ -148,8 +148,8 @@ def _changes_of(table: Table, drives: list[str], rules: Cleaning) -> Array:
     names = [column.name for column in table.columns]
     changing = np.zeros(len(table.times), dtype=bool)
     for name in drives:
-        values = table.values[:, names.index(name)]
-        least = rules.stepped * np.nanmax(np.abs(values))
+        values = np.abs(table.values[:, names.index(name)])
+        least = rules.stepped * np.nanmax(values)
         step = np.abs(np.diff(values, prepend=values[0])) > least
         changing |= np.convolve(step, np.ones(1 + 2 * rules.beside), mode="same") > 0.0
     # During a gap anything may have changed.

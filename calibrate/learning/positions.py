@@ -18,7 +18,7 @@ from calibrate.learning.rules import Cleaning, Moving, Thinning
 from calibrate.learning.thinning import Table
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
-from thermojoint.artefacts.log import Log
+from thermojoint.artefacts.log import Log, runs_in
 from thermojoint.artefacts.quantities import Column, column_named, fixed_positions
 
 _SIDES = (" low", " high")
@@ -75,7 +75,7 @@ def sorted_out(
     InputError
         A column is missing, or is no displacement or no position.
     """
-    remaining = iter(pieces)
+    remaining = runs_in(pieces)
     first = next(remaining, None)
     if first is None:
         return iter(()), tuple(displacements), ()

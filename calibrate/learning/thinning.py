@@ -8,10 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calibrate.learning.rules import Thinning
-from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.artefacts.errors import InputError
-from thermojoint.artefacts.log import Log
+from thermojoint.artefacts.log import Log, runs_in
 from thermojoint.artefacts.quantities import Column
+
+#: Quantities that drive heat: by their size, whatever their sign.
+DRIVES = frozenset({"speed", "feed", "power", "current", "torque", "load"})
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +25,8 @@ class Table:
     times: Array
     #: As in the log.
     columns: tuple[Column, ...]
-    #: Shape (k, columns): SI; NaN where nothing was read.
+    #: Shape (k, columns): SI; NaN where nothing was read. Of `DRIVES` the mean size, with the sign
+    #: of the mean.
     values: Array
     #: First row of each run.
     starts: tuple[int, ...]
@@ -61,7 +65,7 @@ def thinned(
     columns: tuple[Column, ...] = ()
     samples, last = 0, np.inf
     spikes = missing = np.zeros(0)
-    for piece in pieces:
+    for piece in runs_in(pieces):
         at = [piece.index(name) for name in names] if names else list(range(len(piece.columns)))
         here = tuple(piece.columns[k] for k in at)
         if not columns:
@@ -78,10 +82,11 @@ def thinned(
         slower = replace(rules, least_spike=rules.least_spike * max(1.0, step / rules.interval))
         values, counts = without_spikes(values, [column.quantity for column in here], slower)
         spikes += counts
-        rows.extend(_means(piece.times, values, interval))
+        driving = np.array([column.quantity in DRIVES for column in here])
+        rows.extend(_means(piece.times, values, interval, driving))
         while len(rows) > rules.most_rows:
             interval *= 2.0
-            rows, starts = _coarser(rows, starts, interval)
+            rows, starts = _coarser(rows, starts, interval, driving)
     if not rows:
         raise InputError("log: no samples; give a file with a header and rows")
     times = np.array([time for time, _ in rows])
@@ -128,11 +133,17 @@ def without_spikes(
     return kept, count
 
 
-def _means(times: Array, values: Array, interval: float) -> list[tuple[float, Array]]:
+def _means(
+    times: Array, values: Array, interval: float, driving: Flags
+) -> list[tuple[float, Array]]:
     bins = np.floor(times / interval)
     edges = np.flatnonzero(np.diff(bins, prepend=np.nan) != 0.0)
     there = ~np.isnan(values)
-    sums = np.add.reduceat(np.where(there, values, 0.0), edges, axis=0)
+    kept = np.where(there, values, 0.0)
+    sums = np.add.reduceat(kept, edges, axis=0)
+    # An axis that goes to and fro, or a motor that brakes, heats as well.
+    sizes = np.add.reduceat(np.abs(kept), edges, axis=0)
+    sums = np.where(driving, np.copysign(sizes, sums), sums)
     counts = np.add.reduceat(there.astype(float), edges, axis=0)
     means = np.where(counts > 0.0, sums / np.maximum(counts, 1.0), np.nan)
     middles = np.add.reduceat(times, edges) / np.diff(np.append(edges, len(times)))
@@ -140,7 +151,7 @@ def _means(times: Array, values: Array, interval: float) -> list[tuple[float, Ar
 
 
 def _coarser(
-    rows: list[tuple[float, Array]], starts: list[int], interval: float
+    rows: list[tuple[float, Array]], starts: list[int], interval: float, driving: Flags
 ) -> tuple[list[tuple[float, Array]], list[int]]:
     """Return rows over intervals twice as long, run by run."""
     means: list[tuple[float, Array]] = []
@@ -148,5 +159,6 @@ def _coarser(
     for first, end in zip(starts, [*starts[1:], len(rows)], strict=True):
         begins.append(len(means))
         times = np.array([time for time, _ in rows[first:end]])
-        means += _means(times, np.array([values for _, values in rows[first:end]]), interval)
+        values = np.array([own for _, own in rows[first:end]])
+        means += _means(times, values, interval, driving)
     return means, begins

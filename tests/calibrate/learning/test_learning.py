@@ -23,7 +23,7 @@ from estimator.probe_readings import with_probe_readings
 from estimator.quality import Quality, quality_of
 from estimator.registry import resumed, save_state
 from thermojoint.artefacts.errors import InputError
-from thermojoint.artefacts.log import Log
+from thermojoint.artefacts.log import Log, joined
 from thermojoint.artefacts.quantities import column_named
 from thermojoint.compensation.offsets.usable import Trust, usable
 from thermojoint.models.filters.relaxations import relax_all
@@ -275,6 +275,19 @@ def test_a_motor_current_a_load_or_a_feed_drives_a_model_as_a_speed_does(name, l
         assert row["rms_error_um"] < 0.12 * row["rms_uncompensated_um"], row
 
 
+def test_a_drive_that_goes_to_and_fro_within_a_minute_heats_by_its_size():
+    """Its mean is nearly zero, but the estimator reads it sample by sample."""
+
+    def to_and_fro(log):
+        turns = np.where(np.arange(len(log.times)) % 2, -1.0, 1.0)
+        return changed(log, "n_rpm", lambda values: turns * values)
+
+    model = learn([to_and_fro(machine_log(interval=20.0))], AXES, 4)
+    assert "n_rpm" in model.columns
+    for row in judge("day", Learned(model), to_and_fro(DAY)):
+        assert row["rms_error_um"] < 0.12 * row["rms_uncompensated_um"], row
+
+
 def test_a_log_without_speed_and_one_without_temperatures_are_learned_from():
     assert "n_rpm" not in learn([LOG], AXES, ignored=["n_rpm"]).columns
     assert learn([LOG], AXES, ignored=[f"T{k}" for k in range(1, 7)]).columns == ("n_rpm",)
@@ -287,6 +300,12 @@ def test_days_with_zeros_of_their_own_are_learned_from_together():
     assert len(days.sensors) == 4
     for row in judge("day", Learned(days), DAY):
         assert row["rms_error_zeroed_um"] < 0.2 * row["rms_uncompensated_zeroed_um"]
+
+
+def test_a_log_of_several_runs_is_learned_from_as_its_runs_one_by_one():
+    whole = joined([LOG, machine_log(seed=9)])
+    assert len(whole.starts) == 2
+    assert learn([whole], AXES, 2) == learn(list(whole.runs()), AXES, 2)
 
 
 def test_the_file_brings_the_model_back_and_damage_is_refused(model, tmp_path):
