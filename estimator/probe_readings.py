@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log_file import read_log
 from thermojoint.artefacts.quantities import column_named
+from thermojoint.artefacts.tables.clock import tells_date
 
 
 def read_probe_readings(path: Path, axes: Sequence[str]) -> tuple[Array, Array]:
@@ -48,7 +50,11 @@ def read_probe_readings(path: Path, axes: Sequence[str]) -> tuple[Array, Array]:
 
 
 def with_probe_readings(
-    samples: Iterable[Sequence[float]], times: Array, values: Array
+    samples: Iterable[Sequence[float]],
+    times: Array,
+    values: Array,
+    places: int = 0,
+    after: float = math.nan,
 ) -> Iterator[tuple[float, ...]]:
     """Yield every sample with the readings since the previous one, NaN for none.
 
@@ -58,16 +64,40 @@ def with_probe_readings(
         Time (s) and values.
     times : ndarray, shape (k,)
         Of the readings, s, increasing. Readings before the first sample are ignored.
-    values : ndarray, shape (k, axes)
+    values : ndarray, shape (k, axes + places)
         m.
+    places : int
+        Number of columns at the end with the positions where the others were read.
+    after : float
+        Time of the sample before the first one, s, since which readings count; NaN for none.
+
+    Raises
+    ------
+    InputError
+        Only one of the clocks has a date.
     """
-    at = None
+    at = None if math.isnan(after) else int(np.searchsorted(times, after, "right"))
+    begun = False
     for time, *rest in samples:
+        if not begun and len(times) and tells_date(time) != tells_date(float(times[0])):
+            raise InputError(
+                f"readings: their clock begins at {times[0]:.15g} s, that of the samples at "
+                f"{time:.15g} s: only one has a date; give both the same clock"
+            )
+        begun = True
         if at is None:
             at = int(np.searchsorted(times, time, "left"))
         end = int(np.searchsorted(times, time, "right"))
         latest = np.full(values.shape[1], np.nan)
         for row in values[at:end]:
-            latest = np.where(np.isfinite(row), row, latest)
+            latest = _with_row(latest, row, values.shape[1] - places)
         at = max(at, end)
         yield (time, *rest, *map(float, latest))
+
+
+def _with_row(latest: Array, row: Array, axes: int) -> Array:
+    """Return the latest readings after a further row; those from another place are dropped."""
+    if not np.isfinite(row[:axes]).any():
+        return latest
+    moved = np.isfinite(row[axes:]) & np.isfinite(latest[axes:]) & (row[axes:] != latest[axes:])
+    return row if moved.any() else np.where(np.isfinite(row), row, latest)

@@ -208,7 +208,7 @@ class Learned(Described):
             As in `channels`; NaN where missing. It may end before the positions, the displacement
             readings, or where they were read.
         """
-        last = state_in(state, self.model)
+        last = self._continued(state_in(state, self.model), time)
         if not np.isfinite(time) or time <= last.time:
             raise InputError(
                 f"time {time:g} s does not come after {last.time:g} s; drop or re-order the sample"
@@ -244,7 +244,7 @@ class Learned(Described):
                 status |= Status.READING_REFUSED
         estimate, band, unknown = self._seen(last, row, self._shares(1.0, np.zeros_like(at)))
         details = self._details(last, row, self._levers(here))
-        begun = time if last.fresh else last.begun
+        begun = time if np.isnan(last.begun) else last.begun
         status |= self._status(now, estimate, time - begun)
         status |= self._status_unread(last, missing, unknown)
         after = last._replace(time=time, begun=begun, values=now, relaxations=low)
@@ -293,19 +293,19 @@ class Learned(Described):
             name for name, gone in zip(self.model.columns, missing.tolist(), strict=True) if gone
         )
 
-    def _before(self, last: State, time: float) -> float:
-        """Time of the sample before, s; the log's end if it is continued, NaN in a new run."""
+    def _continued(self, last: State, time: float) -> State:
+        """The state before a sample: that at the log's end where a run continues the log."""
         end = self.model.log_end
         if last.fresh and end and 0.0 < time - end.time_s <= self.following.goes_on:
-            return end.time_s
-        return last.time
+            values, relaxations = np.array(end.values), np.array(end.relaxations)
+            return last._replace(time=end.time_s, values=values, relaxations=relaxations)
+        return last
 
     def _unread(self, last: State, time: float, now: Array, missing: Flags) -> Unread:
         """Bounds on what is not known, at a sample."""
-        before = self._before(last, time)
-        if np.isnan(before) or time - before > self.following.pause:
+        if last.fresh or time - last.time > self.following.pause:
             return at_start(self.model, now, missing)
-        return later(self.model, last.unread, missing, time - before, self.following.wanders)
+        return later(self.model, last.unread, missing, time - last.time, self.following.wanders)
 
     def _status_unread(self, last: State, missing: Flags, unknown: Array) -> Status:
         """Status bits for missing readings and an unknown past."""
@@ -320,15 +320,12 @@ class Learned(Described):
 
     def _relaxations(self, last: State, time: float, now: Array) -> Array:
         """Relaxations of the features at `time`, s, with values now: (n,)."""
-        model, end = self.model, self.model.log_end
-        new, before = signals(model.features, model.columns, now), self._before(last, time)
-        if np.isnan(before):
+        model = self.model
+        new = signals(model.features, model.columns, now)
+        if last.fresh:
             return np.where(model.taus > 0.0, at_rest(model.features, new), new)
-        begun, values = last.relaxations, last.values
-        if last.fresh and end:
-            begun, values = np.array(end.relaxations), np.array(end.values)
-        old = signals(model.features, model.columns, values)
-        return relaxed(begun, old, new, time - before, model.taus)
+        old = signals(model.features, model.columns, last.values)
+        return relaxed(last.relaxations, old, new, time - last.time, model.taus)
 
     @cached_property
     def _possible(self) -> Array:

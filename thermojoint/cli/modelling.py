@@ -295,9 +295,13 @@ def estimate(  # noqa: PLR0913 - the options of a command
                 return ask(estimator, state, limit)
 
         if readings is not None:
-            # Along an axis, the position that belongs to a reading is beside it.
-            read = (*estimator.axes, *getattr(given, "positions", ()))
-            samples = with_probe_readings(samples, *read_probe_readings(readings, read))
+            # Of a learned model along an axis, the position that belongs to a reading is beside it.
+            names = {channel.name for channel in estimator.channels}
+            along = getattr(given, "positions", ())
+            places = [name for name in along if f"reading {name}" in names]
+            read = read_probe_readings(readings, (*estimator.axes, *places))
+            last = float(state[0])  # of every estimator, the time of the sample before
+            samples = with_probe_readings(samples, *read, len(places), last)
         keep = partial(save_state, estimator, path=save) if save else None
         _write_estimates(estimator, state, samples, out, keep, asks)
     console.wrote(out, save)

@@ -345,6 +345,20 @@ def test_a_log_that_goes_on_where_the_learned_one_ended_begins_with_what_it_left
     assert np.abs(on - actual)[:30].mean() < np.abs(fresh - actual)[:30].mean()
 
 
+def test_a_reading_missing_as_a_log_goes_on_is_the_last_one_of_the_learned_log():
+    model = learn([LOG.part(slice(0, 600))], AXES, 4)
+    estimator = Learned(model)
+    time, *values = next(samples_of(model.columns, [LOG.part(slice(600, None))]))
+    start = estimator.initial_state()
+    whole = estimator.sample(start, time, values)[1]
+    for k, name in enumerate(model.columns):
+        without = [np.nan if own == k else value for own, value in enumerate(values)]
+        found = estimator.sample(start, time, without)[1]
+        assert found.missing == (name,)
+        off = np.abs(found.displacement - whole.displacement)
+        assert (off <= found.band - whole.band).all(), name
+
+
 def biased(log, shift):
     return changed(log, "x_um", lambda values: values + shift)
 

@@ -118,6 +118,32 @@ def test_readings_between_two_samples_go_with_the_later_one():
     assert np.array_equal(found[1, 2:], [2.0, 3.0])
 
 
+def test_readings_go_with_the_position_where_they_were_made():
+    """Of two places between two samples the later one counts; a position alone says nothing."""
+    samples = [(0.0, 1.0), (60.0, 1.0), (120.0, 1.0)]
+    x, z, at = 0, 1, 2
+    values = np.full((5, 3), np.nan)
+    values[0, [x, at]], values[1, [z, at]], values[2, at] = (5.0, 0.0), (6.0, 0.0), 0.4
+    values[3, [x, at]], values[4, [z, at]] = (7.0, 0.1), (8.0, 0.2)
+    times = np.array([10.0, 20.0, 50.0, 70.0, 80.0])
+    found = np.array(list(with_probe_readings(samples, times, values, places=1)))
+    np.testing.assert_array_equal(found[1:, 2:], [[5.0, 6.0, 0.0], [np.nan, 8.0, 0.2]])
+
+
+def test_a_continued_run_has_the_readings_since_its_last_sample():
+    times, values = np.array([3.0, 5.0]), np.array([[1.0], [2.0]])
+    [(_, _, read)] = with_probe_readings([(6.0, 1.0)], times, values, after=4.0)
+    assert read == 2.0
+    [(_, _, read)] = with_probe_readings([(6.0, 1.0)], times, values, after=5.0)
+    assert np.isnan(read)
+
+
+def test_readings_whose_clock_alone_has_no_date_are_refused():
+    read = np.array([60.0]), np.array([[1.0]])
+    with pytest.raises(InputError, match="only one has a date"):
+        next(with_probe_readings([(1.7e9, 1.0)], *read))
+
+
 def test_readings_name_their_axes(tmp_path):
     path = tmp_path / "probe.csv"
     path.write_text("time_s,y_um\n60,12.5\n120,13\n")

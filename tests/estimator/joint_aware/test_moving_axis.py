@@ -31,6 +31,7 @@ from calibrate.joint_aware.misfit import physics_with, searched
 from calibrate.joint_aware.open_band import Drawing
 from calibrate.joint_aware.physics_fit import Search
 from calibrate.joint_aware.readings import run_in
+from estimator.estimate_table import read_estimate
 from estimator.export.program import Precision
 from estimator.exporting import export_program
 from estimator.interface import Status
@@ -45,6 +46,7 @@ from fesim.simulate import simulate
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.quantities import column_named
+from thermojoint.artefacts.response import write_response
 from thermojoint.live.machine import Times, at_rest, taken
 from thermojoint.live.publication import as_json
 from thermojoint.live.served import served
@@ -200,6 +202,20 @@ def test_a_reading_where_the_axis_stands_corrects_a_warm_start_along_the_stroke(
         )
         assert after < 0.1 * before
     assert (told[5].band < 0.3 * alone[5].band).all()
+
+
+def test_the_command_takes_readings_where_the_axis_stands(estimator, response, tmp_path):
+    model, given = tmp_path / "knee.h5", tmp_path / "run.nc"
+    write_observer(estimator.model, model)
+    write_response(response, given)
+    time, moved = float(response["time"][10]), 1e6 * actual(response)[10, 0]
+    (tmp_path / "probe.csv").write_text(f"time_s,x_um\n{time},{moved}\n")
+    bands = []
+    for more in ([], ["--readings", tmp_path / "probe.csv"]):
+        assert run("estimate", model, given, "--warm", "--out", tmp_path / "e.csv", *more) == 0
+        _, rows = read_estimate((tmp_path / "e.csv").read_text("utf-8").splitlines(True), "e.csv")
+        bands.append(rows[10].band[0])
+    assert bands[1] < 0.9 * bands[0]
 
 
 def test_a_power_that_a_control_knows_is_one_more_reading_beside_the_position(
