@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -76,17 +77,20 @@ def with_probe_readings(
     InputError
         Only one of the clocks has a date.
     """
-    at = None if math.isnan(after) else int(np.searchsorted(times, after, "right"))
-    begun = False
-    for time, *rest in samples:
-        if not begun and len(times) and tells_date(time) != tells_date(float(times[0])):
-            raise InputError(
-                f"readings: their clock begins at {times[0]:.15g} s, that of the samples at "
-                f"{time:.15g} s: only one has a date; give both the same clock"
-            )
-        begun = True
-        if at is None:
-            at = int(np.searchsorted(times, time, "left"))
+    remaining = iter(samples)
+    first = next(remaining, None)
+    if first is None:
+        return
+    if len(times) and tells_date(first[0]) != tells_date(float(times[0])):
+        raise InputError(
+            f"readings: their clock begins at {times[0]:.15g} s, that of the samples at "
+            f"{first[0]:.15g} s: only one has a date; give both the same clock"
+        )
+    if math.isnan(after):
+        at = int(np.searchsorted(times, first[0], "left"))
+    else:
+        at = int(np.searchsorted(times, after, "right"))
+    for time, *rest in chain([first], remaining):
         end = int(np.searchsorted(times, time, "right"))
         latest = np.full(values.shape[1], np.nan)
         for row in values[at:end]:

@@ -68,8 +68,14 @@ def open_dataset(path: Path, study: Study) -> Dataset:
         if group.attrs.get("layout") == layout:
             return Dataset(dict(group.arrays()), row, labels)
     kept = _displacements(path, row) if study.keep == "displacement" else {}
-    group = _lay_out(path, study, labels, layout, kept)
-    return Dataset(dict(group.arrays()), row, labels)
+    group = _lay_out(path, study, labels)
+    dataset = Dataset(dict(group.arrays()), row, labels)
+    for case, (times, moved) in kept.items():
+        _write(dataset, case, "displacement", {"time": times, "axis": labels["axis"]}, moved)
+    # Last: a store without it is not complete and is laid out again.
+    group.attrs["layout"] = layout
+    zarr.consolidate_metadata(path, zarr_format=2)
+    return dataset
 
 
 def dimension_labels(study: Study) -> dict[str, Labels]:
@@ -113,16 +119,22 @@ def _variables(
 
 def store_response(dataset: Dataset, case: str, response: AnyResponse) -> None:
     """Write one response into its row; idempotent."""
-    at = dataset.row[case]
     for name, (dims, _, _) in VARIABLES.items():
         if name not in response or name not in dataset.arrays:
             continue
-        values = response[name].to_numpy()
-        array = dataset.arrays[name]
-        whole = np.full(array.shape[1:], array.fill_value, dtype=array.dtype)
-        places = [_positions(dataset.labels[dim], response[dim].to_numpy()) for dim in dims]
-        whole[np.ix_(*places)] = values
-        array[at] = whole
+        labels = {dim: response[dim].to_numpy() for dim in dims}
+        _write(dataset, case, name, labels, response[name].to_numpy())
+
+
+def _write(
+    dataset: Dataset, case: str, name: str, labels: Mapping[str, Labels], values: Labels
+) -> None:
+    """Write values of a variable, whose dimensions have these labels, into the row of a case."""
+    array = dataset.arrays[name]
+    whole = np.full(array.shape[1:], array.fill_value, dtype=array.dtype)
+    places = [_positions(dataset.labels[dim], own) for dim, own in labels.items()]
+    whole[np.ix_(*places)] = values
+    array[dataset.row[case]] = whole
 
 
 def holds_response(dataset: Dataset, case: str) -> bool:
@@ -201,13 +213,7 @@ def _displacements(path: Path, cases: Iterable[str]) -> dict[str, tuple[Labels, 
     return found
 
 
-def _lay_out(
-    path: Path,
-    study: Study,
-    labels: dict[str, Labels],
-    layout: str,
-    kept: Mapping[str, tuple[Labels, Labels]],
-) -> zarr.Group:
+def _lay_out(path: Path, study: Study, labels: dict[str, Labels]) -> zarr.Group:
     group = zarr.open_group(path, mode="w", zarr_format=2)
     count = len(study.cases)
     _coordinate(group, "case", ("case",), np.array([case.id for case in study.cases]))
@@ -248,17 +254,7 @@ def _lay_out(
         fill_value=None,
         attributes=attributes,
     )
-    displacement = dict(group.arrays())["displacement"]
-    for at, case in enumerate(study.cases):
-        if case.id in kept:
-            times, moved = kept[case.id]
-            whole = np.full(displacement.shape[1:], np.nan)
-            whole[_positions(labels["time"], times)] = moved
-            displacement[at] = whole
     group.attrs.update({"title": study.title, "coordinates": " ".join(varied)})
-    # Last: a store without it is not complete and is laid out again.
-    group.attrs["layout"] = layout
-    zarr.consolidate_metadata(path, zarr_format=2)
     return group
 
 

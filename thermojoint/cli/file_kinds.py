@@ -88,12 +88,16 @@ def _is_march_state(path: Path) -> bool:
     return False
 
 
+def _first_line(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.readline(1 << 16).strip()
+
+
 def _csv(first: bytes, last: bytes) -> Callable[[Path], bool]:
     """A CSV whose header has these first and last columns."""
 
     def holds(path: Path) -> bool:
-        with path.open("rb") as file:
-            header = file.readline(1 << 16).strip()
+        header = _first_line(path)
         return header.startswith(first) and header.endswith(last)
 
     return holds
@@ -101,8 +105,7 @@ def _csv(first: bytes, last: bytes) -> Callable[[Path], bool]:
 
 def _is_of_target(path: Path) -> bool:
     """Lines for a control, or a table of writes: what `target` writes."""
-    with path.open("rb") as file:
-        first = file.readline(1 << 16).strip()
+    first = _first_line(path)
     return (
         first.endswith(b": temperature compensation by thermojoint")
         or first == b"time_s,axis,node,value,unit"

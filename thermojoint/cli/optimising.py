@@ -136,14 +136,17 @@ def _finished(given: DesignFile, out: Path, where: str) -> list[Values]:
     """
     import pandas as pd
 
+    from fesim.batch.folder import read_records
+
     paths = [span.path for span in given.ranges]
     try:
-        table = pd.read_parquet(out / "summary.parquet", columns=["id", *paths])
-        rows = table[paths].astype(float).to_dict("records")
+        table = pd.read_parquet(out / "summary.parquet", columns=paths)
+        rows = table.astype(float).to_dict("records")
     except (OSError, ValueError, ImportError):
         return []  # There is none, or it is of another question.
-    there = {name for name in table["id"] if (out / "records" / f"{name}.json").is_file()}
-    return [case.values for case in _study(given, rows, where, {}).cases if case.id in there]
+    study = _study(given, rows, where, {})
+    records = read_records(out, study)
+    return [case.values for case in study.cases if case.id in records]
 
 
 @contextmanager

@@ -69,9 +69,14 @@ def sensitivity(  # noqa: PLR0913 - options of a command
     from thermojoint import console
     from thermojoint.artefacts.settings import toml
     from thermojoint.cli import batch_run
-    from thermojoint.sensitivity.results import check_figures, chosen_figures, figures_of_rows
+    from thermojoint.sensitivity.results import (
+        PHYSICAL,
+        check_figures,
+        chosen_figures,
+        figures_of_rows,
+    )
 
-    check_figures(figure or [])
+    check_figures(figure or [], PHYSICAL, "--figure")
     batch_run.check_workers(workers, scheduler)
     arguments.check_outputs({"--json": (json, file_kinds.SENSITIVITY)}, [given])
 

@@ -94,15 +94,14 @@ def iso230_3(  # noqa: PLR0913 - the options of a command
         },
         [given, second, mapping, instruments],
     )
-    pairs = _each_once("--tilt", [_pair(text) for text in tilt or []])
+    pairs = _each_once("--tilt", map(_pair, tilt or []))
     if bool(pairs) != (distance is not None):
         raise InputError("--tilt and --distance-mm: give both or neither")
     known = None if given.suffix == ".nc" else Instruments()
     if instruments is not None:
         known = read_instruments(instruments)
     renamed = renamed_by(column, mapping)
-    named = [_channel(text) for text in displacement or []]
-    channels = _each_once("--displacement", named) if named else None
+    channels = _each_once("--displacement", map(_channel, displacement or [])) or None
     with console.working("reading"):
         record, read = _record(given, renamed, channels, temperature, speed)
     facts = []

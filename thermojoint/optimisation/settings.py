@@ -8,8 +8,8 @@ from pydantic import Field, model_validator
 
 from fesim.batch.study import RangeSection
 from fesim.batch.summary import FIGURES
-from thermojoint.artefacts.errors import unknown_name
 from thermojoint.artefacts.settings.section import Finite, Section
+from thermojoint.sensitivity.results import check_figures
 from thermojoint.sensitivity.settings import RangesFile
 
 
@@ -63,6 +63,4 @@ def check_names(given: DesignFile, where: str) -> None:
         There is no such figure.
     """
     known = [*(span.path for span in given.ranges), *FIGURES]
-    for name in given.names:
-        if name not in known:
-            raise unknown_name("figure", name, known, where)
+    check_figures(given.names, known, where)

@@ -34,8 +34,8 @@ PHYSICAL = (
 )
 
 
-def check_figures(asked: Sequence[str]) -> None:
-    """Refuse figures that no case has.
+def check_figures(asked: Sequence[str], known: Sequence[str], where: str) -> None:
+    """Refuse figures that are not known; `where` is what asks for them.
 
     Raises
     ------
@@ -43,8 +43,8 @@ def check_figures(asked: Sequence[str]) -> None:
         There is no such figure.
     """
     for name in asked:
-        if name not in PHYSICAL:
-            raise unknown_name("figure", name, PHYSICAL, "--figure")
+        if name not in known:
+            raise unknown_name("figure", name, known, where)
 
 
 def chosen_figures(summary: pd.DataFrame, asked: Sequence[str]) -> list[str]:
@@ -60,9 +60,7 @@ def chosen_figures(summary: pd.DataFrame, asked: Sequence[str]) -> list[str]:
         raise InputError(
             "no case has a result, so there are no effects; summary.csv has the reasons"
         )
-    for name in asked:
-        if name not in have:
-            raise unknown_name("figure", name, have, "--figure")
+    check_figures(asked, have, "--figure")
     changing = [name for name in have if np.ptp(summary[name].dropna()) > STILL]
     return list(asked) or changing or have
 
