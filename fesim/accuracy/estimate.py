@@ -104,7 +104,7 @@ def accuracy_of(marched: Marched, known: float | None = None) -> Accuracy:
             by_joint[joint.name] = float(np.mean(errors))
     mesh = None
     with suppress(ThermojointError):
-        mesh = _of_mesh(setup, fine, machine.thermal.step)
+        mesh = _of_mesh(marched, fine, machine.thermal.step)
     unknown = setup.joints and not by_joint
     joints = None if unknown else float(sum(by_joint.values()))
     return Accuracy(joints, mesh, time, by_joint)
@@ -142,16 +142,20 @@ def _of_joint(
     return _largest(coarse.displacement - fine.displacement) / (ratio - 1.0)
 
 
-def _of_mesh(setup: Setup, fine: Track, step: float) -> float | None:
+def _of_mesh(marched: Marched, fine: Track, step: float) -> float | None:
     """Error by the meshes at steps (s) of a march; None where the structure is too large for rows.
 
     Nor do they know how a modulus that depends on temperature varies in a cell.
     Temperatures change in time as if they had risen evenly, as the dual ones do.
     """
-    rows = None if setup.machine.stiffness is not None else setup.make_mesh_errors()
+    setup = marched.setup
+    machine, found = setup.machine, []
+    if machine.stiffness is not None:
+        return None
+    loose = machine if setup.bolts is None else setup.bolts.loose
+    rows = setup.make_mesh_errors(loose, 60.0 * marched.case.march.duration_min)
     if rows is None:
         return None
-    machine, found = setup.machine, []
     heat, stress = rows.heat, rows.stress.temperature
     if setup.modes is not None:
         heat, stress = heat.on(setup.modes.basis), stress @ setup.modes.basis

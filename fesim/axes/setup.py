@@ -118,7 +118,7 @@ def set_up_axes(case: Case) -> MovingSetup:
         bolts=None,
         materials=whole.materials,
         make_thermal=_unavailable,
-        make_mesh_errors=lambda: None,
+        make_mesh_errors=lambda *_: None,
     )
     axes = tuple(
         Axis(

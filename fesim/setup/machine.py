@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from hashlib import sha256
 
 import numpy as np
@@ -121,7 +121,8 @@ class Setup(Described):
     make_thermal : callable
         Length of a step (s) to the heat step of that length, on the same unknowns.
     make_mesh_errors : callable
-        Returns rows of the errors of the mesh; None where the structure is too large for them.
+        The machine before its bolts are tightened, and the length of a march (s), to rows of the
+        errors of the mesh; None where the structure is too large for them.
     """
 
     structure: Structure
@@ -138,7 +139,7 @@ class Setup(Described):
     bolts: Bolts | None
     materials: dict[str, Material]
     make_thermal: Callable[[float], ThermalCondensation]
-    make_mesh_errors: Callable[[], MeshErrors | None]
+    make_mesh_errors: Callable[[CondensedMachine, float], MeshErrors | None]
 
     def _facts(self) -> dict[str, str]:
         return {
@@ -281,7 +282,7 @@ def _condensed(case: Case, parts: Parts, keys: CacheKeys) -> Setup:
     thermal = _thermal(whole, modes, full)
     machine = _machine(whole, condensed, loads, modes, thermal)
     machine = replace(machine, stiffness=_variable_stiffness(whole, field, forces))
-    errors = partial(_mesh_errors, whole, keys, condensed, machine, stress)
+    errors = partial(_mesh_errors, whole, keys, condensed, stress)
     bolts = None
     if parts.bolts:
         ends = whole.ends.toarray() if modes is None else whole.ends @ modes.basis
@@ -304,7 +305,7 @@ def _condensed(case: Case, parts: Parts, keys: CacheKeys) -> Setup:
         bolts=bolts,
         materials=whole.materials,
         make_thermal=full if modes is None else partial(at_step, thermal),
-        make_mesh_errors=cache(errors),
+        make_mesh_errors=lru_cache(maxsize=1)(errors),
     )
 
 
@@ -494,10 +495,11 @@ def _mesh_errors(
     whole: Discretised,
     keys: CacheKeys,
     condensed: ElasticCondensation,
-    machine: CondensedMachine,
     stress: StressErrors | None,
+    machine: CondensedMachine,
+    duration: float,
 ) -> MeshErrors | None:
-    """Rows of the errors of the mesh, with the joints as they are at their preload."""
+    """Rows of the errors of the mesh in a march (s), with the joints as at their preload."""
     if stress is None:
         return None
     conductance = machine.conductance_in(initial_state(replace(machine, assembly=None)))
@@ -506,8 +508,8 @@ def _mesh_errors(
     heat = remembered(
         HeatErrors,
         keys.heat,
-        lambda: heat_errors(whole, rows, conductance),
-        also=f"off by {given} in {whole.case.march.duration_min!r} min",
+        lambda: heat_errors(whole, rows, conductance, duration),
+        also=f"off by {given} in {duration!r} s",
     )
     return MeshErrors(heat, variable_errors(whole, heat.beyond), stress)
 

@@ -145,14 +145,14 @@ def dual_rows(condensed: ElasticCondensation, contact: ContactProblem) -> Array:
     return np.asarray(condensed.probe_thermal[:axes] + closing @ condensed.thermal_gap)
 
 
-def heat_errors(whole: Discretised, rows: Array, conducts: Array) -> HeatErrors:
+def heat_errors(whole: Discretised, rows: Array, conducts: Array, duration: float) -> HeatErrors:
     """Return the errors by `dual_rows`, with joints that conduct as given (m,), W/(m2 K).
 
-    The dual temperatures are of second order, after one step as long as the march. What they have
-    beyond first order is what the residual of the heat equation is multiplied with (Becker &
-    Rannacher 2001).
+    The dual temperatures are of second order, after one step as long as the march, `duration`, s.
+    What they have beyond first order is what the residual of the heat equation is multiplied with
+    (Becker & Rannacher 2001).
     """
-    case, structure = whole.case, whole.parts.structure
+    structure = whole.parts.structure
     low, solver = whole.spaces.heat, whole.case.march.solver
     high, materials, fine = _second_order(whole)
     stored = {name: m.density * m.heat_capacity for name, m in materials.items()}
@@ -167,7 +167,7 @@ def heat_errors(whole: Discretised, rows: Array, conducts: Array) -> HeatErrors:
     duals = capacity @ lifted @ checked_solve(density, rows.T, "density of the heat's dual")
     duals[fine.held] = 0.0
     joined = replace(fine, capacity=capacity, conduction=csr_array(fine.conduction + through))
-    system, _ = eliminate_held(joined, 60.0 * case.march.duration_min)
+    system, _ = eliminate_held(joined, duration)
     duals = checked_solve(factorise(system, "heat's dual", solver), duals, "heat's dual")
     first = np.zeros((int(low.N), duals.shape[1]))
     first[low.nodal_dofs[0]] = duals[high.nodal_dofs[0]]

@@ -10,6 +10,7 @@ from scipy.sparse import csr_array
 
 from fesim.accuracy.coarse_joints import _elastic
 from fesim.case.schema import case_from_data
+from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 from fesim.solid.condensation import ElasticCondensation
 from fesim.solid.round_faces import bulges
@@ -65,6 +66,20 @@ def test_the_steps_of_a_transient_are_off_as_estimated(tmp_path, steps, thermal)
     assert 0.5 < error / parts_of(response)["time"] < 2.0
     # An adaptive march has estimated its own.
     assert parts_of(limit)["time"] == limit.attrs["estimated_error_um"]
+
+
+def test_a_shared_set_up_knows_the_mesh_errors_of_each_march(tmp_path):
+    """Longer marches feel more of the mesh of the temperatures."""
+    changes = {
+        "sources": {"hot": {"body": "block", "reference_power_W": 20.0}},
+        "held_temperatures": {"x0": {"rise_K": 0.0}, "x1": {"rise_K": 0.0}},
+        "heat_input": {"kind": "step", "level": 1.0},
+        "supports": {"symmetry": SIDES},
+    }
+    case = case_from_data(bar_case(tmp_path, changes, (3, 1, 1)), "case", tmp_path)
+    short = case.replace(march={"duration_min": case.march.step_s / 30.0})
+    own, shared = simulate(case).response, simulate(case, setup=set_up(short)).response
+    assert parts_of(shared) == parts_of(own)
 
 
 @pytest.fixture(scope="module")
