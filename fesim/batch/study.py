@@ -20,8 +20,10 @@ from pydantic import Field, model_validator
 from fesim.batch.paths import known_paths, with_values
 from fesim.case.identity import case_id, condensation_key, file_digest
 from fesim.case.schema import Case, case_from_data, parse_case
+from fesim.setup.bolts import first_forces
 from fesim.setup.loads import march_inputs
 from fesim.setup.parts import make_parts
+from fesim.setup.soundness import check_one_ambient, radiated_to
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.settings import toml
 from thermojoint.artefacts.settings.read import read_settings
@@ -36,7 +38,7 @@ Keep = Literal["response", "displacement"]
 MOST_CASES = 100_000
 
 #: Sections whose histories are read to check them.
-LOADS = {"sources", "heat_input", "ambient", "held_temperatures"}
+LOADS = {"sources", "heat_input", "ambient", "held_temperatures", "loads", "bolts"}
 
 
 class GridSection(Section):
@@ -205,17 +207,19 @@ def study_of(
     data = toml.parse(text, str(source))
     cases_by_id: dict[str, StudyCase] = {}
     shapes: dict[str, Shape] = {}
-    loads: set[str] = set()
+    loads: set[tuple[str, str]] = set()
     for number, values in enumerate(rows, start=1):
         place = f"{where}: case {number} ({shown(values)})"
         try:
             case = case_from_data(with_values(data, values), place, source.parent)
-            load = case.model_dump_json(include=LOADS)
+            load = case.model_dump_json(include=LOADS), json.dumps(radiated_to(case))
             study_case = StudyCase(
                 case_id(case, digest), condensation_key(case, digest), values, case
             )
             if load not in loads:
                 march_inputs(case)
+                first_forces(case)
+                check_one_ambient(case)
             if study_case.key not in shapes:
                 parts = make_parts(case)
                 contacts = sum(len(joint.area) for joint in parts.joints)

@@ -52,7 +52,7 @@ from fesim.setup.mesh_errors import (
 )
 from fesim.setup.outputs import asks_for_outputs, mechanical_outputs
 from fesim.setup.parts import Parts, make_parts
-from fesim.setup.soundness import explained_by_size, suspicions
+from fesim.setup.soundness import check_laws, explained_by_size, suspicions
 from fesim.setup.structure import body_materials
 from fesim.setup.temperature_dependence import (
     growth,
@@ -522,8 +522,10 @@ def with_laws(setup: Setup, case: Case) -> Setup:
     Raises
     ------
     InputError
-        Without the friction of the first case, a body is not constrained.
+        Without the friction of the first case, a body is not constrained; or the laws or the
+        ambient are refused as by `set_up`.
     """
+    check_laws(case, setup.joints)
     materials = body_materials(case, setup.structure)
     laws = joint_laws(case, setup.structure, materials, setup.joints)
     check_constrained(case, setup.constraints, setup.joints)

@@ -38,14 +38,28 @@ def check_sound(case: Case, structure: Structure, joints: Sequence[PairedJoint])
     """
     check_whole(structure)
     check_covered_once(structure, joints)
-    for joint in joints:
-        if case.joints[joint.name].preload_MPa > 0.0:
-            check_closed(joint)
     check_apart(structure, case.convection_W_m2K, "convection_W_m2K")
     check_apart(structure, case.radiation, "radiation")
     in_cavities = [name for cavity in case.cavities.values() for name in cavity.surfaces]
     check_apart(structure, in_cavities, "cavities")
     check_open(case, structure, joints)
+    check_laws(case, joints)
+
+
+def check_laws(case: Case, joints: Sequence[PairedJoint]) -> None:
+    """Refuse what `check_sound` refuses of joint laws and the ambient.
+
+    Cases that share a condensation may differ in these.
+
+    Raises
+    ------
+    InputError
+        The sides of a preloaded joint are far apart; radiation goes to another ambient than that of
+        the case.
+    """
+    for joint in joints:
+        if case.joints[joint.name].preload_MPa > 0.0:
+            check_closed(joint)
     check_one_ambient(case)
 
 
@@ -89,15 +103,20 @@ def check_open(case: Case, structure: Structure, joints: Sequence[PairedJoint]) 
             )
 
 
-def check_one_ambient(case: Case) -> None:
-    """Refuse radiation to an ambient that is not that of time zero, or not the same everywhere."""
+def radiated_to(case: Case) -> dict[str, float]:
+    """Return the ambient that radiation goes to at time zero, °C, by the section that says it."""
     given = {f"radiation.{name}": one.ambient_degC for name, one in case.radiation.items()}
     gaps = {name: joint.gap for name, joint in case.joints.items() if joint.gap is not None}
-    given |= {
+    return given | {
         f"joints.{name}.gap": gap.ambient_degC
         for name, gap in gaps.items()
         if gap.ambient_degC is not None
     }
+
+
+def check_one_ambient(case: Case) -> None:
+    """Refuse radiation to an ambient that is not that of time zero, or not the same everywhere."""
+    given = radiated_to(case)
     if not given:
         return
     where, ambient = next(iter(given.items()))

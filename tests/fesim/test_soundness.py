@@ -16,7 +16,7 @@ from fesim.batch.worker import run as run_task
 from fesim.case.identity import case_id, condensation_key
 from fesim.case.schema import case_from_data
 from fesim.march.state_file import load_state, save_state
-from fesim.setup.machine import set_up
+from fesim.setup.machine import set_up, with_laws
 from fesim.simulate import simulate
 from meshes.exchange import write_structure
 from meshes.inspection import inspect, pieces
@@ -401,6 +401,21 @@ def test_radiation_knows_one_ambient(tmp_path, data):
     data["ambient"] = {"file": "air.csv"}
     with pytest.raises(InputError, match=r"x0.ambient_degC: 20 °C, but ambient begins with 30"):
         run(tmp_path, data)
+
+
+def test_laws_on_a_shared_condensation_are_refused_as_alone(tmp_path, data):
+    """A joint may start far open, but not with a preload; both share one condensation."""
+    lifted = tuple((x, y, z + 0.1 * SIDE) for x, y, z in HIGH)
+    write_structure(boxes({}, low=LOW, high=lifted), tmp_path / "boxes.vtu")
+    preloaded = case_from_data(data, "case", tmp_path)
+    open_first = {"preload_MPa": 0.0, "initial_opening_um": 9.0, "reference_pressure_MPa": 1.0}
+    data["joints"]["j"] |= open_first
+    starts_open = case_from_data(data, "case", tmp_path)
+    assert condensation_key(starts_open) == condensation_key(preloaded)
+    shared = set_up(starts_open)
+    for make in (set_up, lambda case: with_laws(shared, case)):
+        with pytest.raises(InputError, match="apart in the mesh, where a preloaded joint is"):
+            make(preloaded)
 
 
 def test_a_mesh_in_the_wrong_unit_is_said_to_be_so(tmp_path, data):

@@ -140,6 +140,28 @@ def test_a_bad_study_is_refused_in_one_line(tmp_path, varied, told):
     assert "\n" not in message or told == "no valid TOML"
 
 
+def test_the_history_of_a_load_is_read_before_any_case_runs(tmp_path):
+    (tmp_path / "good.csv").write_text("time_s,factor\n0,1\n10,2\n")
+    (tmp_path / "bad.csv").write_text("time_s,factor\n10,1\n0,2\n")
+    path = write_study(tmp_path, grid("loads.push.file", "good.csv", "bad.csv"))
+    with (tmp_path / "machine.toml").open("a") as file:
+        file.write('[loads.push]\nsurface = "exterior"\nforce_N = [1, 0, 0]\nfile = "good.csv"\n')
+    with pytest.raises(InputError, match=r"case 2 .*bad\.csv: time 0 s of sample 2"):
+        read_study(path)
+
+
+def test_an_ambient_that_radiation_contradicts_is_refused_in_a_later_case_too(tmp_path):
+    """Ambients share a condensation, and no case is set up alone to find it."""
+    for name, first in (("as_said", 20.0), ("warmer", 30.0)):
+        (tmp_path / f"{name}.csv").write_text(f"time_s,ambient_degC\n0,{first}\n3600,31\n")
+    path = write_study(tmp_path, grid("ambient.file", "as_said.csv", "warmer.csv"))
+    with (tmp_path / "machine.toml").open("a") as file:
+        file.write("[radiation.exterior]\nemissivity = 0.9\nambient_degC = 20.0\n")
+        file.write('[ambient]\nfile = "as_said.csv"\n')
+    with pytest.raises(InputError, match=r"case 2 .*20 °C, but ambient begins with 30 °C"):
+        read_study(path)
+
+
 def test_a_byte_order_mark_may_lead_a_study_and_its_case(tmp_path):
     path = write_study(tmp_path, grid("heat_input.level", 1.0, 2.0))
     for file in (path, tmp_path / "machine.toml"):
