@@ -1,7 +1,8 @@
 """File of a march's state, exact to the bit and valid for the same machine only.
 
 It has a fingerprint of everything that the state depends on. Outputs (probes, candidates, the
-displacement, snapshots, the title), the heat input and the duration may differ.
+displacement, snapshots, the title), the heat input and the duration may differ. Where heat is
+marched alone there is no displacement, and the state has joints that did not move.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ _ARRAYS = (
 def fingerprint(case: Case) -> str:
     """Return a digest of all that a state depends on; files count by their content."""
     data = case.model_dump(exclude=_RECORDING)
+    data["deforms"] = case.displacement is not None
     del data["march"]["duration_min"]
     for source in data["sources"].values():
         del source["heat_input"]

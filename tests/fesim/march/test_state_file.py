@@ -112,6 +112,14 @@ def test_the_order_of_joints_is_part_of_the_machine(coarse_data, tmp_path):
     assert fingerprint(one) != fingerprint(other)
 
 
+def test_a_state_of_heat_alone_is_not_one_of_a_machine_that_deforms(coarse_data, tmp_path):
+    """Its joints have not moved, and friction would remember another way."""
+    knee = coarse_data["joints"]["knee"] | {"conductance": {"law": "fixed", "value_W_m2K": 1e3}}
+    data = coarse_data | {"joints": {"knee": knee}}
+    alone = {name: part for name, part in data.items() if name != "displacement"}
+    assert fingerprint(case_of(alone, tmp_path)) != fingerprint(case_of(data, tmp_path))
+
+
 def test_a_mesh_file_counts_by_its_content(coarse_data, coarse_setup, tmp_path):
     for name in ("one.vtu", "moved/same.vtu"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
