@@ -156,6 +156,9 @@ def at_rest(machine: CondensedMachine, inputs: Array | None = None) -> Step:
         remainder = exerted(machine.contact, state.gap, value)
         displacement = displacement + elastic.probe_compliance @ (elastic.area * remainder)
     driven = np.zeros(len(inputs))
+    if machine.start is not None:  # Otherwise held surfaces are at the ambient, too.
+        held = np.unique(machine.start.held.indices)
+        driven[held] = inputs[held]
     if machine.contact.loads is not None:
         factors = load_factors(machine, inputs)
         driven[machine.thermal.inputs.shape[1] :] = factors

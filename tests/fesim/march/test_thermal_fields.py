@@ -206,6 +206,7 @@ def test_row_zero_is_the_field_in_equilibrium(warm):
     field = setup.machine.start.temperature(np.array([0.0, 5.0]))
     held = setup.spaces.heat.doflocs[0] < 1e-9
     np.testing.assert_allclose(field[held], 5.0, rtol=1e-12)
+    assert (done.response["held_temperature"] == 5.0).all()
     assert start["pressure"].min().item() > 2e6
     # Both sides have the formula's value at the joint.
     assert np.abs(start["heat_flow"]).max().item() < 1e-9
