@@ -8,6 +8,7 @@ readings.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,6 +35,17 @@ if TYPE_CHECKING:
 Sample = tuple[float, ...]
 #: Called with the first row of a log as read: column to value.
 OnFirst = Callable[[Mapping[str, float]], None]
+
+
+@dataclass
+class Cold:
+    """Ambient at which a machine was cold, K, for kinds that count temperatures from it.
+
+    A log in °C sets it by its first row; a run that is continued counts from that of its beginning.
+    """
+
+    #: NaN before it is known; 0 where temperatures are above it.
+    value: float = math.nan
 
 
 class OpenedEstimator(Estimator, Protocol):
@@ -89,6 +101,7 @@ def _log(
     pieces: Iterable[Log],
     where: str,
     on_first: OnFirst | None,
+    cold: Cold,
 ) -> Iterator[Sample]:
     wanted = by_channels(model.channels)
     return samples_of(wanted.names[: wanted.wanted], pieces)
@@ -156,8 +169,9 @@ class Kind(Generic[M, E]):
     #: Model to the names that it expects of a log's columns, in the form that
     #: `thermojoint.artefacts.log_file.read_log` takes.
     renamed: Callable[[M], Mapping[str, str]] = lambda model: {}
-    #: (model, a log in pieces, its name, callback for the first row) to samples.
-    log: Callable[[M, Iterable[Log], str, OnFirst | None], Iterator[Sample]] = _log
+    #: (model, a log in pieces, its name, callback for the first row, where the machine was cold) to
+    #: samples.
+    log: Callable[[M, Iterable[Log], str, OnFirst | None, Cold], Iterator[Sample]] = _log
     #: (model, response) to samples, and to the names of their probes.
     response: Callable[[M, xr.Dataset], Iterator[Sample]] = _response
     sensors: Callable[[M, xr.Dataset], Sequence[str]] = _sensors

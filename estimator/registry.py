@@ -6,6 +6,7 @@ schema of the model files, its value the location of the `estimator.kind.Kind`.
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -122,7 +123,9 @@ def resume_estimator(
     return resumed(kind, kind.read(Path(path)), options, state)
 
 
-def save_state(estimator: OpenedEstimator, state: Array, path: Path | str) -> None:
+def save_state(
+    estimator: OpenedEstimator, state: Array, path: Path | str, cold: float = math.nan
+) -> None:
     """Write the state of an estimator, whole or not at all.
 
     Parameters
@@ -133,6 +136,8 @@ def save_state(estimator: OpenedEstimator, state: Array, path: Path | str) -> No
         From its last sample, or its initial state.
     path : Path or str
         JSON to write.
+    cold : float
+        Ambient at which the machine was cold, K, for kinds that count from it (`Cold`).
 
     Raises
     ------
@@ -146,6 +151,7 @@ def save_state(estimator: OpenedEstimator, state: Array, path: Path | str) -> No
             kind.fingerprint(estimator.model),
             kind.carried(estimator) if kind.carried else None,
             state,
+            cold,
         ),
         path,
     )

@@ -42,6 +42,8 @@ class SavedState(NamedTuple):
     carried: Any
     #: The state.
     values: Array
+    #: Ambient at which the machine was cold (`estimator.kind.Cold`), K; NaN if it does not count.
+    cold: float = math.nan
 
 
 def write_state(saved: SavedState, path: Path | str) -> None:
@@ -60,7 +62,7 @@ def write_state(saved: SavedState, path: Path | str) -> None:
         "carried": saved.carried,
         # Unknown values are NaN, which JSON lacks.
         "state": [None if math.isnan(value) else value for value in saved.values.tolist()],
-    }
+    } | ({} if math.isnan(saved.cold) else {"cold_K": saved.cold})
     content = FILE.header | body | {"checksum": _checksum(body)}
     write_text(Path(path), json.dumps(content, allow_nan=False) + "\n")
 
@@ -84,6 +86,7 @@ def read_state(path: Path | str) -> SavedState:
             str(content["fingerprint"]),
             content["carried"],
             np.array(values),
+            float(content.get("cold_K", math.nan)),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: the state's values are damaged; start afresh") from error

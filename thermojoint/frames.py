@@ -18,14 +18,14 @@ from estimator import estimate_table
 from estimator.intake import axis_name
 from estimator.interface import follow
 from estimator.judging import judge
-from estimator.kind import OpenedEstimator
+from estimator.kind import Cold, OpenedEstimator
 from estimator.registry import kind_of
 from estimator.rows import figures_of
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.log import Log, joined
 from thermojoint.artefacts.log_file import read_log
-from thermojoint.artefacts.quantities import place_of
+from thermojoint.artefacts.quantities import UNITS, place_of
 from thermojoint.artefacts.tables.pieces import pieces_in
 from thermojoint.artefacts.units import MEGA
 from thermojoint.models.learned import LearnedModel
@@ -100,7 +100,10 @@ def learn(
 
 
 def estimate(
-    estimator: OpenedEstimator, frame: pd.DataFrame, state: Array | None = None
+    estimator: OpenedEstimator,
+    frame: pd.DataFrame,
+    state: Array | None = None,
+    cold: float = math.nan,
 ) -> pd.DataFrame:
     """Estimate the displacement from the readings of a data frame, row by row.
 
@@ -112,6 +115,9 @@ def estimate(
         The columns that `thermojoint estimate` reads from a file.
     state : ndarray, optional
         Initial state; default at rest.
+    cold : float
+        Ambient at which the machine of that state was cold, °C, for a joint-aware model; default:
+        that of the first row.
 
     Returns
     -------
@@ -126,7 +132,8 @@ def estimate(
     """
     kind = kind_of(estimator)
     pieces = pieces_in(_lines(frame), _FRAME, kind.renamed(estimator.model))
-    samples = kind.log(estimator.model, pieces, _FRAME, None)
+    known = Cold(cold + UNITS["degC"].offset)
+    samples = kind.log(estimator.model, pieces, _FRAME, None, known)
     start = estimator.initial_state() if state is None else state
     text = io.StringIO()
     text.write(",".join(estimate_table.header(estimator)) + "\n")

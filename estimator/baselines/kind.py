@@ -14,7 +14,7 @@ from estimator.baselines.autoregression import AutoregressionEstimator
 from estimator.baselines.regression import RegressionEstimator
 from estimator.intake import Intake, intake
 from estimator.judging import Conditions, Figures, judge_responses
-from estimator.kind import Kind, OnFirst, Options
+from estimator.kind import Cold, Kind, OnFirst, Options
 from estimator.ranges import Range, duration
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.log import Log
@@ -82,7 +82,7 @@ def _intake(baselines: Baselines, above_ambient: bool) -> Intake:
 
 
 def _log(
-    baselines: Baselines, pieces: Iterable[Log], where: str, on_first: OnFirst | None
+    baselines: Baselines, pieces: Iterable[Log], where: str, on_first: OnFirst | None, cold: Cold
 ) -> Iterator[tuple[float, ...]]:
     """Columns ``a_K`` and so on, above the current ambient, or ``a_degC`` with ``ambient_degC``."""
     for piece in pieces:

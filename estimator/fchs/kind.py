@@ -10,7 +10,7 @@ from estimator import measured
 from estimator.fchs.estimator import Fchs
 from estimator.intake import Intake, intake
 from estimator.judging import Conditions, Figures
-from estimator.kind import Kind, OnFirst, Options
+from estimator.kind import Cold, Kind, OnFirst, Options
 from estimator.ranges import Range, calibrated_ranges
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
@@ -69,7 +69,7 @@ def _intake(given: Given, above_ambient: bool) -> Intake:
 
 
 def _log(
-    given: Given, pieces: Iterable[Log], where: str, on_first: OnFirst | None
+    given: Given, pieces: Iterable[Log], where: str, on_first: OnFirst | None, cold: Cold
 ) -> Iterator[tuple[float, ...]]:
     sensors = list(_model(given).linear.direct)
     return measured.samples_in(pieces, sensors, where, on_first)

@@ -18,7 +18,7 @@ from estimator.joint_aware.next_reading import narrowest_band, next_reading
 from estimator.joint_aware.observer_model import ObserverModel
 from estimator.joint_aware.readings import samples_in
 from estimator.joint_aware.residuals import residuals
-from estimator.kind import Kind, OnFirst, Options, Sample, followed
+from estimator.kind import Cold, Kind, OnFirst, Options, Sample, followed
 from estimator.ranges import Range, calibrated_ranges
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
@@ -90,9 +90,10 @@ def _log(
     pieces: Iterable[Log],
     where: str,
     on_first: OnFirst | None,
+    cold: Cold,
 ) -> Iterator[tuple[float, ...]]:
     others = (*model.loads, *model.positions, *model.ways, *model.powers)
-    return log_samples(pieces, model.sensors, where, others)
+    return log_samples(pieces, model.sensors, where, others, cold)
 
 
 def _response(model: ObserverModel, response: xr.Dataset) -> Iterator[tuple[float, ...]]:

@@ -6,7 +6,7 @@ ignored, missing readings are NaN:
 - time, ``NAME_K``, ..., ``ambient_K``: above the ambient at which the machine was cold; without the
   last column the ambient is constant;
 - time, ``NAME_degC``, ..., ``ambient_degC``, or °F: as thermometers read. The machine was cold at
-  the first ambient temperature in the log.
+  the first ambient temperature in the log, or in the first log of a run that is continued.
 
 Loads that change have columns ``NAME_percent``, of the load in the case; the positions of
 moving axes are ``NAME_pos_mm``, their odometers ``NAME_way_mm``, powers that tell of the heat of a
@@ -20,12 +20,17 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
+from estimator.kind import Cold
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
 
 
 def log_samples(
-    pieces: Iterable[Log], sensors: Sequence[str], where: str, others: Sequence[str] = ()
+    pieces: Iterable[Log],
+    sensors: Sequence[str],
+    where: str,
+    others: Sequence[str] = (),
+    cold: Cold | None = None,
 ) -> Iterator[tuple[float, ...]]:
     """Yield (time s, temperature of every sensor K, ambient K, others); NaN for a missing reading.
 
@@ -39,13 +44,16 @@ def log_samples(
         Name of the file, for error messages.
     others : sequence of str, optional
         Names of the loads that change, of positions, ways and powers.
+    cold : Cold, optional
+        Ambient at which the machine was cold; set here where it is not known.
 
     Raises
     ------
     InputError
-        A sensor, a load, a position, a way or a power has no column, or time restarts.
+        A sensor, a load, a position, a way or a power has no column, time restarts, or temperatures
+        as read continue those above an ambient.
     """
-    cold = math.nan
+    known = Cold() if cold is None else cold
     last = -math.inf
     for piece in pieces:
         if not piece.times[0] > last:
@@ -57,11 +65,14 @@ def log_samples(
             values = np.column_stack((values, np.zeros(len(values))))
         given = np.array([piece.at(name) for name in others]).reshape(len(others), len(values)).T
         for time, row, rest in zip(piece.times.tolist(), values, given, strict=True):
-            if above:
-                cold = 0.0
-            elif math.isnan(cold):
-                cold = float(row[-1])
-            yield (time, *(row - cold).tolist(), *rest.tolist())
+            if math.isnan(known.value):
+                known.value = 0.0 if above else float(row[-1])
+            elif known.value == 0.0 and not above:
+                raise InputError(
+                    f"{where}: continues temperatures above the ambient of a cold machine; give "
+                    f"{sensors[0]}_K, ..., ambient_K again"
+                )
+            yield (time, *(row - (0.0 if above else known.value)).tolist(), *rest.tolist())
 
 
 def _columns(log: Log, sensors: Sequence[str], where: str) -> tuple[list[int], bool]:

@@ -10,7 +10,7 @@ import numpy as np
 from estimator.columns import samples_of
 from estimator.intake import Intake, axis_name, of_columns
 from estimator.judging import Figures
-from estimator.kind import Kind, OnFirst, Options
+from estimator.kind import Cold, Kind, OnFirst, Options
 from estimator.learned.estimator import Learned
 from estimator.lines import Stroke
 from estimator.ranges import Range, duration
@@ -41,7 +41,7 @@ def _intake(model: LearnedModel, above_ambient: bool) -> Intake:
 
 
 def _log(
-    model: LearnedModel, pieces: Iterable[Log], where: str, on_first: OnFirst | None
+    model: LearnedModel, pieces: Iterable[Log], where: str, on_first: OnFirst | None, cold: Cold
 ) -> Iterator[tuple[float, ...]]:
     return samples_of(model.columns, pieces, model.positions)
 

@@ -116,6 +116,7 @@ def _opened(
     model: Path, samples: Path | None, renamed: Mapping[str, str], options: Options
 ) -> Iterator[tuple[OpenedEstimator, Iterable[Sequence[float]] | None]]:
     """Give the estimator, and the samples of a log or response if there is one."""
+    from estimator.kind import Cold
     from estimator.registry import kind_of_file, started
     from thermojoint.artefacts.response import read_response
 
@@ -129,7 +130,7 @@ def _opened(
         if pieces is None:
             yield estimator, kind.response(given, read_response(samples))
         else:
-            yield estimator, kind.log(given, pieces, str(samples), None)
+            yield estimator, kind.log(given, pieces, str(samples), None, Cold())
 
 
 def _show(program: Program) -> None:

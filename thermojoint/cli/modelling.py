@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -223,9 +222,10 @@ def estimate(  # noqa: PLR0913 - the options of a command
     Example: [bold]logger | thermojoint estimate model.json - --interval-s 1 --out -[/bold]
     """
     from estimator import measured
-    from estimator.kind import Options, checked_limit
+    from estimator.kind import Cold, Options, checked_limit
     from estimator.probe_readings import read_probe_readings, with_probe_readings
     from estimator.registry import kind_of_file, resumed, save_state, started
+    from estimator.states import read_state
     from thermojoint import console, plausibility
     from thermojoint.artefacts.response import read_response
     from thermojoint.artefacts.units import MICRO
@@ -265,6 +265,8 @@ def estimate(  # noqa: PLR0913 - the options of a command
         arguments.at_work("estimating", temperatures, out),
     ):
         samples: Iterator[Sample]
+        # A run that is continued counts from where it began.
+        cold = Cold(read_state(resume).cold) if resume else Cold()
         if pieces is None:
             arguments.only_for("a log", {"--column": column, "--mapping": mapping})
             response = read_response(temperatures)
@@ -276,6 +278,7 @@ def estimate(  # noqa: PLR0913 - the options of a command
                 pieces,
                 where,
                 lambda first: console.warn(plausibility.of_sample(first, where)),
+                cold,
             )
         if kind.paced:
             nominal, samples = measured.nominal_interval(samples, interval, where)
@@ -302,8 +305,12 @@ def estimate(  # noqa: PLR0913 - the options of a command
             read = read_probe_readings(readings, (*estimator.axes, *places))
             last = float(state[0])  # of every estimator, the time of the sample before
             samples = with_probe_readings(samples, *read, len(places), last)
-        keep = partial(save_state, estimator, path=save) if save else None
-        _write_estimates(estimator, state, samples, out, keep, asks)
+
+        def keep(state: Array) -> None:
+            if save:
+                save_state(estimator, state, save, cold.value)
+
+        _write_estimates(estimator, state, samples, out, keep if save else None, asks)
     console.wrote(out, save)
 
 
@@ -475,6 +482,7 @@ def validate(  # noqa: PLR0913 - the options of a command
 def _draw_judged(estimator: OpenedEstimator, logs: Mapping[str, Log], path: Path) -> None:
     """Draw measured and estimated displacements, free-running, for every run of some logs."""
     from estimator.interface import follow
+    from estimator.kind import Cold
     from estimator.lines import here
     from estimator.registry import kind_of
     from thermojoint.pictures.judged import Judged, write_judged
@@ -482,7 +490,7 @@ def _draw_judged(estimator: OpenedEstimator, logs: Mapping[str, Log], path: Path
     panels = []
     for name, log in logs.items():
         for run in log.runs():
-            samples = kind_of(estimator).log(estimator.model, [run], name, None)
+            samples = kind_of(estimator).log(estimator.model, [run], name, None, Cold())
             followed = follow(estimator, samples, estimator.initial_state())
             results = [result for _, result in followed]
             # Along an axis a reading is compared at its position.

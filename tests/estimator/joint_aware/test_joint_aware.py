@@ -39,7 +39,7 @@ from estimator.joint_aware.model_file import (
 )
 from estimator.joint_aware.observer_model import Calibrated
 from estimator.joint_aware.readings import samples_in
-from estimator.kind import Options, followed
+from estimator.kind import Cold, Options, followed
 from estimator.quality import Quality, quality_of
 from estimator.registry import kind_of_file, resumed, save_state
 from estimator.states import read_state
@@ -567,6 +567,31 @@ def test_a_log_above_the_ambient_and_one_of_thermometers_say_the_same():
     assert first[1][:2] == second[1][:2] == (2.0, 1.5)
     assert np.isnan(first[1][2])
     assert np.isnan(second[1][2])
+
+
+def test_a_log_in_two_parts_counts_from_where_the_first_one_began(estimator, response, tmp_path):
+    """The room warms up, so that the first ambient of the second part is another."""
+    model, state, out = (tmp_path / name for name in ("model.h5", "state.json", "e.csv"))
+    write_observer(estimator.model, model)
+    table = np.array(list(samples_in(response, SENSORS)))[:40]
+    warmer = 20.0 + 0.05 * np.arange(len(table))
+    head = ",".join(["time_s", *(f"{name}_degC" for name in (*SENSORS, "ambient"))])
+    lines = [
+        ",".join(map(repr, (time, *(row[:-1] + now).tolist(), now)))
+        for (time, *_), row, now in zip(table.tolist(), table[:, 1:], warmer.tolist(), strict=True)
+    ]
+
+    def estimated(rows, *more):
+        (tmp_path / "log.csv").write_text("\n".join([head, *rows]) + "\n")
+        command("estimate", model, tmp_path / "log.csv", "--out", out, *more)
+        return out.read_text().splitlines()[1:]
+
+    whole = estimated(lines)
+    first = estimated(lines[:20], "--save-state", state)
+    assert [*first, *estimated(lines[20:], "--continue", state)] == whole
+    cold = Cold(0.0)
+    with pytest.raises(InputError, match="temperatures above the ambient"):
+        list(log_samples(pieces_in([head, lines[0]], "log"), SENSORS, "log", cold=cold))
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.kind import KIND
 from estimator.joint_aware.model_file import read_observer, write_observer
 from estimator.joint_aware.readings import samples_in
+from estimator.kind import Cold
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
@@ -165,7 +166,7 @@ def test_a_load_is_read_in_percent_and_lasts_where_it_is_missing(tmp_path):
     read = np.array([[0.0, 0.0, 0.0, 0.5], [0.0, 0.0, 0.0, np.nan], [0.0, 0.0, 0.0, -0.2]])
     log = Log(np.array([0.0, 5.0, 10.0]), tuple(map(column_named, names)), read)
     state, found = estimator.initial_state(), []
-    for time, *values in KIND.log(estimator.model, [log], "log.csv", None):
+    for time, *values in KIND.log(estimator.model, [log], "log.csv", None, Cold()):
         state, estimate = estimator.sample(state, time, values)
         found.append(estimate)
     assert found[1].missing == ("cut",)

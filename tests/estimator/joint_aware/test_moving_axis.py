@@ -39,7 +39,7 @@ from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.kind import KIND
 from estimator.joint_aware.model_file import fingerprint, read_observer, write_observer
 from estimator.joint_aware.readings import samples_in
-from estimator.kind import Options
+from estimator.kind import Cold, Options
 from estimator.lines import Stroke, here, name_at
 from estimator.probe_readings import with_probe_readings
 from fesim.simulate import simulate
@@ -254,7 +254,7 @@ def test_a_log_and_a_service_name_the_position(estimator, samples):
         columns=tuple(column_named(name) for name in names),
         values=values,
     )
-    read = list(KIND.log(estimator.model, [log], "log", None))
+    read = list(KIND.log(estimator.model, [log], "log", None, Cold()))
     np.testing.assert_allclose(read, samples, rtol=1e-12)
     intake = KIND.intake(estimator.model, True)
     assert intake.names == (*names, "x_um", "y_um")
