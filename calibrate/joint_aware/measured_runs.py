@@ -32,7 +32,7 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
     ----------
     log : Log
         With a temperature for each probe of the case that is a sensor, one power, W, for all
-        sources together, and the displacements; ``ambient_degC`` if it was measured; of a case with
+        sources together, and the displacements; the ``ambient``, if it was measured; of a case with
         an axis its position, ``y_pos_mm``.
     case : Case
         The machine.
@@ -56,7 +56,8 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
     power = _power(log)
     places = {name: log.at(f"{name}_pos") for name in case.axes}
     ways = {name: log.at(f"{name}_way") for name, axis in case.axes.items() if axis.odometer}
-    room = next((log.at(name) for name in log.of("temperature") if name == "ambient_degC"), None)
+    rooms = (one for one in log.columns if one.quantity == "temperature" and one.base == "ambient")
+    room = next((log.at(column.name) for column in rooms), None)
     every = [
         *moved.values(),
         *sensed.values(),

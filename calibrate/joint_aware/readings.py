@@ -56,7 +56,9 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     grid = machine.step * np.arange(1, count + 1)
     # A value of the heat applies to the interval that ends at its sample.
     at = np.minimum(np.searchsorted(times, grid * (1.0 - 1e-9)), times.size - 1)
-    powers = _powers(response, machine)[at]
+    powers = _powers(response, machine)
+    finer = np.diff(times).min() < (1.0 - 1e-6) * machine.step
+    powers = _means_in_steps(times, powers, grid) if finer else powers[at]
     ambient = np.interp(grid, times, ambient_in(response))
     held = held_in(response, machine)[at]
     loads = loads_in(response, machine.load_names)
@@ -76,6 +78,15 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
         length=machine.step,
         gone=np.diff(np.column_stack(ends), axis=0, prepend=0.0) if ends else None,
     )
+
+
+def _means_in_steps(times: Array, values: Array, grid: Array) -> Array:
+    """Means (k, s) in the steps that end at `grid` (k,) of values (n, s) held until their times."""
+    lasts = np.diff(times, prepend=0.0)[:, None]
+    whole = np.pad(np.cumsum(lasts * values, axis=0), ((1, 0), (0, 0)))
+    ends = np.minimum(np.append(0.0, grid), times[-1])
+    sums = [np.interp(ends, np.append(0.0, times), column) for column in whole.T]
+    return np.asarray(np.diff(sums, axis=1).T / np.diff(ends)[:, None])
 
 
 def _ways(response: xr.Dataset, machine: ReducedMachine, positions: Array) -> Array:

@@ -8,10 +8,12 @@ from observed import SENSORS, observed_data, run, step
 from typer.testing import CliRunner
 
 from calibrate.joint_aware.measured_runs import runs_of
+from calibrate.joint_aware.readings import run_in
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log_file import read_log
+from thermojoint.artefacts.response import make_response
 from thermojoint.cli.app import app
 
 
@@ -52,6 +54,31 @@ def test_a_run_of_a_log_is_the_response_that_was_measured(case, response, tmp_pa
     )
     moved = response["displacement"].sel(axis=["x", "y"]).to_numpy()
     assert one["displacement"].sel(axis=["x", "y"]).to_numpy() == pytest.approx(moved, abs=1e-11)
+
+
+def test_the_ambient_is_known_by_its_name_in_any_unit(case, response, tmp_path):
+    path = log_of(response, tmp_path / "log.csv")
+    first, *rows = path.read_text("utf-8").splitlines()
+    room = np.linspace(70.7, 74.3, len(rows))
+    rows = [f"{row},{now:.6f}" for row, now in zip(rows, room, strict=True)]
+    path.write_text("\n".join([f"{first},ambient [°F]", *rows]), encoding="utf-8")
+    found = runs_of(read_log([path]), case_from_data(case, "case", Path()), ["x_um", "y_um"])
+    ambient = found["run 1"]["ambient"].to_numpy()
+    assert ambient == pytest.approx((room - room[0]) / 1.8, abs=1e-5)
+
+
+def test_heat_that_changes_within_a_step_counts_by_its_mean(machine):
+    times = 0.25 * machine.step * np.arange(1, 41)
+    heat = np.where(np.arange(40) % 4 == 0, 2.0, 0.0)
+    axes, probes = ["x", "y", "z"], list(machine.sensor_names)
+    values = {
+        "heat_input": heat,
+        "temperature": np.zeros((40, len(probes))),
+        "displacement": np.zeros((40, 3)),
+    }
+    fine = make_response(values, {"time": times, "probe": probes, "axis": axes})
+    inputs = run_in(fine, machine, "run").inputs[:, : machine.power.size]
+    assert inputs == pytest.approx(np.tile(0.5 * machine.power, (10, 1)), rel=1e-12)
 
 
 @pytest.mark.parametrize(
