@@ -400,8 +400,8 @@ def test_every_write_of_a_line_is_shown_before_it_is_made(tmp_path):
     ]
     table = ["time_s,offset_Z_um,slope_Z_um_per_m,P0_Z_mm,state", "0,-1.5,40,50,follow"]
     found = [(node[-30:], value) for _, _, node, value, _ in writes(given, table, "offsets.csv")]
-    # 5 um at most: 2.5 um by K0, and 2.5 um at 210 mm by the slope.
-    assert [value for _, value in found] == ["-0.0015", "1.2e-05"]
+    # 5 um at most: 2.5 um by K0, and 2.5 um at 210 mm by the slope, in whole steps of 1 um/m.
+    assert [value for _, value in found] == ["-0.0015", "1.1e-05"]
     for bad, told in (("P0_Z_mm", "no P0_Z_mm"), ("slope_Z_um_per_m", "no slope_Z_um_per_m")):
         with pytest.raises(InputError, match=told):
             list(writes(given, [table[0].replace(bad, "other"), table[1]], "offsets.csv"))

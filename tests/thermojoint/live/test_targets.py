@@ -100,9 +100,29 @@ def test_a_single_write_changes_a_value_by_no_more_than_its_limit():
 
 
 @pytest.mark.parametrize(
+    ("quantity", "most", "path"),
+    [
+        # Of 1.6 µm/m one step of 1 µm/m, of 0.16 µm one of 0.1 µm.
+        (BECKHOFF.slope, 1.6e-6, [0, 1, 2, 3]),
+        (BECKHOFF.offset, 0.16e-6, [0, 1, 2, 3]),
+    ],
+)
+def test_a_limit_between_two_steps_of_the_control_is_kept(quantity, most, path):
+    found = [0.0]
+    while len(found) < len(path):
+        found.append(next_value(quantity, found[-1], 20 * quantity.metres, most))
+    assert found == path
+
+
+@pytest.mark.parametrize(
     ("lines", "told"),
     [
         ('kind = "fanuc"', "kind"),
+        ('kind = "beckhoff"\nurl = "opc.tcp://plc"\naxes = { Z = 1 }\nlargest_step_um = 0.04',
+         "less than one step of P-AXIS-00273 of axis Z"),
+        ('kind = "beckhoff"\nurl = "opc.tcp://plc"\naxes = { Z = 1 }\n[slopes.Z]\n'
+         "reference_mm = 0.0\nstroke_mm = [0.0, 6000.0]",
+         "less than one step of P-AXIS-00274 of axis Z"),
         ('kind = "beckhoff"\nurl = "opc.tcp://127.0.0.1"\naxes = { Z = 1, X = 1 }', "same number"),
         ('kind = "beckhoff"\nurl = "opc.tcp://10.0.0.7"\nsecurity = "none"\naxes = { Z = 1 }',
          "others reach"),

@@ -84,12 +84,19 @@ def next_value(quantity: Quantity, now: float, metres: float, most: float) -> fl
     metres : float
         Where it should go, m or m/m; raises as `in_units`.
     most : float
-        Largest change by one write, m or m/m.
+        Largest change by one write, m or m/m; at least a step of the control.
     """
-    goal, step = in_units(quantity, metres), most / quantity.metres
-    if abs(goal - now) <= step:
+    goal = in_units(quantity, metres)
+    # Whole steps: a rounded change would be larger, or none at all.
+    change = quantity.step * steps_in(quantity, most)
+    if abs(goal - now) <= most / quantity.metres:
         return goal
-    return _on_grid(quantity, now + math.copysign(step, goal - now))
+    return _on_grid(quantity, now + math.copysign(change, goal - now))
+
+
+def steps_in(quantity: Quantity, most: float) -> int:
+    """Return how many whole steps of the control are within a change, m or m/m."""
+    return math.floor(most / quantity.metres / quantity.step + 1e-9)
 
 
 def _on_grid(quantity: Quantity, value: float) -> float:

@@ -16,7 +16,7 @@ from thermojoint.artefacts.units import MICRO, MILLI
 from thermojoint.compensation.offsets.output import OutputSettings
 from thermojoint.live.settings import OpcuaAddress, check_protected
 from thermojoint.live.targets.beckhoff import BECKHOFF
-from thermojoint.live.targets.control import Control, Quantity, in_units
+from thermojoint.live.targets.control import Control, Quantity, in_units, steps_in
 from thermojoint.live.targets.sinumerik import SINUMERIK
 
 #: Of a position that is written down in mm, m.
@@ -131,6 +131,12 @@ def target_from_data(
             raise unknown_name("axis", name, given.axes, f"{path}: slopes")
         if not section.stroke_mm[0] < section.stroke_mm[1] or section.lever <= 0.0:
             raise InputError(f"{path}: slopes.{name}.stroke_mm: give its two ends in order")
+    for quantity, name, most in writes_of(given, given.axes):
+        if steps_in(quantity, most) < 1:
+            raise InputError(
+                f"{path}: largest_step_um {given.largest_step_um:g} is less than one step of "
+                f"{quantity.name.split()[0]} of axis {name}; make it larger"
+            )
     if output:
         _check_output(given, path, output)
     return given
@@ -171,7 +177,9 @@ def _check_output(given: TargetFile, path: Path, output: OutputSettings) -> None
         if slope is not None:
             parts = slope.slope if write.quantity is given.control.slope else slope.offset
             rate = parts.rate
-        if write.most < rate * given.every_s * (1.0 - 1e-9):
+        quantity = write.quantity
+        change = steps_in(quantity, write.most) * quantity.step * quantity.metres
+        if change < rate * given.every_s * (1.0 - 1e-9):
             raise InputError(
                 f"{path}: largest_step_um {given.largest_step_um:g} every_s {given.every_s:g} is "
                 f"slower than rate_um_s {output.rate / MICRO:g} of the offsets; change one of them"
