@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ipaddress
 import re
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -344,7 +345,11 @@ def service_from_data(data: dict[str, Any], where: str, base: Path) -> Service:
             raise unknown_name("source", machine.source, given.sources, at)
         _check_handshake(f"{at}.handshake", machine, given)
         _check_identification(f"{at}.identification", machine, given)
-    machines = dict(_single(given.machines))
+    singles = _single(given.machines)
+    machines = dict(singles)
+    if len(machines) < len(singles):
+        ((twice, _),) = Counter(name for name, _ in singles).most_common(1)
+        raise InputError(f"{where}: machines.{twice}: two sections give this machine; rename one")
     if len(machines) > MOST_MACHINES:
         raise InputError(
             f"{where}: {len(machines)} machines, of {MOST_MACHINES}; start a second service"
@@ -370,6 +375,8 @@ def _check_handshake(at: str, machine: MachineSection, given: ServiceFile) -> No
             f"{at}: models.{machine.model} sends no offsets; give it offsets, or leave this out"
         )
     if handshake.by == "target":
+        if handshake.user is not None:
+            raise InputError(f"{at}.user: is for OPC UA and HTTP; the file of a target names its own")
         return
     if getattr(given, handshake.by) is None:
         raise InputError(f"{at}.by: there is no [{handshake.by}]; add it")

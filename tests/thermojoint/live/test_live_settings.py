@@ -6,10 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
+import numpy as np
 import pytest
 from repository import ROOT
 
-from benchmarks.offset_invariant import served_with, settings_of
+from benchmarks.offset_invariant import Gauge, served_with, settings_of
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.settings.section import Section
 from thermojoint.live.certificates import own_identity
@@ -44,10 +45,10 @@ def changed(**parts):
 OFFSETS = {"m": {"file": "m.json", "offsets": "offsets.toml"}}
 
 
-def shaking(by, user=None, count=None, **parts):
+def shaking(by, user=None, count=None, target=None, **parts):
     """A machine with a handshake, or several."""
     handshake = {"by": by} | ({} if user is None else {"user": user})
-    mill = {"model": "m", "source": "s", "handshake": handshake, "count": count}
+    mill = {"model": "m", "source": "s", "handshake": handshake, "count": count, "target": target}
     return {"machines": {"mill": mill}, **parts}
 
 
@@ -117,6 +118,19 @@ def test_names_of_files_are_relative_to_the_file_of_the_service(tmp_path):
         ({"mqtt": {"password": {"file": "a", "variable": "B"}}}, "one place"),
         ({"watchdog": {"uncertain_s": 10.0, "bad_s": 5.0}}, "bad_s"),
         ({"machines": {"mill": {"model": "m", "source": "s", "count": 10_001}}}, "10000"),
+        (
+            {
+                "machines": {
+                    "mill": {"model": "m", "source": "s", "count": 2},
+                    "mill-1": {"model": "m", "source": "s"},
+                }
+            },
+            "machines.mill-1: two sections give this machine",
+        ),
+        (
+            shaking("target", models=OFFSETS, user="plc", target="t.toml"),
+            "the file of a target names its own",
+        ),
         (shaking("mqtt", mqtt={}), "sends no offsets"),
         (shaking("mqtt", models=OFFSETS), "there is no [mqtt]"),
         (shaking("opcua", models=OFFSETS, opcua={"security": "none"}), "name a file of users"),
@@ -136,6 +150,14 @@ def test_a_mistake_is_one_line(parts, told, tmp_path):
     assert "\n" not in str(found.value)
 
 
+class Uneven(Gauge):
+    """One of its two bands is wide."""
+
+    def sample(self, state, time, values):
+        after, estimate = super().sample(state, time, values)
+        return after, estimate._replace(band=np.array([1e-7, 1e-9]))
+
+
 def test_settings_that_keep_values_from_being_good_are_said(tmp_path, hand_made_model):
     given = service_from_data(changed(watchdog={"uncertain_s": 0.5, "bad_s": 5.0}), "f", tmp_path)
     output = settings_of({}, False)
@@ -144,6 +166,8 @@ def test_settings_that_keep_values_from_being_good_are_said(tmp_path, hand_made_
     assert len(told) == 2
     assert "between samples" in told[0]
     assert "widest_band_um 0.01 is narrower than the model's own band, 0.1 um" in told[1]
+    uneven = replace(served_with(narrow, 1.0), estimator=Uneven(1.0))
+    assert list(contradictions(given.given, {"m": uneven})) == told
     write_assembly(assemble(hand_made_model, 60.0, 7200.0), tmp_path / "model.json")
     (tmp_path / "o.toml").write_text('oldest_s = 60.0\n[axes.X]\nfollows = "x"\n')
     section = ModelSection(
