@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -165,7 +166,7 @@ def _sample(
         outcome.holes.append(Hole(name, before.time, instant, why))
         floor.log.say(now, "hole", f"{instant - before.time:.3f} s without samples: {why}", name)
     age = age_of(place.served.rule, floor.behind, instant, now)
-    if all(map(math.isnan, sample[1][: place.served.rule.wanted])):
+    if not has_reading(place.served, place.served.intake.usable(sample[1])):
         # A sample without any reading is silence, whatever its estimate.
         age = max(age, times.clock - place.heard)
     place.machine, refusal = taken(place.served, place.machine, sample, times, age)
@@ -190,6 +191,11 @@ def _sample(
     place.reported, place.mode = (published.quality, published.status), published.offset_mode
     outcome.publications[name] = published
     floor.metrics.samples.labels(place.served.file).inc()
+
+
+def has_reading(served: Served, usable: Iterable[float]) -> bool:
+    """Say whether usable readings (`Intake.usable`) have any that belongs to every sample."""
+    return any(map(math.isfinite, islice(usable, served.rule.wanted)))
 
 
 def _asked(floor: Floor, machine: str, before: Request, after: Request, now: float) -> None:

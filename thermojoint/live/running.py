@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import sqlite3
 import time
 from collections.abc import AsyncIterator, Callable
@@ -42,11 +43,14 @@ from thermojoint.live.store import (
     open_store,
     received_last,
 )
+from thermojoint.live.watchdog import REFUSED
 
 #: Blocks of arrivals that may be queued; then the readers wait.
 _MOST_BLOCKS = 2_000
 #: Name of the store in a service's folder.
 _STORE = "history.sqlite"
+#: Samples that are searched for the last one with a reading.
+_LOOKED_AT = 5_000
 
 Result = TypeVar("Result")
 
@@ -225,7 +229,9 @@ def _places(
         if kept.era != eras[name]:
             moved += _moved(model, machine, position, kept, eras[name])
             log.say(now, "moved", "other axes of the control; the estimator continues", name)
-        heard = floors.since_heard(machine.usable, model.rule, service.given.behind_s, times)
+        heard = floors.since_heard(
+            _heard_last(archive, model, machine), model.rule, service.given.behind_s, times
+        )
         # Samples of another layout stay in their era.
         rows = [(np.frombuffer(taken.row), taken.status) for taken in every[eras[name]].later]
         by_name[name] = Place(model, eras[name], machine, position, heard, rows=rows)
@@ -234,6 +240,17 @@ def _places(
     if moved:
         commit(store, Batch(checkpoints=moved))
     return by_name
+
+
+def _heard_last(archive: Archive, model: Served, machine: Machine) -> Publication:
+    """Return the last usable sample with a reading, or of many without one the oldest."""
+    last = machine.usable
+    if last.number == 0 or floors.has_reading(model, last.readings.tolist()):
+        return last
+    for last in archive.samples(machine.name, (-math.inf, last.time), _LOOKED_AT, True):
+        if last.status != REFUSED and floors.has_reading(model, last.readings.tolist()):
+            break
+    return last
 
 
 def _read_on(kept: Kept, model: Served) -> str:

@@ -21,12 +21,14 @@ from thermojoint.live.arrivals import Arrival
 from thermojoint.live.log_lines import EventLog, limited, line_of
 from thermojoint.live.machine import Times, at_rest, restored, silent, taken
 from thermojoint.live.publication import as_json, as_row, from_row
+from thermojoint.live.metrics import fresh_metrics
 from thermojoint.live.rate_limit import AT_ONCE, LineLimit
 from thermojoint.live.recovery import is_damage
 from thermojoint.live.reserve import SLICE, lay_in, tend
+from thermojoint.live.running import restored_floor
 from thermojoint.live.samples import Rule
 from thermojoint.live.served import Served, served
-from thermojoint.live.settings import ModelSection, WatchdogSection
+from thermojoint.live.settings import ModelSection, WatchdogSection, service_from_data
 from thermojoint.live.store import (
     Batch,
     Event,
@@ -429,20 +431,30 @@ def test_readings_that_come_late_move_no_offset_and_are_not_good(store, floor):
     assert said.offsets.tolist() == before.tolist()
 
 
-def test_samples_without_any_reading_are_silence(store):
-    """Whatever an estimator makes of them: the value becomes bad, and the offset fades."""
+class Deaf(offset_invariant.Gauge):
+    """Goes on without any reading."""
 
-    class Deaf(offset_invariant.Gauge):
-        def sample(self, state, time, values):
-            heard = [0.0 if math.isnan(one) else one for one in values]
-            return super().sample(state, time, heard)
+    def sample(self, state, time, values):
+        heard = [0.0 if math.isnan(one) else one for one in values]
+        return super().sample(state, time, heard)
 
+
+@pytest.fixture
+def deaf():
     output = offset_invariant.settings_of({"oldest_s": 5.0, "freeze_s": 5.0, "decay_s": 5.0}, False)
-    deaf = replace(offset_invariant.served_with(output, 1.0), estimator=Deaf(1.0))
+    return replace(offset_invariant.served_with(output, 1.0), estimator=Deaf(1.0))
+
+
+@pytest.mark.parametrize("nothing", [math.nan, -3276.8])
+def test_samples_without_any_reading_are_silence(deaf, store, nothing):
+    """Whatever an estimator makes of them: the value becomes bad, and the offset fades.
+
+    An error value of a logger is no reading.
+    """
     floor = floor_of(deaf, store, START)
     found = []
     for k in range(100):
-        told = (20.0 if k < 30 else math.nan, 0.0 if k < 30 else math.nan)
+        told = (20.0 if k < 30 else nothing, 0.0 if k < 30 else nothing)
         outcome = floors.absorb(floor, [Arrival("mill", START + k, told, START + k)], *at(k))
         found.append(outcome.publications["mill"])
     assert (found[29].quality, found[29].offset_mode) == (Quality.GOOD, "follow")
@@ -454,6 +466,33 @@ def test_samples_without_any_reading_are_silence(store):
     assert floor.metrics.registry.get_sample_value(
         "thermojoint_offset_seconds_total", {"machine": "mill", "mode": "decay"}
     )
+
+
+@pytest.mark.parametrize("kept_at", [30, 60, 90])
+def test_a_restart_ends_no_silence(deaf, store, path, kept_at):
+    """Of samples without any reading: it counts from the last one that had a reading."""
+    floor = floor_of(deaf, store, START)
+    for k in range(90):
+        told = (20.0, 0.0) if k < 30 else (math.nan, math.nan)
+        keep(floor, store, Arrival("mill", START + k, told, START + k))
+        if k + 1 == kept_at:
+            checkpoint(floor, store)
+    mill = {"model": "m", "source": "s"}
+    service = service_from_data(
+        {
+            "folder": ".",
+            "models": {"m": {"file": "gauge.json"}},
+            "machines": {"mill": mill},
+            "sources": {"s": {"kind": "csv", "path": "-"}},
+        },
+        "file",
+        path.parent,
+    )
+    again, (said,) = restored_floor(
+        service, {"m": deaf}, store, EventLog(), fresh_metrics(), at(90)
+    )
+    assert again.places["mill"].heard == START + 29
+    assert (said.quality, said.offset_mode) == (Quality.BAD, "decay")
 
 
 def test_holes_and_eras_that_are_over_are_forgotten_like_the_rest(model, store, floor):
