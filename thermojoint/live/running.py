@@ -40,6 +40,7 @@ from thermojoint.live.store import (
     identity_of,
     kept_of,
     locked,
+    new_era,
     open_store,
     received_last,
 )
@@ -222,9 +223,13 @@ def _places(
         try:
             machine, position = restored(name, model, kept, last, received.get(name), times)
         except InputError as error:
-            # Its estimator starts anew, its offsets continue.
+            # Its estimator starts anew, its offsets continue. So does an era: in the old one the
+            # states of fewer samples would not replace the one that is refused.
             log.say(now, "state-refused", str(error), name)
-            kept, last = Kept(kept.era, model.layout, 0, None, "{}", ()), None
+            if kept.era == eras[name]:
+                eras[name] = new_era(store, name, model.digest, model.layout, now)
+            kept, last = Kept(eras[name], model.layout, 0, None, "{}", ()), None
+            every[eras[name]] = kept
             machine, position = restored(name, model, kept, last, received.get(name), times)
         if kept.era != eras[name]:
             moved += _moved(model, machine, position, kept, eras[name])

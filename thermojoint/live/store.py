@@ -314,9 +314,14 @@ def era_of(store: sqlite3.Connection, machine: str, model: str, layout: Layout, 
     ).fetchone()
     if last and last[1:] == (model, content):
         return int(last[0])
+    return new_era(store, machine, model, layout, now)
+
+
+def new_era(store: sqlite3.Connection, machine: str, model: str, layout: Layout, now: float) -> int:
+    """Begin another era of a machine, whatever the last one was; parameters as of `era_of`."""
     made = store.execute(
         "INSERT INTO eras (machine, model, layout, begun) VALUES (?, ?, ?, ?)",
-        (machine, model, content, now),
+        (machine, model, layout_text(layout), now),
     )
     return int(made.lastrowid or 0)
 

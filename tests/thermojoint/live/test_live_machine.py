@@ -468,6 +468,21 @@ def test_samples_without_any_reading_are_silence(deaf, store, nothing):
     )
 
 
+def started(model, store, path, log, k):
+    """The floor of a service that starts so many seconds after the start, and what it says."""
+    service = service_from_data(
+        {
+            "folder": ".",
+            "models": {"m": {"file": "model.json"}},
+            "machines": {"mill": {"model": "m", "source": "s"}},
+            "sources": {"s": {"kind": "csv", "path": "-"}},
+        },
+        "file",
+        path.parent,
+    )
+    return restored_floor(service, {"m": model}, store, log, fresh_metrics(), at(k))
+
+
 @pytest.mark.parametrize("kept_at", [30, 60, 90])
 def test_a_restart_ends_no_silence(deaf, store, path, kept_at):
     """Of samples without any reading: it counts from the last one that had a reading."""
@@ -477,22 +492,31 @@ def test_a_restart_ends_no_silence(deaf, store, path, kept_at):
         keep(floor, store, Arrival("mill", START + k, told, START + k))
         if k + 1 == kept_at:
             checkpoint(floor, store)
-    mill = {"model": "m", "source": "s"}
-    service = service_from_data(
-        {
-            "folder": ".",
-            "models": {"m": {"file": "gauge.json"}},
-            "machines": {"mill": mill},
-            "sources": {"s": {"kind": "csv", "path": "-"}},
-        },
-        "file",
-        path.parent,
-    )
-    again, (said,) = restored_floor(
-        service, {"m": deaf}, store, EventLog(), fresh_metrics(), at(90)
-    )
+    again, (said,) = started(deaf, store, path, EventLog(), 90)
     assert again.places["mill"].heard == START + 29
     assert (said.quality, said.offset_mode) == (Quality.BAD, "decay")
+
+
+def test_a_state_is_refused_once_and_those_after_it_are_kept(model, store, path):
+    floor, log = floor_of(model, store, START), EventLog()
+    feed(floor, store, 0, 50)
+    checkpoint(floor, store)
+    feed(floor, store, 50, 55)
+    store.execute("UPDATE states SET state = zeroblob(length(state))")
+    for first in (60, 80):
+        floor, _ = started(model, store, path, log, first)
+        feed(floor, store, first, first + 10)
+        checkpoint(floor, store)
+    floor, (said,) = started(model, store, path, log, 100)
+    archive = Archive(path)
+    events = [*archive.events("mill", 0.0, 1e11, 1000), *log.pending]
+    assert [one.kind for one in events].count("state-refused") == 1
+    assert said.number == 20
+    forget(store, 10**6, [], 1e9, START)
+    history = archive.history("mill", 0.0, 1e11, 1000)
+    assert history.columns.times.tolist() == [
+        START + k for k in (*range(55), *range(60, 70), *range(80, 90))
+    ]
 
 
 def test_holes_and_eras_that_are_over_are_forgotten_like_the_rest(model, store, floor):
