@@ -67,9 +67,12 @@ class Audit:
         except OSError:
             self._put_aside(line)
 
-    def written(self, who: str, origin: str, what: str, machine: str | None) -> None:
-        """Write that somebody has written a value; as `accepted`, but limited."""
-        self._write((who, what), (who, origin, what, machine), {"outcome": "accepted"})
+    def written(
+        self, who: str, origin: str, what: str, machine: str | None, value: str = ""
+    ) -> None:
+        """Write that somebody has written a value; as `accepted`, but limited, whatever it is."""
+        entry = who, origin, f"{what}{value}", machine
+        self._write((who, what), entry, {"outcome": "accepted"})
 
     def refused(
         self, who: str, origin: str, what: str, why: str, machine: str | None = None

@@ -28,7 +28,8 @@ class LineLimit:
             s, by any clock.
         """
         seen = self._seen(kind)
-        if time - seen[1] >= AGAIN_S:
+        # A clock that was set back counts as a new time.
+        if not 0.0 <= time - seen[1] < AGAIN_S:
             seen[0] = 0.0
         elif seen[0] >= AT_ONCE:
             seen[2] += 1.0

@@ -567,6 +567,17 @@ def test_a_slope_that_cannot_be_is_refused_in_one_line(files, old, new, told):
     assert "\n" not in error
 
 
+def test_a_clock_that_begins_before_zero_makes_the_same_offsets():
+    given = {"filter_s": 5.0, "recover_s": 0.0, "axes": {"X": {"follows": "x"}}}
+    settings, found = settings_from_data(given, "s.toml"), []
+    for begin in (-5.0, 0.0):
+        rows = [
+            Row(begin + k, np.array([1e-6 * k]), np.array([math.nan]), "ok") for k in range(11)
+        ]
+        found.append([one.offsets.tolist() for one in preview(settings, ("x",), rows)])
+    assert found[0] == found[1]
+
+
 def test_an_old_estimate_is_no_estimate():
     given = {"oldest_s": 5.0, "recover_s": 0.0, "axes": {"X": {"follows": "x"}}}
     settings = settings_from_data(given, "s.toml")

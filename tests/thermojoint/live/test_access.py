@@ -215,6 +215,11 @@ def test_a_value_that_is_written_in_every_cycle_is_audited_with_its_count(tmp_pa
     for _ in range(1000):
         audit.written("plc", "opcua 192.0.2.7", "write mill.Control.heartbeat", "mill")
     assert len(audit.path.read_text().splitlines()) == AT_ONCE
+    # Another value each time is the same node.
+    for k in range(1000):
+        audit.written("service", "opc.tcp://192.0.2.7", "write ns=2;s=Z", "mill", f" = {k}")
+    lines = [json.loads(line)["what"] for line in audit.path.read_text().splitlines()[AT_ONCE:]]
+    assert lines == [f"write ns=2;s=Z = {k}" for k in range(AT_ONCE)]
 
 
 def test_the_commands_list_make_and_end_users_and_tokens(tmp_path):

@@ -280,6 +280,12 @@ def test_a_flood_of_events_is_a_few_lines():
     assert "9995 more" in log.pending[-1].text
 
 
+def test_a_clock_that_is_set_back_leaves_no_event_out():
+    limit = LineLimit()
+    times = [1e4] * (AT_ONCE + 3) + [1e4 - 3600.0]
+    assert [limit.left_out("status", time) for time in times][AT_ONCE:] == [None, None, None, 3]
+
+
 def test_a_library_that_complains_without_end_is_a_few_lines():
     passes = limited(LineLimit())
     written = []

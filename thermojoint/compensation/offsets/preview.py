@@ -68,7 +68,8 @@ def preview(settings: Settings, axes: Sequence[str], rows: Sequence[Row]) -> Ite
     count = math.floor((times[-1] - times[0]) / settings.cycle + 1e-9) + 1
     for index in range(count):
         time = float(times[0] + index * settings.cycle)
-        row = rows[int(np.searchsorted(times, time * (1.0 + 1e-12), side="right")) - 1]
+        at = time + 1e-12 * abs(time)
+        row = rows[int(np.searchsorted(times, at, side="right")) - 1]
         band = band_along(output, axes, row.band, row.lines)
         used = usable(settings.trust, time - row.time, band, row.status)
         seen = row.displacement, row.lines, row.places

@@ -148,7 +148,8 @@ class Writer:
     async def _write(self, client: Client, writes: Sequence[Write], goals: Sequence[float]) -> None:
         for (quantity, name, _), goal in zip(writes, goals, strict=True):
             node = self.given.node(quantity, name)
-            self.audit.written("service", self.given.url, f"write {node} = {goal:g}", self.machine)
+            what, value = f"write {node}", f" = {goal:g}"
+            self.audit.written("service", self.given.url, what, self.machine, value)
             kind = ua.VariantType.Int32 if quantity.whole else ua.VariantType.Double
             value = ua.Variant(int(goal) if quantity.whole else goal, kind)
             async with asyncio.timeout(TIMEOUT_S):
