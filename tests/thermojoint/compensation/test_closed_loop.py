@@ -424,6 +424,21 @@ def test_what_does_not_fit_is_refused_before_the_plant_is_set_up(
     assert told in str(done.exception)
 
 
+@pytest.mark.parametrize(
+    "lines", ["duration_min = 0.01", "duration_min = 0.55\njudged_from_min = 0.54"]
+)
+def test_a_run_of_which_nothing_counts_is_refused(folder, monkeypatch, lines):
+    """It ends after whole steps of the estimator: here of 2 s, and 33 s of the plant."""
+    monkeypatch.setattr(loop_run, "set_up", lambda _: pytest.fail("set up"))
+    text = (folder / "machine.toml").read_text("utf-8")
+    (folder / "machine.toml").write_text(text.replace('"step_s" = 2.0', '"step_s" = 1.0'))
+    text = (folder / "loop.toml").read_text("utf-8")
+    (folder / "loop.toml").write_text(text.replace("duration_min = 2.0", lines))
+    done = CliRunner().invoke(app, ["control", str(folder / "loop.toml")])
+    assert isinstance(done.exception, InputError)
+    assert "nothing of it counts" in str(done.exception)
+
+
 def test_a_loop_in_which_nothing_acts_is_refused():
     plant = {"case": "c.toml", "heat_input": {"kind": "step", "level": 1}, "duration_min": 1}
     with pytest.raises(InputError, match="nothing acts"):

@@ -25,6 +25,7 @@ from thermojoint.live.targets.linuxcnc_component import (
     Axis,
     Limits,
     Word,
+    goal_of,
     moved,
     state_of,
     word_of,
@@ -138,6 +139,12 @@ def test_without_the_handshake_the_last_good_word_ages():
     assert state_of(False, 2.1, word, LIMITS) == RETURN
 
 
+def test_an_axis_that_the_service_no_longer_names_stays():
+    word = Word(0.0, {"z": -12.0})
+    assert [goal_of(FOLLOW, word, letter, 30) for letter in "zx"] == [-120, 30]
+    assert [goal_of(state, word, "x", 30) for state in (HOLD, RETURN)] == [30, 0]
+
+
 def test_a_step_waits_until_the_control_has_taken_the_last_one():
     """And one that it has lost, for it was off, is made good a second later."""
     first = moved(Axis(100, 0, 0.0), 0, 30, 4, 0.05)
@@ -167,3 +174,13 @@ def test_a_control_that_would_not_move_is_refused(old, new, told, tmp_path, hand
     with pytest.raises(InputError) as error:
         files_for(service, "mill", ini, tmp_path / "token", None)
     assert told in str(error.value)
+
+
+def test_an_axis_is_named_as_the_control_does(tmp_path, hand_made_model):
+    """By another name what it acknowledges would be of no axis, and the handshake never stand."""
+    prepare(tmp_path, hand_made_model, BLOCKS["toml"] + '[http]\nsecurity = "none"\n')
+    offsets, ini = tmp_path / "offsets.toml", tmp_path / "mill.ini"
+    offsets.write_text(offsets.read_text().replace("[axes.Z]", "[axes.z]"))
+    ini.write_text(INI)
+    with pytest.raises(InputError, match=r"no \[AXIS_z\]; name the axes in the offsets as here"):
+        files_for(read_service(tmp_path / "service.toml"), "mill", ini, tmp_path / "token", None)

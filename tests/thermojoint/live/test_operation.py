@@ -249,6 +249,9 @@ def test_check_looks_at_the_way_to_a_control(models, tmp_path):
     written = file.read_text().replace('"model.json"', '"model.json"\noffsets = "offsets.toml"')
     file.write_text(written.replace("[machines.mill]", "[machines.mill]\n" + AT_TARGET))
     assert "plc.der" in str(called("serve", file, "--check").exception)
+    # With the usual heartbeat of 5 s.
+    (tmp_path / "target.toml").write_text(f"every_s = 5.0\nlargest_step_um = 10.0\n{TARGET}")
+    assert "no offset would follow" in str(called("serve", file, "--check").exception)
 
 
 def test_the_end_of_a_certificate_is_announced_a_month_before(models, tmp_path):

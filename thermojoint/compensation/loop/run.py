@@ -98,6 +98,7 @@ def close_loop(loop: Loop, progress: Progress | None = None) -> Closed:
     check_plant(case, estimator)
     for delay in (loop.estimator.delay_s, *loop.tried_delays_s):
         _samples(delay, estimator.model.step)
+    _check_judged(loop, case, estimator)
     design = _design(loop, loop.heater, estimator) if loop.heater is not None else None
     report("setting up the plant")
     plant = Plant(case, set_up(case))
@@ -213,10 +214,27 @@ def _samples(delay: float, step: float) -> int:
     return round(delay / step)
 
 
+def _sample_count(case: Case, estimator: JointAware) -> int:
+    """Number of samples of a run: it ends with a whole step of the estimator."""
+    each = max(1, round(estimator.model.step / case.march.step_s))
+    return step_count(case.march) // each
+
+
+def _check_judged(loop: Loop, case: Case, estimator: JointAware) -> None:
+    """Refuse a run of which nothing counts."""
+    step = estimator.model.step
+    end = _sample_count(case, estimator) * step
+    if end <= 0.0 or 60.0 * loop.plant.judged_from_min > end:
+        raise InputError(
+            f"plant: duration_min {loop.plant.duration_min:g}: with whole steps of the estimator, "
+            f"of {step:g} s, the run ends at {end / 60.0:g} min, and nothing of it counts; make it "
+            "longer, or judged_from_min smaller"
+        )
+
+
 def _noise(loop: Loop, case: Case, estimator: JointAware) -> Array:
     """Noise on every sensor at every sample, K, shape (samples, sensors)."""
-    each = max(1, round(estimator.model.step / case.march.step_s))
-    count, sensors = step_count(case.march) // each, len(estimator.model.sensors)
+    count, sensors = _sample_count(case, estimator), len(estimator.model.sensors)
     if loop.estimator.noise_pp_K <= 0.0:
         return np.zeros((count, sensors))
     times = estimator.model.step * np.arange(count)

@@ -126,7 +126,8 @@ def entries_of(text: str) -> Mapping[str, str]:
 
 def _check_axis(axis: str, given: Mapping[str, str], ini: Path) -> None:
     """Refuse an axis that the control does not have, or does not let offsets move."""
-    section = f"AXIS_{axis.upper()}"
+    # The component acknowledges by the control's own letters.
+    section = f"AXIS_{axis}"
     if not any(name.startswith(f"{section}.") for name in given):
         raise InputError(f"{ini}: there is no [{section}]; name the axes in the offsets as here")
     ratio = given.get(f"{section}.OFFSET_AV_RATIO", "0")

@@ -112,6 +112,14 @@ def state_of(on: bool, clock: float, word: Word, limits: Limits) -> str:
     return HOLD if on and silence <= limits.silence + limits.hold else RETURN
 
 
+def goal_of(state: str, word: Word, letter: str, requested: int) -> int:
+    """Return where an axis should go, counts; one of which the service says nothing stays."""
+    offset = (word.offsets or {}).get(letter)
+    if state == FOLLOW and offset is not None:
+        return round(PER_UM * offset)
+    return 0 if state == RETURN else requested
+
+
 def moved(axis: Axis, request: int, goal: int, allowed: int, clock: float) -> Axis:
     """Return an axis one cycle later.
 
@@ -292,8 +300,8 @@ def run(hal: Any, component: Any, service: Connection, limits: Limits, scale: fl
             component[f"{letter}.enable"], component[f"{letter}.clear"] = not zero, zero
             # Counts that change before the control is enabled are lost.
             if enabled and not zero:
-                goal = {FOLLOW: round(PER_UM * (word.offsets or {}).get(letter, 0.0)), RETURN: 0}
-                axis = moved(axis, requested, goal.get(state, requested), int(credit), clock)
+                goal = goal_of(state, word, letter, requested)
+                axis = moved(axis, requested, goal, int(credit), clock)
             farthest = max(farthest, abs(axis.counts - counts))
             axes[letter] = axis
             component[f"{letter}.counts"] = axis.counts

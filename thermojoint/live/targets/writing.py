@@ -46,6 +46,13 @@ def target_of(service: Service, machine: str, served: Served) -> tuple[TargetFil
     if path is None:
         return None
     given = read_target(path, served.output.output if served.output else None)
+    handshake = service.machines[machine].handshake
+    if handshake is not None and given.every_s >= handshake.heartbeat_s:
+        raise InputError(
+            f"{path}: every_s {given.every_s:g} is not shorter than handshake.heartbeat_s "
+            f"{handshake.heartbeat_s:g} of machines.{machine}: no offset would follow; make it "
+            "shorter"
+        )
     return given, reached_of(given, service.folder, str(path))
 
 
