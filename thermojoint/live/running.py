@@ -252,7 +252,8 @@ def _heard_last(archive: Archive, model: Served, machine: Machine) -> Publicatio
     last = machine.usable
     if last.number == 0 or floors.has_reading(model, last.readings.tolist()):
         return last
-    for last in archive.samples(machine.name, (-math.inf, last.time), _LOOKED_AT, True):
+    before = archive.samples(machine.name, (-math.inf, last.time), _LOOKED_AT, True)
+    for last in before:
         if last.status != REFUSED and floors.has_reading(model, last.readings.tolist()):
             break
     return last

@@ -376,7 +376,9 @@ def _check_handshake(at: str, machine: MachineSection, given: ServiceFile) -> No
         )
     if handshake.by == "target":
         if handshake.user is not None:
-            raise InputError(f"{at}.user: is for OPC UA and HTTP; the file of a target names its own")
+            raise InputError(
+                f"{at}.user: is for OPC UA and HTTP; the file of a target names its own"
+            )
         return
     if getattr(given, handshake.by) is None:
         raise InputError(f"{at}.by: there is no [{handshake.by}]; add it")

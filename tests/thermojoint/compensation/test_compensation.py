@@ -571,9 +571,7 @@ def test_a_clock_that_begins_before_zero_makes_the_same_offsets():
     given = {"filter_s": 5.0, "recover_s": 0.0, "axes": {"X": {"follows": "x"}}}
     settings, found = settings_from_data(given, "s.toml"), []
     for begin in (-5.0, 0.0):
-        rows = [
-            Row(begin + k, np.array([1e-6 * k]), np.array([math.nan]), "ok") for k in range(11)
-        ]
+        rows = [Row(begin + k, np.array([1e-6 * k]), np.array([math.nan]), "ok") for k in range(11)]
         found.append([one.offsets.tolist() for one in preview(settings, ("x",), rows)])
     assert found[0] == found[1]
 
