@@ -1,14 +1,16 @@
 """Backup of a service while it runs, and restore into an empty folder.
 
-A backup is a .tar.gz that only its owner can read: the settings' file, the files that it names, and
-the folder of the service, with a SHA-256 of each. SQLite copies its own stores, so they are whole
-although the service writes meanwhile. Secrets and keys that the settings name are left out.
+A backup is a .tar.gz that only its owner can read: the settings' file, the files that it and the
+files of its targets name, and the folder of the service, with a SHA-256 of each. SQLite copies its
+own stores, so they are whole although the service writes meanwhile. Secrets and keys that the
+settings name are left out.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import posixpath
 import shutil
 import sqlite3
 import tarfile
@@ -30,6 +32,7 @@ from thermojoint.artefacts.json_file import JsonKind, parse_json
 from thermojoint.artefacts.settings import toml
 from thermojoint.live import access_store
 from thermojoint.live.settings import CsvSource, Secret, read_service
+from thermojoint.live.targets.settings import read_target
 
 _KIND = JsonKind(
     "thermojoint-backup", 1, "backup", "by 'thermojoint backup'", "take another backup"
@@ -71,20 +74,24 @@ def back_up(file: Path, out: Path) -> list[str]:
         The settings are wrong, or a file that they name cannot be read.
     """
     service, base = read_service(file), file.resolve().parent
+    targets = [one.target for one in service.machines.values() if one.target is not None]
     named = list(_named(service.given))
+    for path in targets:
+        named += _named(read_target(path), f"{path}: ")
     places = {
         one.path: _place(one.path, base, k)
         for k, one in enumerate(named)
         if not one.secret and one.path.exists()
     }
+    settings = {file: "service.toml"} | {path: places.pop(path) for path in targets}
     digests: dict[str, str] = {}
     with whole_file(out) as part, TemporaryDirectory(dir=out.parent) as scratch:
         part.chmod(0o600)
         with tarfile.open(part, "w:gz", compresslevel=3) as tar:
-            text = _moved(toml.read_text(file, "service"), base, places)
-            settings = Path(scratch) / "service.toml"
-            settings.write_text(text, "utf-8")
-            _add(tar, settings, "service.toml", digests)
+            for path, place in settings.items():
+                written = Path(scratch) / "settings.toml"
+                written.write_text(_moved(path, place, places | settings), "utf-8")
+                _add(tar, written, place, digests)
             for path, place in places.items():
                 for member in [path] if path.is_file() else sorted(path.rglob("*")):
                     if member.is_file() and not member.name.endswith(_LEFT_OUT):
@@ -149,13 +156,15 @@ def _place(path: Path, base: Path, number: int) -> str:
     return f"files/{number}/{path.name}"
 
 
-def _moved(text: str, base: Path, places: dict[Path, str]) -> str:
-    """Return the settings with the names that files have in the backup."""
-    for raw in set(_strings(toml.parse(text, "service"))):
+def _moved(file: Path, name: str, places: dict[Path, str]) -> str:
+    """Return settings as `name` in the backup, with the names that the files have there."""
+    text, base = toml.read_text(file, "settings"), file.resolve().parent
+    for raw in set(_strings(toml.parse(text, str(file)))):
         for path, place in places.items():
             if (base / raw).resolve() == path.resolve():
+                there = posixpath.relpath(place, posixpath.dirname(name) or ".")
                 for quote in ('"', "'"):
-                    text = text.replace(f"{quote}{raw}{quote}", f'"{place}"')
+                    text = text.replace(f"{quote}{raw}{quote}", f'"{there}"')
     return text
 
 

@@ -18,12 +18,14 @@ from live_parts import PATIENCE_S, events_in, free_port, until
 from typer.testing import CliRunner
 
 from thermojoint.cli.app import app
+from thermojoint.live.backup import back_up, restore
 from thermojoint.live.certificates import ANNOUNCED, HTTP_LASTS, ending, own_certificate
 from thermojoint.live.former_models import SHOWN, fingerprint_of, read_record
 from thermojoint.live.reloading import serve_file
 from thermojoint.live.service import shorten_log
 from thermojoint.live.settings import HttpServer, read_service
 from thermojoint.live.store import hang_up
+from thermojoint.live.targets.settings import read_target
 from thermojoint.live.users import add_user
 from thermojoint.models.assembly import assemble
 from thermojoint.models.assembly_file import write_assembly
@@ -252,6 +254,24 @@ def test_check_looks_at_the_way_to_a_control(models, tmp_path):
     # With the usual heartbeat of 5 s.
     (tmp_path / "target.toml").write_text(f"every_s = 5.0\nlargest_step_um = 10.0\n{TARGET}")
     assert "no offset would follow" in str(called("serve", file, "--check").exception)
+
+
+def test_a_backup_has_the_certificates_that_a_target_names(models, tmp_path):
+    base, restored = tmp_path / "plant", tmp_path / "restored"
+    (base / "plc").mkdir(parents=True)
+    file = plant(base, models, free_port())
+    (base / "offsets.toml").write_text('[axes.Z]\nfollows = "x"\n')
+    (tmp_path / "plc.der").write_bytes(b"of the control")
+    target = TARGET.replace("plc.der", "../../plc.der")
+    (base / "plc" / "target.toml").write_text(f"largest_step_um = 10.0\n{target}")
+    written = file.read_text().replace('"model.json"', '"model.json"\noffsets = "offsets.toml"')
+    section = AT_TARGET.replace("target.toml", "plc/target.toml")
+    file.write_text(written.replace("[machines.mill]", f"[machines.mill]\n{section}"))
+    back_up(file, base / "b.tar.gz")
+    (tmp_path / "plc.der").unlink()
+    restore(base / "b.tar.gz", restored)
+    machine = read_service(restored / "service.toml").machines["mill"]
+    assert read_target(machine.target).server_certificate.read_bytes() == b"of the control"
 
 
 def test_the_end_of_a_certificate_is_announced_a_month_before(models, tmp_path):
