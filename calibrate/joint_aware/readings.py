@@ -56,9 +56,7 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     grid = machine.step * np.arange(1, count + 1)
     # A value of the heat applies to the interval that ends at its sample.
     at = np.minimum(np.searchsorted(times, grid * (1.0 - 1e-9)), times.size - 1)
-    powers = _powers(response, machine)
-    finer = np.diff(times).min() < (1.0 - 1e-6) * machine.step
-    powers = _means_in_steps(times, powers, grid) if finer else powers[at]
+    powers = _means_in_steps(times, _powers(response, machine), grid)
     ambient = np.interp(grid, times, ambient_in(response))
     held = held_in(response, machine)[at]
     loads = loads_in(response, machine.load_names)
