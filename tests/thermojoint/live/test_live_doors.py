@@ -118,6 +118,16 @@ def test_a_stream_in_any_dialect_gives_the_samples_of_the_file(
     ]
 
 
+def test_another_file_under_the_same_header_is_read_from_its_beginning(tmp_path):
+    path = tmp_path / "log.csv"
+    rows = [f"{k},2{k},20\n" for k in range(9)]
+    path.write_text("time_s,T1_degC,T2_degC\n" + "".join(rows[:4]), "utf-8")
+    arrivals, _ = read(pipe_of(path, *NAMES))
+    path.write_text("time_s,T1_degC,T2_degC\n" + "".join(rows[4:]), "utf-8")
+    again, _ = read(pipe_of(path, *NAMES), arrivals[-1].position)
+    assert [one.time for one in again] == [4.0, 5.0, 6.0, 7.0, 8.0]
+
+
 def test_a_stream_has_the_units_clocks_and_missing_readings_of_every_table(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text(

@@ -18,6 +18,7 @@ from collections.abc import AsyncIterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
+from zlib import crc32
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log_record import Record, begun
@@ -223,7 +224,7 @@ async def _whole_lines(
     yield [_read_note(pipe, header)]
     first = _first_lines(file, header.layout.dialect.first)
     at, hands = len(first), Hands()
-    if _goes_on(position, first, os.fstat(file.fileno()).st_size):
+    if _goes_on(position, first, file):
         at, hands = int(position["offset"]), _hands_of(position)
     file.seek(at)
     mark = {"first": len(first), "sum": _sum(first)}
@@ -234,7 +235,7 @@ async def _whole_lines(
             if not pipe.follow:
                 if rest and not dropping:
                     items, hands = items_in(pipe, header, rest, hands)
-                    yield _placed(items, mark | {"offset": at + len(rest)}, header, hands)
+                    yield _placed(items, mark | _after(rest, at + len(rest)), header, hands)
                 return
             if _replaced(pipe.path, file, at + len(rest)):
                 yield [Note("source-replaced", f"{pipe.path}: another file", pipe.machine)]
@@ -250,7 +251,7 @@ async def _whole_lines(
                 dropping = False
             else:
                 items, hands = items_in(pipe, header, line, hands)
-                arrivals += _placed(items, mark | {"offset": at}, header, hands)
+                arrivals += _placed(items, mark | _after(line + b"\n", at), header, hands)
         if len(rest) > LONGEST_LINE:
             at += len(rest)
             rest = b""
@@ -289,14 +290,25 @@ def _sum(first: bytes) -> int:
     return sum((k + 1) * byte for k, byte in enumerate(first)) % 1_000_003
 
 
-def _goes_on(position: Any, first: bytes, size: int) -> bool:  # noqa: ANN401
+def _after(line: bytes, offset: int) -> dict[str, int]:
+    """Return the position after a line, which tells the file from another with the same header."""
+    return {"offset": offset, "last": len(line), "crc": crc32(line)}
+
+
+def _goes_on(position: Any, first: bytes, file: BinaryIO) -> bool:  # noqa: ANN401
     """Say whether a stored position belongs to a file."""
-    return (
-        isinstance(position, dict)
-        and position.get("first") == len(first)
-        and position.get("sum") == _sum(first)
-        and len(first) <= int(position.get("offset", 0)) <= size
-    )
+    if (
+        not isinstance(position, dict)
+        or position.get("first") != len(first)
+        or position.get("sum") != _sum(first)
+    ):
+        return False
+    offset, last = int(position.get("offset", 0)), int(position.get("last", 0))
+    if not len(first) + last <= offset <= os.fstat(file.fileno()).st_size:
+        return False
+    file.seek(offset - last)
+    # Positions of earlier versions have no line.
+    return crc32(file.read(last)) == position.get("crc", 0)
 
 
 async def _begun(pipe: Pipe, file: BinaryIO) -> AsyncIterator[Header | Note]:
