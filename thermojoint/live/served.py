@@ -26,6 +26,9 @@ from thermojoint.live.publication import AxisLine, Layout
 from thermojoint.live.samples import Rule
 from thermojoint.live.settings import HandshakeSection, ModelSection, Service
 
+#: Difference that a target may have where its handshake gives none, um.
+TARGET_DIFFERS_UM = 10.0
+
 
 @dataclass(frozen=True, eq=False)
 class Served:
@@ -201,5 +204,8 @@ def handshake_of(section: HandshakeSection | None) -> HandshakeSettings | None:
     """Return the limits of a handshake in SI; None without one."""
     if section is None:
         return None
-    differs = math.inf if section.differs_um is None else MICRO * section.differs_um
-    return HandshakeSettings(section.heartbeat_s, differs, section.differs_s)
+    differs = section.differs_um
+    if differs is None:
+        # What acts in a target is always known.
+        differs = TARGET_DIFFERS_UM if section.by == "target" else math.inf
+    return HandshakeSettings(section.heartbeat_s, MICRO * differs, section.differs_s)

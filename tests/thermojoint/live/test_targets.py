@@ -33,7 +33,6 @@ target = "target.toml"
 [machines.mill.handshake]
 by = "target"
 heartbeat_s = 3.0
-differs_um = 10.0
 """
 
 
