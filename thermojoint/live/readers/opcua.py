@@ -108,7 +108,9 @@ class OpcuaReader:
             for node, result in zip(some, results, strict=True):
                 if isinstance(result, ua.StatusCode):
                     machine, _ = places[node.nodeid]
-                    self._put(Note("unreadable", f"{node.nodeid}: {result.name}", machine))
+                    self._put(
+                        Note("unreadable", f"{node.nodeid.to_string()}: {result.name}", machine)
+                    )
         self._put(Note("connected", f"OPC UA {self.reached.url}"))
         stored = await self._stored(client, nodes, places)
         for nodeid, value in sorted(stored, key=lambda item: _time(item[1])):
@@ -164,6 +166,8 @@ class OpcuaReader:
         item = item_of(machine, k, self.counts[machine], value)
         if isinstance(item, Arrival):
             self._newest[machine, k] = max(item.time, self._newest.get((machine, k), 0.0))
+        else:
+            item = replace(item, text=f"{nodeid.to_string()}: {item.text}")
         if len(self._found) < self.most:
             self._put(item)
 
@@ -245,9 +249,7 @@ def item_of(machine: str, k: int, count: int, value: ua.DataValue) -> Arrival | 
     if not good or content is None:
         readings[k] = math.nan
     elif isinstance(content, bool) or not isinstance(content, int | float):
-        return Note(
-            "malformed", f"reading {k}: a {type(content).__name__} is not a number", machine
-        )
+        return Note("malformed", f"a {type(content).__name__} is not a number", machine)
     else:
         readings[k] = float(content) if math.isfinite(content) else math.nan
     try:
@@ -255,7 +257,7 @@ def item_of(machine: str, k: int, count: int, value: ua.DataValue) -> Arrival | 
     except (ValueError, OverflowError):
         at = math.nan
     if not math.isfinite(at):
-        return Note("malformed", f"reading {k}: a value without a time", machine)
+        return Note("malformed", "a value without a time", machine)
     return Arrival(machine, at, readings, clock.time(), position=at)
 
 
