@@ -46,6 +46,8 @@ class Cold:
 
     #: NaN before it is known; 0 where temperatures are above it.
     value: float = math.nan
+    #: The run goes on from a state.
+    continued: bool = False
 
 
 class OpenedEstimator(Estimator, Protocol):

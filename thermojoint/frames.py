@@ -25,7 +25,7 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.log import Log, joined
 from thermojoint.artefacts.log_file import read_log
-from thermojoint.artefacts.quantities import UNITS, place_of
+from thermojoint.artefacts.quantities import place_of
 from thermojoint.artefacts.tables.pieces import pieces_in
 from thermojoint.artefacts.units import MEGA
 from thermojoint.models.learned import LearnedModel
@@ -116,8 +116,8 @@ def estimate(
     state : ndarray, optional
         Initial state; default at rest.
     cold : float
-        Ambient at which the machine of that state was cold, °C, for a joint-aware model; default:
-        that of the first row.
+        Ambient at which the machine of that state was cold, K, for a joint-aware model; default:
+        that of the first row. `estimator.states.read_state` has that of a saved state.
 
     Returns
     -------
@@ -132,8 +132,7 @@ def estimate(
     """
     kind = kind_of(estimator)
     pieces = pieces_in(_lines(frame), _FRAME, kind.renamed(estimator.model))
-    known = Cold(cold + UNITS["degC"].offset)
-    samples = kind.log(estimator.model, pieces, _FRAME, None, known)
+    samples = kind.log(estimator.model, pieces, _FRAME, None, Cold(cold))
     start = estimator.initial_state() if state is None else state
     text = io.StringIO()
     text.write(",".join(estimate_table.header(estimator)) + "\n")

@@ -51,7 +51,7 @@ def log_samples(
     ------
     InputError
         A sensor, a load, a position, a way or a power has no column, time restarts, or temperatures
-        as read continue those above an ambient.
+        as read continue those above an ambient, or a run that does not say from where it counts.
     """
     known = Cold() if cold is None else cold
     last = -math.inf
@@ -66,6 +66,11 @@ def log_samples(
         given = np.array([piece.at(name) for name in others]).reshape(len(others), len(values)).T
         for time, row, rest in zip(piece.times.tolist(), values, given, strict=True):
             if math.isnan(known.value):
+                if known.continued and not above:
+                    raise InputError(
+                        f"{where}: the state that it continues does not say at which ambient the "
+                        f"machine was cold; give {sensors[0]}_K, ..., ambient_K above that one"
+                    )
                 known.value = 0.0 if above else float(row[-1])
             elif known.value == 0.0 and not above:
                 raise InputError(

@@ -266,7 +266,7 @@ def estimate(  # noqa: PLR0913 - the options of a command
     ):
         samples: Iterator[Sample]
         # A run that is continued counts from where it began.
-        cold = Cold(read_state(resume).cold) if resume else Cold()
+        cold = Cold(read_state(resume).cold, continued=True) if resume else Cold()
         if pieces is None:
             arguments.only_for("a log", {"--column": column, "--mapping": mapping})
             response = read_response(temperatures)

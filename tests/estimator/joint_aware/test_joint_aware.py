@@ -589,9 +589,12 @@ def test_a_log_in_two_parts_counts_from_where_the_first_one_began(estimator, res
     whole = estimated(lines)
     first = estimated(lines[:20], "--save-state", state)
     assert [*first, *estimated(lines[20:], "--continue", state)] == whole
-    cold = Cold(0.0)
-    with pytest.raises(InputError, match="temperatures above the ambient"):
-        list(log_samples(pieces_in([head, lines[0]], "log"), SENSORS, "log", cold=cold))
+    for cold, told in (
+        (Cold(0.0), "temperatures above the ambient"),
+        (Cold(continued=True), "state"),
+    ):
+        with pytest.raises(InputError, match=told):
+            list(log_samples(pieces_in([head, lines[0]], "log"), SENSORS, "log", cold=cold))
 
 
 @pytest.mark.parametrize(
