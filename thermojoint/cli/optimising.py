@@ -69,7 +69,11 @@ def optimise(  # noqa: PLR0913 - options of a command
     from thermojoint.pictures.search_figure import search_figure
 
     batch_run.check_workers(workers, scheduler)
-    arguments.check_outputs({"--json": (json, file_kinds.OPTIMISATION)}, [question])
+    outputs = {
+        "the picture": (out / PICTURE, file_kinds.PICTURE),
+        "--json": (json, file_kinds.OPTIMISATION),
+    }
+    arguments.check_outputs(outputs, [question])
     given = read_settings(DesignFile, question, "question")
     check_names(given, str(question))
     own = _own_values(given)

@@ -78,7 +78,12 @@ def sensitivity(  # noqa: PLR0913 - options of a command
 
     check_figures(figure or [], PHYSICAL, "--figure")
     batch_run.check_workers(workers, scheduler)
-    arguments.check_outputs({"--json": (json, file_kinds.SENSITIVITY)}, [given])
+    outputs = {
+        "the table": (out / TABLE, file_kinds.SENSITIVITY_TABLE),
+        "the picture": (out / PICTURE, file_kinds.PICTURE),
+        "--json": (json, file_kinds.SENSITIVITY),
+    }
+    arguments.check_outputs(outputs, [given])
 
     def run(study: Study, rows: list[Values]) -> tuple[list[str], Array]:
         """Run the cases; return the names of the figures, and their values for each row."""

@@ -145,6 +145,14 @@ def test_a_question_that_makes_no_sense_is_refused(folder, capsys, text, message
     assert not (folder / "none").exists()
 
 
+def test_a_file_of_others_in_its_folder_is_kept(folder, tmp_path, capsys):
+    (folder / "question.toml").write_text(QUESTION % 1e3)
+    (tmp_path / "optimisation.png").write_text("my notes\n")
+    assert run("optimise", folder / "question.toml", "--out", tmp_path) == 2
+    assert "optimisation.png: exists and is not a picture" in capsys.readouterr().err
+    assert [one.read_text() for one in tmp_path.iterdir()] == ["my notes\n"]
+
+
 @pytest.mark.parametrize(
     ("path", "low", "high", "reason"),
     [

@@ -150,6 +150,15 @@ def test_what_is_unknown_or_of_the_other_kind_is_refused_before_any_case(
     assert not (tmp_path / "none").exists()
 
 
+@pytest.mark.parametrize("name", ["sensitivity.csv", "sensitivity.png"])
+def test_files_of_others_in_its_folder_are_kept(folder, tmp_path, capsys, name):
+    (tmp_path / name).write_text("my notes\n")
+    command = (folder / "machine.toml", "--out", tmp_path, "--workers", 1)
+    assert run("sensitivity", *command, "--parameter", "heat_input.level") == 2
+    assert f"{name}: exists and is not a" in capsys.readouterr().err
+    assert [(one.name, one.read_text()) for one in tmp_path.iterdir()] == [(name, "my notes\n")]
+
+
 def test_ranges_without_any_result_are_told(folder, capsys):
     (folder / "hot.toml").write_text(
         RANGES.replace("low = 0.5, high = 3.0", "low = 1e9, high = 1e10")
