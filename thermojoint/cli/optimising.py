@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.table import Table
 
-from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.errors import ConvergenceError, InputError
 from thermojoint.cli import arguments, file_kinds
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 #: File in the folder of the results.
 PICTURE = "optimisation.png"
-#: A limit does not hold.
+#: A limit does not hold, or the full march cannot tell.
 NOT_HELD = 1
 #: The march that checks what was found: all thermal unknowns, heat and contact iterated.
 FULL = {
@@ -53,7 +53,7 @@ def optimise(  # noqa: PLR0913 - options of a command
     """Find the values of a case that serve a purpose best: a figure to minimise, limits to hold.
 
     The cases run as a batch does; interrupted in any way, the same command goes on. What it finds
-    is checked by a full march. Exit code 1 if a limit does not hold.
+    is checked by a full march. Exit code 1 if a limit does not hold or that march fails.
 
     Example: [bold]thermojoint optimise question.toml --out design --json design.json[/bold]
     """
@@ -96,7 +96,7 @@ def optimise(  # noqa: PLR0913 - options of a command
     if best is None:
         raise InputError(f"{question}: no case within the ranges has a result{_why(refusals)}")
     with console.working("checking by a full march"):
-        full = _full_march(given, done.rows[best])
+        full, failed = _full_march(given, done.rows[best])
     entries = entries_of(given, done.figures[best], full, done.figures[0] if own else None)
     content = {
         "found": done.rows[best],
@@ -116,6 +116,9 @@ def optimise(  # noqa: PLR0913 - options of a command
     write_figure(picture, out / PICTURE)
     arguments.write_json(json, content)
     console.wrote(out / PICTURE, json)
+    if failed:
+        console.warn([f"{question}: the full march of what was found has no result: {failed}"])
+        raise typer.Exit(NOT_HELD)
     broken = [entry["figure"] for entry in entries if not entry["holds"]]
     if broken:
         console.say(f"no case was found that keeps {', '.join(broken)} within the limit")
@@ -188,8 +191,8 @@ def _why(refusals: dict[str, str]) -> str:
     return f"; {len(refusals)} are refused: {next(iter(refusals.values()))}" if refusals else ""
 
 
-def _full_march(given: DesignFile, values: Values) -> Array:
-    """Figures of a case by a march with all thermal unknowns."""
+def _full_march(given: DesignFile, values: Values) -> tuple[Array, str]:
+    """Figures of a case by a march with all thermal unknowns; NaN and the reason if it fails."""
     from fesim.batch.paths import with_values
     from fesim.batch.summary import figures_of
     from fesim.case.schema import case_from_data
@@ -199,8 +202,11 @@ def _full_march(given: DesignFile, values: Values) -> Array:
 
     data = toml.parse(toml.read_text(given.case, "case"), str(given.case))
     case = case_from_data(with_values(data, values | FULL), str(given.case), given.case.parent)
-    response = simulate(case, accuracy=False).response
-    return figures_by_name(given.names, values, figures_of(response))
+    try:
+        figures = figures_of(simulate(case, accuracy=False).response)
+    except ConvergenceError as error:
+        return figures_by_name(given.names, values, {}), str(error)
+    return figures_by_name(given.names, values, figures), ""
 
 
 def _report(given: DesignFile, content: dict[str, Any], own: Values, as_json: Path | None) -> None:

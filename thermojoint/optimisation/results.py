@@ -82,13 +82,17 @@ def entries_of(
                 "figure": name,
                 "at_least": limit.at_least if limit else None,
                 "at_most": limit.at_most if limit else None,
-                "now": None if own is None or np.isnan(own[at]) else float(own[at]),
+                "now": None if own is None else _known(own[at]),
                 "found": float(found[at]),
-                "full_march": float(full[at]),
+                "full_march": _known(full[at]),
                 "holds": limit is None or all(holds(limit, float(v[at])) for v in (found, full)),
             }
         )
     return entries
+
+
+def _known(figure: float) -> float | None:
+    return None if np.isnan(figure) else float(figure)
 
 
 def history_of(done: Search) -> list[dict[str, Any]]:

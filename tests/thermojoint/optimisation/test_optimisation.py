@@ -8,6 +8,7 @@ from batch_cases import case_text, tally
 from in_process import run
 
 from fesim.batch.study import RangeSection
+from thermojoint.artefacts.errors import ConvergenceError
 from thermojoint.optimisation.results import measured
 from thermojoint.optimisation.search import Effort, search
 from thermojoint.optimisation.settings import DesignFile, LimitSection
@@ -143,6 +144,20 @@ def test_a_question_that_makes_no_sense_is_refused(folder, capsys, text, message
     assert run("optimise", folder / "bad.toml", "--out", folder / "none") == 2
     assert message in capsys.readouterr().err
     assert not (folder / "none").exists()
+
+
+def test_what_was_found_is_reported_where_its_full_march_fails(folder, capsys, monkeypatch):
+    def failing(case, **options):
+        raise ConvergenceError("joint knee: no contact pressure")
+
+    monkeypatch.setattr("fesim.simulate.simulate", failing)
+    code, content = optimised(folder, 1e3)
+    assert code == 1
+    assert "no result: joint knee: no contact pressure" in capsys.readouterr().err
+    least, moved = content["figures"]
+    assert least["full_march"] == content["found"]["joints.knee.preload_MPa"]
+    assert moved["full_march"] is None
+    assert not moved["holds"]
 
 
 def test_a_file_of_others_in_its_folder_is_kept(folder, tmp_path, capsys):
