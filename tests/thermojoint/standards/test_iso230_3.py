@@ -293,6 +293,22 @@ def test_a_clock_that_tells_the_date_is_counted_from_the_first_sample(tmp_path):
     assert by_symbol(evaluation)["d(x)60"] == pytest.approx(1.2e-6, rel=1e-9, abs=0)
 
 
+def test_of_two_speeds_the_one_that_runs_in_the_test_is_named(command, log, tmp_path):
+    """Without it the hours of rest before and after would count as running."""
+    lines = log.read_text().splitlines()
+    both = tmp_path / "both.csv"
+    both.write_text("\n".join([f"{lines[0]},table_rpm", *(f"{line},0" for line in lines[1:])]))
+    assert "n_rpm, table_rpm: name the one" in refused(command, both, "--test", "spindle")
+    content = tmp_path / "found.json"
+    ways = (["--speed", "n_rpm"], ["--begin-min", "30", "--end-min", "270"])
+    for way in (*ways, ["--speed", "table_rpm", *ways[1]]):
+        found = command("iso230-3", both, "--test", "spindle", *way, "--json", content)
+        assert found[0] == 0
+        rows = {row["symbol"]: row for row in json.loads(content.read_text("utf-8"))["parameters"]}
+        assert rows["d(front)60"]["value"] == pytest.approx(100 * (1 - np.exp(-1)), rel=1e-4)
+    assert command("iso230-3", both, "--test", "etve")[0] == 0
+
+
 def test_a_column_of_another_quantity_is_refused(log):
     with pytest.raises(InputError, match="'n_rpm' is a speed, not a length"):
         log_record(read_log([log]), {"X1": "n_rpm"})

@@ -45,16 +45,26 @@ def evaluate(
     Raises
     ------
     InputError
-        The record does not cover the test, or a period is given for ETVE.
+        The record does not cover the test, it is not known which drive tells the running period, or
+        a period is given for ETVE.
     """
     if protocol is Protocol.ETVE:
         if begin is not None or end is not None:
             raise InputError("etve: is evaluated over the whole record; cut the record instead")
         return Evaluation(protocol, whole(record), environment(record), {})
-    drive = record.drive
-    usual = whole(record) if drive is None else running(record.times, drive)
+    usual = _usual(record) if begin is None or end is None else whole(record)
     period = asked_for(record, usual, begin, end)
     return Evaluation(protocol, period, distortion(record, period), unsettled(record, period))
+
+
+def _usual(record: Record) -> Period:
+    """Return the running period by the drive; without one the whole record."""
+    if record.drives:
+        raise InputError(
+            f"log: {', '.join(record.drives)}: name the one that runs in the test with --speed, or "
+            "give the period"
+        )
+    return whole(record) if record.drive is None else running(record.times, record.drive)
 
 
 def with_uncertainties(

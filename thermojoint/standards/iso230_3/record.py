@@ -43,6 +43,8 @@ class Record:
     tilts: Mapping[str, Array] = field(default_factory=dict)
     #: Shape (n,): speed or heat input: 0 at standstill.
     drive: Array | None = None
+    #: Columns that may be the drive, where it is not known which.
+    drives: tuple[str, ...] = ()
     #: Tilt to the distance of the two probes that it is from, m.
     distances: Mapping[str, float] = field(default_factory=dict)
 
@@ -118,7 +120,8 @@ def log_record(
     temperatures : list of str, optional
         Columns; default every temperature.
     speed : str, optional
-        Column that is 0 at standstill; default the speed, if there is exactly one.
+        Column that is 0 at standstill; default the speed, if there is exactly one. Of several it is
+        not known which.
 
     Raises
     ------
@@ -134,6 +137,7 @@ def log_record(
     speeds = log.of("speed")
     if speed is None and len(speeds) == 1:
         speed = speeds[0]
+    unnamed = speeds if speed is None else []
     return Record(
         times=log.times - log.times[0],
         displacements={name: _column(log, column, "length") for name, column in wanted.items()},
@@ -144,6 +148,7 @@ def log_record(
             ).items()
         },
         drive=None if speed is None else log.at(speed),
+        drives=tuple(unnamed),
     )
 
 
