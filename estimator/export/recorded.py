@@ -20,6 +20,8 @@ EVEN, INTERVALS = 400, (15.0, 40.0, 0.5, 77.0)
 DAY, GAP = 86400.0, 3600.0
 #: Period of the load, its on-time as a fraction of it, and the time constant of the machine, s.
 PERIOD, ON, FOLLOWS = 7200.0, 0.6, 1800.0
+#: Stands for a missing reading in a self-test: beyond all that a program takes for a reading.
+MISSING = -1e31
 #: Maximum number of compiled-in samples.
 MOST = 5000
 
@@ -29,7 +31,7 @@ class Recorded:
     """Samples and the estimates for them."""
 
     #: Shape (n, 1 + channels): interval since the previous sample (nominal for the first), s, and
-    #: readings.
+    #: readings, `MISSING` where there is none.
     samples: Array
     #: Shape (n, axes + lines): displacements, then what else is compared, m.
     compared: Array
@@ -67,7 +69,8 @@ def recorded(
         last = sample[0]
     if not rows:
         raise InputError(f"{origin}: no samples; give at least one")
-    return Recorded(np.array(rows), np.array(shifts), tuple(words), origin)
+    readings = np.nan_to_num(np.array(rows), nan=MISSING)
+    return Recorded(readings, np.array(shifts), tuple(words), origin)
 
 
 def even(samples: Iterable[Sequence[float]], step: float, origin: str) -> Iterator[Sequence[float]]:

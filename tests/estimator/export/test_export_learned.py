@@ -56,6 +56,19 @@ def test_a_day_that_was_not_learned_is_the_same_in_c(learned, samples, precision
 
 @needs_gcc
 @pytest.mark.parametrize("precision", PRECISIONS)
+def test_a_log_with_missing_readings_is_a_self_test(learned, samples, precision, tmp_path):
+    gaps = [
+        (time, *(NAN if 20 < k < 60 and k % 3 == c else value for c, value in enumerate(values)))
+        for k, (time, *values) in enumerate(samples[:100])
+    ]
+    found = export_program(learned, precision, "m", gaps, interval=DT)
+    assert Status.READING_MISSING in Status(found.kept.words[30])
+    done, _ = selftest(written(found, tmp_path), "m", "-O1", *SANITISED)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@needs_gcc
+@pytest.mark.parametrize("precision", PRECISIONS)
 def test_it_holds_at_any_interval_and_over_gaps(learned, precision, tmp_path):
     found = export_program(learned, precision, "m", interval=2.0)
     done, _ = selftest(written(found, tmp_path), "m", "-O2", *SANITISED)
