@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from thermojoint.artefacts.errors import InputError
 from thermojoint.cli import arguments, file_kinds
 from thermojoint.cli.log_reading import ColumnOption, MappingOption, opened_log, over, renamed_by
 
@@ -45,14 +47,18 @@ def export(  # noqa: PLR0913 - the options of a command
         typer.Option(help="Log (CSV) or response (.nc) for the self-test; default: a duty cycle."),
     ] = None,
     interval: Annotated[
-        float,
+        float | None,
         typer.Option(
-            "--interval-s", help="Nominal sampling interval of a model file or learned model, s."
+            "--interval-s",
+            help="Nominal sampling interval of a model file or learned model, s; default: 2.",
         ),
-    ] = 2.0,
+    ] = None,
     run_length: Annotated[
-        float, typer.Option("--run-length-min", help="Length of a run of a model file, min.")
-    ] = 120.0,
+        float | None,
+        typer.Option(
+            "--run-length-min", help="Length of a run of a model file, min; default: 120."
+        ),
+    ] = None,
     column: ColumnOption = None,
     mapping: MappingOption = None,
 ) -> None:
@@ -74,6 +80,7 @@ def export(  # noqa: PLR0913 - the options of a command
     from estimator.export.program import checked_name
     from estimator.exporting import export_program
     from estimator.kind import Options
+    from estimator.registry import kind_of_file
     from thermojoint import console
 
     one_file = to in ("fmu", "fmi2")
@@ -81,8 +88,10 @@ def export(  # noqa: PLR0913 - the options of a command
         arguments.check_outputs({"--out": (out, file_kinds.FMU)}, [model, samples, mapping])
     else:
         arguments.check_whole_folder(out)
-    dt = arguments.positive("--interval-s", interval)
-    length = arguments.positive("--run-length-min", run_length)
+    dt = arguments.positive("--interval-s", 2.0 if interval is None else interval)
+    length = arguments.positive("--run-length-min", 120.0 if run_length is None else run_length)
+    kind = kind_of_file(model)
+    arguments.check_taken(kind.name, {"--run-length-min": (run_length, kind.paced)})
     checked_name(name)
     origin = samples.name if samples else ""
     if samples is None:
@@ -93,6 +102,12 @@ def export(  # noqa: PLR0913 - the options of a command
         _opened(model, samples, renamed, Options(dt, 60.0 * length)) as (estimator, rows),
     ):
         program = export_program(estimator, precision, name, rows, origin, dt)
+        own = program.interface.interval
+        if interval is not None and not math.isclose(interval, own):
+            raise InputError(
+                f"--interval-s {interval:g}: {model} is made for {own:g} s; leave it out, and call "
+                "the program at that interval"
+            )
         files = _written(program, to, out)
     _show(program)
     console.wrote(*files)

@@ -18,6 +18,7 @@ from exported import (
     with_no_step,
     written,
 )
+from in_process import run as thermojoint
 from observed import (
     FAULTS,
     ONSET,
@@ -317,6 +318,21 @@ def test_a_log_to_which_the_program_has_no_answer_is_no_self_test(estimator, sam
     lying = [(row[0], row[1] + (500.0 if k == 15 else 0.0), *row[2:]) for k, row in enumerate(few)]
     with pytest.raises(InputError, match="sensor-distrusted"):
         export_program(estimator, Precision.DOUBLE, "m", lying)
+
+
+@pytest.mark.parametrize(
+    ("option", "said"),
+    [("--interval-s", "is made for 2 s"), ("--run-length-min", "not for a joint-aware model")],
+)
+def test_what_its_model_has_is_not_an_option(estimator, tmp_path, capsys, option, said):
+    """A program that is called every 10 s but steps by 2 s is wrong by a factor of five."""
+    write_observer(estimator.model, tmp_path / "model.h5")
+    out = tmp_path / "program"
+    assert thermojoint("export", tmp_path / "model.h5", "--out", out, option, 10) == 2
+    assert said in capsys.readouterr().err
+    assert not out.exists()
+    if option == "--interval-s":
+        assert thermojoint("export", tmp_path / "model.h5", "--out", out, option, 2) == 0
 
 
 @needs_gcc
