@@ -84,6 +84,9 @@ class Options:
         return READING_NOISE if self.reading_noise is None else self.reading_noise
 
 
+#: Logs, each with displacements of an estimator and their columns in it.
+JudgedIn = Sequence[tuple[Log, Sequence[tuple[str, str]]]]
+
 M = TypeVar("M")
 E = TypeVar("E", bound=OpenedEstimator)
 
@@ -144,6 +147,11 @@ def _judged(
     )
 
 
+def _judged_in(case: str, estimator: OpenedEstimator, log: Log) -> JudgedIn:
+    same = [(name, name) for name in estimator.axes if name in log.names]
+    return [(log, same)] if same else []
+
+
 @dataclass(frozen=True)
 class Kind(Generic[M, E]):
     """Definition of a kind of estimator."""
@@ -188,6 +196,8 @@ class Kind(Generic[M, E]):
     judge: Callable[[Kind[M, E], M, Mapping[str, xr.Dataset], Conditions], Figures] | None = _judged
     #: (model, name to log) to errors; None for a kind judged by responses only.
     judge_logs: Callable[[M, Mapping[str, Log]], Figures] | None = None
+    #: (name of a log, estimator, log) to what it is judged by.
+    judged_in: Callable[[str, E, Log], JudgedIn] = _judged_in
     #: (estimator, state, sample as `channels`) to reading minus model, NaN where missing.
     residuals: Callable[[E, Array, Array], Array] | None = None
     #: (estimator, state, largest half-band m) to the displacement reading to take, or None.

@@ -36,6 +36,33 @@ def run(estimator: Learned, log: Log, every: float | None = None) -> tuple[Array
     return displacement, band, [estimate.status.words for estimate in estimates]
 
 
+def judged_in(case: str, estimator: Learned, log: Log) -> list[tuple[Log, list[tuple[str, str]]]]:
+    """Return logs to judge by, each with displacements of the model and their columns in it.
+
+    Beside the log itself there is one for each column of a fixed position, which it has as well.
+
+    Raises
+    ------
+    InputError
+        A displacement along an axis is there without its position.
+    """
+    same = [(name, name) for name in estimator.axes if name in log.names]
+    judged = [(log, same)] if same else []
+    for channel in estimator.model.channels:
+        if (slope := channel.slope) is None:
+            continue
+        if channel.name in log.names and place_of(slope.position, log.names) is None:
+            raise InputError(
+                f"{case}: {channel.name} without {slope.position}, where it was read; record it"
+            )
+        place = Column(slope.position, slope.position, "m")
+        for fixed, at in fixed_positions(log.columns, channel.name):
+            values = np.column_stack((log.values, np.full(len(log.times), at)))
+            there = replace(log, columns=(*log.columns, place), values=values)
+            judged.append((there, [(channel.name, fixed.name)]))
+    return judged
+
+
 def judge(case: str, estimator: Learned, log: Log) -> list[dict[str, str | float]]:
     """Return errors of every displacement of every run, free-running.
 
@@ -48,21 +75,7 @@ def judge(case: str, estimator: Learned, log: Log) -> list[dict[str, str | float
     InputError
         None of the model's displacements is in the log, or one along an axis without its position.
     """
-    model = estimator.model
-    same = [(name, name) for name in estimator.axes if name in log.names]
-    judged = [(log, same)] if same else []
-    for channel in model.channels:
-        if (slope := channel.slope) is None:
-            continue
-        if channel.name in log.names and place_of(slope.position, log.names) is None:
-            raise InputError(
-                f"{case}: {channel.name} without {slope.position}, where it was read; record it"
-            )
-        place = Column(slope.position, slope.position, "m")
-        for fixed, at in fixed_positions(log.columns, channel.name):
-            values = np.column_stack((log.values, np.full(len(log.times), at)))
-            there = replace(log, columns=(*log.columns, place), values=values)
-            judged.append((there, [(channel.name, fixed.name)]))
+    judged = judged_in(case, estimator, log)
     if not judged:
         raise InputError(f"{case}: no column of {', '.join(estimator.axes)} to judge by")
     rows: list[dict[str, str | float]] = []

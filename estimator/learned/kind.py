@@ -10,7 +10,7 @@ import numpy as np
 from estimator.columns import samples_of
 from estimator.intake import Intake, axis_name, of_columns
 from estimator.judging import Figures
-from estimator.kind import Cold, Kind, OnFirst, Options
+from estimator.kind import Cold, JudgedIn, Kind, OnFirst, Options
 from estimator.learned.estimator import Learned
 from estimator.lines import Stroke
 from estimator.ranges import Range, duration
@@ -79,6 +79,12 @@ def _judge_logs(model: LearnedModel, logs: Mapping[str, Log]) -> Figures:
     return {"rows": rows}
 
 
+def _judged_in(case: str, estimator: Learned, log: Log) -> JudgedIn:
+    from estimator.learned.judging import judged_in
+
+    return judged_in(case, estimator, log)
+
+
 def _program(estimator: Learned, precision: Precision, interval: float) -> Contents:
     from estimator.learned.program import contents
 
@@ -99,5 +105,6 @@ KIND: Kind[LearnedModel, Learned] = Kind(
     strokes=_strokes,
     judge=None,
     judge_logs=_judge_logs,
+    judged_in=_judged_in,
     program=_program,
 )

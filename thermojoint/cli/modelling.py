@@ -487,20 +487,23 @@ def _draw_judged(estimator: OpenedEstimator, logs: Mapping[str, Log], path: Path
     from estimator.registry import kind_of
     from thermojoint.pictures.judged import Judged, write_judged
 
-    panels = []
-    for name, log in logs.items():
-        for run in log.runs():
-            samples = kind_of(estimator).log(estimator.model, [run], name, None, Cold())
-            followed = follow(estimator, samples, estimator.initial_state())
-            results = [result for _, result in followed]
-            # Along an axis a reading is compared at its position.
-            values, bands = here(estimator.axes, estimator.details, results)
-            for c, axis in enumerate(estimator.axes):
-                if axis in run.names:
-                    own = Judged(
-                        f"{name}: {axis}", run.times, run.at(axis), values[:, c], bands[:, c]
-                    )
-                    panels.append(own)
+    kind, panels = kind_of(estimator), []
+    judged = [
+        (name, run, pairs)
+        for name, log in logs.items()
+        for whole, pairs in kind.judged_in(name, estimator, log)
+        for run in whole.runs()
+    ]
+    for name, run, pairs in judged:
+        samples = kind.log(estimator.model, [run], name, None, Cold())
+        followed = follow(estimator, samples, estimator.initial_state())
+        results = [result for _, result in followed]
+        # Along an axis a reading is compared at its position.
+        values, bands = here(estimator.axes, estimator.details, results)
+        for axis, column in pairs:
+            c = estimator.axes.index(axis)
+            own = Judged(f"{name}: {column}", run.times, run.at(column), values[:, c], bands[:, c])
+            panels.append(own)
     write_judged(panels, path)
 
 

@@ -126,6 +126,23 @@ def test_validate_takes_a_log(here, command):
     assert command("validate", "model.json", "day.csv", "--json", "mine.json")[0] == 2
 
 
+def test_columns_of_fixed_positions_are_drawn_as_they_are_judged(here, command):
+    day = rows(here / "day.csv")
+    for one in day:
+        one["z@0mm_um"], one["z@400mm_um"] = one.pop("z_um"), 2.0 * float(one["x_um"])
+    with (here / "two.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, day[0])
+        writer.writeheader()
+        writer.writerows(day)
+    made = ["--displacement", "z", "--out", "slope.json"]
+    assert not command("learn", "two.csv", *made)[0]
+    written = ["--out", "two.png", "--json", "two.json"]
+    assert not command("validate", "slope.json", "two.csv", *written)[0]
+    judged = json.loads((here / "two.json").read_text("utf-8"))["rows"]
+    assert [row["axis"] for row in judged] == ["z@0mm_um", "z@400mm_um"]
+    assert (here / "two.png").stat().st_size > 1000
+
+
 def test_columns_may_have_other_names_in_every_log(here, command):
     for name in ("log.csv", "day.csv"):
         text = (here / name).read_text("utf-8").replace("T1_degC", "Fühler 1", 1)
