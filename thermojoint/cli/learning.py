@@ -25,7 +25,9 @@ def learn(  # noqa: PLR0913 - the options of a command
         ),
     ],
     out: Annotated[Path, typer.Option(help="Model file to write (JSON).")],
-    max_sensors: Annotated[int, typer.Option(help="Largest number of temperatures used.")] = 4,
+    max_sensors: Annotated[
+        int | None, typer.Option(help="Largest number of temperatures used; default: 4.")
+    ] = None,
     kind: Annotated[
         Literal["learned", "linear", "ridge", "arx", "joint-aware"],
         typer.Option(
@@ -92,15 +94,18 @@ def learn(  # noqa: PLR0913 - the options of a command
     from thermojoint.pictures.figures import check_format
 
     renamed = renamed_by(column, mapping)
+    own: dict[str, object]
+    chosen: dict[str, object] = {"--ignore": ignore, "--max-sensors": max_sensors}
     if kind == "joint-aware":
-        arguments.only_for("a model learned without --case", {"--figure": figure, "--like": like})
+        own = {"--figure": figure, "--like": like}
+        arguments.only_for("a model learned without --case", own | chosen)
         joint_aware.learn(case, logs, displacement, renamed, out)
         return
     arguments.only_for("--kind joint-aware", {"--case": case})
     if like:
         other = None if kind == "learned" else kind
-        without = {"--kind": other, "--ignore": ignore, "--figure": figure}
-        arguments.only_for("a model learned without --like", without)
+        own = {"--kind": other, "--figure": figure}
+        arguments.only_for("a model learned without --like", own | chosen)
     outputs = {"--out": (out, file_kinds.LEARNED)}
     if figure is not None:
         check_format(figure)
@@ -113,7 +118,8 @@ def learn(  # noqa: PLR0913 - the options of a command
         if sisters:
             model = learn_like(pieces, displacement, sisters)
         else:
-            model, held_out = learn_and_judge(pieces, displacement, max_sensors, kind, ignore or ())
+            most = 4 if max_sensors is None else max_sensors
+            model, held_out = learn_and_judge(pieces, displacement, most, kind, ignore or ())
         model = with_origin(model, files, renamed)
     write_learned(model, out)
     if figure is not None:

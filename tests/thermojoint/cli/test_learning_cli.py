@@ -161,6 +161,18 @@ def test_columns_may_have_other_names_in_every_log(here, command):
         (["learn", "log.csv", *LEARN, "--column", "T1_degC=T1"], "--column T1_degC=T1"),
         (["learn", "log.csv", *LEARN, "--ignore", "T9_degC"], "no column named 'T9_degC'"),
         (["learn", "log.csv", *LEARN, "--max-sensors", "0"], "--max-sensors 0"),
+        (
+            ["learn", "log.csv", *LEARN, "--kind", "joint-aware", "--ignore", "T1_degC"],
+            "--ignore: goes with a model learned without --case",
+        ),
+        (
+            ["learn", "log.csv", *LEARN, "--kind", "joint-aware", "--max-sensors", "2"],
+            "--max-sensors: goes with a model learned without --case",
+        ),
+        (
+            ["learn", "log.csv", *LEARN, "--like", "model.json", "--max-sensors", "2"],
+            "--max-sensors: goes with a model learned without --like",
+        ),
         (["learn", "short.csv", *LEARN], "h long"),
         (["learn", "kelvin.csv", *LEARN], "kelvin and not"),
         (["learn", "model.json", *LEARN], "no clock"),
