@@ -14,6 +14,7 @@ from estimator.joint_aware.readings import samples_in
 from estimator.quality import Quality
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
+from thermojoint.artefacts.quantities import UNITS
 from thermojoint.live.publication import AxisLine, as_json
 from thermojoint.live.scene import scene_of
 from thermojoint.live.surface import surface_of, write_surface
@@ -192,6 +193,14 @@ def test_the_machine_in_3d_has_the_temperatures_and_pressures_of_the_estimator(p
         assert drawn == told[values]
     opened(page, floor, "/machines/mill-2")
     assert not page.is_visible("#scene-card")
+
+
+@pytest.mark.parametrize("unit", [name for name, own in UNITS.items() if own.quantity != "time"])
+def test_a_reading_is_shown_in_its_own_unit(page, floor, unit):
+    """A feed in mm/min was one of "1", as if it had no unit."""
+    opened(page, floor, "/machines/mill-1")
+    known, name = page.evaluate("(key) => [unitOf(key), bare(key)]", f"y_axis_{unit}")
+    assert (known, name) == (unit, "y axis")
 
 
 def test_a_sensor_that_is_missing_or_distrusted_is_named(page, floor):

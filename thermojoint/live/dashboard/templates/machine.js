@@ -12,14 +12,16 @@ const UNITS = {
   um: ["Parts of the displacement", "µm", 1], "": ["Relative", "1", 1], degC: ["Temperatures", "°C", 1],
   rpm: ["Speed", "1/min", 1], kW: ["Power", "kW", 1], A: ["Current", "A", 1], Nm: ["Torque", "Nm", 1],
   percent: ["Load", "%", 1], degF: ["Temperatures", "°F", 1], um_per_m: ["Slopes", "µm/m", 1], mm: ["Positions", "mm", 1],
+  m: ["Positions", "m", 1], nm: ["Displacement", "nm", 1], rad_s: ["Speed", "rad/s", 1], deg_s: ["Speed", "°/s", 1],
+  mm_s: ["Feed", "mm/s", 1], mm_min: ["Feed", "mm/min", 1], m_min: ["Feed", "m/min", 1],
 };
 
 const page = { about: null, span: 3600, past: null, newest: null, charts: [], revision: 0, drawn: 0, line: "opening" };
 
+// The longest of the units that a name ends in.
 function unitOf(key) {
-  if (key.endsWith("_um_per_m")) return "um_per_m";
-  const unit = key.includes("_") ? key.slice(key.lastIndexOf("_") + 1) : "";
-  return unit in UNITS ? unit : "";
+  const found = Object.keys(UNITS).filter((unit) => unit && key.endsWith(`_${unit}`));
+  return found.sort((one, other) => other.length - one.length)[0] || "";
 }
 
 function bare(key) {
@@ -213,7 +215,7 @@ function readings() {
     const has = (names) => names.includes(key) || names.includes(channel);
     const state = has(one.distrusted) ? "distrusted" : has(one.missing) ? "missing" : one.readings[key] === null ? "none" : "used";
     row.dataset.state = state;
-    write(row.children[1], one.readings[key] === null ? "–" : `${shown(one.readings[key], 2)} ${unit}`);
+    write(row.children[1], one.readings[key] === null ? "–" : `${shown(one.readings[key], 2)}${unit === "1" ? "" : ` ${unit}`}`);
     write(row.children[3], { used: "✓ used", missing: "… missing", distrusted: "✕ distrusted", none: "– none now" }[state]);
   }
 }
