@@ -44,6 +44,8 @@ class Record:
     code: int | None = None
     #: When the record was last written, s since 1970.
     ended: float = 0.0
+    #: When its commands began; of earlier pages the end, which is known alone.
+    begun: float = 0.0
 
     @property
     def written(self) -> list[str]:
@@ -80,6 +82,7 @@ class Jobs:
         self.folder, self.records = folder, folder / ".thermojoint-setup"
         self._lock = threading.Lock()
         self._run: _Run | None = None
+        self._begun: dict[str, float] = {}
         #: The command that goes on when the pages end.
         self.detached: subprocess.Popen[bytes] | None = None
 
@@ -101,6 +104,7 @@ class Jobs:
             if self._run is not None:
                 raise InputError(f"{self._run.step}: still runs; wait for it, or cancel it")
             self.records.mkdir(exist_ok=True)
+            self._begun[step] = time.time()
             record = (self.records / f"{step}.log").open("wb", buffering=0)
             run = self._run = _Run(step)
             run.thread = threading.Thread(target=self._work, args=(run, record, commands))
@@ -121,7 +125,8 @@ class Jobs:
         commands = tuple(
             shlex.split(line)[2:] for line in lines if line.startswith("$ thermojoint ")
         )
-        return Record(commands, output, int(end[1]) if end else None, ended)
+        begun = self._begun.get(step, ended)
+        return Record(commands, output, int(end[1]) if end else None, ended, begun)
 
     def all_records(self) -> list[Record]:
         """Return what is on record of every step."""

@@ -115,12 +115,15 @@ class Place:
         return record.code == 0 and made and not self.changed_since(step)
 
     def changed_since(self, step: str) -> list[str]:
-        """Return the files that a step has read, and that are others now."""
+        """Return the files that a step has read, and that may be others now.
+
+        Which content was read of a file that has changed while the step ran, nobody knows.
+        """
         record = self.record(step)
         return [
             name
             for name in record.read
-            if not self.has(name) or (self.folder / name).stat().st_mtime > record.ended
+            if not self.has(name) or (self.folder / name).stat().st_mtime > record.begun
         ]
 
     def check_replaced(self, names: Sequence[str], given: Given) -> None:

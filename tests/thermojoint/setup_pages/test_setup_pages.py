@@ -378,6 +378,25 @@ def test_changed_settings_disable_the_target_until_they_are_tried(client, place,
     assert not enabled(place)
 
 
+def test_settings_that_change_during_the_dry_run_are_not_tried(client, place, target, monkeypatch):
+    """The command that read them may have read the former ones."""
+
+    def started(words, folder, output):
+        for name in ("offsets.csv", "writes.csv"):
+            (folder / name).write_text("")
+        if words[0] == "serve":
+            time.sleep(0.05)
+            (folder / "target.toml").write_text(TARGET.replace("Z = 1", "Z = 2"))
+        return subprocess.Popen(["true"])
+
+    monkeypatch.setattr(jobs, "started", started)
+    assert sent(client, "/try")[0] == 303
+    ended(place)
+    assert place.record("try").code == 0
+    assert "changed since: target.toml" in sent(client, "/try", enable="yes", read="yes")[1]
+    assert not enabled(place)
+
+
 def test_the_form_of_a_target_cannot_enable_it(client, place, target):
     assert form(client, "/control", "target.toml", enable="true")[0] == 303
     assert not enabled(place)
