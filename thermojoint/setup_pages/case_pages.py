@@ -6,7 +6,6 @@ import math
 import re
 import time
 from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -70,14 +69,20 @@ def do_part(place: Place, given: Given) -> None:
         place.run("part", given, ["inspect", part, f"--unit={unit}", "--faces=faces.png", *case])
         return
     size = one(given, "size")
-    with suppress(ValueError):
-        if 0.0 < float(size) < math.inf:
-            mesh = ["mesh", part, f"--size-mm={size}", f"--draft={FACES}", "--out=faces.msh"]
-            place.check_replaced([FACES], given)
-            place.path(FACES).unlink(missing_ok=True)
-            place.run("part", given, mesh, ["inspect", "faces.msh", "--faces=faces.png"])
-            return
-    raise InputError(f"element size: {size!r} is no length; give e.g. 10")
+    if not _is_length(size):
+        raise InputError(f"element size: {size!r} is no length; give e.g. 10")
+    mesh = ["mesh", part, f"--size-mm={size}", f"--draft={FACES}", "--out=faces.msh"]
+    place.check_replaced([FACES], given)
+    place.jobs.check_free()
+    place.path(FACES).unlink(missing_ok=True)
+    place.run("part", given, mesh, ["inspect", "faces.msh", "--faces=faces.png"])
+
+
+def _is_length(text: str) -> bool:
+    try:
+        return 0.0 < float(text) < math.inf
+    except ValueError:
+        return False
 
 
 def _named(place: Place, given: Given) -> list[Named]:

@@ -92,6 +92,11 @@ class Jobs:
         run = self._run
         return (run.step, time.monotonic() - run.begun) if run else None
 
+    def check_free(self) -> None:
+        """Refuse to begin what needs a command while a step runs; raises InputError."""
+        if (run := self._run) is not None:
+            raise InputError(f"{run.step}: still runs; wait for it, or cancel it")
+
     def start(self, step: str, *commands: Command) -> None:
         """Run commands until one fails.
 
@@ -101,8 +106,7 @@ class Jobs:
             Another step runs.
         """
         with self._lock:
-            if self._run is not None:
-                raise InputError(f"{self._run.step}: still runs; wait for it, or cancel it")
+            self.check_free()
             self.records.mkdir(exist_ok=True)
             self._begun[step] = time.time()
             record = (self.records / f"{step}.log").open("wb", buffering=0)

@@ -323,6 +323,20 @@ def test_names_are_written_by_points_and_come_back_into_the_form(client, place):
     assert "use letters" in sent(client, "/names", **{"bodies_mm:bed": "a b"})[1]
 
 
+def test_names_of_faces_stay_unless_they_may_be_replaced_and_nothing_runs(client, place):
+    (place.folder / "part.step").write_text("")
+    (place.folder / "faces.toml").write_text(FACES)
+    assert "faces.toml: exists already" in sent(client, "/part", part="part.step", size="5")[1]
+    assert "is no length" in sent(client, "/part", part="part.step", size="0")[1]
+    place.jobs.start("log", ["verify"])
+    status, page = sent(client, "/part", part="part.step", size="5", replace="yes")
+    place.jobs.cancel()
+    assert status == 400
+    assert "log: still runs" in page
+    assert place.text("faces.toml") == FACES
+    ended(place)
+
+
 # Enabling
 
 
