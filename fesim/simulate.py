@@ -20,6 +20,7 @@ from fesim.axes.march import march_iterated
 from fesim.axes.setup import MovingSetup, axis_inputs, set_up_axes
 from fesim.axes.staggered import march_staggered
 from fesim.case.history import entering_in_steps
+from fesim.case.identity import set_up_differently
 from fesim.case.schema import (
     TOLERANCE_K,
     TOLERANCE_UM,
@@ -47,6 +48,7 @@ from fesim.one_thread import threads_beside_solver, threads_of_march
 from fesim.setup.bolts import first_forces
 from fesim.setup.loads import MarchInputs, march_inputs, source_names, source_power
 from fesim.setup.machine import Setup, set_up
+from fesim.setup.soundness import check_one_ambient
 from fesim.setup.structure import displacement_of
 from fesim.setup.temperature_dependence import convecting_surfaces
 from fesim.solid.elasticity import DIRECTIONS
@@ -129,7 +131,7 @@ def simulate(
         The case, or its file.
     setup : Setup or MovingSetup, optional
         The condensed structure, for several heat inputs on one structure; default
-        `prepared(case)`.
+        `prepared(case)`. Of a case that differs in heat, loads or duration alone.
     start : State, optional
         A saved state to continue from; default the preload, and the case's initial temperatures.
     on_step : callable, optional
@@ -157,6 +159,12 @@ def simulate(
             f"march.step_s: {case.march.step_s:g} s, but the structure was set up for steps of "
             f"{ready.machine.thermal.step:g} s; set it up for this case"
         )
+    if (differing := set_up_differently(ready.case, case)) is not None:
+        raise InputError(
+            f"{differing}: the structure was set up for a case in which this differs; set it up "
+            "for this case"
+        )
+    check_one_ambient(case)
     inputs = march_inputs(case) if moving is None else axis_inputs(case)
     _check_forces(case, ready)
     (at_zero,) = inputs.at(np.zeros(1))

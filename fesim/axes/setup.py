@@ -104,6 +104,7 @@ def set_up_axes(case: Case) -> MovingSetup:
         moving, modes = _moving(whole, cache_keys(case, before))
     at_zero = tuple(float(course(np.zeros(1))[0]) for course in courses)
     setup = Setup(
+        case=case,
         structure=parts.structure,
         spaces=whole.spaces,
         joints=parts.joints,

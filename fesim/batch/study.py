@@ -23,7 +23,7 @@ from fesim.case.schema import Case, case_from_data, parse_case
 from fesim.setup.bolts import first_forces
 from fesim.setup.loads import march_inputs
 from fesim.setup.parts import make_parts
-from fesim.setup.soundness import check_one_ambient, radiated_to
+from fesim.setup.soundness import check_one_ambient, check_stands, radiated_to
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.settings import toml
 from thermojoint.artefacts.settings.read import read_settings
@@ -195,10 +195,11 @@ def study_of(
     Raises
     ------
     InputError
-        The case is missing or not TOML, a path is unknown, or a case is refused.
+        The case is missing or not TOML, or has axes; a path is unknown, or a case is refused.
     """
     text = toml.read_text(source, "case")
     base = parse_case(text, str(source), source.parent)
+    check_stands(base)
     known = known_paths(base)
     for name in varied:
         if name not in known:

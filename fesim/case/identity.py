@@ -195,6 +195,39 @@ def bolt_places(case: Case) -> list[tuple[str, dict[str, Any]]]:
     ]
 
 
+def set_up_differently(one: Case, other: Case) -> str | None:
+    """Return the first key that a set-up has taken from its case and that differs in another.
+
+    None if the other case may use the same set-up. Lengths of steps and forces of bolts are left
+    out, as `fesim.simulate.simulate` compares those with the set-up itself.
+
+    Parameters
+    ----------
+    one, other : Case
+        Files count by their names.
+    """
+    path = None if one is other else _first_difference(_used(one), _used(other))
+    return None if path is None else ".".join(map(str, path))
+
+
+def _used(case: Case) -> dict[str, Any]:
+    """Data that a set-up holds: those of the condensation, joint laws, and what axes do."""
+    data = _condensed(case)
+    del data["march"]["step_s"], data["seats"]
+    data |= case.model_dump(include={"joints", "axes", "volume"})
+    return data | {section: dict(data[section]) for section in ("bolts", "probes")}
+
+
+def _first_difference(one: Any, other: Any) -> list[Any] | None:  # noqa: ANN401 - nested data
+    """Path to the first difference of nested data; the order of names counts."""
+    if isinstance(one, dict) and isinstance(other, dict) and list(one) == list(other):
+        for key, value in one.items():
+            if (rest := _first_difference(value, other[key])) is not None:
+                return [key, *rest]
+        return None
+    return None if one == other and not isinstance(one, dict) else []
+
+
 def _condensed(case: Case) -> dict[str, Any]:
     """Data that enter `set_up` except loads and joint laws."""
     data = case.model_dump(exclude=_LOADS)

@@ -52,7 +52,7 @@ from fesim.setup.mesh_errors import (
 )
 from fesim.setup.outputs import asks_for_outputs, mechanical_outputs
 from fesim.setup.parts import Parts, make_parts
-from fesim.setup.soundness import check_laws, explained_by_size, suspicions
+from fesim.setup.soundness import check_laws, check_stands, explained_by_size, suspicions
 from fesim.setup.structure import body_materials
 from fesim.setup.temperature_dependence import (
     growth,
@@ -92,6 +92,8 @@ class Setup(Described):
 
     Attributes
     ----------
+    case : Case
+        The case that it was made for; others may differ in loads and in the length of the march.
     structure : Structure
         With all probes of the case.
     spaces : Spaces
@@ -125,6 +127,7 @@ class Setup(Described):
         errors of the mesh; None where the structure is too large for them.
     """
 
+    case: Case
     structure: Structure
     spaces: Spaces
     joints: tuple[PairedJoint, ...]
@@ -257,11 +260,7 @@ def set_up(case: Case) -> Setup:
         A name does not exist in the structure, parts do not fit, a body is not constrained, or the
         case has axes.
     """
-    if case.axes:
-        raise InputError(
-            f"axes.{next(iter(case.axes))}: `simulate`, `view` and joint-aware models move bodies; "
-            "leave out [axes] for a machine that stands"
-        )
+    check_stands(case)
     before = thermal_key(case)
     parts = make_parts(case)
     for line in suspicions(parts.structure, parts.joints):
@@ -291,6 +290,7 @@ def _condensed(case: Case, parts: Parts, keys: CacheKeys) -> Setup:
     if outputs is not None and modes is not None:
         outputs = replace(outputs, temperature=outputs.temperature @ modes.basis)
     return Setup(
+        case=case,
         structure=parts.structure,
         spaces=whole.spaces,
         joints=parts.joints,
@@ -530,7 +530,7 @@ def with_laws(setup: Setup, case: Case) -> Setup:
     laws = joint_laws(case, setup.structure, materials, setup.joints)
     check_constrained(case, setup.constraints, setup.joints)
     if setup.bolts is None:
-        return replace(setup, machine=setup.machine.with_laws(laws))
+        return replace(setup, case=case, machine=setup.machine.with_laws(laws))
     names, loose, springs = setup.bolts.names, setup.bolts.loose, setup.bolts.springs
     machine, bolts = tightened(names, loose.with_laws(laws), springs, first_forces(case))
-    return replace(setup, machine=machine, bolts=bolts)
+    return replace(setup, case=case, machine=machine, bolts=bolts)

@@ -63,6 +63,21 @@ def check_laws(case: Case, joints: Sequence[PairedJoint]) -> None:
     check_one_ambient(case)
 
 
+def check_stands(case: Case) -> None:
+    """Refuse a case with axes where the machine has to stand.
+
+    Raises
+    ------
+    InputError
+        It has some.
+    """
+    if case.axes:
+        raise InputError(
+            f"axes.{next(iter(case.axes))}: `simulate`, `view` and joint-aware models move bodies; "
+            "leave out [axes] for a machine that stands"
+        )
+
+
 def suspicions(structure: Structure, joints: Sequence[PairedJoint]) -> list[str]:
     """Return a warning about each pair of bodies that touch without a joint.
 

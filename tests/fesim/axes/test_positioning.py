@@ -161,7 +161,9 @@ def march(setup):
     def marched(case, **keys):
         (axis,) = setup.axes
         drive = drive_of(case, setup.setup, axis.name, axis.drive.surfaces)
-        driven = replace(setup, axes=(replace(axis, drive=drive),))
+        driven = replace(
+            setup, setup=replace(setup.setup, case=case), axes=(replace(axis, drive=drive),)
+        )
         return simulate(case, setup=driven, **keys)
 
     return marched

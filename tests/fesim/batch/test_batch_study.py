@@ -1,5 +1,6 @@
 """Study files: which cases they name, what is refused, and which cases share a condensation."""
 
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -392,6 +393,15 @@ def test_a_condensation_with_other_laws_is_that_of_the_other_case(data):
 
 
 # Which case a worker gets next.
+
+
+def test_a_study_of_a_machine_with_axes_is_refused_before_any_work(tmp_path):
+    """It failed case by case."""
+    case = files("thermojoint").joinpath("cases/moving_knee.toml")
+    path = tmp_path / "study.toml"
+    path.write_text(f'case = "{case}"\n{levels(2)}')
+    with pytest.raises(InputError, match=r"axes\.y: .* leave out \[axes\]"):
+        read_study(path)
 
 
 def outcome(task):

@@ -445,7 +445,6 @@ def test_amplitudes_of_another_basis_are_refused(
     """Amplitudes mean nothing but with their own modes; nodal temperatures are no amplitudes."""
     source = coarse_data["sources"]["bearings"] | {"surface": "screw_foot"}
     elsewhere = edited(coarse_data, march={"thermal": "reduced"}, sources={"bearings": source})
-    longer = {"march": reduced_case.march.model_copy(update={"duration_min": 2.0})}
     state = simulate(reduced_case, setup=reduced_setup).state
     nodal = simulate(coarse_case, setup=coarse_setup).state
     for other, setup, start in (
@@ -454,5 +453,5 @@ def test_amplitudes_of_another_basis_are_refused(
         (coarse_case, coarse_setup, state),
     ):
         with pytest.raises(InputError, match="another reduced thermal model") as caught:
-            simulate(other.model_copy(update=longer), setup=setup, start=start)
+            simulate(other.replace(march={"duration_min": 2.0}), setup=setup, start=start)
         assert "\n" not in str(caught.value)

@@ -373,6 +373,39 @@ def test_a_set_up_of_another_step_is_refused(coarse_case, coarse_setup):
         simulate(coarse_case.model_copy(update={"march": longer}), setup=coarse_setup)
 
 
+@pytest.mark.parametrize(
+    ("key", "changes"),
+    [
+        ("joints.knee.preload_MPa", {"joints": {"knee": {"preload_MPa": 2.0}}}),
+        (
+            "materials.cast_iron.expansion_1_K",
+            {"materials": {"cast_iron": {"expansion_1_K": 2e-5}}},
+        ),
+        ("convection_W_m2K.exterior", {"convection_W_m2K": {"exterior": 20.0}}),
+        ("displacement.relative_to", {"displacement": {"relative_to": "c"}}),
+        ("probes", {"probes": {"more": {"position_mm": [600.0, 1050.0, 250.0]}}}),
+        ("march.thermal", {"march": {"thermal": "reduced"}}),
+        ("supports.fixed", {"supports": {"fixed": []}}),
+    ],
+)
+def test_a_set_up_of_another_case_is_refused(coarse_case, coarse_setup, key, changes):
+    """It would be marched with what the set-up has."""
+    with pytest.raises(InputError) as caught:
+        simulate(coarse_case.replace(**changes), setup=coarse_setup)
+    assert str(caught.value).startswith(f"{key}: the structure was set up for a case in which")
+
+
+def test_a_shared_set_up_needs_the_ambient_that_radiation_names(coarse_data, tmp_path):
+    (tmp_path / "hall.csv").write_text("time_s,ambient_degC\n0,35\n")
+    radiated = {"exterior": {"emissivity": 0.9, "ambient_degC": 20.0}}
+    case = case_from_data(coarse_data | {"radiation": radiated}, "case", tmp_path)
+    hall = case_from_data(
+        coarse_data | {"radiation": radiated, "ambient": {"file": "hall.csv"}}, "case", tmp_path
+    )
+    with pytest.raises(InputError, match="but ambient begins with 35"):
+        simulate(hall, setup=set_up(case))
+
+
 def test_more_contact_elements_in_all_than_memory_holds_are_refused(coarse_data):
     case = case_from_data(coarse_data, "case", Path())
     with pytest.raises(InputError, match="27 contact elements in all, and 26 at most") as caught:
