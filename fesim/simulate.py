@@ -214,7 +214,7 @@ def simulate(
     if passed is not None:
         response.attrs.update(_spent(passed.effort))
         known = passed.effort.displacement
-        state = replace(state, course=passed.now.packed())
+        state = replace(state, course=passed.now.packed(course.track.inputs[-1]))
     if accuracy and case.displacement is not None and moving is None:
         taken = course.track.displacement[-count:]
         marched = Marched(case, ready, COUPLINGS[case.march.coupling], start, taken)

@@ -45,6 +45,8 @@ if TYPE_CHECKING:
 
 #: Weights of so many lengths are kept.
 KEPT = 4
+#: Inputs that differ by less than this part of the largest are the same.
+ALIKE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -115,11 +117,7 @@ def march_adaptively(
     march = _March(machine, weights, drive, tolerance, heat_spread(machine.thermal, rates))
     knots = np.append(drive.times[drive.times > 0.0], np.inf)
     fast, usual, given = _compiled(machine, rates), True, 0
-    if start.course.size:
-        axes = len(machine.contact.elastic.probe_thermal)
-        now = unpacked(start, drive.values.shape[1], axes)
-    else:
-        now = _begun(machine, drive, start)
+    now = _resumed(machine, drive, start) if start.course.size else _begun(machine, drive, start)
     while given < len(times):
         asked, index = Asked(drive, knots, times[given:], tolerance), start.index + given + 1
         if fast is None or not usual:
@@ -159,9 +157,25 @@ def _plain_step(march: _March, now: Now, asked: Asked, index: int) -> tuple[Trac
     return track, Passed(effort, after)
 
 
+def _resumed(machine: CondensedMachine, drive: Histories, start: State) -> Now:
+    """The march that a state keeps; begun anew at its time if other inputs led to it.
+
+    Within a step, in which that time is, inputs are linear.
+    """
+    axes = len(machine.contact.elastic.probe_thermal)
+    now, last = unpacked(start, drive.values.shape[1], axes)
+    span = np.array([now.time, start.index * machine.thermal.step])
+    within = (drive.times > span[0] * (1.0 + ROUNDING)) & (drive.times < span[1] * (1.0 - ROUNDING))
+    apart = np.abs(drive(span) - [now.inputs, last])
+    if within.any() or (apart > ALIKE * np.abs(drive.values).max(axis=0)).any():
+        return replace(_begun(machine, drive, start), effort=now.effort)
+    return now
+
+
 def _begun(machine: CondensedMachine, drive: Histories, start: State) -> Now:
-    """The march at time zero, settled at the held temperatures of the first instant after it."""
-    thermal, inputs = machine.thermal, drive(0.0)
+    """The march at a state, settled at the held temperatures of the first instant after it."""
+    time = start.index * machine.thermal.step
+    thermal, inputs = machine.thermal, drive(time)
     held = thermal.capacity_rate.diagonal() == 0.0
     temperature = start.temperature.copy()
     temperature[held] = thermal.inputs[held] @ inputs[: thermal.inputs.shape[1]]
@@ -172,7 +186,7 @@ def _begun(machine: CondensedMachine, drive: Histories, start: State) -> Now:
     area = machine.contact.elastic.area[: machine.contact.count]
     flow = machine.conductance_in(state) * area * (thermal.jump @ temperature)
     none = no_effort(len(machine.contact.elastic.probe_thermal), len(flow))
-    return Now(0.0, state, inputs, flow, np.zeros_like(flow), 0.0, Pace(), none)
+    return Now(time, state, inputs, flow, np.zeros_like(flow), 0.0, Pace(), none)
 
 
 def _after(now: Now, tried: _Tried, end: float) -> Now:

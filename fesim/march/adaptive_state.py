@@ -109,8 +109,14 @@ class Now:
     #: Since the last row of the response.
     solving: Solving = field(default_factory=Solving)
 
-    def packed(self) -> Array:
-        """Return all of it as one array, as `fesim.march.machine.State` keeps it."""
+    def packed(self, driven: Array) -> Array:
+        """Return all of it as one array, as `fesim.march.machine.State` keeps it.
+
+        Parameters
+        ----------
+        driven : ndarray, shape (k + l,)
+            Inputs at the time of that state.
+        """
         effort, solving, total = self.effort, self.solving, self.effort.sum
         shortest = effort.shortest if effort.steps else 0.0
         numbers = [self.time, self.length, self.pace.length, self.pace.error, self.pace.way]
@@ -119,11 +125,19 @@ class Now:
         numbers += [solving.residual, solving.heat_balance, solving.iterations, solving.cuts]
         arrays = [self.inputs, self.flow, self.slope, total.displacement, total.temperature]
         arrays += [getattr(self.state, name).ravel() for name in OF_STATE]
-        return np.concatenate([np.array(numbers, dtype=np.float64), *arrays])
+        return np.concatenate([np.array(numbers, dtype=np.float64), *arrays, driven])
 
 
-def unpacked(state: State, inputs: int, axes: int) -> Now:
-    """Return the march that a state keeps, with so many inputs and displacement probes."""
+def unpacked(state: State, inputs: int, axes: int) -> tuple[Now, Array]:
+    """Return the march that a state keeps, and the inputs (k + l,) at its time.
+
+    Parameters
+    ----------
+    state : State
+        Of an adaptive march.
+    inputs, axes : int
+        Numbers of inputs and of displacement probes.
+    """
     count, kept = state.pressure.size, state.course
     numbers, at = kept[:NUMBERS].tolist(), NUMBERS
     arrays = []
@@ -137,7 +151,7 @@ def unpacked(state: State, inputs: int, axes: int) -> Now:
     temperature, gap, slip, pressure, change = arrays[5:]
     total = StepError(arrays[3], arrays[4])
     counts = int(steps), int(rejected), shortest if steps else np.inf, longest
-    return Now(
+    now = Now(
         time=time,
         state=replace(
             state, temperature=temperature, gap=gap, slip=slip, pressure=pressure, change=change
@@ -150,6 +164,7 @@ def unpacked(state: State, inputs: int, axes: int) -> Now:
         effort=Effort(*counts, total, moved, warmed),
         solving=Solving(residual, balance, int(iterations), int(cuts)),
     )
+    return now, kept[at:]
 
 
 class Passed(NamedTuple):

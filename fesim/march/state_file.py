@@ -22,7 +22,7 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import DAMAGED_ARCHIVE, whole_file
 
 SCHEMA = "thermojoint-march-state"
-SCHEMA_VERSION = 10
+SCHEMA_VERSION = 11
 
 _RECORDING = {"title", "heat_input", "displacement", "probes", "candidates", "output", "volume"}
 _ARRAYS = (

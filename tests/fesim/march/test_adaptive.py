@@ -212,6 +212,38 @@ def test_a_march_goes_on_from_a_saved_state_to_the_bit(adaptive_case, tmp_path, 
     assert np.array_equal(rest.state.course, whole.state.course)
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "together"),
+    [
+        ("0,1", "0,3", "0,1\n1800,1\n1800.001,3"),
+        # A log that has grown since: nothing tells them apart before it ended.
+        ("0,1\n1680,1", "0,1\n1680,1\n1920,4", "0,1\n1800,1\n1800.001,2.5\n1920,4"),
+    ],
+    ids=["from the start on", "from shortly before the state on"],
+)
+def test_other_heat_acts_from_the_time_of_the_state_on(
+    adaptive_case, tmp_path, before, after, together
+):
+    """It acted from the start of the step in which that time is, minutes before."""
+
+    def case_of(rows, minutes):
+        file = tmp_path / f"{minutes:g}-{len(rows)}.csv"
+        file.write_text(f"time_s,heat_input\n{rows}\n")
+        heat = {"kind": "sampled", "file": str(file)}
+        return adaptive_case.replace(heat_input=heat, march={"duration_min": minutes})
+
+    setup, half, longer = set_up(adaptive_case), case_of(before, 30.0), case_of(after, 60.0)
+    first = simulate(half, setup=setup, accuracy=False)
+    assert first.state.course[0] < 1790.0
+    save_state(first.state, half, tmp_path / "half.npz")
+    start = load_state(tmp_path / "half.npz", longer)
+    rest = simulate(longer, setup=setup, start=start, accuracy=False).response
+    whole = simulate(case_of(together, 60.0), setup=setup, accuracy=False).response
+    off = np.abs(rest["displacement"] - whole["displacement"].sel(time=rest["time"]))
+    assert float(off.max()) < 2e-8
+    assert rest.attrs["march_steps"] > first.response.attrs["march_steps"]
+
+
 def test_both_marches_take_the_same_steps(bars):
     """Friction turns, rows are asked for within steps, and nothing is left to the plain march."""
     times, tolerance = np.linspace(0.0, END, 31)[1:], Tolerance(3e-7, 1.0)
