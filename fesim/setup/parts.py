@@ -27,6 +27,7 @@ from fesim.solid.rigid_motions import Constraints
 from meshes.pairing import PairedJoint, pair_joint
 from meshes.structure import Probe, Structure
 from meshes.travel import sliding
+from meshes.wall import face_of
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError, unknown_name
 
@@ -112,6 +113,21 @@ def unit_direction(axis: AxisSection) -> Array:
     return np.array(axis.direction) / np.linalg.norm(axis.direction)
 
 
+def _check_walls(case: Case) -> None:
+    """Refuse heat and loads on rigid walls, which nothing warms or moves."""
+    sources = {f"sources.{name}": [one.body, one.surface] for name, one in case.sources.items()}
+    loads = {
+        f"loads.{name}": [*(one.bodies or []), one.surface] for name, one in case.loads.items()
+    }
+    for where, places in (sources | loads).items():
+        for name in case.walls:
+            if not {name, face_of(name)}.isdisjoint(places):
+                raise InputError(
+                    f"{where}: {name!r} is a rigid wall, whose temperature and place are given; "
+                    "name what it faces"
+                )
+
+
 def check_names(case: Case, structure: Structure) -> None:
     """Raise InputError if a support, load or material of the case has an unknown name."""
     body_materials(case, structure)
@@ -128,6 +144,7 @@ def check_names(case: Case, structure: Structure) -> None:
         structure.surface(name, "supports.springs")
     for name in case.held_temperatures:
         structure.surface(name, "held_temperatures")
+    _check_walls(case)
     heat_sources(case, structure)
     held_profiles(case)
     read_initial_temperature(case)

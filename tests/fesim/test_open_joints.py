@@ -379,6 +379,23 @@ def test_a_slip_about_walls_is_one_line(walls, message):
         build_structure(case_from_data(_example() | {"walls": walls}, "rod", ROD))
 
 
+@pytest.mark.parametrize(
+    "section",
+    [
+        {"sources": {"heat": {"body": "wall", "reference_power_W": 50.0}}},
+        {"sources": {"heat": {"surface": "wall.face", "reference_power_W": 50.0}}},
+        {"loads": {"weight": {"acceleration_m_s2": [0.0, 0.0, -9.81], "bodies": ["wall"]}}},
+        {"loads": {"push": {"surface": "wall", "pressure_MPa": 1.0}}},
+    ],
+)
+def test_heat_and_loads_on_a_wall_are_refused(section):
+    """They did nothing."""
+    heat = {"heat_input": {"kind": "step", "level": 1.0}}
+    case = case_from_data(_example() | section | heat, "rod", ROD)
+    with pytest.raises(InputError, match="'wall' is a rigid wall.* name what it faces"):
+        make_parts(case)
+
+
 def test_the_rods_mesh_is_the_one_that_the_script_writes(states):
     from thermojoint.verification.bistable import rod
 
