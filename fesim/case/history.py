@@ -113,30 +113,27 @@ def mean_over_steps(history: History, step: float, ends: Array) -> Array:
     ndarray, shape (n,)
         In the unit of the history.
     """
-    values, settled = history(ends), bent_steps(history, step)
-    if not settled.size:
-        return values
-    bent = np.isin(np.rint(ends / step), settled)
-    last = ends[bent]
-    values[bent] = (history.integral(last) - history.integral(last - step)) / step
-    return values
+    return _with_means(
+        history, step, ends, np.isin(np.rint(ends / step), bent_steps(history, step))
+    )
 
 
 def entering_in_steps(history: History, step: float, ends: Array) -> Array:
     """Return the value of a history in each step such that the sum over all steps is exact.
 
-    After a step in which the history is not linear, the steps have taken exactly its integral since
-    time zero: the value is the mean over the step, less the excess of the linear steps before it,
-    which take the value at their end. Arguments and result as for `mean_over_steps`.
+    A history that is not linear within some step counts with its mean in every step: where linear
+    steps took the value at their end, their sum would lead by what one of the others would have to
+    take back. Arguments and result as for `mean_over_steps`.
     """
-    values, settled = mean_over_steps(history, step, ends), bent_steps(history, step)
-    if not settled.size:
-        return values
-    number = np.rint(ends / step)
-    bent = np.isin(number, settled)
-    before = np.concatenate([[0], settled])[np.searchsorted(settled, number[bent])]
-    excess = history(ends[bent] - step) - history(before * step)
-    values[bent] -= 0.5 * excess
+    bends = bent_steps(history, step).size > 0
+    return _with_means(history, step, ends, (ends > 0.0) & bends)
+
+
+def _with_means(history: History, step: float, ends: Array, where: NDArray[np.bool_]) -> Array:
+    """Values at the ends of steps; means over them `where` (n,) they are wanted."""
+    values, last = history(ends), ends[where]
+    if last.size:
+        values[where] = (history.integral(last) - history.integral(last - step)) / step
     return values
 
 

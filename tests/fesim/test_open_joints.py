@@ -392,7 +392,7 @@ def test_heat_and_loads_on_a_wall_are_refused(section):
     """They did nothing."""
     heat = {"heat_input": {"kind": "step", "level": 1.0}}
     case = case_from_data(_example() | section | heat, "rod", ROD)
-    with pytest.raises(InputError, match="'wall' is a rigid wall.* name what it faces"):
+    with pytest.raises(InputError, match=r"'wall' is a rigid wall.* name what it faces"):
         make_parts(case)
 
 
