@@ -146,7 +146,7 @@ def _of_mesh(marched: Marched, fine: Track, step: float) -> float | None:
     """Error by the meshes at steps (s) of a march; None where the structure is too large for rows.
 
     Nor do they know how a modulus that depends on temperature varies in a cell.
-    Temperatures change in time as if they had risen evenly, as the dual ones do.
+    Temperatures change in time as if they had risen evenly since time zero, as the dual ones do.
     """
     setup = marched.setup
     machine, found = setup.machine, []
@@ -159,7 +159,8 @@ def _of_mesh(marched: Marched, fine: Track, step: float) -> float | None:
     heat, stress = rows.heat, rows.stress.temperature
     if setup.modes is not None:
         heat, stress = heat.on(setup.modes.basis), stress @ setup.modes.basis
-    first = machine.assembly
+    first, begun = machine.assembly, _begun(marched)
+    before = 0.0 if marched.start is None else machine.thermal.step * marched.start.index
     for at in range(len(fine)):
         taken = fine.step(at)
         acting, remainder = setup.acting(taken), taken.remainder
@@ -167,12 +168,22 @@ def _of_mesh(marched: Marched, fine: Track, step: float) -> float | None:
             acting, remainder = acting - first.factors[:-1], remainder - first.remainder
         stressed = stress @ machine.strained(taken.state.temperature)
         stressed = stressed + rows.stress.remainder @ remainder + rows.stress.forces @ acting
-        time = step * (at + 1.0)
-        heated = heat.of(taken, time)
+        time = before + step * (at + 1.0)
+        heated = heat.of(taken, begun, time)
         if rows.variable is not None:
-            heated = heated + rows.variable(taken.state.temperature, time, taken.inputs)
+            warm = taken.state.temperature
+            heated = heated + rows.variable(begun, warm, time, taken.inputs)
         found.append(np.hypot(heated, stressed))
     return _largest(np.array(found))
+
+
+def _begun(marched: Marched) -> Array:
+    """Temperatures (n,) at time zero; amplitudes of a reduced model."""
+    machine = marched.setup.machine
+    if machine.start is None:
+        return np.zeros(machine.thermal.inputs.shape[0])
+    (at_zero,) = march_inputs(marched.case).at(np.zeros(1))
+    return machine.start.temperature(at_zero)
 
 
 def _with_steps(marched: Marched, longer: float) -> CondensedMachine:

@@ -65,10 +65,10 @@ class HeatErrors:
         """Return the same of the amplitudes of modes (n_heat, r)."""
         return replace(self, temperature=self.temperature @ basis, rising=self.rising @ basis)
 
-    def of(self, step: Step, time: float) -> Array:
-        """Errors (3,), m, of a step that ends at a time, s, from rest and as if all rose evenly."""
+    def of(self, step: Step, begun: Array, time: float) -> Array:
+        """Errors (3,), m, of a step that ends at a time, s, as if all rose evenly from `begun`."""
         warm, inputs = step.state.temperature, step.inputs[: self.inputs.shape[1]]
-        found = self.temperature @ warm + self.rising @ warm / time
+        found = self.temperature @ warm + self.rising @ (warm - begun) / time
         return np.asarray(found + self.inputs @ inputs + self.flow @ step.heat_flow)
 
 
@@ -78,9 +78,9 @@ class MeshErrors:
 
     #: By that of the temperatures.
     heat: HeatErrors
-    #: Part of that by what depends on temperature: nodal temperatures (n_heat,), time (s) and
-    #: inputs (k + l,) to errors (3,), m.
-    variable: Callable[[Array, float, Array], Array] | None
+    #: Part of that by what depends on temperature: nodal temperatures at the start and at a time
+    #: (n_heat,), that time (s), and inputs (k + l,) to errors (3,), m.
+    variable: Callable[[Array, Array, float, Array], Array] | None
     #: By that of the displacements.
     stress: StressErrors
 
@@ -184,7 +184,7 @@ def heat_errors(whole: Discretised, rows: Array, conducts: Array, duration: floa
 
 def variable_errors(
     whole: Discretised, beyond: Array
-) -> Callable[[Array, float, Array], Array] | None:
+) -> Callable[[Array, Array, float, Array], Array] | None:
     """Return `MeshErrors.variable` of a case; `beyond` is that of its `HeatErrors`."""
     if not secant_sections(whole.case):
         return None
@@ -193,10 +193,10 @@ def variable_errors(
     lifted = _lifted(whole.spaces.heat, high)
     terms = variable_heat(whole.case, parts.structure, high, materials, parts.joints, fine)
 
-    def variable(warm: Array, time: float, inputs: Array) -> Array:
+    def variable(begun: Array, warm: Array, time: float, inputs: Array) -> Array:
         assert terms is not None
         there = lifted @ warm
-        retained = terms.retained(np.zeros_like(there), there) / time
+        retained = terms.retained(lifted @ begun, there) / time
         return np.asarray(-beyond.T @ (terms.lost(there, inputs) + retained))
 
     return variable

@@ -82,6 +82,37 @@ def test_a_shared_set_up_knows_the_mesh_errors_of_each_march(tmp_path):
     assert parts_of(shared) == parts_of(own)
 
 
+@pytest.mark.parametrize("factor", [None, {"rise_K": [0.0, 40.0], "factor": [1.0, 1.1]}])
+def test_a_rod_that_starts_warm_and_stays_so_owes_nothing_to_its_mesh(tmp_path, factor):
+    """It counted as if it had warmed up in the time since the start."""
+    changes = {
+        "initial_temperature": {"expression_K": "200 * x_m"},
+        "held_temperatures": {"x0": {"rise_K": 0.0}, "x1": {"rise_K": 20.0}},
+        "supports": {"symmetry": SIDES},
+        "march": {
+            "step_s": 5.0,
+            "duration_min": 5.0,
+            "thermal": "full" if factor else "reduced",
+        },
+    }
+    data = bar_case(tmp_path, changes, (3, 1, 1), metal={"heat_capacity_factor": factor})
+    assert parts_of(simulate(case_from_data(data, "case", tmp_path)).response)["mesh"] < 1e-6
+
+
+def test_a_continued_march_owes_to_its_mesh_what_the_whole_one_does(tmp_path):
+    changes = {
+        "sources": {"hot": {"body": "block", "reference_power_W": 20.0}},
+        "held_temperatures": {"x0": {"rise_K": 0.0}, "x1": {"rise_K": 0.0}},
+        "heat_input": {"kind": "step", "level": 1.0},
+        "supports": {"symmetry": SIDES},
+        "march": {"step_s": 5.0, "duration_min": 10.0},
+    }
+    case = case_from_data(bar_case(tmp_path, changes, (3, 1, 1)), "case", tmp_path)
+    half = simulate(case.replace(march={"duration_min": 5.0}))
+    rest, whole = simulate(case, start=half.state).response, simulate(case).response
+    assert 0.7 < parts_of(rest)["mesh"] / parts_of(whole)["mesh"] <= 1.0
+
+
 @pytest.fixture(scope="module")
 def rocking(tmp_path_factory):
     """A stiff block that rocks on a plate under a force on its top: along and across to it."""
