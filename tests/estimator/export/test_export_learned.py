@@ -18,17 +18,19 @@ from exported import (
 )
 from machine_logs import as_csv, machine_log
 
+from calibrate.learning.thinning import DRIVES
 from estimator.columns import samples_of
-from estimator.export.fmu import Standard
+from estimator.export.fmu import Standard, fmi_files
 from estimator.export.program import REFUSED, Precision
 from estimator.exporting import export_program
 from estimator.interface import Status, follow
 from estimator.learned.estimator import Learned
 from estimator.learned.program import gains
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.quantities import UNITS
 from thermojoint.cli.app import app
 from thermojoint.models.filters.relaxations import relaxed
-from thermojoint.models.learned import LogEnd, write_learned
+from thermojoint.models.learned import LogEnd, read_learned, write_learned
 
 NAN = float("nan")
 DT = 60.0
@@ -183,6 +185,20 @@ def test_as_a_unit_for_co_simulation_it_says_the_same(learned, samples, tmp_path
     plain = Learned(replace(learned.model, log_end=None))
     there = [e.displacement[0] for _, e in follow(plain, rows, plain.initial_state())]
     assert moved == pytest.approx(there[: len(moved)], rel=1e-9)
+
+
+@needs_gcc
+@pytest.mark.parametrize("unit", [name for name, own in UNITS.items() if own.quantity in DRIVES])
+def test_a_unit_for_co_simulation_has_the_unit_of_every_reading(learned, tmp_path, unit):
+    path = tmp_path / "model.json"
+    write_learned(learned.model, path)
+    path.write_text(path.read_text("utf-8").replace("n_rpm", f"n_{unit}"), "utf-8")
+    model = Learned(read_learned(path))
+    assert f"n_{unit}" in model.model.columns
+    program = export_program(model, name="m", interval=DT)
+    (own,) = (one.unit for one in program.interface.inputs if one.name == "n")
+    text = fmi_files(program, Standard.FMI3)["modelDescription.xml"]
+    assert f'<Unit name="{own}"><BaseUnit' in text
 
 
 def test_an_interval_that_is_none_is_refused(learned):
