@@ -12,13 +12,16 @@ from asyncua import ua
 
 from estimator.estimate_table import detail_name, detail_scale
 from estimator.quality import Quality, reasons_of
+from thermojoint.artefacts.quantities import column_named
 from thermojoint.artefacts.units import MEGA, MILLI
 from thermojoint.compensation.offsets.output import Mode
 from thermojoint.live.publication import Layout, Publication
 from thermojoint.live.watchdog import REFUSED, SILENT
 
 _CODES = ua.StatusCodes
-_SHOWN = {"um": "µm", "degC": "°C", "m": "µm", "m/m": "µm/m"}
+#: Units of details, which are published in micrometres, and of readings, which are not.
+_SHOWN = {"m": "µm", "m/m": "µm/m"}
+_READ = {"um": "µm", "degC": "°C", "degF": "°F", "deg_s": "°/s"}
 
 #: From a publication to a value and its status code.
 Value = Callable[[Publication], tuple[Any, int]]
@@ -133,15 +136,20 @@ def variables_of(layout: Layout, readings: bool, wanted: int) -> Iterator[Variab
         yield Variable("Detail", detail_name(channel), unit, double, _entry("details", k, scale))
     for k, name in enumerate(layout.readings[:wanted]):
         if readings:
-            unit = name.rpartition("_")[2]
-            yield Variable("Reading", name, _SHOWN.get(unit, unit), double, _reading(k))
+            yield Variable("Reading", name, unit_of(name), double, _reading(k))
     for k, name in enumerate(layout.readings[wanted:]):
-        yield Variable("Probe", name, "µm", double, _reading(wanted + k), writable=True)
+        yield Variable("Probe", name, unit_of(name), double, _reading(wanted + k), writable=True)
     yield Variable("", "Status", "", text, _good(lambda p: p.status))
     yield Variable("", "Handshake", "", text, _good(lambda p: p.handshake))
     yield Variable("", "Quality", "", text, _good(lambda p: p.quality.word))
     yield Variable("", "NextReading", "", text, _good(lambda p: p.asked.axis))
     yield Variable("", "SampleNumber", "", ua.VariantType.UInt64, _good(lambda p: p.number))
+
+
+def unit_of(reading: str) -> str:
+    """Return the unit in the name of a reading as it is shown; empty for none."""
+    column = column_named(reading)
+    return _READ.get(column.unit, column.unit.replace("_", "/")) if column else ""
 
 
 def _entry(

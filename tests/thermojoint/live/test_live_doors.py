@@ -21,7 +21,8 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log_file import read_log
 from thermojoint.artefacts.tables.clock import Hands
 from thermojoint.live.arrivals import Arrival, Note
-from thermojoint.live.opcua_values import status_of
+from thermojoint.live.opcua_values import status_of, variables_of
+from thermojoint.live.publication import Layout
 from thermojoint.live.readers import csv_pipe, mqtt, opcua
 from thermojoint.live.readers.reading import called
 from thermojoint.live.served import served
@@ -241,6 +242,19 @@ def test_every_doubt_has_a_status_code_of_opcuas_own(quality, number, status, co
     said = Said()
     said.quality, said.number, said.status = quality, number, status
     assert ua.StatusCode(status_of(said)).name == code
+
+
+def test_an_opcua_client_sees_a_reading_in_the_unit_of_its_name():
+    """A position in m was one in µm, a feed in mm/min one in minutes, a speed one in seconds."""
+    units = {
+        "T1_degC": "°C", "T1 [°C]": "°C", "T1_K": "K", "x_um": "µm", "y_pos_m": "m",
+        "y_pos_mm": "mm", "n_rpm": "rpm", "n_rad_s": "rad/s", "n_deg_s": "°/s",
+        "y_mm_min": "mm/min", "y_mm_s": "mm/s", "spindle_kW": "kW", "state": "",
+    }  # fmt: skip
+    layout = Layout(("x",), (), (), tuple(units))
+    for wanted in (0, len(units)):  # as probes, which operators write, and as readings
+        found = {one.name: one.unit for one in variables_of(layout, True, wanted)}
+        assert {name: found[name] for name in units} == units
 
 
 def test_readings_of_the_displacement_are_read_only_where_the_columns_name_them(model):
