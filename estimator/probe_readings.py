@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from estimator.intake import axis_name
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log_file import read_log
@@ -19,7 +20,7 @@ from thermojoint.artefacts.tables.clock import tells_date
 def read_probe_readings(path: Path, axes: Sequence[str]) -> tuple[Array, Array]:
     """Read a CSV with the columns ``time_s`` and ``AXIS_um`` of the measured axes.
 
-    An axis with its unit, like a log column, is a column name itself.
+    An axis with its unit, like a log column, is a column name itself, in this unit or another.
 
     Returns
     -------
@@ -35,18 +36,19 @@ def read_probe_readings(path: Path, axes: Sequence[str]) -> tuple[Array, Array]:
     """
     log = read_log([path])
     known = {name: k for k, column in enumerate(log.columns) for name in (column.base, column.name)}
-    if not known.keys() & set(axes):
+    places = [known.get(axis, known.get(axis_name(axis))) for axis in axes]
+    if all(place is None for place in places):
         wanted = ", ".join(axis if column_named(axis) else f"{axis}_um" for axis in axes)
         raise InputError(f"{path}: no reading of a displacement; name its columns {wanted}")
     values = np.full((len(log.times), len(axes)), np.nan)
-    for k, axis in enumerate(axes):
-        if axis in known:
-            column = log.columns[known[axis]]
+    for k, (axis, place) in enumerate(zip(axes, places, strict=True)):
+        if place is not None:
+            column = log.columns[place]
             if column.quantity != "length":
                 raise InputError(
                     f"{path}: {column.name} is a {column.quantity}; name the column {axis}_um"
                 )
-            values[:, k] = log.values[:, known[axis]]
+            values[:, k] = log.values[:, place]
     return log.times, values
 
 

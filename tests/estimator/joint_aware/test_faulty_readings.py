@@ -159,6 +159,14 @@ def test_readings_name_their_axes(tmp_path):
         read_probe_readings(path, ("x", "y"))
 
 
+def test_a_reading_in_another_unit_than_the_column_of_its_axis_is_one(tmp_path):
+    """It was left out where another axis was read in the unit of its column."""
+    path = tmp_path / "probe.csv"
+    path.write_text("time_s,x_um,z_mm\n60,12.5,0.013\n")
+    _, values = read_probe_readings(path, ("x_um", "z_um"))
+    assert values[0] == pytest.approx([12.5e-6, 13e-6], rel=1e-12)
+
+
 def test_the_command_starts_warm_and_takes_readings(estimator, response, tmp_path):
     model, late, out = tmp_path / "model.h5", tmp_path / "late.nc", tmp_path / "out.csv"
     write_observer(estimator.model, model)
