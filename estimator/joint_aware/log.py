@@ -50,8 +50,9 @@ def log_samples(
     Raises
     ------
     InputError
-        A sensor, a load, a position, a way or a power has no column, time restarts, or temperatures
-        as read continue those above an ambient, or a run that does not say from where it counts.
+        A sensor, a load, a position, a way or a power has no column, time restarts, the ambient
+        alone is as read, or temperatures as read continue those above an ambient, or a run that
+        does not say from where it counts.
     """
     known = Cold() if cold is None else cold
     last = -math.inf
@@ -92,6 +93,11 @@ def _columns(log: Log, sensors: Sequence[str], where: str) -> tuple[list[int], b
         for above in (True, False)
     )
     if set(sensors) <= set(rises):
+        if "ambient" in read and "ambient" not in rises:
+            raise InputError(
+                f"{where}: {log.columns[read['ambient']].name} is no rise, as those of the sensors "
+                "are; give ambient_K, above the ambient at which the machine was cold"
+            )
         return [rises.get(name, -1) for name in wanted], True
     if set(wanted) <= set(read):
         return [read[name] for name in wanted], False

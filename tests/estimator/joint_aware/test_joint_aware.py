@@ -602,6 +602,7 @@ def test_a_log_in_two_parts_counts_from_where_the_first_one_began(estimator, res
     [
         (["time_s,s_K", "0,1"], "the model needs time_s, s_K, b_K"),
         (["time_s,s_degC,b_degC", "0,1,1"], "ambient_degC"),
+        (["time_s,s_K,b_K,ambient_degC", "0,1,1,20"], "ambient_degC is no rise"),
         (["time_s,s_K,b_K", "0,1"], "2 cells, expected 3"),
         (["time_s,s_K,b_K", "0,1,warm"], "not a number"),
         (["time_s,s_K,b_K", ",1,2"], "the time is missing"),
