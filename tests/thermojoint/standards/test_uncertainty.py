@@ -128,6 +128,14 @@ def test_readings_that_hardly_change_scatter_by_their_resolution():
     assert scatter(np.arange(2.0), values[:2]) < 1e-9
 
 
+def test_a_tilt_scatters_by_the_resolution_of_its_probes():
+    """In whole micrometres: their differences differ in the last digits of a number."""
+    grown = -np.expm1(-TIMES / HOUR)
+    pair = {"X1": 1e-6 * np.round(40.0 * grown), "X2": 1e-6 * np.round(15.0 * grown)}
+    tilt = with_tilts(Record(TIMES, pair, {}), {"B": ("X1", "X2")}, 0.15).tilts["B"]
+    assert scatter(TIMES, tilt) >= 0.999 * 1e-6 / 0.15 / np.sqrt(12)
+
+
 # --- the command
 
 

@@ -22,6 +22,8 @@ from thermojoint.standards.iso230_3.record import Record
 
 #: Coverage factor: about 95 % for a normal distribution.
 COVERAGE = 2.0
+#: Relative to the largest reading: values that differ by less are the same one.
+ROUNDING = 1e-9
 #: Standard deviation of a normal distribution over the median of its absolute value.
 _MEDIAN = 1.4826
 
@@ -145,5 +147,7 @@ def scatter(times: Array, values: Array) -> float:
     departures = v[1:-1] - (1.0 - share) * v[:-2] - share * v[2:]
     single = np.abs(departures) / np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)
     steps = np.diff(np.unique(v))
+    # Tilts of the same difference of readings differ in their last digits.
+    steps = steps[steps > ROUNDING * np.abs(v).max()]
     resolution = float(steps.min()) if steps.size else 0.0
     return max(_MEDIAN * float(np.median(single)), resolution / math.sqrt(12.0))
