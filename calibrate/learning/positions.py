@@ -174,7 +174,10 @@ def checked(
             f"{1e3 * rules.shortest:g} mm or more, best at both ends of the stroke once an hour"
         )
     there = rows.any(axis=1)
-    hours = np.unique(table.times[there] // 3600.0, return_inverse=True)[1]
+    # Of each run: the same hours of two days are others.
+    run = np.searchsorted(table.starts, np.flatnonzero(there), side="right")
+    spans = np.column_stack((run, table.times[there] // 3600.0))
+    hours = np.unique(spans, axis=0, return_inverse=True)[1].ravel()
     ends = np.array(
         [(np.nanmin(own), np.nanmax(own)) for own in (read[there][hours == k] for k in set(hours))]
     )

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from exported import PRECISIONS, SANITISED, compiled, needs_gcc, selftest, written
-from machine_logs import NAMES, along_log, made
+from machine_logs import NAMES, along_log, changed, made
 from matiec import needs_matiec, selftest_by_both
 from moving_knee import coarse_data
 
@@ -140,6 +140,16 @@ def test_readings_at_positions_correct_k0_and_slope(model):
 def test_a_log_that_does_not_show_the_slope_is_refused(log, wanted, said):
     with pytest.raises(InputError, match=said):
         learn([log], [wanted], 4)
+
+
+def test_days_that_each_stand_at_one_position_show_no_slope():
+    """The same hours of two days are not one hour that saw both ends."""
+    days = [
+        changed(along_log(seed=seed)[0], "y_pos_mm", lambda at, end=end: 0.0 * at + end)
+        for seed, end in enumerate((-0.1, 0.2))
+    ]
+    with pytest.raises(InputError, match="in 0 of 28 hours"):
+        learn(days, WANTED, 4)
 
 
 def test_a_slope_that_was_seldom_seen_is_flagged():
