@@ -116,9 +116,11 @@ def _local(given: Path, patterns: tuple[str, ...], run: Run) -> dict[str, Any]:
     from thermojoint.sensitivity import local, results
     from thermojoint.sensitivity.parameters import parameters_of
 
-    parameters = parameters_of(read_case(given), patterns)
-    if not parameters:
-        raise InputError(f"--parameter {' '.join(patterns)}: no number of {given} has such a path")
+    case = read_case(given)
+    for pattern in patterns:
+        if not parameters_of(case, (pattern,)):
+            raise InputError(f"--parameter {pattern}: no number of {given} has such a path")
+    parameters = parameters_of(case, patterns)
     rows = local.rows_of(parameters)
     reasons: dict[str, str] = {}
 

@@ -135,6 +135,7 @@ def test_ranges_are_screened_and_a_second_method_shares_what_has_run(folder):
     ("options", "message"),
     [
         (("--parameter", "joint.*"), "no number of"),
+        (("--parameter", "heat_input.level", "--parameter", "joint.*"), "joint.*: no number of"),
         (("--figure", "displacement_q_um"), "--figure"),
         (("--method", "sobol"), "--method: goes with a file of ranges"),
         (("--samples", "64"), "--samples: goes with a file of ranges"),
