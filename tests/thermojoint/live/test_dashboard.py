@@ -182,6 +182,22 @@ def test_what_is_new_is_drawn_into_the_charts_that_are_there(page, floor):
     floor.publish(again(before))
 
 
+def test_a_page_follows_a_model_that_has_replaced_another(page, floor):
+    """One without slopes, and without a reading: the page stood still at the values before."""
+    opened(page, floor, "/machines/mill-1")
+    until(page, "!!document.querySelector('#c-displacement').data")
+    before = floor.hub.newest["mill-1"]
+    *readings, last = before.layout.readings
+    layout = replace(before.layout, lines=(), readings=tuple(readings))
+    moved, few = np.array([77.7e-6, -56.7e-6]), before.readings[:-1]
+    gone = {"layout": layout, "slopes": np.empty(0), "readings": few, "displacement": moved}
+    floor.publish(again(before, **gone))
+    until(page, "document.querySelector('#axis-x .number').textContent === '+77.7'")
+    state = f"document.getElementById('reading-{last}').dataset.state"
+    until(page, f"{state} === 'none'")
+    floor.publish(again(before))
+
+
 def test_the_machine_in_3d_has_the_temperatures_and_pressures_of_the_estimator(page, floor):
     opened(page, floor, "/machines/mill-1")
     until(page, "!!document.querySelector('#c-pressure').data")

@@ -58,9 +58,14 @@ function plan(about) {
     document.getElementById("charts").append(card);
     const curves = (past) => chart.keys.map((key) => (
       { name: bare(key), values: scaled(past[chart.group][key], chart.factor), mode: chart.mode }));
-    const used = (one) => chart.keys.some((key) => (one[chart.group][key] ?? null) !== null);
+    const used = (one) => chart.keys.some((key) => valueOf(one, chart.group, key) !== null);
     return { node, card, curves, used };
   });
+}
+
+// A model that replaced another while the page was open may not have a value, or none of a group.
+function valueOf(one, group, key) {
+  return (one[group] || {})[key] ?? null;
 }
 
 function scaled(values, factor) {
@@ -129,7 +134,7 @@ function append(one) {
   if (one.time_s === null || (times.length && one.time_s <= times[times.length - 1])) return;
   times.push(one.time_s);
   for (const group of columns(past)) {
-    for (const [key, column] of Object.entries(past[group])) column.push(one[group][key] ?? null);
+    for (const [key, column] of Object.entries(past[group])) column.push(valueOf(one, group, key));
   }
   const gone = times.findIndex((time) => time >= clock.now() - page.span);
   if (gone > 0) {
@@ -166,7 +171,7 @@ function axes() {
       item.append(el("p", "axis", `δ${axis}`), value, el("p", "band"));
       list.append(item);
     }
-    const band = one.band_um[axis];
+    const band = valueOf(one, "band_um", axis);
     write(item.querySelector(".number"), shown(one.displacement_um[axis], 1, true));
     write(item.querySelector(".band"), band === null ? "band unknown" : `± ${shown(band, 2)} µm (95 %)`);
   }
@@ -213,9 +218,10 @@ function readings() {
     const channel = unitOf(key) ? key.slice(0, -unitOf(key).length - 1) : key;
     const [, unit] = UNITS[unitOf(key)];
     const has = (names) => names.includes(key) || names.includes(channel);
-    const state = has(one.distrusted) ? "distrusted" : has(one.missing) ? "missing" : one.readings[key] === null ? "none" : "used";
+    const value = valueOf(one, "readings", key);
+    const state = has(one.distrusted) ? "distrusted" : has(one.missing) ? "missing" : value === null ? "none" : "used";
     row.dataset.state = state;
-    write(row.children[1], one.readings[key] === null ? "–" : `${shown(one.readings[key], 2)}${unit === "1" ? "" : ` ${unit}`}`);
+    write(row.children[1], value === null ? "–" : `${shown(value, 2)}${unit === "1" ? "" : ` ${unit}`}`);
     write(row.children[3], { used: "✓ used", missing: "… missing", distrusted: "✕ distrusted", none: "– none now" }[state]);
   }
 }
