@@ -111,7 +111,8 @@ def learn_like(
         posterior = fitted(readings, prior, rules.transfer)
         judged, deviations = _judged(readings, prior, rules)
         errors.append(judged)
-        ratio = np.quantile(np.abs(judged[LEARNED]) / deviations, rules.judging.within)
+        ratios = np.abs(np.concatenate(judged[LEARNED])) / deviations
+        ratio = np.quantile(ratios, rules.judging.within)
         own = first.channels[known.index(name)]
         channels.append(
             LearnedChannel(
@@ -124,17 +125,16 @@ def learn_like(
                 max(float(ratio) / QUANTILE, 1.0),
             )
         )
-    rms = {
-        kind: np.array([MEGA * np.sqrt(np.mean(one[kind] ** 2)) for one in errors])
-        for kind in errors[0]
-    }
+    kinds = list(errors[0])
+    rms = {kind: np.array([_rms(np.concatenate(one[kind])) for one in errors]) for kind in kinds}
+    worst = {kind: np.array([max(map(_rms, one[kind])) for one in errors]) for kind in kinds}
     return LearnedModel(
         LEARNED,
         first.features,
         tuple(channels),
         {name: _union(first.spans[name], cleaned.at(name)) for name in first.columns},
         max(first.duration_s, longest_run(cleaned.table, cleaned.table.times)),
-        learned_from(cleaned, rms, rms, _no_better(wanted, rms)),
+        learned_from(cleaned, rms, worst, _no_better(wanted, rms)),
         log_end=end_of(cleaned, first.features),
     )
 
@@ -264,8 +264,13 @@ def _readings(cleaned: Cleaned, sister: LearnedModel, name: str, rules: Rules) -
     return found.at(np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)))
 
 
-def _judged(readings: Readings, prior: Prior, rules: Rules) -> tuple[dict[str, Array], Array]:
-    """Return errors on blocks held out, m, for this kind and its alternatives, and deviations.
+def _rms(errors: Array) -> float:
+    """Root of the mean square of errors, m, in um."""
+    return float(MEGA * np.sqrt(np.mean(errors**2)))
+
+
+def _judged(readings: Readings, prior: Prior, rules: Rules) -> tuple[dict[str, list[Array]], Array]:
+    """Return errors on each block held out, m, for this kind and its alternatives, and deviations.
 
     The alternatives: the sisters' weights with the mean zero of the other readings, and the mean of
     the other readings.
@@ -289,7 +294,7 @@ def _judged(readings: Readings, prior: Prior, rules: Rules) -> tuple[dict[str, A
         }
         for kind, estimate in estimates.items():
             errors[kind].append(held.displacements - estimate)
-    return {kind: np.concatenate(own) for kind, own in errors.items()}, np.concatenate(deviations)
+    return errors, np.concatenate(deviations)
 
 
 def _no_better(names: Sequence[str], rms: dict[str, Array]) -> list[str]:

@@ -63,6 +63,9 @@ def test_few_readings_of_a_weaker_machine_beat_the_model_of_its_sister_on_anothe
     errors = model.learned_from.errors_um
     assert set(errors) == {"learned", SISTER, MEAN}
     assert (np.array(errors["learned"]) < errors[SISTER]).all()
+    # Two readings make a block: the worst one is worse than all together.
+    worst = model.learned_from.worst_um
+    assert all((np.array(worst[kind]) > 1.05 * np.array(errors[kind])).all() for kind in errors)
     assert model.learned_from.best("learned") == "learned"
 
 
