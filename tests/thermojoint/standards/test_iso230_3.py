@@ -322,6 +322,15 @@ def test_columns_that_differ_in_their_unit_alone_are_refused(tmp_path):
     assert set(log_record(read_log([path]), {"near": "x_um"}).displacements) == {"near"}
 
 
+def test_where_an_axis_stands_is_no_displacement(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("time_s,x_um,y_pos_mm\n0,1,-300\n7200,4,300\n")
+    assert set(log_record(read_log([path])).displacements) == {"x"}
+    path.write_text("time_s,y_pos_mm\n0,-300\n7200,300\n")
+    with pytest.raises(InputError, match="no displacement"):
+        log_record(read_log([path]))
+
+
 def test_the_command_writes_the_report_and_the_parameters(command, log, tmp_path):
     page, content = tmp_path / "page.html", tmp_path / "found.json"
     channels = ["--displacement", "X1=front_um", "--displacement", "X2=back_um"]

@@ -116,7 +116,8 @@ def log_record(
     log : Log
         One run.
     displacements : mapping, optional
-        Channel of the record to column of the log; default every length, by its name without unit.
+        Channel of the record to column of the log; default every length but positions of axes, by
+        its name without unit.
     temperatures : list of str, optional
         Columns; default every temperature.
     speed : str, optional
@@ -131,7 +132,8 @@ def log_record(
     """
     if len(log.starts) > 1:
         raise InputError("log: time restarts within it; give the file of one test")
-    wanted = _by_base(log, log.of("length")) if displacements is None else displacements
+    moved = [one.name for one in log.columns if one.quantity == "length" and not one.is_position]
+    wanted = _by_base(log, moved) if displacements is None else displacements
     if not wanted:
         raise InputError("log: no displacement; rename its column to end in _um, _mm or _m")
     speeds = log.of("speed")
