@@ -8,6 +8,7 @@ import numpy as np
 
 from thermojoint.artefacts.figures import stacked_panels
 from thermojoint.artefacts.log import Log
+from thermojoint.artefacts.quantities import Column
 from thermojoint.pictures.figures import write_figure
 
 #: Points that a panel shows of a curve.
@@ -16,6 +17,7 @@ _HOUR = 3600.0
 _LABELS = {
     "temperature": "temperature (°C)",
     "length": "displacement (µm)",
+    "position": "position (mm)",
     "speed": "speed (rpm)",
     "feed": "feed (mm/s)",
     "power": "power (W)",
@@ -26,6 +28,7 @@ _LABELS = {
 #: From SI to the unit of the label: scale and zero.
 _SHOWN = {
     "length": (1e6, 0.0),
+    "position": (1e3, 0.0),
     "speed": (30.0 / np.pi, 0.0),
     "feed": (1e3, 0.0),
     "load": (100.0, 0.0),
@@ -37,13 +40,14 @@ def write_log_picture(log: Log, path: Path) -> None:
 
     A run whose clock restarts is drawn after the one before it.
     """
-    quantities = [quantity for quantity in _LABELS if log.of(quantity)]
+    shown = {column.name: _shown(column) for column in log.columns}
+    quantities = [quantity for quantity in _LABELS if quantity in shown.values()]
     figure, panels = stacked_panels(len(quantities), 9.0, 1.0 + 2.2 * len(quantities))
     hours = _hours(log)
     step = max(1, len(hours) // _POINTS)
     for panel, quantity in zip(panels, quantities, strict=True):
         scale, zero = _SHOWN.get(quantity, (1.0, 0.0))
-        for column in (column for column in log.columns if column.quantity == quantity):
+        for column in (column for column in log.columns if shown[column.name] == quantity):
             absolute = quantity == "temperature" and column.unit != "K"
             values = scale * log.at(column.name) - (273.15 if absolute else zero)
             panel.plot(hours[::step], values[::step], linewidth=1.0, label=column.name)
@@ -54,6 +58,11 @@ def write_log_picture(log: Log, path: Path) -> None:
         panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize="small", frameon=False)
     panels[-1].set_xlabel("time since the first sample (h)")
     write_figure(figure, path, dpi=110)
+
+
+def _shown(column: Column) -> str:
+    """Return in which panel a column is drawn: a stroke would hide all displacements."""
+    return "position" if column.is_position else column.quantity
 
 
 def _hours(log: Log) -> np.ndarray:
