@@ -18,6 +18,8 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.models.baselines import FILE, Baselines
 from thermojoint.models.sensors import JOINT_SENSORS, ROLES
 
+#: Of what was this many of the slowest time constants ago nothing is left, not even in rounding.
+_FORGOTTEN = 50.0
 #: A sample closer to an autoregression step than this, relative to the interval, counts as on it.
 _AT_STEP = 1e-6
 
@@ -89,6 +91,12 @@ class AutoregressionEstimator:
         )
 
     @cached_property
+    def _remembered(self) -> int:
+        """Number of steps on which an estimate depends."""
+        lags = self._past.shape[1] + len(self._inputs[0])
+        return lags + math.ceil(_FORGOTTEN * self.settling.slowest / self.model.interval_s)
+
+    @cached_property
     def settling(self) -> Settling:
         """Duration of being unsettled after a start on a warm machine: by its slowest root."""
         roots = [np.abs(np.roots([1.0, *(-own)])).max(initial=0.0) for own in self._past]
@@ -101,6 +109,8 @@ class AutoregressionEstimator:
         clock, dt = advanced(last, time, values, CHANNELS, self.model.interval_s)
         new, elapsed = np.asarray(values, dtype=float), time - clock.begun
         steps = elapsed / self.model.interval_s
+        # After a long gap, or where a clock is set, most steps would be forgotten in the end.
+        done = max(done, math.floor(steps) - self._remembered)
         while done + 1 <= steps + _AT_STEP:
             done += 1
             share = 1.0 - (steps - done) * self.model.interval_s / dt

@@ -250,6 +250,17 @@ def test_an_autoregression_gives_the_same_at_the_steps_whatever_lies_between(est
     assert np.array(fine)[::4] == pytest.approx(coarse, rel=1e-6, abs=1e-12)
 
 
+def test_a_clock_that_is_set_costs_an_autoregression_no_hours(estimators):
+    """From 1970 to now there are more steps than anything takes; most are forgotten in the end."""
+    one = estimators["arx"]
+    values = [1.0] * len(one.channels)
+    state, _ = one.sample(one.initial_state(), 10.0, values)
+    _, after = one.sample(state, 1.7e9, values)
+    steady = [(STEP * k, *values) for k in range(1, 4000)]
+    *_, (_, settled) = follow(one, steady, one.initial_state())
+    assert after.displacement == pytest.approx(settled.displacement, rel=1e-6, abs=1e-12)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_sample_that_goes_back_in_time_is_refused_and_the_state_stays(estimators, kind):
     one = estimators[kind]
