@@ -242,6 +242,18 @@ def test_the_handshake_shows_whether_the_control_takes_part(page, floor):
     assert not page.is_visible("#handshake-card")
 
 
+def test_the_handshake_follows_offsets_that_have_other_axes(page, floor):
+    opened(page, floor, "/machines/mill-1")
+    until(page, "document.querySelectorAll('#handshake dt').length > 0")
+    said = page.request.get(f"{floor.url}/api/machines/mill-1/handshake").json()
+    other = said | {"acknowledged_um": {"X": 1.0, "Z": 7.0}, "acknowledged_slopes_um_per_m": {}}
+    page.route("**/handshake", lambda route: route.fulfill(json=other))
+    until(page, "document.querySelector('#handshake').innerText.includes('Acknowledged Z')")
+    text = page.inner_text("#handshake")
+    assert "Acknowledged Y" not in text
+    assert "+7.0 µm" in text
+
+
 def test_a_machine_that_is_silent_is_bad_and_says_how_old_its_value_is(page, floor):
     opened(page, floor, "/machines/mill-2")
     assert page.inner_text("#word").lower() == "bad"

@@ -252,7 +252,9 @@ async function handshake() {
   for (const [axis, value] of Object.entries(said.acknowledged_slopes_um_per_m || {})) {
     facts.push([`Acknowledged slope ${axis}`, value === null ? "–" : `${shown(value, 1, true)} µm/m`]);
   }
-  if (!list.children.length) for (const [term] of facts) list.append(el("dt", "", term), el("dd"));
+  const terms = JSON.stringify(facts.map(([term]) => term));
+  if (list.dataset.terms !== terms) list.replaceChildren(...facts.flatMap(([term]) => [el("dt", "", term), el("dd")]));
+  list.dataset.terms = terms;
   facts.forEach(([, text], k) => write(list.children[2 * k + 1], text));
 }
 
