@@ -142,6 +142,18 @@ def test_the_overview_shows_every_machine_worst_first(page, floor):
     assert page.locator(".tile:visible").count() == 1
 
 
+def test_the_overview_forgets_the_axes_of_a_model_that_was_replaced(page, floor):
+    opened(page, floor, "/")
+    before = floor.hub.newest["mill-1"]
+    layout = replace(before.layout, axes=("x",), controls=("X",), lines=())
+    one = {"displacement": np.array([77.7e-6]), "band": np.array([1e-6]), "slopes": np.empty(0)}
+    floor.publish(again(before, layout=layout, offsets=np.array([0.0]), **one))
+    until(page, "document.querySelector('a[href$=\"mill-1\"]').innerText.includes('+77.7')")
+    assert page.locator('a[href$="mill-1"] .axis').all_inner_texts() == ["x"]
+    floor.publish(again(before))
+    until(page, "document.querySelectorAll('a[href$=\"mill-1\"] .axis').length === 2")
+
+
 def test_the_page_of_a_machine_says_what_the_service_says(page, floor):
     opened(page, floor, "/machines/mill-1")
     until(page, "!!document.querySelector('#c-displacement').data")

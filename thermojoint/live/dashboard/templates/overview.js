@@ -28,7 +28,13 @@ function update(one) {
   const tile = tileOf(one.machine);
   const quality = one.quality || "none";
   tile.time = one.time_s;
-  for (const [axis, value] of Object.entries(one.displacement_um || {})) {
+  const moved = one.displacement_um || {};
+  // Of a model that has been replaced by one with other axes nothing stays.
+  if ([...tile.axes.keys()].some((axis) => !(axis in moved))) {
+    tile.values.replaceChildren();
+    tile.axes.clear();
+  }
+  for (const [axis, value] of Object.entries(moved)) {
     let shownAt = tile.axes.get(axis);
     if (!shownAt) {
       const line = el("span", "tile-axis");
