@@ -132,7 +132,7 @@ def show_learn(place: Place, given: Given) -> dict[str, Any]:
     """Return what the page of learning shows."""
     words = shlex.join(next(iter(place.record("learn").commands), []))
     columns = _columns(place)
-    lengths = [column.name for column in columns if column.quantity == "length"]
+    lengths = [c.name for c in columns if c.quantity == "length" and not _is_position(c.name)]
     before = [name for name in lengths if f"--displacement={name}" in words]
     return {
         "logs": _logs(place),
@@ -144,6 +144,11 @@ def show_learn(place: Place, given: Given) -> dict[str, Any]:
         "kind": one(given, "kind", "learned"),
         "most": one(given, "most", str(_MOST_SENSORS)),
     }
+
+
+def _is_position(name: str) -> bool:
+    column = column_named(name)
+    return column is not None and column.is_position
 
 
 def do_learn(place: Place, given: Given) -> None:

@@ -269,6 +269,15 @@ def test_columns_are_named_in_a_file_and_others_are_not_overwritten(client, plac
     assert not place.is_done("log")
 
 
+def test_where_an_axis_stands_is_no_displacement_to_learn(client, place):
+    """It was ticked, as every length."""
+    (place.folder / "log.csv").write_text("time_s,T1_degC,x_um,y_pos_mm\n0,20,1,-300\n60,21,2,0\n")
+    recorded(place, "log", "$ thermojoint look log.csv --out=log.png", "exit code 0")
+    page = client.get("/learn").text
+    assert 'value="x_um"' in page
+    assert 'value="y_pos_mm"' not in page
+
+
 def test_a_command_that_fails_says_why_and_one_that_runs_can_be_cancelled(client, place):
     (place.folder / "log.csv").write_text("a,b\n1,2\n")
     sent(client, "/log", log="log.csv")
