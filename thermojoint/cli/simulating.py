@@ -40,12 +40,13 @@ def simulate(
     Example: [bold]thermojoint simulate longer.toml --continue half.npz --out rest.nc[/bold]
     """
     from fesim.axes.setup import check_still
-    from fesim.case.schema import read_case
+    from fesim.case.schema import first_step_at, read_case
     from fesim.march.state_file import load_state, save_state
     from fesim.simulate import prepared, standing
     from fesim.simulate import simulate as run_case
     from fesim.snapshots import snapshot_writer
     from thermojoint import console, plausibility
+    from thermojoint.artefacts.errors import InputError
     from thermojoint.artefacts.folders import whole_folder
     from thermojoint.artefacts.response import write_response
     from thermojoint.artefacts.settings.section import files_of
@@ -65,13 +66,20 @@ def simulate(
         {"--out": (out, file_kinds.RESPONSE), "--save-state": (save, file_kinds.MARCH_STATE)},
         [case, *files_of(given)],
     )
-    times = given.output.snapshots_s
+    begin = load_state(resume, given) if resume else None
+    times, step = given.output.snapshots_s, given.march.step_s
+    if begin is not None:
+        times = [time for time in times if first_step_at(time, step) > begin.index]
+        if snapshots and given.output.snapshots_s and not times:
+            raise InputError(
+                f"output.snapshots_s: no time after the state, at {begin.index * step:g} s; add "
+                "one, or leave --snapshots out"
+            )
     folder = snapshots or (out.with_name(f"{out.stem}-snapshots") if times else None)
     if folder:
         check_still(given, "--snapshots")
         arguments.check_whole_folder(folder)
     console.warn(plausibility.of_case(given, str(case)))
-    begin = load_state(resume, given) if resume else None
     with (
         whole_folder(folder) if folder else nullcontext() as fields,
         console.progress_bars() as report,

@@ -310,6 +310,25 @@ def test_a_continued_simulation_is_the_uninterrupted_one(command, files_at_hand,
     np.testing.assert_allclose(joined, whole, rtol=0.0, atol=1e-9 * np.abs(whole).max())
 
 
+def test_a_continued_simulation_without_a_snapshot_leaves_those_before_it(command, tmp_path):
+    """An empty folder took the place of theirs."""
+    asked, fields = "\n[output]\nsnapshots_s = [6.0]\n", tmp_path / "fields"
+    for name, minutes in (("half", 0.2), ("longer", 0.5)):
+        (tmp_path / f"{name}.toml").write_text(lasting(minutes) + asked)
+    run = ["simulate", tmp_path / "half.toml", "--out", tmp_path / "half.nc"]
+    assert command(*run, "--snapshots", fields, "--save-state", tmp_path / "half.npz")[0] == 0
+    written = sorted(fields.iterdir())
+    assert fields / "structure_000003.vtu" in written
+    going_on = ["simulate", tmp_path / "longer.toml", "--out", tmp_path / "rest.nc"]
+    going_on += ["--continue", tmp_path / "half.npz"]
+    code, _, err = command(*going_on, "--snapshots", fields)
+    assert (code, err.count("\n")) == (2, 1)
+    assert "no time after the state, at 12 s" in err
+    assert sorted(fields.iterdir()) == written
+    assert command(*going_on)[0] == 0
+    assert not (tmp_path / "rest-snapshots").exists()
+
+
 def test_a_simulation_ends_with_what_a_person_wants_to_know(command, files_at_hand, tmp_path):
     out = tmp_path / "out.nc"
     code, told, _ = command("simulate", files_at_hand / "case.toml", "--out", out)
