@@ -114,7 +114,18 @@ def unit_direction(axis: AxisSection) -> Array:
 
 
 def _check_walls(case: Case) -> None:
-    """Refuse heat and loads on rigid walls, which nothing warms or moves."""
+    """Refuse heat and loads on rigid walls, which nothing warms or moves, and names of their faces.
+
+    By its name alone a wall is known to have a temperature, or none.
+    """
+    joints = {f"joints.{name}": [one.side_a, one.side_b] for name, one in case.joints.items()}
+    held = {"held_temperatures": list(case.held_temperatures)}
+    for where, places in (joints | held).items():
+        for name in case.walls:
+            if face_of(name) in places:
+                raise InputError(
+                    f"{where}: {face_of(name)!r} is the face of a wall; name the wall, {name!r}"
+                )
     sources = {f"sources.{name}": [one.body, one.surface] for name, one in case.sources.items()}
     loads = {
         f"loads.{name}": [*(one.bodies or []), one.surface] for name, one in case.loads.items()

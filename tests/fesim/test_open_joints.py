@@ -396,6 +396,22 @@ def test_heat_and_loads_on_a_wall_are_refused(section):
         make_parts(case)
 
 
+@pytest.mark.parametrize(
+    "place", [("joints", "tip", "side_b"), ("held_temperatures", "wall.face", "rise_K")]
+)
+def test_a_wall_has_no_other_name(place):
+    """By that of its face an adiabatic wall took heat, and a warm one none."""
+    data = _example()
+    section, name, key = place
+    data[section][name] = data[section].get(name, {}) | {
+        key: "wall.face" if key == "side_b" else 3.0
+    }
+    with pytest.raises(
+        InputError, match=r"'wall\.face' is the face of a wall; name the wall, 'wal"
+    ):
+        make_parts(case_from_data(data, "rod", ROD))
+
+
 def test_the_rods_mesh_is_the_one_that_the_script_writes(states):
     from thermojoint.verification.bistable import rod
 
