@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -33,15 +33,18 @@ def check_sound(case: Case, structure: Structure, joints: Sequence[PairedJoint])
     ------
     InputError
         A body has pieces that touch without a common node; joints lie on each other; the sides of
-        a preloaded joint are far apart; surfaces that exchange heat in the same way overlap; joints
-        cover all of a cavity; radiation goes to another ambient than that of the case.
+        a preloaded joint are far apart; surfaces that exchange heat in the same way overlap, or
+        walls of a cavity and surfaces that give off heat to the ambient; joints cover all of a
+        cavity; radiation goes to another ambient than that of the case.
     """
     check_whole(structure)
     check_covered_once(structure, joints)
-    check_apart(structure, case.convection_W_m2K, "convection_W_m2K")
-    check_apart(structure, case.radiation, "radiation")
+    films, bare = list(case.convection_W_m2K), list(case.radiation)
     in_cavities = [name for cavity in case.cavities.values() for name in cavity.surfaces]
-    check_apart(structure, in_cavities, "cavities")
+    check_apart(structure, combinations(films, 2), "convection_W_m2K")
+    check_apart(structure, combinations(bare, 2), "radiation")
+    check_apart(structure, combinations(in_cavities, 2), "cavities")
+    check_apart(structure, product(in_cavities, [*films, *bare]), "cavities")
     check_open(case, structure, joints)
     check_laws(case, joints)
 
@@ -203,9 +206,9 @@ def check_closed(joint: PairedJoint) -> None:
         )
 
 
-def check_apart(structure: Structure, names: Iterable[str], where: str) -> None:
-    """Refuse surfaces that share facets: there the effects of both would be added."""
-    for surface, other in combinations(names, 2):
+def check_apart(structure: Structure, pairs: Iterable[tuple[str, str]], where: str) -> None:
+    """Refuse pairs of surfaces that share facets: there the effects of both would be added."""
+    for surface, other in pairs:
         shared = np.intersect1d(structure.surface(surface, where), structure.surface(other, where))
         if shared.size:
             area = 1e4 * area_of(structure, shared)

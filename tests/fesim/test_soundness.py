@@ -125,6 +125,11 @@ def test_surfaces_that_overlap_may_not_both_exchange_heat(tmp_path, data, key, s
     data[key] = {"sides": section, "low.x0": section}
     with pytest.raises(InputError, match=rf"{key}: surfaces 'sides' and 'low.x0' share 4 cm2"):
         run(tmp_path, data, structure)
+    # Nor one of them to the air of a cavity.
+    data |= {key: {"sides": section}}
+    data["cavities"] = {"air": {"surfaces": ["low.x0"], "film_W_m2K": 3.0}}
+    with pytest.raises(InputError, match=r"cavities: surfaces 'low.x0' and 'sides' share 4 cm2"):
+        run(tmp_path, data, structure)
 
 
 def test_a_preloaded_joint_whose_sides_are_far_apart_is_refused(tmp_path, data):
