@@ -304,6 +304,17 @@ def test_a_mistake_in_a_setting_stands_beside_its_field(client, place):
     assert place.text("offsets.toml") == OFFSETS.replace("1.0", "2.5", 1)
 
 
+def test_a_value_that_is_none_of_its_choices_stays(client, place):
+    """Saved with the form as it stood, it was left out."""
+    text = OFFSETS.replace('follows = "x"', 'follows = "x_at_-100" # one of: x, z')
+    text = 'unusable = ["silent"] # one of: unsettled, refused\n' + text
+    (place.folder / "offsets.toml").write_text(text)
+    (place.folder / "estimate.csv").write_text(ESTIMATE)
+    page = client.get("/offsets").text
+    assert '<option value="x_at_-100" selected>' in page
+    assert 'value="silent" checked>' in page
+
+
 def test_a_form_of_a_file_that_has_changed_since_is_refused(client, place):
     (place.folder / "offsets.toml").write_text(OFFSETS)
     (place.folder / "estimate.csv").write_text(ESTIMATE)
