@@ -113,6 +113,8 @@ def _rendered(place: Place, name: str, **values: Any) -> str:  # noqa: ANN401
         "steps": steps,
         "next": (after[0], PAGES[after[0]].title) if after else None,
         "running": running,
+        # Not a page on which somebody types meanwhile.
+        "reloads": running is not None and (running[0] == name or running[0] not in PAGES),
         "record": record,
         "pictures": [one for one in record.written if one.endswith(".png") and place.has(one)],
         "stale": place.changed_since(name) if record.code == 0 else [],

@@ -304,6 +304,15 @@ def test_a_mistake_in_a_setting_stands_beside_its_field(client, place):
     assert place.text("offsets.toml") == OFFSETS.replace("1.0", "2.5", 1)
 
 
+def test_a_form_is_not_loaded_again_while_another_step_runs(client, place):
+    """What somebody typed into it was lost each second."""
+    place.jobs.start("learn", ["verify"])
+    found = {step: "http-equiv" in client.get(f"/{step}").text for step in ("learn", "log", "")}
+    place.jobs.cancel()
+    assert found == {"learn": True, "log": False, "": False}
+    ended(place)
+
+
 def test_a_value_that_is_none_of_its_choices_stays(client, place):
     """Saved with the form as it stood, it was left out."""
     text = OFFSETS.replace('follows = "x"', 'follows = "x_at_-100" # one of: x, z')
