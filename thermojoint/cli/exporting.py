@@ -94,8 +94,9 @@ def export(  # noqa: PLR0913 - the options of a command
     arguments.check_taken(kind.name, {"--run-length-min": (run_length, kind.paced)})
     checked_name(name)
     origin = samples.name if samples else ""
-    if samples is None:
-        arguments.only_for("--samples", {"--column": column, "--mapping": mapping})
+    if samples is None or samples.suffix == ".nc":
+        logged = "--samples" if samples is None else "a log"
+        arguments.only_for(logged, {"--column": column, "--mapping": mapping})
     renamed = renamed_by(column, mapping)
     with (
         console.working("exporting"),

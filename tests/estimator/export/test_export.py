@@ -17,6 +17,7 @@ from exported import (
     selftest,
     written,
 )
+from in_process import run
 
 from estimator.export.c_source import literal
 from estimator.export.program import REFUSED, Precision
@@ -232,6 +233,13 @@ def test_what_has_no_number_is_refused(fchs):
 
 
 @needs_gcc
+def test_a_response_has_no_columns_to_rename(fchs, tmp_path, capsys):
+    write_assembly(fchs.assembly, tmp_path / "estimator.json")
+    names = (tmp_path / "estimator.json", "--out", tmp_path / "program")
+    assert run("export", *names, "--samples", tmp_path / "r.nc", "--column", "a=T1_K") == 2
+    assert "--column: goes with a log" in capsys.readouterr().err
+
+
 def test_the_command_writes_a_folder_that_compiles_and_prints_what_it_costs(fchs, tmp_path, capsys):
     file, out = tmp_path / "estimator.json", tmp_path / "program"
     write_assembly(fchs.assembly, file)
