@@ -53,8 +53,8 @@ def check_drivable(case: Case) -> None:
     Raises
     ------
     InputError
-        There is no source, a source has its own heat input, the machine starts warm, or the ambient
-        or a held temperature changes.
+        There is no source, a source has its own heat input, a load acts, the machine starts warm,
+        or the ambient or a held temperature changes.
     """
     if not case.sources:
         raise InputError("sources: nothing follows the heat input; add [sources.NAME]")
@@ -70,6 +70,11 @@ def check_drivable(case: Case) -> None:
         ambient = read_history(case.ambient.file, "ambient_degC")(times)
         if np.ptp(ambient) > 0.0:
             raise InputError("ambient: calibration needs a steady ambient; leave [ambient] out")
+    for name, load in case.loads.items():
+        if load.file is None or read_history(load.file, "factor")(times).any():
+            raise InputError(
+                f"loads.{name}: calibration needs a machine that heat alone moves; leave it out"
+            )
     if case.initial_temperature is not None:
         raise InputError("initial_temperature: calibration starts at the ambient; leave it out")
     for name, section in case.held_temperatures.items():

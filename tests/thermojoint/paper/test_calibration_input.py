@@ -14,6 +14,9 @@ from calibrate import chain
 from calibrate.responses import moving_axes
 from estimator.fchs import judging as judge
 from fesim.case.schema import CandidatesSection, Case, case_from_data
+from fesim.case.thermal_sections import StepInput
+from fesim.setup.machine import set_up
+from fesim.simulate import simulate
 from thermojoint.artefacts.errors import ConvergenceError, InputError
 from thermojoint.artefacts.response import make_response, read_response
 from thermojoint.cli import arguments, modelling
@@ -345,6 +348,10 @@ def history(folder, column, last):
 
 
 DISTURBED = {
+    "the weight of the machine": (
+        lambda data, folder: {"loads": {"weight": {"acceleration_m_s2": [0.0, -9.81, 0.0]}}},
+        "loads.weight",
+    ),
     "a source with a heat input of its own": (
         lambda data, folder: own_input(data),
         "sources.drive.heat_input",
@@ -392,6 +399,22 @@ def test_a_steady_ambient_and_a_surface_at_ambient_do_no_harm(coarse_data, tmp_p
         "held_temperatures": {"bearings": {"rise_K": 0.0}},
     }
     check_drivable(drivable(coarse_data, **sections))
+
+
+def test_a_load_would_be_taken_for_the_joint(coarse_data):
+    """What is not proportional to the heat is the joint's: half of the sag, at half of the heat."""
+    weight = {"weight": {"acceleration_m_s2": [0.0, -9.81, 0.0]}}
+    case = drivable(coarse_data, loads=weight)
+    ready = set_up(case)
+    half, one = (
+        simulate(
+            case.model_copy(update={"heat_input": StepInput(kind="step", level=level)}), setup=ready
+        )
+        .response["displacement"]
+        .to_numpy()[0]
+        for level in (0.5, 1.0)
+    )
+    assert np.abs(half - 0.5 * one).max() > 0.5e-6
 
 
 def test_a_case_without_a_joint_is_refused_before_it_is_set_up(coarse_case, tmp_path, monkeypatch):
