@@ -79,18 +79,20 @@ def draw(source: Path, show: Show | None, out: Path, report: Report, up: Up | No
     report : callable
         Progress.
     up : Up, optional
-        Default the direction away from the supports.
+        Default the direction away from the supports; of curves there is none.
 
     Raises
     ------
     InputError
-        The source is unusable, fields are requested of a response without its case, there are no
-        joints whose pressure could be shown, or `out` has another format.
+        The source is unusable, `up` is given for curves, fields are requested of a response without
+        its case, there are no joints whose pressure could be shown, or `out` has another format.
     """
     from_case = source.suffix != ".nc"
     show = show or (Show.structure if from_case else Show.curves)
-    check = check_format if show in (*CURVES, Show.volume) else check_png
-    check(out)
+    flat = show in (*CURVES, Show.volume)
+    (check_format if flat else check_png)(out)
+    if flat and up is not None:
+        raise InputError(f"--up {up}: --show {show} has no direction; leave it out")
     response = None if from_case else read_response(source)
     if show in CURVES and response is not None:
         write_figure(CURVES[show](response), out)

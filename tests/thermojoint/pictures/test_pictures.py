@@ -18,9 +18,10 @@ from thermojoint.pictures.colour_scale import colour_scale
 from thermojoint.pictures.labels import place_labels
 from thermojoint.pictures.renderer import creases, painted, pixel_size
 from thermojoint.pictures.scenes import Panel, Scene, Surface, bodies, finished, up_direction
+from thermojoint.pictures.show import Show, Up
 from thermojoint.pictures.stills import sheet
 from thermojoint.pictures.structure_scene import structure_scene
-from thermojoint.pictures.view import FIELDS, Up, film_scenes, whole_structure
+from thermojoint.pictures.view import FIELDS, draw, film_scenes, whole_structure
 
 finite = st.floats(-1.0, 1.0)
 directions = st.tuples(finite, finite, finite).filter(lambda v: np.linalg.norm(v) > 0.1)
@@ -260,6 +261,12 @@ def test_a_film_needs_its_suffix_and_its_extra(tmp_path, monkeypatch):
     monkeypatch.setattr(extras, "find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"thermojoint\[view\]"):
         film.check_film(tmp_path / "film.mp4")
+
+
+def test_curves_have_no_direction_that_is_up(tmp_path):
+    for show in (None, Show.curves, Show.pressures, Show.volume):
+        with pytest.raises(InputError, match="--up z: --show"):
+            draw(tmp_path / "r.nc", show, tmp_path / "r.png", lambda *_: None, Up.z)
 
 
 def test_a_film_shows_fields_only(tmp_path):
