@@ -46,7 +46,7 @@ from fesim.march.stepping import (
 from fesim.march.track import Track, joined, track_of
 from fesim.one_thread import threads_beside_solver, threads_of_march
 from fesim.setup.bolts import first_forces
-from fesim.setup.loads import MarchInputs, march_inputs, source_names, source_power
+from fesim.setup.loads import MarchInputs, check_turns, march_inputs, source_names, source_power
 from fesim.setup.machine import Setup, set_up
 from fesim.setup.soundness import check_one_ambient
 from fesim.setup.structure import displacement_of
@@ -151,6 +151,7 @@ def simulate(
     """
     if not isinstance(case, Case):
         case = read_case(case)
+    check_turns(case)
     given = setup if setup is not None else prepared(case)
     moving = given if isinstance(given, MovingSetup) else None
     ready = standing(given)
@@ -229,8 +230,10 @@ def prepared(case: Case) -> Setup | MovingSetup:
     Raises
     ------
     InputError
-        As `fesim.setup.machine.set_up` and `fesim.axes.setup.set_up_axes`.
+        As `fesim.setup.machine.set_up` and `fesim.axes.setup.set_up_axes`; or a load turns back
+        where no step can follow.
     """
+    check_turns(case)
     return set_up_axes(case) if case.axes else set_up(case)
 
 
@@ -257,12 +260,6 @@ def _marching(
         yield from march_adaptively(machine, rates, drive, ends, tolerance, first)
         return
     advance, between = COUPLINGS[march.coupling], inputs.reversed_forces(ends)
-    if between and (machine.friction is not None or machine.stiffness is not None):
-        key = "slip_heating" if machine.friction is not None else "youngs_modulus_factor"
-        raise InputError(
-            f"march.step_s: a load turns back within the step to {ends[min(between)]:g} s, which "
-            f"{key} cannot follow; take steps that end where it turns, or leave out {key}"
-        )
     for track in march_along(machine, inputs.at(ends), advance, first, between):
         yield track, None
 

@@ -21,7 +21,7 @@ from fesim.batch.paths import known_paths, with_values
 from fesim.case.identity import case_id, condensation_key, file_digest
 from fesim.case.schema import Case, case_from_data, parse_case
 from fesim.setup.bolts import first_forces
-from fesim.setup.loads import march_inputs
+from fesim.setup.loads import check_turns, march_inputs
 from fesim.setup.parts import make_parts
 from fesim.setup.soundness import check_one_ambient, check_stands, radiated_to
 from thermojoint.artefacts.errors import InputError, unknown_name
@@ -221,6 +221,7 @@ def study_of(
                 march_inputs(case)
                 first_forces(case)
                 check_one_ambient(case)
+            check_turns(case)
             if study_case.key not in shapes:
                 parts = make_parts(case)
                 contacts = sum(len(joint.area) for joint in parts.joints)

@@ -19,7 +19,7 @@ from fesim.case.history import (
     step_history,
     triangle_history,
 )
-from fesim.case.schema import Case, heated_by_drives
+from fesim.case.schema import Case, heated_by_drives, step_count
 from fesim.case.thermal_sections import (
     HeatInput,
     HeldTemperatureSection,
@@ -36,6 +36,7 @@ from fesim.solid.heat import HeatSource
 from fesim.solid.input_layout import InputLayout
 from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array, OfPosition
+from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.units import MEGA
 
 
@@ -234,6 +235,29 @@ def march_inputs(case: Case) -> MarchInputs:
         held=[held_history(section) for section in case.held_temperatures.values()],
         forces=[*factors, *tightening(case), *([step_history(1.0)] if case.bolts else [])],
     )
+
+
+def check_turns(case: Case) -> None:
+    """Refuse loads that turn back within a step where what depends on them cannot follow.
+
+    Raises
+    ------
+    InputError
+        A load turns back within a step, with heat of friction or a modulus that depends on
+        temperature; or as `march_inputs`.
+    """
+    used = [made for name, made in case.materials.items() if name in case.bodies.values()]
+    keys = ["slip_heating"] if any(joint.slip_heating for joint in case.joints.values()) else []
+    if any(made.youngs_modulus_factor is not None for made in used):
+        keys.append("youngs_modulus_factor")
+    if not keys:
+        return
+    ends = case.march.step_s * np.arange(1.0, step_count(case.march) + 1.0)
+    if between := march_inputs(case).reversed_forces(ends):
+        raise InputError(
+            f"march.step_s: a load turns back within the step to {ends[min(between)]:g} s, which "
+            f"{keys[0]} cannot follow; take steps that end where it turns, or leave out {keys[0]}"
+        )
 
 
 def thermal_inputs(case: Case) -> Callable[[float], Array]:

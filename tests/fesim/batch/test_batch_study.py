@@ -404,6 +404,19 @@ def test_a_study_of_a_machine_with_axes_is_refused_before_any_work(tmp_path):
         read_study(path)
 
 
+def test_loads_that_turn_where_no_step_can_follow_are_refused_before_any_work(tmp_path):
+    """As `simulate` refuses them: they failed case by case."""
+    path = write_study(tmp_path, grid("joints.knee.slip_heating", False, True))
+    push = '[loads.push]\nsurface = "bearings"\nforce_N = [100.0, 0.0, 0.0]\nfile = "push.csv"\n'
+    machine = tmp_path / "machine.toml"
+    machine.write_text(machine.read_text() + push)
+    (tmp_path / "push.csv").write_text("time_s,factor\n0,0\n45,1\n90,0\n")
+    with pytest.raises(
+        InputError, match=r"case 2 .*turns back within the step to 46 s, which slip"
+    ):
+        read_study(path)
+
+
 def outcome(task):
     return Outcome(task.id, "done", seconds=1.0, setup_seconds=20.0)
 

@@ -62,7 +62,9 @@ def test_a_march_with_friction_goes_on_bit_for_bit(tmp_path):
         np.testing.assert_array_equal(rest[name], uninterrupted[name][-len(rest["time"]) :])
 
 
-def test_a_load_that_turns_within_a_step_is_refused_with_friction_heat(tmp_path):
+def test_a_load_that_turns_within_a_step_is_refused_with_friction_heat(tmp_path, monkeypatch):
+    """Before anything is set up."""
+    monkeypatch.setattr("fesim.simulate.set_up", None)
     with pytest.raises(InputError, match="turns back within the step to 80 s"):
         simulate(pushed(tmp_path, step_s=40.0))
 
