@@ -21,6 +21,7 @@ from fesim.batch.paths import known_paths, with_values
 from fesim.case.identity import case_id, condensation_key, file_digest
 from fesim.case.schema import Case, case_from_data, parse_case
 from fesim.setup.bolts import first_forces
+from fesim.setup.laws import read_conductance_table
 from fesim.setup.loads import check_turns, march_inputs
 from fesim.setup.parts import make_parts
 from fesim.setup.soundness import check_one_ambient, check_stands, radiated_to
@@ -204,7 +205,7 @@ def study_of(
     for name in varied:
         if name not in known:
             raise unknown_name("value", name, known, f"{where}: {source}")
-    digest = cache(file_digest)
+    digest, table = cache(file_digest), cache(read_conductance_table)
     data = toml.parse(text, str(source))
     cases_by_id: dict[str, StudyCase] = {}
     shapes: dict[str, Shape] = {}
@@ -222,6 +223,9 @@ def study_of(
                 first_forces(case)
                 check_one_ambient(case)
             check_turns(case)
+            for joint in case.joints.values():
+                if joint.conductance.file is not None:
+                    table(joint.conductance.file)
             if study_case.key not in shapes:
                 parts = make_parts(case)
                 contacts = sum(len(joint.area) for joint in parts.joints)

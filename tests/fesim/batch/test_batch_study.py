@@ -404,6 +404,19 @@ def test_a_study_of_a_machine_with_axes_is_refused_before_any_work(tmp_path):
         read_study(path)
 
 
+def test_every_table_of_conductances_is_read_before_any_work(tmp_path):
+    """Laws share a condensation: only the table of the first case was read."""
+    for name, falling in (("good", 3000.0), ("bad", 10.0)):
+        rows = f"pressure_MPa,conductance_W_m2K\n1,1000\n5,2000\n9,{falling}\n"
+        (tmp_path / f"{name}.csv").write_text(rows)
+    tables = "".join(f'{{law = "table", file = "{name}.csv"}}, ' for name in ("good", "bad"))
+    path = write_study(
+        tmp_path, f'[[grid]]\npath = "joints.knee.conductance"\nvalues = [{tables}]\n'
+    )
+    with pytest.raises(InputError, match=r"case 2 .*bad.csv: .* falls as pressure_MPa rises"):
+        read_study(path)
+
+
 def test_loads_that_turn_where_no_step_can_follow_are_refused_before_any_work(tmp_path):
     """As `simulate` refuses them: they failed case by case."""
     path = write_study(tmp_path, grid("joints.knee.slip_heating", False, True))
