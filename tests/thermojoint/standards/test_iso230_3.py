@@ -166,6 +166,18 @@ def test_a_second_point_is_of_the_same_run():
         with_second(record, record)
 
 
+def test_a_second_point_of_another_day_is_refused(tmp_path):
+    """Its time from its start is the same, but the machine was another."""
+    found = []
+    for day in ("01", "02"):
+        path = tmp_path / f"{day}.csv"
+        path.write_text(f"timestamp,x_um\n2024-03-{day}T08:00:00,1\n2024-03-{day}T10:30:00,4\n")
+        found.append(log_record(read_log([path])))
+    assert set(with_second(found[0], found[0]).displacements) == {"x", "x2"}
+    with pytest.raises(InputError, match="another day"):
+        with_second(*found)
+
+
 def test_every_range_of_the_report_is_in_the_json_with_its_unit():
     record = with_tilts(warm_up(), {"B": ("X", "X2")}, 0.15)
     evaluation = evaluate(Protocol.SPINDLE, record)

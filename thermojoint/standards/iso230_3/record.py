@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
@@ -12,6 +13,7 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.response import axes_of, columns_of, probes_of
+from thermojoint.artefacts.tables.clock import tells_date
 from thermojoint.standards.iso230_3.targets import driven, read_at
 
 if TYPE_CHECKING:
@@ -45,6 +47,8 @@ class Record:
     drive: Array | None = None
     #: Columns that may be the drive, where it is not known which.
     drives: tuple[str, ...] = ()
+    #: Time of the first sample, s since 1970; NaN for a clock without a date.
+    began: float = math.nan
     #: Tilt to the distance of the two probes that it is from, m.
     distances: Mapping[str, float] = field(default_factory=dict)
 
@@ -151,6 +155,7 @@ def log_record(
         },
         drive=None if speed is None else log.at(speed),
         drives=tuple(unnamed),
+        began=float(log.times[0]) if tells_date(float(log.times[0])) else math.nan,
     )
 
 
@@ -187,13 +192,15 @@ def with_second(record: Record, second: Record) -> Record:
     Raises
     ------
     InputError
-        The times differ, or a name exists already.
+        The times differ, also by their dates, or a name exists already.
     """
     same = record.times.shape == second.times.shape and np.allclose(
         record.times, second.times, rtol=1e-9, atol=1e-6
     )
     if not same:
         raise InputError("second point: read at other times than the first; give the same run")
+    if abs(second.began - record.began) > record.times[-1]:
+        raise InputError("second point: read on another day than the first; give the same run")
     added = {f"{name}2": values for name, values in second.displacements.items()}
     for name in added:
         if name in record.displacements:
