@@ -125,8 +125,7 @@ class FreeMarch:
 
     def _course(self, now: Now) -> Course:
         """The march so far as arrays of its own."""
-        state, pace, effort, modes = now.state, now.pace, now.effort, self.kernel.modes
-        acting = modes.inputs @ now.inputs[: modes.inputs.shape[1]] - modes.drawn @ now.flow
+        state, pace, effort = now.state, now.pace, now.effort
         counts = (effort.steps, effort.rejected, effort.shortest, effort.longest)
 
         def pair(values: Array) -> Array:
@@ -134,7 +133,7 @@ class FreeMarch:
 
         return Course(
             unknowns=pair(state.temperature),
-            acting=pair(acting),
+            acting=np.zeros((2, state.temperature.size)),
             gap=pair(state.gap),
             slip=pair(state.slip),
             pressure=pair(state.pressure),

@@ -273,6 +273,24 @@ def _within(course: Course, weights: Array, into: Array) -> None:
 
 
 @compiled_part
+def _give(matrix: Array, inputs: Array, into: Array) -> None:
+    """What inputs (k + l,) give to the unknowns (n,), by a matrix (n, k)."""
+    for k in range(into.size):
+        into[k] = 0.0
+        for i in range(matrix.shape[1]):
+            into[k] += matrix[k, i] * inputs[i]
+
+
+@compiled_part
+def _begin(modes: Modes, work: Work, course: Course) -> None:
+    """What acts at the start of the first step: as after a step that ended there, to the bit."""
+    _give(modes.inputs, course.inputs[BEFORE], course.acting[BEFORE])
+    np.dot(modes.drawn, course.flow[BEFORE], work.unknowns[DRAWN])
+    for k in range(course.acting.shape[1]):
+        course.acting[BEFORE, k] -= work.unknowns[DRAWN, k]
+
+
+@compiled_part
 def _flows(heat: Heat, work: Work, flow: Array) -> None:
     """Joint heat flows at conductances and jumps, and what they draw from the unknowns."""
     conducted, jump, at = work.contact[CONDUCTED], work.contact[JUMP], work.unknowns[AT]
@@ -294,12 +312,10 @@ def _first_guess(heat: Heat, joint: JointKernel, work: Work, trial: Trial, cours
     """Unknowns without joint heat flows, and pressures as the last step goes on."""
     part, base, weights = _part(work), course.unknowns[AFTER], heat.weights
     inputs, value = course.inputs[AFTER], work.contact[VALUE]
+    given = course.acting[AFTER]
+    _give(heat.inputs, inputs, given)
     for k in range(base.size):
-        given = 0.0
-        for i in range(heat.inputs.shape[1]):
-            given += heat.inputs[k, i] * inputs[i]
-        course.acting[AFTER, k] = given
-        base[k] = weights[STAYS, k] * course.unknowns[BEFORE, k] + weights[TURNS, k] * given
+        base[k] = weights[STAYS, k] * course.unknowns[BEFORE, k] + weights[TURNS, k] * given[k]
         base[k] += (weights[STARTS, k] - weights[TURNS, k]) * course.acting[BEFORE, k]
     _begun_at(course.gap[BEFORE], course.slip[BEFORE], part)
     if course.clock[LAST] > 0.0:
@@ -672,6 +688,7 @@ def march_freely(
     clock, limits, lengths = course.clock, asked.limits, storage.lengths
     modes, jump, work = machine.modes, machine.joint.jump, storage.work
     begun, step, row, knot = int(course.effort[STEPS]), 0, 0, 0
+    _begin(modes, work, course)
     while row < asked.times.size and step < len(taken.numbers):
         while asked.knots[knot] <= clock[START]:
             knot += 1

@@ -195,9 +195,16 @@ def test_a_case_is_marched_adaptively_and_says_so(adaptive_case):
 
 @pytest.mark.parametrize("plainly", [False, True])
 def test_a_march_goes_on_from_a_saved_state_to_the_bit(adaptive_case, tmp_path, plainly):
-    """Its last step passes the time of the state, and is taken again."""
-    half, longer = (adaptive_case.replace(march={"duration_min": end}) for end in (1.0, 2.0))
-    setup = set_up(adaptive_case)
+    """Its last step passes the time of the state, and is taken again.
+
+    Sums over several inputs are those of the steps before, too.
+    """
+    (tmp_path / "hall.csv").write_text("time_s,ambient_degC\n0,20\n50,21.3\n90,20.7\n300,22\n")
+    hall = {"ambient": {"file": str(tmp_path / "hall.csv")}}
+    half, longer = (
+        adaptive_case.replace(march={"duration_min": end}, **hall) for end in (1.0, 6.0)
+    )
+    setup = set_up(longer)
     by = {"return_value": None} if plainly else {"wraps": adaptive._compiled}
     with patch.object(adaptive, "_compiled", **by):
         whole = simulate(longer, setup=setup, accuracy=False)
