@@ -141,6 +141,11 @@ class MarchSection(Section):
                 'method = "adaptive" integrates modes exactly; take thermal = "reduced", or '
                 'method = "fixed"'
             )
+        if self.method == "adaptive" and self.coupling == "iterated":
+            raise ValueError(
+                'coupling = "iterated" belongs to method = "fixed": in adaptive steps pressure and '
+                "conductance agree by themselves; leave it out"
+            )
         return self
 
 

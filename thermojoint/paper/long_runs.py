@@ -133,7 +133,7 @@ def adaptively(case: Case, every: int = 1) -> Case:
 
     Its response has a row at the end of `every` steps of the case.
     """
-    march = {"method": "adaptive", "tolerance_um": TOLERANCE_UM}
+    march = {"method": "adaptive", "coupling": "staggered", "tolerance_um": TOLERANCE_UM}
     with suppress(InputError):
         return case.replace(march=march | {"step_s": every * case.march.step_s})
     return case

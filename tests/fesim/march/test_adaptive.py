@@ -270,6 +270,7 @@ def test_both_marches_take_the_same_steps(bars):
     [
         ({"method": "fixed", "tolerance_um": 0.1}, "belong to method"),
         ({"method": "adaptive", "thermal": "full"}, "integrates modes"),
+        ({"method": "adaptive", "coupling": "iterated"}, "agree by themselves; leave it out"),
     ],
 )
 def test_keys_that_do_not_go_together_are_refused(adaptive_case, march, says):

@@ -26,7 +26,7 @@ from thermojoint.artefacts.response import read_response
 from thermojoint.models.baselines import read_baselines
 from thermojoint.models.model_file import read_model
 from thermojoint.paper import inputs, paper_values, reproduce
-from thermojoint.paper.long_runs import random_day
+from thermojoint.paper.long_runs import adaptively, random_day
 from thermojoint.paper.observers import observer_case, observers_beside
 
 AXES = ("x", "y")
@@ -72,6 +72,11 @@ def responses(results):
 @pytest.fixture(scope="module")
 def model(results):
     return read_model(results / "model.json")
+
+
+def test_long_runs_of_a_case_that_iterates_take_adaptive_steps(case):
+    march = adaptively(case.replace(march={"coupling": "iterated"})).march
+    assert march.method == "adaptive"
 
 
 def test_a_run_leaves_every_file(results):
