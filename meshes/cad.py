@@ -47,7 +47,7 @@ class NamesFile(Section):
     NAME = [x, y, z], a point on its surface; ``[joints]`` with NAME = [BODY, BODY].
     """
 
-    surfaces_mm: dict[str, list[Point]] = {}
+    surfaces_mm: dict[str, Annotated[list[Point], Field(min_length=1)]] = {}
     bodies_mm: dict[str, Point] = {}
     joints: dict[str, Annotated[tuple[str, str], Field(strict=False)]] = {}
 
@@ -318,6 +318,9 @@ def _joint_sides(
     occ = gmsh.model.occ
     faces = {body: _faces(gmsh, volume) for body, volume in bodies.items()}
     patches: dict[str, dict[str, list[DimTag]]] = {body: {} for body in bodies}
+    for name, second in combinations(given, 2):
+        if set(given[name]) == set(given[second]):
+            raise InputError(f"joints.{second}: the same bodies as joints.{name}; give one name")
     names = {pair: name for name, pair in given.items()}
     for pair in combinations(bodies, 2):
         first, other = pair if pair in names else pair[::-1] if pair[::-1] in names else pair
@@ -358,6 +361,11 @@ def _surfaces(
     a guide is the face below the slide and the rest of it.
     """
     body_of = {tag: body for body, volume in bodies.items() for tag in _faces(gmsh, volume)}
+    for name in names:
+        if name in bodies or name in sides:
+            raise InputError(
+                f"surfaces_mm.{name}: a body or a side of a joint has that name; take another"
+            )
     surfaces = {}
     for name, points in names.items():
         found = [_faces_at(gmsh, name, point) for point in points]
@@ -369,6 +377,11 @@ def _surfaces(
     taken = {tag for tags in surfaces.values() for tag in tags}
     for body, volume in bodies.items():
         rest = [tag for tag in _faces(gmsh, volume) if tag not in taken]
+        if rest and f"{body}_outer" in surfaces:
+            raise InputError(
+                f"surfaces_mm.{body}_outer: faces of {body} without a name are gathered under that "
+                "name; take another, or give points on all of them"
+            )
         if rest:
             surfaces[f"{body}_outer"] = rest
     return surfaces

@@ -163,6 +163,26 @@ def test_a_point_on_no_face_is_refused_with_the_distance(step, tmp_path):
 
 
 @needs_gmsh
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (Names({"bed": [(0.0, 0.02, 0.02)]}), r"surfaces_mm\.bed: a body or a side"),
+        (Names({"bed_head_stock.a": [(0.0, 0.02, 0.02)]}), "a body or a side of a joint"),
+        (Names({"bed_outer": [(0.0, 0.02, 0.02)]}), "faces of bed without a name are gathered"),
+        (
+            Names(joints={"one": ("bed", "head_stock"), "two": ("head_stock", "bed")}),
+            r"joints\.two: the same bodies as joints\.one",
+        ),
+    ],
+)
+def test_two_parts_of_one_name_are_refused(step, tmp_path, names, message):
+    """One of them would be lost without a word, and nothing would convect there."""
+    with pytest.raises(InputError, match=message):
+        mesh_cad(step, tmp_path / "part.msh", 0.02, names=names)
+    assert list(tmp_path.iterdir()) == []
+
+
+@needs_gmsh
 @pytest.mark.parametrize("content", ["", "ISO-10303-21;\nHEADER;\n", "nonsense"])
 def test_a_damaged_part_is_refused(tmp_path, content):
     (tmp_path / "bad.step").write_text(content)
@@ -197,6 +217,7 @@ def test_wrong_files_are_refused_before_gmsh_starts(tmp_path, part, out, message
     [
         ("[surfaces]\nfoot = [[0, 0, 0]]\n", "did you mean 'surfaces_mm'"),
         ("[surfaces_mm]\nfoot = [[0, 0]]\n", r"surfaces_mm\.foot\.1\.3 is missing; add it"),
+        ("[surfaces_mm]\nfoot = []\n", r"surfaces_mm\.foot"),
         ("[surfaces_mm]\nfoot.left = [[0, 0, 0]]\n", 'write it in quotes: "foot.left"'),
         ("[surfaces_mm\n", "no valid TOML"),
     ],
