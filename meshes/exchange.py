@@ -188,6 +188,8 @@ def _read(path: Path) -> meshio.Mesh:
         raise InputError(f"{path}: empty or truncated mesh file; write it again")
     if path.suffix == ".inp":
         _check_cards(path)
+    if path.suffix == ".msh":
+        _check_groups(path)
     try:
         # Not meshio.read: it prints, and ends the process, when a reader fails. Warnings of the
         # readers are covered by the checks below and in `volume_mesh`.
@@ -198,6 +200,25 @@ def _read(path: Path) -> meshio.Mesh:
             f"{path}: meshio cannot read it ({' '.join(str(error).split()) or 'damaged'}); "
             "write it again, from Gmsh with the physical groups only"
         ) from error
+
+
+def _check_groups(path: Path) -> None:
+    """Refuse MSH files with a name on several physical groups: meshio keeps the last of them."""
+    groups: dict[str, int] = {}
+    with path.open("rb") as file:
+        for line in file:
+            if line.startswith((b"$EndPhysicalNames", b"$Nodes")):
+                return
+            given = re.fullmatch(rb'\s*(\d+)\s+\d+\s+"(.*)"\s*', line)
+            if given is None:
+                continue
+            dimension, name = int(given[1]), given[2].decode(errors="replace")
+            # Names of curves mean nothing here, nor do those of points but probes.
+            if groups.get(name, 0) >= 2 or (name in groups and name.startswith("probe:")):
+                raise InputError(
+                    f"{path}: {name!r} is the name of two physical groups; give each its own"
+                )
+            groups[name] = dimension
 
 
 def _check_cards(path: Path) -> None:

@@ -481,6 +481,24 @@ def test_gmsh_files_with_unnamed_entities_are_refused_in_one_line(tmp_path, gmsh
     refused(path, "with the physical groups only")
 
 
+@pytest.mark.parametrize("version", [4.1, 2.2])
+def test_a_surface_with_the_name_of_a_body_is_refused(tmp_path, gmsh, version):
+    """It was lost without a word: nothing convected there."""
+    gmsh_model(gmsh)
+    gmsh.model.addPhysicalGroup(2, [1], name="left")
+    gmsh.option.setNumber("Mesh.MshFileVersion", version)
+    gmsh.write(str(tmp_path / "bars.msh"))
+    refused(tmp_path / "bars.msh", "'left' is the name of two physical groups")
+
+
+def test_curves_and_points_may_have_names_too(tmp_path, gmsh):
+    gmsh_model(gmsh)
+    for dimension in (0, 1):
+        gmsh.model.addPhysicalGroup(dimension, [1], name="base")
+    gmsh.write(str(tmp_path / "bars.msh"))
+    assert "base" in read_structure(tmp_path / "bars.msh").surfaces
+
+
 def test_a_mesh_whose_bodies_share_nodes_cannot_have_a_joint_there(tmp_path, gmsh):
     gmsh_model(gmsh)
     gmsh.model.mesh.removeDuplicateNodes()
