@@ -56,6 +56,8 @@ _MSH_END = (
 )
 _ENDS = {".vtu": b"</VTKFile>$", ".msh": _MSH_END}
 _DIMENSIONS = {"body": 3, "surface": 2, "probe": 0}
+#: Cards of Abaqus files that make nodes and cells elsewhere, or move them.
+_UNREAD_CARDS = ("INCLUDE", "SYSTEM", "NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY")
 _FACET_CORNERS = {"triangle": 3, "triangle6": 3, "quad": 4, "quad8": 4, "quad9": 4}
 #: Exceptions of meshio's readers for damaged files.
 _DAMAGE = (
@@ -225,7 +227,8 @@ def _check_cards(path: Path) -> None:
     """Refuse Abaqus files that meshio silently misreads.
 
     It ends a card at a comment, keeps only the last *NODE card and the last card of an element set,
-    gives sets of *ELEMENT cards to the first of these cards, and cannot join sets to a set.
+    gives sets of *ELEMENT cards to the first of these cards, and cannot join sets to a set. It
+    leaves parts where they were drawn, and out what other cards make.
     """
     cards: list[tuple[str, str]] = []
     comment = False
@@ -239,6 +242,12 @@ def _check_cards(path: Path) -> None:
                 given = (word.partition("=") for word in words)
                 values = {key.strip().upper(): value.strip() for key, _, value in given}
                 cards.append((keyword.strip().upper(), values.get("ELSET", "")))
+                if cards[-1][0] == "NODE" and values.get("SYSTEM", "R").upper() != "R":
+                    raise InputError(
+                        f"{path}: *NODE in another SYSTEM; write Cartesian coordinates"
+                    )
+            elif cards and cards[-1][0] == "INSTANCE" and line.strip():
+                raise InputError(f"{path}: an *INSTANCE moves its part; write one flat file")
             elif cards and cards[-1][0] in ("NODE", "ELEMENT", "ELSET") and line.strip():
                 card, name = cards[-1]
                 first = line.strip().split(",")[0]
@@ -252,8 +261,10 @@ def _check_cards(path: Path) -> None:
                         "list its elements"
                     )
     count = Counter(card for card, _ in cards)
-    if count["NODE"] > 1 or count["INCLUDE"]:
-        raise InputError(f"{path}: several *NODE cards or an *INCLUDE; write one flat file")
+    unread = [f"*{card}" for card in _UNREAD_CARDS if count[card]]
+    unread += [f"several *{card} cards" for card in ("NODE", "INSTANCE") if count[card] > 1]
+    if unread:
+        raise InputError(f"{path}: {unread[0]} cannot be read; write one flat file")
     sets = Counter(name for card, name in cards if name and card in ("ELEMENT", "ELSET"))
     name, often = max(sets.items(), key=lambda item: item[1], default=("", 0))
     if often > 1:
