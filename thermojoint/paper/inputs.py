@@ -11,6 +11,7 @@ import numpy as np
 from fesim.case.history import read_history
 from fesim.case.schema import Case, step_count
 from fesim.case.thermal_sections import StepInput, TriangleInput
+from fesim.setup.bolts import tightening
 from fesim.setup.loads import held_history
 from fesim.setup.machine import Setup, set_up
 from fesim.simulate import simulate
@@ -53,8 +54,8 @@ def check_drivable(case: Case) -> None:
     Raises
     ------
     InputError
-        There is no source, a source has its own heat input, a load acts, the machine starts warm,
-        or the ambient or a held temperature changes.
+        There is no source, a source has its own heat input, a load acts, a bolt is tightened or
+        settles, the machine starts warm, or the ambient or a held temperature changes.
     """
     if not case.sources:
         raise InputError("sources: nothing follows the heat input; add [sources.NAME]")
@@ -74,6 +75,12 @@ def check_drivable(case: Case) -> None:
         if load.file is None or read_history(load.file, "factor")(times).any():
             raise InputError(
                 f"loads.{name}: calibration needs a machine that heat alone moves; leave it out"
+            )
+    for name, force in zip(case.bolts, tightening(case), strict=True):
+        if np.ptp(force(times)) > 0.0:
+            raise InputError(
+                f"bolts.{name}: calibration needs a machine that heat alone moves; leave its file "
+                "out"
             )
     if case.initial_temperature is not None:
         raise InputError("initial_temperature: calibration starts at the ambient; leave it out")

@@ -347,7 +347,23 @@ def history(folder, column, last):
     return {"file": str(folder / "history.csv")}
 
 
+def bolts(file):
+    """A bolt through the knee, whose force follows a file if there is one."""
+    bolt = {
+        "head": {"position_mm": [550.0, 500.0, 87.5], "diameter_mm": 30.0, "body": "column"},
+        "thread": {"position_mm": [675.0, 500.0, 87.5], "diameter_mm": 16.0, "body": "table"},
+        "force_kN": 30.0,
+        "diameter_mm": 16.0,
+        "material": "cast_iron",
+    }
+    return {"bolts": {"lower": bolt | file}}
+
+
 DISTURBED = {
+    "a bolt that settles": (
+        lambda data, folder: bolts(history(folder, "factor", 19)),
+        "bolts.lower",
+    ),
     "the weight of the machine": (
         lambda data, folder: {"loads": {"weight": {"acceleration_m_s2": [0.0, -9.81, 0.0]}}},
         "loads.weight",
@@ -399,6 +415,11 @@ def test_a_steady_ambient_and_a_surface_at_ambient_do_no_harm(coarse_data, tmp_p
         "held_temperatures": {"bearings": {"rise_K": 0.0}},
     }
     check_drivable(drivable(coarse_data, **sections))
+
+
+def test_bolts_whose_force_only_heat_changes_do_no_harm(coarse_data, tmp_path):
+    check_drivable(drivable(coarse_data, **bolts({})))
+    check_drivable(drivable(coarse_data, **bolts(history(tmp_path, "factor", 20))))
 
 
 def test_a_load_would_be_taken_for_the_joint(coarse_data):
