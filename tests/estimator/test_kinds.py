@@ -144,6 +144,9 @@ def test_a_kind_refuses_what_it_has_no_use_for(here):
     for words, told in (
         (("estimate", "rod.json", "log.csv", "--ageing", "film"), "--ageing: not for a lagging"),
         (("estimate", "rod.json", "log.csv", "--warm"), "--warm: not for a lagging rod"),
+        (("estimate", "rod.json", "log.csv", "--interval-s", "5"), "--interval-s: not for"),
+        (("estimate", "rod.json", "log.csv", "--run-length-min", "5"), "--run-length-min: not"),
+        (("validate", "rod.json", "step.nc", "--seed", "1"), "--seed: goes with --noise-pp"),
         (("validate", "rod.json", "step.nc", "--reference", "step.nc"), "reference: not for"),
         (("export", "rod.json"), "has no program"),
     ):

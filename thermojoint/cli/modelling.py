@@ -166,8 +166,9 @@ def estimate(  # noqa: PLR0913 - the options of a command
         typer.Option("--interval-s", help="Nominal sampling interval, s; default: the first one."),
     ] = None,
     run_length: Annotated[
-        float, typer.Option("--run-length-min", help="Length of a run, min.")
-    ] = 120.0,
+        float | None,
+        typer.Option("--run-length-min", help="Length of a run, min; default: 120."),
+    ] = None,
     save: Annotated[
         Path | None, typer.Option("--save-state", help="Write the estimator's state here (JSON).")
     ] = None,
@@ -235,7 +236,7 @@ def estimate(  # noqa: PLR0913 - the options of a command
         {"--out": (out, file_kinds.ESTIMATE), "--save-state": (save, file_kinds.ESTIMATOR_STATE)},
         [model, temperatures, readings, mapping],
     )
-    length = arguments.positive("--run-length-min", run_length)
+    length = arguments.positive("--run-length-min", 120.0 if run_length is None else run_length)
     if resume and warm:
         raise InputError("--warm: a saved state knows the past; leave out --warm or --continue")
     where = arguments.shown(temperatures)
@@ -243,6 +244,8 @@ def estimate(  # noqa: PLR0913 - the options of a command
     arguments.check_taken(
         kind.name,
         {
+            "--interval-s": (interval, kind.paced),
+            "--run-length-min": (run_length, kind.paced),
             "--warm": (warm, kind.warm_state is not None),
             "--readings": (readings, "reading_noise" in kind.options),
             "--reading-noise-um": (reading_noise, "reading_noise" in kind.options),
@@ -400,7 +403,7 @@ def validate(  # noqa: PLR0913 - the options of a command
         float | None,
         typer.Option("--noise-pp", help="Peak-to-peak noise added to every temperature, K."),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the noise.")] = 0,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed of the noise; default: 0.")] = None,
     baselines: Annotated[
         Path | None, typer.Option(help="Baselines to compare with ('calibrate --baselines').")
     ] = None,
@@ -438,6 +441,8 @@ def validate(  # noqa: PLR0913 - the options of a command
         from thermojoint.pictures.figures import check_png
 
         check_png(picture)
+    if noise_pp is None:
+        arguments.only_for("--noise-pp", {"--seed": seed})
     named = {path.stem: path for path in data}
     if len(named) < len(data):
         raise InputError("validate: two files have the same name; rename one")
@@ -463,7 +468,7 @@ def validate(  # noqa: PLR0913 - the options of a command
             console.warn(plausibility.of_response(response, name))
         conditions = Conditions(
             noise_pp,
-            seed,
+            seed or 0,
             read_response(reference) if reference else None,
             read_baselines(baselines) if baselines else None,
         )
