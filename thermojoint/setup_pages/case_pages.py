@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -189,8 +188,7 @@ def do_case(place: Place, given: Given) -> None:
     if place.has(CASE):
         if "replace" not in given:
             raise ExistsError([CASE])
-        stamp = time.strftime("%Y%m%d-%H%M%S")
-        place.path(CASE).replace(place.path(f"{CASE}.{stamp}.former"))
+        place.set_aside(CASE)
     source = _source(place)
     mesh = source if Path(source).suffix.lower() in MESHES else place.existing(MESH)
     words = next((words for words in place.record("part").commands if words[1] == mesh), [])

@@ -283,7 +283,8 @@ def do_try(place: Place, given: Given) -> None:
         _try(place, given, service, kind)
         return
     if not place.is_done("try"):
-        others = ", ".join(place.changed_since("try"))
+        ended_well = place.record("try").code == 0
+        others = ", ".join(place.changed_since("try") if ended_well else [])
         why = f"changed since: {others}" if others else "has not ended well"
         raise InputError(f"dry run: {why}; try again")
     if "read" not in given:

@@ -5,13 +5,16 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import chain, count
 from pathlib import Path
 
 from estimator.registry import known_schemas
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.schema import schema_of
+from thermojoint.live.settings import read_service
 from thermojoint.setup_pages.jobs import Jobs, Record
 
 #: What was sent from a page: name to values.
@@ -122,9 +125,19 @@ class Place:
         record = self.record(step)
         return [
             name
-            for name in record.read
+            for name in (*record.read, *self._models_of(record))
             if not self.has(name) or (self.folder / name).stat().st_mtime > record.begun
         ]
+
+    def _models_of(self, record: Record) -> list[str]:
+        """Return the files of models that the services name which a step has started or checked."""
+        found: list[Path] = []
+        for command, *words in record.commands:
+            if command == "serve":
+                with suppress(InputError):
+                    service = read_service(self.path(words[0]))
+                    found += [model.file for model in service.given.models.values()]
+        return [path.name if path.parent == self.folder else str(path) for path in found]
 
     def check_replaced(self, names: Sequence[str], given: Given) -> None:
         """Refuse to replace files that no step wrote, or that were changed after it.
@@ -171,8 +184,17 @@ class Place:
                 return
             if "replace" not in given:
                 raise ExistsError([name])
-            path.replace(path.with_name(f"{name}.{time.strftime('%Y%m%d-%H%M%S')}.former"))
+            self.set_aside(name)
         write_text(path, text)
+
+    def set_aside(self, name: str) -> None:
+        """Keep a file under a name of its own, NAME.former with the time between them."""
+        stamp = time.strftime("%Y%m%d-%H%M%S")
+        # More than one within a second are numbered.
+        marks = chain([""], (f"-{number}" for number in count(2)))
+        names = (f"{name}.{stamp}{mark}.former" for mark in marks)
+        free = next(one for one in names if not self.path(one).exists())
+        self.path(name).replace(self.path(free))
 
 
 def one(given: Given, name: str, usual: str = "") -> str:

@@ -377,6 +377,7 @@ def target(place):
         ("estimate.csv", ESTIMATE),
         ("target.toml", TARGET),
         ("service.toml", SERVICE),
+        ("model.json", "{}"),
     ):
         (place.folder / name).write_text(text)
 
@@ -386,6 +387,7 @@ def target(place):
         said = (
             "$ thermojoint compensate estimate.csv --settings=offsets.toml --out=offsets.csv",
             "$ thermojoint target target.toml --offsets=offsets.csv --out=writes.csv",
+            "$ thermojoint serve service.toml --check",
             f"exit code {code}",
         )
         recorded(place, "try", *said)
@@ -419,6 +421,16 @@ def test_changed_settings_disable_the_target_until_they_are_tried(client, place,
     assert not enabled(place)
     assert "changed since: offsets" in sent(client, "/try", enable="yes", read="yes")[1]
     assert not enabled(place)
+
+
+def test_another_model_has_to_be_tried_before_the_target_is_enabled(client, place, target):
+    target()
+    time.sleep(0.05)
+    (place.folder / "model.json").write_text('{"learned": "anew"}')
+    assert "changed since: model.json" in sent(client, "/try", enable="yes", read="yes")[1]
+    assert not enabled(place)
+    target()
+    assert sent(client, "/try", enable="yes", read="yes")[0] == 303
 
 
 def test_settings_that_change_during_the_dry_run_are_not_tried(client, place, target, monkeypatch):
@@ -555,6 +567,7 @@ def test_a_control_is_tried_before_it_is_enabled_and_its_service_started_and_sto
 ):
     (place.folder / "estimate.csv").write_text(ESTIMATE)
     (place.folder / "offsets.toml").write_text(OFFSETS)
+    (place.folder / "model.json").write_text("{}")
     begin = {"begin": "yes", "kind": "sinumerik", "machine": "mill", "source": "csv"}
     assert "use up to 64 letters" in sent(client, "/control", **begin | {"machine": "a mill"})[1]
     assert ran(client, place, commands, "/control", **begin) == []
@@ -607,7 +620,9 @@ def test_from_a_part_to_a_displacement_every_step_runs_its_commands(client, plac
     assert ran(client, place, commands, "/case", begin="yes", replace="yes") == [
         ["inspect", "part.msh", "--case=machine.toml"]
     ]
-    assert len(list(place.folder.glob("machine.toml.*.former"))) == 1
+    ran(client, place, commands, "/case", begin="yes", replace="yes")
+    former = place.folder.glob("machine.toml.*.former")
+    assert len(list(former)) == 2, "each replaced file is kept, also within a second"
     assert ran(client, place, commands, "/result", deformed="yes") == [
         ["simulate", "machine.toml", "--out=machine.nc"],
         ["view", "machine.nc", "--out=curves.png"],
