@@ -113,8 +113,10 @@ def about(estimator, layout, since):
 class Running:
     """A server that runs; `publish` is what the service would do."""
 
-    def __init__(self, opened, loop, stop, hub):
+    def __init__(self, opened, loop, stop, hub, machines):
         self.url, self.hub, self.token = opened.url, hub, TOKEN
+        #: Name to its constant data, which a test may change.
+        self.machines = machines
         # The gate is the outermost of what the application consists of.
         self.server = opened.server
         app = opened.server.config.app
@@ -169,7 +171,7 @@ def serving(
 
     async def run():
         stop = asyncio.Event()
-        found.append(Running(opened, asyncio.get_running_loop(), stop, hub))
+        found.append(Running(opened, asyncio.get_running_loop(), stop, hub, machines))
         task = asyncio.create_task(serve_http(opened, stop))
         while not opened.server.started and not task.done():
             await asyncio.sleep(0.01)

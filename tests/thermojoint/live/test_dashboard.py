@@ -210,6 +210,21 @@ def test_a_page_follows_a_model_that_has_replaced_another(page, floor):
     floor.publish(again(before))
 
 
+def test_a_page_shows_the_axes_that_only_the_new_model_has(page, floor):
+    opened(page, floor, "/machines/mill-1")
+    until(page, "!!document.querySelector('#c-displacement').data")
+    before, told = floor.hub.newest["mill-1"], floor.machines["mill-1"]
+    layout = replace(before.layout, axes=("x", "y", "z"))
+    floor.machines["mill-1"] = replace(told, layout=layout, model="anew.h5")
+    moved = {"displacement": np.array([1e-6, 2e-6, 88.8e-6]), "band": np.full(3, 1e-6)}
+    floor.publish(again(before, layout=layout, **moved))
+    floor.drop_connections()
+    until(page, "document.querySelector('#axis-z .number')?.textContent === '+88.8'")
+    assert "anew.h5" in page.inner_text("#model")
+    floor.machines["mill-1"] = told
+    floor.publish(again(before))
+
+
 def test_the_machine_in_3d_has_the_temperatures_and_pressures_of_the_estimator(page, floor):
     opened(page, floor, "/machines/mill-1")
     until(page, "!!document.querySelector('#c-pressure').data")

@@ -304,10 +304,16 @@ function news(publications) {
   if (Date.now() - page.drawn >= pause) drawAll();
 }
 
+// A model that has replaced another has its own axes, readings and ranges: the page begins anew.
+async function renew() {
+  if (JSON.stringify(await ask(base)) !== JSON.stringify(page.about)) location.reload();
+}
+
 function line(state) {
   page.line = state;
   status();
   if (state === "live") {
+    renew().catch(() => {});
     load().catch(() => {});
     events().catch(() => {});
   }
@@ -339,6 +345,7 @@ ask(base).then(async (about) => {
   document.addEventListener("visibilitychange", () => drawAll());
   setInterval(ages, 1000);
   setInterval(() => events().catch(() => {}), 15000);
+  setInterval(() => renew().catch(() => {}), 15000);
   // Thinned again from time to time: the curves stay as short as they were.
   setInterval(() => { if (page.line === "live") load().catch(() => {}); }, 300000);
   if (about.offers.includes("residuals")) {
