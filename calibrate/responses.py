@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from calibrate.drivable import check_alone
 from calibrate.fictitious import WHERE, check_steps
 from calibrate.source_thermal import make_geometry
 from thermojoint.artefacts import steps
@@ -80,10 +81,13 @@ def check_responses(
     Raises
     ------
     InputError
-        They are not steps, not sampled evenly at the same times, or too few, or the reference lacks
-        the positions of its probes or its power.
+        They are not steps, not sampled evenly at the same times, or too few, something other than
+        the heat input acted, or the reference lacks the positions of its probes or its power.
     """
     check_steps(reference, others)
+    check_alone(reference, f"{WHERE}, reference")
+    for level, response in others.items():
+        check_alone(response, f"{WHERE}, input {level:g}")
     steps.even_interval(steps.times(reference), f"{WHERE}, reference")
     if len(others) < max(1, sources):
         raise InputError(

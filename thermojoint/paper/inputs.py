@@ -6,13 +6,9 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from fesim.case.history import read_history
-from fesim.case.schema import Case, step_count
+from calibrate.drivable import check_drivable
+from fesim.case.schema import Case
 from fesim.case.thermal_sections import StepInput, TriangleInput
-from fesim.setup.bolts import tightening
-from fesim.setup.loads import held_history
 from fesim.setup.machine import Setup, set_up
 from fesim.simulate import simulate
 from thermojoint.artefacts.errors import InputError
@@ -43,53 +39,6 @@ EXTRAPOLATION, TRIANGLE, NOISY = "step-3.0", "triangle", "triangle-noise"
 DAY, COOL_DOWN, WARM_START = "day", "cool-down", "warm-start"
 #: All validation cases, in this order.
 CASES = (*VALIDATION, NOISY, DAY, COOL_DOWN, WARM_START)
-
-
-def check_drivable(case: Case) -> None:
-    """Refuse a case in which something other than the heat input affects the response.
-
-    Another heat source would contribute (1 - Q) times its effect to the deviation from
-    proportionality, T(Q) - Q T(1), which would be attributed to the joint.
-
-    Raises
-    ------
-    InputError
-        There is no source, a source has its own heat input, a load acts, a bolt is tightened or
-        settles, the machine starts warm, or the ambient or a held temperature changes.
-    """
-    if not case.sources:
-        raise InputError("sources: nothing follows the heat input; add [sources.NAME]")
-    for name, source in case.sources.items():
-        if source.heat_input is not None:
-            raise InputError(
-                f"sources.{name}.heat_input: calibration drives all sources alike; leave it out"
-            )
-    if case.displacement is None:
-        raise InputError("displacement: calibration needs one; add [displacement]")
-    times = case.march.step_s * np.arange(step_count(case.march) + 1, dtype=float)
-    if case.ambient is not None:
-        ambient = read_history(case.ambient.file, "ambient_degC")(times)
-        if np.ptp(ambient) > 0.0:
-            raise InputError("ambient: calibration needs a steady ambient; leave [ambient] out")
-    for name, load in case.loads.items():
-        if load.file is None or read_history(load.file, "factor")(times).any():
-            raise InputError(
-                f"loads.{name}: calibration needs a machine that heat alone moves; leave it out"
-            )
-    for name, force in zip(case.bolts, tightening(case), strict=True):
-        if np.ptp(force(times)) > 0.0:
-            raise InputError(
-                f"bolts.{name}: calibration needs a machine that heat alone moves; leave its file "
-                "out"
-            )
-    if case.initial_temperature is not None:
-        raise InputError("initial_temperature: calibration starts at the ambient; leave it out")
-    for name, section in case.held_temperatures.items():
-        if held_history(section)(times).any():
-            raise InputError(
-                f"held_temperatures.{name}: calibration needs the surface at the initial ambient; "
-                "set rise_K = 0"
-            )
 
 
 def check_placeable(case: Case) -> None:

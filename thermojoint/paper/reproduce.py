@@ -13,6 +13,7 @@ from rich.console import Console
 
 from calibrate import chain
 from calibrate.baselines import fit_baselines
+from calibrate.drivable import check_drivable
 from calibrate.placement.fchs import RULE, Rule, with_roles
 from calibrate.provenance import provenance_of
 from calibrate.responses import candidates_in, moving_axes
@@ -41,7 +42,7 @@ from thermojoint.paper.drawing import (
     field_scenes,
     paper_figures,
 )
-from thermojoint.paper.inputs import check_drivable, check_placeable
+from thermojoint.paper.inputs import check_placeable
 from thermojoint.paper.long_runs import (
     LongRuns,
     at_sensors,
@@ -72,7 +73,7 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
     ----------
     case : Case
         The machine; its heat input is replaced by those of the study. Nothing else may act on it
-        (`thermojoint.paper.inputs.check_drivable`). Without named sensors and candidates it gets
+        (`calibrate.drivable.check_drivable`). Without named sensors and candidates it gets
         candidates of its own. A method that cannot be had is left out, with the reason.
     out : Path
         Folder for ``responses/*.nc``, ``model.json``, ``baselines.json``, ``joint_aware.h5`` and

@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from repository import ROOT
 
+from calibrate.drivable import check_drivable
 from fesim.batch.summary import figures_of
 from fesim.case.formula import FUNCTIONS, formula
 from fesim.case.identity import condensation_key
@@ -20,7 +21,6 @@ from fesim.snapshots import snapshot_writer
 from meshes.exchange import write_structure
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import read_response, write_response
-from thermojoint.paper.inputs import check_drivable
 from thermojoint.paper.summary import result_lines
 from thermojoint.verification.thermal_bar import METAL, bar_case, run
 

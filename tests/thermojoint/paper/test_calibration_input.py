@@ -11,6 +11,7 @@ import pytest
 from repository import ROOT
 
 from calibrate import chain
+from calibrate.drivable import check_drivable
 from calibrate.responses import moving_axes
 from estimator.fchs import judging as judge
 from fesim.case.schema import CandidatesSection, Case, case_from_data
@@ -25,7 +26,7 @@ from thermojoint.models import deformation, ring_source
 from thermojoint.models.model_file import read_model, read_provenance
 from thermojoint.models.parameters import DeformationModel, RingModel
 from thermojoint.paper import inputs, reproduce
-from thermojoint.paper.inputs import check_drivable, check_placeable
+from thermojoint.paper.inputs import check_placeable
 from thermojoint.paper.verdict import paper_claim
 
 pytestmark = pytest.mark.usefixtures("few_starts")
@@ -407,6 +408,26 @@ def test_a_case_with_more_than_the_heat_input_is_refused_before_it_is_set_up(
             begin()
         assert said in str(caught.value)
         assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"loads": {"weight": {"acceleration_m_s2": [0.0, -9.81, 0.0]}}}, "loads.weight"),
+        ({"initial_temperature": {"rise_K": 5.0}}, "initial_temperature"),
+    ],
+)
+def test_simulated_steps_with_more_than_the_heat_are_refused_before_any_fit(
+    changed, said, coarse_data, coarse_case, monkeypatch
+):
+    monkeypatch.setattr(chain, "calibrate_displacements", None)  # would fail if it were called
+    disturbed = drivable(coarse_data, **changed).model_dump_json()
+    given = others(case=coarse_case.model_dump_json())
+    with pytest.raises(InputError, match=f"reference: {said}"):
+        chain.calibrate_responses(response(1.0, case=disturbed), given)
+    given[0.5] = response(0.5, case=disturbed)
+    with pytest.raises(InputError, match=f"input 0.5: {said}"):
+        chain.calibrate_responses(response(1.0, case=coarse_case.model_dump_json()), given)
 
 
 def test_a_steady_ambient_and_a_surface_at_ambient_do_no_harm(coarse_data, tmp_path):
