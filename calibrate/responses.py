@@ -8,13 +8,14 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from calibrate.drivable import check_alone
 from calibrate.fictitious import WHERE, check_steps
 from calibrate.source_thermal import make_geometry
+from fesim.setup.structure import body_of_candidate
 from thermojoint.artefacts import steps
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.response import axes_of, probes_of
@@ -39,7 +40,8 @@ def candidates_in(response: xr.Dataset) -> tuple[list[str], list[str]]:
         A response that was not simulated does not name its sensors.
     """
     try:
-        boxes = json.loads(response.attrs["case"])["candidates"]
+        case = json.loads(response.attrs["case"])
+        boxes, named = case["candidates"], case["probes"]
     except (KeyError, ValueError, TypeError):
         missing = ", ".join(sorted(set(ROLES) - set(probes_of(response))))
         raise InputError(
@@ -47,7 +49,7 @@ def candidates_in(response: xr.Dataset) -> tuple[list[str], list[str]]:
             "T1 and T2"
         ) from None
     if len(boxes) == 2:
-        near_source, at_joint = (_inside(response, box["low_mm"], box["high_mm"]) for box in boxes)
+        near_source, at_joint = (_inside(response, box, named) for box in boxes)
         return near_source, at_joint
     names = probes_of(response)
     if "contact_position" not in response:
@@ -57,11 +59,19 @@ def candidates_in(response: xr.Dataset) -> tuple[list[str], list[str]]:
     return names, [names[i] for i in sorted(nearest_first[: (len(names) + 1) // 2])]
 
 
-def _inside(response: xr.Dataset, low_mm: Sequence[float], high_mm: Sequence[float]) -> list[str]:
+def _inside(
+    response: xr.Dataset, box: Mapping[str, Any], named: Mapping[str, Mapping[str, Any]]
+) -> list[str]:
+    """Return the probes in a box but those of another body; `named` are those of the case."""
     position = 1e3 * response["probe_position"].to_numpy()
-    low, high = np.array(low_mm) - 1e-6, np.array(high_mm) + 1e-6
+    low, high = np.array(box["low_mm"]) - 1e-6, np.array(box["high_mm"]) + 1e-6
     holds = ((position >= low) & (position <= high)).all(axis=1)
-    return [probes_of(response)[index] for index in np.flatnonzero(holds)]
+    inside = [probes_of(response)[index] for index in np.flatnonzero(holds)]
+
+    def body_of(name: str) -> str | None:
+        return named[name]["body"] if name in named else body_of_candidate(name)
+
+    return [name for name in inside if body_of(name) in (None, box["body"])]
 
 
 def check_responses(

@@ -112,10 +112,17 @@ def body_materials(case: Case, structure: Structure) -> dict[str, Material]:
 def candidate_probes(case: Case, structure: Structure) -> dict[str, Probe]:
     """Possible sensors: lattice points of each ``[[candidates]]`` box that lie in its body.
 
-    A candidate is named after its position in mm, e.g. ``s575_700_150``.
+    A candidate is named after its position in mm, e.g. ``s575_700_150``, and also after its body if
+    the boxes are in more than one: ``s575_700_150_column``.
+
+    Raises
+    ------
+    InputError
+        A box names a body that does not exist, has too many points, or none in its body.
     """
     probes: dict[str, Probe] = {}
-    for section in case.candidates:
+    several = len({section.body for section in case.candidates}) > 1
+    for number, section in enumerate(case.candidates, 1):
         cells = structure.body(section.body, "candidates.body")
         if math.prod(_lattice_counts(section)) > MOST_CANDIDATES:
             raise InputError(
@@ -123,11 +130,24 @@ def candidate_probes(case: Case, structure: Structure) -> dict[str, Probe]:
             )
         lattice = _lattice(section)
         at = cells_at(structure.mesh, 1e-3 * np.array(lattice), cells)
+        if not (at >= 0).any():
+            raise InputError(
+                f"candidates: no lattice point of box {number} lies in body {section.body!r}; move "
+                "the box, or reduce its spacing_mm"
+            )
         for point, cell in zip(lattice, at, strict=True):
             if cell >= 0:
                 name = "s" + "_".join(f"{value:g}" for value in point)
-                probes[name] = Probe(_metres(point), section.body)
+                probes[f"{name}_{section.body}" if several else name] = Probe(
+                    _metres(point), section.body
+                )
     return probes
+
+
+def body_of_candidate(name: str) -> str | None:
+    """Return the body that the name of a candidate states; None if it states none."""
+    parts = name.split("_", 3)
+    return parts[3] if name.startswith("s") and len(parts) > 3 else None
 
 
 def _lattice(section: CandidatesSection) -> list[tuple[float, float, float]]:

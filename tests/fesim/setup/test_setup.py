@@ -1,6 +1,7 @@
 """From a case to a machine: names that must exist, and what editing the case alone changes."""
 
 import copy
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,12 @@ from fesim.setup.laws import joint_law
 from fesim.setup.loads import heat_history, source_power
 from fesim.setup.machine import set_up
 from fesim.setup.parts import paired_joints
-from fesim.setup.structure import body_materials, build_structure, candidate_probes
+from fesim.setup.structure import (
+    body_materials,
+    body_of_candidate,
+    build_structure,
+    candidate_probes,
+)
 from fesim.simulate import simulate
 from thermojoint.artefacts.errors import InputError
 
@@ -298,6 +304,25 @@ def test_candidates_are_the_lattice_points_inside_the_body(edit):
     # The wall spans x = 550 to 600; x = 500 is in the cavity.
     assert set(found) == {f"s{x}_{y}_100" for x in (550, 600) for y in (300, 350, 400)}
     assert found["s550_300_100"].position == pytest.approx((0.55, 0.3, 0.1))
+
+
+def test_candidates_in_two_bodies_that_touch_are_those_of_both(edit):
+    box = {"low_mm": [600.0, 400.0, 50.0], "high_mm": [650.0, 700.0, 100.0], "spacing_mm": 50.0}
+    beyond = {"low_mm": [650.0, 400.0, 50.0], "high_mm": [700.0, 700.0, 100.0]}
+    sections = [box | {"body": "column"}, box | beyond | {"body": "table"}]
+    case = edit((("candidates",), sections))
+    found = candidate_probes(case, build_structure(case))
+    assert Counter(probe.body for probe in found.values()) == {"column": 28, "table": 28}
+    assert {body_of_candidate(name) for name in found} == {"column", "table"}
+    assert all(probe.body == body_of_candidate(name) for name, probe in found.items())
+    assert body_of_candidate("s600_400_50") is None
+
+
+def test_a_box_of_candidates_beside_its_body_is_refused(edit):
+    box = {"body": "column", "low_mm": [9e3] * 3, "high_mm": [9.1e3] * 3, "spacing_mm": 50.0}
+    case = edit((("candidates",), [box]))
+    with pytest.raises(InputError, match="no lattice point of box 1 lies in body 'column'"):
+        candidate_probes(case, build_structure(case))
 
 
 # --- several sources, ambient, held surfaces, springs --------------------------------------------

@@ -12,7 +12,7 @@ from repository import ROOT
 
 from calibrate import chain
 from calibrate.drivable import check_drivable
-from calibrate.responses import moving_axes
+from calibrate.responses import candidates_in, moving_axes
 from estimator.fchs import judging as judge
 from fesim.case.schema import CandidatesSection, Case, case_from_data
 from fesim.case.thermal_sections import StepInput
@@ -267,6 +267,19 @@ def carried(coarse_case):
 
 def placeable(level, case, **options):
     return response(level, probes=CANDIDATES, case=case, **options)
+
+
+def test_a_candidate_is_chosen_for_the_box_of_its_own_body_alone(coarse_case):
+    box = {"low_mm": (500.0, 400.0, 50.0), "high_mm": (650.0, 750.0, 200.0), "spacing_mm": 25.0}
+    bodies = ("column", "table")
+    boxes = [CandidatesSection(body=body, **box) for body in bodies]
+    case = coarse_case.model_copy(update={"candidates": boxes, "probes": {}})
+    probes = {"s575_600_175_column": "a", "s550_450_125_table": "b", "gauge": "T1"}
+    seen = response(1.0, probes=probes, case=case.model_dump_json())
+    assert candidates_in(seen) == (
+        ["s575_600_175_column", "gauge"],
+        ["s550_450_125_table", "gauge"],
+    )
 
 
 UNPLACEABLE = {
