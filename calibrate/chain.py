@@ -149,8 +149,11 @@ def calibrate_responses(
     check_probes(others, (*HEAT_SENSORS, *sensors) if sensors else (*near_source, *at_joint))
     axes = moving_axes(reference, others)
     every = math.ceil(reference.sizes["time"] / MOST_SAMPLES)
+    times = reference["time"].to_numpy()
+    # Without a sample at the step the first is one interval after it, of those that are left, too.
+    first = 0 if times[0] < 0.5 * (times[1] - times[0]) else every - 1
     base, *runs = (
-        response.sel(axis=axes).isel(time=slice(None, None, every))
+        response.sel(axis=axes).isel(time=slice(first, None, every))
         for response in (reference, *others.values())
     )
     rest = dict(zip(others, runs, strict=True))

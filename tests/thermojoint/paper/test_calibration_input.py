@@ -163,6 +163,17 @@ def test_every_command_takes_a_model_of_other_axes(page, capsys, monkeypatch):
     assert {row["axis"] for row in rows} == {"x", "z"}
 
 
+def test_a_long_record_that_begins_one_interval_after_the_step_is_calibrated():
+    """What is left of 1501 samples or more has to be even from the step on, too."""
+    late = 0.9 * np.arange(1, 1602)
+    runs = {level: response(level, t=late) for level in STRENGTHS}
+    model = chain.calibrate_responses(runs.pop(1.0), runs, DISTANCES).model
+    thermal = model.linear.thermal
+    assert ring_source.step_response(TIMES, **asdict(thermal)) == pytest.approx(
+        ring_source.step_response(TIMES, **asdict(MAIN)), abs=0.02
+    )
+
+
 def test_the_paper_claims_nothing_of_an_axis_it_has_not():
     row = {"case": "step-3.0", "estimator": "fchs"}
     assert paper_claim(row | {"axis": "y"}) == 0.5
