@@ -89,7 +89,8 @@ def _reached(rows: Sequence[Row], name: str) -> str:
     near = {_key(row): claim for row in own_rows if (claim := paper_claim(row)) is not None}
     reached = [key for key, claim in near.items() if error[key] <= claim]
     missed = [key for key in near if key not in reached]
-    worse = [key for key in error if key in linear and error[key] > linear[key]]
+    both = [key for key in error if key in linear]
+    worse = [key for key in both if error[key] > linear[key]]
 
     sentences = []
     if near:
@@ -99,10 +100,11 @@ def _reached(rows: Sequence[Row], name: str) -> str:
         )
     if missed:
         sentences.append(f"It is not in {_against(missed, error, near)}.")
-    sentences.append(
-        f"The linear model alone has a larger error than {CLAIMED[name]}, from the same "
-        f"temperatures, in {len(error) - len(worse)} of {len(error)}."
-    )
+    if both:
+        sentences.append(
+            f"The linear model alone has a larger error than {CLAIMED[name]}, from the same "
+            f"temperatures, in {len(both) - len(worse)} of {len(both)}."
+        )
     if worse:
         sentences.append(f"It has the smaller one in {_against(worse, error, linear)}.")
     return " ".join(sentences)

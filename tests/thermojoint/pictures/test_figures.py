@@ -316,6 +316,15 @@ def test_the_verdict_claims_nothing_for_the_paper_on_another_machine():
     assert verdict([]) == ""
 
 
+def test_the_verdict_compares_with_no_linear_model_where_there_is_none():
+    """Where the calibration of the paper's models failed, it won in every row."""
+    rows = [
+        {"case": "day", "axis": "x", "estimator": name, "max_abs_error_um": 1.0}
+        for name in ("none", "joint-aware")
+    ]
+    assert "linear" not in verdict(rows)
+
+
 def test_every_figure_says_its_heat_input(coarse_response):
     assert heat_text(coarse_response) == "heat input 1 (590 W)"
     measured = coarse_response[["heat_input", "temperature", "displacement"]]
