@@ -48,7 +48,9 @@ def with_values(data: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str,
 
 def _with_value(data: Any, path: list[str], value: Any) -> Any:  # noqa: ANN401 - any TOML value
     """A copy of a list or of a section, in which what the path leads through is copied, too."""
-    key, *below = path
+    # The names of joints and surfaces may have dots.
+    length = next((n for n in range(len(path), 1, -1) if ".".join(path[:n]) in data), 1)
+    key, below = ".".join(path[:length]), path[length:]
     if isinstance(data, list):
         at = int(key)
         changed = _with_value(data[at], below, value) if below else value

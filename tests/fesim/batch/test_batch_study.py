@@ -67,6 +67,15 @@ def test_the_same_case_twice_is_one_case(tmp_path):
     assert len(study_in(tmp_path, grid("heat_input.level", 1, 1.0, 2.0)).cases) == 2
 
 
+def test_a_name_with_a_dot_can_be_on_the_way_to_a_value(tmp_path):
+    """As those of the sides of joints have."""
+    path = write_study(tmp_path, grid("sources.spindle.front.reference_power_W", 200.0, 300.0))
+    named = case_text(2.0).replace("[sources.bearings]", '[sources."spindle.front"]')
+    (tmp_path / "machine.toml").write_text(named)
+    cases = [one.case for one in read_study(path).cases]
+    assert [case.sources["spindle.front"].reference_power_W for case in cases] == [200.0, 300.0]
+
+
 def test_a_dimension_that_the_case_leaves_to_its_default_can_be_varied(tmp_path):
     study = study_in(tmp_path, grid("structure.dimensions_mm.wall", 40.0, 50.0))
     assert [one.case.structure.dimensions_mm["wall"] for one in study.cases] == [40.0, 50.0]
