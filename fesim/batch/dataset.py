@@ -84,6 +84,7 @@ def dimension_labels(study: Study) -> dict[str, Labels]:
     cases = [case.case for case in study.cases]
     forces = [case for case in cases if case.output.forces]
     asked = {
+        "held": _union(case.held_temperatures for case in cases),
         "load": _union(case.loads for case in cases),
         "bolt": _union(case.bolts for case in cases),
         "support": _union(support_names(case) for case in forces),
@@ -110,6 +111,10 @@ def _variables(
     asked = {"displacement"} if study.keep == "displacement" else set(VARIABLES)
     if not any(secant_sections(case.case) for case in study.cases):
         asked.discard("secant_residual")
+    if not any(joint.slip_heating for case in study.cases for joint in case.case.joints.values()):
+        asked.discard("friction_heat")
+    # Of machines with axes, which no study has.
+    asked.discard("rotation")
     return {
         name: layout
         for name, layout in VARIABLES.items()

@@ -442,6 +442,21 @@ def test_cases_of_different_joints_and_steps_stand_in_one_dataset(tmp_path):
         np.testing.assert_array_equal(kept.to_numpy(), response["pressure"].to_numpy())
 
 
+def test_a_dataset_has_the_variables_of_the_responses_and_no_others(tmp_path):
+    """Held temperatures among them."""
+    path = write_study(tmp_path, levels(1), minutes=0.2)
+    held = "[held_temperatures.screw_foot]\nrise_K = 2.0\n"
+    with (tmp_path / "machine.toml").open("a") as machine:
+        machine.write(held)
+    study = read_study(path)
+    run_batch(study, tmp_path / "out", here())
+    data, (case,) = opened(tmp_path / "out"), study.cases
+    response = read_response(response_path(tmp_path / "out", case.id))
+    assert set(data.data_vars) == {*response.data_vars, "status"}
+    np.testing.assert_array_equal(data["held_temperature"][0], response["held_temperature"])
+    assert data["held"].to_numpy().tolist() == ["screw_foot"]
+
+
 def test_two_batches_do_not_write_into_one_folder(tmp_path):
     study, out = study_in(tmp_path, levels(2), 1.0), tmp_path / "out"
     with locked(out), pytest.raises(InputError, match=f"another batch.*process {os.getpid()} on"):
