@@ -37,7 +37,7 @@ def outputs_of(setup: Setup, step: Step) -> Array:
     """
     acting = setup.acting(step)
     pulls = acting[setup.forces.shape[1] - _bolt_count(setup) :]
-    _check_tight(setup, step, pulls)
+    check_tight(setup, pulls, setup.machine.thermal.step * step.state.index)
     if setup.outputs is None:
         return pulls
     strained = setup.machine.strained(step.state.temperature)
@@ -49,13 +49,19 @@ def _bolt_count(setup: Setup) -> int:
     return 0 if setup.bolts is None else len(setup.bolts.names)
 
 
-def _check_tight(setup: Setup, step: Step, pulls: Array) -> None:
+def check_tight(setup: Setup, pulls: Array, time: float) -> None:
+    """Check that no bolt pushes, by their forces (b,), N, at a time, s.
+
+    Raises
+    ------
+    ConvergenceError
+        One would: it has come loose.
+    """
     if setup.bolts is None or setup.machine.assembly is None:
         return
     given = setup.machine.assembly.factors[-1 - len(pulls) : -1]
     loose = np.flatnonzero(pulls < -LOOSE * given)
     if loose.size:
-        time = setup.machine.thermal.step * step.state.index
         raise ConvergenceError(
             f"t = {time:g} s: bolt {setup.bolts.names[loose[0]]!r} has come loose: it would have "
             "to push; raise its force_kN, or check what loosens it"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, lru_cache
+from functools import cache, cached_property, lru_cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,7 +19,7 @@ from fesim.axes.machine import MovingMachine
 from fesim.axes.march import march_iterated
 from fesim.axes.setup import MovingSetup, axis_inputs, set_up_axes
 from fesim.axes.staggered import march_staggered
-from fesim.case.history import entering_in_steps
+from fesim.case.history import Histories, entering_in_steps
 from fesim.case.identity import set_up_differently
 from fesim.case.schema import (
     TOLERANCE_K,
@@ -29,12 +29,12 @@ from fesim.case.schema import (
     read_case,
     step_count,
 )
-from fesim.forces import mechanical_values, outputs_of
+from fesim.forces import check_tight, mechanical_values, outputs_of
 from fesim.march.adaptive import march_adaptively
-from fesim.march.adaptive_state import Effort, Passed
+from fesim.march.adaptive_state import Effort, Ends, Passed
 from fesim.march.alternation import unresolved
 from fesim.march.heat_step import each
-from fesim.march.machine import State, Step
+from fesim.march.machine import State, Step, load_factors
 from fesim.march.settling import at_rest
 from fesim.march.step_control import Tolerance
 from fesim.march.stepping import (
@@ -197,7 +197,7 @@ def simulate(
     with threads_of_march(ready.machine.contact.count):
         for track, adaptive in _marching(case, given, inputs, ends, first):
             passed = adaptive
-            _check_pressures(ready, track)
+            _check_pressures(ready, track.pressure, ready.machine.thermal.step * track.index)
             # The temperature field is the only large part of a step: store the probes only.
             parts.append(_kept(given, state.slip, track))
             state = track.step(-1).state
@@ -257,7 +257,8 @@ def _marching(
             MICRO * (march.tolerance_um or TOLERANCE_UM), march.tolerance_K or TOLERANCE_K
         )
         drive, rates = inputs.exactly(), ready.modes.rates
-        yield from march_adaptively(machine, rates, drive, ends, tolerance, first)
+        judge = partial(_judge, ready, drive)
+        yield from march_adaptively(machine, rates, drive, ends, tolerance, first, judge)
         return
     advance, between = COUPLINGS[march.coupling], inputs.reversed_forces(ends)
     for track in march_along(machine, inputs.at(ends), advance, first, between):
@@ -381,15 +382,25 @@ def _check_forces(case: Case, ready: Setup) -> None:
         )
 
 
-def _check_pressures(ready: Setup, track: Track) -> None:
+def _judge(ready: Setup, drive: Histories, ends: Ends) -> None:
+    """Refuse pressures and forces of bolts at the ends of steps, as at the rows of a response."""
+    _check_pressures(ready, ends.pressure, ends.times)
+    if ready.bolts is None:
+        return
+    for time, unknowns, remainder, _ in zip(*ends, strict=True):
+        factors = load_factors(ready.machine, drive(time))
+        check_tight(ready, ready.bolts.force.of(unknowns, remainder, factors), time)
+
+
+def _check_pressures(ready: Setup, pressure: np.ndarray, times: np.ndarray) -> None:
     limit = ready.machine.contact.pressure_limit
-    beyond = track.pressure > limit
+    beyond = pressure > limit
     if beyond.any():
         step, element = np.argwhere(beyond)[0]
         name = [joint.name for joint in ready.joints for _ in joint.area][element]
         raise ConvergenceError(
             f"joint {name!r}: the pressure passes {MICRO * limit[element]:.4g} MPa, half of its "
-            f"hardness, within {ready.machine.thermal.step * track.index[step]:g} s: the surfaces "
+            f"hardness, within {times[step]:g} s: the surfaces "
             "yield as a whole, which no joint law describes; check preload_MPa, hardness_GPa and "
             "the loads"
         )

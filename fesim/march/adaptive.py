@@ -17,6 +17,7 @@ import numpy as np
 
 from fesim.case.history import Histories
 from fesim.march.adaptive_state import Asked, Now, Passed, Solving, no_effort, unpacked
+from fesim.march.adaptive_state import Ends as StepEnds
 from fesim.march.exponential import Ends, ExponentialStep, exponential_step, heat_spread
 from fesim.march.iteration import iterated_step
 from fesim.march.machine import CondensedMachine, State, Step
@@ -81,13 +82,14 @@ class _Tried:
     error: StepError
 
 
-def march_adaptively(
+def march_adaptively(  # noqa: PLR0913 - the last is optional
     machine: CondensedMachine,
     rates: Array,
     drive: Histories,
     times: Array,
     tolerance: Tolerance,
     start: State,
+    judge: Callable[[StepEnds], None] = lambda ends: None,
 ) -> Iterator[tuple[Track, Passed]]:
     """Yield the machine at given times, some at a time, and the march after them.
 
@@ -105,6 +107,8 @@ def march_adaptively(
         For the sum of the errors of the steps of half an hour.
     start : State
         At time zero, or one that keeps the march before these times (`Now.packed`).
+    judge : callable, optional
+        Called with the ends of steps; raises an error where the machine may not be so.
 
     Raises
     ------
@@ -124,6 +128,7 @@ def march_adaptively(
             (track, passed), usual = _plain_step(march, now, asked, index), True
         else:
             track, passed, usual = fast.run(now, asked, index)
+        judge(passed.ends.until(float(times[-1])))
         now = passed.now
         if track is not None:
             yield track, passed
@@ -147,14 +152,16 @@ def _plain_step(march: _March, now: Now, asked: Asked, index: int) -> tuple[Trac
     end = knot if length == knot - now.time else now.time + length
     due = asked.times[: np.searchsorted(asked.times, end * (1.0 + ROUNDING), side="right")]
     effort, track = now.effort.with_step(length, tried.error, rejected), None
+    fields = (tried.step.state.temperature, tried.step.remainder, tried.step.state.pressure)
+    ends = StepEnds(np.array([end]), *(each[None] for each in fields))
     if due.size:
         shares = np.where(due >= end * (1.0 - ROUNDING), 1.0, (due - now.time) / length)
         steps = [_within(march.machine, now, tried, float(share)) for share in shares]
         track, solving = _reported(steps, solving, index), Solving()
     if due.size == asked.times.size:
-        return track, Passed(effort, now)
+        return track, Passed(effort, now, ends)
     after = replace(_after(now, tried, end), pace=pace, effort=effort, solving=solving)
-    return track, Passed(effort, after)
+    return track, Passed(effort, after, ends)
 
 
 def _resumed(machine: CondensedMachine, drive: Histories, start: State) -> Now:

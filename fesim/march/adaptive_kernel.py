@@ -9,7 +9,7 @@ import numpy as np
 
 from fesim.joint.compiled_gap import newton_work, trial_at
 from fesim.joint.loosening import watch_work
-from fesim.march.adaptive_state import Asked, Effort, Now, Passed, Solving
+from fesim.march.adaptive_state import Asked, Effort, Ends, Now, Passed, Solving
 from fesim.march.compiled_adaptive import (
     AFTER,
     ALL,
@@ -91,11 +91,13 @@ class FreeMarch:
         solving, residual, balance, iterations = self._solved(now, taken, count)
         after = _after(now, course, solving)
         effort = after.effort
+        times, size = now.time + np.cumsum(taken.numbers[:, 0]), 3 * len(now.flow)
+        ends = Ends(times, taken.unknowns, taken.joint[:, :size], taken.joint[:, size:])
         if count == len(asked.times):
             last = StepError(course.moved[THIS], course.warmed[THIS])
             effort = effort.with_step(float(taken.numbers[-1, 0]), last, 0)
         if not count:
-            return None, Passed(effort, after), usual
+            return None, Passed(effort, after, ends), usual
         area, state = self.machine.contact.elastic.area[: rows.gap.shape[2]], now.state
         still = np.zeros((7, rows.gap.shape[2]))
         track = Track(
@@ -121,7 +123,7 @@ class FreeMarch:
             drive=np.broadcast_to(state.drive, (count, state.drive.size)),
             model=state.model,
         )
-        return track, Passed(effort, after), usual
+        return track, Passed(effort, after, ends), usual
 
     def _course(self, now: Now) -> Course:
         """The march so far as arrays of its own."""
@@ -285,6 +287,7 @@ def _new_steps(course: Course) -> Taken:
     return Taken(
         unknowns=np.empty((BLOCK, unknowns.size)),
         mean=np.empty((BLOCK, unknowns.size)),
+        joint=np.empty((BLOCK, 4 * flow.size)),
         inputs=np.empty((BLOCK, inputs.size)),
         flow=np.empty((BLOCK, flow.size)),
         numbers=np.empty((BLOCK, 4)),

@@ -10,7 +10,7 @@ import numpy as np
 
 from fesim.case.history import Histories
 from fesim.march.machine import State, Step
-from fesim.march.step_control import Pace, StepError, Tolerance
+from fesim.march.step_control import ROUNDING, Pace, StepError, Tolerance
 from thermojoint.artefacts.arrays import Array
 
 #: Arrays of a state that belong to the time between two steps; numbers before the arrays.
@@ -167,6 +167,22 @@ def unpacked(state: State, inputs: int, axes: int) -> tuple[Now, Array]:
     return now, kept[at:]
 
 
+class Ends(NamedTuple):
+    """The machine at the ends of s steps."""
+
+    #: Shape (s,): s.
+    times: Array
+    #: Shapes (s, n), (s, 3 m) and (s, m): as in `fesim.march.machine.Step`.
+    unknowns: Array
+    remainder: Array
+    pressure: Array
+
+    def until(self, time: float) -> Ends:
+        """Those up to a time, s."""
+        count = int(np.searchsorted(self.times, time * (1.0 + ROUNDING), side="right"))
+        return Ends(*(each[:count] for each in self))
+
+
 class Passed(NamedTuple):
     """An adaptive march that has passed some times."""
 
@@ -174,3 +190,5 @@ class Passed(NamedTuple):
     effort: Effort
     #: Where the march goes on: at the last time that is asked for at the start of its step.
     now: Now
+    #: Of the steps that were taken for it.
+    ends: Ends

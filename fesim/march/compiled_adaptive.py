@@ -234,6 +234,8 @@ class Taken(NamedTuple):
     #: Shape (s, n): at the end, and over the step.
     unknowns: Array
     mean: Array
+    #: Shape (s, 4 m): at the end: remainder, then pressure.
+    joint: Array
     #: Shapes (s, k + l) and (s, m): in the middle of the step.
     inputs: Array
     flow: Array
@@ -620,8 +622,11 @@ def _note(joint: JointKernel, work: Work, course: Course, rows: Rows, row: int) 
 
 
 @compiled_part
-def _record(weights: Array, course: Course, taken: Taken, step: int) -> None:
+def _record(weights: Array, work: Work, course: Course, taken: Taken, step: int) -> None:
     """Record the step that was tried."""
+    joint, size = taken.joint[step], work.remainder.shape[1]
+    put(work.remainder[WHOLE], joint[:size])
+    put(course.pressure[AFTER], joint[size:])
     _within(course, weights[MEAN : MEAN + 3], taken.mean[step])
     put(course.unknowns[AFTER], taken.unknowns[step])
     _between(course.inputs, 0.5, taken.inputs[step])
@@ -739,7 +744,7 @@ def march_freely(
         row = last
         numbers = taken.numbers[step]
         numbers[0], numbers[1], numbers[2], numbers[3] = length, residual, iterations, row
-        _record(weights, course, taken, int(course.effort[STEPS]) - begun)
+        _record(weights, work, course, taken, int(course.effort[STEPS]) - begun)
         if row == asked.times.size:
             return step + 1, row, True
         _accept(course)

@@ -1,5 +1,7 @@
 """Bolts: condensed as assembled, as a preload, in time, what they hold, and refused where wrong."""
 
+from unittest.mock import patch
+
 import numpy as np
 import pytest
 from scipy.sparse import diags_array
@@ -7,6 +9,7 @@ from scipy.sparse import diags_array
 from fesim.batch.summary import figures_of
 from fesim.case.identity import condensation_key, elasticity_key
 from fesim.case.schema import case_from_data
+from fesim.march import adaptive
 from fesim.march.settling import at_rest, initial_state
 from fesim.march.state_file import load_state, save_state
 from fesim.setup.machine import set_up, with_laws
@@ -184,6 +187,23 @@ def test_a_bolt_that_would_have_to_push_has_come_loose(tmp_path):
     data["loads"] = {"push": push | {"file": "late.csv"}}
     with pytest.raises(ConvergenceError, match=r"t = 60 s: bolt 'bolt' has come loose"):
         simulate(case_from_data(data, "c", tmp_path))
+
+
+@pytest.mark.parametrize("plainly", [False, True])
+def test_adaptive_steps_notice_a_bolt_that_is_loose_between_two_rows(tmp_path, plainly):
+    data = bolted(tmp_path, False, {})
+    push = {"surface": "top", "force_N": [0.0, 0.0, -1.1 * FORCE * (1.0 + COLUMN / STIFFNESS)]}
+    (tmp_path / "pulse.csv").write_text("time_s,factor\n0,0\n130,0\n140,1\n150,0\n")
+    data["loads"] = {"push": push | {"file": "pulse.csv"}}
+    data["march"] = {"step_s": 100.0, "duration_min": 5.0, "method": "adaptive"}
+    by = {"return_value": None} if plainly else {"wraps": adaptive._compiled}
+    with (
+        patch.object(adaptive, "_compiled", **by),
+        pytest.raises(ConvergenceError, match=r"t = 1[34]\d.*: bolt 'bolt' has come loose"),
+    ):
+        simulate(case_from_data(data, "c", tmp_path))
+    before = data | {"march": data["march"] | {"step_s": 10.0, "duration_min": 2.0}}
+    assert simulate(case_from_data(before, "c", tmp_path)).response.sizes["time"] == 13
 
 
 def test_a_bolt_holds_a_body_along_its_axis(tmp_path):
