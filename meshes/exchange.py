@@ -379,6 +379,8 @@ def _probes(raw: meshio.Mesh, path: Path) -> dict[str, Probe]:
             raise InputError(f"{path}: probe {label!r} has {at.size} points; give it one")
         x, y, z = (float(value) for value in raw.points[at[0]])
         name, _, body = label.partition("@")
+        if name in probes:
+            raise InputError(f"{path}: two probes have the name {name!r}; give each its own")
         probes[name] = Probe((x, y, z), body or None)
     return probes
 

@@ -194,7 +194,7 @@ def _positions(labels: Labels, wanted: Labels) -> NDArray[np.int64]:
 
 
 def _layout_digest(study: Study, labels: dict[str, Labels]) -> str:
-    parts: list[Any] = [list(study.paths), list(_variables(study, labels))]
+    parts: list[Any] = [study.title, list(study.paths), list(_variables(study, labels))]
     parts += [[case.id, *(plain(value) for value in case.values.values())] for case in study.cases]
     parts += [[name, some.tolist()] for name, some in labels.items()]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()

@@ -403,6 +403,17 @@ def test_a_probe_is_one_point(tmp_path):
     refused(write_grid(grid, tmp_path / "probe.vtu"), "probe 'A@all' has 2 points")
 
 
+def test_two_probes_of_one_name_are_refused(tmp_path):
+    """A name in the case would mean one of them."""
+    grid = labelled(to_meshio(BARS.mesh, encode_cell_data=False))
+    grid.cells.append(meshio.CellBlock("vertex", np.array([[0], [1]])))
+    grid.cell_data["body:all"].append(np.zeros(2, dtype=np.int8))
+    none = np.zeros(BARS.mesh.nelements, dtype=np.int8)
+    for name, at in (("probe:A@all", [1, 0]), ("probe:A", [0, 1])):
+        grid.cell_data[name] = [none, np.array(at, dtype=np.int8)]
+    refused(write_grid(grid, tmp_path / "probes.vtu"), "two probes have the name 'A'")
+
+
 def gmsh_model(gmsh, order=1):
     """Two boxes that touch at x = 1 and share no node, meshed and named by Gmsh."""
     gmsh.option.setNumber("General.Terminal", 0)

@@ -406,9 +406,12 @@ def test_a_changed_study_finds_the_cases_it_has_in_common_with_the_old_one(tmp_p
     new = study_in(
         tmp_path, grid("march.duration_min", 1.0, 2.0) + grid("heat_input.level", 0.75, 3.0), 1.0
     )
-    end = run_batch(new, out, here())
+    end = run_batch(replace(new, title="Grown"), out, here())
     assert (end.found, end.ran) == (1, 3)
     data = opened(out)
+    assert data.attrs["title"] == "Grown"
+    run_batch(replace(new, title="Renamed"), out, nobody)
+    assert opened(out).attrs["title"] == "Renamed"
     assert data.sizes["case"] == 4
     assert float(data["time"][-1]) == 120.0
     short = data["march.duration_min"] == 1.0
