@@ -28,7 +28,8 @@ def check_drivable(case: Case) -> None:
     ------
     InputError
         There is no source, a source has its own heat input, a load acts, a bolt is tightened or
-        settles, the machine starts warm, or the ambient or a held temperature changes.
+        settles, the motion of an axis warms the machine, it starts warm, or the ambient or a held
+        temperature changes.
     """
     if not case.sources:
         raise InputError("sources: nothing follows the heat input; add [sources.NAME]")
@@ -55,6 +56,12 @@ def check_drivable(case: Case) -> None:
                 f"bolts.{name}: calibration needs a machine that heat alone moves; leave its file "
                 "out"
             )
+    for name in case.axes:
+        if _motion_heats(case, name):
+            raise InputError(
+                f"axes.{name}: calibration needs a machine that the heat input alone warms; let "
+                "the axis stand (position_mm instead of file), without motor_heat_W"
+            )
     if case.initial_temperature is not None:
         raise InputError("initial_temperature: calibration starts at the ambient; leave it out")
     for name, section in case.held_temperatures.items():
@@ -63,6 +70,20 @@ def check_drivable(case: Case) -> None:
                 f"held_temperatures.{name}: calibration needs the surface at the initial ambient; "
                 "set rise_K = 0"
             )
+
+
+def _motion_heats(case: Case, name: str) -> bool:
+    """Whether an axis warms the machine by friction of its guides or by its drive."""
+    axis = case.axes[name]
+    rubs = any(
+        joint.axis == name and joint.running_friction_coefficient > 0.0
+        for joint in case.joints.values()
+    )
+    screw = axis.ball_screw
+    if screw is not None:
+        torques = (screw.nut_torque_Nm, screw.bearing_torque_Nm, screw.far_bearing_torque_Nm)
+        rubs = rubs or any(torques)
+    return (axis.file is not None and rubs) or (screw is not None and screw.motor_heat_W > 0.0)
 
 
 def check_alone(response: xr.Dataset, where: str) -> None:

@@ -11,10 +11,10 @@ import pytest
 from repository import ROOT
 
 from calibrate import chain
-from calibrate.drivable import check_drivable
+from calibrate.drivable import check_alone, check_drivable
 from calibrate.responses import candidates_in, moving_axes
 from estimator.fchs import judging as judge
-from fesim.case.schema import CandidatesSection, Case, case_from_data
+from fesim.case.schema import CandidatesSection, Case, case_from_data, read_case
 from fesim.case.thermal_sections import StepInput
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
@@ -34,6 +34,8 @@ pytestmark = pytest.mark.usefixtures("few_starts")
 PAGE = (ROOT / "docs" / "calibration.md").read_text("utf-8")
 SECTION = PAGE[PAGE.index("## What a measured response must contain") :]
 BLOCKS = dict(re.findall(r"^```(\w+)[^\n]*\n(.*?)^```", SECTION, re.M | re.S))
+
+THREE_AXES = ROOT / "thermojoint" / "cases" / "three_axes.toml"
 
 TIMES = 10.0 * np.arange(151)
 #: Those of the page, m.
@@ -432,6 +434,21 @@ def test_a_case_with_more_than_the_heat_input_is_refused_before_it_is_set_up(
             begin()
         assert said in str(caught.value)
         assert "\n" not in str(caught.value)
+
+
+def test_an_axis_whose_motion_warms_the_machine_is_refused():
+    """With its screws at work 2.9 µm of 5.8 were not in proportion to the heat input."""
+    moving = read_case(THREE_AXES)
+    names = list(moving.axes)
+    with pytest.raises(InputError, match=rf"axes\.{names[0]}: .* the heat input alone warms"):
+        check_alone(response(1.0, case=moving.model_dump_json()), "step")
+    data = moving.model_dump(mode="json")
+    for axis in data["axes"].values():
+        low, high = axis["stroke_mm"]
+        axis |= {"file": None, "position_mm": 0.5 * (low + high)}
+        if axis["ball_screw"]:
+            axis["ball_screw"]["motor_heat_W"] = 0.0
+    check_drivable(case_from_data(data, "case", Path()))
 
 
 @pytest.mark.parametrize(
