@@ -33,14 +33,20 @@ def assembled_for(model: Model, times: Array) -> Assembly:
     sources is known to be stable.
     """
     length = max(float(times[-1] - times[0]), model.span.duration_s)
-    return _assembled(_Asked(model.digest, float(np.diff(times).min()), length, model))
+    order = (*model.linear.deformation, *model.linear.direct)
+    return _assembled(_Asked(model.digest, order, float(np.diff(times).min()), length, model))
 
 
 @dataclass(frozen=True)
 class _Asked:
-    """An estimator to be assembled: interval and length in s; the model is compared by digest."""
+    """An estimator to be assembled: interval and length in s.
+
+    The model is compared by its digest, which is the same whatever the order of axes and sensors,
+    and by this order.
+    """
 
     digest: str
+    order: tuple[str, ...]
     interval: float
     length: float
     model: Model = field(compare=False)

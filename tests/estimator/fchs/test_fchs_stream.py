@@ -453,6 +453,30 @@ def test_validation_judges_both_estimators_on_every_axis(response, reference):
         assert row["rms_error_um"] < 0.05 * rows[k]["rms_error_um"]
 
 
+def test_a_model_whose_axes_come_in_another_order_is_judged_by_its_own(response):
+    """Judged after a model that differs in nothing else, x was held against y."""
+    turned = replace(
+        MODEL,
+        linear=replace(MODEL.linear, deformation=backwards(MODEL.linear.deformation)),
+        sources=tuple(
+            replace(
+                source, deformation=backwards(source.deformation), driven=backwards(source.driven)
+            )
+            for source in MODEL.sources
+        ),
+    )
+    assert turned.digest == MODEL.digest
+    errors = [
+        {(row["estimator"], row["axis"]): row["max_abs_error_um"] for row in judged.rows}
+        for judged in (validate(response, model) for model in (MODEL, turned))
+    ]
+    assert errors[1] == pytest.approx(errors[0])
+
+
+def backwards(shapes):
+    return dict(reversed(shapes.items()))
+
+
 def test_validation_uses_the_temperatures_and_no_other_knowledge(response):
     seeing = validate(response, MODEL).estimate
     blind = response.copy(deep=True)
