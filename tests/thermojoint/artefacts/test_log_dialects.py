@@ -102,6 +102,9 @@ def clock(cells, name="time"):
             ["2026-10-25 02:59:50", "2026-10-25 02:00:00", "2026-10-25 03:00:00"],
             [10.0, 3600.0],
         ),
+        # A sample every hour: the hour that comes twice is the same text twice.
+        ("time", [f"25.10.2026 0{hour}:00" for hour in (1, 2, 2, 3)], [3600.0] * 3),
+        ("time [Europe/Berlin]", [f"2026-10-25 0{hour}:10" for hour in (1, 2, 2, 3)], [3600.0] * 3),
     ],
 )
 def test_clocks_tell_how_much_time_passed(name, cells, steps):

@@ -311,7 +311,9 @@ def passed(clock: Clock, hands: Hands, at: Moment) -> tuple[Hands, str]:
     run.
     """
     time, shift, note = at.first + hands.shift, hands.shift, ""
-    if time < hands.last:
+    # Where samples are about an hour apart, the end of summer time repeats one.
+    repeated = time == hands.last and _HOUR <= 1.5 * hands.step < float("inf")
+    if time < hands.last or repeated:
         if at.second + shift > hands.last and at.second > at.first:
             time = at.second + shift
         elif clock.form == "time of day" and hands.last - time > 0.5 * _DAY:
