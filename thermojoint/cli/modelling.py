@@ -119,10 +119,10 @@ def calibrate(  # noqa: PLR0913 - the options of a command
         console.warn([calibrated.compromise])
     origin = str(base.attrs.get("case", reference.name))
     provenance = provenance_of(calibrated, origin)
-    regressions = baselines_of(calibrated, [base, *others.values()]) if baselines else None
     write_model(calibrated.model, out, provenance)
-    if baselines and regressions:
-        write_baselines(regressions, baselines)
+    if baselines:
+        # They need two sensors at the joint; a model that has one is not lost with them.
+        write_baselines(baselines_of(calibrated, [base, *others.values()]), baselines)
     content = tables_json(calibrated.model, provenance)
     printing.show_tables(console.out(), printed_tables(content, provenance.at_bound))
     console.wrote(out)

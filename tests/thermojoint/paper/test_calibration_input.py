@@ -19,7 +19,7 @@ from fesim.case.thermal_sections import StepInput
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 from thermojoint.artefacts.errors import ConvergenceError, InputError
-from thermojoint.artefacts.response import make_response, read_response
+from thermojoint.artefacts.response import make_response, read_response, write_response
 from thermojoint.cli import arguments, modelling
 from thermojoint.cli.app import app
 from thermojoint.models import deformation, ring_source
@@ -142,6 +142,22 @@ def test_measured_steps_calibrate_as_the_page_says(page):
     assert ring_source.step_response(TIMES, **asdict(thermal)) == pytest.approx(
         ring_source.step_response(TIMES, **asdict(MAIN)), abs=0.02
     )
+
+
+def test_a_model_is_written_also_where_there_can_be_no_regressions(tmp_path, command):
+    """With one sensor at the joint, which the regressions say after the calibration."""
+    one = {name: name for name in ("a", "b", "T1")}
+    for level in STRENGTHS:
+        write_response(response(level, probes=one), tmp_path / f"{level}.nc")
+    code, _, error = command(
+        *("calibrate", "--reference", tmp_path / "1.0.nc", "--distances-mm", "49"),
+        *("--input", f"2={tmp_path / '2.0.nc'}", "--input", f"0.5={tmp_path / '0.5.nc'}"),
+        *("--out", tmp_path / "model.json", "--baselines", tmp_path / "baselines.json"),
+    )
+    assert code == 2
+    assert "no probe named 'T2'" in error
+    assert list(read_model(tmp_path / "model.json").linear.direct) == ["T1"]
+    assert not (tmp_path / "baselines.json").exists()
 
 
 def test_the_axes_that_move_are_calibrated_whatever_they_are_called(page):
