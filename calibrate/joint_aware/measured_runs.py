@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import xarray as xr
 
+from calibrate.joint_aware.readings import check_cold
 from fesim.axes.axis import gone_along
 from fesim.case.schema import Case
 from fesim.setup.loads import source_power
@@ -18,8 +19,6 @@ from thermojoint.artefacts.response import make_response
 
 #: Fraction of the samples in which a reading may be missing.
 MOST_MISSING = 0.2
-#: At rest every sensor agrees with the others within this, K; a larger difference is no offset.
-COLD = 3.0
 
 
 def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.Dataset]:
@@ -111,12 +110,7 @@ def _response(
     temperatures = np.column_stack(list(sensed.values()))
     first = temperatures[0]
     cold = float(np.median(first)) if room is None else float(room[0])
-    warmest = int(np.argmax(np.abs(first - cold)))
-    if abs(first[warmest] - cold) > COLD:
-        raise InputError(
-            f"{where}: {list(sensed)[warmest]} begins {first[warmest] - cold:+.1f} K from the "
-            f"ambient; begin with the machine at rest, cold through"
-        )
+    check_cold(first - cold, list(sensed), where)
     displacement = np.zeros((len(times), len(DIRECTIONS)))
     for axis, read in moved.items():
         displacement[:, DIRECTIONS.index(axis)] = read - read[0]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import xarray as xr
 
@@ -20,6 +22,25 @@ from thermojoint.artefacts.response import columns_of
 from thermojoint.reduced.machine import ReducedMachine
 from thermojoint.reduced.physics import at_start
 
+#: At rest every sensor agrees with the others within this, K; a larger difference is no offset.
+COLD = 3.0
+
+
+def check_cold(first: Array, names: Sequence[str], where: str) -> None:
+    """Refuse a run whose first readings (K above the ambient, of sensors `names`) are not at rest.
+
+    Raises
+    ------
+    InputError
+        A sensor is warmer or colder than the ambient by more than `COLD`.
+    """
+    warmest = int(np.argmax(np.abs(first)))
+    if abs(first[warmest]) > COLD:
+        raise InputError(
+            f"{where}: {names[warmest]} begins {first[warmest]:+.1f} K from the ambient; begin "
+            "with the machine at rest, cold through"
+        )
+
 
 def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     """Return a calibration run on the steps of the march, with all its samples.
@@ -36,8 +57,8 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     Raises
     ------
     InputError
-        Time starts before 0, the run is too short, a drive that the model does not know moves the
-        axis, or a probe, an axis or a load is missing.
+        Time starts before 0, the run starts warm or is too short, a drive that the model does not
+        know moves the axis, or a probe, an axis or a load is missing.
     """
     guide = machine.guide
     if (guide is None or not guide.drives.any) and "positioning_error" in response:
@@ -48,6 +69,10 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     times = response["time"].to_numpy().astype(float)
     if times[0] < 0.0:
         raise InputError(f"{where}: time starts at {times[0]:g} s; it must start at rest, at 0")
+    temperature = temperatures_in(response, machine.sensor_names)
+    # The machine of the case may start warm, and a sensor on a held surface.
+    if times[0] == 0.0 and not machine.start.any() and not machine.held.names:
+        check_cold(temperature[0], machine.sensor_names, where)
     count = round(times[-1] / machine.step)
     if count < 2:
         raise InputError(
@@ -71,7 +96,7 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     return Run(
         inputs=np.column_stack([powers, held, ambient, *factors]),
         times=times,
-        temperature=temperatures_in(response, machine.sensor_names),
+        temperature=temperature,
         displacement=displacement,
         length=machine.step,
         gone=np.diff(np.column_stack(ends), axis=0, prepend=0.0) if ends else None,

@@ -15,6 +15,7 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log_file import read_log
 from thermojoint.artefacts.response import make_response
 from thermojoint.cli.app import app
+from thermojoint.reduced.machine import reduce_machine
 
 
 @pytest.fixture(scope="module")
@@ -103,6 +104,17 @@ def test_a_run_that_begins_warm_is_refused(case, response, tmp_path):
     path = log_of(response.isel(time=slice(200, None)), tmp_path / "log.csv")
     with pytest.raises(InputError, match="begin with the machine at rest"):
         runs_of(read_log([path]), case_from_data(case, "case", Path()), ["x_um"])
+
+
+def test_a_response_that_begins_warm_is_refused(case, response):
+    """Heat and films of the machine were fitted to what it had left from before."""
+    made = case_from_data(case, "case", Path())
+    machine = reduce_machine(made, set_up(made), SENSORS)
+    assert run_in(response, machine, "step").times[0] == 0.0
+    warm = response.assign(temperature=response["temperature"] + 5.0)
+    warm["temperature"].attrs = response["temperature"].attrs
+    with pytest.raises(InputError, match=r"step: \w+ begins \+5.0 K from the ambient"):
+        run_in(warm, machine, "step")
 
 
 def test_the_command_needs_the_machine(response, tmp_path):
