@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import combinations
 
 import numpy as np
@@ -24,6 +25,8 @@ from thermojoint.artefacts.errors import InputError
 POOR = 0.1
 #: Largest distance between facing facets, relative to the structure's size.
 TOUCHING = 1e-4
+#: Most points of a body that are looked for in another one.
+MOST_POINTS = 200
 #: Largest distance between coinciding corners, relative to the structure's size.
 SAME = 1e-8
 
@@ -139,6 +142,7 @@ def inspect(structure: Structure, riding: Collection[str] = ()) -> Inspection:
             *_quality_warning(structure, quality),
             *_piece_warnings(bodies),
             *_glue_warnings(structure),
+            *overlap_warnings(structure),
             *warnings,
             *_joint_warnings(joints),
             *_bare_warnings(
@@ -278,6 +282,69 @@ def _glue_warnings(structure: Structure) -> list[str]:
         for body, other in combinations(nodes, 2)
         if (shared := np.intersect1d(nodes[body], nodes[other]).size)
     ]
+
+
+def overlap_warnings(structure: Structure) -> list[str]:
+    """Return a warning for every two bodies of which one is partly inside the other.
+
+    Those of which one has the middle of a cell on its skin there.
+    """
+    mesh, bodies = structure.mesh, structure.bodies
+    corners = {name: mesh.p[:, mesh.t[:, cells]] for name, cells in bodies.items()}
+    boxes = {name: (at.min(axis=(1, 2)), at.max(axis=(1, 2))) for name, at in corners.items()}
+    skin_of = cache(lambda name: _skin(mesh, bodies[name]))
+    warnings = []
+    for one, other in combinations(bodies, 2):
+        low = np.maximum(boxes[one][0], boxes[other][0])
+        high = np.minimum(boxes[one][1], boxes[other][1])
+        if not (low < high).all():
+            continue
+        for (middles, _), (_, triangles) in (
+            (skin_of(one), skin_of(other)),
+            (skin_of(other), skin_of(one)),
+        ):
+            near = middles[((middles > low) & (middles < high)).all(axis=1)]
+            near = near[:: -(-len(near) // MOST_POINTS) or 1]
+            inside = [point for point in near if _is_inside(point, triangles)]
+            if inside:
+                place = ", ".join(f"{x:.4g}" for x in np.mean(inside, axis=0))
+                warnings.append(
+                    f"bodies {one!r} and {other!r} overlap around ({place}) m: what is there "
+                    "counts twice; cut one of them"
+                )
+                break
+    return warnings
+
+
+def _skin(mesh: Mesh, cells: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Middles (n, 3) of the cells on the skin of a body, and triangles (m, 3, 3) of it, m.
+
+    Seen from outside the corners of each triangle are in the same sense.
+    """
+    facets, count = np.unique(mesh.t2f[:, cells], return_counts=True)
+    facets = facets[count == 1]
+    owner = np.where(np.isin(mesh.f2t[0, facets], cells), *mesh.f2t[:, facets])
+    middles = mesh.p[:, mesh.t[:, owner]].mean(axis=1).T
+    corners = facet_corners(mesh, facets)
+    fans = [corners[:, [0, k, k + 1]] for k in range(1, corners.shape[1] - 1)]
+    areas = [np.cross(fan[:, 1] - fan[:, 0], fan[:, 2] - fan[:, 0]) for fan in fans]
+    inward = np.einsum("fi,fi->f", sum(areas), corners.mean(axis=1) - middles) < 0.0
+    for fan in fans:
+        fan[inward] = fan[inward, ::-1]
+    return np.unique(middles, axis=0), np.concatenate(fans)
+
+
+def _is_inside(point: Array, triangles: Array) -> bool:
+    """Whether a closed surface of triangles is all around a point, by its solid angle.
+
+    That of a triangle: Van Oosterom & Strackee 1983.
+    """
+    a, b, c = (triangles - point).transpose(1, 0, 2)
+    (la, lb, lc), dot = (np.linalg.norm(each, axis=1) for each in (a, b, c)), "ti,ti->t"
+    volume = np.einsum(dot, a, np.cross(b, c))
+    against = la * lb * lc + np.einsum(dot, a, b) * lc
+    against += np.einsum(dot, b, c) * la + np.einsum(dot, c, a) * lb
+    return abs(2.0 * np.arctan2(volume, against).sum()) > 2.0 * np.pi
 
 
 def _joint_warnings(joints: dict[str, JointFacts]) -> list[str]:

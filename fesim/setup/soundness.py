@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from fesim.case.history import read_history
 from fesim.case.schema import Case
 from meshes.covered import covered_areas
-from meshes.inspection import TOUCHING, area_of, facing_warnings, pieces
+from meshes.inspection import TOUCHING, area_of, facing_warnings, overlap_warnings, pieces
 from meshes.pairing import EXCESS, PairedJoint, outward_areas
 from meshes.structure import Structure
 from meshes.units import USUAL_SIZE
@@ -82,16 +82,15 @@ def check_stands(case: Case) -> None:
 
 
 def suspicions(structure: Structure, joints: Sequence[PairedJoint]) -> list[str]:
-    """Return a warning about each pair of bodies that touch without a joint.
+    """Return a warning about each pair of bodies that touch without a joint, or overlap.
 
     Parameters
     ----------
     structure, joints
         As for `check_sound`.
     """
-    return facing_warnings(
-        structure, [side for joint in joints for side in (joint.facets_a, joint.facets_b)]
-    )
+    sides = [side for joint in joints for side in (joint.facets_a, joint.facets_b)]
+    return [*facing_warnings(structure, sides), *overlap_warnings(structure)]
 
 
 @contextmanager

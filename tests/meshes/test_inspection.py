@@ -98,6 +98,10 @@ FAULTS = {
         "'joint': side b is 48 cm2 larger than what it shares, and nothing convects there",
     ),
     "not facing": (moved(BARS, "right", (0.0, 2 * WIDTH, 0.0)), "do not face each other"),
+    "one in the other": (
+        moved(BARS, "right", (-0.03, 0.0, 0.0)),
+        "bodies 'left' and 'right' overlap around (",
+    ),
     "millimetres": (
         replace(BARS, mesh=MeshHex(1e3 * BARS.mesh.p, BARS.mesh.t), probes={}),
         "250 m long: check the unit",
