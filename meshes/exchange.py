@@ -110,14 +110,15 @@ def read_structure(path: Path | str, unit: float = 1.0) -> Structure:
         for name, masks in _names(raw, "surface", path).items()
         for where in [f"{path}: surface {name!r}"]
     }
+    bodies, probes = _bodies(raw, path), _probes(raw, path)
     stems = [name.removesuffix(".a") for name in surfaces if name.endswith(".a")]
     try:
         return Structure(
             mesh=mesh,
-            bodies=_bodies(raw, path),
+            bodies=bodies,
             surfaces=surfaces,
             joints={s: (f"{s}.a", f"{s}.b") for s in stems if f"{s}.b" in surfaces},
-            probes=_probes(raw, path),
+            probes=probes,
         )
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
