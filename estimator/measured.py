@@ -110,7 +110,7 @@ def response_samples(response: xr.Dataset, model: Model) -> Iterator[Sample]:
 
 
 def nominal_interval(
-    samples: Iterator[Sample], given: float | None, where: str
+    samples: Iterator[Sample], given: float | None, where: str, alone: float | None = None
 ) -> tuple[float, Iterator[Sample]]:
     """Return the nominal sampling interval (s), and all samples including those read for it.
 
@@ -122,17 +122,21 @@ def nominal_interval(
         Used as it is; default the interval between the first two samples.
     where : str
         For error messages.
+    alone : float, optional
+        The interval of fewer than two samples, s; default none.
 
     Raises
     ------
     InputError
-        `given` is not positive, or there are fewer than two samples.
+        `given` is not positive, or there are fewer than two samples and no interval of such.
     """
     if given is not None:
         if not 0.0 < given < math.inf:
             raise InputError(f"--interval-s {given:g}: give a positive number of seconds")
         return given, samples
     first = list(islice(samples, 2))
+    if len(first) < 2 and alone is not None:
+        return alone, iter(first)
     if len(first) < 2:
         raise InputError(f"{where}: fewer than two samples; give more, or --interval-s")
     return first[1][0] - first[0][0], chain(first, samples)

@@ -284,7 +284,9 @@ def estimate(  # noqa: PLR0913 - the options of a command
                 cold,
             )
         if kind.paced:
-            nominal, samples = measured.nominal_interval(samples, interval, where)
+            # A run that is continued keeps the coefficients that it started with.
+            alone = options.interval if resume else None
+            nominal, samples = measured.nominal_interval(samples, interval, where, alone)
             options = replace(options, interval=nominal)
         if resume:
             estimator, state = resumed(kind, given, options, resume)

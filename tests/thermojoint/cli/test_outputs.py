@@ -136,6 +136,17 @@ def test_a_state_may_be_replaced_by_its_successor(command, at_hand):
     assert (at_hand / "state.json").read_bytes() != before
 
 
+def test_a_run_is_continued_by_a_single_sample(command, at_hand):
+    """Its coefficients are those of the run: no interval has to be given."""
+    estimate = ["estimate", "model.json", "samples.csv", "--out"]
+    assert command(*estimate, "one.csv", "--save-state", "state.json")[0] == 0
+    (at_hand / "later.csv").write_text("time_s,delta_T_K,T1_K,T2_K\n100,0.2,0,0\n")
+    going_on = ["estimate", "model.json", "later.csv", "--continue", "state.json", "--out"]
+    assert command(*going_on, "two.csv")[0] == 0
+    assert command(*going_on, "three.csv", "--interval-s", "2")[0] == 0
+    assert (at_hand / "two.csv").read_text() == (at_hand / "three.csv").read_text()
+
+
 #: The last argument names a file of a kind that is not written.
 MISNAMED = {
     "o.nc": ["simulate", "case.toml", "--out", "o.csv"],
