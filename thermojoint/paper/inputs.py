@@ -6,8 +6,11 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from calibrate.drivable import check_drivable
-from fesim.case.schema import Case
+from estimator.noise import sensor_noise
+from fesim.case.schema import Case, step_count
 from fesim.case.thermal_sections import StepInput, TriangleInput
 from fesim.setup.machine import Setup, set_up
 from fesim.simulate import simulate
@@ -42,15 +45,20 @@ CASES = (*VALIDATION, NOISY, DAY, COOL_DOWN, WARM_START)
 
 
 def check_placeable(case: Case) -> None:
-    """Refuse a case whose responses cannot be used for a calibration.
+    """Refuse a case whose responses cannot be used for a calibration and its validation.
 
     Raises
     ------
     InputError
-        There is no joint.
+        There is no joint, or the steps are too few or too long for noise on the sensors.
     """
     if not case.joints:
         raise InputError("joints: without a joint nothing is nonlinear; add [joints.NAME]")
+    times = case.march.step_s * np.arange(step_count(case.march) + 1, dtype=float)
+    try:
+        sensor_noise(times)
+    except InputError as error:
+        raise InputError(f"march: {error}; take a shorter step_s, or a longer march") from error
 
 
 def simulate_inputs(

@@ -524,6 +524,14 @@ def test_a_case_without_a_joint_is_refused_before_it_is_set_up(coarse_case, tmp_
         reproduce.reproduce(case, tmp_path / "out")
 
 
+def test_a_case_of_long_steps_is_refused_before_it_is_set_up(coarse_data, tmp_path, monkeypatch):
+    """It was simulated and calibrated, and then there was no noise for it."""
+    monkeypatch.setattr(reproduce, "set_up", None)
+    march = coarse_data["march"] | {"step_s": 60.0, "duration_min": 35.0}
+    with pytest.raises(InputError, match=r"march: .* 60 s apart; .* a shorter step_s"):
+        reproduce.reproduce(drivable(coarse_data, march=march), tmp_path / "out")
+
+
 # The command line
 
 
