@@ -168,6 +168,8 @@ class Kind(Generic[M, E]):
     options: frozenset[str] = frozenset()
     #: Whether the estimator is assembled for a nominal sampling interval.
     paced: bool = False
+    #: Model to whether it is assembled already, and takes no other interval.
+    assembled: Callable[[M], bool] = lambda model: False
     #: Estimator to its state for a machine with an unknown past.
     warm_state: Callable[[E], Array] | None = None
     #: Estimator to additional JSON data stored with its states; (model, options, that data, name of

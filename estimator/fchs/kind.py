@@ -108,6 +108,7 @@ KIND: Kind[Given, Fchs] = Kind(
     fingerprint=lambda given: _model(given).digest,
     start=_start,
     paced=True,
+    assembled=lambda given: isinstance(given, Assembly),
     carried=lambda estimator: as_content(estimator.assembly),
     resumed=_resumed,
     intake=_intake,

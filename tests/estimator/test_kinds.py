@@ -185,6 +185,23 @@ def test_what_estimate_writes_is_what_compensate_reads(models, tmp_path, name, k
     assert_compensate_reads_what_is_written(models / name, tmp_path, kind)
 
 
+@pytest.mark.parametrize(
+    ("words", "option"),
+    [
+        (("estimate", "assembly.json", "log.csv"), "--interval-s"),
+        (("estimate", "assembly.json", "log.csv"), "--run-length-min"),
+        (("export", "assembly.json"), "--run-length-min"),
+    ],
+)
+def test_an_assembled_estimator_is_not_assembled_for_something_else(
+    models, tmp_path, monkeypatch, words, option
+):
+    monkeypatch.chdir(models)
+    result = CliRunner().invoke(app, [*words, option, "10", "--out", str(tmp_path / "out")])
+    assert str(result.exception) == f"{option}: not for an assembled estimator; leave it out"
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_damaged_state_is_refused_in_one_line(here):
     rod = tj.open_estimator("rod.json")
     tj.save_state(rod, rod.initial_state(), "state.json")

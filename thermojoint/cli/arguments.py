@@ -10,7 +10,7 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
-from typing import Annotated, TextIO
+from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 import typer
 
@@ -18,6 +18,9 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import whole_file
 from thermojoint.artefacts.folders import check_replaceable
 from thermojoint.cli.file_kinds import Kind
+
+if TYPE_CHECKING:
+    from estimator import kind as estimators
 
 #: Where the cases of a batch run.
 Workers = Annotated[
@@ -192,6 +195,18 @@ def check_taken(what: str, given: Mapping[str, tuple[object, bool]]) -> None:
     for option, (value, taken) in given.items():
         if value is not None and value is not False and not taken:
             raise InputError(f"{option}: not for {what}; leave it out")
+
+
+def check_pace(
+    kind: estimators.Kind[Any, Any],
+    model: Any,  # noqa: ANN401
+    given: Mapping[str, object],
+) -> None:
+    """Refuse options of the assembly for a model that is assembled already, or not at all."""
+    assembled = kind.assembled(model)
+    what = "an assembled estimator" if assembled else kind.name
+    taken = kind.paced and not assembled
+    check_taken(what, {option: (value, taken) for option, value in given.items()})
 
 
 def reading_noise(given_um: float | None, readings: Path | None) -> float | None:

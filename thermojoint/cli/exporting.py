@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -16,7 +16,7 @@ from thermojoint.cli.log_reading import ColumnOption, MappingOption, opened_log,
 
 if TYPE_CHECKING:
     from estimator.export.program import Operations, Program
-    from estimator.kind import OpenedEstimator, Options
+    from estimator.kind import Kind, OpenedEstimator, Options
 
 
 #: Target of an export.
@@ -91,7 +91,8 @@ def export(  # noqa: PLR0913 - the options of a command
     dt = arguments.positive("--interval-s", 2.0 if interval is None else interval)
     length = arguments.positive("--run-length-min", 120.0 if run_length is None else run_length)
     kind = kind_of_file(model)
-    arguments.check_taken(kind.name, {"--run-length-min": (run_length, kind.paced)})
+    given = kind.read(model)
+    arguments.check_pace(kind, given, {"--run-length-min": run_length})
     checked_name(name)
     origin = samples.name if samples else ""
     if samples is None or samples.suffix == ".nc":
@@ -100,7 +101,7 @@ def export(  # noqa: PLR0913 - the options of a command
     renamed = renamed_by(column, mapping)
     with (
         console.working("exporting"),
-        _opened(model, samples, renamed, Options(dt, 60.0 * length)) as (estimator, rows),
+        _opened(kind, given, samples, renamed, Options(dt, 60.0 * length)) as (estimator, rows),
     ):
         program = export_program(estimator, precision, name, rows, origin, dt)
         own = program.interface.interval
@@ -129,15 +130,17 @@ def _written(program: Program, to: Target, out: Path) -> list[Path]:
 
 @contextmanager
 def _opened(
-    model: Path, samples: Path | None, renamed: Mapping[str, str], options: Options
+    kind: Kind[Any, Any],
+    given: Any,  # noqa: ANN401
+    samples: Path | None,
+    renamed: Mapping[str, str],
+    options: Options,
 ) -> Iterator[tuple[OpenedEstimator, Iterable[Sequence[float]] | None]]:
     """Give the estimator, and the samples of a log or response if there is one."""
     from estimator.kind import Cold
-    from estimator.registry import kind_of_file, started
+    from estimator.registry import started
     from thermojoint.artefacts.response import read_response
 
-    kind = kind_of_file(model)
-    given = kind.read(model)
     estimator = started(kind, given, options)
     if samples is None:
         yield estimator, None

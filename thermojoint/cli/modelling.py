@@ -244,8 +244,6 @@ def estimate(  # noqa: PLR0913 - the options of a command
     arguments.check_taken(
         kind.name,
         {
-            "--interval-s": (interval, kind.paced),
-            "--run-length-min": (run_length, kind.paced),
             "--warm": (warm, kind.warm_state is not None),
             "--readings": (readings, "reading_noise" in kind.options),
             "--reading-noise-um": (reading_noise, "reading_noise" in kind.options),
@@ -255,6 +253,7 @@ def estimate(  # noqa: PLR0913 - the options of a command
         },
     )
     given = kind.read(model)
+    arguments.check_pace(kind, given, {"--interval-s": interval, "--run-length-min": run_length})
     options = Options(
         run_length=60.0 * length,
         reading_noise=arguments.reading_noise(reading_noise, readings),
