@@ -178,15 +178,18 @@ def _opened(
 ) -> tuple[OpenedEstimator, str]:
     """Start the estimator, or reuse the coefficients of the same file and interval."""
     options = Options(section.interval_s, 60.0 * section.run_length_min)
-    made_of = f"{kind.fingerprint(model)} {section.reads}"
-    if kind.paced:
+    made_of, fits = f"{kind.fingerprint(model)} {section.reads}", kind.paced
+    if kind.assembled(model) and kind.carried:
+        # Its coefficients are in the file, and another one of the same model has others.
+        made_of, fits = f"{kind.carried(started(kind, model, options))!r} {made_of}", False
+    if fits:
         made_of = f"{section.interval_s!r} {section.run_length_min!r} {made_of}"
     digest = hashlib.sha256(made_of.encode()).hexdigest()
     own = kept / f"{digest[:32]}.json"
-    if kind.paced and own.is_file():
+    if fits and own.is_file():
         return resumed(kind, model, options, own)[0], digest
     estimator = started(kind, model, options)
-    if kind.paced:
+    if fits:
         own.parent.mkdir(parents=True, exist_ok=True)
         save_state(estimator, estimator.initial_state(), own)
     return estimator, digest

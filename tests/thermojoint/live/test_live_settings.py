@@ -177,6 +177,17 @@ def test_settings_that_keep_values_from_being_good_are_said(tmp_path, hand_made_
         served(section, tmp_path / "kept")
 
 
+def test_a_service_runs_the_assembly_that_its_file_has(tmp_path, hand_made_model):
+    """It went on with the former assembly of the same model."""
+    section, digests = ModelSection(file=tmp_path / "estimator.json"), []
+    for length in (7200.0, 86400.0):
+        write_assembly(assemble(hand_made_model, 2.0, length), section.file)
+        opened = served(section, tmp_path / "kept")
+        assert opened.estimator.assembly.run_length_s == length
+        digests.append(opened.digest)
+    assert digests[0] != digests[1]
+
+
 def test_without_protection_the_loopback_is_allowed(tmp_path):
     for host in ("127.0.0.1", "::1", "localhost"):
         service_from_data(changed(mqtt={"security": "none", "host": host}), "file", tmp_path)
