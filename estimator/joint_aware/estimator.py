@@ -33,7 +33,7 @@ from estimator.joint_aware.trust import Trusted, channels_of, possible_heat, tru
 from estimator.span import SLACK
 from fesim.axes.line import line_over
 from fesim.march.kernel import owned
-from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.units import MILLI
@@ -340,6 +340,8 @@ class JointAware(Described):
             moment = replace(moment, loads=after.loads, gone=gone)
             taken = self._taken(before, moment, readings, probed)
             flat = taken.after.flat()
+        if np.isnan(powers).any():
+            self._found_without(np.isnan(powers), state, flat)
         return flat, taken, read
 
     def _gone(self, counted: Array, moment: Moment) -> Array:
@@ -372,6 +374,16 @@ class JointAware(Described):
                 own.pending.linear[dynamic + at] += change
             own.told[k] = heat
         return flat
+
+    def _found_without(self, unread: Flags, before: Array, flat: Array) -> None:
+        """Count what thermometers found in a sample, in place, as told by powers (t,) not read.
+
+        A power that is back would tell it again.
+        """
+        after, dynamic = unpacked(flat, self.parts), self.observer.system.decay.size
+        found = after.linear - unpacked(before, self.parts).linear
+        at = [dynamic + self.model.sources.index(source) for source in self.model.power_shares]
+        after.told[unread] += found[at][unread]
 
     @cached_property
     def most_power(self) -> Array:

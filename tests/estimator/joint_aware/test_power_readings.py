@@ -85,6 +85,34 @@ def test_a_power_that_is_none_changes_nothing(blind, told, response, power):
     assert Status.READING_MISSING in found[5].status
 
 
+@pytest.fixture(scope="module")
+def switched_off_unseen(data, setup, told, tmp_path_factory):
+    """A run, and its samples; the power is off when it is read again after ten minutes."""
+    path = tmp_path_factory.mktemp("heat") / "heat.csv"
+    path.write_text("time_s,heat_input\n0,2\n300,2\n302,0\n1200,0\n")
+    response = run(data, setup, {"kind": "sampled", "file": str(path)}, minutes=20.0)
+    rows = np.array(samples(response, told))
+    rows[145:450, 4] = np.nan
+    return response, rows.tolist()
+
+
+def test_what_thermometers_found_is_not_told_again_by_a_power_that_is_back(
+    blind, told, switched_off_unseen
+):
+    """The heat fell twice, and the estimate by as much as the switch had moved it."""
+    response, rows = switched_off_unseen
+    _, found = estimates(told, rows)
+    _, alone = estimates(blind, samples(response, blind))
+    for one, other in zip(found[450:], alone[450:], strict=True):
+        np.testing.assert_allclose(one.displacement, other.displacement, atol=0.05e-6)
+    np.testing.assert_allclose([one.details[0] for one in found[450:]], 0.0, atol=30.0)
+
+
+@needs_gcc
+def test_nor_in_its_program(told, program, switched_off_unseen, tmp_path):
+    as_in_python(program, told, switched_off_unseen[1], tmp_path)
+
+
 def test_a_run_goes_on_from_its_state(told, response):
     rows = samples(response, told)
     _, whole = estimates(told, rows)
