@@ -52,7 +52,7 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
     if not sensed:
         known = ", ".join(f"{name}_degC" for name in case.probes) or "none"
         raise InputError(f"log: no temperature of a probe of the case; these would be {known}")
-    power = _power(log)
+    power = _power(log, case)
     places = {name: log.at(f"{name}_pos") for name in case.axes}
     ways = {name: log.at(f"{name}_way") for name, axis in case.axes.items() if axis.odometer}
     rooms = (one for one in log.columns if one.quantity == "temperature" and one.base == "ambient")
@@ -138,9 +138,10 @@ def _axis(log: Log, name: str) -> str:
     return column.base
 
 
-def _power(log: Log) -> Array:
-    """Total heat of all sources, W."""
-    names = log.of("power")
+def _power(log: Log, case: Case) -> Array:
+    """Total heat of all sources, W; the power of a motor, of which a share is heat, is no heat."""
+    told = {f"{name}_power" for name, one in case.sources.items() if one.power_share is not None}
+    names = [name for name in log.of("power") if log.columns[log.index(name)].base not in told]
     if len(names) != 1:
         present = ", ".join(names) or "none"
         raise InputError(

@@ -100,6 +100,23 @@ def test_a_log_that_lacks_what_the_machine_needs_is_refused(
     assert "\n" not in str(caught.value)
 
 
+def test_the_power_of_a_motor_is_not_the_heat_of_its_source(case, response, tmp_path):
+    """An estimator reads it beside the temperatures; a run counted all of it as heat."""
+    source = case["sources"]["bearings"] | {"power_share": 0.3}
+    shared = case_from_data(case | {"sources": {"bearings": source}}, "case", Path())
+    path = log_of(response, tmp_path / "log.csv")
+    text = path.read_text("utf-8")
+    path.write_text(text.replace("heat_W", "bearings_power_W", 1), encoding="utf-8")
+    with pytest.raises(InputError, match="one column of the heat in W is needed"):
+        runs_of(read_log([path]), shared, ["x_um", "y_um"])
+    first, *rows = text.splitlines()
+    rows = [f"{row},{float(row.split(',')[1]) / 0.3:.9g}" for row in rows]
+    path.write_text("\n".join([f"{first},bearings_power_W", *rows]), encoding="utf-8")
+    found = runs_of(read_log([path]), shared, ["x_um", "y_um"])["run 1"]
+    wanted = response["heat_input"].to_numpy()
+    assert found["heat_input"].to_numpy() == pytest.approx(wanted, abs=1e-9)
+
+
 def test_a_run_that_begins_warm_is_refused(case, response, tmp_path):
     path = log_of(response.isel(time=slice(200, None)), tmp_path / "log.csv")
     with pytest.raises(InputError, match="begin with the machine at rest"):
