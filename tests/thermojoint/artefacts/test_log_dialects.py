@@ -150,6 +150,14 @@ def test_a_spindle_may_turn_at_9999():
     np.testing.assert_array_equal(np.isnan(log.values), [[False, True], [True, False]])
 
 
+@pytest.mark.parametrize(("cell", "speed"), [("20,125", 1500.0), ("20.125", 1.5)])
+def test_no_temperature_is_in_the_thousands(cell, speed):
+    """So it shows which sign a table of three decimals has."""
+    log = read(f"time_s;T1_degC;n_rpm\n0;{cell};1.500\n10;{cell};0\n")
+    assert log.at("T1_degC")[0] == pytest.approx(293.275)
+    assert 60.0 / (2.0 * np.pi) * log.at("n_rpm")[0] == pytest.approx(speed)
+
+
 def test_a_row_twice_is_dropped_and_two_that_contradict_are_refused():
     log = read("time_s,x_um\n0,1\n1,2\n1,2\n2,3\n")
     assert log.times.tolist() == [0.0, 1.0, 2.0]

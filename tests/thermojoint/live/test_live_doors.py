@@ -87,6 +87,17 @@ def read(pipe, position=None):
     return arrivals, [one for one in found if isinstance(one, Note)]
 
 
+def test_a_later_row_shows_the_decimal_sign_of_a_stream(tmp_path):
+    """The machine rests in its first row, and ``1.500`` is no 1.5 rpm beside ``20,5`` °C."""
+    path = tmp_path / "log.csv"
+    path.write_text("time_s;T1_degC;n_rpm\n0;20;0\n10;20,5;1.500\n20;21;1.500\n")
+    pipe = pipe_of(path, "T1_degC", "n_rpm")
+    arrivals, _ = read(pipe)
+    assert [list(one.readings) for one in arrivals] == [[20.0, 0.0], [20.5, 1500.0], [21.0, 1500.0]]
+    rest, _ = read(pipe, json.loads(json.dumps(arrivals[1].position)))
+    assert [list(one.readings) for one in rest] == [[21.0, 1500.0]]
+
+
 @given(st.binary(max_size=200))
 def test_any_line_is_a_row_or_a_note(line):
     pipe = pipe_of(Path("-"), *NAMES)

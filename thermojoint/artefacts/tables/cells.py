@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Sequence
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ _GROUPED = {
     ",": re.compile(r"[+-]?\d{1,3}(?:[.' ]\d{3})+(?:,\d*)?"),
 }
 #: The sign may separate decimals or thousands.
-_MAY_BE_GROUPED = re.compile(r"[+-]?\d{1,3}[.,]\d{3}")
+_MAY_BE_GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}")
 #: Texts for a missing reading, in lower case; also runs of ``-``, ``*`` and ``?`` (`_SIGNS`).
 _MISSING_WORDS = """
     nan na n/a #n/a #na null none nil inf infinity overflow over ovl ovfl ol underflow under open
@@ -93,19 +94,28 @@ def _decimal_of(text: str) -> str:
     return "," if text.rfind(",") > text.rfind(".") else "."
 
 
-def decimal_shown(cells: Sequence[str]) -> str:
+def decimal_shown(cells: Sequence[str], temperatures: Sequence[str] = ()) -> str:
     """Return the decimal sign that follows from some cells; empty if it is undetermined.
 
-    ``20,5`` and ``1.234,5`` have a comma; ``1,234`` may be either.
+    ``20,5`` and ``1.234,5`` have a comma; ``1,234`` may be either, but no temperature is in the
+    thousands.
+
+    Parameters
+    ----------
+    cells : sequence of str
+    temperatures : sequence of str, optional
+        Those of them that are temperatures.
     """
     votes = Counter[str]()
-    for cell in cells:
+    shown = ((cell, True) for cell in cells), ((cell, False) for cell in temperatures)
+    for cell, may_be_grouped in chain(*shown):
         text = cell.strip()
         if not re.fullmatch(r"[+-]?[\d.,' \N{NO-BREAK SPACE}]+(?:[eE][+-]?\d+)?", text):
             continue
         last = _decimal_of(text)
         both = "," in text and "." in text
-        if both or (text.count(last) == 1 and not _MAY_BE_GROUPED.fullmatch(text)):
+        grouped = may_be_grouped and _MAY_BE_GROUPED.fullmatch(text)
+        if both or (text.count(last) == 1 and not grouped):
             votes[last] += 1
     return votes.most_common(1)[0][0] if votes else ""
 

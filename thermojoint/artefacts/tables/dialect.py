@@ -12,7 +12,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from thermojoint.artefacts.errors import InputError
-from thermojoint.artefacts.quantities import column_named, unit_named
+from thermojoint.artefacts.quantities import Column, column_assumed, column_named, unit_named
 from thermojoint.artefacts.tables.cells import decimal_shown, is_missing, number_in
 from thermojoint.artefacts.tables.clock import clock_word
 
@@ -172,16 +172,29 @@ def dialect_of(lines: Sequence[str], where: str, whole: bool) -> Dialect | None:
         for name, unit in zip(given, units, strict=True)
     )
     values = [cell for row in best.rows for cell in row if cell.strip()]
+    named = [column_named(name) or column_assumed(name) for name in names]
+    decimal = decimal_shown(
+        values, [cell for row in best.rows for cell in temperatures_in(row, named)]
+    )
     lines_used = 1 + bool(best.units)
     return Dialect(
         best.separator,
-        "." if best.separator == "," and not decimal_shown(values) else decimal_shown(values),
+        decimal or ("." if best.separator == "," else ""),
         names,
         given,
         tuple(unit.strip() for unit in best.units or ()),
         best.first,
         best.first - lines_used,
     )
+
+
+def temperatures_in(row: Sequence[str], columns: Sequence[Column | None]) -> list[str]:
+    """Return the cells of a row that are temperatures, by its columns; None for other ones."""
+    return [
+        cell
+        for cell, column in zip(row, columns, strict=False)
+        if column is not None and column.quantity == "temperature"
+    ]
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,9 @@ import numpy as np
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.quantities import Place
-from thermojoint.artefacts.tables.cells import is_error_value, is_missing, number_in
+from thermojoint.artefacts.tables.cells import decimal_shown, is_error_value, is_missing, number_in
 from thermojoint.artefacts.tables.clock import Hands, moment, passed
-from thermojoint.artefacts.tables.dialect import cells_of, values_of
+from thermojoint.artefacts.tables.dialect import cells_of, temperatures_in, values_of
 from thermojoint.artefacts.tables.layout import Layout
 
 
@@ -55,8 +55,7 @@ def row_of(
         The number of cells differs from the header's, the time is missing, or a reading is neither
         a number nor missing.
     """
-    (_, row), *_ = [*cells_of([line], layout.dialect.separator, layout.where), (0, [""])]
-    cells = values_of(row, layout.dialect)
+    cells = _cells(line, layout)
     if cells is None:
         return None
     decimal = layout.dialect.decimal
@@ -70,6 +69,25 @@ def row_of(
         math.nan if place is None else _reading(layout, place, cells, decimal) for place in places
     ]
     return StreamedRow(after.last, readings, after, note)
+
+
+def decimal_in(line: str, layout: Layout) -> str:
+    """Return the decimal sign that a line shows; empty if it shows none.
+
+    A file's is found among many rows, but a stream's first row may be that of a machine at rest.
+    """
+    try:
+        cells = _cells(line, layout) or []
+    except InputError:
+        return ""
+    columns = dict(zip(layout.kept, layout.columns, strict=True))
+    named = [columns.get(k) for k in range(len(cells))]
+    return decimal_shown(cells, temperatures_in(cells, named))
+
+
+def _cells(line: str, layout: Layout) -> list[str] | None:
+    (_, row), *_ = [*cells_of([line], layout.dialect.separator, layout.where), (0, [""])]
+    return values_of(row, layout.dialect)
 
 
 _NO_TIME = "the time is missing"

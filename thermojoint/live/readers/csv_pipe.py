@@ -26,7 +26,7 @@ from thermojoint.artefacts.quantities import Place, place_of
 from thermojoint.artefacts.tables.clock import Hands
 from thermojoint.artefacts.tables.layout import HEAD, Layout, layout_of
 from thermojoint.artefacts.tables.source import OR_CP1252, encoding_of
-from thermojoint.artefacts.tables.stream import row_of
+from thermojoint.artefacts.tables.stream import decimal_in, row_of
 from thermojoint.live.arrivals import NEVER, Arrival, Note
 
 #: Longest line, bytes.
@@ -226,6 +226,7 @@ async def _whole_lines(
     at, hands = len(first), Hands()
     if _goes_on(position, first, file):
         at, hands = int(position["offset"]), _hands_of(position)
+        header = _in_decimal(header, header.layout.dialect.decimal or position.get("decimal", ""))
     file.seek(at)
     mark = {"first": len(first), "sum": _sum(first)}
     rest, dropping = b"", False
@@ -234,6 +235,7 @@ async def _whole_lines(
         if not block:
             if not pipe.follow:
                 if rest and not dropping:
+                    header = _learned(header, rest)
                     items, hands = items_in(pipe, header, rest, hands)
                     yield _placed(items, mark | _after(rest, at + len(rest)), header, hands)
                 return
@@ -250,6 +252,7 @@ async def _whole_lines(
             if dropping:
                 dropping = False
             else:
+                header = _learned(header, line)
                 items, hands = items_in(pipe, header, line, hands)
                 arrivals += _placed(items, mark | _after(line + b"\n", at), header, hands)
         if len(rest) > LONGEST_LINE:
@@ -272,6 +275,8 @@ def _placed(
     items: list[Arrival | Note], position: dict[str, Any], header: Header, hands: Hands
 ) -> list[Arrival | Note]:
     """Return the content of a line with the position after it and the state of its clock."""
+    if header.layout.dialect.decimal:
+        position = position | {"decimal": header.layout.dialect.decimal}
     if header.layout.clock.form not in ("number", "excel"):
         position = position | {"clock": [hand if math.isfinite(hand) else None for hand in hands]}
     return [
@@ -284,6 +289,19 @@ def _hands_of(position: Mapping[str, Any]) -> Hands:
     usual = Hands()
     kept = position.get("clock", usual)
     return Hands(*(old if hand is None else hand for hand, old in zip(kept, usual, strict=True)))
+
+
+def _learned(header: Header, line: bytes) -> Header:
+    """Return the header with the decimal sign that a line shows, if none has shown it before."""
+    if header.layout.dialect.decimal:
+        return header
+    return _in_decimal(header, decimal_in(_text(line), header.layout))
+
+
+def _in_decimal(header: Header, decimal: str) -> Header:
+    layout = header.layout
+    dialect = replace(layout.dialect, decimal=decimal)
+    return replace(header, layout=replace(layout, dialect=dialect))
 
 
 def _sum(first: bytes) -> int:
@@ -383,6 +401,7 @@ async def _stream(pipe: Pipe) -> AsyncIterator[list[Arrival | Note]]:
                 if line is None:
                     yield [_too_long(pipe)]
                 elif header is not None:
+                    header = _learned(header, line)
                     items, hands = items_in(pipe, header, line, hands)
                     yield items
                 else:
