@@ -130,6 +130,17 @@ def _is_fmu(path: Path) -> bool:
     return False
 
 
+def _is_backup(path: Path) -> bool:
+    """A backup of a service begins with its settings."""
+    import tarfile
+    import zlib
+
+    with suppress(OSError, EOFError, zlib.error, tarfile.TarError), tarfile.open(path) as archive:
+        first = archive.next()
+        return first is not None and first.name == "service.toml"
+    return False
+
+
 def _is_picture(path: Path) -> bool:
     with path.open("rb") as file:
         start, rest = file.read(16), file.read(1 << 16)
@@ -180,4 +191,5 @@ INSPECTION = Kind(
 )
 #: A draft replaces no existing case, which may be complete.
 DRAFT = Kind("to be replaced by a draft", lambda path: False)
+BACKUP = Kind("a backup of a service", _is_backup)
 PICTURE = Kind("a picture of this program", _is_picture)

@@ -9,6 +9,7 @@ import typer
 
 from thermojoint.artefacts.errors import InputErrors
 from thermojoint.artefacts.extras import require
+from thermojoint.cli import arguments, file_kinds
 
 #: What the extra `serve` brings.
 _LIBRARIES = (
@@ -144,6 +145,7 @@ def backup(
     from thermojoint.live.backup import back_up
     from thermojoint.live.settings import read_service
 
+    arguments.check_outputs({"--out": (out, file_kinds.BACKUP)}, [service])
     audit_of(read_service(service)).accepted(user_name(), "command", f"backup to {out}")
     console.warn(f"left out: {secret}" for secret in back_up(service, out))
     console.wrote(out)

@@ -316,6 +316,12 @@ def test_a_service_is_backed_up_while_it_runs_and_goes_on_where_it_is_restored(m
 
     assert asyncio.run(again()) == (20, digest)
     assert not events_in(restored, "state-refused")
+    # A backup takes the place of another one, and of nothing else.
+    settings = file.read_text()
+    assert called("backup", file, "--out", archive).exit_code == 0
+    for taken in (file, base / "users"):
+        assert "give another name" in str(called("backup", file, "--out", taken).exception)
+    assert file.read_text() == settings
     # Nothing is overwritten, and a damaged backup restores nothing.
     assert "not empty" in str(called("restore", archive, "--out", restored).exception)
     content = bytearray(archive.read_bytes())
