@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from itertools import islice
@@ -157,16 +157,26 @@ class Archive:
             json.loads(status)[-1][1],
         )
 
-    def events(self, machine: str | None, since: float, until: float, at_most: int) -> list[Event]:
-        """Return events, newest first: of one machine and of the service, or all."""
+    def events(
+        self,
+        machine: str | None,
+        since: float,
+        until: float,
+        at_most: int,
+        seen: Callable[[str | None], bool] = lambda machine: True,
+    ) -> list[Event]:
+        """Return events, newest first: of one machine and of the service, or all.
+
+        Of them only those count whose machine is `seen`; None is the service.
+        """
         with self._reading() as store:
             rows = store.execute(
                 "SELECT time, machine, kind, text FROM events WHERE time BETWEEN ? AND ? "
-                "AND (?3 IS NULL OR machine IS NULL OR machine = ?3) ORDER BY time DESC, id DESC "
-                "LIMIT ?4",
-                (since, until, machine, max(1, min(at_most, MOST_ROWS))),
+                "AND (?3 IS NULL OR machine IS NULL OR machine = ?3) ORDER BY time DESC, id DESC",
+                (since, until, machine),
             )
-            return [Event(*row) for row in rows]
+            visible = (Event(*row) for row in rows if seen(row[1]))
+            return list(islice(visible, max(1, min(at_most, MOST_ROWS))))
 
     def begun(self, machine: str) -> float:
         """Return since when a machine runs with its model, s since 1970.

@@ -16,7 +16,7 @@ from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
-from dashboard_server import ABOUT, BEARER, TOKEN, again, keep, publication, serving
+from dashboard_server import ABOUT, BEARER, TOKEN, again, event, keep, publication, serving
 from live_parts import free_port, until
 from small_disk import fill, mounted
 from typer.testing import CliRunner
@@ -49,7 +49,11 @@ def floor(tmp_path_factory):
     runs = [[publication(k, now + k, name) for k in (1, 2)] for name in ("mill-1", "lathe-1")]
     machines = {"mill-1": ABOUT, "lathe-1": ABOUT}
     newest = [run[-1] for run in runs]
-    with serving(folder, keep(folder / "store.db", runs), machines, newest) as found:
+    said = [event("mill-1", "status", "T2 is missing")]
+    said += [event("lathe-1", "status", f"T{k} is missing") for k in range(200)]
+    said += [event(None, "ready", "2 machines")]
+    archive = keep(folder / "store.db", runs, said)
+    with serving(folder, archive, machines, newest) as found:
         found.folder = folder
         yield found
 
@@ -104,6 +108,9 @@ def test_a_user_sees_the_machines_for_which_the_role_holds(floor, browser):
         answer = browser.get(path)
         assert answer.status_code == 404
     assert browser.get("/api/events?machine=lathe-1").status_code == 400
+    # However many there are of other machines, or of the service, after it.
+    for asked in ("/api/events", "/api/events?most=1", "/api/events?machine=mill-1&most=1"):
+        assert [one["text"] for one in browser.get(asked).json()["events"]] == ["T2 is missing"]
     assert browser.get("/metrics").status_code == 403
     with browser.stream("GET", "/api/stream?every_s=0.1") as news:
         told = next(line for line in news.iter_lines() if line.startswith("data: "))
