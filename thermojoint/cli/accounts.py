@@ -15,6 +15,8 @@ from thermojoint.live.rights import Role
 
 #: By whom the audit log says that something was done.
 _ORIGIN = "command"
+#: Of a token: a century.
+_MOST_DAYS = 36_525.0
 
 
 Service = Annotated[Path, typer.Argument(help="File of the service (TOML).")]
@@ -89,6 +91,8 @@ def tokens(
     from thermojoint.live.settings import read_service
     from thermojoint.live.tokens import add_token, revoke_token, tokens_in
 
+    if not 0.0 <= days <= _MOST_DAYS:
+        raise InputError(f"--days {days:g}: give at most {_MOST_DAYS:g}")
     given = read_service(service)
     with closing(open_access(given.folder)) as store:
         if revoke is not None:

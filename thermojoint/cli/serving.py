@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from thermojoint.artefacts.errors import InputErrors
+from thermojoint.artefacts.errors import InputErrors, unknown_name
 from thermojoint.artefacts.extras import require
 from thermojoint.cli import arguments, file_kinds
 
@@ -119,6 +119,9 @@ def rollback(
 
     given = read_service(service)
     if show:
+        arguments.only_for("a rollback", {"--to": to})
+        if machine not in given.machines:
+            raise unknown_name("machine", machine, given.machines, "rollback")
         for one in read_record(given.folder).deployments.get(machine, []):
             print(f"{one.fingerprint[:SHOWN]}  {one.file}  since {iso_time(one.since)}")
         return

@@ -257,6 +257,19 @@ def test_the_commands_list_make_and_end_users_and_tokens(tmp_path):
     assert secret not in "".join(lines)
 
 
+@pytest.mark.parametrize("days", ["1e9", "inf"])
+def test_a_token_that_no_calendar_has_the_end_of_is_refused(tmp_path, days):
+    file = tmp_path / "service.toml"
+    file.write_text(
+        'folder = "state"\n[models.m]\nfile = "m"\n[machines.mill]\nmodel = "m"\nsource = "s"\n'
+        '[sources.s]\nkind = "csv"\npath = "-"\n'
+    )
+    done = CliRunner().invoke(app, ["tokens", str(file), "--add", "logger", "--days", days])
+    assert "--days" in str(done.exception)
+    listed = CliRunner().invoke(app, ["tokens", str(file)])
+    assert (listed.exit_code, listed.output) == (0, "")
+
+
 # OPC UA
 
 

@@ -17,6 +17,7 @@ from dashboard_server import BEARER, TOKEN
 from live_parts import PATIENCE_S, events_in, free_port, until
 from typer.testing import CliRunner
 
+from thermojoint.artefacts.errors import InputError
 from thermojoint.cli.app import app
 from thermojoint.live.backup import back_up, restore
 from thermojoint.live.certificates import ANNOUNCED, HTTP_LASTS, ending, own_certificate
@@ -207,6 +208,8 @@ def test_a_rollback_by_command_holds_from_the_next_start(life, models):
     file = life["file"]
     listed = called("rollback", file, "mill", "--list").output.splitlines()
     assert len(listed) == 4
+    for wrong in (("mil", "--list"), ("mill", "--list", "--to", "abc")):
+        assert isinstance(called("rollback", file, *wrong).exception, InputError)
     new = next(line for line in listed if line.split()[0] != listed[0].split()[0])
     done = called("rollback", file, "mill", "--to", new.split()[0])
     assert "follows at its next start" in done.output
