@@ -18,9 +18,11 @@ from thermojoint.live.archive import Archive
 from thermojoint.live.audit import Audit
 from thermojoint.live.hub import Hub
 from thermojoint.live.log_lines import EventLog
+from thermojoint.live.opcua_values import variables_of
 from thermojoint.live.settings import OpcuaServer
 from thermojoint.live.users import add_user
 from thermojoint.live.writers.opcua import Entry, open_server, serve_nodes
+from thermojoint.live.writers.opcua_history import _MOST, ArchiveHistory
 
 AT = 1_772_431_200.0
 #: More than one response has.
@@ -42,6 +44,41 @@ def day(machine):
     """Samples of some hours, of which one is bad."""
     good = [publication(k + 1, AT + k, machine) for k in range(COUNT)]
     return [*good, bad(COUNT + 1, machine)]
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory):
+    """A history of samples that are at no whole microsecond, and how to read it by pages."""
+    instants = np.floor((AT + 0.7 * np.arange(2 * _MOST)) / 0.7) * 0.7
+    run = [publication(k + 1, one) for k, one in enumerate(instants.tolist())]
+    archive = keep(tmp_path_factory.mktemp("pages") / "store.db", [run])
+    node = ua.NodeId("mill-1.SampleNumber", 2)
+    (variable,) = [one for one in variables_of(ABOUT.layout, True, 2) if one.name == "SampleNumber"]
+    history = ArchiveHistory(archive, {node: ("mill-1", variable)})
+
+    def read(start, end, most=0):
+        numbers = []
+        while True:
+            values, start = asyncio.run(history.read_node_history(node, start, end, most))
+            numbers += [one.Value.Value for one in values]
+            if start is None:
+                return numbers
+
+    return read
+
+
+@pytest.mark.parametrize("first", range(0, 40, 8))
+def test_no_value_is_lost_between_two_pages_of_a_history(pages, first):
+    begun = datetime.fromtimestamp(AT + 0.7 * first, UTC)
+    ended = datetime.fromtimestamp(AT + 1e4, UTC)
+    forwards, backwards = pages(begun, ended), pages(ended, begun)
+    assert len(forwards) > _MOST
+    assert np.diff(forwards).tolist() == [1] * (len(forwards) - 1)
+    assert backwards == forwards[::-1]
+
+
+def test_the_newest_values_come_once_however_many_are_asked_for(pages):
+    assert pages(None, None, _MOST + 3) == list(range(2 * _MOST, _MOST - 3, -1))
 
 
 class Heard:

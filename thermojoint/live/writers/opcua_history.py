@@ -12,12 +12,13 @@ from asyncua import ua
 from asyncua.server import Server
 from asyncua.server.history import HistoryStorageInterface
 
-from thermojoint.live.archive import Archive
+from thermojoint.live.archive import MOST_ROWS, Archive
 from thermojoint.live.opcua_values import Variable, data_value
 from thermojoint.live.times import since_1970
 
 #: Values of one variable in a response; the others follow by continuation points.
 _MOST = 5_000
+_MICROSECOND = 1e-6
 #: A missing time is OPC UA's first day.
 _FIRST_YEAR = 1602
 
@@ -54,17 +55,22 @@ class ArchiveHistory(HistoryStorageInterface):
         if node_id not in self.variables:
             raise ua.UaStatusCodeError(ua.StatusCodes.BadHistoryOperationUnsupported)
         since, until = _seconds(start, -math.inf), _seconds(end, math.inf)
-        backwards = (math.isinf(since) and bool(nb_values)) or since > until
+        newest = math.isinf(since) and bool(nb_values)
+        backwards = newest or since > until
         since, until = min(since, until), max(since, until)
-        most = min(nb_values or _MOST, _MOST)
+        # No page can go on backwards without a start.
+        largest = MOST_ROWS if newest else _MOST
+        most = min(nb_values or largest, largest)
         machine, variable = self.variables[node_id]
         found = await asyncio.to_thread(
             self.archive.samples, machine, (since, until), most + 1, backwards
         )
         values = [data_value(variable.kind, *variable.value(one), one) for one in found[:most]]
-        if len(found) <= most or most == nb_values:
+        if len(found) <= most or most == nb_values or newest:
             return values, None
-        return values, datetime.fromtimestamp(found[most].time, UTC)
+        # The next page begins with this sample, whose time may be at no whole microsecond.
+        time = found[most].time + (_MICROSECOND if backwards else -_MICROSECOND)
+        return values, datetime.fromtimestamp(time, UTC)
 
 
 def _seconds(time: datetime | None, otherwise: float) -> float:
