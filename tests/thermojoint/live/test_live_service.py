@@ -657,16 +657,20 @@ def test_what_came_while_the_service_was_away_is_read_from_the_machines_history(
     assert not [one for one in history_in(base).holes if one.since >= START]
 
 
-def test_a_history_that_a_server_stores_late_is_waited_for():
-    class Late(HistoryDict):
-        async def save_node_value(self, node_id, datavalue):
-            await asyncio.sleep(0.5)
-            await super().save_node_value(node_id, datavalue)
+class Late(HistoryDict):
+    """It stores a value after half a second."""
 
+    async def save_node_value(self, node_id, datavalue):
+        await asyncio.sleep(0.5)
+        await super().save_node_value(node_id, datavalue)
+
+
+@pytest.mark.parametrize("storage", [Late(), HistoryDict(max_history_data_response_size=2)])
+def test_a_history_is_read_to_its_end_also_if_it_is_stored_late_or_comes_in_parts(storage):
     async def live():
         server, port, found = Server(), free_port(), []
         await server.init()
-        server.iserver.history_manager.set_storage(Late())
+        server.iserver.history_manager.set_storage(storage)
         server.set_endpoint(f"opc.tcp://127.0.0.1:{port}")
         node = await server.nodes.objects.add_variable(ua.NodeId("T", 2), "T", 0.0)
         await server.write_attribute_value(node.nodeid, _value(0.0, START))

@@ -143,7 +143,7 @@ class OpcuaReader:
         found: dict[ua.NodeId, list[ua.DataValue]] = {}
         end = clock.monotonic() + _LATE_S
         while wanted:
-            late = []
+            late, more = [], False
             for node in wanted:
                 try:
                     values = await node.read_raw_history(
@@ -151,12 +151,15 @@ class OpcuaReader:
                     )
                 except ua.UaStatusCodeError:
                     continue  # It keeps none.
-                found[node.nodeid] = [one for one in values if _time(one) > since[node]]
-                newest = max(map(_time, found[node.nodeid]), default=since[node])
-                if newest < present[node.nodeid]:
+                later = [one for one in values if _time(one) > since[node]]
+                found.setdefault(node.nodeid, []).extend(later)
+                since[node] = max(map(_time, later), default=since[node])
+                if since[node] < present[node.nodeid]:
                     late.append(node)
-            wanted = late if clock.monotonic() < end else []
-            await asyncio.sleep(_AGAIN_S if wanted else 0.0)
+                    more |= bool(later)
+            # The rest follows, or is stored soon: a response has as many as its server allows.
+            wanted = late if more or clock.monotonic() < end else []
+            await asyncio.sleep(_AGAIN_S if wanted and not more else 0.0)
         return [(nodeid, value) for nodeid, values in found.items() for value in values]
 
     def _take(
