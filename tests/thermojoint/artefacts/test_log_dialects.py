@@ -158,6 +158,14 @@ def test_no_temperature_is_in_the_thousands(cell, speed):
     assert 60.0 / (2.0 * np.pi) * log.at("n_rpm")[0] == pytest.approx(speed)
 
 
+@pytest.mark.parametrize(("rest", "rows"), [(1, 1), (300, 1 << 15)])
+def test_a_later_row_shows_the_decimal_sign_of_standard_input_and_of_a_file(rest, rows):
+    """The machine rests in the first rows, which have none."""
+    first = "".join(f"{k};20;0\n" for k in range(rest))
+    log = read(f"time_s;T1_degC;n_rpm\n{first}1000;20,5;1.500\n1001;21;1.500\n", rows)
+    assert 60.0 / (2.0 * np.pi) * log.at("n_rpm")[-2:] == pytest.approx([1500.0, 1500.0])
+
+
 def test_a_row_twice_is_dropped_and_two_that_contradict_are_refused():
     log = read("time_s,x_um\n0,1\n1,2\n1,2\n2,3\n")
     assert log.times.tolist() == [0.0, 1.0, 2.0]

@@ -110,6 +110,8 @@ def decimal_shown(cells: Sequence[str], temperatures: Sequence[str] = ()) -> str
     shown = ((cell, True) for cell in cells), ((cell, False) for cell in temperatures)
     for cell, may_be_grouped in chain(*shown):
         text = cell.strip()
+        if "," not in text and "." not in text:
+            continue
         if not re.fullmatch(r"[+-]?[\d.,' \N{NO-BREAK SPACE}]+(?:[eE][+-]?\d+)?", text):
             continue
         last = _decimal_of(text)

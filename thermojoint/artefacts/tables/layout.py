@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
 
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.quantities import Column, column_assumed, column_named
+from thermojoint.artefacts.tables.cells import decimal_shown
 from thermojoint.artefacts.tables.clock import Clock, clock_of
 from thermojoint.artefacts.tables.dialect import (
     Dialect,
@@ -14,6 +16,7 @@ from thermojoint.artefacts.tables.dialect import (
     dialect_of,
     is_data,
     is_row,
+    temperatures_in,
     trimmed,
 )
 
@@ -51,6 +54,18 @@ class Layout:
         """Description for reports."""
         clock = " + ".join(self.names[k] for k in self.clock.columns)
         return f"{self.dialect.shown}; clock {clock}, {self.clock.shown}"
+
+    def decimal_in(self, rows: Iterable[Sequence[str]]) -> str:
+        """Return the decimal sign that the cells of some rows show; empty if they show none."""
+        columns = dict(zip(self.kept, self.columns, strict=True))
+        named = [columns.get(k) for k in range(len(self.names))]
+        every = list(rows)
+        temperatures = chain.from_iterable(temperatures_in(row, named) for row in every)
+        return decimal_shown([*chain.from_iterable(every)], [*temperatures])
+
+    def with_decimal(self, decimal: str) -> Layout:
+        """Return the layout with a decimal sign."""
+        return replace(self, dialect=replace(self.dialect, decimal=decimal))
 
 
 def layout_of(

@@ -78,6 +78,8 @@ def pieces_in(
     notes, at, twice = layout.notes, _At(), 0
     body = rows_of(chain(head[layout.dialect.first :], source), layout.dialect, where)
     while part := list(islice(body, rows)):
+        if not layout.dialect.decimal:
+            layout = layout.with_decimal(layout.decimal_in(row.cells for row in part))
         for section, after in _parts(layout, part, at):
             at, twice = after, twice + section.twice
             notes = (*notes, *section.notes)

@@ -14,9 +14,9 @@ import numpy as np
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.quantities import Place
-from thermojoint.artefacts.tables.cells import decimal_shown, is_error_value, is_missing, number_in
+from thermojoint.artefacts.tables.cells import is_error_value, is_missing, number_in
 from thermojoint.artefacts.tables.clock import Hands, moment, passed
-from thermojoint.artefacts.tables.dialect import cells_of, temperatures_in, values_of
+from thermojoint.artefacts.tables.dialect import cells_of, values_of
 from thermojoint.artefacts.tables.layout import Layout
 
 
@@ -77,12 +77,9 @@ def decimal_in(line: str, layout: Layout) -> str:
     A file's is found among many rows, but a stream's first row may be that of a machine at rest.
     """
     try:
-        cells = _cells(line, layout) or []
+        return layout.decimal_in([_cells(line, layout) or []])
     except InputError:
         return ""
-    columns = dict(zip(layout.kept, layout.columns, strict=True))
-    named = [columns.get(k) for k in range(len(cells))]
-    return decimal_shown(cells, temperatures_in(cells, named))
 
 
 def _cells(line: str, layout: Layout) -> list[str] | None:

@@ -299,9 +299,7 @@ def _learned(header: Header, line: bytes) -> Header:
 
 
 def _in_decimal(header: Header, decimal: str) -> Header:
-    layout = header.layout
-    dialect = replace(layout.dialect, decimal=decimal)
-    return replace(header, layout=replace(layout, dialect=dialect))
+    return replace(header, layout=header.layout.with_decimal(decimal))
 
 
 def _sum(first: bytes) -> int:
