@@ -35,10 +35,13 @@ def compensate(
     Example: [bold]thermojoint compensate estimate.csv --settings offsets.toml --out
     offsets.csv[/bold]
     """
+    import numpy as np
+
     from estimator.estimate_table import read_estimate, strokes_of
     from thermojoint import console
     from thermojoint.compensation.offsets.preview import header, preview, row_of
     from thermojoint.compensation.offsets.settings import read_settings, with_slopes
+    from thermojoint.compensation.offsets.usable import limit_without_band
 
     arguments.check_outputs({"--out": (out, file_kinds.OFFSETS)}, [estimate, settings])
     wanted = read_settings(settings)
@@ -49,6 +52,8 @@ def compensate(
                     f"{estimate}: a response is not an estimate; run 'estimate' on it first"
                 )
             axes, rows = read_estimate(source, arguments.shown(estimate))
+        if warning := limit_without_band(wanted.trust, np.array([row.band for row in rows])):
+            console.warn([f"{settings}: {warning}"])
         along = with_slopes(wanted, strokes_of(axes, rows), str(settings)).output
         counted = Counter[str]()
         with arguments.output(out) as target:

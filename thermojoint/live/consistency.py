@@ -10,6 +10,7 @@ import numpy as np
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ThermojointError
 from thermojoint.artefacts.units import MICRO
+from thermojoint.compensation.offsets.usable import limit_without_band
 from thermojoint.live.served import Served
 from thermojoint.live.settings import ServiceFile
 
@@ -25,6 +26,8 @@ def contradictions(given: ServiceFile, models: Mapping[str, Served]) -> Iterator
         if model.output is None:
             continue
         band, widest = _band_at_first(model), model.output.trust.widest_band
+        if unlimited := limit_without_band(model.output.trust, band):
+            yield f"models.{name}: {unlimited}"
         if bool((band > widest).any()):
             yield (
                 f"models.{name}: widest_band_um {widest / MICRO:g} is narrower than the model's "

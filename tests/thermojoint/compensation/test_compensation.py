@@ -436,6 +436,15 @@ def test_the_preview_has_a_row_for_every_cycle_and_says_what_it_does(files):
     assert last == pytest.approx(before - 2.0, abs=0.11)
 
 
+@pytest.mark.parametrize(("band", "warned"), [("1.0", False), ("", True)])
+def test_a_limit_on_bands_that_there_are_none_of_is_warned_of(files, band, warned):
+    (files / "offsets.toml").write_text(f"widest_band_um = 5.0\n{SETTINGS}")
+    table = "time_s,x_um,x_band_um,y_um,y_band_um,status\n"
+    rows = "".join(f"{k},1.0,{band},1.0,{band},ok\n" for k in range(3))
+    (files / "estimate.csv").write_text(table + rows)
+    assert ("there is no band" in compensated(files)[0]) == warned
+
+
 def test_a_night_between_two_days_is_said_and_nothing_follows_it(files):
     seconds = [*range(0, 3600, 60), *range(50_000, 53_600, 60)]
     rows = [f"{1772431200 + second},1,10,-5,,,ok" for second in seconds]

@@ -158,6 +158,14 @@ class Uneven(Gauge):
         return after, estimate._replace(band=np.array([1e-7, 1e-9]))
 
 
+class Unbanded(Gauge):
+    """It has no band."""
+
+    def sample(self, state, time, values):
+        after, estimate = super().sample(state, time, values)
+        return after, estimate._replace(band=np.full(2, np.nan))
+
+
 def test_settings_that_keep_values_from_being_good_are_said(tmp_path, hand_made_model):
     given = service_from_data(changed(watchdog={"uncertain_s": 0.5, "bad_s": 5.0}), "f", tmp_path)
     output = settings_of({}, False)
@@ -168,6 +176,8 @@ def test_settings_that_keep_values_from_being_good_are_said(tmp_path, hand_made_
     assert "widest_band_um 0.01 is narrower than the model's own band, 0.1 um" in told[1]
     uneven = replace(served_with(narrow, 1.0), estimator=Uneven(1.0))
     assert list(contradictions(given.given, {"m": uneven})) == told
+    unknown = replace(served_with(narrow, 1.0), estimator=Unbanded(1.0))
+    assert "there is no band" in list(contradictions(given.given, {"m": unknown}))[1]
     write_assembly(assemble(hand_made_model, 60.0, 7200.0), tmp_path / "model.json")
     (tmp_path / "o.toml").write_text('oldest_s = 60.0\n[axes.X]\nfollows = "x"\n')
     section = ModelSection(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,6 +11,7 @@ import numpy as np
 from estimator.interface import Status
 from estimator.quality import LOST, reasons_of
 from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.units import MICRO
 
 #: Default reasons that make an estimate unusable: temperatures beyond the calibration, and an
 #: unknown start.
@@ -45,6 +47,23 @@ def usable(trust: Trust, age: float, band: Array, status: str) -> bool:
         age <= trust.oldest
         and not (reasons_of(status) & {LOST, *trust.unusable})
         and not bool(np.any(band > trust.widest_band))
+    )
+
+
+def limit_without_band(trust: Trust, bands: Array) -> str:
+    """Return a warning of a limit on bands that are all unknown; empty for none.
+
+    Parameters
+    ----------
+    trust : Trust
+    bands : ndarray
+        Half-widths of some estimates, m.
+    """
+    if not math.isfinite(trust.widest_band) or not np.isnan(bands).all():
+        return ""
+    return (
+        f"widest_band_um {trust.widest_band / MICRO:g} makes no estimate unusable: there is no "
+        "band; leave it out, and list under unusable what does"
     )
 
 
