@@ -388,6 +388,7 @@ def test_sources_that_are_driven_apart_calibrate_by_the_power_of_each(data, setu
         ("resolution_W = 10.0", "resolution_W = 1e-9", "heater: resolution_W"),
         ("delay_s = 0.0", "delay_s = 3.0", "not a multiple"),
         ("delay_s = 0.0", "delay_s = -1.0", "estimator.delay_s"),
+        ("seed = 0", "seed = -1", "estimator.seed"),
         ("gain_margin_dB = 6.0", "gain_margin_dB = 60.0", "no crossover"),
     ],
 )
@@ -422,6 +423,15 @@ def test_what_does_not_fit_is_refused_before_the_plant_is_set_up(
     done = CliRunner().invoke(app, ["control", str(folder / "loop.toml")])
     assert isinstance(done.exception, InputError)
     assert told in str(done.exception)
+
+
+def test_estimates_that_all_come_too_late_for_the_offsets_are_refused(folder):
+    path = folder / "loop.toml"
+    text = re.sub(r"\[heater\].*", "", path.read_text("utf-8"), flags=re.DOTALL)
+    path.write_text(text.replace("delay_s = 0.0", "delay_s = 32.0"), "utf-8")
+    done = CliRunner().invoke(app, ["control", str(path)])
+    assert isinstance(done.exception, InputError)
+    assert "oldest_s 30" in str(done.exception)
 
 
 @pytest.mark.parametrize(

@@ -94,6 +94,7 @@ def close_loop(loop: Loop, progress: Progress | None = None) -> Closed:
     estimator = JointAware(read_observer(loop.estimator.model))
     settings = None if loop.offsets is None else read_settings(loop.offsets)
     _check_axes(settings, estimator)
+    _check_age(settings, loop)
     case = plant_case(loop)
     check_plant(case, estimator)
     for delay in (loop.estimator.delay_s, *loop.tried_delays_s):
@@ -239,6 +240,16 @@ def _noise(loop: Loop, case: Case, estimator: JointAware) -> Array:
         return np.zeros((count, sensors))
     times = estimator.model.step * np.arange(count)
     return sensor_noise(times, loop.estimator.noise_pp_K, loop.estimator.seed, sensors)
+
+
+def _check_age(settings: Settings | None, loop: Loop) -> None:
+    """Refuse estimates that are all too old for the offsets when they arrive."""
+    delay = loop.estimator.delay_s
+    if settings is not None and delay > settings.trust.oldest:
+        raise InputError(
+            f"offsets: oldest_s {settings.trust.oldest:g} is shorter than estimator.delay_s "
+            f"{delay:g}: no offset would follow; make it longer"
+        )
 
 
 def _check_axes(settings: Settings | None, estimator: JointAware) -> None:

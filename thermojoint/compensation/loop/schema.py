@@ -40,7 +40,7 @@ class EstimatorSection(Section):
 
     model: File
     noise_pp_K: NotNegative = 0.12
-    seed: int = 0
+    seed: Annotated[int, Field(ge=0)] = 0
     delay_s: NotNegative = 0.0
 
 
