@@ -64,7 +64,7 @@ async def _reloaded(path: Path, reload: asyncio.Event) -> Service:
         try:
             service = read_service(path)
             refused = (await asyncio.to_thread(checked, service)).refused
-        except ThermojointError as error:
+        except (ThermojointError, OSError) as error:
             refused = str(error).splitlines()
         if not refused:
             return service

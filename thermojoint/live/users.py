@@ -69,7 +69,11 @@ def read_users(path: Path) -> dict[str, UserLine]:
     """
     refuse_open_to_others(path, "users")
     users: dict[str, UserLine] = {}
-    for number, line in enumerate(path.read_text("utf-8").splitlines(), 1):
+    try:
+        text = path.read_text("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: not readable ({error}); write it as UTF-8") from error
+    for number, line in enumerate(text.splitlines(), 1):
         if not line.strip() or line.startswith("#"):
             continue
         name, role, machines, password = line.split(":") if line.count(":") == 3 else 4 * ("",)

@@ -7,6 +7,7 @@ import shutil
 import signal
 import ssl
 import stat
+import tempfile
 import time
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -222,6 +223,26 @@ def test_a_rollback_by_command_holds_from_the_next_start(life, models):
     kept = asyncio.run(live())
     assert fingerprint_of(kept).startswith(new.split()[0])
     assert kept.read_bytes() == models["new"]
+
+
+@pytest.mark.parametrize("wrong", ["users", "disk"])
+def test_a_reload_that_cannot_even_be_checked_ends_no_service(models, tmp_path, monkeypatch, wrong):
+    file = plant(tmp_path, models, free_port())
+    users = tmp_path / "users"
+
+    async def live():
+        async with running(file) as (starts, reload):
+            if wrong == "users":
+                users.write_bytes(users.read_bytes() + "# für die Halle\n".encode("cp1252"))
+            else:
+                monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "gone"))
+            reload.set()
+            await asyncio.sleep(0.5)
+            # It accepts who was accepted before.
+            found = starts[0].accounts.by_password("eva", "evas-secret")
+            return len(starts), starts[0].stop.is_set(), found.name
+
+    assert asyncio.run(live()) == (1, False, "eva")
 
 
 def test_the_size_of_the_write_ahead_log_is_a_metric(models, tmp_path):
