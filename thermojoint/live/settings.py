@@ -356,6 +356,7 @@ def service_from_data(data: dict[str, Any], where: str, base: Path) -> Service:
         )
     for name, source in given.sources.items():
         _check_pattern(f"{where}: sources.{name}", source, name, machines)
+    _check_clients(where, given)
     _check_topics(f"{where}: mqtt", given, machines)
     _check_protected(where, given)
     return Service(given, machines)
@@ -437,6 +438,21 @@ def _check_pattern(
         raise InputError(f"{where}.node: write {{reading}} in place of the name of a reading")
     if isinstance(source, MtconnectSource) and not _HTTP.fullmatch(source.url):
         raise InputError(f"{where}.url: {source.url!r} is none; give https://HOST:PORT")
+
+
+def _check_clients(where: str, given: ServiceFile) -> None:
+    """A broker ends the connection of a client when another one of its name comes."""
+    fed = {machine.source for machine in given.machines.values()}
+    known: dict[tuple[str, int, str], str] = {}
+    for name, source in given.sources.items():
+        if name not in fed or not isinstance(source, MqttSource):
+            continue
+        first = known.setdefault((source.host, source.port, source.client_id), name)
+        if first != name:
+            raise InputError(
+                f"{where}: sources.{name}.client_id: sources.{first} has the same at this broker, "
+                "which keeps one of the two; give each its own"
+            )
 
 
 def _check_topics(where: str, given: ServiceFile, machines: Mapping[str, MachineSection]) -> None:

@@ -135,6 +135,13 @@ def test_names_of_files_are_relative_to_the_file_of_the_service(tmp_path):
         (shaking("mqtt", models=OFFSETS), "there is no [mqtt]"),
         (shaking("opcua", models=OFFSETS, opcua={"security": "none"}), "name a file of users"),
         (shaking("mqtt", models=OFFSETS, mqtt={}, user="plc"), "broker says who"),
+        (
+            {
+                "machines": {name: {"model": "m", "source": name} for name in ("mill", "lathe")},
+                "sources": {name: {"kind": "mqtt", "topic": name} for name in ("mill", "lathe")},
+            },
+            "sources.lathe.client_id: sources.mill has the same at this broker",
+        ),
         (changed(mqtt={"topic": "estimates"}), "mqtt.topic: is for 3 machines; write {machine}"),
         (
             shaking("mqtt", models=OFFSETS, mqtt={"control_topic": "plc"}, count=2)
