@@ -280,3 +280,23 @@ def test_what_a_control_needs_is_written_over_no_other_file(command, tmp_path):
         before = taken.read_bytes()
         assert command("target", given, "--out", taken)[0] == 2
         assert taken.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("table", "told"),
+    [
+        ("", "no rows"),
+        ("time_s,offset_Y_um,state\n", "no rows"),
+        ("offset_X_um,state\n1.0,follow\n", "no time_s"),
+    ],
+)
+def test_a_table_that_leads_to_no_writes_as_it_is_none_is_refused(table, told, command, tmp_path):
+    target, offsets = tmp_path / "target.toml", tmp_path / "offsets.csv"
+    target.write_text(
+        'kind = "sinumerik"\nurl = "opc.tcp://127.0.0.1"\naxes = { X = 1 }\nsecurity = "none"\n'
+        "largest_step_um = 10.0\n"
+    )
+    offsets.write_text(table)
+    code, _, said = command("target", target, "--offsets", offsets)
+    assert code == 2
+    assert told in said

@@ -28,11 +28,14 @@ def writes(given: TargetFile, lines: Iterable[str], where: str) -> Iterator[tupl
     Raises
     ------
     InputError
-        A column is missing, a value is no number or beyond the range of the control.
+        There is no row, a column is missing, a value is no number or beyond the range of the
+        control.
     """
     every = writes_of(given, given.axes)
     values = dict.fromkeys((write[:2] for write in every), 0.0)
+    row: Mapping[str, str] = {}
     for row in csv.DictReader(lines):
+        _number(row, "time_s", where)
         for axis, section in given.slopes.items():
             reference = _number(row, f"P0_{axis}_mm", where)
             if not abs(MILLI * reference - section.reference) <= 1e-6:
@@ -48,6 +51,8 @@ def writes(given: TargetFile, lines: Iterable[str], where: str) -> Iterator[tupl
             if value != now:
                 node = given.node(quantity, axis)
                 yield row["time_s"], axis, node, f"{value:.10g}", quantity.unit
+    if not row:
+        raise InputError(f"{where}: no rows; give what 'compensate' writes")
 
 
 def _number(row: Mapping[str, str], column: str, where: str) -> float:
