@@ -331,18 +331,25 @@ class JointAware(Described):
         # A factor that is not read is the one before.
         now = after.loads[: factors.size]
         now[:] = np.where(np.isnan(factors), now, factors)
-        counted = after.gone.copy()
-        after.gone[:] = np.where(np.isnan(odometers), counted, odometers)
+        counted, unread = after.gone.copy(), np.isnan(odometers)
+        after.gone[:] = np.where(unread, counted, odometers)
+        if unread.any():
+            after.gone[unread] += self._passed(state, after.loads)[unread]
         taken = self._usual(after, moment, readings, probed)
         if taken is None:
             before = unpacked(state, self.parts)._replace(gone=after.gone)
-            gone = self._gone(after.gone - counted, moment)
+            gone = self._gone(np.where(unread, 0.0, after.gone - counted), moment)
             moment = replace(moment, loads=after.loads, gone=gone)
             taken = self._taken(before, moment, readings, probed)
             flat = taken.after.flat()
         if np.isnan(powers).any():
             self._found_without(np.isnan(powers), state, flat)
         return flat, taken, read
+
+    def _passed(self, before: Array, loads: Array) -> Array:
+        """How far axes with odometers have gone since a state, (c,), m, as their positions tell."""
+        least = self._place(loads) - self._place(unpacked(before, self.parts).loads)
+        return np.abs(least)[list(self.model.counted)]
 
     def _gone(self, counted: Array, moment: Moment) -> Array:
         """How far each axis has gone since the sample before, (x,), m, as odometers count (c,).

@@ -166,6 +166,11 @@ def test_an_axis_that_goes_straight_needs_none(tmp_path):
     _, alone = estimates(blind(made), np.delete(rows, WAY, axis=1).tolist())
     for one, other in zip(found, alone, strict=True):
         np.testing.assert_allclose(one.displacement, other.displacement, rtol=0.0, atol=1e-13)
+    # Back after some samples, it does not count again what the positions have told.
+    rows[7:20, WAY] = np.nan
+    _, found = estimates(made, rows.tolist())
+    for one, other in zip(found, alone, strict=True):
+        np.testing.assert_allclose(one.displacement, other.displacement, rtol=0.0, atol=1e-13)
 
 
 def test_file_log_and_service_know_the_odometer(counting, samples, tmp_path):
