@@ -30,9 +30,9 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
     Parameters
     ----------
     log : Log
-        With a temperature for each probe of the case that is a sensor, one power, W, for all
-        sources together, and the displacements; the ``ambient``, if it was measured; of a case with
-        an axis its position, ``y_pos_mm``.
+        With a temperature for each probe of the case that is a sensor and for each held surface
+        whose temperature changes, one power, W, for all sources together, and the displacements;
+        the ``ambient``, if it was measured; of a case with an axis its position, ``y_pos_mm``.
     case : Case
         The machine.
     displacement : sequence of str
@@ -49,6 +49,12 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
         for column in log.columns
         if column.quantity == "temperature" and column.base in case.probes
     }
+    held = [name for name, one in case.held_temperatures.items() if one.file is not None]
+    surfaces = {
+        column.base: log.at(column.name)
+        for column in log.columns
+        if column.quantity == "temperature" and column.base in held
+    }
     if not sensed:
         known = ", ".join(f"{name}_degC" for name in case.probes) or "none"
         raise InputError(f"log: no temperature of a probe of the case; these would be {known}")
@@ -60,6 +66,7 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
     every = [
         *moved.values(),
         *sensed.values(),
+        *surfaces.values(),
         power,
         *places.values(),
         *ways.values(),
@@ -76,13 +83,16 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
             raise InputError(
                 f"{where}: {count - len(kept)} of {count} samples lack a reading; correct the log"
             )
+        # A held surface may begin at any temperature.
+        first_read = {name: float(read[kept[0]]) for name, read in sensed.items()}
+        cold = float(np.median([*first_read.values()]) if room is None else room[kept[0]])
+        check_cold(np.array([*first_read.values()]) - cold, list(sensed), where)
         runs[where] = _response(
-            where,
             log.times[kept],
             {axis: read[kept] for axis, read in moved.items()},
-            {name: read[kept] for name, read in sensed.items()},
+            {name: read[kept] - cold for name, read in (sensed | surfaces).items()},
             heat[kept],
-            None if room is None else room[kept],
+            None if room is None else room[kept] - cold,
         )
         if places:
             at = np.column_stack([read[kept] for read in places.values()])
@@ -100,27 +110,22 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
 
 
 def _response(
-    where: str,
     times: Array,
     moved: dict[str, Array],
     sensed: dict[str, Array],
     heat: Array,
     room: Array | None,
 ) -> xr.Dataset:
-    temperatures = np.column_stack(list(sensed.values()))
-    first = temperatures[0]
-    cold = float(np.median(first)) if room is None else float(room[0])
-    check_cold(first - cold, list(sensed), where)
     displacement = np.zeros((len(times), len(DIRECTIONS)))
     for axis, read in moved.items():
         displacement[:, DIRECTIONS.index(axis)] = read - read[0]
     values = {
         "heat_input": heat,
-        "temperature": temperatures - cold,
+        "temperature": np.column_stack([*sensed.values()]),
         "displacement": displacement,
     }
     if room is not None:
-        values["ambient"] = room - cold
+        values["ambient"] = room
     return make_response(
         values,
         {"time": times - times[0], "probe": list(sensed), "axis": list(DIRECTIONS)},

@@ -7,6 +7,7 @@ import pytest
 from observed import SENSORS, observed_data, run, step
 from typer.testing import CliRunner
 
+from calibrate.joint_aware.calibration import machine_of, sensors_of
 from calibrate.joint_aware.measured_runs import runs_of
 from calibrate.joint_aware.readings import run_in
 from fesim.case.schema import case_from_data
@@ -98,6 +99,23 @@ def test_a_log_that_lacks_what_the_machine_needs_is_refused(
     with pytest.raises(InputError, match=what) as caught:
         runs_of(read_log([path]), case_from_data(case, "case", Path()), ["x_um", "y_um"])
     assert "\n" not in str(caught.value)
+
+
+def test_a_held_surface_is_read_from_the_log(case, response, tmp_path):
+    """There was no probe of its name, whatever the log had."""
+    (tmp_path / "held.csv").write_text("time_s,rise_K\n0,0\n600,2\n")
+    held = case | {"held_temperatures": {"rear": {"file": str(tmp_path / "held.csv")}}}
+    path = log_of(response, tmp_path / "log.csv")
+    first, *rows = path.read_text("utf-8").splitlines()
+    rows = [f"{row},{27.5 + 0.01 * k:.9g}" for k, row in enumerate(rows)]
+    path.write_text("\n".join([f"{first},rear_degC", *rows]), encoding="utf-8")
+    machine = case_from_data(held, "case", Path())
+    runs = runs_of(read_log([path]), machine, ["x_um", "y_um"])
+    names = sensors_of(machine, runs)
+    assert names == (*SENSORS, "rear")
+    inputs = run_in(runs["run 1"], machine_of(machine, names), "run 1").inputs
+    surface = 27.5 - 21.5 + 0.01 * np.arange(1, len(inputs) + 1)
+    assert inputs[:, 1] == pytest.approx(surface, abs=0.011)
 
 
 def test_the_power_of_a_motor_is_not_the_heat_of_its_source(case, response, tmp_path):
