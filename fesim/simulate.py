@@ -31,7 +31,7 @@ from fesim.case.schema import (
 )
 from fesim.forces import check_tight, mechanical_values, outputs_of
 from fesim.march.adaptive import march_adaptively
-from fesim.march.adaptive_state import Effort, Ends, Passed
+from fesim.march.adaptive_state import Effort, Passed, StepEnds
 from fesim.march.alternation import unresolved
 from fesim.march.heat_step import each
 from fesim.march.machine import State, Step, load_factors
@@ -151,8 +151,11 @@ def simulate(
     """
     if not isinstance(case, Case):
         case = read_case(case)
-    check_turns(case)
-    given = setup if setup is not None else prepared(case)
+    if setup is None:
+        given = prepared(case)
+    else:
+        check_turns(case)
+        given = setup
     moving = given if isinstance(given, MovingSetup) else None
     ready = standing(given)
     if ready.machine.thermal.step != case.march.step_s:
@@ -160,12 +163,8 @@ def simulate(
             f"march.step_s: {case.march.step_s:g} s, but the structure was set up for steps of "
             f"{ready.machine.thermal.step:g} s; set it up for this case"
         )
-    if (differing := set_up_differently(ready.case, case)) is not None:
-        raise InputError(
-            f"{differing}: the structure was set up for a case in which this differs; set it up "
-            "for this case"
-        )
-    check_one_ambient(case)
+    if ready.case is not case:
+        _check_shared(ready.case, case)
     inputs = march_inputs(case) if moving is None else axis_inputs(case)
     _check_forces(case, ready)
     (at_zero,) = inputs.at(np.zeros(1))
@@ -371,6 +370,16 @@ def case_in(response: xr.Dataset, where: str, otherwise: str) -> Case:
     return case_from_data(data, f"{where}, case", Path())
 
 
+def _check_shared(of: Case, case: Case) -> None:
+    """Refuse a set-up of another case in what the set-up of this one would refuse, or make anew."""
+    if (differing := set_up_differently(of, case)) is not None:
+        raise InputError(
+            f"{differing}: the structure was set up for a case in which this differs; set it up "
+            "for this case"
+        )
+    check_one_ambient(case)
+
+
 def _check_forces(case: Case, ready: Setup) -> None:
     assembly = ready.machine.assembly
     if assembly is None:
@@ -382,7 +391,7 @@ def _check_forces(case: Case, ready: Setup) -> None:
         )
 
 
-def _judge(ready: Setup, drive: Histories, ends: Ends) -> None:
+def _judge(ready: Setup, drive: Histories, ends: StepEnds) -> None:
     """Refuse pressures and forces of bolts at the ends of steps, as at the rows of a response."""
     _check_pressures(ready, ends.pressure, ends.times)
     if ready.bolts is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 
 import numpy as np
 import xarray as xr
@@ -44,17 +44,9 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
         A column is missing, a run starts warm, or too many readings are missing.
     """
     moved = {_axis(log, name): log.at(name) for name in displacement}
-    sensed = {
-        column.base: log.at(column.name)
-        for column in log.columns
-        if column.quantity == "temperature" and column.base in case.probes
-    }
+    sensed = _temperatures(log, case.probes)
     held = [name for name, one in case.held_temperatures.items() if one.file is not None]
-    surfaces = {
-        column.base: log.at(column.name)
-        for column in log.columns
-        if column.quantity == "temperature" and column.base in held
-    }
+    surfaces = _temperatures(log, held)
     if not sensed:
         known = ", ".join(f"{name}_degC" for name in case.probes) or "none"
         raise InputError(f"log: no temperature of a probe of the case; these would be {known}")
@@ -84,9 +76,9 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
                 f"{where}: {count - len(kept)} of {count} samples lack a reading; correct the log"
             )
         # A held surface may begin at any temperature.
-        first_read = {name: float(read[kept[0]]) for name, read in sensed.items()}
-        cold = float(np.median([*first_read.values()]) if room is None else room[kept[0]])
-        check_cold(np.array([*first_read.values()]) - cold, list(sensed), where)
+        begin = np.array([read[kept[0]] for read in sensed.values()])
+        cold = float(np.median(begin) if room is None else room[kept[0]])
+        check_cold(begin - cold, list(sensed), where)
         runs[where] = _response(
             log.times[kept],
             {axis: read[kept] for axis, read in moved.items()},
@@ -130,6 +122,15 @@ def _response(
         values,
         {"time": times - times[0], "probe": list(sensed), "axis": list(DIRECTIONS)},
     )
+
+
+def _temperatures(log: Log, names: Container[str]) -> dict[str, Array]:
+    """Temperatures of those columns of a log that have one of some names, by name."""
+    return {
+        column.base: log.at(column.name)
+        for column in log.columns
+        if column.quantity == "temperature" and column.base in names
+    }
 
 
 def _axis(log: Log, name: str) -> str:

@@ -206,7 +206,7 @@ def set_up_differently(one: Case, other: Case) -> str | None:
     one, other : Case
         Files count by their names.
     """
-    path = None if one is other else _first_difference(_used(one), _used(other))
+    path = _first_difference(_used(one), _used(other))
     return None if path is None else ".".join(map(str, path))
 
 

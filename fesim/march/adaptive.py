@@ -16,8 +16,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fesim.case.history import Histories
-from fesim.march.adaptive_state import Asked, Now, Passed, Solving, no_effort, unpacked
-from fesim.march.adaptive_state import Ends as StepEnds
+from fesim.march.adaptive_state import (
+    Asked,
+    Now,
+    Passed,
+    Solving,
+    StepEnds,
+    no_effort,
+    unpacked,
+)
 from fesim.march.exponential import Ends, ExponentialStep, exponential_step, heat_spread
 from fesim.march.iteration import iterated_step
 from fesim.march.machine import CondensedMachine, State, Step

@@ -9,7 +9,7 @@ import numpy as np
 
 from fesim.joint.compiled_gap import newton_work, trial_at
 from fesim.joint.loosening import watch_work
-from fesim.march.adaptive_state import Asked, Effort, Ends, Now, Passed, Solving
+from fesim.march.adaptive_state import Asked, Effort, Now, Passed, Solving, StepEnds
 from fesim.march.compiled_adaptive import (
     AFTER,
     ALL,
@@ -92,7 +92,7 @@ class FreeMarch:
         after = _after(now, course, solving)
         effort = after.effort
         times, size = now.time + np.cumsum(taken.numbers[:, 0]), 3 * len(now.flow)
-        ends = Ends(times, taken.unknowns, taken.joint[:, :size], taken.joint[:, size:])
+        ends = StepEnds(times, taken.unknowns, taken.joint[:, :size], taken.joint[:, size:])
         if count == len(asked.times):
             last = StepError(course.moved[THIS], course.warmed[THIS])
             effort = effort.with_step(float(taken.numbers[-1, 0]), last, 0)

@@ -167,7 +167,7 @@ def unpacked(state: State, inputs: int, axes: int) -> tuple[Now, Array]:
     return now, kept[at:]
 
 
-class Ends(NamedTuple):
+class StepEnds(NamedTuple):
     """The machine at the ends of s steps."""
 
     #: Shape (s,): s.
@@ -177,10 +177,10 @@ class Ends(NamedTuple):
     remainder: Array
     pressure: Array
 
-    def until(self, time: float) -> Ends:
+    def until(self, time: float) -> StepEnds:
         """Those up to a time, s."""
         count = int(np.searchsorted(self.times, time * (1.0 + ROUNDING), side="right"))
-        return Ends(*(each[:count] for each in self))
+        return StepEnds(*(each[:count] for each in self))
 
 
 class Passed(NamedTuple):
@@ -191,4 +191,4 @@ class Passed(NamedTuple):
     #: Where the march goes on: at the last time that is asked for at the start of its step.
     now: Now
     #: Of the steps that were taken for it.
-    ends: Ends
+    ends: StepEnds
