@@ -140,8 +140,8 @@ def responses_of(
 
 
 def read_by(plant: Case, rng: np.random.Generator) -> xr.Dataset:
-    """The response of a plant with noise on its thermometers."""
-    response = simulate(plant, accuracy=False).response
+    """The response of a plant with noise on its thermometers; its power is not known."""
+    response = simulate(plant, accuracy=False).response.drop_vars("source_power")
     read = response["temperature"]
     return response.assign(temperature=read + rng.uniform(-NOISE, NOISE, read.shape))
 

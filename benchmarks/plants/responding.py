@@ -18,7 +18,7 @@ from thermojoint.reduced.physics import simulate_known
 
 #: Of temperatures, K peak to peak, and of displacements in calibration, m.
 TEMPERATURE_NOISE, DISPLACEMENT_NOISE = 0.12, 5e-8
-#: Constant parts of a response: positions and powers, for estimators that need them.
+#: Constant parts of a response: positions, for estimators that need them.
 KEPT = ("probe_position", "contact_position", "contact_area", "contact_joint")
 
 
@@ -53,7 +53,7 @@ def measured(
     noise: tuple[float, float],
     seed: int,
 ) -> xr.Dataset:
-    """Return a run as a response with offset sensors and noise.
+    """Return a run as a response with offset sensors and noise; the power in W is not known.
 
     `answer`: the run. `machine`: names sensors and axes. `places`: a response of the machine, of
     any length. `offset` (p,): of the sensors, K. `noise`: of temperatures, K peak to peak, and
@@ -69,13 +69,12 @@ def measured(
     return make_response(
         {
             "heat_input": heat,
-            "source_power": heat[:, None] * machine.power,
             "ambient": np.append(0.0, answer.drive.ambient),
             "temperature": temperature,
             "displacement": displacement,
         }
         | {name: places[name].to_numpy() for name in KEPT},
-        {name: places[name].to_numpy() for name in ("probe", "axis", "source", "space", "contact")}
+        {name: places[name].to_numpy() for name in ("probe", "axis", "space", "contact")}
         | {"time": times},
         {str(name): value for name, value in places.attrs.items()},
     )

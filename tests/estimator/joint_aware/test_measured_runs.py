@@ -1,5 +1,6 @@
 """A measured log calibrates the machine's physics where there is a mesh."""
 
+import copy
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from observed import SENSORS, observed_data, run, step
 from typer.testing import CliRunner
 
-from calibrate.joint_aware.calibration import machine_of, sensors_of
+from calibrate.joint_aware.calibration import calibrated_range, machine_of, sensors_of
 from calibrate.joint_aware.measured_runs import runs_of
 from calibrate.joint_aware.readings import run_in
 from fesim.case.schema import case_from_data
@@ -81,6 +82,18 @@ def test_heat_that_changes_within_a_step_counts_by_its_mean(machine):
     fine = make_response(values, {"time": times, "probe": probes, "axis": axes})
     inputs = run_in(fine, machine, "run").inputs[:, : machine.power.size]
     assert inputs == pytest.approx(np.tile(0.5 * machine.power, (10, 1)), rel=1e-12)
+
+
+def test_a_machine_whose_source_is_stronger_than_the_case_says_is_known_by_its_recorded_heat(
+    case, machine
+):
+    """A fit laid it on expansion and films, as heat is known to a tenth."""
+    stronger = copy.deepcopy(case)
+    stronger["sources"]["bearings"]["reference_power_W"] *= 1.5
+    response = run(stronger, set_up(case_from_data(stronger, "case", Path())), step(2.0), 1.0)
+    inputs = run_in(response, machine, "run").inputs
+    assert inputs[:, 0] == pytest.approx(np.full(len(inputs), 3.0 * machine.power[0]), rel=1e-12)
+    assert calibrated_range(machine, {"run": response}).heat == pytest.approx(3.0, rel=1e-12)
 
 
 @pytest.mark.parametrize(
