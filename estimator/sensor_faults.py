@@ -212,7 +212,7 @@ def judge_sample(
     if not (odd.any() or doubted.any() or contradicted.any()):
         return Verdict(present, False, seen)
     first = not np.isfinite(watch.read).any()
-    lost = bool(contradicted.any()) and _mostly(contradicted | doubted, credible, first)
+    lost = bool(contradicted.any()) and mostly(contradicted | doubted, credible, first)
     if lost:
         faulty, doubted = odd, doubted & ~credible
     else:
@@ -344,7 +344,7 @@ def _contradicted(sample: Sample, explain: Explain, trusted: Flags, rules: Thres
     return contradicted
 
 
-def _mostly(doubtful: Flags, credible: Flags, first: bool) -> bool:
+def mostly(doubtful: Flags, credible: Flags, first: bool) -> bool:
     """Whether more than half of the channels, and more than one, are doubtful.
 
     At the first sample more than one is enough: a wrong initial state is then more likely than two

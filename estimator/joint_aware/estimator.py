@@ -29,7 +29,13 @@ from estimator.joint_aware.observer_state import (
     unpacked,
 )
 from estimator.joint_aware.thresholds import USUAL, Thresholds
-from estimator.joint_aware.trust import Trusted, channels_of, possible_heat, trusted
+from estimator.joint_aware.trust import (
+    Trusted,
+    channels_of,
+    possible_heat,
+    possible_readings,
+    trusted,
+)
 from estimator.span import SLACK
 from fesim.axes.line import line_over
 from fesim.march.kernel import owned
@@ -229,6 +235,24 @@ class JointAware(Described):
             np.append(low - slack - offset, -self.thresholds.ambient),
             np.append(high + slack - offset, self.thresholds.ambient),
         )
+
+    def zero_of(self, temperatures: Array, ambient: float) -> float:
+        """Return an ambient as that of the cold machine, or NaN if it cannot be.
+
+        Above a broken reading of the ambient most sensors read what is impossible.
+
+        Parameters
+        ----------
+        temperatures : ndarray, shape (p,)
+            Of the sensors, NaN where missing.
+        ambient : float
+            From the same zero, K.
+        """
+        low, high = possible_readings(self.calibrated_readings, self.thresholds)
+        rises = temperatures - ambient
+        impossible = (rises < low[:-1]) | (rises > high[:-1])
+        read = np.isfinite(rises)
+        return math.nan if sensor_faults.mostly(impossible, read, False) else ambient
 
     def initial_state(self) -> Array:
         """Return the state of a machine at rest, before any sample."""

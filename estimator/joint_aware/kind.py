@@ -66,14 +66,16 @@ def _intake(model: ObserverModel, above_ambient: bool) -> Intake:
     loads = [f"{name}_percent" for name in model.loads]
     positions = [f"{name}_mm" for name in (*model.positions, *model.ways)]
     powers = [f"{name}_W" for name in model.powers]
+    zero_of = JointAware(model).zero_of
     count, moved = len(thermal), len(thermal) + len(loads)
     stood = moved + len(positions)
     wanted = stood + len(powers)
 
     def convert(readings: Sequence[float], cold: float) -> tuple[list[float], float]:
-        # The machine was cold at the first ambient temperature on record.
+        # The machine was cold at the first ambient temperature on record that can be one.
         if math.isnan(cold):
-            cold = 0.0 if above_ambient else readings[count - 1]
+            *sensed, ambient = readings[:count]
+            cold = 0.0 if above_ambient else zero_of(np.array(sensed), ambient)
         temperatures = [value - cold for value in readings[:count]]
         factors = [0.01 * value for value in readings[count:moved]]
         places = [MILLI * value for value in readings[moved:stood]]
@@ -93,7 +95,7 @@ def _log(
     cold: Cold,
 ) -> Iterator[tuple[float, ...]]:
     others = (*model.loads, *model.positions, *model.ways, *model.powers)
-    return log_samples(pieces, model.sensors, where, others, cold)
+    return log_samples(pieces, model.sensors, where, others, cold, JointAware(model).zero_of)
 
 
 def _response(model: ObserverModel, response: xr.Dataset) -> Iterator[tuple[float, ...]]:

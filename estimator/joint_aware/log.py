@@ -6,7 +6,8 @@ ignored, missing readings are NaN:
 - time, ``NAME_K``, ..., ``ambient_K``: above the ambient at which the machine was cold; without the
   last column the ambient is constant;
 - time, ``NAME_degC``, ..., ``ambient_degC``, or °F: as thermometers read. The machine was cold at
-  the first ambient temperature in the log, or in the first log of a run that is continued.
+  the first ambient temperature in the log that can be one, or in the first log of a run that is
+  continued.
 
 Loads that change have columns ``NAME_percent``, of the load in the case; the positions of
 moving axes are ``NAME_pos_mm``, their odometers ``NAME_way_mm``, powers that tell of the heat of a
@@ -16,11 +17,12 @@ source ``NAME_power_W``.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 
 from estimator.kind import Cold
+from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
 
@@ -31,6 +33,7 @@ def log_samples(
     where: str,
     others: Sequence[str] = (),
     cold: Cold | None = None,
+    zero_of: Callable[[Array, float], float] = lambda temperatures, ambient: ambient,
 ) -> Iterator[tuple[float, ...]]:
     """Yield (time s, temperature of every sensor K, ambient K, others); NaN for a missing reading.
 
@@ -46,6 +49,9 @@ def log_samples(
         Names of the loads that change, of positions, ways and powers.
     cold : Cold, optional
         Ambient at which the machine was cold; set here where it is not known.
+    zero_of : callable, optional
+        (temperatures of the sensors, ambient) to the ambient of the cold machine, or NaN if it
+        cannot be.
 
     Raises
     ------
@@ -72,7 +78,7 @@ def log_samples(
                         f"{where}: the state that it continues does not say at which ambient the "
                         f"machine was cold; give {sensors[0]}_K, ..., ambient_K above that one"
                     )
-                known.value = 0.0 if above else float(row[-1])
+                known.value = 0.0 if above else zero_of(row[:-1], float(row[-1]))
             elif known.value == 0.0 and not above:
                 raise InputError(
                     f"{where}: continues temperatures above the ambient of a cold machine; give "

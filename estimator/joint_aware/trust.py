@@ -28,6 +28,7 @@ from estimator.joint_aware.fault_isolation import Judgement, PendingJump
 from estimator.joint_aware.filter_design import compressed
 from estimator.joint_aware.observer import Expected, Moment, Observer
 from estimator.joint_aware.observer_state import UNKNOWN, ObserverState
+from estimator.joint_aware.thresholds import Thresholds
 from estimator.sensor_faults import Channels, Sample, Watch, judge_sample, model_error
 from thermojoint.artefacts.arrays import Array, Flags
 
@@ -118,13 +119,20 @@ def trusted(
 
 def channels_of(observer: Observer, limits: tuple[Array, Array]) -> Channels:
     """Return the prior knowledge of an observer's channels; `limits` are the calibrated ones, K."""
-    known, (low, high) = observer.thresholds, limits
+    known = observer.thresholds
+    low, high = possible_readings(limits, known)
     return Channels(
         noise=np.minimum(np.sqrt(observer.model.filter.noise), known.thermometer),
-        low=low - known.room,
-        high=high + known.further * (high - low) + known.room,
+        low=low,
+        high=high,
         thermometers=len(observer.model.sensors),
     )
+
+
+def possible_readings(limits: tuple[Array, Array], known: Thresholds) -> tuple[Array, Array]:
+    """Return the lowest and highest possible readings; `limits` are the calibrated ones, K."""
+    low, high = limits
+    return low - known.room, high + known.further * (high - low) + known.room
 
 
 def _followed(

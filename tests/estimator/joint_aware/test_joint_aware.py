@@ -2,6 +2,7 @@
 
 import copy
 import json
+import math
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -41,7 +42,7 @@ from estimator.joint_aware.observer_model import Calibrated
 from estimator.joint_aware.readings import samples_in
 from estimator.kind import Cold, Options, followed
 from estimator.quality import Quality, quality_of
-from estimator.registry import kind_of_file, resumed, save_state
+from estimator.registry import kind_of, kind_of_file, resumed, save_state
 from estimator.states import read_state
 from fesim.case.joint_sections import JointSection
 from fesim.case.schema import case_from_data
@@ -595,6 +596,29 @@ def test_a_log_in_two_parts_counts_from_where_the_first_one_began(estimator, res
     ):
         with pytest.raises(InputError, match=told):
             list(log_samples(pieces_in([head, lines[0]], "log"), SENSORS, "log", cold=cold))
+
+
+@pytest.mark.parametrize("broken", [-200.0, 850.0])
+def test_a_broken_first_reading_of_the_ambient_is_no_cold_machine(estimator, broken):
+    """A wire that is broken or touches another; what is read next is the ambient."""
+    kind, names = kind_of(estimator), (*SENSORS, "ambient")
+    lines = [
+        ",".join(["time_s", *(f"{name}_degC" for name in names)]),
+        ",".join(["0", *["20"] * len(SENSORS), f"{broken:g}"]),
+        ",".join(["2", *["21.5"] * len(SENSORS), "20"]),
+    ]
+    cold = Cold()
+    pieces = pieces_in(lines, "log")
+    before, after = kind.log(estimator.model, pieces, "log", None, cold)
+    assert np.isnan(before[1:]).all()
+    assert after == (2.0, *[1.5] * len(SENSORS), 0.0)
+    assert cold.value == pytest.approx(293.15)
+    intake = kind.intake(estimator.model, False)
+    absent = [math.nan] * (len(intake.names) - intake.wanted)
+    _, unknown = intake.convert([*[20.0] * len(SENSORS), broken, *absent], math.nan)
+    assert math.isnan(unknown)
+    _, known = intake.convert([*[21.5] * len(SENSORS), 20.0, *absent], unknown)
+    assert known == pytest.approx(20.0)
 
 
 @pytest.mark.parametrize(
