@@ -168,6 +168,9 @@ class Kind(Generic[M, E]):
     options: frozenset[str] = frozenset()
     #: Whether the estimator is assembled for a nominal sampling interval.
     paced: bool = False
+    #: Estimator to the sampling interval and the length of a run that it is assembled for, s; None
+    #: if a run that is continued may have others.
+    assembled_for: Callable[[E], tuple[float, float]] | None = None
     #: Model to whether it is assembled already, and takes no other interval.
     assembled: Callable[[M], bool] = lambda model: False
     #: Estimator to its state for a machine with an unknown past.

@@ -51,7 +51,17 @@ def _resumed(given: Given, options: Options, carried: Any, where: str) -> Fchs: 
         raise InputError(
             f"{where}: state of another model; start afresh, or use the model it was saved with"
         )
+    if isinstance(given, Assembly) and _assembled_for(given) != _assembled_for(assembly):
+        raise InputError(
+            f"{where}: of an estimator assembled for {assembly.dt_s:g} s and "
+            f"{assembly.run_length_s / 60.0:g} min; give that one"
+        )
     return Fchs(assembly)
+
+
+def _assembled_for(assembly: Assembly) -> tuple[float, float]:
+    """Return the nominal sampling interval and the length of a run, s."""
+    return assembly.dt_s, assembly.run_length_s
 
 
 def _intake(given: Given, above_ambient: bool) -> Intake:
@@ -108,6 +118,7 @@ KIND: Kind[Given, Fchs] = Kind(
     fingerprint=lambda given: _model(given).digest,
     start=_start,
     paced=True,
+    assembled_for=lambda estimator: _assembled_for(estimator.assembly),
     assembled=lambda given: isinstance(given, Assembly),
     carried=lambda estimator: as_content(estimator.assembly),
     resumed=_resumed,

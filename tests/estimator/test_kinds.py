@@ -202,6 +202,33 @@ def test_an_assembled_estimator_is_not_assembled_for_something_else(
     assert not (tmp_path / "out").exists()
 
 
+def test_a_regression_has_no_length_of_a_run(models, tmp_path):
+    words = ["estimate", str(models / "baselines.json"), "log.csv", "--run-length-min", "10"]
+    result = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "out")])
+    told = "--run-length-min: not for a file of baselines; leave it out"
+    assert str(result.exception) == told
+
+
+def test_a_run_is_continued_with_what_it_was_begun_with(models, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name, begun in (("first", 0), ("second", 100)):
+        rows = "".join(f"{begun + 2 * k},0.2,0,0\n" for k in range(5))
+        Path(f"{name}.csv").write_text("time_s,delta_T_K,T1_K,T2_K\n" + rows)
+    model, other = str(models / "model.json"), "other.json"
+    command("assemble", model, "--interval-s", "5", "--out", other)
+    command("estimate", model, "first.csv", "--save-state", "state.json", "--out", "one.csv")
+    going_on = ("second.csv", "--continue", "state.json", "--out", "two.csv")
+    for words, told in (
+        ((model, "--interval-s", "5"), "--interval-s 5: the run was begun with 2; leave it out"),
+        ((model, "--run-length-min", "60"), "--run-length-min 60: the run was begun with 120"),
+        ((other,), "assembled for 2 s and 120 min; give that one"),
+    ):
+        result = CliRunner().invoke(app, ["estimate", *words, *going_on])
+        assert told in str(result.exception)
+        assert not Path("two.csv").exists()
+    command("estimate", model, "--interval-s", "2", "--run-length-min", "120", *going_on)
+
+
 def test_a_damaged_state_is_refused_in_one_line(here):
     rod = tj.open_estimator("rod.json")
     tj.save_state(rod, rod.initial_state(), "state.json")

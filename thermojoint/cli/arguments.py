@@ -205,8 +205,29 @@ def check_pace(
     """Refuse options of the assembly for a model that is assembled already, or not at all."""
     assembled = kind.assembled(model)
     what = "an assembled estimator" if assembled else kind.name
-    taken = kind.paced and not assembled
-    check_taken(what, {option: (value, taken) for option, value in given.items()})
+    taken = {
+        "--interval-s": kind.paced and not assembled,
+        "--run-length-min": kind.assembled_for is not None and not assembled,
+    }
+    check_taken(what, {option: (value, taken[option]) for option, value in given.items()})
+
+
+def check_same_pace(
+    kind: estimators.Kind[Any, Any],
+    estimator: estimators.OpenedEstimator,
+    interval: float | None,
+    run_length: float | None,
+) -> None:
+    """Refuse an interval (s) or a run length (min) unlike those of the run that is continued."""
+    if kind.assembled_for is None:
+        return
+    own_interval, own_length = kind.assembled_for(estimator)
+    for option, given, own in (
+        ("--interval-s", interval, own_interval),
+        ("--run-length-min", run_length, own_length / 60.0),
+    ):
+        if given is not None and not math.isclose(given, own):
+            raise InputError(f"{option} {given:g}: the run was begun with {own:g}; leave it out")
 
 
 def reading_noise(given_um: float | None, readings: Path | None) -> float | None:

@@ -289,6 +289,7 @@ def estimate(  # noqa: PLR0913 - the options of a command
             options = replace(options, interval=nominal)
         if resume:
             estimator, state = resumed(kind, given, options, resume)
+            arguments.check_same_pace(kind, estimator, interval, run_length)
         else:
             estimator = started(kind, given, options)
             warm_state = kind.warm_state if warm else None
