@@ -425,13 +425,22 @@ def test_what_does_not_fit_is_refused_before_the_plant_is_set_up(
     assert told in str(done.exception)
 
 
-def test_estimates_that_all_come_too_late_for_the_offsets_are_refused(folder):
-    path = folder / "loop.toml"
+@pytest.mark.parametrize(
+    ("delay", "oldest", "told"),
+    [
+        (32.0, 30.0, "oldest_s 30 is shorter than estimator.delay_s 32"),
+        (0.0, 2.0, "oldest_s 2 is not longer than the estimator's step of 2 s"),
+    ],
+)
+def test_estimates_that_offsets_would_not_follow_are_refused(folder, delay, oldest, told):
+    """They are too old when they arrive, or before the next one does."""
+    path, offsets = folder / "loop.toml", folder / "offsets.toml"
     text = re.sub(r"\[heater\].*", "", path.read_text("utf-8"), flags=re.DOTALL)
-    path.write_text(text.replace("delay_s = 0.0", "delay_s = 32.0"), "utf-8")
+    path.write_text(text.replace("delay_s = 0.0", f"delay_s = {delay}"), "utf-8")
+    offsets.write_text(f"oldest_s = {oldest}\n{offsets.read_text('utf-8')}", "utf-8")
     done = CliRunner().invoke(app, ["control", str(path)])
     assert isinstance(done.exception, InputError)
-    assert "oldest_s 30" in str(done.exception)
+    assert told in str(done.exception)
 
 
 @pytest.mark.parametrize(

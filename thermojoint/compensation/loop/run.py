@@ -94,7 +94,7 @@ def close_loop(loop: Loop, progress: Progress | None = None) -> Closed:
     estimator = JointAware(read_observer(loop.estimator.model))
     settings = None if loop.offsets is None else read_settings(loop.offsets)
     _check_axes(settings, estimator)
-    _check_age(settings, loop)
+    _check_age(settings, loop, estimator.model.step)
     case = plant_case(loop)
     check_plant(case, estimator)
     for delay in (loop.estimator.delay_s, *loop.tried_delays_s):
@@ -242,13 +242,19 @@ def _noise(loop: Loop, case: Case, estimator: JointAware) -> Array:
     return sensor_noise(times, loop.estimator.noise_pp_K, loop.estimator.seed, sensors)
 
 
-def _check_age(settings: Settings | None, loop: Loop) -> None:
-    """Refuse estimates that are all too old for the offsets when they arrive."""
+def _check_age(settings: Settings | None, loop: Loop, step: float) -> None:
+    """Refuse estimates that are too old when they arrive, or before the next one does."""
     delay = loop.estimator.delay_s
-    if settings is not None and delay > settings.trust.oldest:
+    if settings is None:
+        return
+    oldest, told = settings.trust.oldest, ""
+    if oldest <= step:
+        told = f"not longer than the estimator's step of {step:g} s"
+    if oldest < delay:
+        told = f"shorter than estimator.delay_s {delay:g}"
+    if told:
         raise InputError(
-            f"offsets: oldest_s {settings.trust.oldest:g} is shorter than estimator.delay_s "
-            f"{delay:g}: no offset would follow; make it longer"
+            f"offsets: oldest_s {oldest:g} is {told}: no offset would follow; make it longer"
         )
 
 
