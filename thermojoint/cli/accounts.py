@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from thermojoint.artefacts.errors import InputError
+from thermojoint.cli import arguments
 from thermojoint.live.rights import Role
 
 #: By whom the audit log says that something was done.
@@ -21,12 +22,19 @@ _MOST_DAYS = 36_525.0
 
 Service = Annotated[Path, typer.Argument(help="File of the service (TOML).")]
 RoleOption = Annotated[
-    Role,
-    typer.Option(help="viewer reads; operator also writes readings; engineer also changes models."),
+    Role | None,
+    typer.Option(
+        help="viewer (default) reads; operator also writes readings; engineer also changes models."
+    ),
 ]
 Machines = Annotated[
-    str, typer.Option(help="Machines of the role: names or patterns like mill-*, with commas.")
+    str | None,
+    typer.Option(
+        help="Machines of the role: names or patterns like mill-*, with commas; default: all."
+    ),
 ]
+#: Of the options above, for whoever is new.
+_ROLE, _MACHINES = "viewer", "*"
 
 
 def users(
@@ -35,12 +43,13 @@ def users(
         str | None, typer.Option(help="Add or change this user; the password is asked for.")
     ] = None,
     remove: Annotated[str | None, typer.Option(help="Remove this user.")] = None,
-    role: RoleOption = "viewer",
-    machines: Machines = "*",
+    role: RoleOption = None,
+    machines: Machines = None,
 ) -> None:
     """List, add and remove the users of a service; it may be running.
 
-    A removed user's sessions end at once.
+    A removed user's sessions end at once. A changed user keeps the role and the machines that are
+    not given.
 
     Example: [bold]thermojoint users service.toml --add anna --machines 'mill-*'[/bold]
     """
@@ -53,9 +62,16 @@ def users(
     path = given.users_file
     if path is None:
         raise InputError(f'{service}: no file of users; write users = "users" at its beginning')
-    if add is not None:
+    if add is None:
+        arguments.only_for("--add", {"--role": role, "--machines": machines})
+    else:
         import getpass
 
+        former = read_users(path).get(add) if path.exists() else None
+        if role is None:
+            role = former.role if former else _ROLE
+        if machines is None:
+            machines = ",".join(former.machines) if former else _MACHINES
         asked = f"password of {add}: "
         password = getpass.getpass(asked) if sys.stdin.isatty() else sys.stdin.readline()
         add_user(path, add, role, password.rstrip("\r\n"), machines.split(","))
@@ -74,9 +90,11 @@ def tokens(
     service: Service,
     add: Annotated[str | None, typer.Option(help="Make a token of this name and print it.")] = None,
     revoke: Annotated[str | None, typer.Option(help="Revoke the token of this name.")] = None,
-    role: RoleOption = "viewer",
-    machines: Machines = "*",
-    days: Annotated[float, typer.Option(help="The token ends after these days.", min=0.0)] = 365.0,
+    role: RoleOption = None,
+    machines: Machines = None,
+    days: Annotated[
+        float | None, typer.Option(help="The token ends after these days; default: 365.", min=0.0)
+    ] = None,
 ) -> None:
     """List, make and revoke the tokens of a service; it may be running.
 
@@ -91,8 +109,12 @@ def tokens(
     from thermojoint.live.settings import read_service
     from thermojoint.live.tokens import add_token, revoke_token, tokens_in
 
+    if add is None:
+        arguments.only_for("--add", {"--role": role, "--machines": machines, "--days": days})
+    days = 365.0 if days is None else days
     if not 0.0 <= days <= _MOST_DAYS:
         raise InputError(f"--days {days:g}: give at most {_MOST_DAYS:g}")
+    role, machines = role or _ROLE, _MACHINES if machines is None else machines
     given = read_service(service)
     with closing(open_access(given.folder)) as store:
         if revoke is not None:

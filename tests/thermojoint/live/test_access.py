@@ -244,6 +244,11 @@ def test_the_commands_list_make_and_end_users_and_tokens(tmp_path):
     said("users", "--add", "anna", "--role", "operator", "--machines", "a,b", input="anna-pass\n")
     assert read_users(tmp_path / "users")["anna"].machines == ("a", "b")
     assert "operator" in said("users")
+    before = read_users(tmp_path / "users")["anna"]
+    said("users", "--add", "anna", input="another-pass\n")
+    after = read_users(tmp_path / "users")["anna"]
+    assert (after.role, after.machines) == ("operator", ("a", "b"))
+    assert after.password != before.password
     said("users", "--remove", "anna")
     assert "anna" not in said("users")
     secret = said("tokens", "--add", "logger", "--days", "90").strip()
@@ -253,8 +258,28 @@ def test_the_commands_list_make_and_end_users_and_tokens(tmp_path):
     said("tokens", "--revoke", "logger")
     assert said("tokens") == ""
     lines = (tmp_path / "state" / "audit.jsonl").read_text().splitlines()
-    assert len(lines) == 4
+    assert len(lines) == 5
     assert secret not in "".join(lines)
+
+
+@pytest.mark.parametrize(
+    ("command", "option", "value"),
+    [
+        ("users", "--role", "engineer"),
+        ("users", "--machines", "mill-*"),
+        ("tokens", "--role", "engineer"),
+        ("tokens", "--machines", "mill-*"),
+        ("tokens", "--days", "30"),
+    ],
+)
+def test_rights_without_anybody_who_gets_them_are_refused(tmp_path, command, option, value):
+    file = tmp_path / "service.toml"
+    file.write_text(
+        'folder = "state"\nusers = "users"\n[models.m]\nfile = "m"\n'
+        '[machines.mill]\nmodel = "m"\nsource = "s"\n[sources.s]\nkind = "csv"\npath = "-"\n'
+    )
+    done = CliRunner().invoke(app, [command, str(file), option, value])
+    assert str(done.exception) == f"{option}: goes with --add; leave it out"
 
 
 @pytest.mark.parametrize("days", ["1e9", "inf"])
