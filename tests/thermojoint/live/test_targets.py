@@ -283,8 +283,33 @@ def test_what_a_control_needs_is_written_over_no_other_file(command, tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("every", "expected"),
+    [
+        # One write changes a value by at most 5 um; the value is followed between two rows.
+        (1.0, {0: -5, 1: -10, 2: -12, 10: -15, 20: -10}),
+        # And what a row says between two writes is not seen.
+        (20.0, {0: -5, 20: -10}),
+    ],
+)
+def test_what_would_be_written_follows_at_the_pace_of_the_target(
+    every, expected, command, tmp_path
+):
+    target, offsets = tmp_path / "target.toml", tmp_path / "offsets.csv"
+    target.write_text(
+        'kind = "sinumerik"\nurl = "opc.tcp://127.0.0.1"\naxes = { X = 1 }\nsecurity = "none"\n'
+        f"every_s = {every}\n"
+    )
+    offsets.write_text("time_s,offset_X_um,state\n0,-12,follow\n10,-15,follow\n20,-10,follow\n")
+    code, said, _ = command("target", target, "--offsets", offsets)
+    assert code == 0
+    rows = [line.split(",") for line in said.splitlines()[1:]]
+    assert {int(row[0]): round(1000.0 * float(row[3])) for row in rows} == expected
+
+
+@pytest.mark.parametrize(
     ("table", "told"),
     [
+        ("time_s,offset_X_um,state\n1,1.0,follow\n1,2.0,follow\n", "does not increase at 1"),
         ("", "no rows"),
         ("time_s,offset_Y_um,state\n", "no rows"),
         ("offset_X_um,state\n1.0,follow\n", "no time_s"),

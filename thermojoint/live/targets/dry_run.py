@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Iterable, Iterator, Mapping
 
 from thermojoint.artefacts.errors import InputError
@@ -17,6 +18,9 @@ COLUMNS = ("time_s", "axis", "node", "value", "unit")
 def writes(given: TargetFile, lines: Iterable[str], where: str) -> Iterator[tuple[str, ...]]:
     """Yield the writes for a control whose values begin at 0, as `COLUMNS`.
 
+    There is one every `TargetFile.every_s` from the first row on, of what the row before it says,
+    as long as it changes a value.
+
     Parameters
     ----------
     given : TargetFile
@@ -28,14 +32,15 @@ def writes(given: TargetFile, lines: Iterable[str], where: str) -> Iterator[tupl
     Raises
     ------
     InputError
-        There is no row, a column is missing, a value is no number or beyond the range of the
-        control.
+        There is no row, a column is missing, times do not increase, a value is no number or beyond
+        the range of the control.
     """
     every = writes_of(given, given.axes)
     values = dict.fromkeys((write[:2] for write in every), 0.0)
-    row: Mapping[str, str] = {}
-    for row in csv.DictReader(lines):
-        _number(row, "time_s", where)
+    first = None
+    for row, times in _lasting(csv.DictReader(lines), given.every_s, where):
+        first = times[0] if first is None else first
+        goals = {}
         for axis, section in given.slopes.items():
             reference = _number(row, f"P0_{axis}_mm", where)
             if not abs(MILLI * reference - section.reference) <= 1e-6:
@@ -43,16 +48,50 @@ def writes(given: TargetFile, lines: Iterable[str], where: str) -> Iterator[tupl
                     f"{where}: P0_{axis}_mm {reference:.9g} is not slopes.{axis}.reference_mm "
                     f"{section.reference_mm:.9g}; change one of them"
                 )
-        for quantity, axis, most in every:
+        for quantity, axis, _ in every:
             is_slope = quantity is given.control.slope
             column = f"slope_{axis}_um_per_m" if is_slope else f"offset_{axis}_um"
-            now, goal = values[quantity, axis], MICRO * _number(row, column, where)
-            values[quantity, axis] = value = next_value(quantity, now, goal, most)
-            if value != now:
-                node = given.node(quantity, axis)
-                yield row["time_s"], axis, node, f"{value:.10g}", quantity.unit
-    if not row:
+            goals[quantity, axis] = MICRO * _number(row, column, where)
+        for time in _moments(first, given.every_s, times):
+            before = dict(values)
+            for quantity, axis, most in every:
+                now, goal = before[quantity, axis], goals[quantity, axis]
+                values[quantity, axis] = value = next_value(quantity, now, goal, most)
+                if value != now:
+                    node = given.node(quantity, axis)
+                    yield f"{time:.15g}", axis, node, f"{value:.10g}", quantity.unit
+            if values == before:
+                break
+    if first is None:
         raise InputError(f"{where}: no rows; give what 'compensate' writes")
+
+
+def _lasting(
+    rows: Iterable[Mapping[str, str]], every: float, where: str
+) -> Iterator[tuple[Mapping[str, str], tuple[float, float]]]:
+    """Yield the rows, each with the times (s) from which and until which it holds.
+
+    The last one holds for one write.
+    """
+    held: tuple[Mapping[str, str], float] | None = None
+    for row in rows:
+        time = _number(row, "time_s", where)
+        if held is not None:
+            if not time > held[1]:
+                raise InputError(f"{where}: time_s does not increase at {time:.9g}; order the rows")
+            yield held[0], (held[1], time)
+        held = row, time
+    if held is not None:
+        yield held[0], (held[1], held[1] + every)
+
+
+def _moments(first: float, every: float, times: tuple[float, float]) -> Iterator[float]:
+    """Yield the times (s) of the writes between two times, the second one excluded."""
+    # Rounding must neither drop a write nor repeat it.
+    index = math.ceil((times[0] - first) / every - 1e-9)
+    while (time := first + index * every) < times[1] - 1e-9 * every:
+        yield time
+        index += 1
 
 
 def _number(row: Mapping[str, str], column: str, where: str) -> float:
