@@ -105,6 +105,18 @@ def clock(cells, name="time"):
         # A sample every hour: the hour that comes twice is the same text twice.
         ("time", [f"25.10.2026 0{hour}:00" for hour in (1, 2, 2, 3)], [3600.0] * 3),
         ("time [Europe/Berlin]", [f"2026-10-25 0{hour}:10" for hour in (1, 2, 2, 3)], [3600.0] * 3),
+        # The hour that is left out, and the changes between two samples far apart.
+        ("time", [f"29.03.2026 0{hour}:00" for hour in (0, 1, 3, 4)], [3600.0] * 3),
+        (
+            "time",
+            ["28.03.2026 22:00", "28.03.2026 23:30", "29.03.2026 01:00", "29.03.2026 03:30"],
+            [5400.0] * 3,
+        ),
+        (
+            "time",
+            ["24.10.2026 23:30", "25.10.2026 01:00", "25.10.2026 02:30", "25.10.2026 03:00"],
+            [5400.0] * 3,
+        ),
     ],
 )
 def test_clocks_tell_how_much_time_passed(name, cells, steps):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -320,14 +321,24 @@ def passed(clock: Clock, hands: Hands, at: Moment) -> tuple[Hands, str]:
             time, shift, note = time + _DAY, shift + _DAY, "midnight passed"
         elif at.local and 0.0 < time + _HOUR - hands.last <= _near(hands) and _changes(at, "end"):
             time, shift, note = time + _HOUR, shift + _HOUR, "summer time ended"
-    elif (
-        at.local
-        and 0.0 < time - _HOUR - hands.last <= min(hands.step * 1.5, 0.5 * _HOUR)
-        and _changes(at, "begin")
-    ):
+    elif at.local and _goes_on(time - _HOUR, hands) and _changes(at, "begin"):
         time, shift, note = time - _HOUR, shift - _HOUR, "summer time began"
+    elif at.local and _as_before(time + _HOUR, hands) and _changes(at, "end"):
+        time, shift, note = time + _HOUR, shift + _HOUR, "summer time ended"
     step = time - hands.last if hands.last > -float("inf") else hands.step
     return Hands(time, shift, step if step > 0.0 else hands.step), note
+
+
+def _goes_on(time: float, hands: Hands) -> bool:
+    """Whether a time (s), of a clock that was set forward, is nearer to the step than before."""
+    step, half = time - hands.last, 0.5 * _HOUR
+    nearer = math.isinf(hands.step) or hands.step < step + half
+    return (nearer and 0.0 < step <= min(1.5 * hands.step, half)) or _as_before(time, hands)
+
+
+def _as_before(time: float, hands: Hands) -> bool:
+    """Whether a time (s) comes one step after the previous row, as that did after its own."""
+    return abs(time - hands.last - hands.step) < 0.1 * hands.step
 
 
 def _near(hands: Hands) -> float:
