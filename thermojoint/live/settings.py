@@ -441,9 +441,19 @@ def _check_pattern(
 
 
 def _check_clients(where: str, given: ServiceFile) -> None:
-    """A broker ends the connection of a client when another one of its name comes."""
+    """A broker keeps one client of a name, and a line of standard input goes to one reader."""
     fed = {machine.source for machine in given.machines.values()}
     known: dict[tuple[str, int, str], str] = {}
+    piped = [
+        name
+        for name, source in given.sources.items()
+        if name in fed and isinstance(source, CsvSource) and str(source.path) == "-"
+    ]
+    if len(piped) > 1:
+        raise InputError(
+            f"{where}: sources.{piped[1]}.path: sources.{piped[0]} reads standard input as well, "
+            "and each would have some of its lines; give each its own file or FIFO"
+        )
     for name, source in given.sources.items():
         if name not in fed or not isinstance(source, MqttSource):
             continue

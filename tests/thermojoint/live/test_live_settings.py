@@ -142,6 +142,13 @@ def test_names_of_files_are_relative_to_the_file_of_the_service(tmp_path):
             },
             "sources.lathe.client_id: sources.mill has the same at this broker",
         ),
+        (
+            {
+                "machines": {name: {"model": "m", "source": name} for name in ("mill", "lathe")},
+                "sources": {name: {"kind": "csv", "path": "-"} for name in ("mill", "lathe")},
+            },
+            "sources.lathe.path: sources.mill reads standard input as well",
+        ),
         (changed(mqtt={"topic": "estimates"}), "mqtt.topic: is for 3 machines; write {machine}"),
         (
             shaking("mqtt", models=OFFSETS, mqtt={"control_topic": "plc"}, count=2)
