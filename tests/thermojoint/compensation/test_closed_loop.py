@@ -32,6 +32,7 @@ from thermojoint.artefacts.settings.read import settings_from
 from thermojoint.cli.app import app
 from thermojoint.compensation.loop import run as loop_run
 from thermojoint.compensation.loop.controller import AT_REST, Controller, control
+from thermojoint.compensation.loop.judging import as_content
 from thermojoint.compensation.loop.linear import (
     Channels,
     channels_of,
@@ -41,7 +42,8 @@ from thermojoint.compensation.loop.linear import (
     responses_of,
     state_space,
 )
-from thermojoint.compensation.loop.march import Acting, Plant, added_by, run_loop
+from thermojoint.compensation.loop.march import Acting, Course, Plant, added_by, run_loop
+from thermojoint.compensation.loop.run import Closed
 from thermojoint.compensation.loop.schema import Loop, read_loop
 from thermojoint.compensation.loop.tuning import Requirements, feed_forward_gain, tune
 from thermojoint.compensation.offsets.output import followed
@@ -310,6 +312,22 @@ def test_a_setpoint_is_reached_and_kept(plant, estimator, tuned):
     off = course(plant, estimator, replace(tuned, controller=controller))
     assert off.displacement[-50:, 0] == pytest.approx(15.0 * MICRO, abs=0.5 * MICRO)
     assert off.heater.mean() > course(plant, estimator, tuned).heater.mean()
+
+
+@pytest.mark.parametrize(("follows", "left"), [("y", 1.0), ("x", 20.0)])
+def test_an_axis_that_the_heater_holds_at_its_setpoint_has_nothing_left(folder, follows, left):
+    """Unless they follow the axis: then they compensate what the heater makes of it, too."""
+    (folder / "offsets.toml").write_text(f'[axes.A]\nfollows = "{follows}"\n', "utf-8")
+    path = folder / "loop.toml"
+    text = path.read_text("utf-8").replace('axis = "x"', 'axis = "x"\nsetpoint_um = 20.0')
+    path.write_text(text, "utf-8")
+    moved = MICRO * np.array([[20.0, 3.0], [19.0, 4.0]])
+    still, times = np.zeros((2, 2)), np.array([2.0, 4.0])
+    run = Course(times, moved, moved, still, np.ones(2), np.ones(2))
+    axes = as_content(Closed(read_loop(path), ("x", "y"), None, run, run, {}))["runs"][1]["axes"]
+    assert axes["x"]["displacement"]["largest_um"] == pytest.approx(1.0)
+    assert axes["x"]["with_offsets"]["largest_um"] == pytest.approx(left)
+    assert axes["y"]["with_offsets"]["largest_um"] == pytest.approx(4.0)
 
 
 @pytest.mark.long
