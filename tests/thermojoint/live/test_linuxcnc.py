@@ -176,6 +176,25 @@ def test_a_control_that_would_not_move_is_refused(old, new, told, tmp_path, hand
     assert told in str(error.value)
 
 
+def test_installing_again_leaves_a_switch_in_the_hal_file(tmp_path, hand_made_model):
+    prepare(tmp_path, hand_made_model, BLOCKS["toml"] + '[http]\nsecurity = "none"\n')
+    service, ini = tmp_path / "service.toml", tmp_path / "mill.ini"
+    hal = tmp_path / "thermojoint.hal"
+    ini.write_text(INI)
+
+    def written(token):
+        return files_for(read_service(service), "mill", ini, tmp_path / token, None)[hal]
+
+    first = written("token")
+    switched = first.replace("sets thermojoint-on TRUE", "net thermojoint-on <= halui.mode.is-auto")
+    hal.write_text(switched)
+    assert written("token") == switched
+    assert written("another") == switched.replace("/token ", "/another ")
+    hal.write_text("sets thermojoint-on TRUE\n")
+    with pytest.raises(InputError, match="in place of one; move the file away"):
+        written("token")
+
+
 def test_an_axis_is_named_as_the_control_does(tmp_path, hand_made_model):
     """By another name what it acknowledges would be of no axis, and the handshake never stand."""
     prepare(tmp_path, hand_made_model, BLOCKS["toml"] + '[http]\nsecurity = "none"\n')

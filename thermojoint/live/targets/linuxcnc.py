@@ -20,9 +20,10 @@ from thermojoint.live.settings import HttpServer, Service
 COMPONENT, HAL_FILE = "thermojoint_hal.py", "thermojoint.hal"
 _UNITS_PER_MM = {"mm": 1.0, "metric": 1.0, "inch": 1 / 25.4, "in": 1 / 25.4, "imperial": 1 / 25.4}
 _LOADS = f"HALFILE = {HAL_FILE}"
+_LOADUSR = "loadusr -Wn thermojoint "
 _HAL = """\
 # Offsets of the machine {machine} from the thermojoint service.
-loadusr -Wn thermojoint {words}
+{loadusr}
 # The axes move while this signal is TRUE: leave it so, or link it to a switch.
 sets thermojoint-on TRUE
 """
@@ -48,14 +49,11 @@ def files_for(
     Raises
     ------
     InputError
-        The machine has no offsets or no handshake by HTTP, its axes are not the control's, or the
-        control gives offsets no share of its speed.
+        The machine has no offsets or no handshake by HTTP, its axes are not the control's, the
+        control gives offsets no share of its speed, or the HAL file is not this command's.
     """
     http, output = _settings_of(service, machine)
-    try:
-        text = ini.read_text("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{ini}: not readable ({error}); name the control's ini file") from error
+    text = _text_of(ini, "name the control's ini file")
     given = entries_of(text)
     for axis in output.output.names:
         _check_axis(axis, given, ini)
@@ -76,6 +74,7 @@ def files_for(
     if http.security == "tls":
         options["ca-file"] = http.certificate_file or service.folder / "http_certificate.pem"
     component = ini.absolute().parent / COMPONENT
+    hal_file = component.with_name(HAL_FILE)
     words = [str(component), *(f"--{name}={value}" for name, value in options.items())]
     if spaced := [word for word in words if len(word.split()) != 1]:
         raise InputError(f"{spaced[0]}: HAL files know no spaces; take another place or name")
@@ -83,10 +82,33 @@ def files_for(
     loading = with_hal_file(text, ini)
     return {
         component: source.read_text("utf-8"),
-        component.with_name(HAL_FILE): _HAL.format(machine=machine, words=" ".join(words)),
+        hal_file: _hal_text(hal_file, machine, _LOADUSR + " ".join(words)),
         **({} if loading == text else {ini.with_name(f"{ini.name}.former"): text}),
         ini: loading,
     }
+
+
+def _text_of(path: Path, advice: str) -> str:
+    try:
+        return path.read_text("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: not readable ({error}); {advice}") from error
+
+
+def _hal_text(path: Path, machine: str, loadusr: str) -> str:
+    """Return the HAL file with a line that loads the component.
+
+    One that is there keeps what else it says: its signal may be linked to a switch.
+    """
+    if not path.exists():
+        return _HAL.format(machine=machine, loadusr=loadusr)
+    lines = _text_of(path, "move the file away").splitlines()
+    at = [k for k, line in enumerate(lines) if line.startswith(_LOADUSR)]
+    if len(at) != 1:
+        raise InputError(
+            f"{path}: {len(at)} lines {_LOADUSR.strip()!r} in place of one; move the file away"
+        )
+    return "\n".join([*lines[: at[0]], loadusr, *lines[at[0] + 1 :]]) + "\n"
 
 
 def _settings_of(service: Service, machine: str) -> tuple[HttpServer, Settings]:
