@@ -32,6 +32,7 @@ from thermojoint.artefacts.settings.read import settings_from
 from thermojoint.cli.app import app
 from thermojoint.compensation.loop import run as loop_run
 from thermojoint.compensation.loop.controller import AT_REST, Controller, control
+from thermojoint.compensation.loop.figure import runs_figure
 from thermojoint.compensation.loop.judging import as_content
 from thermojoint.compensation.loop.linear import (
     Channels,
@@ -328,6 +329,15 @@ def test_an_axis_that_the_heater_holds_at_its_setpoint_has_nothing_left(folder, 
     assert axes["x"]["displacement"]["largest_um"] == pytest.approx(1.0)
     assert axes["x"]["with_offsets"]["largest_um"] == pytest.approx(left)
     assert axes["y"]["with_offsets"]["largest_um"] == pytest.approx(4.0)
+
+
+def test_every_tried_delay_is_drawn(folder):
+    still, one = np.zeros((2, 2)), np.ones(2)
+    run = Course(np.array([2.0, 4.0]), still, still, still, one, one)
+    late = {10.0 * k: run for k in range(1, 9)}
+    closed = Closed(read_loop(folder / "loop.toml"), ("x", "y"), None, run, run, late)
+    for panel, runs in zip(runs_figure(closed).axes, (10, 10, 10, 10, 9), strict=True):
+        assert len(panel.lines) == runs
 
 
 @pytest.mark.long

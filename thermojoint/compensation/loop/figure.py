@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -86,7 +87,7 @@ def runs_figure(closed: Closed) -> Figure:
     figure, panels = _panels(2 * len(axes) + (closed.heated is not None))
     for k, axis in enumerate(axes):
         first, second = panels[2 * k], panels[2 * k + 1]
-        for shade, (name, course, _) in zip(SHADES, runs_of(closed), strict=False):
+        for shade, (name, course, _) in zip(cycle(SHADES), runs_of(closed), strict=False):
             thin = slice(None, None, max(1, course.times.size // _POINTS))
             time = course.times[thin] / 60.0
             for panel, values in ((first, course.displacement), (second, course.residual)):
@@ -99,7 +100,7 @@ def runs_figure(closed: Closed) -> Figure:
         if closed.loop.offsets is None:
             second.set_ylim(-5.0, 5.0)
     if closed.heated is not None:
-        for shade, (name, course, heated) in zip(SHADES, runs_of(closed), strict=False):
+        for shade, (name, course, heated) in zip(cycle(SHADES), runs_of(closed), strict=False):
             if heated:
                 thin = slice(None, None, max(1, course.times.size // _POINTS))
                 panels[-1].plot(
