@@ -68,14 +68,14 @@ def users(
         import getpass
 
         former = read_users(path).get(add) if path.exists() else None
-        if role is None:
-            role = former.role if former else _ROLE
-        if machines is None:
-            machines = ",".join(former.machines) if former else _MACHINES
+        own = role or (former.role if former else _ROLE)
+        patterns = machines
+        if patterns is None:
+            patterns = ",".join(former.machines) if former else _MACHINES
         asked = f"password of {add}: "
         password = getpass.getpass(asked) if sys.stdin.isatty() else sys.stdin.readline()
-        add_user(path, add, role, password.rstrip("\r\n"), machines.split(","))
-        audit_of(given).accepted(user_name(), _ORIGIN, f"user {add}: {role} of {machines}")
+        add_user(path, add, own, password.rstrip("\r\n"), patterns.split(","))
+        audit_of(given).accepted(user_name(), _ORIGIN, f"user {add}: {own} of {patterns}")
         console.wrote(path)
     if remove is not None:
         remove_user(path, remove)
@@ -111,10 +111,10 @@ def tokens(
 
     if add is None:
         arguments.only_for("--add", {"--role": role, "--machines": machines, "--days": days})
-    days = 365.0 if days is None else days
-    if not 0.0 <= days <= _MOST_DAYS:
-        raise InputError(f"--days {days:g}: give at most {_MOST_DAYS:g}")
-    role, machines = role or _ROLE, _MACHINES if machines is None else machines
+    lasts = 365.0 if days is None else days
+    if not 0.0 <= lasts <= _MOST_DAYS:
+        raise InputError(f"--days {lasts:g}: give at most {_MOST_DAYS:g}")
+    own, patterns = role or _ROLE, _MACHINES if machines is None else machines
     given = read_service(service)
     with closing(open_access(given.folder)) as store:
         if revoke is not None:
@@ -122,9 +122,9 @@ def tokens(
             audit_of(given).accepted(user_name(), _ORIGIN, f"token {revoke}: revoked")
         if add is not None:
             now = time.time()
-            span = now, now + 86400.0 * days
-            print(add_token(store, add, role, span, machines.split(",")))
-            what = f"token {add}: {role} of {machines} until {_day(span[1])}"
+            span = now, now + 86400.0 * lasts
+            print(add_token(store, add, own, span, patterns.split(",")))
+            what = f"token {add}: {own} of {patterns} until {_day(span[1])}"
             audit_of(given).accepted(user_name(), _ORIGIN, what)
         if add is None and revoke is None:
             for token in tokens_in(store):
