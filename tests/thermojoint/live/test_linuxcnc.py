@@ -6,6 +6,7 @@ import re
 import shlex
 import signal
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -174,6 +175,31 @@ def test_a_control_that_would_not_move_is_refused(old, new, told, tmp_path, hand
     with pytest.raises(InputError) as error:
         files_for(service, "mill", ini, tmp_path / "token", None)
     assert told in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("address", "given", "url"),
+    [
+        ("::1", None, "https://[::1]:8443"),
+        ("::", None, "https://127.0.0.1:8443"),
+        ("127.0.0.1", "https://mill-pc.example:8443/", "https://mill-pc.example:8443"),
+    ],
+)
+def test_the_component_finds_the_service(
+    address, given, url, tmp_path, monkeypatch, hand_made_model
+):
+    prepare(tmp_path, hand_made_model, f'{BLOCKS["toml"]}[http]\naddress = "{address}"\n')
+    monkeypatch.chdir(tmp_path)
+    ini = Path("cnc") / "mill.ini"
+    ini.parent.mkdir()
+    ini.write_text(INI)
+    found = files_for(read_service("service.toml"), "mill", ini, Path("token"), given)
+    words = found[tmp_path / "cnc" / "thermojoint.hal"].split()
+    assert f"--url={url}" in words
+    assert f"--token-file={tmp_path}/token" in words
+    (certificate,) = (word for word in words if word.startswith("--ca-file="))
+    assert certificate.startswith(f"--ca-file={tmp_path}/")
+    assert certificate.endswith("/http_certificate.pem")
 
 
 def test_installing_again_leaves_a_switch_in_the_hal_file(tmp_path, hand_made_model):

@@ -61,8 +61,7 @@ def files_for(
     if unit not in _UNITS_PER_MM:
         raise InputError(f"{ini}: [TRAJ]LINEAR_UNITS is {unit or 'missing'}; write mm or inch")
     options = {
-        "url": url
-        or f"{'https' if http.security == 'tls' else 'http'}://{_host(http)}:{http.port}",
+        "url": _url_of(http) if url is None else url.rstrip("/"),
         "machine": machine,
         "token-file": token.absolute(),
         "axes": "".join(output.output.names).lower(),
@@ -131,8 +130,11 @@ def _settings_of(service: Service, machine: str) -> tuple[HttpServer, Settings]:
     return http, settings
 
 
-def _host(http: HttpServer) -> str:
-    return "127.0.0.1" if http.address in ("0.0.0.0", "::") else http.address
+def _url_of(http: HttpServer) -> str:
+    """Return where a control on the same computer reaches the service."""
+    host = "127.0.0.1" if http.address in ("0.0.0.0", "::") else http.address
+    scheme = "https" if http.security == "tls" else "http"
+    return f"{scheme}://{f'[{host}]' if ':' in host else host}:{http.port}"
 
 
 def entries_of(text: str) -> Mapping[str, str]:
