@@ -201,7 +201,8 @@ class AgeingJointAware:
         if not estimate.status & ~TEACHES:
             after = self._counting(after, values, length)
         at = self._probed(values)
-        if at.any():
+        # What the observer refuses teaches nothing.
+        if at.any() and not estimate.status & Status.READING_REFUSED:
             innovation, sensitivity, variance = self._without(before, machines, time, values, at)
             unbiased = np.zeros((len(innovation), before.learnt.size - count))
             rows = np.hstack([-sensitivity, unbiased])

@@ -132,6 +132,18 @@ def test_a_sample_that_cannot_be_trusted_does_not_teach(observer):
     assert found[-1].details[-2] == pytest.approx(1.0, abs=1e-12)
 
 
+def test_a_displacement_reading_that_is_refused_does_not_teach(machine, observer, inputs):
+    """A probe that hits a chip reads a millimetre; the rest of that sample is as ever."""
+    temperatures, displacement = answers(machine, inputs[:60])
+    estimator, nothing = AgeingJointAware(observer, ("preload", "friction")), [np.nan] * 2
+    rows = [[*row, *nothing] for row in samples(temperatures, inputs[:60])]
+    _, untouched = run(estimator, temperatures, inputs[:60])
+    rows[30][-2:] = displacement[30] + 1e-3
+    found = [one for _, one in follow(estimator, rows, estimator.initial_state())]
+    assert Status.READING_REFUSED in found[30].status
+    assert found[-1].details[-4:] == pytest.approx(untouched[-1].details[-4:], abs=1e-4)
+
+
 def test_the_filter_weighs_what_it_knows_with_what_it_reads():
     """One parameter, one reading: the mean of both by their variances."""
     found, covariance = learnt(
