@@ -615,7 +615,6 @@ class JointAware(Described):
             linear, errors = linear + correction.state[:size], errors + correction.state[size:]
             known, refused = correction.known, correction.refused
             settled = self.observer.read(expected, linear, loads)
-        left = self.observer.onward(factor)
         after = ObserverState(
             time=np.array(moment.time),
             begun=begun,
@@ -623,8 +622,8 @@ class JointAware(Described):
             linear=linear,
             loads=loads,
             **settled.joint._asdict(),
-            covariance_factor=left,
-            errors=errors if left.any() else np.zeros_like(errors),
+            covariance_factor=factor,
+            errors=errors,
             drive=expected.drive,
             gone=before.gone,
             told=before.told,

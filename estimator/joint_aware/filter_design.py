@@ -253,7 +253,7 @@ def correct(
         return gain, np.hstack([factor, lost])
     seen_factor = rows[own] @ factor
     shifted = factor - gain @ seen_factor
-    doubted = covariance + doubt**2 * np.diag(filter_.lasting)
+    doubted = covariance + weight * doubt**2 * np.diag(filter_.lasting)
     solved = np.linalg.solve(doubted[pairs], seen_factor)
     root = np.linalg.cholesky(np.eye(factor.shape[1]) + seen_factor.T @ solved)
     inverse = np.linalg.inv(root)

@@ -197,11 +197,11 @@ class Observer:
             now = self._meanwhile(before.loads, loads, (k + 1) / steps)
             way = way_of(self.model.modes, last, now, gone.tolist())
             linear, drive = self._later((linear, drive), joint, length, way)
-            last = now
+            last, factor = now, self.onward(factor, length)
             if k + 1 < steps:
                 joint, _ = self._settled(joint, linear, memory, now)
                 factor = self._forgetting(factor, length)
-        errors = self.lasting_on(moment.length * steps) * before.errors
+        errors = self.lasting_on(moment.length * steps) * before.errors * factor.any()
         return Expected(linear, joint, drive, factor, errors, memory)
 
     def lasting_on(self, elapsed: float) -> float:
@@ -260,7 +260,7 @@ class Observer:
         return np.asarray(self.model.filter.innovation + own + seen @ seen.T)
 
     def _forgetting(self, factor: Array, length: float) -> Array:
-        """Covariance factor after a step of some length without any reading."""
+        """Covariance factor after a sample without any reading, a step of some length (s) long."""
         _, after = correct(self.both, self.rows, np.arange(0), factor, 1.0)
         after = compressed(after, self.both.scale, factor.shape[1])
         walks = max(length / self.model.step - 1.0, 0.0) ** 0.5 * self.model.filter.walk
@@ -268,18 +268,20 @@ class Observer:
             more, inputs = np.zeros((len(after), walks.size)), self.system.decay.size
             more[inputs : inputs + walks.size] = np.diag(walks)
             after = compressed(np.hstack([after, more]), self.both.scale, factor.shape[1])
-        return self.onward(after)
+        return after
 
-    def advance(self, columns: Array) -> Array:
-        """Return columns (n + p + 1, k) of the linear state and the errors one step later."""
-        size, kept = self.system.size, self.lasting_on(self.model.step)
-        return np.vstack([self.system.advance(columns[:size]), kept * columns[size:]])
+    def advance(self, columns: Array, length: float) -> Array:
+        """Return columns (n + p + 1, k) of the linear state and the errors a step (s) later."""
+        model, size, system = self.model, self.system.size, self.system
+        if length != model.step:
+            system = linear_system(model.modes, model.discrepancy, model.power, length)
+        return np.vstack([system.advance(columns[:size]), self.lasting_on(length) * columns[size:]])
 
-    def onward(self, factor: Array) -> Array:
-        """Covariance factor one step later; zero once it is negligible."""
+    def onward(self, factor: Array, length: float) -> Array:
+        """Covariance factor a step of some length (s) later; zero once it is negligible."""
         if not factor.any():
             return factor
-        size, after = self.system.size, self.advance(factor)
+        size, after = self.system.size, self.advance(factor, length)
         seen = np.square(self.system.rows @ after[:size]).sum(axis=1) / self.model.filter.noise
         moved = np.square(self.model.band.tangent @ after[:size]).sum(axis=1)
         least = self.thresholds.forgotten

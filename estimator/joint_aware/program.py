@@ -358,8 +358,8 @@ def _start(estimator: JointAware) -> _Start:
         count = 1
         while 2 * count <= k // (1 if k < FEW else 2):
             count *= 2
-        onward = observer.advance(left)
-        noise = observer.advance(observer.advance(noise).T)
+        onward = observer.advance(left, model.step)
+        noise = observer.advance(observer.advance(noise, model.step).T, model.step)
         for _ in range(count.bit_length() - 1):
             noise, onward = noise + onward @ noise @ onward.T, onward @ onward
         covariance, k = onward @ covariance @ onward.T + noise, k + count
@@ -388,7 +388,7 @@ def _without(estimator: JointAware) -> tuple[Array, Array]:
         duration = WITHOUT_ONE if present.size else WITHOUT_ALL
         for _ in range(math.ceil(duration / model.step)):
             gain, after = observer.gain(present, factor, model.step, KNOWN)
-            factor = observer.onward(after)
+            factor = observer.onward(after, model.step)
         if present.size:
             gains[left_out][:, present] = gain[: observer.system.size]
         uncertain = np.square(model.band.tangent @ after[: observer.system.size]).sum(axis=1)

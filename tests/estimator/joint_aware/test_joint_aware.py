@@ -238,6 +238,22 @@ def test_a_warm_start_comes_to_what_a_cold_one_knows(data, setup, estimator):
     assert Status.UNSETTLED in found[0].status
 
 
+def test_a_warm_start_takes_as_long_however_often_it_is_sampled(stepped, estimator):
+    """A quarter of the model's step apart, readings say as much in a minute as before."""
+    samples = np.array(list(samples_in(stepped, SENSORS)))[100:]
+
+    def band_after(apart, lasts=120.0):
+        times = samples[0, 0] + np.arange(0.0, lasts + apart, apart)
+        read = [np.interp(times, samples[:, 0], column) for column in samples[:, 1:].T]
+        _, found = estimates(
+            estimator, np.column_stack([times, *read]).tolist(), estimator.warm_state()
+        )
+        return found[-1].band
+
+    usual = band_after(estimator.model.step)
+    assert band_after(0.25 * estimator.model.step) == pytest.approx(usual, rel=0.02)
+
+
 def test_the_excess_covariance_is_exact(estimator):
     """Against the recursion of the whole matrix: a reading is missing, another start."""
     system = estimator.observer.system
