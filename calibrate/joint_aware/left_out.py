@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calibrate.joint_aware.assembling import observer_from_rest
-from calibrate.joint_aware.misfit import Run, coarser, counted_in, fewer
+from calibrate.joint_aware.misfit import Run, counted_in, fewer, joined
 from calibrate.joint_aware.open_band import (
     Drawing,
     drawn_errors,
@@ -147,7 +147,7 @@ def _unseen(
     # What the posterior expects, on the longer steps of the band.
     slow = on_longer_steps(machine, others.runs, model.calibrated, fit, others.noise, drawing)
     step = slow.machine.step
-    steps = coarser(run, max(2, round(run.length * len(run.inputs) / step)))
+    steps = joined(run, max(1, round(step / run.length)))
     grid = steps.length * np.arange(1.0, len(steps.inputs) + 1.0)
     # Means over these steps: the noise of the displacement's readings is no error.
     errors, read = means_in(found - run.displacement, run.times, grid)

@@ -91,8 +91,12 @@ def counted_in(run: Run, axes: Sequence[int]) -> Array:
 
 
 def coarser(run: Run, steps: int) -> Run:
-    """Return a run in at most this many steps, each with the mean of its inputs."""
-    factor = math.ceil(len(run.inputs) / steps)
+    """Return a run in at most this many steps (`joined`)."""
+    return joined(run, math.ceil(len(run.inputs) / steps))
+
+
+def joined(run: Run, factor: int) -> Run:
+    """Return a run in steps so many times as long, each with the mean of its inputs."""
     count = math.ceil(len(run.inputs) / factor)
     padded = np.pad(run.inputs, ((0, factor * count - len(run.inputs)), (0, 0)), mode="edge")
     means = padded.reshape(count, factor, -1).mean(axis=1)

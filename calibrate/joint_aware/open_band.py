@@ -11,6 +11,7 @@ the draws, plus their residual, is the band.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -178,8 +179,12 @@ def on_longer_steps(
     noise: Noise | None,
     drawing: Drawing,
 ) -> Fitted:
-    """Return a fit to `runs`, its machine and its observer on the steps of `drawing`."""
-    slow = replace(machine, step=max(drawing.step, machine.step))
+    """Return a fit to `runs`, its machine and its observer on the steps of `drawing`.
+
+    They are whole numbers of the machine's own, into which those of a run can be joined.
+    """
+    own = machine.step
+    slow = replace(machine, step=own * math.ceil(drawing.step / own - 1e-9))
     observer = JointAware(observer_from_rest(slow, fit, calibrated, noise), thresholds=HEALTHY)
     problem = problem_of(slow, searched(machine, runs, SEARCH.steps), fit)
     return Fitted(slow, problem, fit, observer)

@@ -530,6 +530,25 @@ def test_a_band_is_not_checked_on_slow_errors_of_which_the_other_runs_cannot_tel
     assert unchecked == [[], [0]]
 
 
+def test_one_step_more_of_the_runs_does_not_change_the_band(machine):
+    """Steps of 10 s are joined to those of the band, whatever their number."""
+    small, known = along(replace(machine, step=10.0), ["x", "y"]), dict.fromkeys(SENSORS, (0.0, 50))
+    physics, drawing = physics_with(small, TRUE), Drawing(draws=2, duration=900.0)
+
+    def added(count):
+        runs = []
+        for level, unlike in ((1.0, 1.0), (3.0, 1.3)):
+            inputs = np.tile(np.append(level * small.power, 0.0), (count, 1))
+            sensed, moved = simulate_known(physics, inputs, small.step)
+            times = small.step * np.arange(1.0, count + 1)
+            runs.append(Run(inputs, times, sensed, unlike * moved, small.step))
+        fit = fit_physics(small, runs, ["heat"], Search(starts=0))
+        model = make_observer(small, fit, Calibrated(600.0, 3.0, known))
+        return widened(small, runs, fit, model, None, drawing)[0].square.sum(axis=1)
+
+    assert added(61) == pytest.approx(added(60), rel=0.05)
+
+
 def test_a_run_that_the_others_do_not_predict_widens_the_band(machine, plant, fit):
     """A machine of the family keeps its band; one that no parameter explains does not."""
     small = along(machine, ["x", "y"])
