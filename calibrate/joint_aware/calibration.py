@@ -15,7 +15,7 @@ from calibrate.joint_aware.left_out import widened
 from calibrate.joint_aware.misfit import Run, fewer
 from calibrate.joint_aware.open_band import Drawing, open_band, variance_of_heat
 from calibrate.joint_aware.physics_fit import SEARCH, Fit, Search, fit_physics
-from calibrate.joint_aware.readings import powers_in, run_in
+from calibrate.joint_aware.readings import heat_in, run_in
 from calibrate.joint_aware.recorded_days import is_day, shown_in, with_days
 from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.observer_model import Calibrated, ObserverModel
@@ -323,7 +323,7 @@ def calibrated_range(machine: ReducedMachine, responses: Mapping[str, xr.Dataset
     return Calibrated(
         duration_s=max(float(response["time"].to_numpy()[-1]) for response in responses.values()),
         heat=max(
-            float(np.abs(powers_in(response, machine) / machine.power).max())
+            float(np.abs(heat_in(response, machine) / machine.power).max())
             for response in responses.values()
         ),
         temperatures={

@@ -81,7 +81,7 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     grid = machine.step * np.arange(1, count + 1)
     # A value of the heat applies to the interval that ends at its sample.
     at = np.minimum(np.searchsorted(times, grid * (1.0 - 1e-9)), times.size - 1)
-    powers = _means_in_steps(times, powers_in(response, machine), grid)
+    powers = _means_in_steps(times, heat_in(response, machine), grid)
     ambient = np.interp(grid, times, ambient_in(response))
     held = held_in(response, machine)[at]
     loads = loads_in(response, machine.load_names)
@@ -138,7 +138,7 @@ def held_in(response: xr.Dataset, machine: ReducedMachine) -> Array:
     return values
 
 
-def powers_in(response: xr.Dataset, machine: ReducedMachine) -> Array:
+def heat_in(response: xr.Dataset, machine: ReducedMachine) -> Array:
     """Return the heat of every source of the machine, W, shape (n, s).
 
     As recorded; where it is not, the heat input times the powers of the machine.

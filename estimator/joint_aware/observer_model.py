@@ -93,7 +93,7 @@ class Calibrated:
     duration_s : float
         Of its longest run, s.
     heat : float
-        Largest heat relative to the reference; the smallest is 0.
+        Largest heat of a source relative to its reference; the smallest is 0.
     temperatures : dict of str to (float, float)
         Sensor to its least and largest value, K.
     """

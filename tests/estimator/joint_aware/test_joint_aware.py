@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from general_rule import assert_general_rule
-from observed import SENSORS, errors, estimates, observer, run, step
+from observed import MINUTE, PLACES, SENSORS, errors, estimates, heated_through, observer, run, step
 from typer.testing import CliRunner
 from written_estimates import assert_compensate_reads_what_is_written
 
 from calibrate.joint_aware.assembling import make_observer
-from calibrate.joint_aware.calibration import JointAwareCalibration, report
+from calibrate.joint_aware.calibration import JointAwareCalibration, calibrated_range, report
 from calibrate.joint_aware.identifiability import further_runs, profiles
 from calibrate.joint_aware.left_out import widened
 from calibrate.joint_aware.misfit import Run, fewer, make_problem, physics_with, residuals
@@ -48,7 +48,7 @@ from fesim.case.joint_sections import JointSection
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from thermojoint.artefacts.errors import InputError
-from thermojoint.artefacts.response import write_response
+from thermojoint.artefacts.response import make_response, write_response
 from thermojoint.artefacts.tables.pieces import pieces_in
 from thermojoint.cli.app import app
 from thermojoint.reduced.machine import along, diagonal_modes
@@ -528,6 +528,21 @@ def test_a_band_is_not_checked_on_slow_errors_of_which_the_other_runs_cannot_tel
         for doubt in (1.0, 1.5)
     ]
     assert unchecked == [[], [0]]
+
+
+def test_the_heat_of_every_source_is_in_the_range_of_its_own_calibration(spread):
+    """A small source alone, three times its reference: hardly any of what all have together."""
+    two = heated_through(spread, ("table",))
+    powers = np.array([[0.0, 0.0], [0.0, 3.0 * two.power[1]]])
+    values = {
+        "heat_input": powers.sum(axis=1) / two.power.sum(),
+        "source_power": powers,
+        "temperature": np.zeros((2, len(PLACES))),
+        "displacement": np.zeros((2, 3)),
+    }
+    names = {"probe": list(PLACES), "axis": list("xyz"), "source": list(two.source_names)}
+    alone = make_response(values, {"time": np.array([0.0, MINUTE]), **names})
+    assert calibrated_range(two, {"alone": alone}).heat == pytest.approx(3.0)
 
 
 def test_one_step_more_of_the_runs_does_not_change_the_band(machine):
