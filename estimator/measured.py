@@ -73,6 +73,25 @@ def samples_in(
                 yield (time, hot - cold, *(value - ambient for value in joint))
 
 
+def announced(
+    pieces: Iterable[Log],
+    sensors: Sequence[str],
+    on_first: Callable[[Mapping[str, float]], None] | None,
+) -> Iterator[Log]:
+    """Yield the pieces of a log; the temperatures of sensors in its first row are shown as read."""
+    for number, piece in enumerate(pieces):
+        if number == 0 and on_first is not None:
+            there = [
+                k
+                for k, column in enumerate(piece.columns)
+                if column.base in sensors
+                and column.quantity == "temperature"
+                and math.isfinite(piece.values[0, k])
+            ]
+            on_first(_shown([piece.columns[k] for k in there], piece.values[0, there].tolist()))
+        yield piece
+
+
 def _wanted(log: Log, sensors: Sequence[str], where: str) -> tuple[list[Column], Array]:
     """Return the columns of one of the two layouts and their values, in SI."""
     above_ambient = ["delta_T", *sensors]

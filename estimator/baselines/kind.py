@@ -15,6 +15,7 @@ from estimator.baselines.regression import RegressionEstimator
 from estimator.intake import Intake, intake
 from estimator.judging import Conditions, Figures, judge_responses
 from estimator.kind import Cold, Kind, OnFirst, Options
+from estimator.measured import announced
 from estimator.ranges import Range, duration
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.log import Log
@@ -85,7 +86,7 @@ def _log(
     baselines: Baselines, pieces: Iterable[Log], where: str, on_first: OnFirst | None, cold: Cold
 ) -> Iterator[tuple[float, ...]]:
     """Columns ``a_K`` and so on, above the current ambient, or ``a_degC`` with ``ambient_degC``."""
-    for piece in pieces:
+    for piece in announced(pieces, (*ROLES, "ambient"), on_first):
         above = f"{ROLES[0]}_K" in piece.names
         wanted = (
             [f"{role}_K" for role in ROLES]

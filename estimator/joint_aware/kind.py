@@ -19,6 +19,7 @@ from estimator.joint_aware.observer_model import ObserverModel
 from estimator.joint_aware.readings import samples_in
 from estimator.joint_aware.residuals import residuals
 from estimator.kind import Cold, Kind, OnFirst, Options, Sample, followed
+from estimator.measured import announced
 from estimator.ranges import Range, calibrated_ranges
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
@@ -95,7 +96,8 @@ def _log(
     cold: Cold,
 ) -> Iterator[tuple[float, ...]]:
     others = (*model.loads, *model.positions, *model.ways, *model.powers)
-    return log_samples(pieces, model.sensors, where, others, cold, JointAware(model).zero_of)
+    shown = announced(pieces, (*model.sensors, "ambient"), on_first)
+    return log_samples(shown, model.sensors, where, others, cold, JointAware(model).zero_of)
 
 
 def _response(model: ObserverModel, response: xr.Dataset) -> Iterator[tuple[float, ...]]:

@@ -202,6 +202,17 @@ def test_an_assembled_estimator_is_not_assembled_for_something_else(
     assert not (tmp_path / "out").exists()
 
 
+def test_a_log_in_fahrenheit_is_estimated_with_a_warning(models, tmp_path):
+    names = [f"{name}_degC" for name in (*ROLES, "ambient")]
+    rows = "".join(f"{2 * k},{','.join(['68'] * len(names))}\n" for k in range(3))
+    (tmp_path / "log.csv").write_text(f"time_s,{','.join(names)}\n{rows}")
+    said = command(
+        "estimate", models / "baselines.json", tmp_path / "log.csv", "--out", tmp_path / "o"
+    )
+    assert said.count("warning: ") == 1
+    assert "ambient_degC = 68 is implausible" in " ".join(said.split())
+
+
 def test_a_regression_has_no_length_of_a_run(models, tmp_path):
     words = ["estimate", str(models / "baselines.json"), "log.csv", "--run-length-min", "10"]
     result = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "out")])

@@ -648,6 +648,19 @@ def test_a_log_in_two_parts_counts_from_where_the_first_one_began(estimator, res
             list(log_samples(pieces_in([head, lines[0]], "log"), SENSORS, "log", cold=cold))
 
 
+def test_the_first_row_of_a_log_is_shown_as_it_was_read(estimator):
+    """For warnings about a unit: of the sensors that it has, and once."""
+    rows = [["68"] * len(SENSORS), ["69"] * len(SENSORS)]
+    head = ",".join(["time_s", *(f"{name}_degC" for name in (*SENSORS, "ambient"))])
+    lines = [head, *(",".join([f"{2 * k}", *row, "68"]) for k, row in enumerate(rows))]
+    lines[1] = lines[1].replace("68", "", 1)
+    told, pieces = [], pieces_in(lines, "log", rows=1)
+    list(kind_of(estimator).log(estimator.model, pieces, "log", told.append, Cold()))
+    (first,) = told
+    assert list(first) == [f"{name}_degC" for name in (*SENSORS[1:], "ambient")]
+    assert list(first.values()) == pytest.approx([68.0] * len(SENSORS))
+
+
 @pytest.mark.parametrize("broken", [-200.0, 850.0])
 def test_a_broken_first_reading_of_the_ambient_is_no_cold_machine(estimator, broken):
     """A wire that is broken or touches another; what is read next is the ambient."""
