@@ -160,7 +160,7 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             **way.values,
         },
         constants=sum(table.values.size for table in tables),
-        state=5 * linear + 44 * contacts + 9 * contacts**2 + 17 * count + 11 + own,
+        state=5 * linear + 44 * contacts + 9 * contacts**2 + 17 * count + 12 + own,
         usual=fixed + way.usual + usual.times(places),
         worst=fixed + way.worst + judged + worst.times(places),
         labels=("a sample of two Newton steps, nothing slides", "any sample, at most"),

@@ -250,6 +250,25 @@ def test_on_a_warm_machine_the_band_is_that_of_an_unknown_past_as_in_python(
 
 
 @needs_gcc
+def test_after_two_thermometers_were_away_the_past_is_unknown(estimator, program):
+    """Heat has changed meanwhile, so that readings that are back contradict the prediction."""
+    model, rng = estimator.model, np.random.default_rng(3)
+    heat = np.repeat(rng.uniform(0.0, 2.5, 10), 70)[:, None] * model.power
+    inputs = np.column_stack([heat, np.zeros(len(heat))])
+    read, moved = simulate_known(estimator.observer.physics, inputs, model.step)
+    rows = np.column_stack([read, inputs[:, -1]])
+    rows += 0.03 * rng.standard_normal(rows.shape)
+    rows[100:300, 1:3] = np.nan
+    found = list(program(rows.tolist()))
+    off = np.array([one.displacement for one in found]) - moved
+    band = np.array([one.band for one in found])
+    assert all(one.status & Status.UNSETTLED for one in found[300:])
+    assert not any(one.status & Status.SENSOR_DISTRUSTED for one in found[305:])
+    assert np.all(np.abs(off[300:]) <= band[300:])
+    assert np.all(band[400:] < 50e-6)
+
+
+@needs_gcc
 def test_long_silence_is_said(stepped, program):
     rows = [row[1:] for row in faulty(stepped, 0, lambda values: values)]
     quiet = list(program([*rows[:60], *[[NAN] * len(rows[0])] * 1000]))
