@@ -37,7 +37,7 @@ class DisplacementProbe:
     #: Innovation gate in standard deviations, beyond which a reading is refused.
     gate: float = 5.0
     #: A second reading beyond the gate confirms the first if it differs by no more than this share
-    #: from it.
+    #: from it; as vectors, since along some axes both may be right.
     alike: float = 0.5
 
 
@@ -119,7 +119,7 @@ def correct_by(
 ) -> Correction:
     """Return the correction by a displacement reading.
 
-    A reading beyond the gate is refused. If the next one of the axis is off by as much, it is the
+    A reading beyond the gate is refused. If the next one of its axes is off by as much, it is the
     model that is wrong: its error is taken to be so many times larger that the reading is one
     standard deviation off.
 
@@ -150,8 +150,8 @@ def correct_by(
     beyond = float(innovation[at] @ np.linalg.solve(covariance, innovation[at])) / at.size
     refused = known.refused.copy()
     if beyond > probe.gate**2:
-        alike = np.abs(refused - innovation)[at] <= probe.alike * np.abs(innovation[at])
-        if not alike.all():
+        apart = np.linalg.norm((refused - innovation)[at])
+        if not apart <= probe.alike * np.linalg.norm(innovation[at]):
             refused[at] = innovation[at]
             return Correction(np.zeros(len(factor)), factor, known._replace(refused=refused), True)
         before, across = beyond * before, beyond * across

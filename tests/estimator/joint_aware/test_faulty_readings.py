@@ -8,6 +8,7 @@ from observed import FAULTS, ONSET, SENSORS, errors, estimates, faulty, run, ste
 from typer.testing import CliRunner
 
 from estimator.interface import Status
+from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.model_file import write_observer
 from estimator.joint_aware.readings import samples_in
 from estimator.joint_aware.thresholds import Thresholds
@@ -108,6 +109,23 @@ def test_a_reading_that_contradicts_everything_is_refused(estimator, response):
     _, told = estimates(estimator, touched(response, estimator, 100, shift=500.0 * MICRO))
     assert Status.READING_REFUSED in told[100].status
     assert told[100].displacement == pytest.approx(alone[100].displacement, rel=1e-9)
+
+
+def test_a_second_reading_off_along_one_axis_confirms_the_first(estimator, response):
+    """Along the other one both are right, but for their noise."""
+    band = replace(estimator.model.band, constant=np.full(2, (0.5 * MICRO) ** 2))
+    plain = JointAware(replace(estimator.model, band=band))
+    actual = response["displacement"].sel(axis=["x", "y"]).to_numpy()
+    nothing, noise = [np.nan, np.nan], {50: 0.3 * MICRO, 100: -0.3 * MICRO}
+    rows = [
+        [*row, *(actual[k] + [20.0 * MICRO, noise[k]] if k in noise else nothing)]
+        for k, row in enumerate(samples_in(response, SENSORS))
+    ]
+    _, found = estimates(plain, rows)
+    assert Status.READING_REFUSED in found[50].status
+    assert Status.READING_REFUSED not in found[100].status
+    off = found[100].displacement - actual[100]
+    assert off[0] == pytest.approx(20.0 * MICRO, abs=1.0 * MICRO)
 
 
 def test_readings_between_two_samples_go_with_the_later_one():
