@@ -22,6 +22,10 @@ from estimator.interface import READING_NOISE
 from estimator.joint_aware.observer_model import Band
 from thermojoint.artefacts.arrays import Array
 
+#: How often a model's error is enlarged at most, each time by what a reading is still beyond one
+#: standard deviation: what is not of the model, such as the noise of the reading, does not grow.
+ENLARGED = 10
+
 
 @dataclass(frozen=True)
 class DisplacementProbe:
@@ -154,9 +158,11 @@ def correct_by(
         if not apart <= probe.alike * np.linalg.norm(innovation[at]):
             refused[at] = innovation[at]
             return Correction(np.zeros(len(factor)), factor, known._replace(refused=refused), True)
-        before, across = beyond * before, beyond * across
-        own = across @ parts[at].T + noise
-        covariance = seen @ seen.T + own
+        for _ in range(ENLARGED):
+            before, across = beyond * before, beyond * across
+            own = across @ parts[at].T + noise
+            covariance = seen @ seen.T + own
+            beyond = float(innovation[at] @ np.linalg.solve(covariance, innovation[at])) / at.size
     refused[at] = np.nan
     whitened = np.linalg.solve(covariance, innovation[at])
     after = before - across.T @ np.linalg.solve(covariance, across)

@@ -128,6 +128,17 @@ def test_a_second_reading_off_along_one_axis_confirms_the_first(estimator, respo
     assert off[0] == pytest.approx(20.0 * MICRO, abs=1.0 * MICRO)
 
 
+def test_a_reading_that_is_confirmed_counts_however_sure_the_model_is(estimator, response):
+    """Most of what is expected of a reading is its own noise, which is as it was."""
+    band = replace(estimator.model.band, constant=np.full(2, (0.03 * MICRO) ** 2))
+    sure = JointAware(replace(estimator.model, band=band))
+    _, told = estimates(sure, touched(response, sure, 50, shift=5.0 * MICRO))
+    assert Status.READING_REFUSED in told[50].status
+    left = errors(sure, response, told)[100] - 5.0 * MICRO
+    assert np.all(np.abs(left) < 0.5 * MICRO)
+    assert np.all(told[100].band > 0.5 * MICRO)
+
+
 def test_readings_between_two_samples_go_with_the_later_one():
     samples = [(0.0, 1.0), (2.0, 1.0), (4.0, 1.0)]
     times, values = np.array([-1.0, 1.0, 1.5]), np.array([[9.0, 9.0], [1.0, np.nan], [2.0, 3.0]])
