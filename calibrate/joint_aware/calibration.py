@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from calibrate.joint_aware.assembling import make_observer, seen_heat
 from calibrate.joint_aware.left_out import widened
-from calibrate.joint_aware.misfit import Run, fewer
+from calibrate.joint_aware.misfit import Run, fewer, highest_heat
 from calibrate.joint_aware.open_band import Drawing, open_band, variance_of_heat
 from calibrate.joint_aware.physics_fit import SEARCH, Fit, Search, fit_physics
 from calibrate.joint_aware.readings import heat_in, run_in
@@ -199,9 +199,12 @@ def calibrate_machine(
     """
     machine = along(machine, _moving(machine, responses))
     every = {name: run_in(response, machine, name) for name, response in responses.items()}
+    if not highest_heat(machine, list(every.values())):
+        raise InputError("joint-aware: no run has any heat; add one, such as a step")
     names = tuple(name for name, run in every.items() if machine.guide or not is_day(run))
-    # Without any shorter run days are all that there is to fit.
-    names = names or tuple(every)
+    # Without any shorter run that has heat days are all that there is to fit.
+    if not highest_heat(machine, [every[name] for name in names]):
+        names = tuple(every)
     days = tuple(name for name in every if name not in names)
     coarse = {name: fewer(run) for name, run in every.items()}
     fit = fit_physics(machine, [coarse[name] for name in names], fitted, effort.search)

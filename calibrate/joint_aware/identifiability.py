@@ -20,6 +20,7 @@ from calibrate.joint_aware.misfit import (
     Run,
     errors,
     fit_linear,
+    highest_heat,
     make_problem,
     physics_with,
     residuals,
@@ -127,9 +128,7 @@ class FurtherRun:
 
 def further_runs(machine: ReducedMachine, runs: Sequence[Run], fit: Fit) -> list[FurtherRun]:
     """Return the uncertainty of the parameters and of a day, without and with each further run."""
-    heat = max(
-        float(np.abs(run.inputs[:, : machine.power.size] / machine.power).max()) for run in runs
-    )
+    heat = highest_heat(machine, runs)
     step = INQUIRY.day / INQUIRY.steps
     levels = random_levels(INQUIRY.seed, INQUIRY.day, step, heat, machine.power.size)
     day = _planned(machine, fit, levels, INQUIRY.day)

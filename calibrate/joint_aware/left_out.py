@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calibrate.joint_aware.assembling import observer_from_rest
-from calibrate.joint_aware.misfit import Run, counted_in, fewer, joined
+from calibrate.joint_aware.misfit import Run, counted_in, fewer, highest_heat, joined
 from calibrate.joint_aware.open_band import (
     Drawing,
     drawn_errors,
@@ -49,8 +49,8 @@ def widened(
 ) -> tuple[Band, list[int]]:
     """Return the band of a model, wide enough to hold on every run that is left out.
 
-    Also the positions of runs that it was not checked on: the others have no fit, its machine
-    cannot be marched, or the run alone tells of slow errors (`_alone`).
+    Also the positions of runs that it was not checked on: the others have no fit or no heat, its
+    machine cannot be marched, or the run alone tells of slow errors (`_alone`).
 
     Parameters
     ----------
@@ -70,10 +70,10 @@ def widened(
     unseen, unchecked = list[_Unseen](), list[int]()
     thinned = [fewer(run) for run in runs]
     for k, run in enumerate(runs if len(runs) > 1 else ()):
-        if fit.doubt > 1.0 and _alone(runs, k):
+        others = [*thinned[:k], *thinned[k + 1 :]]
+        if (fit.doubt > 1.0 and _alone(runs, k)) or not highest_heat(machine, others):
             unchecked.append(k)
             continue
-        others = [*thinned[:k], *thinned[k + 1 :]]
         try:
             fitted = refit(machine, thinned, fit, k)
             left = _Others(others, fitted, noise)

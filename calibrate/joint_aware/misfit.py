@@ -173,6 +173,13 @@ class Channel:
         return self.ridge.gains(errors, sigma, self.tau)
 
 
+def highest_heat(machine: ReducedMachine, runs: Sequence[Run]) -> float:
+    """Return the largest heat of any source in some runs, relative to that of the case."""
+    sources = machine.power.size
+    each = (float(np.abs(run.inputs[:, :sources] / machine.power).max()) for run in runs)
+    return max(each, default=0.0)
+
+
 def make_problem(machine: ReducedMachine, runs: Sequence[Run]) -> Problem:
     """Return the calibration problem of a machine and its runs."""
     rates = relaxation_rates()
@@ -183,7 +190,7 @@ def make_problem(machine: ReducedMachine, runs: Sequence[Run]) -> Problem:
             for run in runs
         ]
     )
-    level = max(float(np.abs(run.inputs[:, :sources] / machine.power).max()) for run in runs)
+    level = highest_heat(machine, runs)
     longest = max(run.length * len(run.inputs) for run in runs)
     shape = np.tile(told_by(rates, longest), sources)
     moved = make_ridge(states, shape)

@@ -132,7 +132,7 @@ def open_band(
     day = random_levels(rng, drawing.duration, step, highest, sources)
     # The day contains hardly any machine that has just started to warm up.
     shortest = min(run.length * len(run.inputs) for run in runs)
-    begun = np.full((round(shortest / step), sources), highest)
+    begun = np.full((max(1, round(shortest / step)), sources), highest)
     moves = np.random.default_rng(drawing.seed)
     histories = [
         history_of(heat, fit.discrepancy.rates, step, _course(moves, len(heat), slow.machine))

@@ -11,11 +11,17 @@ import numpy as np
 import pytest
 from general_rule import assert_general_rule
 from observed import MINUTE, PLACES, SENSORS, errors, estimates, heated_through, observer, run, step
+from short_runs import QUICK
 from typer.testing import CliRunner
 from written_estimates import assert_compensate_reads_what_is_written
 
 from calibrate.joint_aware.assembling import make_observer
-from calibrate.joint_aware.calibration import JointAwareCalibration, calibrated_range, report
+from calibrate.joint_aware.calibration import (
+    JointAwareCalibration,
+    calibrate_machine,
+    calibrated_range,
+    report,
+)
 from calibrate.joint_aware.identifiability import further_runs, profiles
 from calibrate.joint_aware.left_out import widened
 from calibrate.joint_aware.misfit import Run, fewer, make_problem, physics_with, residuals
@@ -543,6 +549,18 @@ def test_the_heat_of_every_source_is_in_the_range_of_its_own_calibration(spread)
     names = {"probe": list(PLACES), "axis": list("xyz"), "source": list(two.source_names)}
     alone = make_response(values, {"time": np.array([0.0, MINUTE]), **names})
     assert calibrated_range(two, {"alone": alone}).heat == pytest.approx(3.0)
+
+
+def test_a_run_without_heat_and_one_of_two_steps_are_runs(data, setup, machine, stepped):
+    """Without the heated one there is no fit, on which its band could be checked."""
+    cold = run(data, setup, step(0.0), 2.0)
+    runs = {"step": stepped, "cold": cold}
+    found = calibrate_machine(machine, runs, fitted=["heat"], effort=QUICK)
+    assert found.unchecked == ("step",)
+    runs["cold"] = stepped.isel(time=slice(3))
+    assert not calibrate_machine(machine, runs, fitted=["heat"], effort=QUICK).unchecked
+    with pytest.raises(InputError, match="no run has any heat"):
+        calibrate_machine(machine, {"cold": cold.isel(time=slice(3))}, effort=QUICK)
 
 
 def test_one_step_more_of_the_runs_does_not_change_the_band(machine):
