@@ -45,6 +45,8 @@ from thermojoint.reduced.machine import (
 DECIDED = 3.0
 #: A machine is taken for one on feet if that leaves no more than this share of the doubt.
 CLEARLY = 0.95
+#: Least doubt of such a machine: at 1 nothing is allowed for that its runs do not show.
+UNLIKE = 1.1
 #: An axis with less than this fraction of the largest displacement does not move.
 STILL = 1e-6
 
@@ -250,7 +252,8 @@ def loosened(
 ) -> tuple[ReducedMachine, Fit]:
     """Return a machine with its fit, or loosened with its own if that leaves clearly less doubt.
 
-    A machine of the family of its case is not fitted again.
+    A machine of the family of its case is not fitted again. One that is loosened is unlike its case
+    even if more parameters explain all of its runs (`UNLIKE`).
 
     Parameters
     ----------
@@ -272,7 +275,9 @@ def loosened(
         again = fit_physics(other, runs, search=search)
     except ConvergenceError:
         return machine, fit
-    return (other, again) if again.doubt <= CLEARLY * fit.doubt else (machine, fit)
+    if again.doubt > CLEARLY * fit.doubt:
+        return machine, fit
+    return other, replace(again, doubt=max(again.doubt, UNLIKE))
 
 
 def _noises(

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibrate.joint_aware.calibration import loosened
+from calibrate.joint_aware.calibration import UNLIKE, loosened
 from calibrate.joint_aware.misfit import Run, physics_with
 from calibrate.joint_aware.physics_fit import Search, fit_physics
 from fesim.case.schema import case_from_data
@@ -97,7 +97,8 @@ def test_a_machine_on_feet_is_found(machine, loosening):
     assert fit.doubt > 1.0
     found, again = loosened(small, runs, fit, QUICK, lambda: loosening)
     assert found.supports is not None
-    assert again.doubt < 0.8 * fit.doubt
+    # It explains all of the runs, but a machine unlike its case is not one of its family.
+    assert again.doubt == UNLIKE < 0.8 * fit.doubt
     names = [parameter.name for parameter in again.parameters]
     assert names == [parameter.name for parameter in active(found)]
     for name, give in true.items():
