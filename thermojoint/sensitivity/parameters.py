@@ -44,7 +44,8 @@ def parameters_of(case: Case, patterns: tuple[str, ...] = ("*",)) -> list[Parame
     data = case.model_dump(mode="json", exclude=_LEFT_OUT)
     if isinstance(case.structure, MillingMachineSection):
         usual = asdict(MillingMachineDimensions())
-        dimensions = {name: value / MILLI for name, value in usual.items() if value is not None}
+        # Zero, as other numbers, and what is taken from others are left out.
+        dimensions = {name: value / MILLI for name, value in usual.items() if value}
         data["structure"]["dimensions_mm"] = dimensions | case.structure.dimensions_mm
     found = []
     for path, value in _numbers(data, ""):

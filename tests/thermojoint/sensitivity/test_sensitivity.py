@@ -1,6 +1,8 @@
 """Sensitivity studies: exact where the answer is known, and the machine's own physics."""
 
 import json
+from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from in_process import run
 
-from fesim.batch.study import RangeSection
-from fesim.case.schema import case_from_data, parse_case
+from fesim.batch.study import RangeSection, study_of
+from fesim.case.schema import case_from_data, parse_case, read_case
 from thermojoint.artefacts.errors import InputError
 from thermojoint.sensitivity.local import effects_of, rows_of
 from thermojoint.sensitivity.parameters import Parameter, parameters_of
@@ -58,6 +60,16 @@ def test_parameters_are_the_numbers_of_the_machine_and_not_of_its_mesh_or_march(
     assert "joints.knee.along" not in paths
     named = parameters_of(case, ("joints.*.friction*",))
     assert [parameter.path for parameter in named] == ["joints.knee.friction_coefficient"]
+
+
+@pytest.mark.parametrize("name", ["reference", "iso230_3_etve"])
+def test_every_number_of_a_shipped_machine_is_varied_as_far_as_its_parts_fit(name):
+    source = Path(files("thermojoint").joinpath(f"cases/{name}.toml"))
+    parameters, reasons = parameters_of(read_case(source)), []
+    rows, paths = rows_of(parameters), [each.path for each in parameters]
+    found = study_of(source, rows, paths, name, lambda values, reason: reasons.append(reason))
+    assert len(found.cases) > 0.9 * len(rows) > 100
+    assert all("does not fit" in reason for reason in reasons)
 
 
 def test_sobol_indices_of_a_known_function_are_its_own_and_converge():
