@@ -87,6 +87,8 @@ class Taken(NamedTuple):
     believed: sensor_faults.Flags
     #: Whether a displacement reading was refused.
     refused: bool
+    #: Whether a start, or readings that were missing, still have an effect.
+    unsettled: bool
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -283,6 +285,7 @@ class JointAware(Described):
             watch=sensor_faults.fresh(len(self.observer.system.rows), self.thresholds.faults),
             model_error=self._nothing_read,
             pending=fault_isolation.none(size),
+            steps=np.array(0.0),
         ).flat()
 
     @cached_property
@@ -549,6 +552,8 @@ class JointAware(Described):
             own = unpacked(after, self.parts)
             usual = compiled_sample.usual_samples(self._compiled, own, *now)
             if usual == count:
+                if count:
+                    own.steps[()] = 1.0
                 return after, shown
             # The first unusual sample has spoiled the state.
             count = usual
@@ -583,9 +588,10 @@ class JointAware(Described):
             self._compiled, state, times, moment.length, readings[None], shown
         ):
             return None
+        state.steps[()] = 1.0
         memory, everything = float(state.memory), np.ones(readings.size, dtype=bool)
         moved = shown.displacement[0]
-        return Taken(state, moved, memory, state.covariance_factor, everything, False)
+        return Taken(state, moved, memory, state.covariance_factor, everything, False, False)
 
     def _taken(
         self,
@@ -630,9 +636,13 @@ class JointAware(Described):
             watch=used.watch,
             model_error=known,
             pending=used.pending,
+            steps=np.array(float(moment.steps)),
         )
         moved = settled.displacement
-        return Taken(after, moved, expected.memory, factor, used.believed, refused)
+        # One long interval is a gap; two are how often the machine is sampled.
+        often = min(moment.steps, int(before.steps) or moment.steps)
+        unsettled = self.observer.unsettled(factor, often)
+        return Taken(after, moved, expected.memory, factor, used.believed, refused, unsettled)
 
     def _estimate(self, taken: Taken, time: float, read: Read) -> Estimate:
         """The estimate after a sample."""
@@ -651,7 +661,7 @@ class JointAware(Described):
             (missing, Status.READING_MISSING),
             (distrusted, Status.SENSOR_DISTRUSTED),
             (taken.refused, Status.READING_REFUSED),
-            (factor.any(), Status.UNSETTLED),
+            (taken.unsettled, Status.UNSETTLED),
             ((missing or distrusted) and self._lost(after, time), Status.READINGS_LOST),
         ):
             if holds:

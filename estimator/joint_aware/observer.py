@@ -39,6 +39,8 @@ from thermojoint.reduced.physics import (
 
 #: Number of steps for which the response of the readings to heat is stored.
 ANSWER = 60
+#: Most samples in which late ones come to the covariance that they always leave.
+MOST_SAMPLES = 500
 
 
 @dataclass(frozen=True)
@@ -287,6 +289,40 @@ class Observer:
         least = self.thresholds.forgotten
         known = np.all(moved <= least * self.model.band.steady)
         return np.zeros_like(after) if seen.max() <= least and known else after
+
+    def unsettled(self, factor: Array, steps: int) -> bool:
+        """Whether a start, or readings that were missing, leave a covariance factor.
+
+        Samples `steps` steps apart leave one, too, for good: that is no more than their interval.
+        """
+        if not factor.any():
+            return False
+        moved = np.square(self.model.band.tangent @ factor[: self.system.size]).sum(axis=1)
+        return bool((moved > self.thresholds.settled * self._left_open(steps)).any())
+
+    def _left_open(self, steps: int) -> Array:
+        """Variance of the displacement (axes,), m2, by samples that are always steps apart."""
+        steps = min(steps, math.ceil(self.thresholds.lost / self.model.step))
+        if steps not in self._known_left_open:
+            every, factor = np.arange(len(self.rows)), self.known_start
+            moved = np.zeros(len(self.model.band.steady))
+            for _ in range(MOST_SAMPLES if steps > 1 else 0):
+                before = moved
+                for k in range(steps):
+                    factor = self.onward(factor, self.model.step)
+                    if k + 1 < steps:
+                        factor = self._forgetting(factor, self.model.step)
+                _, factor = self.gain(every, factor, self.model.step, KNOWN)
+                moved = np.square(self.model.band.tangent @ factor[: self.system.size]).sum(axis=1)
+                if np.allclose(moved, before, rtol=0.005, atol=0.0):
+                    break
+            self._known_left_open[steps] = moved
+        return self._known_left_open[steps]
+
+    @cached_property
+    def _known_left_open(self) -> dict[int, Array]:
+        """Results of `_left_open` by the number of steps."""
+        return {}
 
     def _settled(
         self, joint: JointState, linear: Array, memory: float, loads: Array

@@ -56,6 +56,8 @@ class ObserverState(NamedTuple):
     model_error: ModelError
     #: A jump whose cause is still unknown.
     pending: PendingJump
+    #: Shape (): steps between the last two samples; 0 before.
+    steps: Array
 
     @property
     def joint(self) -> JointState:
@@ -64,8 +66,8 @@ class ObserverState(NamedTuple):
 
     def flat(self) -> Array:
         """Return the whole state as one array."""
-        *own, watch, error, pending = self
-        parts = (*own, *watch, *error[:_FIRST], *pending, *error[_FIRST:])
+        *own, watch, error, pending, steps = self
+        parts = (*own, *watch, *error[:_FIRST], *pending, *error[_FIRST:], steps)
         return np.concatenate([np.ravel(part) for part in parts])
 
 
@@ -133,6 +135,7 @@ def layout(
             "model_error.shared_mean": error.shared_mean.shape,
             "model_error.shared": error.shared.shape,
             "model_error.refused": error.refused.shape,
+            "steps": (),
         }
     )
 

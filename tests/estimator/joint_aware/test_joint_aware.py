@@ -232,6 +232,20 @@ def test_late_samples_are_marched_in_between(estimator, response):
     )
 
 
+def test_samples_that_are_always_late_are_settled(estimator, response):
+    """A log has a row every ten seconds: nothing is wrong with it, and an axis may follow it."""
+    samples = list(samples_in(response, SENSORS))[::5]
+    _, found = estimates(estimator, samples)
+    assert not any(Status.UNSETTLED in one.status for one in found)
+    # A pause has an effect for a while, as at any interval.
+    _, paused = estimates(estimator, samples[:10] + samples[13:])
+    since = [Status.UNSETTLED in one.status for one in paused[10:]]
+    assert since[0]
+    assert not since[-1]
+    _, warm = estimates(estimator, samples, estimator.warm_state())
+    assert all(Status.UNSETTLED in one.status for one in warm[:20])
+
+
 def test_a_warm_start_comes_to_what_a_cold_one_knows(data, setup, estimator):
     response = run(data, setup, step(1.0), 20.0)
     samples = list(samples_in(response, SENSORS))[150:]
