@@ -22,6 +22,7 @@ from estimator.fchs.judging import Validated
 from estimator.joint_aware.estimator import JointAware
 from fesim.case.schema import Case
 from fesim.setup.machine import set_up
+from fesim.setup.soundness import check_stands
 from fesim.setup.structure import build_structure
 from thermojoint import console
 from thermojoint.artefacts.errors import ThermojointError
@@ -90,6 +91,7 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
     ConvergenceError
         A march or a calibration did not converge.
     """
+    check_stands(case)
     check_drivable(case)
     check_placeable(case)
     runs = long or LongRuns()

@@ -467,6 +467,12 @@ def test_an_axis_whose_motion_warms_the_machine_is_refused():
     check_drivable(case_from_data(data, "case", Path()))
 
 
+def test_the_chain_asks_at_once_to_leave_out_the_axes(tmp_path):
+    """It asked to let them stand, and refused the axes that did."""
+    with pytest.raises(InputError, match=r"axes\.x: .*leave out \[axes\]"):
+        reproduce.reproduce(read_case(THREE_AXES), tmp_path / "out")
+
+
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
