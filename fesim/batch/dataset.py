@@ -19,6 +19,7 @@ import numpy as np
 import zarr
 from numpy.typing import NDArray
 
+from fesim.axes.setup import turned_within
 from fesim.batch.study import Study, plain
 from fesim.case.schema import first_step_at, secant_sections
 from fesim.forces import COMPONENT_NAMES, ORDER_NAMES
@@ -113,8 +114,8 @@ def _variables(
         asked.discard("secant_residual")
     if not any(joint.slip_heating for case in study.cases for joint in case.case.joints.values()):
         asked.discard("friction_heat")
-    # Of machines with axes, which no study has.
-    asked.discard("rotation")
+    if all(turned_within(case.case) is None for case in study.cases):
+        asked.discard("rotation")
     return {
         name: layout
         for name, layout in VARIABLES.items()

@@ -17,14 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from fesim.axes.setup import course_of
 from fesim.batch.paths import known_paths, with_values
-from fesim.case.identity import case_id, condensation_key, file_digest
+from fesim.case.identity import case_id, file_digest, shared_key
 from fesim.case.schema import Case, case_from_data, parse_case
 from fesim.setup.bolts import first_forces
 from fesim.setup.laws import read_conductance_table
 from fesim.setup.loads import check_turns, march_inputs
 from fesim.setup.parts import make_parts
-from fesim.setup.soundness import check_one_ambient, check_stands, radiated_to
+from fesim.setup.soundness import check_one_ambient, radiated_to
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.settings import toml
 from thermojoint.artefacts.settings.read import read_settings
@@ -118,7 +119,7 @@ class StudyCase:
 
     #: See `fesim.case.identity.case_id`.
     id: str
-    #: See `fesim.case.identity.condensation_key`.
+    #: See `fesim.case.identity.shared_key`.
     key: str
     #: The varied values by path.
     values: Values
@@ -196,11 +197,10 @@ def study_of(
     Raises
     ------
     InputError
-        The case is missing or not TOML, or has axes; a path is unknown, or a case is refused.
+        The case is missing or not TOML; a path is unknown, or a case is refused.
     """
     text = toml.read_text(source, "case")
     base = parse_case(text, str(source), source.parent)
-    check_stands(base)
     known = known_paths(base)
     for name in varied:
         if name not in known:
@@ -215,14 +215,14 @@ def study_of(
         try:
             case = case_from_data(with_values(data, values), place, source.parent)
             load = case.model_dump_json(include=LOADS), json.dumps(radiated_to(case))
-            study_case = StudyCase(
-                case_id(case, digest), condensation_key(case, digest), values, case
-            )
+            study_case = StudyCase(case_id(case, digest), shared_key(case, digest), values, case)
             if load not in loads:
                 march_inputs(case)
                 first_forces(case)
                 check_one_ambient(case)
             check_turns(case)
+            for name, axis in case.axes.items():
+                course_of(axis, name)
             for joint in case.joints.values():
                 if joint.conductance.file is not None:
                     table(joint.conductance.file)

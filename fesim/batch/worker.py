@@ -14,12 +14,13 @@ from warnings import catch_warnings, simplefilter
 
 import numpy as np
 
+from fesim.axes.setup import MovingSetup
 from fesim.batch.study import Keep
 from fesim.batch.summary import Figures, figures_of
-from fesim.case.identity import case_id, condensation_key, file_digest
+from fesim.case.identity import case_id, file_digest, shared_key
 from fesim.case.schema import Case
-from fesim.setup.machine import Setup, set_up, with_laws
-from fesim.simulate import simulate
+from fesim.setup.machine import Setup, with_laws
+from fesim.simulate import prepared, simulate
 from thermojoint.artefacts.errors import ConvergenceError, InputError, UnreadableError
 from thermojoint.artefacts.response import response_bytes
 
@@ -43,7 +44,7 @@ _ONE_AT_A_TIME = Lock()
 class Task:
     """A case to be sent to a worker."""
 
-    #: Its id and the key of its condensation (`fesim.case.identity`).
+    #: Its id and the key of its set-up (`fesim.case.identity`).
     id: str
     key: str
     #: The case as JSON.
@@ -95,7 +96,8 @@ def run(task: Task) -> Outcome:
                 with catch_warnings(record=True) as said:
                     simplefilter("always", UserWarning)
                     shared, condensing = _condensation(_Shared(task.key, case))
-                response = simulate(case, setup=with_laws(shared, case), accuracy=False).arrays
+                own = with_laws(shared, case) if isinstance(shared, Setup) else shared
+                response = simulate(case, setup=own, accuracy=False).arrays
         figures, encoded = figures_of(response), b""
         if task.keep == "displacement":
             response = response.only("displacement")
@@ -151,7 +153,7 @@ def _compare(present: str, expected: str) -> None:
         )
 
 
-def _condensation(shared: _Shared) -> tuple[Setup, float]:
+def _condensation(shared: _Shared) -> tuple[Setup | MovingSetup, float]:
     """Return a condensation and its computing time, s; 0 if it was in memory."""
     known, begun = _condensed.cache_info().misses, perf_counter()
     setup = _condensed(shared)
@@ -160,11 +162,11 @@ def _condensation(shared: _Shared) -> tuple[Setup, float]:
 
 
 @lru_cache(maxsize=KEPT)
-def _condensed(shared: _Shared) -> Setup:
-    """The only place where a batch condenses; a Setup is immutable, so it may be cached."""
-    setup = set_up(shared.case)
+def _condensed(shared: _Shared) -> Setup | MovingSetup:
+    """The only place where a batch condenses; a set-up is immutable, so it may be cached."""
+    setup = prepared(shared.case)
     # The mesh file may have changed: the set-up must be the one that the key identifies.
-    _compare(condensation_key(shared.case), shared.key)
+    _compare(shared_key(shared.case), shared.key)
     return setup
 
 

@@ -136,6 +136,23 @@ def condensation_key(case: Case, digest: Digest = file_digest) -> str:
     return hashed(_condensed(case), digest)
 
 
+def shared_key(case: Case, digest: Digest = file_digest) -> str:
+    """Return the digest of everything that cases which share a set-up in a batch have in common.
+
+    That is their condensation; of machines with axes, whose set-up holds laws, positions and what
+    is asked about, it is all but the heat.
+
+    Parameters
+    ----------
+    case, digest
+        As for `case_id`.
+    """
+    if not case.axes:
+        return condensation_key(case, digest)
+    held = case.model_dump(include={"joints", "axes", "volume", "march"})
+    return hashed(_condensed(case) | held, digest)
+
+
 def thermal_key(case: Case, digest: Digest = file_digest) -> str:
     """Return the digest of everything that the thermal modes depend on, for `fesim.cache`.
 

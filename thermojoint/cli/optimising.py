@@ -28,9 +28,10 @@ if TYPE_CHECKING:
 PICTURE = "optimisation.png"
 #: A limit does not hold, or the full march cannot tell.
 NOT_HELD = 1
+_MODES = "march.thermal"
 #: The march that checks what was found: all thermal unknowns, heat and contact iterated.
 FULL = {
-    "march.thermal": "full",
+    _MODES: "full",
     "march.coupling": "iterated",
     "march.method": "fixed",
     "march.tolerance_um": None,
@@ -192,7 +193,10 @@ def _why(refusals: dict[str, str]) -> str:
 
 
 def _full_march(given: DesignFile, values: Values) -> tuple[Array, str]:
-    """Figures of a case by a march with all thermal unknowns; NaN and the reason if it fails."""
+    """Figures of a case by a march with all thermal unknowns; NaN and the reason if it fails.
+
+    Machines with axes march on their thermal modes only: theirs is iterated.
+    """
     from fesim.batch.paths import with_values
     from fesim.batch.summary import figures_of
     from fesim.case.schema import case_from_data
@@ -201,7 +205,8 @@ def _full_march(given: DesignFile, values: Values) -> tuple[Array, str]:
     from thermojoint.optimisation.results import figures_by_name
 
     data = toml.parse(toml.read_text(given.case, "case"), str(given.case))
-    case = case_from_data(with_values(data, values | FULL), str(given.case), given.case.parent)
+    fully = {path: value for path, value in FULL.items() if path != _MODES or "axes" not in data}
+    case = case_from_data(with_values(data, values | fully), str(given.case), given.case.parent)
     try:
         figures = figures_of(simulate(case, accuracy=False).response)
     except ConvergenceError as error:

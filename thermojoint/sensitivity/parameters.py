@@ -12,9 +12,18 @@ from meshes.milling_machine import MillingMachineDimensions
 from thermojoint.artefacts.units import MILLI
 
 #: Sections whose numbers describe no machine.
-_LEFT_OUT = {"title", "march", "output", "candidates", "displacement"}
+_LEFT_OUT = {"title", "march", "output", "candidates", "displacement", "volume"}
 #: Numbers of a mesh, not of the machine.
 _MESHED = {"structure.element_size_mm", "structure.joint_element_size_mm"}
+#: Numbers of an axis that have no size, place its mesh and stations, or say what is read from it.
+_READ = {
+    "direction",
+    "station_mm",
+    "mesh_position_mm",
+    "asked_mm",
+    "reference_mm",
+    "rotation_within_mm",
+}
 #: Points: a percentage of a coordinate would depend on the origin.
 _POINT = "_mm."
 
@@ -42,6 +51,10 @@ def parameters_of(case: Case, patterns: tuple[str, ...] = ("*",)) -> list[Parame
     Integers, zeros, and the numbers of march, mesh and outputs are left out.
     """
     data = case.model_dump(mode="json", exclude=_LEFT_OUT)
+    data["axes"] = {
+        name: {key: value for key, value in axis.items() if key not in _READ}
+        for name, axis in data["axes"].items()
+    }
     if isinstance(case.structure, MillingMachineSection):
         usual = asdict(MillingMachineDimensions())
         # Zero, as other numbers, and what is taken from others are left out.

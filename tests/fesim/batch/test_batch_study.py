@@ -404,13 +404,27 @@ def test_a_condensation_with_other_laws_is_that_of_the_other_case(data):
 # Which case a worker gets next.
 
 
-def test_a_study_of_a_machine_with_axes_is_refused_before_any_work(tmp_path):
-    """It failed case by case."""
+def test_a_course_beyond_the_stroke_is_refused_before_any_work(tmp_path):
+    """It would fail case by case."""
     case = files("thermojoint").joinpath("cases/moving_knee.toml")
     path = tmp_path / "study.toml"
-    path.write_text(f'case = "{case}"\n{levels(2)}')
-    with pytest.raises(InputError, match=r"axes\.y: .* leave out \[axes\]"):
+    varied = grid("axes.y.stroke_mm", [-100.0, 200.0], [-50.0, 200.0])
+    path.write_text(f'case = "{case}"\n{varied}')
+    with pytest.raises(InputError, match=r"case 2 .*: axes\.y: .* is outside stroke_mm, -50 to"):
         read_study(path)
+
+
+def test_cases_of_a_machine_with_axes_share_a_set_up_if_only_the_heat_differs(tmp_path):
+    """Its set-up holds the laws of its joints and where it moves."""
+    case = files("thermojoint").joinpath("cases/moving_knee.toml")
+    path = tmp_path / "study.toml"
+    for varied, count in (
+        (levels(2), 1),
+        (grid("joints.knee.preload_MPa", 3.0, 4.0), 2),
+        (grid("axes.y.reference_mm", 0.0, 50.0), 2),
+    ):
+        path.write_text(f'case = "{case}"\n{varied}')
+        assert len({one.key for one in read_study(path).cases}) == count
 
 
 def test_every_table_of_conductances_is_read_before_any_work(tmp_path):

@@ -1,5 +1,6 @@
 """One case in a worker: what comes back, whatever happens to its files and to the disk."""
 
+import moving_knee
 import numpy as np
 import pytest
 from batch_cases import levels, study_in, write_study
@@ -9,7 +10,7 @@ from fesim.batch.study import read_study
 from fesim.batch.summary import figures_of, is_open, is_sliding
 from fesim.batch.worker import Task, run
 from fesim.case.history import read_history
-from fesim.case.identity import case_id, condensation_key, file_digest
+from fesim.case.identity import case_id, condensation_key, file_digest, shared_key
 from fesim.case.schema import case_from_data
 from fesim.simulate import simulate
 from meshes.exchange import read_structure
@@ -88,7 +89,7 @@ def test_a_mesh_that_is_edited_while_it_is_condensed_is_not_kept(
         condensed.append(mesh.read_text())
         mesh.write_text("edited")
 
-    monkeypatch.setattr(worker, "set_up", edited)
+    monkeypatch.setattr(worker, "prepared", edited)
     for _ in range(2):
         mesh.write_text("as read")
         assert run(task).status == "broken"
@@ -135,3 +136,14 @@ def test_a_run_that_goes_on_is_open_by_its_preload_not_by_its_first_row(coarse_r
 def test_an_element_is_open_below_a_thousandth_of_its_own_preload():
     pressure = np.array([[4e6, 1e5, 1e5], [4.1e3, 1.1e2, 0.0], [3.9e3, 0.9e2, 1e5]])
     assert is_open(pressure).tolist() == [[False] * 3, [False, False, True], [True, True, False]]
+
+
+@pytest.mark.parametrize("changes", [{}, {"joints": {"knee": {"preload_MPa": 3.0}}}])
+def test_a_machine_with_axes_moves_as_in_a_simulation(changes):
+    case = moving_knee.coarse().replace(**changes)
+    outcome = run(Task(case_id(case), shared_key(case), case.model_dump_json()))
+    assert outcome.reason == ""
+    alone = simulate(case, accuracy=False).response
+    for name in ("displacement", "line_slope", "asked_displacement"):
+        found, expected = outcome.response[name].to_numpy(), alone[name].to_numpy()
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-13)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from batch_cases import case_text, tally
 from in_process import run
+from moving_knee import PATH
 
 from fesim.batch.study import RangeSection
 from thermojoint.artefacts.errors import ConvergenceError
@@ -144,6 +145,30 @@ def test_a_question_that_makes_no_sense_is_refused(folder, capsys, text, message
     assert run("optimise", folder / "bad.toml", "--out", folder / "none") == 2
     assert message in capsys.readouterr().err
     assert not (folder / "none").exists()
+
+
+def test_a_machine_with_axes_is_checked_by_an_iterated_march(tmp_path):
+    """It has no march with all thermal unknowns."""
+    text = PATH.read_text("utf-8")
+    for old, new in (
+        ("\nelement_size_mm = 50.0", "\nelement_size_mm = 100.0"),
+        ("joint_element_size_mm = 25.0", "joint_element_size_mm = 50.0"),
+        ("station_mm = 50.0", "station_mm = 100.0"),
+        ("along = 8 ", "along = 4 "),
+        ("across = 3", "across = 1"),
+        ("step_s = 10.0", "step_s = 30.0"),
+        ("duration_min = 60.0", "duration_min = 5.0"),
+        ("moving_knee.csv", str(PATH.with_suffix(".csv"))),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    (tmp_path / "machine.toml").write_text(text)
+    (tmp_path / "question.toml").write_text(QUESTION % 1e3)
+    options = ("--out", tmp_path / "out", "--json", tmp_path / "found.json", "--workers", 1)
+    effort = ("--population", 5, "--generations", 1)
+    assert run("optimise", tmp_path / "question.toml", *options, *effort) == 0
+    moved = json.loads((tmp_path / "found.json").read_text())["figures"][1]
+    assert moved["full_march"] == pytest.approx(moved["found"], rel=0.01)
 
 
 def test_what_was_found_is_reported_where_its_full_march_fails(folder, capsys, monkeypatch):

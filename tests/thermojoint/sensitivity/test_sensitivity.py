@@ -4,6 +4,7 @@ import json
 from importlib.resources import files
 from pathlib import Path
 
+import moving_knee
 import numpy as np
 import pytest
 from batch_cases import case_text
@@ -70,6 +71,13 @@ def test_every_number_of_a_shipped_machine_is_varied_as_far_as_its_parts_fit(nam
     found = study_of(source, rows, paths, name, lambda values, reason: reasons.append(reason))
     assert len(found.cases) > 0.9 * len(rows) > 100
     assert all("does not fit" in reason for reason in reasons)
+
+
+def test_parameters_of_an_axis_are_not_where_it_is_read_and_meshed():
+    paths = [parameter.path for parameter in parameters_of(moving_knee.coarse(), ("axes.*",))]
+    assert paths == ["axes.y.stroke_mm.0", "axes.y.stroke_mm.1"]
+    screw = moving_knee.coarse(ball_screw=moving_knee.SCREW | {"material": "cast_iron"})
+    assert "axes.y.ball_screw.nut_torque_Nm" in {one.path for one in parameters_of(screw)}
 
 
 def test_sobol_indices_of_a_known_function_are_its_own_and_converge():
