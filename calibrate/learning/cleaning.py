@@ -217,7 +217,10 @@ def _check_displacement(table: Table, k: int, changing: Array, rules: Cleaning) 
     column, values = table.columns[k], table.values[:, k]
     there = np.isfinite(values)
     if there.mean() < 1.0 - rules.displacement_missing:
-        raise InputError(f"{column.name}: mostly missing; record it with the temperatures")
+        raise InputError(
+            f"{column.name}: mostly missing; record it with the temperatures, or learn few "
+            "readings beside the model of a machine like this one (--like)"
+        )
     seen = values[there]
     size = float(np.ptp(seen))
     if size < rules.still_length:

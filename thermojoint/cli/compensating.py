@@ -39,9 +39,10 @@ def compensate(
 
     from estimator.estimate_table import read_estimate, strokes_of
     from thermojoint import console
+    from thermojoint.compensation.offsets.output import band_along
     from thermojoint.compensation.offsets.preview import header, preview, row_of
     from thermojoint.compensation.offsets.settings import read_settings, with_slopes
-    from thermojoint.compensation.offsets.usable import limit_without_band
+    from thermojoint.compensation.offsets.usable import limit_without_band, reasons_against
 
     arguments.check_outputs({"--out": (out, file_kinds.OFFSETS)}, [estimate, settings])
     wanted = read_settings(settings)
@@ -62,7 +63,23 @@ def compensate(
             for cycle in preview(wanted, axes, rows):
                 counted[cycle.state] += 1
                 writer.writerow(row_of(wanted, cycle))
-    _report(arguments.shown(estimate), [row.time for row in rows], counted)
+    times, trust = [row.time for row in rows], wanted.trust
+    _report(arguments.shown(estimate), times, counted)
+    against = Counter[str]()
+    for row in rows:
+        band = band_along(along, axes, row.band, row.lines)
+        against.update(reasons_against(trust, band, row.status))
+    if against:
+        parts = ", ".join(f"{why} {100.0 * n / len(rows):.3g} %" for why, n in against.items())
+        console.say(f"  unusable by {settings}: {parts} of the estimates")
+    apart = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    if apart > trust.oldest:
+        console.warn(
+            [
+                f"{settings}: oldest_s {trust.oldest:g} is shorter than the {apart:g} s between "
+                "two estimates: offsets are held in between; make it longer"
+            ]
+        )
     for own in along.slopes:
         reference, low, high = (1e3 * at for at in (own.reference, own.low, own.high))
         console.say(

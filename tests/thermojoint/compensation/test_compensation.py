@@ -445,6 +445,27 @@ def test_a_limit_on_bands_that_there_are_none_of_is_warned_of(files, band, warne
     assert ("there is no band" in compensated(files)[0]) == warned
 
 
+def test_why_nothing_follows_is_said(files):
+    """It said that offsets waited, and not why."""
+    lines = [
+        f"{k},1,10,-5,{9.0 if k == 3 else 1.0},1.0,{'unsettled' if k else 'ok'}" for k in range(4)
+    ]
+    (files / "estimate.csv").write_text(estimate_text(lines), "utf-8")
+    (files / "offsets.toml").write_text(f"widest_band_um = 5.0\n{SETTINGS}", "utf-8")
+    said, _ = compensated(files)
+    assert "offsets.toml: unsettled 75 %, widest_band_um 25 % of the estimates" in said
+    assert "oldest_s" not in said
+
+
+def test_estimates_that_are_too_old_before_the_next_are_said(files):
+    lines = [f"{60 * k},1,10,-5,,,ok" for k in range(4)]
+    (files / "estimate.csv").write_text(estimate_text(lines), "utf-8")
+    (files / "offsets.toml").write_text(SETTINGS, "utf-8")
+    said, _ = compensated(files)
+    assert "oldest_s 5 is shorter than the 60 s between two estimates" in said
+    assert "unusable" not in said
+
+
 def test_a_night_between_two_days_is_said_and_nothing_follows_it(files):
     seconds = [*range(0, 3600, 60), *range(50_000, 53_600, 60)]
     rows = [f"{1772431200 + second},1,10,-5,,,ok" for second in seconds]

@@ -43,11 +43,19 @@ def usable(trust: Trust, age: float, band: Array, status: str) -> bool:
     status : str
         ``ok``, or reasons with the channels concerned: ``sensor-distrusted:T1,T2``.
     """
-    return (
-        age <= trust.oldest
-        and not (reasons_of(status) & {LOST, *trust.unusable})
-        and not bool(np.any(band > trust.widest_band))
-    )
+    return age <= trust.oldest and not reasons_against(trust, band, status)
+
+
+def reasons_against(trust: Trust, band: Array, status: str) -> list[str]:
+    """Return why a new estimate may move no axis: reasons of its status, ``widest_band_um``.
+
+    Parameters
+    ----------
+    trust, band, status
+        As for `usable`.
+    """
+    reasons = sorted(reasons_of(status) & {LOST, *trust.unusable})
+    return [*reasons, "widest_band_um"] if bool(np.any(band > trust.widest_band)) else reasons
 
 
 def limit_without_band(trust: Trust, bands: Array) -> str:
