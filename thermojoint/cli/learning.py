@@ -24,7 +24,7 @@ def learn(  # noqa: PLR0913 - the options of a command
             "or more."
         ),
     ],
-    out: Annotated[Path, typer.Option(help="Model file to write (JSON).")],
+    out: Annotated[Path, typer.Option(help="Model file to write: JSON; joint-aware: HDF5.")],
     max_sensors: Annotated[
         int | None, typer.Option(help="Largest number of temperatures used; default: 4.")
     ] = None,

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from thermojoint.artefacts.log import Log
 
 
-ModelFile = Annotated[Path, typer.Argument(help="Model file (JSON) written by 'calibrate'.")]
+ModelFile = Annotated[Path, typer.Argument(help="Model file written by 'calibrate' or 'learn'.")]
 EstimatorFile = Annotated[
     Path, typer.Argument(metavar="MODEL", help="Model file, or an estimator that 'assemble' wrote.")
 ]
@@ -37,7 +37,7 @@ EstimatorFile = Annotated[
 
 def calibrate(  # noqa: PLR0913 - the options of a command
     reference: Annotated[Path, typer.Option(help="Response to the reference step (NetCDF).")],
-    out: Annotated[Path, typer.Option(help="Model file to write (JSON).")],
+    out: Annotated[Path, typer.Option(help="Model file to write: JSON; joint-aware: HDF5.")],
     given: Annotated[
         list[str] | None,
         typer.Option(
