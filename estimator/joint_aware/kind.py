@@ -95,7 +95,11 @@ def _log(
     on_first: OnFirst | None,
     cold: Cold,
 ) -> Iterator[tuple[float, ...]]:
-    others = (*model.loads, *model.positions, *model.ways, *model.powers)
+    others = {
+        **dict.fromkeys(model.loads, "percent"),
+        **dict.fromkeys((*model.positions, *model.ways), "mm"),
+        **dict.fromkeys(model.powers, "W"),
+    }
     shown = announced(pieces, (*model.sensors, "ambient"), on_first)
     return log_samples(shown, model.sensors, where, others, cold, JointAware(model).zero_of)
 

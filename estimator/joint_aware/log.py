@@ -17,7 +17,7 @@ source ``NAME_power_W``.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -31,7 +31,7 @@ def log_samples(
     pieces: Iterable[Log],
     sensors: Sequence[str],
     where: str,
-    others: Sequence[str] = (),
+    others: Mapping[str, str] | None = None,
     cold: Cold | None = None,
     zero_of: Callable[[Array, float], float] = lambda temperatures, ambient: ambient,
 ) -> Iterator[tuple[float, ...]]:
@@ -45,8 +45,8 @@ def log_samples(
         Names of the sensors.
     where : str
         Name of the file, for error messages.
-    others : sequence of str, optional
-        Names of the loads that change, of positions, ways and powers.
+    others : mapping of str to str, optional
+        Units by the names of the loads that change, of positions, ways and powers.
     cold : Cold, optional
         Ambient at which the machine was cold; set here where it is not known.
     zero_of : callable, optional
@@ -61,6 +61,7 @@ def log_samples(
         does not say from where it counts.
     """
     known = Cold() if cold is None else cold
+    units = others or {}
     last = -math.inf
     for piece in pieces:
         if not piece.times[0] > last:
@@ -70,7 +71,14 @@ def log_samples(
         values = piece.values[:, [k for k in at if k >= 0]]
         if at[-1] < 0:
             values = np.column_stack((values, np.zeros(len(values))))
-        given = np.array([piece.at(name) for name in others]).reshape(len(others), len(values)).T
+        given = np.empty((len(values), len(units)))
+        for k, (name, unit) in enumerate(units.items()):
+            if name not in {column.base for column in piece.columns}:
+                raise InputError(
+                    f"{where}: no column {name}_{unit}, which the model needs; record it, or name "
+                    f"yours: --column THEIRS={name}_{unit}"
+                )
+            given[:, k] = piece.at(name)
         for time, row, rest in zip(piece.times.tolist(), values, given, strict=True):
             if math.isnan(known.value):
                 if known.continued and not above:

@@ -256,6 +256,9 @@ def test_a_log_and_a_service_name_the_position(estimator, samples):
     )
     read = list(KIND.log(estimator.model, [log], "log", None, Cold()))
     np.testing.assert_allclose(read, samples, rtol=1e-12)
+    other = replace(log, columns=tuple(column_named(one) for one in (*names[:-1], "place_mm")))
+    with pytest.raises(InputError, match=r"day\.csv: no column y_pos_mm, .*--column THEIRS=y_pos"):
+        list(KIND.log(estimator.model, [other], "day.csv", None, Cold()))
     intake = KIND.intake(estimator.model, True)
     assert intake.names == (*names, "x_um", "y_um")
     given, _ = intake.convert([1.0, 2.0, 3.0, 0.5, 120.0, np.nan, np.nan], 0.0)
