@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time
+import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -64,17 +66,17 @@ def score(task: Task, name: str, method: Method) -> list[Score]:
     Raises
     ------
     InputError
-        The predictions lack a channel, have another shape, are not finite or change if the future
-        is withheld.
+        The method fails; or its predictions lack a channel, have another shape, are not finite,
+        have a negative band or change if the future is withheld.
     NotApplicable
         The method cannot learn from this log.
     """
     test = as_given(task)
     begun = time.process_time()
-    predicted = method(task.training, test)
+    predicted = _predicted(task, name, method, test)
     taken = time.process_time() - begun
     cuts = (round(HEARD * len(test.times)), *(at for at in task.read if at))
-    again = {cut: method(task.training, test.part(slice(0, cut))) for cut in cuts}
+    again = {cut: _predicted(task, name, method, test.part(slice(0, cut))) for cut in cuts}
     late = test.times >= test.times[0] + task.settled
     found = []
     for channel, true in actual(task).items():
@@ -108,13 +110,38 @@ def score(task: Task, name: str, method: Method) -> list[Score]:
     return found
 
 
+def _predicted(task: Task, name: str, method: Method, test: Log) -> Predictions:
+    """Return what a method predicts from logs that it cannot change for the methods after it."""
+    for log in (task.training, test):
+        log.times.setflags(write=False)
+        log.values.setflags(write=False)
+    try:
+        predicted = method(task.training, test)
+    except InputError:
+        raise
+    except Exception as error:
+        at = traceback.extract_tb(error.__traceback__)[-1]
+        raise InputError(
+            f"{name}: {task.name}: {type(error).__name__}, {error} "
+            f"({Path(at.filename).name}:{at.lineno})"
+        ) from error
+    if not isinstance(predicted, Mapping):
+        raise InputError(
+            f"{name}: returned a {type(predicted).__name__}; return a column for every length"
+        )
+    return predicted
+
+
 def _checked(
     predicted: Predictions, channel: str, count: int, name: str
 ) -> tuple[Array, Array | None]:
     """Return claim and band of a channel."""
     if channel not in predicted:
         raise InputError(f"{name}: predicts no {channel!r}; give every length of the training log")
-    values = np.asarray(predicted[channel], dtype=float)
+    try:
+        values = np.asarray(predicted[channel], dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name}: {channel} is no array of numbers ({error})") from error
     if values.shape not in ((count,), (count, 2)):
         raise InputError(
             f"{name}: {channel} has shape {values.shape}, the test has {count} samples; give "
@@ -123,4 +150,8 @@ def _checked(
     claim, band = (values, None) if values.ndim == 1 else (values[:, 0], values[:, 1])
     if not np.isfinite(claim).all():
         raise InputError(f"{name}: {channel} is not finite everywhere; predict every sample")
+    if band is not None and not (np.isfinite(band) & (band >= 0.0)).all():
+        raise InputError(
+            f"{name}: the band of {channel} is negative or not finite; give its half-width, m"
+        )
     return claim, band

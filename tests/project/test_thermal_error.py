@@ -218,11 +218,38 @@ def test_a_method_that_looks_ahead_is_refused(task):
         (lambda test: {}, "predicts no 'x_um'"),
         (lambda test: {"x_um": np.zeros(3)}, "has shape"),
         (lambda test: {"x_um": np.full(len(test.times), np.nan)}, "not finite"),
+        (lambda test: {"x_um": np.full((len(test.times), 2), -1e-6)}, "band of x_um is negative"),
+        (lambda test: {"x_um": np.ones((len(test.times), 2)) * [0.0, np.nan]}, "band of x_um"),
+        (lambda test: {"x_um": np.ones((len(test.times), 2)) * [0.0, np.inf]}, "band of x_um"),
+        (lambda test: {"x_um": ["left"] * len(test.times)}, "x_um is no array of numbers"),
+        (lambda test: None, "returned a NoneType"),
     ],
 )
 def test_predictions_that_cannot_be_scored_are_refused(task, told, said):
     with pytest.raises(InputError, match=said):
         score(task, "bad", lambda training, test: told(test))
+
+
+def test_a_method_that_fails_is_named_in_one_line_with_its_place(task):
+    def failing(training, test):
+        raise ValueError("singular matrix")
+
+    with pytest.raises(
+        InputError, match=r"own: made: ValueError, singular matrix \(test_\w+\.py:\d+\)"
+    ):
+        score(task, "own", failing)
+
+
+def test_no_method_changes_the_log_that_the_next_one_is_given(task):
+    def hot(training, test):
+        warm = training.at("T1_degC")
+        warm -= training.at("T2_degC")
+        return {"x_um": np.zeros(len(test.times))}
+
+    before = task.training.values.copy()
+    with pytest.raises(InputError, match="read-only"):
+        score(task, "hot", hot)
+    np.testing.assert_array_equal(task.training.values, before)
 
 
 def test_a_band_is_judged_by_what_it_covers(task):
