@@ -405,7 +405,7 @@ def _unseen_speeds(cleaned: Cleaned, rows: _Rows, judged: _Judged, rules: Rules)
 
     said = []
     for column in cleaned.table.columns:
-        if column.name not in cleaned.drives or column.quantity not in ("speed", "feed"):
+        if column.name not in cleaned.drives or column.quantity not in ("speed", "feed", "load"):
             continue
         speeds = np.abs(cleaned.at(column.name))
         level, held = held_levels(speeds[rows.at] / speeds.max(), rules.cleaning)
@@ -416,10 +416,11 @@ def _unseen_speeds(cleaned: Cleaned, rows: _Rows, judged: _Judged, rules: Rules)
             f"{name} {unseen:.2g} (otherwise {usual:.2g}) um"
             for name, unseen, usual in zip(cleaned.displacements, *cost, strict=True)
         )
+        value = "load" if column.quantity == "load" else "speed"
         said.append(
-            f"{column.name}: expect larger errors at speeds that the log lacks: learned without "
+            f"{column.name}: expect larger errors at {value}s that the log lacks: learned without "
             f"its lowest or highest one, the errors there are {each}; record an hour of every "
-            f"speed in use, also above {column.from_si(speeds.max()):.4g}"
+            f"{value} in use, also above {column.from_si(speeds.max()):.4g}"
         )
     return said
 

@@ -228,17 +228,30 @@ def test_names_that_are_not_there_and_columns_that_are_no_displacement_are_refus
             learn([LOG], names)
 
 
-def test_what_a_speed_that_was_never_run_may_cost_is_said_beforehand():
-    """A spindle that grows by a law of its own at its highest speed; then one by the usual law."""
+@pytest.mark.parametrize(
+    ("name", "ends"), [("n_rpm", "also above 3500"), ("n_percent", "load in use, also above 3500")]
+)
+def test_what_a_speed_that_was_never_run_may_cost_is_said_beforehand(name, ends):
+    """A spindle that grows by a law of its own at its highest speed; then one by the usual law.
+
+    Controls show speeds in percent as well, which are loads by their unit.
+    """
     highest = LOG.at("n_rpm") > 0.9 * LOG.at("n_rpm").max()
     grown = relax_all(LOG.times, 20e-6 * highest[:, None], np.array([900.0]), np.zeros(1))[:, 0]
-    unusual = changed(LOG, "x_um", lambda values: values + grown)
+    column = column_named(name)
+
+    def named(log):
+        values = log.values.copy()
+        values[:, 0] = column.to_si(log.columns[0].from_si(values[:, 0]))
+        return replace(log, columns=(column, *log.columns[1:]), values=values)
+
+    unusual = named(changed(LOG, "x_um", lambda values: values + grown))
     (said,) = [text for text in learn([unusual], AXES).learned_from.warnings if "lacks" in text]
     of_x = re.search(r"x_um ([0-9.]+) \(otherwise ([0-9.]+)\)", said)
     assert float(of_x[1]) > 14.0 > 9.0 > float(of_x[2])
-    assert said.startswith("n_rpm: ")
-    assert said.endswith("also above 3500")
-    assert "lacks" not in " ".join(learn([LOG], AXES).learned_from.warnings)
+    assert said.startswith(f"{name}: ")
+    assert said.endswith(ends)
+    assert "lacks" not in " ".join(learn([named(LOG)], AXES).learned_from.warnings)
 
 
 def test_what_the_log_cannot_tell_is_said():
