@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
@@ -91,7 +91,7 @@ def run_batch(
         Another batch writes into the folder, or the workers cannot be reached or do not survive
         their first cases.
     """
-    with on_disk.locked(folder):
+    with on_disk.locked(folder), _named(folder):
         keeper = _Keeper(study, folder)
         for damaged in keeper.damaged:
             tell(damaged, "its response in the folder is damaged; it runs again")
@@ -105,6 +105,16 @@ def run_batch(
             table = keeper.write_tables()
     missing = len(study.cases) - len(keeper.records)
     return Finished(table, kept, len(keeper.records) - kept, missing > 0)
+
+
+@contextmanager
+def _named(folder: Path) -> Iterator[None]:
+    """Let an error of the disk that names no file, as those of Zarr, name the folder."""
+    try:
+        yield
+    except OSError as error:
+        error.filename = error.filename or str(folder)
+        raise
 
 
 class _Keeper:

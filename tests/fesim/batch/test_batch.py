@@ -1,5 +1,6 @@
 """Batches end to end: nothing is lost or run twice, whatever dies; the results say what is true."""
 
+import errno
 import json
 import os
 import runpy
@@ -19,6 +20,7 @@ import xarray as xr
 import zarr
 from batch_cases import grid, levels, study_in, tally, write_study
 from repository import ROOT
+from small_disk import mounted
 
 from fesim.batch.crew import Report
 from fesim.batch.folder import locked, response_path
@@ -228,6 +230,29 @@ def test_a_finished_batch_asks_nobody_to_work(finished):
     again = run_batch(study, out, nobody)
     assert (again.found, again.ran, again.stopped) == (8, 0, False)
     pd.testing.assert_frame_equal(again.summary, end.summary)
+
+
+def test_a_batch_goes_on_once_a_full_disk_has_room(tmp_path):
+    study = study_in(tmp_path, levels(8))
+    whole = run_batch(study, tmp_path / "roomy", here())
+    with mounted(tmp_path / "disk", 1) as disk:
+        with pytest.raises(OSError, match="No space left on device"):
+            run_batch(study, disk / "out", here())
+        subprocess.run(["mount", "-o", "remount,size=50m", str(disk)], check=True)
+        end = run_batch(study, disk / "out", here())
+        assert 0 < end.found < 8 == end.found + end.ran
+    told = ["status", *(name for name in end.summary if name.endswith("_um"))]
+    pd.testing.assert_frame_equal(end.summary[told], whole.summary[told])
+
+
+def test_an_error_of_the_disk_that_names_no_file_names_the_folder(tmp_path, monkeypatch):
+    def full(*given):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("fesim.batch.dataset.store_response", full)
+    with pytest.raises(OSError, match="No space left on device") as said:
+        run_batch(study_in(tmp_path, levels(1)), tmp_path / "out", here())
+    assert said.value.filename == str(tmp_path / "out")
 
 
 def test_after_kill_9_the_rest_runs_and_nothing_runs_again(tmp_path):
