@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from fesim.batch.study import Study
 from fesim.batch.summary import COUNTS, FIGURES
@@ -14,7 +15,6 @@ from thermojoint.artefacts.units import MEGA
 from thermojoint.pictures.study_figures import fan_figure, map_figure, pair_figure, strongest
 
 if TYPE_CHECKING:
-    import pandas as pd
     import xarray as xr
 
 #: Columns in the picture of all pairs, at most; failed cases that are listed.
@@ -41,8 +41,8 @@ def study_html(study: Study, summary: pd.DataFrame, dataset: xr.Dataset) -> str:
     """
     done = summary[summary["status"] == "done"]
     paths = [path for path in study.paths if _varies(done, path)]
-    figures = [name for name in FIGURES if name not in _SOLVER and _varies(done, name)]
-    table = [(name, FIGURES[name], done[name].quantile(QUANTILES).tolist()) for name in figures]
+    table = figure_rows(done)
+    figures = [name for name, *_ in table if _varies(done, name)]
     return (
         templates_of("thermojoint.pictures")
         .get_template("study.html.j2")
@@ -50,7 +50,7 @@ def study_html(study: Study, summary: pd.DataFrame, dataset: xr.Dataset) -> str:
             title=study.title,
             generator="batch",
             counts=summary["status"].value_counts().to_dict(),
-            values=[(path, _described(done, path)) for path in study.paths],
+            values=[(path, _described(summary, path)) for path in study.paths],
             quantiles=QUANTILES,
             table=table,
             pictures=_pictures(done, dataset, paths, figures),
@@ -63,6 +63,17 @@ def study_html(study: Study, summary: pd.DataFrame, dataset: xr.Dataset) -> str:
     )
 
 
+def figure_rows(done: pd.DataFrame) -> list[tuple[str, str, list[float]]]:
+    """Return name, meaning and `QUANTILES` of every figure that some case has."""
+    there = [name for name in FIGURES if name not in _SOLVER and name in done]
+    numbers = done[there].apply(pd.to_numeric, errors="coerce")
+    return [
+        (name, FIGURES[name], numbers[name].quantile(QUANTILES).tolist())
+        for name in there
+        if numbers[name].notna().any()
+    ]
+
+
 def _varies(done: pd.DataFrame, name: str) -> bool:
     """Whether a column is there, is numbers in every case, and not always the same."""
     if name not in done or done[name].dtype.kind not in "if":
@@ -71,11 +82,13 @@ def _varies(done: pd.DataFrame, name: str) -> bool:
     return bool(values.size and np.isfinite(values).all() and np.ptp(values) > STILL)
 
 
-def _described(done: pd.DataFrame, path: str) -> str:
-    """The values of a path in words: a range of numbers, or how many there are."""
-    if _varies(done, path):
-        return f"{done[path].min():.4g} to {done[path].max():.4g}"
-    return f"{done[path].nunique()} different"
+def _described(cases: pd.DataFrame, path: str) -> str:
+    """The values of a path in words: a number, a range of numbers, or how many there are."""
+    if _varies(cases, path):
+        return f"{cases[path].min():.4g} to {cases[path].max():.4g}"
+    if cases[path].nunique() == 1:
+        return str(cases[path].dropna().iloc[0])
+    return f"{cases[path].nunique()} different"
 
 
 def _pictures(

@@ -3,10 +3,11 @@
 import numpy as np
 import pandas as pd
 import pytest
-from batch_cases import write_study
+from batch_cases import grid, write_study
 from in_process import run
 
 from thermojoint.pictures.study_figures import fan_figure, map_figure, pair_figure, strongest
+from thermojoint.pictures.study_page import figure_rows
 
 CUBE = """
 [latin_hypercube]
@@ -60,6 +61,35 @@ def test_a_batch_writes_its_page(tmp_path):
         assert part in text
     assert text.count("<img ") >= 4
     assert "http" not in text.replace("http://www.w3.org", "")
+
+
+def test_the_page_of_one_case_has_its_values_and_its_figures(tmp_path):
+    path, page = write_study(tmp_path, grid("heat_input.level", 1.5), 1.0), tmp_path / "study.html"
+    assert run("batch", path, "--out", tmp_path / "out", "--workers", 1, "--page", page) == 0
+    text = page.read_text()
+    assert "<th>heat_input.level</th><td>1.5</td>" in text
+    final = pd.read_csv(tmp_path / "out" / "summary.csv")["displacement_x_final_um"][0]
+    assert text.count(f'<td class="n">{final:.4g}</td>') >= 5
+    assert "Every pair" not in text
+
+
+def test_a_page_shows_the_values_of_failed_cases_and_figures_that_only_some_cases_have(tmp_path):
+    """What fails lies outside the column."""
+    places = [[625.0, 450.0, 87.5], [700.0, 1000.0, 87.5]]
+    varied = grid("probes.T1.position_mm", *places) + grid("heat_input.level", 1.0, 2.0)
+    path, page = write_study(tmp_path, varied, 1.0), tmp_path / "study.html"
+    assert run("batch", path, "--out", tmp_path / "out", "--workers", 1, "--page", page) == 1
+    text = page.read_text()
+    assert "<th>probes.T1.position_mm</th><td>2 different</td>" in text
+    assert "displacement_x_final_um" in text
+    summary = pd.DataFrame(
+        {"id": ["a", "b"], "status": "done", "reason": "", "level": [1.0, 2.0]}
+        | {"displacement_x_final_um": [3.0, np.nan], "pressure_max_MPa": 5.0}
+    )
+    assert [row[0] for row in figure_rows(summary)] == [
+        "displacement_x_final_um",
+        "pressure_max_MPa",
+    ]
 
 
 def test_a_page_replaces_nothing_else(tmp_path, capsys):
