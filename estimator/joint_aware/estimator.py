@@ -286,6 +286,7 @@ class JointAware(Described):
             model_error=self._nothing_read,
             pending=fault_isolation.none(size),
             steps=np.array(0.0),
+            unheard=np.zeros(len(self.model.ways)),
         ).flat()
 
     @cached_property
@@ -360,12 +361,14 @@ class JointAware(Described):
         now[:] = np.where(np.isnan(factors), now, factors)
         counted, unread = after.gone.copy(), np.isnan(odometers)
         after.gone[:] = np.where(unread, counted, odometers)
+        since = after.unheard + moment.length * moment.steps
+        after.unheard[:] = np.where(unread, since, 0.0)
         if unread.any():
             after.gone[unread] += self._passed(state, after.loads)[unread]
         taken = self._usual(after, moment, readings, probed)
         if taken is None:
-            before = unpacked(state, self.parts)._replace(gone=after.gone)
-            gone = self._gone(np.where(unread, 0.0, after.gone - counted), moment)
+            before = unpacked(state, self.parts)._replace(gone=after.gone, unheard=after.unheard)
+            gone = self._gone(np.where(unread, 0.0, after.gone - counted), since)
             moment = replace(moment, loads=after.loads, gone=gone)
             taken = self._taken(before, moment, readings, probed)
             flat = taken.after.flat()
@@ -378,12 +381,12 @@ class JointAware(Described):
         least = self._place(loads) - self._place(unpacked(before, self.parts).loads)
         return np.abs(least)[list(self.model.counted)]
 
-    def _gone(self, counted: Array, moment: Moment) -> Array:
-        """How far each axis has gone since the sample before, (x,), m, as odometers count (c,).
+    def _gone(self, counted: Array, since: Array) -> Array:
+        """How far each axis has gone, (x,), m, as odometers count, read `since` s ago, both (c,).
 
         What no axis can go means that one was set anew: then only the positions tell.
         """
-        most = self.thresholds.fastest * moment.length * moment.steps
+        most = self.thresholds.fastest * since
         gone = np.zeros(len(self.model.moving_axes))
         with np.errstate(invalid="ignore"):
             possible = (counted >= 0.0) & (counted <= most)
@@ -637,6 +640,7 @@ class JointAware(Described):
             model_error=known,
             pending=used.pending,
             steps=np.array(float(moment.steps)),
+            unheard=before.unheard,
         )
         moved = settled.displacement
         # One long interval is a gap; two are how often the machine is sampled.

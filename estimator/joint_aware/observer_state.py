@@ -58,6 +58,8 @@ class ObserverState(NamedTuple):
     pending: PendingJump
     #: Shape (): steps between the last two samples; 0 before.
     steps: Array
+    #: Shape (c,): how long ago odometers were read last, s.
+    unheard: Array
 
     @property
     def joint(self) -> JointState:
@@ -66,8 +68,8 @@ class ObserverState(NamedTuple):
 
     def flat(self) -> Array:
         """Return the whole state as one array."""
-        *own, watch, error, pending, steps = self
-        parts = (*own, *watch, *error[:_FIRST], *pending, *error[_FIRST:], steps)
+        *own, watch, error, pending, steps, unheard = self
+        parts = (*own, *watch, *error[:_FIRST], *pending, *error[_FIRST:], steps, unheard)
         return np.concatenate([np.ravel(part) for part in parts])
 
 
@@ -136,6 +138,7 @@ def layout(
             "model_error.shared": error.shared.shape,
             "model_error.refused": error.refused.shape,
             "steps": (),
+            "unheard": (odometers,),
         }
     )
 

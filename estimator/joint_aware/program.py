@@ -109,7 +109,8 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
     count = len(estimator.observer.system.rows)
     start = _start(estimator)
     slowest = 1.0 / float(model.modes.rates.min())
-    own = way.state + 2 * len(model.ways) + len(model.powers)
+    counted = 2 * len(model.ways) + (moving if model.ways else 0)
+    own = way.state + counted + len(model.powers)
     judged = _judging(estimator, linear, contacts) + Operations(0, 6 * len(start.known))
     return Contents(
         estimator,

@@ -19,6 +19,7 @@ from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.kind import KIND
 from estimator.joint_aware.model_file import read_observer, write_observer
 from estimator.lines import here
+from estimator.states import completed
 from fesim.axes.axis import gone_along
 from fesim.simulate import simulate
 from thermojoint.artefacts.errors import InputError
@@ -157,6 +158,30 @@ def test_an_odometer_may_begin_anew_and_miss_samples(counting, samples):
     assert found[-1].displacement == pytest.approx(whole[-1].displacement, rel=1e-2)
 
 
+def quick(samples, speed, away):
+    """Samples of an axis as fast as `speed`, m/s, whose odometer is away in a slice of them."""
+    rows = samples.copy()
+    rows[:, WAY] = speed * rows[:, 0]
+    rows[away, WAY] = np.nan
+    return rows
+
+
+def test_what_an_axis_went_while_its_odometer_was_away_has_the_whole_time(counting, samples):
+    """Eight steps at 2 m/s are 180 m: more than an axis goes in one step, not more than it can."""
+    found, whole = (
+        estimates(counting, quick(samples, 2.0, away).tolist())[1]
+        for away in (slice(30, 38), slice(0))
+    )
+    assert found[-1].displacement == pytest.approx(whole[-1].displacement, rel=0.02)
+
+
+def test_a_state_from_before_odometers_could_be_away_goes_on(counting, samples):
+    state, _ = estimates(counting, samples[:40].tolist())
+    begins = counting.parts.parts[-1][1].start
+    old = completed(state[:begins], counting.initial_state())
+    np.testing.assert_array_equal(old, state)
+
+
 def test_an_axis_that_goes_straight_needs_none(tmp_path):
     machine, response = responding(tmp_path, [(0, 0), (60, 0), (90, 200), (300, -100)], True)
     made = observer(machine, {"run": response})
@@ -202,6 +227,9 @@ def test_its_programs_know_the_odometer(counting, samples, tmp_path):
     assert figures["state"] == program.state
     rows[10:13, WAY] = np.nan
     as_in_python(program, counting, rows.tolist(), tmp_path)
+    # A screw that grows by 45 mm, as none does, to a few millionths.
+    rows = quick(samples, 2.0, slice(30, 38)).tolist()
+    as_in_python(program, counting, rows, tmp_path / "quick", 1e-7)
 
 
 @pytest.mark.long
