@@ -148,10 +148,15 @@ def correct_by(
     at = np.flatnonzero(np.isfinite(innovation))
     before, seen = covariance_of(known), band.tangent[at] @ factor[: band.tangent.shape[1]]
     noise = np.diag(band.steady[at] + probe.noise**2)
+
+    def expected(across: Array) -> tuple[Array, Array, float]:
+        own = across @ parts[at].T + noise
+        covariance = seen @ seen.T + own
+        squares = float(innovation[at] @ np.linalg.solve(covariance, innovation[at]))
+        return own, covariance, squares / at.size
+
     across = parts[at] @ before
-    own = across @ parts[at].T + noise
-    covariance = seen @ seen.T + own
-    beyond = float(innovation[at] @ np.linalg.solve(covariance, innovation[at])) / at.size
+    own, covariance, beyond = expected(across)
     refused = known.refused.copy()
     if beyond > probe.gate**2:
         apart = np.linalg.norm((refused - innovation)[at])
@@ -160,9 +165,7 @@ def correct_by(
             return Correction(np.zeros(len(factor)), factor, known._replace(refused=refused), True)
         for _ in range(ENLARGED):
             before, across = beyond * before, beyond * across
-            own = across @ parts[at].T + noise
-            covariance = seen @ seen.T + own
-            beyond = float(innovation[at] @ np.linalg.solve(covariance, innovation[at])) / at.size
+            own, covariance, beyond = expected(across)
     refused[at] = np.nan
     whitened = np.linalg.solve(covariance, innovation[at])
     after = before - across.T @ np.linalg.solve(covariance, across)

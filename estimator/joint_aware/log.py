@@ -71,9 +71,9 @@ def log_samples(
         values = piece.values[:, [k for k in at if k >= 0]]
         if at[-1] < 0:
             values = np.column_stack((values, np.zeros(len(values))))
-        given = np.empty((len(values), len(units)))
+        given, there = np.empty((len(values), len(units))), {one.base for one in piece.columns}
         for k, (name, unit) in enumerate(units.items()):
-            if name not in {column.base for column in piece.columns}:
+            if name not in there:
                 raise InputError(
                     f"{where}: no column {name}_{unit}, which the model needs; record it, or name "
                     f"yours: --column THEIRS={name}_{unit}"

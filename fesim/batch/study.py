@@ -221,12 +221,12 @@ def study_of(
                 first_forces(case)
                 check_one_ambient(case)
             check_turns(case)
-            for name, axis in case.axes.items():
-                course_of(axis, name)
             for joint in case.joints.values():
                 if joint.conductance.file is not None:
                     table(joint.conductance.file)
             if study_case.key not in shapes:
+                for name, axis in case.axes.items():
+                    course_of(axis, name)
                 parts = make_parts(case)
                 contacts = sum(len(joint.area) for joint in parts.joints)
                 shapes[study_case.key] = Shape(tuple(parts.probes), contacts)

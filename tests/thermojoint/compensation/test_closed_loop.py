@@ -48,7 +48,7 @@ from thermojoint.compensation.loop.run import Closed
 from thermojoint.compensation.loop.schema import Loop, read_loop
 from thermojoint.compensation.loop.tuning import Requirements, feed_forward_gain, tune
 from thermojoint.compensation.offsets.output import followed
-from thermojoint.compensation.offsets.settings import settings_from_data
+from thermojoint.compensation.offsets.settings import read_settings, settings_from_data
 from thermojoint.reduced.machine import reduce_machine
 
 pytest.importorskip("control", reason="needs python-control")
@@ -325,7 +325,9 @@ def test_an_axis_that_the_heater_holds_at_its_setpoint_has_nothing_left(folder, 
     moved = MICRO * np.array([[20.0, 3.0], [19.0, 4.0]])
     still, times = np.zeros((2, 2)), np.array([2.0, 4.0])
     run = Course(times, moved, moved, still, np.ones(2), np.ones(2))
-    axes = as_content(Closed(read_loop(path), ("x", "y"), None, run, run, {}))["runs"][1]["axes"]
+    followed = read_settings(folder / "offsets.toml").output.estimated
+    closed = Closed(read_loop(path), ("x", "y"), None, run, run, {}, followed)
+    axes = as_content(closed)["runs"][1]["axes"]
     assert axes["x"]["displacement"]["largest_um"] == pytest.approx(1.0)
     assert axes["x"]["with_offsets"]["largest_um"] == pytest.approx(left)
     assert axes["y"]["with_offsets"]["largest_um"] == pytest.approx(4.0)

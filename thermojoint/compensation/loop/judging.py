@@ -13,7 +13,6 @@ from thermojoint.artefacts.units import MICRO
 from thermojoint.compensation.loop.linear import Margins
 from thermojoint.compensation.loop.march import Course
 from thermojoint.compensation.loop.run import Closed, Design
-from thermojoint.compensation.offsets.settings import read_settings
 
 SCHEMA, SCHEMA_VERSION = "thermojoint-control", 1
 #: A heater that is at a limit for more than this share of a run is reported.
@@ -74,7 +73,7 @@ def _run(closed: Closed, name: str, run: Course, heated: bool) -> dict[str, Any]
     heater, course = closed.loop.heater, judged(closed, run)
     aim = setpoints(closed, heated)
     # Offsets of an axis compensate the setpoint as well.
-    left = np.where(np.isin(closed.axes, _followed(closed)), 0.0, aim)
+    left = np.where(np.isin(closed.axes, closed.followed), 0.0, aim)
     content: dict[str, Any] = {
         "run": name,
         "axes": {
@@ -125,12 +124,6 @@ def setpoints(closed: Closed, heated: bool) -> Array:
     if heater is not None and heated:
         targets[closed.axes.index(heater.axis)] = MICRO * heater.setpoint_um
     return targets
-
-
-def _followed(closed: Closed) -> tuple[str, ...]:
-    """Return the axes that offsets follow."""
-    offsets = closed.loop.offsets
-    return () if offsets is None else read_settings(offsets).output.estimated
 
 
 def reached(closed: Closed, run: Course) -> str:

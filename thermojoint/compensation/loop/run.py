@@ -63,6 +63,8 @@ class Closed:
         With the heater; None without one.
     late : dict of float to Course
         With all actuators, for each tested delay (s).
+    followed : tuple of str
+        Axes that offsets follow.
     """
 
     loop: Loop
@@ -71,6 +73,7 @@ class Closed:
     free: Course
     heated: Course | None
     late: dict[float, Course]
+    followed: tuple[str, ...] = ()
 
 
 def close_loop(loop: Loop, progress: Progress | None = None) -> Closed:
@@ -116,7 +119,8 @@ def close_loop(loop: Loop, progress: Progress | None = None) -> Closed:
 
     heated = acted(loop.estimator.delay_s) if design is not None else None
     late = {delay: acted(delay) for delay in loop.tried_delays_s}
-    return Closed(loop, estimator.axes, design, free, heated, late)
+    followed = () if settings is None else settings.output.estimated
+    return Closed(loop, estimator.axes, design, free, heated, late, followed)
 
 
 def plant_case(loop: Loop) -> Case:
