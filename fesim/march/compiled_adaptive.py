@@ -425,7 +425,8 @@ def _swept(machine: Sweeping, work: Work, trial: Trial, gap: Array) -> int:
         work.sweeps[WEIGHT] = factor
     work.sweeps[LARGEST] = change
     for e in range(value.size):
-        after = value[e] + scale[e] * misfit[e]
+        # Not the value and its misfit: rounding would leave an open joint a pressure below zero.
+        after = preload[e] + trial.value[0, e]
         least, most = 0.5 * min(value[e], after), 2.0 * max(value[e], after)
         value[e] = min(max(value[e] + work.sweeps[WEIGHT] * (after - value[e]), least), most)
         last[e] = misfit[e]

@@ -2,6 +2,7 @@
 
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from unittest.mock import patch
 
 import numpy as np
@@ -13,7 +14,7 @@ from reduced_bars import bars_of, modes_of, on_modes
 from fesim.batch.summary import figures_of
 from fesim.case.history import Histories, History, common_knots
 from fesim.case.schema import case_from_data
-from fesim.march import adaptive
+from fesim.march import adaptive, compiled_adaptive
 from fesim.march.adaptive import march_adaptively
 from fesim.march.exponential import phi_functions as real_phi_functions
 from fesim.march.settling import initial_state
@@ -276,3 +277,21 @@ def test_both_marches_take_the_same_steps(bars):
 def test_keys_that_do_not_go_together_are_refused(adaptive_case, march, says):
     with pytest.raises(InputError, match=says):
         adaptive_case.replace(march=march)
+
+
+def test_no_sweep_leaves_a_joint_that_opens_a_pressure_below_zero():
+    """It would have no conductance: eight of twenty random days of 8 h ended there."""
+    rng, count = np.random.default_rng(1), 400
+    work = SimpleNamespace(
+        contact=np.zeros((7, count)),
+        gap=np.zeros((5, 3, count)),
+        sweeps=np.array([compiled_adaptive.HEAVIEST, np.inf, 0.0]),
+        turn=np.zeros(1, dtype=np.int64),
+    )
+    work.contact[compiled_adaptive.VALUE] = 10.0 ** rng.uniform(-9.0, 8.0, count)
+    preload, scale = rng.uniform(1e5, 1e7, (2, count))
+    opened = SimpleNamespace(value=-np.stack([preload] * 3), gap=np.zeros((3, count)))
+    machine = compiled_adaptive.Sweeping(preload, scale, 0.0)
+    swept = getattr(compiled_adaptive._swept, "py_func", compiled_adaptive._swept)
+    assert swept(machine, work, opened, np.zeros((3, count))) == compiled_adaptive.SWEEP
+    assert (work.contact[compiled_adaptive.VALUE] >= 0.0).all()
