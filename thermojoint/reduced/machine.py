@@ -353,11 +353,12 @@ def reduce_machine(
         *(HeatSource(1.0, surface=name) for name in heated),
         *(HeatSource(1.0, body=name) for name in bodies),
     ]
+    own = heat_sources(case, setup.structure)
     heat = heat_operators(
         structure,
         setup.spaces.heat,
         materials,
-        ThermalLoads(case.convection_W_m2K, [*heat_sources(case, setup.structure), *evenly]),
+        ThermalLoads(case.convection_W_m2K, [*own, *evenly]),
         setup.joints,
     )
     basis = setup.modes.basis
@@ -368,20 +369,21 @@ def reduce_machine(
     joints = tuple(_joint(case, setup, at) for at in range(len(setup.joints)))
     passes = [float(joint.conducts) for joint in joints]
     each = np.repeat(passes, [joint.conductivity.size for joint in joints])
-    count, ready = len(case.sources), setup.machine
+    ready = setup.machine
     loose = ready if setup.bolts is None else setup.bolts.loose
-    driven = basis.T @ heat.inputs
+    # Heat of drives is that of `guide`.
+    driven, others = np.split(basis.T @ heat.inputs, [len(own)], axis=1)
     faced = np.zeros((basis.shape[1], len(sensors)))
     for name, face in faces.items():
-        faced[:, sensors.index(name)] = driven[:, count + heated.index(face)]
+        faced[:, sensors.index(name)] = others[:, heated.index(face)]
     return ReducedMachine(
         capacity=np.eye(basis.shape[1]),
         conduction=basis.T @ (heat.conduction @ basis),
         convection=basis.T @ (heat.convection @ basis),
-        sources=driven[:, :count],
+        sources=driven[:, : len(case.sources)],
         faces=faced,
-        bodies=driven[:, count + len(heated) : count + len(evenly)],
-        ambient=driven[:, count + len(evenly)],
+        bodies=others[:, len(heated) : len(evenly)],
+        ambient=others[:, len(evenly)],
         jump=each[:, None] * np.asarray(ready.thermal.jump)
         if guide is None
         else guide.way.temperature,

@@ -121,6 +121,18 @@ def test_known_inputs_are_marched_as_the_simulator_does(driven):
     assert np.abs(moved).max() > 1e-5
 
 
+def test_a_screw_that_heats_the_machine_does_not_change_its_surroundings(tmp_path):
+    """The ambient, and heat of faces and bodies that is unknown, warm it as without the screw."""
+    seen = {}
+    for drive in ("screw", "feeling screw"):
+        machine = machine_of(case_with(tmp_path, DRIVES[drive]), SENSORS)
+        system = machine.conduction + machine.convection
+        heats = np.column_stack([machine.ambient, machine.faces, machine.bodies])
+        seen[drive] = machine.sensors @ np.linalg.solve(system, heats)
+    np.testing.assert_allclose(seen["screw"][:, 0], 1.0, rtol=1e-4)
+    np.testing.assert_allclose(seen["feeling screw"], seen["screw"], rtol=0.0, atol=1e-3)
+
+
 def test_its_tangent_is_what_small_motions_of_its_probes_do(driven):
     """Also where the drive is set right, away from the place."""
     machine, _ = driven
