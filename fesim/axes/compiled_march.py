@@ -156,19 +156,17 @@ class AxesRecord(NamedTuple):
     displacement: Array
     remainder: Array
     residual: Array
+    #: Negative of steps that are not taken.
     iterations: NDArray[np.int64]
 
 
 @compiled
 def march_axes(
     machine: AxesKernel, work: AxesWork, steps: AxesSteps, now: AxesState, record: AxesRecord
-) -> int:
+) -> None:
     """March through steps into `record`; `now` is the state after the last one.
 
-    Returns
-    -------
-    int
-        Number of recorded steps: fewer than n if the plain method must judge the next one.
+    Fewer than n are taken if the plain method must judge the next one.
 
     Raises
     ------
@@ -189,18 +187,18 @@ def march_axes(
             and _may_alternate(turning, LARGE)
             and not _dies_out(machine, work, steps, n, now)
         ):
-            return n
+            return
         taken, residual, iterations = _step(machine, work, steps, n, now)
         if not taken:
-            return n
+            return
         put(work.conducted, record.conducted[n])
         probe(work.here, work.moved, record.displacement[n])
         for e in range(pressure.size):
             record.heat_flow[n, e] = work.left[e]
-        record.residual[n], record.iterations[n] = residual, iterations
+        record.residual[n] = residual
         looks = at % SOMETIMES == 0 and _may_alternate(turning, 0.0)
         if looks and not _gain(machine, work, steps, n, now) <= GAIN:
-            return n
+            return
         turn(turning, now.joint.pressure, pressure, machine.scale)
         take(machine.joint, work.here.trial, now.joint, record.remainder[n])
         air = work.driven[machine.drives.ambient]
@@ -208,7 +206,7 @@ def march_axes(
         put(work.amplitudes, now.amplitudes)
         put(work.state, now.drive)
         _note(work, now, record, n)
-    return len(steps.inputs)
+        record.iterations[n] = iterations
 
 
 @compiled_part

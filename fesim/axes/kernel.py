@@ -65,9 +65,7 @@ class AxesMarch:
         joint = JointState(own[0], kernel.pads.slip, own[1], own[2])
         now = AxesState(own[3], joint, owned(state.turning.copy()), state.drive.copy())
         record = new_record(self.work, len(inputs))
-        taken, steps = 0, self._steps(state.index, inputs)
-        with suppress(np.linalg.LinAlgError):
-            taken = march_axes(kernel, self.work, steps, now, record)
+        taken = march_into(record, kernel, self.work, self._steps(state.index, inputs), now)
         if not taken:
             return None
         record = AxesRecord._make(column[:taken] for column in record)
@@ -114,6 +112,15 @@ class AxesMarch:
         )
 
 
+def march_into(
+    record: AxesRecord, kernel: AxesKernel, work: AxesWork, steps: AxesSteps, now: AxesState
+) -> int:
+    """March into a new record: the number of steps taken, also before a singular tangent."""
+    with suppress(np.linalg.LinAlgError):
+        march_axes(kernel, work, steps, now, record)
+    return int(np.count_nonzero(record.iterations >= 0))
+
+
 def new_record(work: AxesWork, steps: int) -> AxesRecord:
     """Return storage for what steps leave."""
     count, probes = work.pressure.size, work.here.free.size - work.here.gap.size
@@ -121,7 +128,7 @@ def new_record(work: AxesWork, steps: int) -> AxesRecord:
     before, after = [(work.driven.size,), (work.without.size,)], [(work.state.size,)]
     shapes = [*before, *joint, *after, (count,), (count,), (probes,), (3 * count,), ()]
     values: list[Any] = [np.empty((steps, *shape)) for shape in shapes]
-    return AxesRecord(*values, *[np.empty(steps, dtype=np.int64)])
+    return AxesRecord(*values, *[np.full(steps, -1)])
 
 
 def ways_of(axes: Sequence[Axis], ends: Array) -> Ways:

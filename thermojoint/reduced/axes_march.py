@@ -7,17 +7,16 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
 
 from fesim.axes.axis import Axis
 from fesim.axes.compiled_drive import drives_of
-from fesim.axes.compiled_march import AxesKernel, AxesState, AxesSteps, AxesWork, march_axes
+from fesim.axes.compiled_march import AxesKernel, AxesState, AxesSteps, AxesWork
 from fesim.axes.compiled_passing import Ways, guides_of
 from fesim.axes.corner_table import CornerTables, around
-from fesim.axes.kernel import axes_work
+from fesim.axes.kernel import axes_work, march_into
 from fesim.axes.kernel import new_record as new_steps
 from fesim.axes.row_blocks import body_rows
 from fesim.axes.survey import new_here, pads_of
@@ -176,9 +175,8 @@ def march_along(
     joint = JointState(*map(owned, moving))._replace(slip=kernel.pads.slip)
     turning = np.zeros((3, joint.pressure.size))
     state = AxesState(amplitudes.copy(), joint, turning, drive.copy())
-    found, taken = new_steps(work, count), 0
-    with suppress(np.linalg.LinAlgError):
-        taken = march_axes(kernel, work, steps, state, found)
+    found = new_steps(work, count)
+    taken = march_into(found, kernel, work, steps, state)
     if not taken:
         return 0
     record.amplitudes[:taken], record.drive[:taken] = found.amplitudes[:taken], found.drive[:taken]

@@ -110,6 +110,18 @@ def test_a_march_continues_bit_by_bit(machine, tracks):
             assert np.array_equal(getattr(rest, name), getattr(track, name)[done:])
 
 
+def test_steps_before_one_that_raises_are_kept(machine, tracks):
+    moving, axes, inputs, start = machine
+    broken = inputs.copy()
+    broken[5] = np.nan
+    track, whole = axes_march(moving, axes).take(start, broken), joined(tracks)
+    assert track is not None
+    assert len(track) == 5
+    for name in (*ALLOWED, "residual", "iterations"):
+        assert np.array_equal(getattr(track, name), getattr(whole, name)[:5])
+    assert axes_march(moving, axes).take(start, broken[5:]) is None
+
+
 def test_what_the_kernel_cannot_take_is_taken_plainly(machine, monkeypatch):
     moving, axes, inputs, start = machine
     take, refused = AxesMarch.take, []
