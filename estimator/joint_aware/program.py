@@ -2,7 +2,8 @@
 
 Predict, judge the readings, correct, settle, read, as `estimator.joint_aware.estimator` does. Where
 a reading is left out, the program uses the gain that the observer reaches without it instead of a
-covariance. The header of the program lists the differences.
+covariance; the band is looked up, then and once it is back. The header of the program lists the
+differences.
 """
 
 from __future__ import annotations
@@ -30,13 +31,14 @@ from estimator.export.program import (
 )
 from estimator.interface import Status
 from estimator.joint_aware import guided_program
+from estimator.joint_aware.absence import Absence, doubled, left_by
 from estimator.joint_aware.estimator import WIDTH, JointAware
 from estimator.joint_aware.guided_program import Placed, kernel_of
 from estimator.joint_aware.model_file import fingerprint
 from estimator.joint_aware.observer import ANSWER
 from estimator.joint_aware.observer_model import Band
 from estimator.joint_aware.observer_state import KNOWN
-from estimator.joint_aware.trust import channels_of
+from estimator.joint_aware.trust import channels_of, heat_unknown
 from estimator.span import SETTLING, SLACK
 from fesim.march.compiled_step import JointKernel
 from thermojoint.artefacts.arrays import Array
@@ -111,7 +113,9 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
     slowest = 1.0 / float(model.modes.rates.min())
     counted = 2 * len(model.ways) + (moving if model.ways else 0)
     own = way.state + counted + len(model.powers)
-    judged = _judging(estimator, linear, contacts) + Operations(0, 6 * len(start.known))
+    judged = _judging(estimator, linear, contacts) + Operations(
+        0, 6 * len(start.known) + (2 + axes) * (count + 1)
+    )
     return Contents(
         estimator,
         _interface(estimator),
@@ -138,6 +142,7 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             "means": model.band.seen.size,
             "explained": 1.0 - float(model.band.allowed),
             "starts": len(start.known),
+            "absences": _without(estimator)[1].left.shape,
             "error_kept": estimator.observer.lasting_on(model.step),
             "followed": start.followed,
             "iterations": ITERATIONS,
@@ -161,7 +166,7 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             **way.values,
         },
         constants=sum(table.values.size for table in tables),
-        state=5 * linear + 44 * contacts + 9 * contacts**2 + 17 * count + 12 + own,
+        state=5 * linear + 44 * contacts + 9 * contacts**2 + 19 * count + 14 + own,
         usual=fixed + way.usual + usual.times(places),
         worst=fixed + way.worst + judged + worst.times(places),
         labels=("a sample of two Newton steps, nothing slides", "any sample, at most"),
@@ -240,7 +245,7 @@ def _tables(
     calibrated = estimator.calibrated_readings
     readable = channels_of(observer, calibrated)
     band = model.band
-    gains, without = _without(estimator)
+    gains, absence = _without(estimator)
     power = model.power
     most = estimator.thresholds.onset * model.calibrated.heat * power
     return [
@@ -256,7 +261,9 @@ def _tables(
         Table("gain", "Of the readings then; at the end the steady one.", start.gain[:, :size]),
         Table("error_gain", "... for what they err by at a start, K.", start.gain[:, size:]),
         Table("gain_without", "Of the others where one is left out.", gains),
-        Table("without", "Variance of that, and without any, m2.", without),
+        Table("away", "Samples that one was left out, at most.", absence.away),
+        Table("back", "Samples since then, at least; 0 before.", absence.back),
+        Table("remains", "Variance of each and of all then, m2.", absence.left),
         Table("tangent_of", "Displacement per state, m.", band.tangent),
         Table("noise", "Of the thermometers, K.", readable.noise),
         Table("spread", "Variance of an innovation, K2, likewise.", start.spread),
@@ -374,27 +381,31 @@ def _start(estimator: JointAware) -> _Start:
 
 
 @lru_cache(maxsize=8)
-def _without(estimator: JointAware) -> tuple[Array, Array]:
-    """Gains without each reading, (p + 1, n, p + 1); variances without each and all, m2.
+def _without(estimator: JointAware) -> tuple[Array, Absence]:
+    """Gains without each reading, (p + 1, n, p + 1), and what absences of each and of all leave.
 
     The observer is run until its covariance has seen the reading missing for `WITHOUT_ONE`.
     """
     observer, model = estimator.observer, estimator.model
     every = np.arange(len(observer.system.rows))
     gains = np.zeros((every.size, observer.system.size, every.size))
-    without = []
+    factors, away = [], doubled(math.ceil(WITHOUT_ALL / model.step))
     for left_out in (*every, every):
         present = np.delete(every, left_out)
-        factor = observer.known_start
+        believed = np.isin(every, present)
+        factor = heat_unknown(observer, observer.known_start, ~believed, believed)
+        reached = dict[int, Array]()
         duration = WITHOUT_ONE if present.size else WITHOUT_ALL
-        for _ in range(math.ceil(duration / model.step)):
+        samples = math.ceil(duration / model.step)
+        for k in range(1, samples + 1):
             gain, after = observer.gain(present, factor, model.step, KNOWN)
             factor = observer.onward(after, model.step)
+            if k in away or k == samples:
+                reached[k] = after[: observer.system.size]
         if present.size:
             gains[left_out][:, present] = gain[: observer.system.size]
-        uncertain = np.square(model.band.tangent @ after[: observer.system.size]).sum(axis=1)
-        without.append(estimator.thresholds.doubt**2 * uncertain)
-    return gains, np.array(without)
+        factors.append([reached[min(one, samples)] for one in away])
+    return gains, left_by(observer, away, factors)
 
 
 def _duty_cycle(estimator: JointAware) -> Iterator[tuple[float, ...]]:

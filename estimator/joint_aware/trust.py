@@ -102,7 +102,8 @@ def trusted(
         open_ = fault_isolation.none(expected.linear.size)
     newly = _believed_before(before) & ~verdict.believed
     if newly.any():
-        attempt = _heat_unknown(observer, attempt, newly, verdict.believed)
+        factor = heat_unknown(observer, attempt.covariance_factor, newly, verdict.believed)
+        attempt = attempt._replace(covariance_factor=factor)
     predicted = observer.readings(attempt)
     innovation = np.where(verdict.believed, readings - predicted, 0.0)
     imperfect = model_error(predicted, rules)
@@ -174,23 +175,29 @@ def _distrusting(watch: Watch, channel: int, time: float, off: float) -> Watch:
     return watch._replace(**arrays)
 
 
-def _heat_unknown(
-    observer: Observer, expected: Expected, newly: Flags, believed: Flags
-) -> Expected:
-    """The same, with the heat unknown for the sources that an excluded channel saw best."""
+def heat_unknown(observer: Observer, factor: Array, newly: Flags, believed: Flags) -> Array:
+    """Return the covariance factor with heat unknown that excluded channels saw best.
+
+    Parameters
+    ----------
+    observer : Observer
+        Observer of the machine.
+    factor : ndarray, shape (n + p + 1, k)
+        Before.
+    newly, believed : ndarray of bool, shape (p + 1,)
+        Channels that are excluded from now on, and those that are used.
+    """
     power = observer.model.power
     answers = np.abs(observer.sudden)
     lost = answers[newly].max(axis=0) > answers[believed].max(axis=0, initial=0.0)
     if not lost.any():
-        return expected
+        return factor
     unknown = np.zeros((observer.rows.shape[1], power.size))
     unknown[observer.system.decay.size :][: power.size] = np.diag(
         np.where(lost, observer.model.calibrated.heat * power, 0.0)
     )
-    more = np.hstack([expected.covariance_factor, unknown])
-    return expected._replace(
-        covariance_factor=compressed(more, observer.both.scale, expected.covariance_factor.shape[1])
-    )
+    more = np.hstack([factor, unknown])
+    return compressed(more, observer.both.scale, factor.shape[1])
 
 
 def _unexplained(

@@ -269,6 +269,26 @@ def test_after_two_thermometers_were_away_the_past_is_unknown(estimator, program
 
 
 @needs_gcc
+@pytest.mark.parametrize("away", [1, 15, 150])
+@pytest.mark.parametrize("sensors", [[1], [1, 2, 3, 4, 5]], ids=["one", "all"])
+def test_readings_that_are_back_leave_a_band_that_decays(
+    estimator, samples, program, sensors, away
+):
+    """No narrower than in Python, whose gain of a covariance finds what was missed sooner."""
+    rows, back = np.array(samples[:900]), 300 + away
+    rows[300:back, sensors] = NAN
+    _, there = estimates(estimator, rows.tolist())
+    found = list(program(rows[:, 1:].tolist()))
+    here, usual = np.array([one.band for one in found]), there[299].band
+    assert (here[back:] >= (1.0 - 1e-9) * np.array([one.band for one in there[back:]])).all()
+    assert (np.diff(here[back + 1 :], axis=0) <= 1e-3 * usual).all()
+    assert (here[back + 1] > 5.0 * usual).all()
+    assert (here[-1] < 0.5 * here[back + 1]).all()
+    if away == 1:
+        assert here[-1] == pytest.approx(usual, rel=0.01)
+
+
+@needs_gcc
 def test_long_silence_is_said(stepped, program):
     rows = [row[1:] for row in faulty(stepped, 0, lambda values: values)]
     quiet = list(program([*rows[:60], *[[NAN] * len(rows[0])] * 1000]))

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import structured_text
-from exported import PRECISIONS, needs_gcc, with_no_step
+from exported import PRECISIONS, compiled, needs_gcc, with_no_step
 from machine_logs import machine_log
 from matiec import needs_matiec, selftest_by_matiec
 from observed import estimates, faulty, that_knows_days
@@ -116,6 +116,17 @@ def test_a_joint_that_needs_more_newton_steps_stays_and_says_so(joint_aware_prog
     assert last["status"] & joint_aware.NOT_SETTLED
     assert last["newton_steps"] == -1
     assert math.isfinite(last["displacement_x"])
+
+
+def test_readings_that_are_back_leave_the_band_of_the_program_in_c(joint_aware_program, tmp_path):
+    inputs = joint_aware_program.interface.inputs
+    rows = joint_aware_program.kept.samples[:90, 1:].copy()
+    rows[20:40, 0] = rows[60:65] = -1e9
+    calls = [{f"reading_{one.name}": v for one, v in zip(inputs, row, strict=True)} for row in rows]
+    found = told(joint_aware_program, tmp_path, calls)
+    expected = list(compiled(joint_aware_program, tmp_path / "c")(rows.tolist()))
+    assert [one["band_x"] for one in found] == pytest.approx([one.band[0] for one in expected])
+    assert found[66]["band_x"] > found[59]["band_x"] > 2.0 * found[10]["band_x"]
 
 
 def told(program, folder, calls, more=()):
