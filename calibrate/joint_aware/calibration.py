@@ -15,11 +15,11 @@ from calibrate.joint_aware.left_out import widened
 from calibrate.joint_aware.misfit import Run, fewer, highest_heat
 from calibrate.joint_aware.open_band import Drawing, open_band, variance_of_heat
 from calibrate.joint_aware.physics_fit import SEARCH, Fit, Search, fit_physics
-from calibrate.joint_aware.readings import heat_in, run_in
+from calibrate.joint_aware.readings import heat_in, run_in, ways_of
 from calibrate.joint_aware.recorded_days import is_day, shown_in, with_days
 from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.observer_model import Calibrated, ObserverModel
-from estimator.joint_aware.readings import temperatures_in
+from estimator.joint_aware.readings import positions_in, temperatures_in
 from fesim.axes.axis import Axis, place_of
 from fesim.axes.setup import set_up_axes
 from fesim.case.schema import Case
@@ -41,6 +41,8 @@ from thermojoint.reduced.machine import (
     reduce_machine,
 )
 
+#: The fastest minute of an axis, s.
+MINUTE = 60.0
 #: A singular value above this is determined by the data: the prior contributes less than a tenth.
 DECIDED = 3.0
 #: A machine is taken for one on feet if that leaves no more than this share of the doubt.
@@ -338,7 +340,23 @@ def calibrated_range(machine: ReducedMachine, responses: Mapping[str, xr.Dataset
             name: (min(0.0, float(column.min())), float(column.max()))
             for name, column in zip(machine.sensor_names, every.T, strict=True)
         },
+        speeds=tuple(
+            np.max([_fastest(one, machine) for one in responses.values()], axis=0).tolist()
+        ),
     )
+
+
+def _fastest(response: xr.Dataset, machine: ReducedMachine) -> Array:
+    """How fast each moving axis went in its fastest minute of a run, (x,), m/s."""
+    times = response["time"].to_numpy().astype(float)
+    ways = ways_of(response, machine, positions_in(response, machine.axis_names))
+    lasts = min(MINUTE, float(times[-1] - times[0]))
+    ends = np.maximum(times, times[0] + lasts)
+    found = [
+        (np.interp(ends, times, way) - np.interp(ends - lasts, times, way)).max() / lasts
+        for way in ways.T
+    ]
+    return np.array(found)
 
 
 def report(fit: Fit) -> dict[str, object]:

@@ -91,7 +91,7 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     if not displacement[0].any():
         # A log counts from its beginning, a machine under loads from where nothing acts.
         displacement = displacement + at_start(physics_with(machine, {}))[1]
-    ways = _ways(response, machine, positions).T
+    ways = ways_of(response, machine, positions).T
     ends = [np.interp(grid, times, column) for column in ways]
     return Run(
         inputs=np.column_stack([powers, held, ambient, *factors]),
@@ -112,8 +112,18 @@ def _means_in_steps(times: Array, values: Array, grid: Array) -> Array:
     return np.asarray(np.diff(sums, axis=1).T / np.diff(ends)[:, None])
 
 
-def _ways(response: xr.Dataset, machine: ReducedMachine, positions: Array) -> Array:
-    """How far axes have gone at every sample, (n, x), m: counted, or from position to position."""
+def ways_of(response: xr.Dataset, machine: ReducedMachine, positions: Array) -> Array:
+    """Return how far axes have gone at every sample, (n, x), m: counted, or by their positions.
+
+    Parameters
+    ----------
+    response : xarray.Dataset
+        Of a run.
+    machine : ReducedMachine
+        With these axes.
+    positions : ndarray, shape (n, x)
+        Of the run, m.
+    """
     ways = gone_along(positions)
     if "axis_way" in response and positions.shape[1]:
         counted = ways_in(response, machine.axis_names)

@@ -12,10 +12,20 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.joint_aware.observer import Observer
+from fesim.axes.guideway import Place
 from thermojoint.artefacts.arrays import Array
+from thermojoint.reduced.axis_way import Way
 
 #: So many samples are as long as any absence lasts or counts.
 LONGEST = 1 << 16
+#: Tolerance of a number of samples.
+SLACK = 1e-6
+#: An odometer that is away for longer than this, s, counts as one away for so long: the axis has
+#: warmed through. What is left of its way is dropped below this part of the most.
+AWAY, NEGLIGIBLE = 8.0 * 3600.0, 0.01
+#: Joints that slide make up to this factor of what the linear model says of a way: at most 1.9 on a
+#: knee with a friction coefficient of 0.2.
+NONLINEAR = 2.0
 
 
 class Absence(NamedTuple):
@@ -27,6 +37,15 @@ class Absence(NamedTuple):
     back: Array
     #: Shape (cases, d, t, axes): what is left from then on.
     left: Array
+
+    def of(self, case: int, away: float, back: float) -> Array:
+        """Return what is left of a case, (axes,), after samples without it and since then."""
+        if away <= 0.0:
+            return np.zeros(self.left.shape[-1])
+        # Times are sums of steps.
+        longer = int(np.searchsorted(self.away, away * (1.0 - SLACK)))
+        since = int(np.searchsorted(self.back, back * (1.0 + SLACK), side="right")) - 1
+        return np.asarray(self.left[case, min(longer, len(self.away) - 1), since])
 
 
 def doubled(most: int) -> list[int]:
@@ -68,3 +87,101 @@ def left_by(observer: Observer, away: Sequence[int], factors: Sequence[Sequence[
     every[:, 1:] = np.maximum(every[:, 1:], every[:, :-1])
     every = np.maximum.accumulate(every[:, :, ::-1], axis=2)[:, :, ::-1]
     return Absence(np.array(away, dtype=float), np.array(back, dtype=float), every)
+
+
+def untold(observer: Observer) -> Absence:
+    """Return the half-width that ways leave which odometers have not told, m.
+
+    While it is away the axis may have gone as fast as in its fastest minute of the calibration, all
+    the time or not at all. The cases are each odometer that tells all of it at once when it is
+    back, as heat of one sample, and then each that never does, as it was set anew.
+
+    Parameters
+    ----------
+    observer : Observer
+        Of a machine with odometers, which was calibrated on runs with its axes.
+    """
+    march, places = _march(observer), _ends_and_middle(observer)
+    size, step = observer.system.size, observer.model.step
+    kept = np.eye(len(march))
+    kept[:size, :size] -= observer.usual_gain @ observer.system.rows
+    once, rows = kept @ march, _rows(observer)
+    each = [
+        np.stack([_way_heat(observer, place, axis) for place in places], axis=1)
+        for axis in observer.model.counted
+    ]
+    heat = kept @ np.concatenate(each, axis=1)
+    # Errors after 1, 2, 4 ... samples, and then in the first sample after them.
+    away, power, error = [1], once, heat
+    errors = [error]
+    while away[-1] * step < AWAY:
+        error, power, away = error + power @ error, power @ power, [*away, 2 * away[-1]]
+        errors.append(error)
+    never = once @ np.array(errors)
+    after = np.array([never - np.array(away)[:, None, None] * heat, never])
+    left, power, back = [np.abs(rows @ np.array([errors, errors]))], np.eye(len(once)), [0, 1]
+    while True:
+        left.append(np.abs(rows @ power @ after))
+        if left[-1].max() <= NEGLIGIBLE * left[0].max() or back[-1] > LONGEST:
+            break
+        power = power @ power if back[-1] > 1 else once
+        back.append(2 * back[-1] - 1 if back[-1] > 1 else 2)
+    # The most of all places of the heat, and of all at which the displacement is asked for.
+    axes = len(observer.model.axes)
+    every = np.array(left).reshape(len(back), 2, len(away), -1, axes, len(each), len(places))
+    every = every.max(axis=(3, 6)).transpose(1, 4, 2, 0, 3)
+    every = NONLINEAR * every.reshape(2 * len(each), len(away), len(back), axes)
+    every = np.maximum.accumulate(every[:, :, ::-1], axis=2)[:, :, ::-1]
+    return Absence(np.array(away, dtype=float), np.array(back, dtype=float), every)
+
+
+def _ends_and_middle(observer: Observer) -> list[Place]:
+    """Where axes may have stood: all at one end, in the middle, at the other."""
+    way = observer.model.modes.way
+    assert way is not None  # with axes
+    strokes = [one[[0, len(one) // 2, -1]] for one in way.stations.positions]
+    return [tuple(place) for place in np.transpose(strokes).tolist()]
+
+
+def _later(observer: Observer, before: Array, place: Place, gone: Place) -> Array:
+    """Linear state and drives (n + d,) a step later, on axes that go there and back at a place."""
+    size, way = observer.system.size, Way(place, place, gone)
+    parts = before[:size], before[size:]
+    return np.concatenate(observer.later(parts, observer.physics.rest, observer.model.step, way))
+
+
+def _cold(observer: Observer) -> Array:
+    drives = observer.model.modes.drives
+    assert drives is not None  # with axes
+    return np.concatenate([np.zeros(observer.system.size), drives.cold])
+
+
+def _march(observer: Observer) -> Array:
+    """What becomes in a step of linear state and drives (n + d, n + d), axes in the middle."""
+    cold, place = _cold(observer), _ends_and_middle(observer)[1]
+    still = (0.0,) * len(place)
+    first = _later(observer, cold, place, still)
+    units = np.eye(cold.size)
+    return np.stack([_later(observer, cold + one, place, still) - first for one in units], axis=1)
+
+
+def _way_heat(observer: Observer, place: Place, axis: int) -> Array:
+    """What the fastest way of an axis in a step adds to linear state and drives, (n + d,)."""
+    cold, gone = _cold(observer), np.zeros(len(place))
+    still = _later(observer, cold, place, tuple(gone.tolist()))
+    gone[axis] = observer.model.calibrated.speeds[axis] * observer.model.step
+    return _later(observer, cold, place, tuple(gone.tolist())) - still
+
+
+def _rows(observer: Observer) -> Array:
+    """Displacement per linear state and drives, m, (places axes, n + d)."""
+    model, drives, cold = observer.model, observer.model.modes.drives, _cold(observer)
+    assert drives is not None  # with axes
+    size, none, found = observer.system.size, len(model.modes.elastic.probe_thermal), []
+    for place in _ends_and_middle(observer):
+        places = drives.with_zeros(np.array(place))
+        probes = np.zeros((len(places), none))
+        states = np.vstack([cold[size:], cold[size:] + np.eye(cold.size - size)])
+        moved = np.array([drives.displacement(one, places, probes)[0] for one in states])
+        found.append(np.hstack([model.band.tangent, (moved[1:] - moved[0]).T[: len(model.axes)]]))
+    return np.vstack(found)

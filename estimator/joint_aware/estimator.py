@@ -12,7 +12,7 @@ import numpy as np
 
 from estimator import lines, sensor_faults
 from estimator.interface import READING_NOISE, Channel, Estimate, Status
-from estimator.joint_aware import compiled_sample, displacement_readings, fault_isolation
+from estimator.joint_aware import absence, compiled_sample, displacement_readings, fault_isolation
 from estimator.joint_aware.displacement_readings import (
     DisplacementProbe,
     ModelError,
@@ -287,6 +287,8 @@ class JointAware(Described):
             pending=fault_isolation.none(size),
             steps=np.array(0.0),
             unheard=np.zeros(len(self.model.ways)),
+            away=np.zeros(2 * len(self.model.ways)),
+            back=np.zeros(2 * len(self.model.ways)),
         ).flat()
 
     @cached_property
@@ -368,7 +370,9 @@ class JointAware(Described):
         taken = self._usual(after, moment, readings, probed)
         if taken is None:
             before = unpacked(state, self.parts)._replace(gone=after.gone, unheard=after.unheard)
-            gone = self._gone(np.where(unread, 0.0, after.gone - counted), since)
+            told = self._possible_ways(after.gone - counted, since)
+            gone = self._gone(np.where(told & ~unread, after.gone - counted, 0.0))
+            before = self._set_anew(before, ~unread & ~told)
             moment = replace(moment, loads=after.loads, gone=gone)
             taken = self._taken(before, moment, readings, probed)
             flat = taken.after.flat()
@@ -381,17 +385,53 @@ class JointAware(Described):
         least = self._place(loads) - self._place(unpacked(before, self.parts).loads)
         return np.abs(least)[list(self.model.counted)]
 
-    def _gone(self, counted: Array, since: Array) -> Array:
-        """How far each axis has gone, (x,), m, as odometers count, read `since` s ago, both (c,).
+    def _possible_ways(self, counted: Array, since: Array) -> Flags:
+        """Whether axes can have gone what odometers count, m, read `since` s ago, all (c,).
 
         What no axis can go means that one was set anew: then only the positions tell.
         """
-        most = self.thresholds.fastest * since
-        gone = np.zeros(len(self.model.moving_axes))
         with np.errstate(invalid="ignore"):
-            possible = (counted >= 0.0) & (counted <= most)
-        gone[list(self.model.counted)] = np.where(possible, counted, 0.0)
+            return np.asarray((counted >= 0.0) & (counted <= self.thresholds.fastest * since))
+
+    def _gone(self, counted: Array) -> Array:
+        """How far each axis has gone, (x,), m, as odometers count, (c,)."""
+        gone = np.zeros(len(self.model.moving_axes))
+        gone[list(self.model.counted)] = counted
         return gone
+
+    def _set_anew(self, before: ObserverState, anew: Flags) -> ObserverState:
+        """The state in which odometers (c,) that were set anew never tell what was gone."""
+        (telling, never), (back, since) = np.split(before.away, 2), np.split(before.back, 2)
+        lost = anew & (telling > 0.0)
+        return before._replace(
+            away=np.append(np.where(lost, 0.0, telling), np.where(lost, telling, never)),
+            back=np.append(back, np.where(lost, 0.0, since)),
+        )
+
+    @cached_property
+    def untold(self) -> absence.Absence | None:
+        """What ways leave that odometers have not told, m; None where there are none."""
+        known = self.model.ways and self.model.calibrated.speeds
+        return absence.untold(self.observer) if known else None
+
+    def _untold(self, before: ObserverState, elapsed: float, whole: bool) -> tuple[Array, Array]:
+        """How long odometers were away, and are back while all readings are, (2 c,), s."""
+        unread = np.append(before.unheard > 0.0, np.zeros(before.unheard.size, dtype=bool))
+        away = before.away + elapsed * unread
+        if not away.any() or self.untold is None:
+            return np.zeros_like(away), np.zeros_like(away)
+        back = np.where(unread, 0.0, before.back + elapsed * whole)
+        counts = back <= self.untold.back[-1] * self.model.step * (1.0 + absence.SLACK)
+        return away * counts, back * counts
+
+    def _of_untold_ways(self, after: ObserverState) -> Array:
+        """Half-width (axes,) of what odometers that were away have not told, m."""
+        step, pairs = self.model.step, zip(after.away, after.back, strict=True)
+        every = np.zeros(len(self.axes))
+        for k, (away, back) in enumerate(pairs):
+            if away > 0.0 and self.untold is not None:
+                every += self.untold.of(k, float(away) / step, float(back) / step)
+        return every
 
     def _told(self, state: Array, powers: Array) -> Array:
         """The state whose heat has changed as the powers (t,), W, since the sample before.
@@ -612,6 +652,7 @@ class JointAware(Described):
         settled = self.observer.read(expected, linear, loads)
         elapsed = moment.length * moment.steps
         begun = before.begun if moment.steps else np.array(moment.time)
+        away, back = self._untold(before, elapsed, bool(used.believed.all()))
         known = displacement_readings.later(before.model_error, elapsed, self.forgetting)
         refused = False
         if np.isfinite(probed).any():
@@ -641,6 +682,8 @@ class JointAware(Described):
             pending=used.pending,
             steps=np.array(float(moment.steps)),
             unheard=before.unheard,
+            away=away,
+            back=back,
         )
         moved = settled.displacement
         # One long interval is a gap; two are how often the machine is sampled.
@@ -672,6 +715,7 @@ class JointAware(Described):
                 status |= flag
         known = self._known(taken, parts)
         band = self.half_band(parts, after.model_error, factor) + self._undecided(after)
+        band += self._of_untold_ways(after)
         moved, line = taken.displacement + known, np.empty(0)
         if self.model.moving_axes:
             moved, line = self._lines(taken, known, band)

@@ -222,6 +222,8 @@ def _header(model: ObserverModel) -> str:
                 "duration_s": known.duration_s,
                 "heat": known.heat,
                 "temperatures": known.temperatures,
+                # States of models without moving axes, and of earlier ones, keep their fingerprint.
+                **({"speeds_m_s": known.speeds} if known.speeds else {}),
             },
             "factors": model.factors,
             "strokes": moving,
@@ -276,6 +278,7 @@ def _model(header: dict[str, Any], arrays: Mapping[str, Array]) -> ObserverModel
             known["duration_s"],
             known["heat"],
             {name: (low, high) for name, (low, high) in known["temperatures"].items()},
+            tuple(map(float, known.get("speeds_m_s", ()))),
         ),
         factors={name: (value, spread) for name, (value, spread) in header["factors"].items()},
         kind=KIND.validate_python(header["kind"]),

@@ -198,7 +198,7 @@ class Observer:
         for k in range(steps):
             now = self._meanwhile(before.loads, loads, (k + 1) / steps)
             way = way_of(self.model.modes, last, now, gone.tolist())
-            linear, drive = self._later((linear, drive), joint, length, way)
+            linear, drive = self.later((linear, drive), joint, length, way)
             last, factor = now, self.onward(factor, length)
             if k + 1 < steps:
                 joint, _ = self._settled(joint, linear, memory, now)
@@ -218,10 +218,22 @@ class Observer:
         now[-axes:] += share * (after[-axes:] - before[-axes:])
         return now
 
-    def _later(
+    def later(
         self, before: tuple[Array, Array], joint: JointState, length: float, way: Way | None
     ) -> tuple[Array, Array]:
-        """The linear state and the drives one step later, with the joint unchanged."""
+        """Return the linear state (n,) and the drives (d,) one step later, the joint unchanged.
+
+        Parameters
+        ----------
+        before : tuple of ndarray, shapes (n,) and (d,)
+            Before the step.
+        joint : JointState
+            Whose conductance counts.
+        length : float
+            Of the step, s.
+        way : Way, optional
+            Of the axes in it.
+        """
         linear, drive = before
         count, dynamic = self.model.modes.rates.size, self.system.decay.size
         inputs = linear[dynamic:]

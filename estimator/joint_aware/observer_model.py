@@ -96,11 +96,15 @@ class Calibrated:
         Largest heat of a source relative to its reference; the smallest is 0.
     temperatures : dict of str to (float, float)
         Sensor to its least and largest value, K.
+    speeds : tuple of float
+        Of every moving axis, how fast it went in its fastest minute, m/s; empty where that is not
+        known, as in models of earlier versions.
     """
 
     duration_s: float
     heat: float
     temperatures: dict[str, tuple[float, float]]
+    speeds: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -60,6 +60,10 @@ class ObserverState(NamedTuple):
     steps: Array
     #: Shape (c,): how long ago odometers were read last, s.
     unheard: Array
+    #: Shape (2 c,): how long they were away, s, while that still counts, and for how long they and
+    #: all readings are back since then; of those that tell what was gone, then of those set anew.
+    away: Array
+    back: Array
 
     @property
     def joint(self) -> JointState:
@@ -68,8 +72,9 @@ class ObserverState(NamedTuple):
 
     def flat(self) -> Array:
         """Return the whole state as one array."""
-        *own, watch, error, pending, steps, unheard = self
-        parts = (*own, *watch, *error[:_FIRST], *pending, *error[_FIRST:], steps, unheard)
+        *own, watch, error, pending, steps, unheard, away, back = self
+        parts = (*own, *watch, *error[:_FIRST], *pending, *error[_FIRST:], steps)
+        parts = (*parts, unheard, away, back)
         return np.concatenate([np.ravel(part) for part in parts])
 
 
@@ -139,6 +144,8 @@ def layout(
             "model_error.refused": error.refused.shape,
             "steps": (),
             "unheard": (odometers,),
+            "away": (2 * odometers,),
+            "back": (2 * odometers,),
         }
     )
 

@@ -112,10 +112,11 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
     start = _start(estimator)
     slowest = 1.0 / float(model.modes.rates.min())
     counted = 2 * len(model.ways) + (moving if model.ways else 0)
-    own = way.state + counted + len(model.powers)
-    judged = _judging(estimator, linear, contacts) + Operations(
-        0, 6 * len(start.known) + (2 + axes) * (count + 1)
-    )
+    ways = estimator.untold
+    own = way.state + counted + len(model.powers) + (0 if ways is None else 2 * len(ways.left))
+    looked_up = (2 + axes) * (count + 1 + (0 if ways is None else len(ways.left)))
+    judged = _judging(estimator, linear, contacts)
+    judged += Operations(0, 6 * len(start.known) + looked_up)
     return Contents(
         estimator,
         _interface(estimator),
@@ -142,6 +143,7 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             "means": model.band.seen.size,
             "explained": 1.0 - float(model.band.allowed),
             "starts": len(start.known),
+            "untold": () if ways is None else ways.left.shape,
             "absences": _without(estimator)[1].left.shape,
             "error_kept": estimator.observer.lasting_on(model.step),
             "followed": start.followed,
@@ -283,8 +285,17 @@ def _tables(
         Table("surprise", "... per square of an innovation that lasts, m2/K2.", band.surprise),
         Table("open_band", "Error of machines not told apart, m.", band.open),
         *(_days_told(band) if band.seen.size else ()),
+        *(() if estimator.untold is None else _untold(estimator.untold)),
         Table("tolerance", "Of the gap equations, m.", np.array(tolerance)),
     ]
+
+
+def _untold(ways: Absence) -> tuple[Table, Table, Table]:
+    return (
+        Table("away_way", "Samples without an odometer, at most.", ways.away),
+        Table("back_way", "Samples since then, at least; 0 before.", ways.back),
+        Table("remains_way", "Of each that tells, and of each set anew, m.", ways.left),
+    )
 
 
 def _days_told(band: Band) -> tuple[Table, Table]:

@@ -175,9 +175,54 @@ def test_what_an_axis_went_while_its_odometer_was_away_has_the_whole_time(counti
     assert found[-1].displacement == pytest.approx(whole[-1].displacement, rel=0.02)
 
 
+def swinging(estimator, away, speed, anew):
+    """Samples, and those with an odometer away for some, in which its axis goes at a speed, m/s."""
+    count = 60 + away + 180
+    gone = np.full((count, 1), 0.02 * STEP)
+    gone[60 : 60 + away] = speed * STEP
+    inputs = np.column_stack([np.full(count, 0.05) * estimator.model.power, np.zeros((count, 2))])
+    read, _ = simulate_known(estimator.observer.physics, inputs, STEP, gone)
+    rows = np.column_stack([read, np.zeros((count, 2)), np.cumsum(gone)])
+    rows[:, :2] += 0.03 * np.random.default_rng(1).standard_normal((count, 2))
+    rows = np.column_stack([STEP * np.arange(count), rows])
+    without = rows.copy()
+    without[60 + away :, WAY] -= anew * rows[60 + away, WAY]
+    without[60 : 60 + away, WAY] = np.nan
+    return rows, without
+
+
+@pytest.mark.parametrize("away", [30, 90, pytest.param(360, marks=pytest.mark.long)])
+@pytest.mark.parametrize(("speed", "anew"), [(0.02, False), (0.02, True), (0.0, False)])
+def test_the_band_has_the_way_that_an_odometer_has_not_told(counting, away, speed, anew):
+    """The axis goes on as before, or stands; then the odometer tells it, or was set anew."""
+    rows, without = swinging(counting, away, speed, anew)
+    whole, found = (
+        [here(counting.axes, counting.details, one)[0], np.array([each.band for each in one])]
+        for one in (estimates(counting, each.tolist())[1] for each in (rows, without))
+    )
+    missed, band = np.abs(found[0] - whole[0]), found[1]
+    for phase in (slice(60, 60 + away), slice(60 + away, 120 + away), slice(120 + away, None)):
+        assert (missed[phase] <= band[phase]).mean() >= 0.95
+    assert (band[:60] == whole[1][:60]).all()
+    if speed == 0.0:
+        assert (band[-1] < 0.5 * band[59 + away]).all()
+    else:
+        assert (missed.max(axis=0) > 2.0 * whole[1].max(axis=0)).any()
+
+
+def test_a_model_without_speeds_has_the_band_that_it_had(counting, samples):
+    known = replace(counting.model.calibrated, speeds=())
+    old = replace(counting, model=replace(counting.model, calibrated=known))
+    rows = samples.copy()
+    rows[20:30, WAY] = np.nan
+    new, before = (estimates(one, rows.tolist())[1] for one in (counting, old))
+    assert all((one.band == other.band).all() for one, other in zip(new[:20], before, strict=False))
+    assert (new[29].band > before[29].band).all()
+
+
 def test_a_state_from_before_odometers_could_be_away_goes_on(counting, samples):
     state, _ = estimates(counting, samples[:40].tolist())
-    begins = counting.parts.parts[-1][1].start
+    begins = next(at.start for name, at, _ in counting.parts.parts if name == "unheard")
     old = completed(state[:begins], counting.initial_state())
     np.testing.assert_array_equal(old, state)
 
@@ -202,6 +247,7 @@ def test_file_log_and_service_know_the_odometer(counting, samples, tmp_path):
     write_observer(counting.model, tmp_path / "model.h5")
     found = JointAware(read_observer(tmp_path / "model.h5"))
     assert found.model.ways == ("y_way",)
+    assert found.model.calibrated.speeds == pytest.approx((0.02,))
     intake = KIND.intake(found.model, True)
     assert intake.names[3:5] == ("y_pos_mm", "y_way_mm")
     given, _ = intake.convert([1.0, 2.0, 0.5, 100.0, 7000.0, np.nan, np.nan], 0.0)
@@ -226,7 +272,11 @@ def test_its_programs_know_the_odometer(counting, samples, tmp_path):
     assert done.returncode == 0, done.stdout + done.stderr
     assert figures["state"] == program.state
     rows[10:13, WAY] = np.nan
-    as_in_python(program, counting, rows.tolist(), tmp_path)
+    got = as_in_python(program, counting, rows.tolist(), tmp_path)
+    _, there = estimates(counting, rows.tolist())
+    bands = np.array([one.band for one in there])
+    assert np.array([list(one.band) for one in got]) == pytest.approx(bands, rel=1e-9)
+    assert (bands[12] > bands[9]).all()
     # A screw that grows by 45 mm, as none does, to a few millionths.
     rows = quick(samples, 2.0, slice(30, 38)).tolist()
     as_in_python(program, counting, rows, tmp_path / "quick", 1e-7)
