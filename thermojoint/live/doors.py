@@ -5,8 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import Coroutine
-from contextlib import suppress
+from collections.abc import Coroutine, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -88,6 +87,7 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
             model=place.served.file,
             since=running.archive.begun(name),
             valid=place.served.ranges,
+            probes=tuple(place.served.layout.readings[place.served.rule.wanted :]),
         )
         for name, place in running.floor.places.items()
     }
@@ -114,6 +114,7 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
             for name, one in _handshakes(service, "http").items()
         },
         partial(_postpone, running),
+        partial(_read, running),
         lambda: {
             "disk": "full" if running.room.full else "ok",
             "reserve_h": round(running.reserve_h, 1),
@@ -130,6 +131,21 @@ def _postpone(running: Running, machine: str) -> bool:
     if changed is not None:
         running.hub.publish([changed])
     return changed is not None
+
+
+def _read(running: Running, machine: str, given: Mapping[str, float]) -> bool:
+    """Take displacement readings that were entered just now, um."""
+    names, now = running.floor.places[machine].served.layout.readings, time.time()
+    return _queue(running, Arrival(machine, now, [given.get(name) for name in names], now))
+
+
+def _queue(running: Running, arrival: Arrival) -> bool:
+    """Queue a value that was given here; False if the queue is full."""
+    try:
+        running.arrivals.put_nowait([arrival])
+    except asyncio.QueueFull:
+        return False
+    return True
 
 
 def _roll_back(running: Running, machine: str) -> None:
@@ -195,11 +211,6 @@ async def _opcua_server(running: Running, section: OpcuaServer) -> list[Coroutin
     from thermojoint.live.writers.opcua import Entry, open_server, serve_nodes
     from thermojoint.live.writers.opcua_control import add_controls, tell_heartbeat
 
-    def given(arrival: Arrival) -> None:
-        """Queue a written value; it is dropped if the queue is full."""
-        with suppress(asyncio.QueueFull):
-            running.arrivals.put_nowait([arrival])
-
     machines = {
         name: (place.served.layout, place.served.rule.wanted)
         for name, place in running.floor.places.items()
@@ -209,7 +220,7 @@ async def _opcua_server(running: Running, section: OpcuaServer) -> list[Coroutin
     owners = {name: one.user for name, one in handshakes.items() if one.user is not None}
     entry = Entry(running.accounts, service.folder, log, owners, running.archive)
     server, nodes = await open_server(
-        section, entry, running.hub, machines, given, _identities(running)
+        section, entry, running.hub, machines, partial(_queue, running), _identities(running)
     )
     controls = {name: machines[name][0] for name in handshakes}
     heartbeat = await add_controls(server, controls, partial(_answer, running.floor))

@@ -141,6 +141,47 @@ def test_an_operator_sees_the_request_and_postpones_it(plant):
     assert any("would narrow" in text for text in texts)
 
 
+def test_an_operator_enters_the_reading_on_the_page(plant):
+    folder, samples = plant
+    add_user(folder / "users", "vera", "viewer", "veras-secret")
+    start, port = time.time() - 2.0 * len(samples), free_port()
+    log = folder / "entered.csv"
+    names = ",".join(f"{name}_K" for name in (*SENSORS, "ambient"))
+    lines = [f"{start + at:.1f},{','.join(map(str, values))}" for at, *values in samples]
+    log.write_text("\n".join([f"time_s,{names}", *lines]) + "\n")
+    settings = settings_of(port)
+    settings |= {"folder": "entered", "sources": {"line": {"kind": "csv", "path": log.name}}}
+    settings["models"]["m"]["lateness_s"] = 0.5
+
+    async def live():
+        async with serving(settings, folder) as running:
+            newest, url = running.hub.newest, f"http://127.0.0.1:{port}"
+            await until(lambda: newest["mill"].asked.axis)
+            axis = newest["mill"].asked.axis
+            async with httpx.AsyncClient(base_url=url, trust_env=False, timeout=PATIENCE_S) as one:
+
+                async def entered(text, reading=f"{axis}_um"):
+                    return await one.post("/machines/mill/reading", data={reading: text})
+
+                await one.post("/login", data={"name": "vera", "token": "veras-secret"})
+                assert (await entered("3.0")).status_code == 403
+                await one.post("/login", data={"name": "olga", "token": "olgas-secret"})
+                for wrong in (await entered("three"), await entered(""), await entered("3", "q")):
+                    assert wrong.status_code == 400
+                assert "is not a number" in (await entered("1e9")).json()["error"]
+                assert (await entered("3.0")).status_code == 303
+            # It joins the next sample, which the one after it closes.
+            with log.open("a") as more:
+                for now in (time.time() + 0.1, time.time() + 2.1):
+                    more.write(f"{now:.3f},{','.join(map(str, samples[-1][1:]))}\n")
+            await until(lambda: newest["mill"].asked.outcome == "taken")
+            return axis
+
+    axis = asyncio.run(live())
+    said = "".join(file.read_text() for file in (folder / "entered").glob("audit*"))
+    assert f'reading of {axis}_um = 3"' in said
+
+
 def test_a_restart_keeps_the_request(plant):
     folder, _ = plant
 

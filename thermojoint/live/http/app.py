@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from typing import Any
-from urllib.parse import parse_qs
+from urllib.parse import parse_qs, parse_qsl
 
 import anyio.to_thread
 from prometheus_client.exposition import CONTENT_TYPE_LATEST, generate_latest
@@ -47,6 +47,8 @@ MOST_POINTS, MOST_EVENTS = 5000, 1000
 USUAL_HISTORY, USUAL_EVENTS = 8 * 3600.0, 7 * 86400.0
 #: Largest body of a log-in, bytes.
 LARGEST_LOGIN = 4096
+#: Displacements that can be entered, um.
+READ_UM = -1e4, 1e4
 #: Requests that read the history at the same time; others wait.
 READERS = 4
 
@@ -85,6 +87,7 @@ class Site:
             Route("/machines/{machine}", self.machine),
             Route("/machines/{machine}/rollback", self.rollback, methods=["POST"]),
             Route("/machines/{machine}/next-reading", self.postpone, methods=["POST"]),
+            Route("/machines/{machine}/reading", self.read, methods=["POST"]),
             Route("/login", self.login, methods=["GET", "POST"]),
             Route("/logout", self.logout, methods=["POST"]),
             Route("/assets/{digest}/{name}", self.asset),
@@ -132,6 +135,22 @@ class Site:
             raise self._refused(request, 403, "postpone", why)
         self._accept(request, "postpone the next reading")
         self.sources.postpone(name)
+        return RedirectResponse(f"/machines/{name}", 303)
+
+    async def read(self, request: Request) -> Response:
+        """Take displacement readings that an operator enters: ``x_um=-3.1``."""
+        name = self._machine(request)
+        if why := request.user.refusal("operator", name):
+            raise self._refused(request, 403, "reading", why)
+        readers = dict.fromkeys(self.sources.machines[name].probes, number(*READ_UM))
+        body = await body_of(request, LARGEST_LOGIN) or b""
+        pairs = parse_qsl(body.decode("utf-8", "replace"), keep_blank_values=True)
+        if not (readers and pairs):
+            raise InputError(f"no reading; {name} takes: {', '.join(readers) or 'none'}")
+        given = read_parameters(pairs, readers)
+        self._accept(request, "reading of " + ", ".join(f"{k} = {v:g}" for k, v in given.items()))
+        if not self.sources.read(name, given):
+            raise HTTPException(503, "too many readings wait; enter it again in a moment")
         return RedirectResponse(f"/machines/{name}", 303)
 
     async def control(self, request: Request) -> Response:

@@ -30,6 +30,8 @@ class About:
     since: float
     #: Calibrated ranges of the model.
     valid: tuple[Range, ...] = ()
+    #: Its displacement readings: ``x_um``.
+    probes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,5 +62,7 @@ class Sources:
     controls: Mapping[str, tuple[str | None, Callable[[bytes], None]]] = field(default_factory=dict)
     #: Postpones the displacement reading that a machine asks for; False if it asks for none.
     postpone: Callable[[str], bool] = lambda machine: False
+    #: Takes displacement readings of a machine, name to value, um; False if there is no room now.
+    read: Callable[[str, Mapping[str, float]], bool] = lambda machine, given: False
     #: What the health check says of the disk.
     disk: Callable[[], dict[str, str | float]] = dict

@@ -64,7 +64,7 @@ async def add_machines(
     hub: Hub,
     machines: Mapping[str, tuple[Layout, int]],
     readings: bool,
-    given: Callable[[Arrival], None],
+    given: Callable[[Arrival], object],
     companion: Companion | None = None,
 ) -> dict[str, list[tuple[Variable, Any]]]:
     """Add the objects of all machines; return their variables, as `Nodes` has them.
@@ -144,7 +144,7 @@ def _told_by(hub: Hub, machine: str, variable: Variable) -> Callable[[Any, Any],
 
 
 def _taken_by(
-    given: Callable[[Arrival], None], machine: str, count: int, k: int
+    given: Callable[[Arrival], object], machine: str, count: int, k: int
 ) -> Callable[[Any, Any, ua.DataValue], None]:
     def take(node: Any, attribute: Any, written: ua.DataValue) -> None:  # noqa: ANN401
         arrival = probe_reading(machine, count, k, written, time.time())
@@ -288,7 +288,7 @@ async def open_server(
     entry: Entry,
     hub: Hub,
     machines: Mapping[str, tuple[Layout, int]],
-    given: Callable[[Arrival], None],
+    given: Callable[[Arrival], object],
     identities: Mapping[str, Identity],
 ) -> tuple[Server, Nodes]:
     """Open the service's OPC UA server.

@@ -197,6 +197,9 @@ function nextReading() {
   const asked = page.newest.next_reading;
   document.getElementById("next-reading").hidden = !asked;
   if (!asked) return;
+  const field = document.getElementById("next-reading-um"), name = `${asked.axis}_um`;
+  // What was typed for one axis is not sent as that of another.
+  if (field.name !== name) { field.name = name; field.value = ""; }
   const narrows = `± ${shown(asked.band_um, 1)} µm to ± ${shown(asked.narrowed_um, 1)} µm`;
   write(document.getElementById("next-reading-text"), `A reading of ${asked.axis} would narrow its band from ${narrows}. Asked for at ${clockTime(asked.since_s)}.`);
 }
