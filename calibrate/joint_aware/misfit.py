@@ -96,11 +96,15 @@ def coarser(run: Run, steps: int) -> Run:
 
 
 def joined(run: Run, factor: int) -> Run:
-    """Return a run in steps so many times as long, each with the mean of its inputs."""
+    """Return a run in steps so many times as long: means of its inputs, and all that axes go."""
     count = math.ceil(len(run.inputs) / factor)
-    padded = np.pad(run.inputs, ((0, factor * count - len(run.inputs)), (0, 0)), mode="edge")
-    means = padded.reshape(count, factor, -1).mean(axis=1)
-    return replace(run, inputs=means, length=factor * run.length, gone=None)
+
+    def means(values: Array) -> Array:
+        padded = np.pad(values, ((0, factor * count - len(values)), (0, 0)), mode="edge")
+        return np.asarray(padded.reshape(count, factor, -1).mean(axis=1))
+
+    gone = None if run.gone is None else factor * means(run.gone)
+    return replace(run, inputs=means(run.inputs), length=factor * run.length, gone=gone)
 
 
 def searched(machine: ReducedMachine, runs: Sequence[Run], steps: int) -> list[Run]:

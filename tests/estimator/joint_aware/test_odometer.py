@@ -11,7 +11,7 @@ from observed import estimates, observer
 
 from calibrate.joint_aware.calibration import machine_of
 from calibrate.joint_aware.measured_runs import runs_of
-from calibrate.joint_aware.misfit import physics_with
+from calibrate.joint_aware.misfit import physics_with, searched
 from calibrate.joint_aware.readings import run_in
 from estimator.exporting import export_program
 from estimator.interface import Status
@@ -112,6 +112,18 @@ def test_a_run_is_fitted_with_the_way_that_it_records(moved):
     )
     sensed = response["temperature"].sel(probe=list(SENSORS)).to_numpy()[-1]
     assert np.abs(sensed - warm).max() < 0.25 * np.abs(sensed - cold).max()
+
+
+def test_a_search_in_longer_steps_has_the_way_too(moved):
+    """Positions at the samples are all the same, as if the axis stood."""
+    machine, response = moved
+    run, physics = run_in(response, machine, "run"), physics_with(machine, {})
+    (coarse,) = searched(machine, [run], len(run.inputs) // 2)
+    (fine, _), (joined, _) = (
+        simulate_known(physics, one.inputs, one.length, one.gone) for one in (run, coarse)
+    )
+    assert coarse.length == 2.0 * run.length
+    assert joined[-1] == pytest.approx(fine[-1], rel=0.02)
 
 
 def test_a_run_of_a_log_has_the_way_that_the_control_counts(moved, tmp_path):
