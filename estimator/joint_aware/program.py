@@ -262,6 +262,7 @@ def _tables(
         Table("history", "Of the slips before that, m2.", band.history),
         Table("gain", "Of the readings then; at the end the steady one.", start.gain[:, :size]),
         Table("error_gain", "... for what they err by at a start, K.", start.gain[:, size:]),
+        Table("supposed", "One that is left out then, by the others.", start.supposed),
         Table("gain_without", "Of the others where one is left out.", gains),
         Table("away", "Samples that one was left out, at most.", absence.away),
         Table("back", "Samples since then, at least; 0 before.", absence.back),
@@ -338,6 +339,9 @@ class _Start(NamedTuple):
     gain: Array
     #: Shape (k, p + 1): variance of the innovations, K2; of the steady covariance at the end.
     spread: Array
+    #: Shape (k, p + 1, p + 1): what each innovation is expected to be by the others, K/K. In its
+    #: place, that makes the gain the one without it.
+    supposed: Array
     #: From this time on, s, the joint's slips are those of its path.
     followed: float
 
@@ -357,10 +361,12 @@ def _start(estimator: JointAware) -> _Start:
     doubted = steady + limits.doubt_of_past**2 * np.diag(own.lasting)
     identity = np.eye(rows.shape[1])
     covariance, k = observer.unknown_start @ observer.unknown_start.T, 0
-    known, gains, spread = list[Array](), list[Array](), list[Array]()
+    known, gains = list[Array](), list[Array]()
+    spread, supposed = list[Array](), list[Array]()
     while True:
         seen = covariance @ rows.T
-        own_gain = (seen - usual @ (rows @ seen)) @ np.linalg.inv(doubted + rows @ seen)
+        precision = np.linalg.inv(doubted + rows @ seen)
+        own_gain = (seen - usual @ (rows @ seen)) @ precision
         left = identity - (usual + own_gain) @ rows
         noise = own_gain @ doubted @ own_gain.T
         after = left @ covariance @ left.T + noise
@@ -369,6 +375,7 @@ def _start(estimator: JointAware) -> _Start:
         cold = model.cold_drives(k * model.step)
         gains.append(usual + own_gain)
         spread.append(np.diag(steady + rows @ seen))
+        supposed.append(np.eye(len(rows)) - precision / np.diag(precision)[:, None])
         if (
             variance + cold <= band.constant + band.history
         ).all() or k * model.step > LONGEST_START:
@@ -388,7 +395,7 @@ def _start(estimator: JointAware) -> _Start:
     near = every[(every[:, 1:] <= (limits.doubt * limits.followable) ** 2).all(axis=1), 0]
     followed = float(near[0] if near.size else every[-1, 0])
     every[:, 1:] += [model.cold_drives(time) for time in every[:, 0]]
-    return _Start(every, np.array(gains), np.array(spread), followed)
+    return _Start(every, np.array(gains), np.array(spread), np.array(supposed), followed)
 
 
 @lru_cache(maxsize=8)
@@ -461,7 +468,7 @@ def _judging(estimator: JointAware, linear: int, contacts: int) -> Operations:
         count * (sources + 3), count * (sources + 4), count, count
     )
     pending = modes * (contacts + sources + 4) + linear * (count + 2 * model.band.steady.size + 2)
-    look = Operations(22, 34, 9, 6).times(count)
+    look = Operations(22, 34, 9, 6).times(count) + Operations(count, count)
     return excluded.times(count + 1) + look + Operations(pending, 2 * pending, sources, 4)
 
 

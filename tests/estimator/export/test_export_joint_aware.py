@@ -250,6 +250,21 @@ def test_on_a_warm_machine_the_band_is_that_of_an_unknown_past_as_in_python(
 
 
 @needs_gcc
+@pytest.mark.parametrize("sensor", [1, 2, 4], ids=lambda k: (*SENSORS, "ambient")[k])
+def test_on_a_warm_machine_a_reading_may_be_missing(estimator, stepped, program, sensor):
+    """The steady gain without it would take what is unknown of the past for heat, kilowatts."""
+    rows = faulty(stepped, 0, lambda values: values)[150:]
+    for row in rows:
+        row[1 + sensor] = NAN
+    _, there = estimates(estimator, rows, estimator.warm_state())
+    here = list(program([row[1:] for row in rows]))
+    moved = np.array([list(one.displacement) for one in here])
+    np.testing.assert_allclose(moved, [one.displacement for one in there], rtol=0.0, atol=3e-6)
+    # Of either one source.
+    assert here[-1].heat[0] == pytest.approx(there[-1].details[0], rel=0.05)
+
+
+@needs_gcc
 def test_after_two_thermometers_were_away_the_past_is_unknown(estimator, program):
     """Heat has changed meanwhile, so that readings that are back contradict the prediction."""
     model, rng = estimator.model, np.random.default_rng(3)

@@ -158,6 +158,18 @@ def told(program, folder, calls, more=()):
     ]
 
 
+def test_on_a_warm_machine_a_reading_may_be_missing(estimator, stepped, tmp_path):
+    rows = np.array(faulty(stepped, 0, np.copy))[150:190]
+    program = export_program(estimator, Precision.DOUBLE, "machine", [*(rows - rows[0]).tolist()])
+    rows[:, 2] = math.nan
+    names = [f"reading_{one.name}" for one in program.interface.inputs]
+    read = np.nan_to_num(rows[:, 1:], nan=-1e9).tolist()
+    found = told(program, tmp_path, [dict(zip(names, row, strict=True)) for row in read])
+    _, there = estimates(estimator, rows.tolist(), estimator.warm_state())
+    for one, other in zip(found, there, strict=True):
+        assert one["displacement_x"] == pytest.approx(other.displacement[0], rel=0.0, abs=3e-6)
+
+
 @pytest.mark.long
 def test_faulty_sensors_are_left_out_as_in_python(estimator, stepped, tmp_path):
     """Three runs: one thermometer lies and another jumps; one is away; it begins when warm."""
