@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 
 import numpy as np
@@ -24,6 +25,9 @@ from thermojoint.reduced.physics import at_start
 
 #: At rest every sensor agrees with the others within this, K; a larger difference is no offset.
 COLD = 3.0
+#: An axis that turns back after more than this part of its moves from sample to sample does so
+#: between samples, too; what is less than this part of its way to and fro is no move.
+OFTEN, JITTER = 0.25, 0.01
 
 
 def check_cold(first: Array, names: Sequence[str], where: str) -> None:
@@ -86,6 +90,7 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     held = held_in(response, machine)[at]
     loads = loads_in(response, machine.load_names)
     positions = positions_in(response, machine.axis_names)
+    _warn_of_turns(positions, machine, where)
     factors = [np.interp(grid, times, column) for column in (*loads.T, *positions.T)]
     displacement = columns_of(response, "displacement", machine.axes)
     if not displacement[0].any():
@@ -101,6 +106,25 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
         length=machine.step,
         gone=np.diff(np.column_stack(ends), axis=0, prepend=0.0) if ends else None,
     )
+
+
+def _warn_of_turns(positions: Array, machine: ReducedMachine, where: str) -> None:
+    """Warn of axes without an odometer that turn back so often that they do between samples, too.
+
+    Positions are (n, x), m.
+    """
+    axes = () if machine.guide is None else machine.guide.axes
+    for axis, position in zip(axes, positions.T, strict=True):
+        moves = np.diff(position)
+        moves = moves[np.abs(moves) > JITTER * np.ptp(position)]
+        turns = np.count_nonzero(moves[1:] * moves[:-1] < 0.0)
+        if not axis.odometer and turns > OFTEN * moves.size:
+            warnings.warn(
+                f"{where}: axis '{axis.name}' turns back after {100.0 * turns / moves.size:.0f} % "
+                "of its moves from sample to sample: what it goes between them is not seen, nor is "
+                "its heat; sample more often, or record its way and set odometer = true",
+                stacklevel=3,
+            )
 
 
 def _means_in_steps(times: Array, values: Array, grid: Array) -> Array:

@@ -1,5 +1,6 @@
 """An odometer tells of the way between samples, which positions do not show, and of its heat."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -237,6 +238,19 @@ def test_a_state_from_before_odometers_could_be_away_goes_on(counting, samples):
     begins = next(at.start for name, at, _ in counting.parts.parts if name == "unheard")
     old = completed(state[:begins], counting.initial_state())
     np.testing.assert_array_equal(old, state)
+
+
+def test_a_calibration_says_that_an_axis_turns_between_samples(moved):
+    machine, response = moved
+    to_and_fro = 0.1 * (np.arange(response.sizes["time"])[:, None] % 3 == 0)
+    turning = response.assign(axis_position=response["axis_position"].copy(data=to_and_fro))
+    unseen = replace(machine.guide.axes[0], odometer=False)
+    without = replace(machine, guide=replace(machine.guide, axes=(unseen,)))
+    with pytest.warns(UserWarning, match=r"run: axis 'y' turns back after .* set odometer = true"):
+        run_in(turning, without, "run")
+    with warnings.catch_warnings(action="error"):
+        run_in(turning, machine, "run")
+        run_in(response, without, "run")
 
 
 def test_an_axis_that_goes_straight_needs_none(tmp_path):
