@@ -41,6 +41,7 @@ from fesim.march.step_control import (
     of_allowed,
     retreated,
     shorter,
+    stretch,
     until,
 )
 from fesim.march.track import Track, joined, track_of
@@ -153,8 +154,9 @@ def _compiled(machine: CondensedMachine, rates: Array) -> FreeMarch | None:
 
 def _plain_step(march: _March, now: Now, asked: Asked, index: int) -> tuple[Track | None, Passed]:
     """Take a step; the first of the times in it has an index."""
-    knot = float(asked.knots[np.searchsorted(asked.knots, now.time, side="right")])
-    tried, pace, rejected = _accepted(march, now, knot)
+    at = int(np.searchsorted(asked.knots, now.time, side="right"))
+    knot, before = float(asked.knots[at]), float(asked.knots[at - 1]) if at else 0.0
+    tried, pace, rejected = _accepted(march, now, knot, stretch(knot - before))
     length, solving = tried.weights.length, now.solving.and_of(tried.step)
     end = knot if length == knot - now.time else now.time + length
     due = asked.times[: np.searchsorted(asked.times, end * (1.0 + ROUNDING), side="right")]
@@ -216,12 +218,15 @@ def _after(now: Now, tried: _Tried, end: float) -> Now:
     return replace(after, slope=(after.flow - now.flow) / length, length=length)
 
 
-def _accepted(march: _March, now: Now, knot: float) -> tuple[_Tried, Pace, int]:
-    """The next step, the pace after it, and how many were tried in vain."""
+def _accepted(march: _March, now: Now, knot: float, times: float) -> tuple[_Tried, Pace, int]:
+    """The next step, the pace after it, and how many were tried in vain.
+
+    Before this knot lengths count so many `times`.
+    """
     rejected, pace = 0, now.pace
     while True:
         length = until(pace.length, knot - now.time)
-        last_chance = length <= SHORTEST
+        last_chance = times * length <= SHORTEST
         where = f"step to t = {now.time + length:g} s"
         try:
             tried = _tried(march, now, length)
@@ -234,7 +239,7 @@ def _accepted(march: _March, now: Now, knot: float) -> tuple[_Tried, Pace, int]:
             changed = _changed(march, now.state, tried)
             free = pace.way > march.tolerance.temperature
             followed = np.inf if free else march.tolerance.followed * changed
-            ratio = of_allowed(part, allowed(length), warmed, followed)
+            ratio = of_allowed(part, allowed(times * length), warmed, followed)
             if ratio <= 1.0 or (last_chance and part <= 1.0):
                 return tried, next_pace(pace, length, ratio, changed), rejected
             if last_chance:

@@ -54,6 +54,7 @@ from fesim.march.step_control import (
     of_allowed,
     rung,
     shorter_length,
+    stretch,
     until,
 )
 from thermojoint.artefacts.arrays import Array
@@ -90,7 +91,7 @@ SWEEP, LACKING, HALVES, WHOLE_STEP, MOMENT, BENT_MOMENT, DONE, GIVEN_UP = range(
 DISPLACEMENT, TEMPERATURE, FOLLOWED = range(3)
 
 _allowed, _rung, _until = compiled_part(allowed), compiled_part(rung), compiled_part(until)
-_of_allowed = compiled_part(of_allowed)
+_of_allowed, _stretch = compiled_part(of_allowed), compiled_part(stretch)
 _next_length, _shorter_length = compiled_part(next_length), compiled_part(shorter_length)
 
 
@@ -711,7 +712,8 @@ def march_freely(
         place = place_of(modes, jump, lengths, length)
         weights, influence = lengths.weights[place], lengths.influence[place]
         heat = Heat(modes.rates, modes.inputs, modes.drawn, jump, machine.mean, weights, influence)
-        share, residual, iterations, stage = _allowed(length), 0.0, 0, SWEEP
+        times = _stretch(asked.knots[knot] - (asked.knots[knot - 1] if knot > 0 else 0.0))
+        share, residual, iterations, stage = _allowed(times * length), 0.0, 0, SWEEP
         for at in range(row - 1, last):
             # The step itself, then the times within it.
             if at >= row:
@@ -733,13 +735,15 @@ def march_freely(
             free = clock[WAY] > limits[TEMPERATURE]
             followed = np.inf if free else limits[FOLLOWED] * changed
             error = _of_allowed(part, share, warmed, followed)
-            fine = error <= 1.0 or (length <= SHORTEST and part <= 1.0)
+            shortest = times * length <= SHORTEST
+            fine = error <= 1.0 or (shortest and part <= 1.0)
             if not fine:
                 break
         if not fine:
-            if length <= SHORTEST:
+            if times * length <= SHORTEST:
                 return step, row, False
-            clock[PLANNED] = _rung(_shorter_length(length, error))
+            wanted = _shorter_length(length, error)
+            clock[PLANNED] = _rung(wanted) if length > SHORTEST else 0.5 * length
             course.effort[REJECTED] += 1.0
             continue
         row = last

@@ -35,6 +35,10 @@ FOLLOWED, ROUNDED = 1e-3, 1e-8
 SMALL = 1e-4
 #: Part of its length that a step is cut to if its equations have no solution.
 RETREAT = 0.25
+#: Between two knots nearer than the shortest step, steps are as if the edge lasted so long, s:
+#: friction depends on the way of a load, not on its time. Times as near as the last are the same: a
+#: part of the span between them could be lost in rounding.
+EDGE, NEAREST = 1.0, 1e-7
 
 
 @dataclass(frozen=True)
@@ -92,6 +96,11 @@ def allowed(length: float) -> float:
     return TOGETHER * length / SPAN
 
 
+def stretch(apart: float) -> float:
+    """Return how many times lengths count between two knots so far apart (s)."""
+    return EDGE / apart if NEAREST < apart < SHORTEST else 1.0
+
+
 def of_allowed(part: float, share: float, warmed: float, followed: float) -> float:
     """Return the error of a step, of what is allowed in it.
 
@@ -125,7 +134,7 @@ def next_pace(pace: Pace, taken: float, error: float, changed: float) -> Pace:
 
 def shorter(pace: Pace, taken: float, error: float) -> Pace:
     """Return the pace after a rejected step; arguments as for `next_pace`."""
-    return replace(pace, length=rung(shorter_length(taken, error)))
+    return replace(pace, length=_below(taken, shorter_length(taken, error)))
 
 
 def next_length(planned: float, last: float, taken: float, error: float) -> float:
@@ -145,7 +154,12 @@ def shorter_length(taken: float, error: float) -> float:
 
 def retreated(pace: Pace, taken: float) -> Pace:
     """Return the pace after a step of length `taken` (s) whose equations have no solution."""
-    return replace(pace, length=rung(RETREAT * taken))
+    return replace(pace, length=_below(taken, RETREAT * taken))
+
+
+def _below(taken: float, wanted: float) -> float:
+    """A step below one of length `taken` (s): half of it where the ladder has none."""
+    return 0.5 * taken if taken <= SHORTEST else rung(wanted)
 
 
 def rung(length: float) -> float:
