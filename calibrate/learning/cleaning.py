@@ -9,7 +9,7 @@ import numpy as np
 from calibrate.learning.rules import Cleaning
 from calibrate.learning.speed_levels import held_levels
 from calibrate.learning.thinning import DRIVES, Table
-from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log_record import PAUSE
 from thermojoint.artefacts.units import MEGA
@@ -60,7 +60,8 @@ def clean(table: Table, displacements: tuple[str, ...], rules: Cleaning) -> Clea
     slower = max(1.0, table.interval / rules.pace)
     rules = replace(rules, moved=slower * rules.moved, jump=slower * rules.jump)
     drives, warnings = _drives(table, rules)
-    changes = _changes_of(table, drives, rules)
+    read = replace(table, values=_bridged(table, [names.index(name) for name in drives]))
+    changes = _changes_of(read, drives, rules)
     faults: list[str] = []
     sensors: list[str] = []
     for k, column in enumerate(table.columns):
@@ -143,7 +144,7 @@ def _drives(table: Table, rules: Cleaning) -> tuple[list[str], list[str]]:
     return drives, warnings
 
 
-def _changes_of(table: Table, drives: list[str], rules: Cleaning) -> Array:
+def _changes_of(table: Table, drives: list[str], rules: Cleaning) -> Flags:
     """Return whether a drive changes at a row or beside it, or a gap ends there, shape (k,)."""
     names = [column.name for column in table.columns]
     changing = np.zeros(len(table.times), dtype=bool)
@@ -158,7 +159,17 @@ def _changes_of(table: Table, drives: list[str], rules: Cleaning) -> Array:
     return changing
 
 
-def _fault(table: Table, k: int, changes: Array, rules: Cleaning) -> str | None:
+def _changes_before(table: Table, there: Flags, changing: Flags, rules: Cleaning) -> Flags:
+    """Return whether something changes (k,) since the reading before, for those that are `there`.
+
+    A column that was not read for some time has a gap of its own.
+    """
+    steps = np.diff(table.times[there], prepend=-np.inf)
+    gap = steps > rules.gap * max(table.interval, float(np.median(steps)))
+    return np.asarray(gap | (np.diff(np.cumsum(changing)[there], prepend=0) > 0))
+
+
+def _fault(table: Table, k: int, changes: Flags, rules: Cleaning) -> str | None:
     """Return the reason why a sensor is unusable."""
     values = table.values[:, k]
     there = np.isfinite(values)
@@ -178,7 +189,7 @@ def _fault(table: Table, k: int, changes: Array, rules: Cleaning) -> str | None:
     stuck = _longest_still(seen, read, rules.unchanged)
     if stuck > max(rules.stuck * (read[-1] - read[0]), rules.shortest_stuck):
         return f"stuck at one value for {stuck / 60.0:.0f} min"
-    jump = _jump(seen, changes[there], rules)
+    jump = _jump(seen, _changes_before(table, there, changes, rules), rules)
     if jump is not None:
         row, size = jump
         hours = (times[row] - times[0]) / 3600.0
@@ -193,7 +204,7 @@ def _longest_still(values: Array, times: Array, unchanged: float) -> float:
     return float(np.diff(times[ends]).max(initial=0.0))
 
 
-def _jump(values: Array, changing: Array, rules: Cleaning) -> tuple[int, float] | None:
+def _jump(values: Array, changing: Flags, rules: Cleaning) -> tuple[int, float] | None:
     """Return row and size of a lasting jump within one interval, if there is one."""
     side = rules.side
     if len(values) < 4 * side:
@@ -213,7 +224,7 @@ def _jump(values: Array, changing: Array, rules: Cleaning) -> tuple[int, float] 
     return None
 
 
-def _check_displacement(table: Table, k: int, changing: Array, rules: Cleaning) -> None:
+def _check_displacement(table: Table, k: int, changing: Flags, rules: Cleaning) -> None:
     column, values = table.columns[k], table.values[:, k]
     there = np.isfinite(values)
     if there.mean() < 1.0 - rules.displacement_missing:
@@ -225,7 +236,8 @@ def _check_displacement(table: Table, k: int, changing: Array, rules: Cleaning) 
     size = float(np.ptp(seen))
     if size < rules.still_length:
         raise InputError(f"{column.name}: constant within {MEGA * size:.2g} um; nothing to learn")
-    side, steps = rules.side, np.where(changing[there], 0.0, np.diff(seen, prepend=seen[0]))
+    changed = _changes_before(table, there, changing, rules)
+    side, steps = rules.side, np.where(changed, 0.0, np.diff(seen, prepend=seen[0]))
     usual = float(np.median(np.abs(steps)))
     for row in np.argsort(-np.abs(steps))[: rules.candidates]:
         before, after = seen[max(0, row - side) : row], seen[row : row + side]

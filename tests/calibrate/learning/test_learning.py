@@ -121,6 +121,29 @@ def test_a_night_between_two_days_is_no_stillness():
     assert model.sensors
 
 
+@pytest.mark.parametrize("name", ["x_um", "T1_degC"])
+def test_what_was_not_read_for_some_time_has_not_jumped_when_it_is_back(name):
+    """Nor at the start of a run whose first reading is missing."""
+    away = np.zeros(len(LOG.times), dtype=bool)
+    away[650:800] = True
+    gone = changed(LOG, name, lambda values: np.where(away, np.nan, values))
+    size = 40.0 if name == "T1_degC" else 40e-6
+    late = changed(LOG, name, lambda values: np.append(np.nan, values[1:] + size))
+    late = changed(late, "n_rpm", lambda values: np.append(np.zeros(10), values[10:]))
+    for log in (gone, joined([LOG, late])):
+        assert "jumps" not in " ".join(learn([log], AXES, 2).learned_from.faults)
+
+
+def test_a_change_of_speed_is_seen_where_the_speed_was_not_read():
+    def grown(values):
+        return values + 20e-6 * (LOG.at("n_rpm") > 0.0)
+
+    turning = np.flatnonzero(np.abs(np.diff(LOG.at("n_rpm"))) > 0.0)
+    unread = np.isin(np.arange(len(LOG.times)), [*turning, *(turning + 1)])
+    log = changed(LOG, "n_rpm", lambda values: np.where(unread, np.nan, values))
+    assert learn([changed(log, "x_um", grown)], AXES, 2).channels
+
+
 def test_a_sound_log_has_no_fault(model):
     assert model.learned_from.faults == ()
     assert model.learned_from.warnings == ()
