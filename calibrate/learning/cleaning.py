@@ -111,7 +111,11 @@ def read_time(table: Table) -> Array:
     """
     steps = np.diff(table.times, prepend=table.times[0])
     steps[list(table.starts)] = 0.0
-    return np.cumsum(np.where(steps > PAUSE * table.interval, 0.0, steps))
+    return _without_pauses(steps, table.interval)
+
+
+def _without_pauses(steps: Array, interval: float) -> Array:
+    return np.cumsum(np.where(steps > PAUSE * interval, 0.0, steps))
 
 
 def longest_run(table: Table, times: Array) -> float:
@@ -186,6 +190,8 @@ def _fault(table: Table, k: int, changes: Flags, rules: Cleaning) -> str | None:
     if table.spikes[k] > rules.spikes * table.samples:
         return f"{int(table.spikes[k])} spikes in {table.samples} samples"
     times, read = table.times[there], read_time(table)[there]
+    # Nor does a pause of this sensor alone count.
+    read = _without_pauses(np.diff(read, prepend=read[0]), table.interval)
     stuck = _longest_still(seen, read, rules.unchanged)
     if stuck > max(rules.stuck * (read[-1] - read[0]), rules.shortest_stuck):
         return f"stuck at one value for {stuck / 60.0:.0f} min"

@@ -134,6 +134,13 @@ def test_what_was_not_read_for_some_time_has_not_jumped_when_it_is_back(name):
         assert "jumps" not in " ".join(learn([log], AXES, 2).learned_from.faults)
 
 
+def test_what_was_not_read_for_some_time_was_not_stuck():
+    away = (np.arange(len(LOG.times)) > 300) & (np.arange(len(LOG.times)) < 430)
+    gone = changed(LOG, "T3_degC", lambda values: np.where(away, np.nan, values))
+    (said,) = learn([gone], AXES, 2).learned_from.faults
+    assert said == "T3_degC: 129 readings missing; bridged"
+
+
 def test_a_change_of_speed_is_seen_where_the_speed_was_not_read():
     def grown(values):
         return values + 20e-6 * (LOG.at("n_rpm") > 0.0)
