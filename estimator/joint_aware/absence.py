@@ -29,7 +29,7 @@ NONLINEAR = 2.0
 
 
 class Absence(NamedTuple):
-    """Steps at which it is known."""
+    """What absences leave, by their length and by the time since they ended."""
 
     #: Shape (d,): how many samples something was away; the last one stands for more.
     away: Array

@@ -204,7 +204,9 @@ def swinging(estimator, away, speed, anew):
     return rows, without
 
 
-@pytest.mark.parametrize("away", [30, 90, pytest.param(360, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "away", [30, *(pytest.param(count, marks=pytest.mark.long) for count in (90, 360))]
+)
 @pytest.mark.parametrize(("speed", "anew"), [(0.02, False), (0.02, True), (0.0, False)])
 def test_the_band_has_the_way_that_an_odometer_has_not_told(counting, away, speed, anew):
     """The axis goes on as before, or stands; then the odometer tells it, or was set anew."""
