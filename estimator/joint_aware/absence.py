@@ -6,7 +6,7 @@ have no covariance, look it up.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -40,8 +40,6 @@ class Absence(NamedTuple):
 
     def of(self, case: int, away: float, back: float) -> Array:
         """Return what is left of a case, (axes,), after samples without it and since then."""
-        if away <= 0.0:
-            return np.zeros(self.left.shape[-1])
         # Times are sums of steps.
         longer = int(np.searchsorted(self.away, away * (1.0 - SLACK)))
         since = int(np.searchsorted(self.back, back * (1.0 + SLACK), side="right")) - 1
@@ -52,6 +50,15 @@ def doubled(most: int) -> list[int]:
     """Return 1, 2, 4 ... and `most`."""
     powers = [1 << k for k in range(most.bit_length())]
     return powers if powers[-1] == most else [*powers, most]
+
+
+def _powers(matrix: Array) -> Iterator[tuple[int, Array]]:
+    """Yield 0, 1, 2, 4 ... and the powers of a matrix."""
+    yield 0, np.eye(len(matrix))
+    count = 1
+    while True:
+        yield count, matrix
+        count, matrix = 2 * count, matrix @ matrix
 
 
 def left_by(observer: Observer, away: Sequence[int], factors: Sequence[Sequence[Array]]) -> Absence:
@@ -70,18 +77,14 @@ def left_by(observer: Observer, away: Sequence[int], factors: Sequence[Sequence[
     joined = np.concatenate([one for case in factors for one in case], axis=1)
     ends = np.cumsum([one.shape[1] for case in factors for one in case])[:-1]
     kept = np.eye(system.size) - observer.usual_gain @ system.rows
-    power = kept @ system.matrix
     least = observer.thresholds.forgotten * observer.model.band.steady
-    back, left, seen = [0, 1], list[Array](), tangent @ joined
-    while True:
-        each = np.split(np.square(seen), ends, axis=1)
+    back, left = list[int](), list[Array]()
+    for count, power in _powers(kept @ system.matrix):
+        each = np.split(np.square(tangent @ power @ joined), ends, axis=1)
+        back.append(count)
         left.append(observer.thresholds.doubt**2 * np.array([one.sum(axis=1) for one in each]))
-        if len(left) > 1 and ((left[-1] <= least).all() or back[len(left) - 1] >= LONGEST):
+        if count > 0 and ((left[-1] <= least).all() or count >= LONGEST):
             break
-        if len(left) > 1:
-            power = power @ power
-            back.append(2 * back[-1])
-        seen = tangent @ power @ joined
     every = np.array(left).reshape(len(left), len(factors), len(away), -1).transpose(1, 2, 0, 3)
     # Nor less than after the next shorter absence, nor than later.
     every[:, 1:] = np.maximum(every[:, 1:], every[:, :-1])
@@ -119,13 +122,12 @@ def untold(observer: Observer) -> Absence:
         errors.append(error)
     never = once @ np.array(errors)
     after = np.array([never - np.array(away)[:, None, None] * heat, never])
-    left, power, back = [np.abs(rows @ np.array([errors, errors]))], np.eye(len(once)), [0, 1]
-    while True:
+    back, left = [0], [np.abs(rows @ np.array([errors, errors]))]
+    for count, power in _powers(once):
+        back.append(1 + count)
         left.append(np.abs(rows @ power @ after))
-        if left[-1].max() <= NEGLIGIBLE * left[0].max() or back[-1] > LONGEST:
+        if left[-1].max() <= NEGLIGIBLE * left[0].max() or count >= LONGEST:
             break
-        power = power @ power if back[-1] > 1 else once
-        back.append(2 * back[-1] - 1 if back[-1] > 1 else 2)
     # The most of all places of the heat, and of all at which the displacement is asked for.
     axes = len(observer.model.axes)
     every = np.array(left).reshape(len(back), 2, len(away), -1, axes, len(each), len(places))
