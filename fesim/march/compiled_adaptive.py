@@ -50,6 +50,7 @@ from fesim.march.step_control import (
     SHORTEST,
     SMALL,
     allowed,
+    below,
     next_length,
     of_allowed,
     rung,
@@ -92,6 +93,7 @@ DISPLACEMENT, TEMPERATURE, FOLLOWED = range(3)
 
 _allowed, _rung, _until = compiled_part(allowed), compiled_part(rung), compiled_part(until)
 _of_allowed, _stretch = compiled_part(of_allowed), compiled_part(stretch)
+_below = compiled_part(below)
 _next_length, _shorter_length = compiled_part(next_length), compiled_part(shorter_length)
 
 
@@ -742,8 +744,7 @@ def march_freely(
         if not fine:
             if times * length <= SHORTEST:
                 return step, row, False
-            wanted = _shorter_length(length, error)
-            clock[PLANNED] = _rung(wanted) if length > SHORTEST else 0.5 * length
+            clock[PLANNED] = _below(length, _rung(_shorter_length(length, error)))
             course.effort[REJECTED] += 1.0
             continue
         row = last

@@ -134,7 +134,7 @@ def next_pace(pace: Pace, taken: float, error: float, changed: float) -> Pace:
 
 def shorter(pace: Pace, taken: float, error: float) -> Pace:
     """Return the pace after a rejected step; arguments as for `next_pace`."""
-    return replace(pace, length=_below(taken, shorter_length(taken, error)))
+    return replace(pace, length=below(taken, rung(shorter_length(taken, error))))
 
 
 def next_length(planned: float, last: float, taken: float, error: float) -> float:
@@ -154,12 +154,12 @@ def shorter_length(taken: float, error: float) -> float:
 
 def retreated(pace: Pace, taken: float) -> Pace:
     """Return the pace after a step of length `taken` (s) whose equations have no solution."""
-    return replace(pace, length=_below(taken, RETREAT * taken))
+    return replace(pace, length=below(taken, rung(RETREAT * taken)))
 
 
-def _below(taken: float, wanted: float) -> float:
-    """A step below one of length `taken` (s): half of it where the ladder has none."""
-    return 0.5 * taken if taken <= SHORTEST else rung(wanted)
+def below(taken: float, wanted: float) -> float:
+    """Return a wanted length of the ladder, or half of `taken` where the ladder has none below."""
+    return 0.5 * taken if taken <= SHORTEST else wanted
 
 
 def rung(length: float) -> float:
