@@ -66,15 +66,9 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--count", type=int, default=100)
     options = parser.parse_args(arguments)
-    failed = []
-
-    def noted() -> Iterator[dict[str, Any]]:
-        for row in rows(read_case(case_file(options.case)), options.first, options.count):
-            failed.extend([row["day"]] * ("failed" in row))
-            yield row
-
-    write_rows(noted(), options.out)
-    if failed:
+    case = read_case(case_file(options.case))
+    found = write_rows(rows(case, options.first, options.count), options.out)
+    if failed := [row["day"] for row in found if "failed" in row]:
         raise SystemExit(f"failed: {failed}")
 
 

@@ -53,13 +53,14 @@ def write_json(path: Path, content: Any) -> None:
     write_text(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
-def write_rows(rows: Iterable[dict[str, Any]], out: Path) -> None:
-    """Print rows as they come; the file has all of them after each."""
-    found = []
+def write_rows(rows: Iterable[dict[str, Any]], out: Path) -> list[dict[str, Any]]:
+    """Print rows as they come, and return them; the file has all of them after each."""
+    found: list[dict[str, Any]] = []
     for row in rows:
         print(json.dumps(row), flush=True)
         found.append(row)
         write_json(out, found)
+    return found
 
 
 def free_port() -> int:
