@@ -8,6 +8,7 @@ settings name are left out.
 
 from __future__ import annotations
 
+import gzip
 import json
 import os
 import posixpath
@@ -115,6 +116,7 @@ def restore(archive: Path, folder: Path) -> Path:
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"{folder}: is not empty; restore into a new folder")
     try:
+        _read_to_its_end(archive)
         with tarfile.open(archive) as tar, whole_folder(folder) as work:
             manifest = parse_json(
                 _member(tar, _MANIFEST).read().decode("utf-8"), _KIND, str(archive)
@@ -212,6 +214,13 @@ class _Hashing:
         content = self._file.read(size)
         self.digest.update(content)
         return content
+
+
+def _read_to_its_end(archive: Path) -> None:
+    """Read a .gz whole: its checksum covers what no digest does, such as the headers of the tar."""
+    with gzip.open(archive) as file:
+        while file.read(_CHUNK):
+            pass
 
 
 def _member(tar: tarfile.TarFile, name: str) -> IO[bytes]:
