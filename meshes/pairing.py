@@ -391,18 +391,22 @@ def _long_direction(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Direction of the longer side of the smallest rectangle around plane points (n, 2).
 
     That rectangle has a side along an edge of the convex hull (Freeman & Shapira 1975). Unlike the
-    principal axes, it does not depend on how a rectangular patch is meshed. Of a square it is the
-    side nearest to the first direction, wherever it lies.
+    principal axes, it does not depend on how a rectangular patch is meshed. Of a square, and of all
+    that lie around a disc, it is the side nearest to the first direction, wherever they lie.
     """
     hull = points[ConvexHull(points).vertices]
     edges = np.roll(hull, -1, axis=0) - hull
     along = edges / np.linalg.norm(edges, axis=1, keepdims=True)
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
     length, width = (np.ptp(hull @ direction.T, axis=0) for direction in (along, across))
-    best = int(np.argmin(length * width))
-    if abs(length[best] - width[best]) <= SQUARE * length[best]:
-        return max(along[best], across[best], key=lambda side: abs(float(side[0])))
-    return along[best] if length[best] > width[best] else across[best]
+    area, longest = length * width, np.maximum(length, width)
+    least = area <= (1.0 + SQUARE) * area.min()
+    sides = np.concatenate([along, across])
+    long = np.concatenate([length, width]) >= (1.0 - SQUARE) * np.tile(longest, 2)
+    nearest = sides[np.tile(least, 2) & long]
+    # Of two that are as near as each other, one on either hand, always the same.
+    reached = np.round(np.abs(nearest[:, 0]), 6)
+    return nearest[np.lexsort([nearest.prod(axis=1), reached])[-1]]
 
 
 def _parts(mesh: Mesh, side: _Side) -> list[NDArray[np.int64]]:

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,12 +17,15 @@ from fesim.march.heat_step import heat_step
 from fesim.solid.joint_operators import joint_operators
 from fesim.solid.spaces import interpolation, local_coordinates, make_spaces
 from meshes.box_grid import put_side_by_side
+from meshes.exchange import read_structure
 from meshes.milling_machine import box_milling_machine
 from meshes.pairing import movable_joint, pair_joint
 from meshes.polygons import anticlockwise, clip, quadrature, signed_area
 from meshes.structure import Structure
 from meshes.three_axes import three_axis_machine
 from thermojoint.artefacts.errors import InputError
+
+FLANGE = Path(__file__).parents[2] / "examples" / "bolted_flange" / "flange.msh"
 
 
 @st.composite
@@ -213,6 +217,15 @@ def test_the_long_side_of_a_square_is_the_same_wherever_it_lies():
         there = shifted(machine, ["column", "ram"], np.array([way, 0.0, 0.0]))
         along = pair_joint(there, "foot", 2, 2).tangents[:, 0]
         assert np.allclose(np.abs(along), [0.0, 0.0, 1.0])
+
+
+@pytest.mark.parametrize("joint", ["head", "nut"])
+def test_where_a_machine_stands_does_not_turn_the_grid_of_a_round_joint(joint):
+    flange = read_structure(FLANGE)
+    along = pair_joint(flange, joint, 3, 3).tangents[:, 0]
+    for place in np.random.default_rng(1).uniform(-2.0, 2.0, (10, 3)):
+        moved = shifted(flange, list(flange.bodies), place)
+        assert np.allclose(pair_joint(moved, joint, 3, 3).tangents[:, 0], along, atol=1e-6)
 
 
 @pytest.mark.parametrize("way", [-0.3, -0.07, 0.0, 0.22])
