@@ -256,3 +256,11 @@ def test_a_table_that_was_read_is_closed(tmp_path, recwarn):
     with lines_of(path, "log") as lines:
         assert len(list(lines)) == 2
     assert not recwarn.list
+
+
+def test_files_that_are_put_in_order_are_closed(tmp_path, recwarn):
+    paths = [tmp_path / "one.csv", tmp_path / "two.csv"]
+    for k, path in enumerate(paths):
+        path.write_text(f"time_s,T1_degC\n0,{20 + k}\n")
+    read_log(paths)
+    assert not recwarn.list

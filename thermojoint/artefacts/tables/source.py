@@ -86,13 +86,13 @@ def lines_of(path: Path, kind: str) -> Iterator[Iterable[str]]:
         elif b"\0" in head and encoding_of(head) == "utf-8-sig":
             raise InputError(f"{path}: no table; give a CSV, .xlsx or Parquet")
         else:
-            yield _text_lines(as_text(file, head), str(path))
+            with as_text(file, head) as text:
+                yield _text_lines(text, str(path))
 
 
 def _text_lines(text: io.TextIOWrapper, where: str) -> Iterator[str]:
     try:
-        with text:
-            yield from text
+        yield from text
     except UnicodeError as error:
         raise InputError(f"{where}: text in an unknown encoding; save it as UTF-8") from error
     except OSError as error:
