@@ -318,6 +318,13 @@ def test_a_method_that_is_not_there_is_named():
             method_named(text)
 
 
+def test_a_method_whose_file_fails_is_named_in_one_line(tmp_path, monkeypatch):
+    (tmp_path / "unfinished_method.py").write_text("def predict(training, test:\n    return {}\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(InputError, match=r"SyntaxError, .* \(unfinished_method.py, line 1\)"):
+        method_named("unfinished_method:predict")
+
+
 def test_the_best_method_stands_first(task):
     rows = [row for name in ("none", "ridge") for row in score(task, name, method_named(name)[1])]
     lines = leaderboard.as_markdown(rows).splitlines()

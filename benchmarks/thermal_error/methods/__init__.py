@@ -27,7 +27,7 @@ def method_named(text: str) -> tuple[str, Method]:
     Raises
     ------
     InputError
-        There is no such name, module or function.
+        There is no such name, module or function, or the module fails.
     """
     place = METHODS.get(text, text)
     if ":" not in place:
@@ -40,6 +40,8 @@ def method_named(text: str) -> tuple[str, Method]:
         raise InputError(
             f"--method {text}: cannot be loaded ({error}); is it on the path?"
         ) from error
+    except Exception as error:
+        raise InputError(f"--method {text}: {type(error).__name__}, {error}") from error
     if not callable(found):
         raise InputError(f"--method {text}: is no function; give one of (training, test)")
     return text, found
