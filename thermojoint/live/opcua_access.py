@@ -163,9 +163,17 @@ class Door(UserManager):
                 why = "not logged in"
             if not why and self.machine_of(one.NodeId) is None:
                 why = "it is of no machine"
-            self._audit(event.user, one.NodeId, why)
             if why:
+                self._audit(event.user, one.NodeId, why)
                 raise ServiceError(_DENIED)
+
+    def after_write(self, event: ServerItemCallback, service: object) -> None:
+        """Write what the server has done with each value, such as of a node that is not there."""
+        if not event.is_external:
+            return
+        asked = event.request_params.NodesToWrite
+        for one, status in zip(asked, event.response_params, strict=True):
+            self._audit(event.user, one.NodeId, "" if status.is_good() else status.name)
 
     def after_read(self, event: ServerItemCallback, service: object) -> None:
         """Replace the values of machines that the user may not see."""
@@ -194,6 +202,7 @@ def restrict(server: Server, door: Door, section: OpcuaServer) -> None:
     token = ua.UserNameIdentityToken if door.asks else ua.AnonymousIdentityToken
     server.set_identity_tokens([token])
     server.subscribe_server_callback(CallbackType.PreWrite, door.before_write)
+    server.subscribe_server_callback(CallbackType.PostWrite, door.after_write)
     server.subscribe_server_callback(CallbackType.PostRead, door.after_read)
     server.allow_remote_admin(False)
     server.limits = TransportLimits(

@@ -423,9 +423,9 @@ def plant(tmp_path_factory):
                 await asyncio.sleep(0.5)
         value = ua.DataValue(ua.Variant(7.0, ua.VariantType.Double))
 
-        async def tries(user, machine):
+        async def tries(user, machine, name="T2_degC"):
             async with await logged_in(*at, panel, user) as client:
-                node = client.get_node(f"ns=2;s={machine}.Probe.T2_degC")
+                node = client.get_node(f"ns=2;s={machine}.Probe.{name}")
                 if user == "leaver":
                     remove_user(folder / "users", "leaver")
                 try:
@@ -435,7 +435,7 @@ def plant(tmp_path_factory):
             return "written"
 
         pairs = [("viewer", "mill-1"), ("setter", "mill-1"), ("setter", "lathe-1")]
-        pairs.append(("leaver", "mill-1"))
+        pairs += [("leaver", "mill-1"), ("setter", "mill-1", "T99_degC")]
         found["write"] = {pair: await tries(*pair) for pair in pairs}
         async with await logged_in(*at, panel, "setter") as client:
             for machine in ("mill-1", "lathe-1"):
@@ -486,6 +486,7 @@ def test_writing_by_opcua_needs_the_role_on_this_machine_and_is_audited(plant):
         ("setter", "mill-1"): "written",
         ("setter", "lathe-1"): denied,
         ("leaver", "mill-1"): denied,
+        ("setter", "mill-1", "T99_degC"): denied,
     }
     assert [(one.machine, one.readings) for one in plant["given"]] == [("mill-1", [None, 7.0])]
     writes = [one for one in plant["audit"] if one["what"].startswith("write")]
@@ -494,6 +495,8 @@ def test_writing_by_opcua_needs_the_role_on_this_machine_and_is_audited(plant):
         ("setter", "mill-1", "accepted"),
         ("setter", "lathe-1", "refused"),
         ("leaver", "mill-1", "refused"),
+        # Of a machine on which he may write, but there is no such variable.
+        ("setter", "mill-1", "refused"),
     ]
     assert {one["from"] for one in plant["audit"]} == {"opcua 127.0.0.1"}
 
