@@ -9,12 +9,14 @@ halved repeatedly.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
 from fesim.joint.gap import TOLERANCE, Equilibrium, GapProblem, solve_gap
+from fesim.joint.law import Traction
 from fesim.joint.relaxation import relax
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
@@ -29,10 +31,12 @@ def cut(
     slip: Array,
     gap: Array,
     tolerance: float = TOLERANCE,
+    explain: Callable[[Traction], None] | None = None,
 ) -> tuple[Equilibrium, int]:
     """Return the equilibrium at the end of a step, and its numbers of pieces and viscous steps.
 
-    Parameters as for `fesim.joint.gap.solve_gap`; `gap` is the equilibrium at the start.
+    Parameters as for `fesim.joint.gap.solve_gap`; `gap` is the equilibrium at the start. `explain`
+    is given the last state that was reached, and may raise an error that says more.
 
     Raises
     ------
@@ -49,6 +53,8 @@ def cut(
         except ConvergenceError:
             length *= 0.5
             if length < SHORTEST:
+                if explain is not None:
+                    explain(problem.law(gap, slip))
                 raise
             continue
         gap, slip = settled.gap, settled.traction.slip

@@ -108,16 +108,15 @@ class Watch:
             raise _loose(self.constraints, motions)
 
     def explain(self, traction: Traction) -> None:
-        """Raise ConvergenceError if a body is about to come loose in a state."""
+        """Raise ConvergenceError if a body is about to come loose in a state without a next one.
+
+        There friction at its limit bears nothing more, in whatever directions the joint slips.
+        """
         pressure = traction.value[0] + self.preload
-        size = np.hypot(*traction.value[1:])
-        slides = size > (1.0 - SPARE) * self.friction * pressure
-        first, second = traction.value[1:] / np.where(size > 0.0, size, 1.0)
+        slides = np.hypot(*traction.value[1:]) > (1.0 - SPARE) * self.friction * pressure
         tangent, shears = traction.tangent.copy(), [ALONG, CROSS, ACROSS]
-        table = self.watched.table
-        across = np.array([second * second, -first * second, first * first])
-        tangent[shears] = np.where(slides, -table[:, _STIFFNESS] * across, tangent[shears])
-        motions = self._unheld(pressure > SPARE / NOTHING * table[:, _LEAST], tangent)
+        tangent[shears] = np.where(slides, 0.0, tangent[shears])
+        motions = self._unheld(pressure > SPARE / NOTHING * self.watched.table[:, _LEAST], tangent)
         if motions.shape[1]:
             raise _loose(self.constraints, motions)
 

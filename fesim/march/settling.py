@@ -269,8 +269,7 @@ def settle_along(
     """Return the equilibrium at the end of a step, and the number of viscous steps.
 
     The first guess extrapolates the last step; the second one is the present gaps. If neither leads
-    to an equilibrium, the joint snaps. If that fails as well and no body is coming loose, the step
-    is subdivided.
+    to an equilibrium, the joint snaps. If that fails as well, the step is subdivided.
 
     Parameters
     ----------
@@ -293,6 +292,4 @@ def settle_along(
     step = contact.gap_problem, thermal_gap, state.slip, state.gap, contact.tolerance
     with suppress(ConvergenceError):
         return relax(*step)
-    if contact.watch is not None:
-        contact.watch.explain(contact.traction(state.gap, state.slip))
-    return cut(*step)
+    return cut(*step, None if contact.watch is None else contact.watch.explain)

@@ -110,6 +110,18 @@ def test_a_warm_rod_between_walls_stays(rods):
     assert float(response["pressure"][-1].min()) > 1e6
 
 
+@pytest.mark.parametrize("force", [[0.0, 0.0, 3000.0], [500.0, 3000.0, 2000.0]])
+def test_a_load_beyond_what_friction_holds_leaves_its_body_loose(rods, force):
+    """The friction of both joints bears 1920 N, less where the load is not in their middle."""
+    pushed = case_of(
+        rods,
+        (("held_temperatures", "middle.z1", "rise_K"), 0.0),
+        (("loads", "push"), {"surface": "middle.y1", "force_N": force}),
+    )
+    with pytest.raises(ConvergenceError, match="keep body 'middle' from turning about x"):
+        simulate(pushed)
+
+
 FRICTIONLESS = [(("joints", name, "friction_coefficient"), 0.0) for name in ("first", "second")]
 
 
