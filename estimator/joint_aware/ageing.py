@@ -191,15 +191,16 @@ class AgeingJointAware:
             before,
             time=np.array(time),
             begun=before.begun if length else np.array(time),
-            runs=np.array(
-                [
-                    self._with_convection(run, factor, length)
-                    for (run, _), factor in zip(taken, factors, strict=True)
-                ]
-            ),
+            runs=np.array([run for run, _ in taken]),
         )
         if not estimate.status & ~TEACHES:
             after = self._counting(after, values, length)
+        # Innovations are recovered from what the correction left: convection changes it afterwards.
+        left = [
+            self._with_convection(run, factor, length)
+            for run, factor in zip(after.runs, factors, strict=True)
+        ]
+        after = replace(after, runs=np.array(left))
         at = self._probed(values)
         # What the observer refuses teaches nothing.
         if at.any() and not estimate.status & Status.READING_REFUSED:

@@ -92,7 +92,7 @@ def test_a_machine_that_does_not_age_is_left_as_it_is(machine, observer, inputs)
 
 @pytest.mark.parametrize(
     ("name", "factor", "within", "left"),
-    [("preload", 0.7, 0.04, 1.0), pytest.param("film", 1.4, 0.1, 0.5, marks=pytest.mark.long)],
+    [("preload", 0.7, 0.04, 1.0), pytest.param("film", 1.4, 0.01, 0.5, marks=pytest.mark.long)],
 )
 def test_what_aged_is_found_and_the_error_falls(
     machine, observer, inputs, name, factor, within, left
