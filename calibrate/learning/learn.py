@@ -18,7 +18,7 @@ from calibrate.learning.cleaning import Cleaned, clean, longest_run, read_time
 from calibrate.learning.positions import Along, checked, sorted_out
 from calibrate.learning.rules import Judging, Rules
 from calibrate.learning.selection import Fitted, choose, fit
-from calibrate.learning.speed_levels import cost_of_unseen, held_levels
+from calibrate.learning.speed_levels import cost_of_unseen, held_levels, usual
 from calibrate.learning.structures import (
     candidates,
     design,
@@ -403,13 +403,16 @@ def _unseen_speeds(cleaned: Cleaned, rows: _Rows, judged: _Judged, rules: Rules)
     def without(own: NDArray[np.bool_], away: NDArray[np.bool_]) -> Array:
         return _fitted_without(rows, own, away)[1]
 
+    def usually(own: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        return usual(own, _folds(rows, rules.judging), rules.cleaning.seldom)
+
     said = []
     for column in cleaned.table.columns:
         if column.name not in cleaned.drives or column.quantity not in ("speed", "feed", "load"):
             continue
         speeds = np.abs(cleaned.at(column.name))
         level, held = held_levels(speeds[rows.at] / speeds.max(), rules.cleaning)
-        cost = cost_of_unseen(level, held.tolist(), rows.margin, judged.errors, without)
+        cost = cost_of_unseen(level, held.tolist(), rows.margin, judged.errors, usually, without)
         if cost is None or not (cost.unseen > rules.judging.costly * cost.usual).any():
             continue
         each = ", ".join(

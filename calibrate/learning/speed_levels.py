@@ -7,7 +7,7 @@ those so near that they still feel its heat.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -45,6 +45,7 @@ def cost_of_unseen(
     held: Sequence[int],
     margin: int,
     errors: Array,
+    usually: Callable[[NDArray[np.bool_]], NDArray[np.bool_]],
     without: Callable[[NDArray[np.bool_], NDArray[np.bool_]], Array],
 ) -> Cost | None:
     """Return the larger cost of not having seen the lowest or the highest level.
@@ -59,6 +60,8 @@ def cost_of_unseen(
         Rows on either side of a level that are left out with it.
     errors : ndarray, shape (k, axes)
         On blocks of time that were held out, µm.
+    usually : callable
+        Takes the rows of a level, (k,) of bool; gives those whose errors are compared (`usual`).
     without : callable
         Takes the rows of a level and those to be fitted, (k,) of bool; gives the errors of the
         former, µm, (n, axes).
@@ -74,8 +77,30 @@ def cost_of_unseen(
         near = np.convolve(own, np.ones(2 * margin + 1), "same") > 0.5
         if near.all():
             return None
-        costs.append([_rms(without(own, ~near)), _rms(errors[own])])
+        costs.append([_rms(without(own, ~near)), _rms(errors[usually(own)])])
     return Cost(*np.max(costs, axis=0)) if costs else None
+
+
+def usual(
+    own: NDArray[np.bool_],
+    folds: Iterable[tuple[slice, NDArray[np.bool_]]],
+    seldom: float,
+) -> NDArray[np.bool_]:
+    """Return the rows of a level that were judged by fits which had seen it; else all others.
+
+    Parameters
+    ----------
+    own : ndarray of bool, shape (k,)
+        Rows of the level. Those of one that was run once only lie in the block that is held out.
+    folds : iterable of (slice, ndarray of bool)
+        Rows of every block that was held out, and those that were fitted then.
+    seldom : float
+        A level that is held in fewer than this share of the fitted rows was not seen.
+    """
+    known = np.zeros_like(own)
+    for held, away in folds:
+        known[held] = own[away].mean() > seldom
+    return own & known if (own & known).any() else ~own
 
 
 def _rms(errors: Array) -> Array:

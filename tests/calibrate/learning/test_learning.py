@@ -258,6 +258,13 @@ def test_names_that_are_not_there_and_columns_that_are_no_displacement_are_refus
             learn([LOG], names)
 
 
+def of_its_own_at_its_highest_speed(log):
+    """The log of a spindle that grows by 20 µm more at that speed."""
+    highest = log.at("n_rpm") > 0.9 * log.at("n_rpm").max()
+    grown = relax_all(log.times, 20e-6 * highest[:, None], np.array([900.0]), np.zeros(1))[:, 0]
+    return changed(log, "x_um", lambda values: values + grown)
+
+
 @pytest.mark.parametrize(
     ("name", "ends"), [("n_rpm", "also above 3500"), ("n_percent", "load in use, also above 3500")]
 )
@@ -266,8 +273,6 @@ def test_what_a_speed_that_was_never_run_may_cost_is_said_beforehand(name, ends)
 
     Controls show speeds in percent as well, which are loads by their unit.
     """
-    highest = LOG.at("n_rpm") > 0.9 * LOG.at("n_rpm").max()
-    grown = relax_all(LOG.times, 20e-6 * highest[:, None], np.array([900.0]), np.zeros(1))[:, 0]
     column = column_named(name)
 
     def named(log):
@@ -275,13 +280,19 @@ def test_what_a_speed_that_was_never_run_may_cost_is_said_beforehand(name, ends)
         values[:, 0] = column.to_si(log.columns[0].from_si(values[:, 0]))
         return replace(log, columns=(column, *log.columns[1:]), values=values)
 
-    unusual = named(changed(LOG, "x_um", lambda values: values + grown))
+    unusual = named(of_its_own_at_its_highest_speed(LOG))
     (said,) = [text for text in learn([unusual], AXES).learned_from.warnings if "lacks" in text]
     of_x = re.search(r"x_um ([0-9.]+) \(otherwise ([0-9.]+)\)", said)
     assert float(of_x[1]) > 14.0 > 9.0 > float(of_x[2])
     assert said.startswith(f"{name}: ")
     assert said.endswith(ends)
     assert "lacks" not in " ".join(learn([named(LOG)], AXES).learned_from.warnings)
+
+
+def test_a_speed_that_was_run_once_is_compared_with_the_others():
+    """For some 80 min: no block of time but its own has seen it."""
+    once = of_its_own_at_its_highest_speed(machine_log(seed=2))
+    assert "lacks" in " ".join(learn([once], AXES).learned_from.warnings)
 
 
 def test_what_the_log_cannot_tell_is_said():
