@@ -27,7 +27,7 @@ from calibrate.learning.structures import (
     structures,
     with_slope,
 )
-from calibrate.learning.thinning import Table, thinned
+from calibrate.learning.thinning import Table, in_one_order, thinned
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
@@ -120,7 +120,7 @@ def learn_and_judge(
         raise InputError(f"--max-sensors {max_sensors}: give one or more")
     rules = Rules()
     pieces, still, moving = sorted_out(pieces, displacements, rules.thinning)
-    table = thinned(pieces, (), rules.thinning)
+    table = in_one_order(thinned(pieces, (), rules.thinning))
     if not displacements:
         length = next(
             (one.name for one in table.columns if one.quantity == "length" and not one.is_position),
@@ -555,14 +555,14 @@ def learned_from(
 
 
 def end_of(cleaned: Cleaned, features: tuple[Feature, ...]) -> LogEnd:
-    """Return the state of the model at the end of the log's last run."""
+    """Return the state of the model at the end of the run that was given last."""
     table = cleaned.table
     names = [column.name for column in table.columns]
-    last = slice(table.starts[-1], None)
+    last = table.runs()[table.last]
     run = table.times[last], table.values[last]
     columns = dict.fromkeys(feature.column for feature in features)
     return LogEnd(
-        float(table.times[-1]),
-        tuple(float(cleaned.at(name)[-1]) for name in columns),
+        float(run[0][-1]),
+        tuple(float(cleaned.at(name)[last][-1]) for name in columns),
         tuple(map(float, features_of(features, names, run)[-1])),
     )

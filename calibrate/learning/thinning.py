@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -37,6 +38,36 @@ class Table:
     #: Shape (columns,): removed samples, and missing ones.
     spikes: Array
     missing: Array
+    #: Which run was given last.
+    last: int = -1
+
+    def runs(self) -> list[slice]:
+        """Return the rows of each run."""
+        return [slice(*ends) for ends in pairwise([*self.starts, len(self.times)])]
+
+
+def in_one_order(table: Table) -> Table:
+    """Return a table whose runs follow each other by length and content, however they were given.
+
+    Blocks of time that are held out are blocks of its rows: of the runs in another order they would
+    be others, and so would be the model.
+    """
+
+    def content(k: int) -> tuple[int, bytes, bytes]:
+        times, values = table.times[runs[k]], table.values[runs[k]]
+        return len(times), times.tobytes(), values.tobytes()
+
+    runs = table.runs()
+    order = sorted(range(len(runs)), key=content)
+    rows = np.concatenate([np.arange(len(table.times))[runs[k]] for k in order])
+    ends = np.cumsum([runs[k].stop - runs[k].start for k in order])
+    return replace(
+        table,
+        times=table.times[rows],
+        values=table.values[rows],
+        starts=(0, *ends[:-1].tolist()),
+        last=order.index(range(len(runs))[table.last]),
+    )
 
 
 def thinned(

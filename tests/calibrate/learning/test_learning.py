@@ -356,6 +356,14 @@ def test_days_with_zeros_of_their_own_are_learned_from_together():
         assert row["rms_error_zeroed_um"] < 0.2 * row["rms_uncompensated_zeroed_um"]
 
 
+def test_the_order_in_which_runs_are_given_changes_nothing_but_the_end_of_the_log():
+    """Their clocks begin anew, so that none is known to be the first."""
+    runs = [machine_log(8.0, seed=1), machine_log(6.0, seed=2), machine_log(10.0, seed=3)]
+    one, other = (learn(given, AXES, 2) for given in (runs, [runs[1], runs[2], runs[0]]))
+    assert (one.log_end.time_s, other.log_end.time_s) == (runs[2].times[-1], runs[0].times[-1])
+    assert replace(one, log_end=None) == replace(other, log_end=None)
+
+
 def test_a_log_of_several_runs_is_learned_from_as_its_runs_one_by_one():
     whole = joined([LOG, machine_log(seed=9)])
     assert len(whole.starts) == 2
