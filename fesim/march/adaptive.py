@@ -31,12 +31,14 @@ from fesim.march.machine import CondensedMachine, State, Step
 from fesim.march.settling import displaced
 from fesim.march.slip_path import origin, settled_at, slip_path
 from fesim.march.step_control import (
+    BRIEF,
     ROUNDING,
-    SHORTEST,
     Pace,
     StepError,
     Tolerance,
     allowed,
+    bent_over,
+    least,
     next_pace,
     of_allowed,
     retreated,
@@ -156,7 +158,7 @@ def _plain_step(march: _March, now: Now, asked: Asked, index: int) -> tuple[Trac
     """Take a step; the first of the times in it has an index."""
     at = int(np.searchsorted(asked.knots, now.time, side="right"))
     knot, before = float(asked.knots[at]), float(asked.knots[at - 1]) if at else 0.0
-    tried, pace, rejected = _accepted(march, now, knot, stretch(knot - before))
+    tried, pace, rejected = _accepted(march, now, before, knot)
     length, solving = tried.weights.length, now.solving.and_of(tried.step)
     end = knot if length == knot - now.time else now.time + length
     due = asked.times[: np.searchsorted(asked.times, end * (1.0 + ROUNDING), side="right")]
@@ -169,7 +171,8 @@ def _plain_step(march: _March, now: Now, asked: Asked, index: int) -> tuple[Trac
         track, solving = _reported(steps, solving, index), Solving()
     if due.size == asked.times.size:
         return track, Passed(effort, now, ends)
-    after = replace(_after(now, tried, end), pace=pace, effort=effort, solving=solving)
+    after = _after(now, tried, end, knot - before < BRIEF)
+    after = replace(after, pace=pace, effort=effort, solving=solving)
     return track, Passed(effort, after, ends)
 
 
@@ -205,31 +208,27 @@ def _begun(machine: CondensedMachine, drive: Histories, start: State) -> Now:
     return Now(time, state, inputs, flow, np.zeros_like(flow), 0.0, Pace(), none)
 
 
-def _after(now: Now, tried: _Tried, end: float) -> Now:
-    """The march after an accepted step."""
+def _after(now: Now, tried: _Tried, end: float, edge: bool) -> Now:
+    """The march after an accepted step; within an edge, how flows change tells nothing of later."""
     step, length = tried.step, tried.weights.length
     after = replace(now, time=end, state=step.state, inputs=tried.ends.inputs[1])
     after = replace(after, flow=tried.ends.flow[1])
     if step.cuts:
         return replace(after, slope=np.zeros_like(now.slope), length=0.0)
-    # Between the two knots of an edge the flows change by less than the joints' tolerance.
-    if length < SHORTEST:
+    if edge:
         return after
     return replace(after, slope=(after.flow - now.flow) / length, length=length)
 
 
-def _accepted(march: _March, now: Now, knot: float, times: float) -> tuple[_Tried, Pace, int]:
-    """The next step, the pace after it, and how many were tried in vain.
-
-    Before this knot lengths count so many `times`.
-    """
-    rejected, pace = 0, now.pace
+def _accepted(march: _March, now: Now, before: float, knot: float) -> tuple[_Tried, Pace, int]:
+    """The next step, between two knots, the pace after it, and how many were tried in vain."""
+    rejected, pace, times = 0, now.pace, stretch(knot - before)
     while True:
         length = until(pace.length, knot - now.time)
-        last_chance = times * length <= SHORTEST
+        last_chance = length <= least(times)
         where = f"step to t = {now.time + length:g} s"
         try:
-            tried = _tried(march, now, length)
+            tried = _tried(march, now, length, now.time == before)
         except ThermojointError as error:
             if last_chance:
                 raise type(error)(f"{where}: {error}") from error
@@ -240,7 +239,9 @@ def _accepted(march: _March, now: Now, knot: float, times: float) -> tuple[_Trie
             free = pace.way > march.tolerance.temperature
             followed = np.inf if free else march.tolerance.followed * changed
             ratio = of_allowed(part, allowed(times * length), warmed, followed)
-            if ratio <= 1.0 or (last_chance and part <= 1.0):
+            # A joint that snaps does so in any time.
+            snaps = tried.step.cuts > 0 and times * length <= BRIEF
+            if ratio <= 1.0 or ((snaps or last_chance) and part <= 1.0):
                 return tried, next_pace(pace, length, ratio, changed), rejected
             if last_chance:
                 raise ConvergenceError(
@@ -259,8 +260,8 @@ def _changed(march: _March, before: State, tried: _Tried) -> float:
     return float(np.linalg.norm(change)) / march.spread
 
 
-def _tried(march: _March, now: Now, length: float) -> _Tried:
-    """Compute a step; the state before it is as it was."""
+def _tried(march: _March, now: Now, length: float, begins: bool) -> _Tried:
+    """Compute a step, which may begin at a knot; the state before it is as it was."""
     machine, weights, before = march.machine, march.weights(length), now.state
     inputs = march.drive(now.time + length)
     half = weights.before_end(before.temperature, now.inputs, now.flow)
@@ -274,7 +275,7 @@ def _tried(march: _March, now: Now, length: float) -> _Tried:
         return weights.within(before.temperature, ends, share), ends.inputs_at(share)
 
     slope = (step.heat_flow - now.flow) / length
-    bend = (slope - now.slope) / (length + (now.length or length))
+    bend = (slope - now.slope) / bent_over(length, now.length, begins)
     area = machine.contact.elastic.area[: machine.contact.count]
     lacking = weights.lacking(bend, area * step.conductance)
     slip = step.state.slip if step.cuts else before.slip

@@ -144,7 +144,7 @@ class FreeMarch:
             inputs=pair(now.inputs),
             slope=np.array(now.slope),
             clock=np.array(
-                [now.time, 0.0, 0.0, now.length, pace.length, pace.error, 0.0, pace.way]
+                [now.time, 0.0, 0.0, now.length, pace.length, pace.error, 0.0, pace.way, 0.0]
             ),
             effort=np.array([*counts, effort.displacement, effort.temperature]),
             moved=pair(effort.sum.displacement),
@@ -179,7 +179,7 @@ class FreeMarch:
 
 def _after(now: Now, course: Course, solving: Solving) -> Now:
     """The march after some steps."""
-    time, _, _, length, planned, error, _, way = map(float, course.clock)
+    time, _, _, length, planned, error, _, way, _ = map(float, course.clock)
     steps, rejected, *others = map(float, course.effort)
     shortest, longest, moved, warmed = others
     total = StepError(course.moved[ALL], course.warmed[ALL])

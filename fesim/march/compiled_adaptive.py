@@ -46,11 +46,13 @@ from fesim.march.compiled_step import (
 from fesim.march.iteration import PATIENCE, PRESSURE_TOLERANCE
 from fesim.march.slip_path import ABRUPT, SMOOTH
 from fesim.march.step_control import (
+    BRIEF,
     ROUNDING,
-    SHORTEST,
     SMALL,
     allowed,
     below,
+    bent_over,
+    least,
     next_length,
     of_allowed,
     rung,
@@ -70,8 +72,8 @@ BEFORE, AFTER = range(2)
 ALL, THIS = range(2)
 #: Entries of its clock, s: start, end and length of the step, length of the last (zero: it tells
 #: nothing), planned length; the error of the last, of what was allowed in it; time asked for, s;
-#: changes of temperature so far, K.
-START, STOP, LENGTH, LAST, PLANNED, ERROR, ASKED, WAY = range(8)
+#: changes of temperature so far, K; time in which the flows of this step and the last bend.
+START, STOP, LENGTH, LAST, PLANNED, ERROR, ASKED, WAY, BENT_OVER = range(9)
 #: Entries of its effort, as in `fesim.march.adaptive_state.Effort`.
 STEPS, REJECTED, SHORT, LONG, MOVED, WARMED = range(6)
 #: Rows of `Work`.
@@ -93,7 +95,7 @@ DISPLACEMENT, TEMPERATURE, FOLLOWED = range(3)
 
 _allowed, _rung, _until = compiled_part(allowed), compiled_part(rung), compiled_part(until)
 _of_allowed, _stretch = compiled_part(of_allowed), compiled_part(stretch)
-_below = compiled_part(below)
+_below, _bent_over, _least = compiled_part(below), compiled_part(bent_over), compiled_part(least)
 _next_length, _shorter_length = compiled_part(next_length), compiled_part(shorter_length)
 
 
@@ -150,7 +152,7 @@ class Course(NamedTuple):
     inputs: Array
     #: Shape (m,): change of the flows in the last step, W/s.
     slope: Array
-    #: Shapes (7,) and (6,): see `START` and `STEPS`.
+    #: Shapes (9,) and (6,): see `START` and `STEPS`.
     clock: Array
     effort: Array
     #: Shapes (2, axes) and (2, 2 m): estimated errors of all steps together, and of this one, m and
@@ -341,8 +343,7 @@ def _first_guess(heat: Heat, joint: JointKernel, work: Work, trial: Trial, cours
 def _lacking(heat: Heat, work: Work, course: Course) -> None:
     """The unknowns with what they lack as the flows bend (`fesim.march.exponential`)."""
     at, bend, jump = work.unknowns[AT], work.contact[VALUE], work.contact[JUMP]
-    length, last = course.clock[LENGTH], course.clock[LAST]
-    span = 2.0 * length if last == 0.0 else length + last
+    length, span = course.clock[LENGTH], course.clock[BENT_OVER]
     for e in range(bend.size):
         slope = (course.flow[AFTER, e] - course.flow[BEFORE, e]) / length
         bend[e] = (slope - course.slope[e]) / span
@@ -649,8 +650,8 @@ def _changed(course: Course, rates: Array, spread: float) -> float:
 
 
 @compiled_part
-def _accept(course: Course) -> None:
-    """Take over the step that was tried."""
+def _accept(course: Course, edge: bool) -> None:
+    """Take over the step that was tried; within an edge, flows tell nothing of later ones."""
     clock, effort, length = course.clock, course.effort, course.clock[LENGTH]
     add(course.moved[THIS], course.moved[ALL])
     add(course.warmed[THIS], course.warmed[ALL])
@@ -658,8 +659,7 @@ def _accept(course: Course) -> None:
     effort[SHORT], effort[LONG] = min(effort[SHORT], length), max(effort[LONG], length)
     effort[MOVED] = max(effort[MOVED], largest(course.moved[ALL]))
     effort[WARMED] = max(effort[WARMED], largest(course.warmed[ALL]))
-    # Between the two knots of an edge the flows change by less than the joints' tolerance.
-    if length >= SHORTEST:
+    if not edge:
         for e in range(course.slope.size):
             course.slope[e] = (course.flow[AFTER, e] - course.flow[BEFORE, e]) / length
         clock[LAST] = length
@@ -714,7 +714,10 @@ def march_freely(
         place = place_of(modes, jump, lengths, length)
         weights, influence = lengths.weights[place], lengths.influence[place]
         heat = Heat(modes.rates, modes.inputs, modes.drawn, jump, machine.mean, weights, influence)
-        times = _stretch(asked.knots[knot] - (asked.knots[knot - 1] if knot > 0 else 0.0))
+        before = asked.knots[knot - 1] if knot > 0 else 0.0
+        apart = asked.knots[knot] - before
+        times = _stretch(apart)
+        clock[BENT_OVER] = _bent_over(length, clock[LAST], clock[START] == before)
         share, residual, iterations, stage = _allowed(times * length), 0.0, 0, SWEEP
         for at in range(row - 1, last):
             # The step itself, then the times within it.
@@ -737,12 +740,12 @@ def march_freely(
             free = clock[WAY] > limits[TEMPERATURE]
             followed = np.inf if free else limits[FOLLOWED] * changed
             error = _of_allowed(part, share, warmed, followed)
-            shortest = times * length <= SHORTEST
+            shortest = length <= _least(times)
             fine = error <= 1.0 or (shortest and part <= 1.0)
             if not fine:
                 break
         if not fine:
-            if times * length <= SHORTEST:
+            if shortest:
                 return step, row, False
             clock[PLANNED] = _below(length, _rung(_shorter_length(length, error)))
             course.effort[REJECTED] += 1.0
@@ -753,7 +756,7 @@ def march_freely(
         _record(weights, work, course, taken, int(course.effort[STEPS]) - begun)
         if row == asked.times.size:
             return step + 1, row, True
-        _accept(course)
+        _accept(course, apart < BRIEF)
         error, clock[WAY] = max(error, SMALL), clock[WAY] + changed
         wanted = _next_length(clock[PLANNED], clock[ERROR], length, error)
         clock[PLANNED], clock[ERROR] = _rung(wanted), error

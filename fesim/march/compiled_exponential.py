@@ -25,7 +25,7 @@ SHARES = (1.0, 0.5)
 STAYS, STARTS, TURNS = range(3)
 MEAN, BENDS = 3 * len(SHARES), 3 * len(SHARES) + 3
 #: Most lengths that are kept, fewest, and numbers that their weights may have together.
-MOST, FEWEST, NUMBERS = 68, 4, 4_000_000
+MOST, FEWEST, NUMBERS = 124, 4, 4_000_000
 
 
 class Modes(NamedTuple):

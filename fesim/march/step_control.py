@@ -16,8 +16,11 @@ from thermojoint.artefacts.arrays import Array
 
 #: Longest step, s, and the steps of a ladder down from it, so that few weights have to be made.
 LONGEST = 3600.0
-OCTAVE, RUNGS = 4, 64
+OCTAVE, RUNGS = 4, 120
 SHORTEST = LONGEST * 2.0 ** (-RUNGS / OCTAVE)
+#: The first step, s. Shorter ones follow what jumps, as a held temperature at a joint: they soon
+#: grow with the time since, and each may use as much of the tolerance as one of this length.
+BRIEF = LONGEST * 2.0**-16
 #: Errors of steps have either sign and decay: their magnitudes may add up to so many tolerances in
 #: so long a time, s.
 TOGETHER, SPAN = 2.0, 1800.0
@@ -27,17 +30,18 @@ ROUNDING = 1e-12
 SAFETY = 0.9
 #: Limits of the change of length from one step to the next.
 LEAST, MOST = 0.2, 5.0
-#: Gains of the controller on this error and the last. The error over the length is of second order.
-PROPORTIONAL, LAST = 1.0 / 2.0, 0.2 / 2.0
+#: Powers of the error that the next length follows: the error is of second order over the length,
+#: of third order alone (below `BRIEF`). Gain on the last error, of that on this one.
+ROOT, SHORT_ROOT, LAST = 1.0 / 2.0, 1.0 / 3.0, 0.2
 #: Part of a change that is followed; what rounding makes of a temperature, K.
 FOLLOWED, ROUNDED = 1e-3, 1e-8
 #: Errors below this part of what is allowed do not differ.
 SMALL = 1e-4
 #: Part of its length that a step is cut to if its equations have no solution.
 RETREAT = 0.25
-#: Between two knots nearer than the shortest step, steps are as if the edge lasted so long, s:
-#: friction depends on the way of a load, not on its time. Times as near as the last are the same: a
-#: part of the span between them could be lost in rounding.
+#: Between two knots nearer than `BRIEF`, steps are as if the edge lasted so long, s: friction
+#: depends on the way of a load, not on its time. Times as near as the last are the same: a part of
+#: the span between them could be lost in rounding.
 EDGE, NEAREST = 1.0, 1e-7
 
 
@@ -84,7 +88,7 @@ class Pace:
     """The controller between two steps."""
 
     #: Of the next step, s.
-    length: float = SHORTEST
+    length: float = BRIEF
     #: Of the last step, of what was allowed in it.
     error: float = 1.0
     #: Changes of temperature in all steps so far, K.
@@ -93,12 +97,32 @@ class Pace:
 
 def allowed(length: float) -> float:
     """Return the part of the tolerance that a step of a length (s) may use."""
-    return TOGETHER * length / SPAN
+    return TOGETHER * max(length, BRIEF) / SPAN
 
 
 def stretch(apart: float) -> float:
     """Return how many times lengths count between two knots so far apart (s)."""
-    return EDGE / apart if NEAREST < apart < SHORTEST else 1.0
+    return EDGE / apart if NEAREST < apart < BRIEF else 1.0
+
+
+def least(times: float) -> float:
+    """Return the shortest step (s) where lengths count so many `times`."""
+    return BRIEF / times if times > 1.0 else SHORTEST
+
+
+def bent_over(length: float, last: float, begins: bool) -> float:
+    """Return the time (s) in which the flows of two steps bend.
+
+    Parameters
+    ----------
+    length, last : float
+        Of the step and of the one before, s; zero if that tells nothing.
+    begins : bool
+        Whether what drives the machine may bend between them: then the bend is in this step.
+    """
+    if last == 0.0 or (begins and last > length):
+        return 2.0 * length
+    return length + last
 
 
 def of_allowed(part: float, share: float, warmed: float, followed: float) -> float:
@@ -142,14 +166,15 @@ def next_length(planned: float, last: float, taken: float, error: float) -> floa
 
     `error` and `last` are the errors of this step and of the one before, of what was allowed.
     """
-    factor = SAFETY * error**-PROPORTIONAL * last**LAST
+    factor = SAFETY * (last**LAST / error) ** (SHORT_ROOT if taken < BRIEF else ROOT)
     length = taken * min(max(factor, LEAST), MOST)
     return max(length, planned) if taken < planned else length
 
 
 def shorter_length(taken: float, error: float) -> float:
     """Return the length wanted after a step of length `taken` (s) that is rejected."""
-    return taken * min(max(SAFETY * error**-0.5, LEAST), 2.0**-0.5)
+    root = SHORT_ROOT if taken < BRIEF else ROOT
+    return taken * min(max(SAFETY * error**-root, LEAST), 2.0**-0.5)
 
 
 def retreated(pace: Pace, taken: float) -> Pace:

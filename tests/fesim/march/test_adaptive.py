@@ -7,6 +7,7 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
+from bars import assemble, surface_law, two_bars
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reduced_bars import bars_of, modes_of, on_modes
@@ -274,6 +275,35 @@ def test_a_load_that_jumps_is_followed_as_one_that_is_given_on_its_way(adaptive_
     file.write_text(f"time_s,factor\n30,-4\n{np.nextafter(30.0, 31.0)!s},8\n")
     at_once = simulate(case.replace(), setup=setup, accuracy=False).response
     assert np.isfinite(at_once["displacement"]).all()
+
+
+@pytest.mark.parametrize(("starts", "lasts"), [(0.0, 1e-3), (0.0, 0.2), (40.0, 0.0)])
+def test_a_held_temperature_that_jumps_at_a_joint_is_followed(starts, lasts):
+    """It was an error: heat flows faster at first than steps of 0.055 s can tell."""
+    bars, law = two_bars(left=(40, 1, 1), right=(2, 1, 1)), surface_law(preload=50e6)
+    built = assemble(bars, law=law, fixed=["left_end", "right_end"], held=["joint.b"])
+    modes = modes_of(built)
+    machine = on_modes(built, modes)
+    times = np.array([40.0, 40.3, 41.0, END])
+    given = [0.0] if lasts == 0.0 else [0.0, 40.0, 40.0 + lasts]
+
+    def found(knots, tolerance, plainly=False):
+        knots = np.unique(np.concatenate([given, knots]))
+        held = np.interp(knots, given, [starts, starts, 40.0][: len(given)])
+        drive = Histories(knots, np.column_stack([0.0 * held, held]))
+        by = {"return_value": None} if plainly else {"wraps": adaptive._compiled}
+        with patch.object(adaptive, "_compiled", **by):
+            return marched((machine, modes.rates), drive, times, tolerance)
+
+    after = np.geomspace(1e-5, END - given[-1], 600)
+    exact, _ = found(np.append(given[-1] + after, np.linspace(40.0, given[-1], 30)), LOOSE)
+    track, effort = found([], Tolerance(1e-8, 0.1))
+    assert np.abs(track.displacement - exact.displacement).max() < 1e-8
+    assert np.abs(track.temperature - exact.temperature).max() < 0.1
+    assert effort.steps < 2000
+    plain, other = found([], Tolerance(1e-8, 0.1), plainly=True)
+    assert abs(effort.steps - other.steps) < 0.01 * other.steps  # rounding may choose another rung
+    np.testing.assert_allclose(track.displacement, plain.displacement, rtol=0, atol=1e-10)
 
 
 def test_both_marches_take_the_same_steps(bars):
