@@ -87,8 +87,8 @@ class Taken(NamedTuple):
     believed: sensor_faults.Flags
     #: Whether a displacement reading was refused.
     refused: bool
-    #: Whether a start, or readings that were missing, still have an effect.
-    unsettled: bool
+    #: How many of the model's steps apart the machine is sampled.
+    often: int
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -634,7 +634,7 @@ class JointAware(Described):
         state.steps[()] = 1.0
         memory, everything = float(state.memory), np.ones(readings.size, dtype=bool)
         moved = shown.displacement[0]
-        return Taken(state, moved, memory, state.covariance_factor, everything, False, False)
+        return Taken(state, moved, memory, state.covariance_factor, everything, False, 1)
 
     def _taken(
         self,
@@ -688,8 +688,7 @@ class JointAware(Described):
         moved = settled.displacement
         # One long interval is a gap; two are how often the machine is sampled.
         often = min(moment.steps, int(before.steps) or moment.steps)
-        unsettled = self.observer.unsettled(factor, often)
-        return Taken(after, moved, expected.memory, factor, used.believed, refused, unsettled)
+        return Taken(after, moved, expected.memory, factor, used.believed, refused, often)
 
     def _estimate(self, taken: Taken, time: float, read: Read) -> Estimate:
         """The estimate after a sample."""
@@ -704,11 +703,13 @@ class JointAware(Described):
         unread = zip(given, np.isnan(others), strict=True)
         missing += tuple(channel.name for channel, gone in unread if gone)
         status = self._beyond(time - float(after.begun), inputs, readings, taken.believed)
+        usual = self._usual_variance(parts, after.model_error)
+        unsettled = self.observer.unsettled(factor, taken.often, usual)
         for holds, flag in (
             (missing, Status.READING_MISSING),
             (distrusted, Status.SENSOR_DISTRUSTED),
             (taken.refused, Status.READING_REFUSED),
-            (taken.unsettled, Status.UNSETTLED),
+            (unsettled, Status.UNSETTLED),
             ((missing or distrusted) and self._lost(after, time), Status.READINGS_LOST),
         ):
             if holds:
@@ -868,15 +869,19 @@ class JointAware(Described):
         factor : ndarray, shape (n + p + 1, k)
             Covariance factor.
         """
-        # As E var(e) E', of which only the diagonal is needed, in every sample.
-        shared = ((parts @ known.shared) * parts).sum(axis=-1)
-        own = np.square(parts[..., known.shared_mean.size :]) @ known.variance
-        variance = self.model.band.steady + shared + own
+        variance = self._usual_variance(parts, known)
         if factor.any():
             fields = factor[: self.observer.system.size]
             uncertain = np.square(self.model.band.tangent @ fields).sum(axis=1)
             variance = variance + self.thresholds.doubt**2 * uncertain
         return np.asarray(WIDTH * np.sqrt(variance))
+
+    def _usual_variance(self, parts: Array, known: ModelError) -> Array:
+        """Variance of the displacement (..., axes), m2, where no start or gap has an effect."""
+        # As E var(e) E', of which only the diagonal is needed, in every sample.
+        shared = ((parts @ known.shared) * parts).sum(axis=-1)
+        own = np.square(parts[..., known.shared_mean.size :]) @ known.variance
+        return np.asarray(self.model.band.steady + shared + own)
 
     def _undecided(self, after: ObserverState) -> Array:
         """Effect of a pending jump, m, shape (axes,): the band covers both causes."""

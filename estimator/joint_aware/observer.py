@@ -302,15 +302,23 @@ class Observer:
         known = np.all(moved <= least * self.model.band.steady)
         return np.zeros_like(after) if seen.max() <= least and known else after
 
-    def unsettled(self, factor: Array, steps: int) -> bool:
-        """Whether a start, or readings that were missing, leave a covariance factor.
+    def unsettled(self, factor: Array, steps: int, usual: Array) -> bool:
+        """Whether a start, or readings that were missing, make a band wider by more than 41 %.
 
-        Samples `steps` steps apart leave one, too, for good: that is no more than their interval.
+        Parameters
+        ----------
+        factor : ndarray, shape (n + p + 1, k)
+            The covariance factor that they leave.
+        steps : int
+            Samples so many steps apart leave one, too, for good: that is their interval.
+        usual : ndarray, shape (axes,)
+            Variance of the displacement without it, m2: what is as uncertain hides no more of it.
         """
         if not factor.any():
             return False
         moved = np.square(self.model.band.tangent @ factor[: self.system.size]).sum(axis=1)
-        return bool((moved > self.thresholds.settled * self._left_open(steps)).any())
+        by_interval = self.thresholds.settled * self._left_open(steps)
+        return bool((moved > by_interval + usual / self.thresholds.doubt**2).any())
 
     def _left_open(self, steps: int) -> Array:
         """Variance of the displacement (axes,), m2, by samples that are always steps apart."""

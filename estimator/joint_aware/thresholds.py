@@ -42,8 +42,8 @@ class Thresholds:
     #: Columns of the covariance factor that move the readings by less than this fraction of their
     #: noise are dropped.
     forgotten: float = 1e-3
-    #: A start or a gap has an effect while the displacement is less certain than samples so far
-    #: apart leave it anyway by more than this factor on its variance.
+    #: Samples that are always longer apart leave the displacement uncertain; a start or a gap has
+    #: no effect while it leaves less than this times that variance.
     settled: float = 4.0
     #: The joint is tracked once the displacement is known to this, m (warm starts after 2, 4 and 6
     #: h, docs/joint-aware.md).

@@ -246,6 +246,24 @@ def test_samples_that_are_always_late_are_settled(estimator, response):
     assert all(Status.UNSETTLED in one.status for one in warm[:20])
 
 
+@pytest.mark.parametrize("missing", [1, 5, 60])
+def test_a_gap_is_unsettled_while_it_makes_the_band_wider_by_more_than_41_percent(
+    response, estimator, missing
+):
+    """Ten seconds without a reading do not end a compensation for an hour."""
+    samples = list(samples_in(response, SENSORS))
+    gap = range(30, 30 + missing)
+    rows = [(row[0], *[np.nan] * 5) if k in gap else row for k, row in enumerate(samples)]
+    (_, usual), (_, found) = (estimates(estimator, given) for given in (samples, rows))
+    pairs = list(zip(found, usual, strict=True))[gap.stop :]
+    wider = np.array([(one.band / other.band).max() for one, other in pairs])
+    unsettled = np.array([Status.UNSETTLED in one.status for one, _ in pairs])
+    assert np.all(unsettled[wider > 1.45])
+    assert not np.any(unsettled[wider < 1.35])
+    assert unsettled[0]
+    assert unsettled[-1] == (missing > 1)
+
+
 def test_a_warm_start_comes_to_what_a_cold_one_knows(data, setup, estimator):
     response = run(data, setup, step(1.0), 20.0)
     samples = list(samples_in(response, SENSORS))[150:]
