@@ -299,6 +299,10 @@ def test_readings_that_are_back_leave_a_band_that_decays(
     assert (np.diff(here[back + 1 :], axis=0) <= 1e-3 * usual).all()
     assert (here[back + 1] > 5.0 * usual).all()
     assert (here[-1] < 0.5 * here[back + 1]).all()
+    told = np.array([bool(one.status & Status.UNSETTLED) for one in found])
+    without = np.array([one.band for one in program(np.array(samples[:900])[:, 1:].tolist())])
+    assert told[(here > 1.45 * without).any(axis=1)].all()
+    assert not told[900 - 1] or (here[-1] > 1.35 * without[-1]).any()
     if away == 1:
         assert here[-1] == pytest.approx(usual, rel=0.01)
 
