@@ -93,9 +93,21 @@ def opened(page, floor, path):
 def until(page, expression):
     """Wait until an expression holds; the browser's own way would need eval, which pages refuse."""
     deadline = time.monotonic() + WAIT_MS / 1000.0
-    while not page.evaluate(expression):
+    while not holds(page, expression):
         assert time.monotonic() < deadline, expression
         page.wait_for_timeout(50)
+
+
+def holds(page, expression):
+    """Whether an expression holds; on a page that is just loaded anew, not yet."""
+    from playwright.sync_api import Error
+
+    try:
+        return page.evaluate(expression)
+    except Error as error:
+        if "navigation" not in str(error):
+            raise
+        return False
 
 
 def number(text):
