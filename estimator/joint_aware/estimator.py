@@ -703,8 +703,8 @@ class JointAware(Described):
         unread = zip(given, np.isnan(others), strict=True)
         missing += tuple(channel.name for channel, gone in unread if gone)
         status = self._beyond(time - float(after.begun), inputs, readings, taken.believed)
-        usual = self._usual_variance(parts, after.model_error)
-        unsettled = self.observer.unsettled(factor, taken.often, usual)
+        usual, left = self._variances(parts, after.model_error, factor)
+        unsettled = self.observer.unsettled(left, usual, taken.often)
         for holds, flag in (
             (missing, Status.READING_MISSING),
             (distrusted, Status.SENSOR_DISTRUSTED),
@@ -715,7 +715,7 @@ class JointAware(Described):
             if holds:
                 status |= flag
         known = self._known(taken, parts)
-        band = self.half_band(parts, after.model_error, factor) + self._undecided(after)
+        band = np.asarray(WIDTH * np.sqrt(usual + left)) + self._undecided(after)
         band += self._of_untold_ways(after)
         moved, line = taken.displacement + known, np.empty(0)
         if self.model.moving_axes:
@@ -869,19 +869,20 @@ class JointAware(Described):
         factor : ndarray, shape (n + p + 1, k)
             Covariance factor.
         """
-        variance = self._usual_variance(parts, known)
-        if factor.any():
-            fields = factor[: self.observer.system.size]
-            uncertain = np.square(self.model.band.tangent @ fields).sum(axis=1)
-            variance = variance + self.thresholds.doubt**2 * uncertain
-        return np.asarray(WIDTH * np.sqrt(variance))
+        usual, left = self._variances(parts, known, factor)
+        return np.asarray(WIDTH * np.sqrt(usual + left))
 
-    def _usual_variance(self, parts: Array, known: ModelError) -> Array:
-        """Variance of the displacement (..., axes), m2, where no start or gap has an effect."""
+    def _variances(self, parts: Array, known: ModelError, factor: Array) -> tuple[Array, Array]:
+        """Variance of the displacement (..., axes), m2, and what a start or a gap adds (axes,)."""
         # As E var(e) E', of which only the diagonal is needed, in every sample.
         shared = ((parts @ known.shared) * parts).sum(axis=-1)
         own = np.square(parts[..., known.shared_mean.size :]) @ known.variance
-        return np.asarray(self.model.band.steady + shared + own)
+        left = np.zeros(len(self.axes))
+        if factor.any():
+            fields = factor[: self.observer.system.size]
+            uncertain = np.square(self.model.band.tangent @ fields).sum(axis=1)
+            left = self.thresholds.doubt**2 * uncertain
+        return np.asarray(self.model.band.steady + shared + own), np.asarray(left)
 
     def _undecided(self, after: ObserverState) -> Array:
         """Effect of a pending jump, m, shape (axes,): the band covers both causes."""

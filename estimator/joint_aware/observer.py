@@ -302,23 +302,20 @@ class Observer:
         known = np.all(moved <= least * self.model.band.steady)
         return np.zeros_like(after) if seen.max() <= least and known else after
 
-    def unsettled(self, factor: Array, steps: int, usual: Array) -> bool:
+    def unsettled(self, left: Array, usual: Array, steps: int) -> bool:
         """Whether a start, or readings that were missing, make a band wider by more than 41 %.
 
         Parameters
         ----------
-        factor : ndarray, shape (n + p + 1, k)
-            The covariance factor that they leave.
+        left, usual : ndarray, shape (axes,)
+            Variance of the displacement that they add, and the variance without them, m2.
         steps : int
-            Samples so many steps apart leave one, too, for good: that is their interval.
-        usual : ndarray, shape (axes,)
-            Variance of the displacement without it, m2: what is as uncertain hides no more of it.
+            Samples that are always so many steps apart add some for good, which does not count.
         """
-        if not factor.any():
+        if not left.any():
             return False
-        moved = np.square(self.model.band.tangent @ factor[: self.system.size]).sum(axis=1)
-        by_interval = self.thresholds.settled * self._left_open(steps)
-        return bool((moved > by_interval + usual / self.thresholds.doubt**2).any())
+        by_interval = self.thresholds.settled * self.thresholds.doubt**2 * self._left_open(steps)
+        return bool((left > usual + by_interval).any())
 
     def _left_open(self, steps: int) -> Array:
         """Variance of the displacement (axes,), m2, by samples that are always steps apart."""
