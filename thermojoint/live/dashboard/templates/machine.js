@@ -95,7 +95,7 @@ async function drawAll() {
 }
 
 function displacementCurves(past) {
-  // The past of before a model with more axes does not have them.
+  // A history that began with another model may lack an axis.
   return page.about.axes.filter((axis) => axis in past.band_um).map((axis) => {
     const band = past.band_um[axis];
     return { name: `δ${axis}`, values: past.displacement_um[axis], band: band.some((one) => one !== null) ? band : null };
