@@ -21,7 +21,7 @@ from typing import Any
 import pandas as pd
 
 from fesim.batch.study import Study, plain
-from fesim.batch.summary import COUNTS, FIGURES
+from fesim.batch.summary import COUNTS
 from fesim.batch.worker import Outcome
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import whole_file, write_text
@@ -145,7 +145,7 @@ def note(folder: Path, event: str, case: str, worker: str, detail: str = "") -> 
 
 def summary(study: Study, records: Mapping[str, Record]) -> pd.DataFrame:
     """Return a row for each case of the study: varied values, outcome, figures."""
-    rows, numbers = [], [*FIGURES, "seconds", "setup_seconds"]
+    rows, numbers = [], [*study.columns, "seconds", "setup_seconds"]
     for case in study.cases:
         record = records.get(case.id, {"status": "pending", "reason": ""})
         values = {path: plain(case.values[path]) for path in study.paths}

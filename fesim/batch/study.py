@@ -19,6 +19,7 @@ from pydantic import Field, model_validator
 
 from fesim.axes.setup import course_of
 from fesim.batch.paths import known_paths, with_values
+from fesim.batch.summary import columns
 from fesim.case.identity import case_id, file_digest, shared_key
 from fesim.case.schema import Case, case_from_data, parse_case
 from fesim.setup.bolts import first_forces
@@ -135,6 +136,8 @@ class Shape:
     probes: tuple[str, ...]
     #: Number of contact elements.
     contacts: int
+    #: Names of the moving axes.
+    moving_axes: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -151,6 +154,11 @@ class Study:
     shapes: dict[str, Shape]
     #: Stored result: ``"response"`` or ``"displacement"``.
     keep: Keep = "response"
+
+    @property
+    def columns(self) -> dict[str, str]:
+        """Figures of its summary, with their descriptions."""
+        return columns(axis for shape in self.shapes.values() for axis in shape.moving_axes)
 
 
 def read_study(path: Path) -> Study:
@@ -229,7 +237,7 @@ def study_of(
                     course_of(axis, name)
                 parts = make_parts(case)
                 contacts = sum(len(joint.area) for joint in parts.joints)
-                shapes[study_case.key] = Shape(tuple(parts.probes), contacts)
+                shapes[study_case.key] = Shape(tuple(parts.probes), contacts, tuple(case.axes))
         except InputError as error:
             reason = str(error).removeprefix(f"{place}: ")
             if refused is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,13 +23,12 @@ OPEN_BELOW = 1e-3
 #: friction an element at rest creeps within the tolerance of the gap equations.
 SLIDES_ABOVE = 1e-12
 
+#: What is told of a quantity over time, and its description.
+KINDS = {"peak": "largest in magnitude, with its sign", "final": "at the end"}
+
 #: Column to its description; the columns of every summary, in this order.
 FIGURES = {
-    **{
-        f"displacement_{axis}_{kind}_um": text
-        for axis in "xyz"
-        for kind, text in (("peak", "largest in magnitude, with its sign"), ("final", "at the end"))
-    },
+    **{f"displacement_{axis}_{kind}_um": text for axis in "xyz" for kind, text in KINDS.items()},
     "pressure_min_MPa": "lowest contact pressure of the run",
     "pressure_max_MPa": "highest contact pressure of the run",
     "open_share_peak": "largest share of the joints' area below 1e-3 of its preload",
@@ -48,8 +48,38 @@ FIGURES = {
     "taken_over": "steps iterated because staggered ones alternate",
     "unresolved_steps": "steps whose pressures alternate although no input does",
 }
+#: What is told of a displacement over the stroke of a moving axis: word and unit of the column, and
+#: its description.
+OVER_STROKE = {
+    "K0": ("um", "K0: the line over the stroke of {}, at P0"),
+    "slope": ("um_per_m", "tan beta: the slope of that line"),
+    "left": ("um", "what that line leaves at most"),
+    "asked": ("um", "where it is largest, of the positions of {} asked about"),
+}
 #: Integer columns.
 COUNTS = ("steps", "iterations", "cuts", "taken_over", "unresolved_steps")
+
+
+def columns(moving_axes: Iterable[str]) -> dict[str, str]:
+    """Return the columns of a summary and their descriptions: `FIGURES`, and those along axes.
+
+    Parameters
+    ----------
+    moving_axes : iterable of str
+        Names of the moving axes of the cases.
+    """
+    along = {
+        _column(axis, word, moving, kind): f"{text.format(moving)}, {when}"
+        for moving in moving_axes
+        for axis in "xyz"
+        for word, (_, text) in OVER_STROKE.items()
+        for kind, when in KINDS.items()
+    }
+    return FIGURES | along
+
+
+def _column(axis: str, word: str, moving: str, kind: str) -> str:
+    return f"displacement_{axis}_{word}_{moving}_{kind}_{OVER_STROKE[word][0]}"
 
 
 def is_open(
@@ -96,6 +126,30 @@ def preloads(response: AnyResponse) -> NDArray[np.float64]:
     return np.array([each[str(name)] for name in response["contact_joint"].to_numpy()])
 
 
+def largest(values: NDArray[np.float64]) -> float:
+    """Return the value of largest magnitude, with its sign."""
+    return float(values.flat[np.abs(values).argmax()])
+
+
+def _over_strokes(response: AnyResponse) -> Figures:
+    """The figures of every displacement over the stroke of every moving axis, µm and µm/m."""
+    asked = response["asked_displacement"].to_numpy()
+    # Each by time, moving axis and axis; only of what was asked about there are several positions.
+    tracks = {
+        "K0": response["line_offset"].to_numpy()[:, :, None],
+        "slope": response["line_slope"].to_numpy()[:, :, None],
+        "left": response["line_left"].to_numpy()[:, :, None],
+        "asked": asked,
+    }
+    return {
+        _column(str(axis), word, str(moving), kind): MEGA * largest(tracks[word][when, m, :, c])
+        for m, moving in enumerate(response["moving_axis"].to_numpy())
+        for c, axis in enumerate(response["axis"].to_numpy())
+        for word in OVER_STROKE
+        for kind, when in (("peak", slice(None)), ("final", slice(-1, None)))
+    }
+
+
 def taken_steps(response: AnyResponse) -> int:
     """Return the number of steps of the march: of an adaptive one it is not that of the times."""
     taken = int(np.count_nonzero(response["time"].to_numpy() > 0.0))
@@ -103,15 +157,17 @@ def taken_steps(response: AnyResponse) -> int:
 
 
 def figures_of(response: AnyResponse) -> Figures:
-    """Return the figures of a simulated response, by the names of `FIGURES`.
+    """Return the figures of a simulated response, by the names of `columns`.
 
     Those of the contact elements are missing where a structure has none.
     """
     figures: Figures = {}
     displacement = MEGA * response["displacement"].to_numpy()
     for axis, track in zip(response["axis"].to_numpy(), displacement.T, strict=True):
-        figures[f"displacement_{axis}_peak_um"] = float(track[np.abs(track).argmax()])
+        figures[f"displacement_{axis}_peak_um"] = largest(track)
         figures[f"displacement_{axis}_final_um"] = float(track[-1])
+    if "line_offset" in response:
+        figures |= _over_strokes(response)
     pressure = response["pressure"].to_numpy()
     if pressure.shape[1]:
         area = response["contact_area"].to_numpy()

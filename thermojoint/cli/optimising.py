@@ -20,6 +20,7 @@ from thermojoint.cli import arguments, file_kinds
 if TYPE_CHECKING:
     from fesim.batch.crew import Crew
     from fesim.batch.study import Study, Values
+    from fesim.case.schema import Case
     from thermojoint.artefacts.arrays import Array
     from thermojoint.cli.batch_run import Recruit, Say
     from thermojoint.optimisation.settings import DesignFile
@@ -60,6 +61,7 @@ def optimise(  # noqa: PLR0913 - options of a command
     """
     import numpy as np
 
+    from fesim.case.schema import read_case
     from thermojoint import console
     from thermojoint.artefacts.settings.read import read_settings
     from thermojoint.cli import batch_run
@@ -76,8 +78,9 @@ def optimise(  # noqa: PLR0913 - options of a command
     }
     arguments.check_outputs(outputs, [question])
     given = read_settings(DesignFile, question, "question")
-    check_names(given, str(question))
-    own = _own_values(given)
+    case = read_case(given.case)
+    check_names(given, case.axes, str(question))
+    own = _own_values(given, case)
     every = _finished(given, out, str(question))
     refusals: dict[str, str] = {}
     with _one_crew(workers or os.cpu_count() or 1, scheduler) as recruit:
@@ -126,13 +129,12 @@ def optimise(  # noqa: PLR0913 - options of a command
         raise typer.Exit(NOT_HELD)
 
 
-def _own_values(given: DesignFile) -> Values:
+def _own_values(given: DesignFile, case: Case) -> Values:
     """Values of the case as it is; empty where one is no number of it, or outside its range."""
-    from fesim.case.schema import read_case
     from thermojoint.sensitivity.parameters import parameters_of
 
     paths = tuple(span.path for span in given.ranges)
-    own = {each.path: each.value for each in parameters_of(read_case(given.case), paths)}
+    own = {each.path: each.value for each in parameters_of(case, paths)}
     inside = all(span.low <= own.get(span.path, math.nan) <= span.high for span in given.ranges)
     return {path: own[path] for path in paths} if inside else {}
 

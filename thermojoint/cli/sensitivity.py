@@ -70,13 +70,12 @@ def sensitivity(  # noqa: PLR0913 - options of a command
     from thermojoint.artefacts.settings import toml
     from thermojoint.cli import batch_run
     from thermojoint.sensitivity.results import (
-        PHYSICAL,
         check_figures,
         chosen_figures,
         figures_of_rows,
+        physical,
     )
 
-    check_figures(figure or [], PHYSICAL, "--figure")
     batch_run.check_workers(workers, scheduler)
     outputs = {
         "the table": (out / TABLE, file_kinds.SENSITIVITY_TABLE),
@@ -87,6 +86,7 @@ def sensitivity(  # noqa: PLR0913 - options of a command
 
     def run(study: Study, rows: list[Values]) -> tuple[list[str], Array]:
         """Run the cases; return the names of the figures, and their values for each row."""
+        check_figures(figure or [], physical(study.columns), "--figure")
         recruit = partial(batch_run.crew_of, workers or os.cpu_count() or 1, scheduler)
         summary = batch_run.completed(study, str(given), out, recruit)
         names = chosen_figures(summary, figure or [])

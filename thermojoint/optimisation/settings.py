@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Annotated
 
 from pydantic import Field, model_validator
 
 from fesim.batch.study import RangeSection
-from fesim.batch.summary import FIGURES
+from fesim.batch.summary import columns
 from thermojoint.artefacts.settings.section import Finite, Section
 from thermojoint.sensitivity.results import check_figures
 from thermojoint.sensitivity.settings import RangesFile
@@ -54,13 +55,22 @@ class DesignFile(RangesFile):
         return [self.aim, *(limit.figure for limit in self.limits)]
 
 
-def check_names(given: DesignFile, where: str) -> None:
+def check_names(given: DesignFile, moving_axes: Iterable[str], where: str) -> None:
     """Refuse names that are neither figures nor values that are varied.
+
+    Parameters
+    ----------
+    given : DesignFile
+        The question.
+    moving_axes : iterable of str
+        Names of the moving axes of its case.
+    where : str
+        For error messages.
 
     Raises
     ------
     InputError
         There is no such figure.
     """
-    known = [*(span.path for span in given.ranges), *FIGURES]
+    known = [*(span.path for span in given.ranges), *columns(moving_axes)]
     check_figures(given.names, known, where)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
 from fesim.batch.study import Study
-from fesim.batch.summary import COUNTS, FIGURES
+from fesim.batch.summary import COUNTS
 from thermojoint.artefacts.figures import svg_address
 from thermojoint.artefacts.templates import templates_of
 from thermojoint.artefacts.units import MEGA
@@ -41,7 +42,7 @@ def study_html(study: Study, summary: pd.DataFrame, dataset: xr.Dataset) -> str:
     """
     done = summary[summary["status"] == "done"]
     paths = [path for path in study.paths if _varies(done, path)]
-    table = figure_rows(done)
+    table = figure_rows(done, study.columns)
     figures = [name for name, *_ in table if _varies(done, name)]
     return (
         templates_of("thermojoint.pictures")
@@ -63,12 +64,22 @@ def study_html(study: Study, summary: pd.DataFrame, dataset: xr.Dataset) -> str:
     )
 
 
-def figure_rows(done: pd.DataFrame) -> list[tuple[str, str, list[float]]]:
-    """Return name, meaning and `QUANTILES` of every figure that some case has."""
-    there = [name for name in FIGURES if name not in _SOLVER and name in done]
+def figure_rows(
+    done: pd.DataFrame, columns: Mapping[str, str]
+) -> list[tuple[str, str, list[float]]]:
+    """Return name, meaning and `QUANTILES` of every figure that some case has.
+
+    Parameters
+    ----------
+    done : DataFrame
+        The summary's rows of finished cases.
+    columns : mapping of str to str
+        Its figures and their meanings (`Study.columns`).
+    """
+    there = [name for name in columns if name not in _SOLVER and name in done]
     numbers = done[there].apply(pd.to_numeric, errors="coerce")
     return [
-        (name, FIGURES[name], numbers[name].quantile(QUANTILES).tolist())
+        (name, columns[name], numbers[name].quantile(QUANTILES).tolist())
         for name in there
         if numbers[name].notna().any()
     ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -47,15 +47,23 @@ def check_figures(asked: Sequence[str], known: Sequence[str], where: str) -> Non
             raise unknown_name("figure", name, known, where)
 
 
+def physical(columns: Iterable[str]) -> list[str]:
+    """Return what `--figure` may name of the columns of a study: `PHYSICAL`, and lines of axes."""
+    return [*PHYSICAL, *(name for name in columns if name not in FIGURES)]
+
+
 def chosen_figures(summary: pd.DataFrame, asked: Sequence[str]) -> list[str]:
     """Return the figures to judge: those asked for, or all of `PHYSICAL` that change.
+
+    Those over the stroke of a moving axis only where they are asked for, as there are many.
 
     Raises
     ------
     InputError
         No case has a result, or none has a figure.
     """
-    have = [name for name in PHYSICAL if name in summary and summary[name].notna().any()]
+    wanted = dict.fromkeys((*PHYSICAL, *asked))
+    have = [name for name in wanted if name in summary and summary[name].notna().any()]
     if not have:
         raise InputError(
             "no case has a result, so there are no effects; summary.csv has the reasons"

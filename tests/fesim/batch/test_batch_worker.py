@@ -7,7 +7,7 @@ from batch_cases import levels, study_in, write_study
 
 from fesim.batch import worker
 from fesim.batch.study import read_study
-from fesim.batch.summary import figures_of, is_open, is_sliding
+from fesim.batch.summary import columns, figures_of, is_open, is_sliding
 from fesim.batch.worker import Task, run
 from fesim.case.history import read_history
 from fesim.case.identity import case_id, condensation_key, file_digest, shared_key
@@ -147,3 +147,21 @@ def test_a_machine_with_axes_moves_as_in_a_simulation(changes):
     for name in ("displacement", "line_slope", "asked_displacement"):
         found, expected = outcome.response[name].to_numpy(), alone[name].to_numpy()
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-13)
+
+
+def test_a_machine_with_axes_has_figures_of_its_lines_and_of_where_its_displacement_is_largest():
+    case = moving_knee.coarse()
+    response = simulate(case, accuracy=False).response
+    figures, along_x = figures_of(response), response.sel(axis="x", moving_axis="y")
+    assert set(columns(["y"])) >= set(figures)
+    final = along_x.isel(time=-1)
+    for name, variable in (
+        ("K0_y_final_um", "line_offset"),
+        ("slope_y_final_um_per_m", "line_slope"),
+        ("left_y_final_um", "line_left"),
+    ):
+        expected = pytest.approx(1e6 * final[variable].item(), rel=1e-12)
+        assert figures[f"displacement_x_{name}"] == expected
+    everywhere = 1e6 * along_x["asked_displacement"]
+    assert abs(figures["displacement_x_asked_y_peak_um"]) == np.abs(everywhere).max().item()
+    assert figures["displacement_x_asked_y_final_um"] in everywhere.isel(time=-1).to_numpy()

@@ -148,7 +148,7 @@ def test_a_question_that_makes_no_sense_is_refused(folder, capsys, text, message
 
 
 def test_a_machine_with_axes_is_checked_by_an_iterated_march(tmp_path):
-    """It has no march with all thermal unknowns."""
+    """It has no march with all thermal unknowns; what is judged is the slope over its stroke."""
     text = PATH.read_text("utf-8")
     for old, new in (
         ("\nelement_size_mm = 50.0", "\nelement_size_mm = 100.0"),
@@ -163,12 +163,16 @@ def test_a_machine_with_axes_is_checked_by_an_iterated_march(tmp_path):
         assert old in text
         text = text.replace(old, new)
     (tmp_path / "machine.toml").write_text(text)
-    (tmp_path / "question.toml").write_text(QUESTION % 1e3)
+    slope = "displacement_x_slope_y_final_um_per_m"
+    question = (QUESTION % 1e3).replace("displacement_x_peak_um", slope)
+    (tmp_path / "question.toml").write_text(question)
     options = ("--out", tmp_path / "out", "--json", tmp_path / "found.json", "--workers", 1)
     effort = ("--population", 5, "--generations", 1)
     assert run("optimise", tmp_path / "question.toml", *options, *effort) == 0
     moved = json.loads((tmp_path / "found.json").read_text())["figures"][1]
+    assert moved["figure"] == slope
     assert moved["full_march"] == pytest.approx(moved["found"], rel=0.01)
+    assert moved["found"] > 0.1
 
 
 def test_what_was_found_is_reported_where_its_full_march_fails(folder, capsys, monkeypatch):

@@ -6,6 +6,7 @@ import pytest
 from batch_cases import grid, write_study
 from in_process import run
 
+from fesim.batch.summary import FIGURES
 from thermojoint.pictures.study_figures import fan_figure, map_figure, pair_figure, strongest
 from thermojoint.pictures.study_page import figure_rows
 
@@ -86,7 +87,7 @@ def test_a_page_shows_the_values_of_failed_cases_and_figures_that_only_some_case
         {"id": ["a", "b"], "status": "done", "reason": "", "level": [1.0, 2.0]}
         | {"displacement_x_final_um": [3.0, np.nan], "pressure_max_MPa": 5.0}
     )
-    assert [row[0] for row in figure_rows(summary)] == [
+    assert [row[0] for row in figure_rows(summary, FIGURES)] == [
         "displacement_x_final_um",
         "pressure_max_MPa",
     ]

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import moving_knee
 import numpy as np
+import pandas as pd
 import pytest
 from batch_cases import case_text
 from hypothesis import given
@@ -13,10 +14,12 @@ from hypothesis import strategies as st
 from in_process import run
 
 from fesim.batch.study import RangeSection, study_of
+from fesim.batch.summary import columns
 from fesim.case.schema import case_from_data, parse_case, read_case
 from thermojoint.artefacts.errors import InputError
 from thermojoint.sensitivity.local import effects_of, rows_of
 from thermojoint.sensitivity.parameters import Parameter, parameters_of
+from thermojoint.sensitivity.results import chosen_figures, physical
 from thermojoint.sensitivity.screening import design_of, indices_of
 
 EFFECTS = ("heat_input.level", "joints.knee.friction_coefficient", "materials.cast_iron.exp*")
@@ -78,6 +81,15 @@ def test_parameters_of_an_axis_are_not_where_it_is_read_and_meshed():
     assert paths == ["axes.y.stroke_mm.0", "axes.y.stroke_mm.1"]
     screw = moving_knee.coarse(ball_screw=moving_knee.SCREW | {"material": "cast_iron"})
     assert "axes.y.ball_screw.nut_torque_Nm" in {one.path for one in parameters_of(screw)}
+
+
+def test_lines_along_axes_are_judged_where_they_are_asked_for():
+    slope = "displacement_x_slope_y_final_um_per_m"
+    summary = pd.DataFrame({"displacement_x_final_um": [1.0, 2.0], slope: [3.0, 4.0]})
+    assert chosen_figures(summary, []) == ["displacement_x_final_um"]
+    assert chosen_figures(summary, [slope]) == [slope]
+    assert slope in physical(columns(["y"]))
+    assert "steps" not in physical(columns(["y"]))
 
 
 def test_sobol_indices_of_a_known_function_are_its_own_and_converge():
