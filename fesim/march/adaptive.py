@@ -25,6 +25,7 @@ from fesim.march.adaptive_state import (
     no_effort,
     unpacked,
 )
+from fesim.march.contact import ContactProblem
 from fesim.march.exponential import Ends, ExponentialStep, exponential_step, heat_spread
 from fesim.march.iteration import iterated_step
 from fesim.march.machine import CondensedMachine, State, Step
@@ -244,6 +245,7 @@ def _accepted(march: _March, now: Now, before: float, knot: float) -> tuple[_Tri
             if ratio <= 1.0 or ((snaps or last_chance) and part <= 1.0):
                 return tried, next_pace(pace, length, ratio, changed), rejected
             if last_chance:
+                _explain(march.machine.contact, now.state, where)
                 raise ConvergenceError(
                     f"{where}: the shortest step of {length:.2g} s is estimated to be off by "
                     f"{MEGA * moved:.2g} um and {warmed:.2g} K; raise march.tolerance_um and "
@@ -251,6 +253,15 @@ def _accepted(march: _March, now: Now, before: float, knot: float) -> tuple[_Tri
                 )
             pace = shorter(pace, length, ratio)
         rejected += 1
+
+
+def _explain(contact: ContactProblem, state: State, where: str) -> None:
+    """Raise ConvergenceError if no step is short enough because a body is about to come loose."""
+    if contact.watch is not None:
+        try:
+            contact.watch.explain(contact.gap_problem.law(state.gap, state.slip))
+        except ConvergenceError as error:
+            raise ConvergenceError(f"{where}: {error}") from error
 
 
 def _changed(march: _March, before: State, tried: _Tried) -> float:

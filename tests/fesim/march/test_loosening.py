@@ -122,6 +122,23 @@ def test_a_load_beyond_what_friction_holds_leaves_its_body_loose(rods, force):
         simulate(pushed)
 
 
+@pytest.mark.long
+def test_an_adaptive_march_names_the_body_that_a_growing_load_makes_slide(rods):
+    """However short its steps become: it is not their tolerance that ends it."""
+    folder, _ = rods
+    (folder / "growing.csv").write_text("time_s,factor\n0,0\n60,1\n")
+    force = {"surface": "middle.y1", "force_N": [500.0, 3000.0, 2000.0], "file": "growing.csv"}
+    pushed = case_of(
+        rods,
+        (("held_temperatures", "middle.z1", "rise_K"), 0.0),
+        (("loads", "push"), force),
+        (("march", "method"), "adaptive"),
+        (("march", "thermal"), "reduced"),
+    )
+    with pytest.raises(ConvergenceError, match="keep body 'middle' from turning about x"):
+        simulate(pushed)
+
+
 FRICTIONLESS = [(("joints", name, "friction_coefficient"), 0.0) for name in ("first", "second")]
 
 
