@@ -29,7 +29,8 @@ def without_home(tmp_path, temporary):
     no_folder.touch()
     names = ("HOME", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME")
     environment = os.environ | dict.fromkeys(names, str(no_folder / "below"))
-    return environment | {"TMPDIR": str(temporary), "THERMOJOINT_CACHE": ""}
+    kept = {"TMPDIR": str(temporary), "THERMOJOINT_CACHE": "", "NUMBA_CACHE_DIR": ""}
+    return environment | kept
 
 
 def run(arguments, environment, **options):
