@@ -142,7 +142,7 @@ def test_between_its_steps_the_march_is_as_good_as_at_their_ends(bars):
 
 def test_a_tolerance_that_no_step_meets_is_an_error(bars):
     with pytest.raises(ConvergenceError, match=r"step to t = .*tolerance_um"):
-        marched(bars, driven(), np.array([END]), Tolerance(1e-22, 1.0))
+        marched(bars, driven(), np.array([END]), Tolerance(1e-27, 1.0))
 
 
 @settings(max_examples=40)
