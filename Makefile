@@ -9,7 +9,7 @@ EXTRAS := pardiso view excel gmsh batch sensitivity dask control serve
 empty :=
 comma := ,
 
-.PHONY: install reproduce test test-long coverage portable portable-plain portable-avx2 portable-threads lint types docs constraints sbom wheel check bench plants images clean
+.PHONY: install reproduce test test-long coverage portable portable-plain portable-avx2 portable-threads numerical lint types docs constraints sbom wheel check bench plants images clean
 
 install: $(INSTALLED)
 
@@ -51,6 +51,10 @@ AVX2 := OPENBLAS_CORETYPE=Haswell NPY_DISABLE_CPU_FEATURES='X86_V4 AVX512_ICL AV
 	NUMBA_CPU_NAME=haswell MKL_CBWR=COMPATIBLE THERMOJOINT_SOLVER=pardiso
 
 portable: portable-plain portable-avx2 portable-threads
+
+# As this processor computes it: for another Python than the tests have run with.
+numerical: $(INSTALLED)
+	$(PYTEST) $(SHARED) -m 'not long' $(NUMERICAL)
 
 portable-plain: $(INSTALLED)
 	$(PLAIN) $(BIN)/python -m pytest $(SHARED) $(NUMERICAL)

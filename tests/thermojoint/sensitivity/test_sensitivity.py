@@ -66,7 +66,9 @@ def test_parameters_are_the_numbers_of_the_machine_and_not_of_its_mesh_or_march(
     assert [parameter.path for parameter in named] == ["joints.knee.friction_coefficient"]
 
 
-@pytest.mark.parametrize("name", ["reference", "iso230_3_etve"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("reference", marks=pytest.mark.long), "iso230_3_etve"]
+)
 def test_every_number_of_a_shipped_machine_is_varied_as_far_as_its_parts_fit(name):
     source = Path(files("thermojoint").joinpath(f"cases/{name}.toml"))
     parameters, reasons = parameters_of(read_case(source)), []
