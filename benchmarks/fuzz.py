@@ -202,12 +202,11 @@ def page(counted: list[list[str]], count: int, seed: int) -> str:
             "# Damaged inputs",
             "",
             f"Randomly damaged case files (TOML), histories (CSV) and meshes ({formats}), given to "
-            "`thermojoint simulate`. Every input must result either in a complete response, or in "
-            "one line that says what is wrong, with only warnings besides it on standard error, "
-            "exit code 2 and no file left behind. A traceback, a hang or a partial file is a "
-            "failure, and so is a changed input file: in "
-            f"{SLIPS:.0%} of the runs an input is also named as the output. Many kinds of damage "
-            "leave a valid input: a changed number, a lost line. Written by",
+            "`thermojoint simulate`. Every input must produce either a complete response, or exit "
+            "code 2, a one-line error message with at most warnings besides it on standard error, "
+            "and no file left behind. A traceback, a hang, a partial file or a changed input file "
+            f"is a failure; in {SLIPS:.0%} of the runs an input is also named as the output. Some "
+            "damage leaves a valid input: a changed number, a lost line. Command:",
             "",
             "```sh",
             f"python -m benchmarks.fuzz --count {count} --seed {seed} --markdown "

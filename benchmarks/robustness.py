@@ -324,7 +324,7 @@ HEADER = (
     "structure",
     "highest friction",
     "simulations",
-    "a body or bolt comes loose, surfaces yield, or oscillates by itself",
+    "a body or bolt comes loose, surfaces yield, or the structure oscillates",
     "failed",
     "steps",
     "iterations per step",
@@ -396,18 +396,26 @@ def page(lines: list[tuple[str, ...]], ended: list[str], first: int, count: int)
             "",
             f"{count} random simulations of {STEPS} steps (seed {SEED}): four in five on the "
             "equal-heights machine with elements of 100 mm, the rest on the bolted flange of the "
-            "examples with its three bodies and three joints. Drawn for each structure: for each "
-            "body conductivity 10 to 400 W/(m K), heat capacity 31 to 1000 J/(kg K), modulus 50 to "
-            "250 GPa, expansion 5 to 25e-6 1/K; one body a hundred times softer to a million times "
-            "stiffer; convection 2 to 50 W/(m² K); the height of the source; a step of "
-            f"{STEP_SECONDS[0]:g} to {STEP_SECONDS[-1]:g} s, in one of {WIDE} structures of "
-            f"{WIDE_STEPS[0]:g} to {WIDE_STEPS[1]:g} s (wide steps; half of these machines have "
-            f"{MANY[0] * MANY[1]} contact elements). Drawn for each simulation: for each "
-            "joint friction 0.05 to 10 (on the machine one in ten without), preload 0.1 to 20 MPa, "
-            "both normal laws, roughness 0.2 to 5 µm, tangential stiffness 0.2 to 1 of the normal "
-            "one; heat input 0.1 to 6, one in four cooling; step, ramp or triangle; one in five "
-            "with iterated coupling. A joint may open completely, which is a valid result. A "
-            f"contact element is open below {OPEN_BELOW:g} of its preload. Written by",
+            "examples, with three bodies and three joints. Random for each structure:",
+            "",
+            "- for each body: conductivity 10 to 400 W/(m K), heat capacity 31 to 1000 J/(kg K), "
+            "modulus 50 to 250 GPa, expansion 5 to 25e-6 1/K;",
+            "- one body made a hundred times softer to a million times stiffer;",
+            "- convection 2 to 50 W/(m² K), and the height of the source;",
+            f"- a step of {STEP_SECONDS[0]:g} to {STEP_SECONDS[-1]:g} s, in one of {WIDE} "
+            f"structures of {WIDE_STEPS[0]:g} to {WIDE_STEPS[1]:g} s (wide steps; half of these "
+            f"machines have {MANY[0] * MANY[1]} contact elements).",
+            "",
+            "Random for each simulation:",
+            "",
+            "- for each joint: friction 0.05 to 10 (on the machine one in ten without), preload "
+            "0.1 to 20 MPa, both normal laws, roughness 0.2 to 5 µm, tangential stiffness 0.2 to 1 "
+            "of the normal one;",
+            "- heat input 0.1 to 6, one in four cooling; step, ramp or triangle;",
+            "- coupling, iterated in one in five.",
+            "",
+            "A joint may open completely, which is a valid result. A "
+            f"contact element counts as open below {OPEN_BELOW:g} of its preload. Command:",
             "",
             "```sh",
             f"python -m benchmarks.robustness --first {first} --count {count} "
@@ -418,16 +426,20 @@ def page(lines: list[tuple[str, ...]], ended: list[str], first: int, count: int)
             "",
             "Iterations are Newton iterations of the gap equations, including all sweeps of "
             "iterated coupling. After snap-through, viscous steps lead to the next equilibrium "
-            "([march.md](march.md)). A failed simulation is printed with its number; "
-            "`--first NUMBER --count 1` repeats it. One whose pressures alternate from step to "
-            "step counts as failed, unless they go to and fro by as much in steps of a tenth or a "
-            "hundredth, which resolve it: heat and pressure then drive each other, and the "
-            "structure oscillates by itself. Its summary says that the steps are "
-            "too long. A body comes loose where heat opens all of its constraints, and "
-            "surfaces yield where a pressure passes half of their hardness; the "
-            "simulation then ends with a message. Simulations under loads, with "
-            "bolts and joints that start open, are in [loads.md](loads.md#subdivided-steps). Ended "
-            "early:",
+            "([march.md](march.md)).",
+            "",
+            "- A failed simulation is printed with its number; `--first NUMBER --count 1` repeats "
+            "it.",
+            "- A simulation whose pressures alternate from step to step counts as failed, unless "
+            "steps of a tenth or a hundredth resolve an oscillation of the same size. Heat and "
+            "pressure then drive each other, and the structure oscillates by itself; the summary "
+            "reports that the steps are too long.",
+            "- A body comes loose where heat opens all of its constraints, and surfaces yield "
+            "where a pressure exceeds half of their hardness; the simulation then ends with a "
+            "message.",
+            "",
+            "[loads.md](loads.md#subdivided-steps) has simulations under loads, with bolts and "
+            "joints that start open. Ended early or oscillating:",
             "",
             *(ended or ["- none"]),
             "",
