@@ -1,7 +1,7 @@
-"""What is left of the uncertainty of readings that were away, while and after they are.
+"""Uncertainty due to missing readings, while they are missing and after they return.
 
-The covariance that they leave is marched with the gain of all readings: exported programs, which
-have no covariance, look it up.
+After their return the covariance is propagated with the gain of all readings. Exported programs,
+which have no covariance, look it up in these tables.
 """
 
 from __future__ import annotations
@@ -16,31 +16,31 @@ from fesim.axes.guideway import Place
 from thermojoint.artefacts.arrays import Array
 from thermojoint.reduced.axis_way import Way
 
-#: So many samples are as long as any absence lasts or counts.
+#: Most samples over which an absence lasts or has an effect.
 LONGEST = 1 << 16
 #: Tolerance of a number of samples.
 SLACK = 1e-6
-#: An odometer that is away for longer than this, s, counts as one away for so long: the axis has
-#: warmed through. What is left of its way is dropped below this part of the most.
+#: Absences of an odometer longer than this, s, count as this long: the axis has warmed through by
+#: then. Uncertainty below this fraction of its largest value is dropped.
 AWAY, NEGLIGIBLE = 8.0 * 3600.0, 0.01
-#: Joints that slide make up to this factor of what the linear model says of a way: at most 1.9 on a
-#: knee with a friction coefficient of 0.2.
+#: With sliding joints, travel has up to this many times the effect of the linear model: at most 1.9
+#: on a knee with a friction coefficient of 0.2.
 NONLINEAR = 2.0
 
 
 class Absence(NamedTuple):
-    """What absences leave, by their length and by the time since they ended."""
+    """Uncertainty that absences leave, by their length and by the time since they ended."""
 
-    #: Shape (d,): how many samples something was away; the last one stands for more.
+    #: Shape (d,): lengths of absences in samples; the last one also stands for longer ones.
     away: Array
-    #: Shape (t,): for how many samples it is back; after the last, nothing is left.
+    #: Shape (t,): numbers of samples since the return; after the last, no uncertainty is left.
     back: Array
-    #: Shape (cases, d, t, axes): what is left from then on.
+    #: Shape (cases, d, t, axes): uncertainty from then on.
     left: Array
 
     def of(self, case: int, away: float, back: float) -> Array:
-        """Return what is left of a case, (axes,), after samples without it and since then."""
-        # Times are sums of steps.
+        """Return the uncertainty of a case, (axes,), by samples of absence and since the return."""
+        # Times are sums of steps, with rounding errors.
         longer = int(np.searchsorted(self.away, away * (1.0 - SLACK)))
         since = int(np.searchsorted(self.back, back * (1.0 + SLACK), side="right")) - 1
         return np.asarray(self.left[case, min(longer, len(self.away) - 1), since])
@@ -67,11 +67,11 @@ def left_by(observer: Observer, away: Sequence[int], factors: Sequence[Sequence[
     Parameters
     ----------
     observer : Observer
-        All of whose readings are back.
+        With all its readings present again.
     away : sequence of int
-        How many samples they were away.
+        Lengths of the absences in samples.
     factors : sequence of sequences of ndarray, shape (n, k)
-        Of every case the covariance factors after absences so long.
+        For every case, the covariance factors after absences of these lengths.
     """
     system, tangent = observer.system, observer.model.band.tangent
     joined = np.concatenate([one for case in factors for one in case], axis=1)
@@ -86,18 +86,19 @@ def left_by(observer: Observer, away: Sequence[int], factors: Sequence[Sequence[
         if count > 0 and ((left[-1] <= least).all() or count >= LONGEST):
             break
     every = np.array(left).reshape(len(left), len(factors), len(away), -1).transpose(1, 2, 0, 3)
-    # Nor less than after the next shorter absence, nor than later.
+    # Never less than after the next shorter absence, or than later on.
     every[:, 1:] = np.maximum(every[:, 1:], every[:, :-1])
     every = np.maximum.accumulate(every[:, :, ::-1], axis=2)[:, :, ::-1]
     return Absence(np.array(away, dtype=float), np.array(back, dtype=float), every)
 
 
 def untold(observer: Observer) -> Absence:
-    """Return the half-width that ways leave which odometers have not told, m.
+    """Return the half-width due to travel that odometers have not reported, m.
 
-    While it is away the axis may have gone as fast as in its fastest minute of the calibration, all
-    the time or not at all. The cases are each odometer that tells all of it at once when it is
-    back, as heat of one sample, and then each that never does, as it was set anew.
+    While an odometer is missing, its axis may have moved at the speed of its fastest minute of the
+    calibration all the time, or not at all. The cases are first each odometer that reports the
+    whole travel when it returns, as heat of one sample, and then each that never does, as it was
+    reset.
 
     Parameters
     ----------
@@ -128,7 +129,7 @@ def untold(observer: Observer) -> Absence:
         left.append(np.abs(rows @ power @ after))
         if left[-1].max() <= NEGLIGIBLE * left[0].max() or count >= LONGEST:
             break
-    # The most of all places of the heat, and of all at which the displacement is asked for.
+    # Maximum over the places of the heat and over those where the displacement is evaluated.
     axes = len(observer.model.axes)
     every = np.array(left).reshape(len(back), 2, len(away), -1, axes, len(each), len(places))
     every = every.max(axis=(3, 6)).transpose(1, 4, 2, 0, 3)
@@ -138,7 +139,7 @@ def untold(observer: Observer) -> Absence:
 
 
 def _ends_and_middle(observer: Observer) -> list[Place]:
-    """Where axes may have stood: all at one end, in the middle, at the other."""
+    """Positions of the axes: all at one end, all in the middle, all at the other end."""
     way = observer.model.modes.way
     assert way is not None  # with axes
     strokes = [one[[0, len(one) // 2, -1]] for one in way.stations.positions]
@@ -146,7 +147,7 @@ def _ends_and_middle(observer: Observer) -> list[Place]:
 
 
 def _later(observer: Observer, before: Array, place: Place, gone: Place) -> Array:
-    """Linear state and drives (n + d,) a step later, on axes that go there and back at a place."""
+    """Linear state and drives (n + d,) a step later; axes travel `gone` to and fro at a place."""
     size, way = observer.system.size, Way(place, place, gone)
     parts = before[:size], before[size:]
     return np.concatenate(observer.later(parts, observer.physics.rest, observer.model.step, way))
@@ -159,7 +160,7 @@ def _cold(observer: Observer) -> Array:
 
 
 def _march(observer: Observer) -> Array:
-    """What becomes in a step of linear state and drives (n + d, n + d), axes in the middle."""
+    """Transition matrix (n + d, n + d) of linear state and drives, axes in the middle."""
     cold, place = _cold(observer), _ends_and_middle(observer)[1]
     still = (0.0,) * len(place)
     first = _later(observer, cold, place, still)
@@ -168,7 +169,7 @@ def _march(observer: Observer) -> Array:
 
 
 def _way_heat(observer: Observer, place: Place, axis: int) -> Array:
-    """What the fastest way of an axis in a step adds to linear state and drives, (n + d,)."""
+    """Change of linear state and drives by the fastest travel of an axis in a step, (n + d,)."""
     cold, gone = _cold(observer), np.zeros(len(place))
     still = _later(observer, cold, place, tuple(gone.tolist()))
     gone[axis] = observer.model.calibrated.speeds[axis] * observer.model.step
@@ -176,7 +177,7 @@ def _way_heat(observer: Observer, place: Place, axis: int) -> Array:
 
 
 def _rows(observer: Observer) -> Array:
-    """Displacement per linear state and drives, m, (places axes, n + d)."""
+    """Displacement per linear state and drives at every place, m, (places axes, n + d)."""
     model, drives, cold = observer.model, observer.model.modes.drives, _cold(observer)
     assert drives is not None  # with axes
     size, none, found = observer.system.size, len(model.modes.elastic.probe_thermal), []

@@ -195,14 +195,14 @@ class AgeingJointAware:
         )
         if not estimate.status & ~TEACHES:
             after = self._counting(after, values, length)
-        # Innovations are recovered from what the correction left: convection changes it afterwards.
+        # Innovations are recovered from the state after the correction, before convection acts.
         left = [
             self._with_convection(run, factor, length)
             for run, factor in zip(after.runs, factors, strict=True)
         ]
         after = replace(after, runs=np.array(left))
         at = self._probed(values)
-        # What the observer refuses teaches nothing.
+        # A reading that the observer refuses is not used for learning.
         if at.any() and not estimate.status & Status.READING_REFUSED:
             innovation, sensitivity, variance = self._without(before, machines, time, values, at)
             unbiased = np.zeros((len(innovation), before.learnt.size - count))

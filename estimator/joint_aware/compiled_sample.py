@@ -33,13 +33,13 @@ from thermojoint.artefacts.arrays import Array, Flags
 
 
 class Possible(NamedTuple):
-    """What changes of heat may explain of the innovations (`trust.possible_heat`)."""
+    """Data to explain innovations by changes of heat (`trust.possible_heat`)."""
 
     #: Shape (p + 1, s): readings per W of a change since the sample before, K/W.
     onset: Array
-    #: Shape (s, p + 1): change that explains most of innovations, W/K.
+    #: Shape (s, p + 1): best-fitting change of heat per innovation, W/K.
     found: Array
-    #: Shape (s,): most heat of each source, and how far a change may lead beyond it or zero, W.
+    #: Shape (s,): largest heat of each source, and tolerance beyond it or below zero, W.
     most: Array
     slack: Array
     #: Shape (p + 1, p + 1): covariance of the innovations with the steady covariance, K2.
@@ -63,16 +63,16 @@ class Filter(NamedTuple):
     channels: Channels
     #: Thresholds for rejecting a reading.
     rules: Thresholds
-    #: What changes of heat explain.
+    #: Data to explain innovations by changes of heat.
     possible: Possible
     #: Shape (d + axes,): decay rates of the corrections by displacement readings, 1/s.
     forgetting: Array
 
 
 class Shown(NamedTuple):
-    """What n samples show, written in place."""
+    """Results of n samples, written in place."""
 
-    #: Shape (n, axes): displacement, m, without corrections by innovations and by readings of it.
+    #: Shape (n, axes): displacement before corrections by innovations and its readings, m.
     displacement: Array
     #: Shape (n, s q): relaxations of the heat.
     relaxed: Array
@@ -81,7 +81,7 @@ class Shown(NamedTuple):
 
 
 def shown_by(count: int, sizes: tuple[int, int, int]) -> Shown:
-    """Return storage for so many samples; `sizes`: what each of them has of each."""
+    """Return storage for `count` samples; `sizes` are the numbers of values per sample."""
     return Shown(*(np.empty((count, size)) for size in sizes))
 
 
@@ -189,7 +189,7 @@ def _usual(
     readings: Array,
     displacement: Array,
 ) -> bool:
-    """One of the samples: readings (p + 1,) at a time (s)."""
+    """Process one sample: readings (p + 1,) at a time (s); False if it is not ordinary."""
     own, heat, joint, work = place.own, place.heat, place.joint, place.work
     channels, size = own.rows.shape
     for k in range(channels):
@@ -233,10 +233,10 @@ def _usual(
 
 @compiled_part
 def _alike(possible: Possible, rules: Thresholds, work: SampleWork, heat: Array) -> bool:
-    """Whether no innovation is a contradiction or a jump, as `sensor_faults` and `trust` find.
+    """Whether no innovation is a contradiction or a jump by `sensor_faults` and `trust`.
 
-    False as well where the change of heat (s,), W, that explains most is not possible: then bounds
-    have to be kept, which is left to the observer.
+    Also False where the best-fitting change of heat is not possible: then bounds apply, which is
+    left to the observer. `heat` (s,) is the present one, W.
     """
     innovation, change, rest, unit = work.innovation, work.heat_change, work.rest, work.unit
     for s in range(heat.size):

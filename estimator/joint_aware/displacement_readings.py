@@ -5,10 +5,10 @@ columns L, corrected by a reading like by any other measurement), and the model 
 parts e have unit variance before any reading: one for each drawn machine of the band (`Band.open`),
 whose error in the displacement follows the heat of the last hours, for each axis one for each
 thermometer, whose error follows the innovations that last (`Band.surprise`), and one for each axis,
-for the rest of the band. A reading thus tells which of the machines that the calibration cannot
-distinguish this one is, and corrects all axes, at any later heat; and what it means for the
-displacement that a thermometer disagrees with the model, which is a property of the machine. The
-parts decay over `machine_memory`, `innovation_memory` and `memory` of `DisplacementProbe`.
+for the rest of the band. A reading thus narrows down which of the machines that the calibration
+cannot distinguish is present, and corrects all axes at any later heat. It also determines the
+displacement per innovation of a thermometer, which is a property of the machine. The parts decay
+over `machine_memory`, `innovation_memory` and `memory` of `DisplacementProbe`.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from estimator.interface import READING_NOISE
 from estimator.joint_aware.observer_model import Band
 from thermojoint.artefacts.arrays import Array
 
-#: How often a model's error is enlarged at most, each time by what a reading is still beyond one
-#: standard deviation: what is not of the model, such as the noise of the reading, does not grow.
+#: Most enlargements of the model error, each by the factor by which a reading still exceeds its
+#: variance; other parts of the variance, such as the noise of the reading, are not enlarged.
 ENLARGED = 10
 
 
@@ -33,24 +33,24 @@ class DisplacementProbe:
 
     #: Standard deviation of a reading, m.
     noise: float = READING_NOISE
-    #: Correlation times of the model's error, s: of its rest, of what the calibration did not
-    #: determine, and of what innovations of the thermometers mean.
+    #: Correlation times of the model error, s: of its rest, of the part that the calibration did
+    #: not determine, and of the effect of innovations of the thermometers.
     memory: float = 4.0 * 3600.0
     machine_memory: float = 8.0 * 3600.0
     innovation_memory: float = 8.0 * 86400.0
     #: Innovation gate in standard deviations, beyond which a reading is refused.
     gate: float = 5.0
-    #: A second reading beyond the gate confirms the first if it differs by no more than this share
-    #: from it; as vectors, since along some axes both may be right.
+    #: A second reading beyond the gate confirms the first if it differs from it by no more than
+    #: this share; as vectors, since both may agree with the model along some axes.
     alike: float = 0.5
 
 
 class ModelError(NamedTuple):
-    """Estimate of the parts e of the model error: d that axes share, then those of the axes.
+    """Estimate of the parts e of the model error: d shared by the axes, then one per axis.
 
     The shared ones are those of the drawn machines, then of the lasting innovations.
 
-    `refused` is what the last refused reading differed by from the estimate, m; NaN for none.
+    `refused` is the last refused reading minus the estimate, m; NaN for none.
     """
 
     #: Shape (axes,): of the axes' own parts; 0 and 1 without any reading.
@@ -80,7 +80,7 @@ def covariance_of(known: ModelError) -> Array:
 
 
 def known_error(mean: Array, covariance: Array, refused: Array) -> ModelError:
-    """Return the estimate of a mean (d + axes,) and a covariance of e."""
+    """Return the estimate with a mean (d + axes,) and a covariance of e."""
     axes = refused.size
     count, variance = mean.size - axes, np.diag(covariance)[mean.size - axes :]
     shared = covariance - np.diag(np.append(np.zeros(count), variance))
@@ -105,9 +105,9 @@ class Correction(NamedTuple):
 
     #: Shape (n + p + 1,): increment of the linear state, and of the errors of the readings.
     state: Array
-    #: Shape (n + p + 1, k): L after it.
+    #: Shape (n + p + 1, k): L after the reading.
     covariance_factor: Array
-    #: After it.
+    #: Model error after the reading.
     known: ModelError
     #: The reading is inconsistent: the estimate is not changed.
     refused: bool
@@ -123,9 +123,8 @@ def correct_by(
 ) -> Correction:
     """Return the correction by a displacement reading.
 
-    A reading beyond the gate is refused. If the next one of its axes is off by as much, it is the
-    model that is wrong: its error is taken to be so many times larger that the reading is one
-    standard deviation off.
+    A reading beyond the gate is refused. If the next one of these axes differs by as much, the
+    model is wrong: its error is enlarged until the reading is one standard deviation off.
 
     With Y = T L and S = Y Y' + E var(e) E' + diag(steady + noise^2), the gains are L Y' S^-1 and
     var(e) E' S^-1. Correlations between L and e are neglected.
@@ -141,9 +140,9 @@ def correct_by(
     parts : ndarray, shape (axes, d + axes)
         E: model error per part, m.
     factor : ndarray, shape (n + p + 1, k)
-        L.
+        L before the reading.
     known : ModelError
-        Before it.
+        Model error before the reading.
     """
     at = np.flatnonzero(np.isfinite(innovation))
     before, seen = covariance_of(known), band.tangent[at] @ factor[: band.tangent.shape[1]]

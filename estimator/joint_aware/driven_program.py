@@ -1,6 +1,6 @@
-"""Drives of axes in an exported program: a ball screw or a scale, as `reduced.axis_drive` has them.
+"""Drives of axes in an exported program: a ball screw or a scale, as in `reduced.axis_drive`.
 
-A step takes the nominal interval, so that all but the film is constant.
+Steps have the nominal length, so everything but the film is constant.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ TERMS = 18
 
 
 class Driven(NamedTuple):
-    """What a template needs of drives."""
+    """Data of drives for a template."""
 
-    #: Numbers of each drive.
+    #: Parameters of each drive.
     drives: list[dict[str, Any]]
     tables: list[Table]
-    #: How many surfaces screws heat, and how many temperatures of the machine drives feel.
+    #: Number of surfaces that screws heat, and of machine temperatures that act on drives.
     heated: int
     felt: int
-    #: Numbers of the state.
+    #: Number of values of the state.
     state: int
-    #: Of the drives' step, and of what they add at a place.
+    #: Of the drives' step, and of their contribution at a place.
     step: Operations
     place: Operations
 
 
 def driven(model: ObserverModel) -> Driven:
-    """Return what the program of a model with moving axes has of their drives."""
+    """Return the data of the drives in the program of a model with moving axes."""
     every, step = model.modes.drives, model.step
     assert every is not None  # with axes
     drives, tables = list[dict[str, Any]](), list[Table]()
@@ -50,7 +50,7 @@ def driven(model: ObserverModel) -> Driven:
         common = {
             "axis": k,
             "cells": 0,
-            # Of one that stands on seats, what it adds there is found beside the lines.
+            # With seats, its contribution at the zero is found together with the lines.
             "zero": None if k in every.seated_zeros else own.zero,
             "counted": axis.odometer,
             "shortest": SHORTEST,
@@ -63,7 +63,7 @@ def driven(model: ObserverModel) -> Driven:
             tables.append(Table(f"rates_{k}", "Of the modes of a screw, 1/s.", along.rates))
             tables.append(Table(f"modes_{k}", "Their cells, mode by mode.", along.modes.T.copy()))
             common |= _screw(own.screw, step)
-        # The control reads a scale, wherever a screw has gone.
+        # The control reads the scale, regardless of the screw.
         drives.append(common | _scale(own.scale, step) if own.scale is not None else common)
     heated, felt = every.heated.shape[1], len(every.felt)
     if heated:
@@ -93,7 +93,7 @@ def _scale(scale: Scale, step: float) -> dict[str, Any]:
         "expansion": scale.expansion,
         "head": scale.head - scale.fixed,
         "kept": math.exp(-decay),
-        # Of the change of what it follows, in a step.
+        # Share of the change of the temperature that it follows, in a step.
         "taken": 1.0 - one,
     }
 

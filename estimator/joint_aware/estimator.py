@@ -48,7 +48,7 @@ from thermojoint.reduced.physics import heat_step
 #: Half-width of the 95 % interval, in standard deviations.
 WIDTH = 1.96
 
-#: Most samples that are taken at once; those after the first unusual one are taken again.
+#: Most samples processed at once; those after the first unusual one are processed again.
 AT_ONCE = 1000
 
 #: A position this far beyond the stroke, m, is still its end: a millimetre of overtravel.
@@ -58,7 +58,7 @@ Names = tuple[str, ...]
 
 
 class Read(NamedTuple):
-    """What a sample says; NaN where it says nothing."""
+    """Values of a sample by quantity; NaN where missing."""
 
     #: Shape (p + 1,): of the sensors, without their offsets, and of the ambient, K.
     temperatures: Array
@@ -66,7 +66,7 @@ class Read(NamedTuple):
     factors: Array
     #: Shape (c,): odometers, m.
     gone: Array
-    #: Shape (t,): W.
+    #: Shape (t,): powers, W.
     powers: Array
     #: Shape (axes,): displacements, m.
     displacements: Array
@@ -77,9 +77,9 @@ class Taken(NamedTuple):
 
     #: State after the sample.
     after: ObserverState
-    #: Shape (axes,): m, without corrections by innovations and by readings of it.
+    #: Shape (axes,): before corrections by innovations and its readings, m.
     displacement: Array
-    #: Knowledge of the joint's slips before it.
+    #: Knowledge of the joint's slips before the sample.
     memory: float
     #: Shape (n, k): covariance factor in addition to the steady covariance, after the readings.
     covariance_factor: Array
@@ -87,7 +87,7 @@ class Taken(NamedTuple):
     believed: sensor_faults.Flags
     #: Whether a displacement reading was refused.
     refused: bool
-    #: How many of the model's steps apart the machine is sampled.
+    #: Sampling interval in steps of the model.
     often: int
 
 
@@ -131,7 +131,7 @@ class JointAware(Described):
 
     @cached_property
     def channels(self) -> tuple[Channel, ...]:
-        """Sensors and the ambient, above the ambient at which the machine was cold, K.
+        """Sensors and the ambient, relative to the ambient of the cold machine, K.
 
         Then factors of the loads that change, the positions of moving axes, m, their odometers, m,
         and powers of sources, W. Displacement readings come last, m; a sample may end before them.
@@ -148,9 +148,9 @@ class JointAware(Described):
     def details(self) -> tuple[Channel, ...]:
         """Heat of every source, the ambient, and the lowest and highest pressure in the joints.
 
-        With moving axes, of each displacement with a line for its control that line, and the
-        displacement at the present position and at those asked about. With several, the lines of
-        every displacement along each of them, the others where they stand.
+        With moving axes also, for each displacement whose line a control is given: that line, and
+        the displacement at the present position and at the positions asked for. With several, the
+        lines of every displacement along each of them too, the others at their present positions.
         """
         along = [axis.name for axis in self.model.moving_axes]
         asked = [axis.asked for axis in self.model.moving_axes]
@@ -185,7 +185,7 @@ class JointAware(Described):
 
     @cached_property
     def forgetting(self) -> Array:
-        """How fast displacement readings are forgotten (`displacement_readings.forgetting`)."""
+        """Decay rates of displacement readings (`displacement_readings.forgetting`), 1/s."""
         return displacement_readings.forgetting(self.model.band, self.thresholds.probe)
 
     @cached_property
@@ -218,7 +218,7 @@ class JointAware(Described):
         return np.zeros(0) if drives is None else drives.cold
 
     def _place(self, loads: Array) -> Array:
-        """Where the axes stand, (x,), m, by the factors (l,) of a sample."""
+        """Positions of the axes, (x,), m, from the loads (l,) of a sample."""
         return loads[loads.size - len(self.model.moving_axes) :]
 
     @property
@@ -239,16 +239,16 @@ class JointAware(Described):
         )
 
     def zero_of(self, temperatures: Array, ambient: float) -> float:
-        """Return an ambient as that of the cold machine, or NaN if it cannot be.
+        """Return an ambient if it can be that of the cold machine, else NaN.
 
-        Above a broken reading of the ambient most sensors read what is impossible.
+        Relative to a faulty reading of the ambient, most sensors have impossible values.
 
         Parameters
         ----------
         temperatures : ndarray, shape (p,)
             Of the sensors, NaN where missing.
         ambient : float
-            From the same zero, K.
+            Relative to the same zero, K.
         """
         low, high = possible_readings(self.calibrated_readings, self.thresholds)
         rises = temperatures - ambient
@@ -319,7 +319,7 @@ class JointAware(Described):
 
     @property
     def _possible(self) -> compiled_sample.Possible:
-        """What changes of heat since the last step explain of the innovations."""
+        """Data to explain innovations by changes of heat since the last step."""
         onset, most, slack = possible_heat(self.observer, 1)
         covariance = self.observer.innovation_covariance(self.observer.known_start)
         found = fault_isolation.explaining_heat(onset, covariance)
@@ -331,9 +331,9 @@ class JointAware(Described):
         Parameters
         ----------
         state : ndarray
-            After the sample before; it stays as it is.
+            After the previous sample; it is not modified.
         time : float
-            s, later than that of the sample before.
+            s, later than that of the previous sample.
         values : sequence of float
             As `channels`; NaN where a reading is missing.
 
@@ -342,7 +342,7 @@ class JointAware(Described):
         InputError
             Time does not increase, or the number of values is wrong.
         ConvergenceError
-            The joint has no equilibrium that is found at these temperatures.
+            No equilibrium of the joint is found at these temperatures.
         """
         flat, taken, read = self._processed(state, time, values)
         return flat, self._estimate(taken, time, read)
@@ -350,7 +350,7 @@ class JointAware(Described):
     def _processed(
         self, state: Array, time: float, values: Sequence[float]
     ) -> tuple[Array, Taken, Read]:
-        """The state after a sample, how it was taken, and what was read."""
+        """State after a sample, the result of processing it, and its values."""
         read = self.separated(values)
         readings, factors, odometers, powers, probed = read
         if powers.size:
@@ -358,7 +358,7 @@ class JointAware(Described):
         flat = state.copy()
         after = unpacked(flat, self.parts)
         moment = self._moment(float(after.time), time)
-        # A factor that is not read is the one before.
+        # A missing factor keeps its last value.
         now = after.loads[: factors.size]
         now[:] = np.where(np.isnan(factors), now, factors)
         counted, unread = after.gone.copy(), np.isnan(odometers)
@@ -381,26 +381,26 @@ class JointAware(Described):
         return flat, taken, read
 
     def _passed(self, before: Array, loads: Array) -> Array:
-        """How far axes with odometers have gone since a state, (c,), m, as their positions tell."""
+        """Least travel of axes with odometers since a state, (c,), m, from their positions."""
         least = self._place(loads) - self._place(unpacked(before, self.parts).loads)
         return np.abs(least)[list(self.model.counted)]
 
     def _possible_ways(self, counted: Array, since: Array) -> Flags:
-        """Whether axes can have gone what odometers count, m, read `since` s ago, all (c,).
+        """Whether axes can have travelled what odometers report, m, read `since` s ago, all (c,).
 
-        What no axis can go means that one was set anew: then only the positions tell.
+        A distance that no axis can travel means a reset odometer: then only positions count.
         """
         with np.errstate(invalid="ignore"):
             return np.asarray((counted >= 0.0) & (counted <= self.thresholds.fastest * since))
 
     def _gone(self, counted: Array) -> Array:
-        """How far each axis has gone, (x,), m, as odometers count, (c,)."""
+        """Travel of every axis, (x,), m, from that of the axes with odometers, (c,)."""
         gone = np.zeros(len(self.model.moving_axes))
         gone[list(self.model.counted)] = counted
         return gone
 
     def _set_anew(self, before: ObserverState, anew: Flags) -> ObserverState:
-        """The state in which odometers (c,) that were set anew never tell what was gone."""
+        """State after a reset of odometers (c,), which will never report missed travel."""
         (telling, never), (back, since) = np.split(before.away, 2), np.split(before.back, 2)
         lost = anew & (telling > 0.0)
         return before._replace(
@@ -410,12 +410,12 @@ class JointAware(Described):
 
     @cached_property
     def untold(self) -> absence.Absence | None:
-        """What ways leave that odometers have not told, m; None where there are none."""
+        """Uncertainty due to unreported travel, m; None without odometers or known speeds."""
         known = self.model.ways and self.model.calibrated.speeds
         return absence.untold(self.observer) if known else None
 
     def _untold(self, before: ObserverState, elapsed: float, whole: bool) -> tuple[Array, Array]:
-        """How long odometers were away, and are back while all readings are, (2 c,), s."""
+        """How long odometers were missing, and are back with all readings present, (2 c,), s."""
         unread = np.append(before.unheard > 0.0, np.zeros(before.unheard.size, dtype=bool))
         away = before.away + elapsed * unread
         if not away.any() or self.untold is None:
@@ -425,7 +425,7 @@ class JointAware(Described):
         return away * counts, back * counts
 
     def _of_untold_ways(self, after: ObserverState) -> Array:
-        """Half-width (axes,) of what odometers that were away have not told, m."""
+        """Half-width (axes,) due to travel that odometers have not reported, m."""
         step, pairs = self.model.step, zip(after.away, after.back, strict=True)
         every = np.zeros(len(self.axes))
         for k, (away, back) in enumerate(pairs):
@@ -434,10 +434,10 @@ class JointAware(Described):
         return every
 
     def _told(self, state: Array, powers: Array) -> Array:
-        """The state whose heat has changed as the powers (t,), W, since the sample before.
+        """The state with its heat changed by the powers (t,), W, since the previous sample.
 
-        The thermometers correct it as before: they find what is wrong with a share, or is no part
-        of any power.
+        The thermometers correct it as usual, for errors of a share and for heat that is not part of
+        any power.
         """
         flat = state.copy()
         own, dynamic = unpacked(flat, self.parts), self.observer.system.decay.size
@@ -453,9 +453,9 @@ class JointAware(Described):
         return flat
 
     def _found_without(self, unread: Flags, before: Array, flat: Array) -> None:
-        """Count what thermometers found in a sample, in place, as told by powers (t,) not read.
+        """Attribute heat found by thermometers in a sample to missing powers (t,), in place.
 
-        A power that is back would tell it again.
+        It would be counted twice otherwise when a power is read again.
         """
         after, dynamic = unpacked(flat, self.parts), self.observer.system.decay.size
         found = after.linear - unpacked(before, self.parts).linear
@@ -464,7 +464,7 @@ class JointAware(Described):
 
     @cached_property
     def most_power(self) -> Array:
-        """What a power is at most, of either sign, W, shape (t,)."""
+        """Largest plausible power, of either sign, W, shape (t,)."""
         most = self.thresholds.power * self.model.calibrated.heat * self.model.power
         shares = self.model.power_shares
         own = [most[self.model.sources.index(one)] / share for one, share in shares.items()]
@@ -473,7 +473,7 @@ class JointAware(Described):
     def displacements(self, samples: Array) -> Array:
         """Return the displacements in a run from rest without their bands, (n, axes), m.
 
-        They are those of `estimator.interface.follow`, where the machine is (`lines.here`).
+        They equal those of `estimator.interface.follow` at the present position (`lines.here`).
 
         Parameters
         ----------
@@ -489,7 +489,7 @@ class JointAware(Described):
         return shown.displacement + self.observer.meant(shown.means)
 
     def shown(self, samples: Array) -> compiled_sample.Shown:
-        """Return what a run from rest without displacement readings shows.
+        """Return the results of a run from rest without displacement readings.
 
         Parameters
         ----------
@@ -515,7 +515,7 @@ class JointAware(Described):
         return len(self.axes), relaxations, 3 * len(self.observer.system.rows)
 
     def _shown_by(self, taken: Taken) -> compiled_sample.Shown:
-        """What a sample that was taken alone shows."""
+        """Results of a sample that was processed alone."""
         count, dynamic = self.model.modes.rates.size, self.observer.system.decay.size
         relaxed, means = taken.after.linear[count:dynamic], taken.after.watch.means
         return compiled_sample.Shown(taken.displacement, relaxed, means)
@@ -523,8 +523,8 @@ class JointAware(Described):
     def whole_run(self, samples: Array, state: Array) -> tuple[Array, Array]:
         """Return displacements and half-widths of their bands in a run, (n, axes), m.
 
-        They are those of `estimator.interface.follow` to rounding; usual samples are taken many at
-        a time.
+        They equal those of `estimator.interface.follow` up to rounding; usual samples are processed
+        many at a time.
 
         Parameters
         ----------
@@ -552,9 +552,9 @@ class JointAware(Described):
     def _stretches(
         self, samples: Array, state: Array
     ) -> Iterator[tuple[slice, Array, compiled_sample.Shown | tuple[Taken, Read]]]:
-        """Yield the places of samples, the state after them, and what they show.
+        """Yield the indices of samples, the state after them, and their results.
 
-        Usual samples that follow one another are one stretch, any other is taken alone.
+        Consecutive usual samples are one stretch; any other sample is processed alone.
         """
         readings, k = self._readings_of(samples, state), 0
         while k < len(samples):
@@ -571,7 +571,7 @@ class JointAware(Described):
                 k = at.stop
 
     def _readings_of(self, samples: Array, state: Array) -> Array | None:
-        """Readings of samples (n, 1 + channels) that may be usual, (n, p + 1), K; None of others.
+        """Readings of samples (n, 1 + channels), (n, p + 1), K; None if they cannot be usual.
 
         Usual ones are a step apart, of a machine without loads, axes and displacement readings.
         """
@@ -586,7 +586,7 @@ class JointAware(Described):
     def _run(
         self, state: Array, times: Array, readings: Array
     ) -> tuple[Array, compiled_sample.Shown]:
-        """The state before the first unusual one of samples (n,), and what those before show."""
+        """State before the first unusual one of samples (n,), and the results of those before."""
         assert self._compiled is not None
         count = min(len(times), AT_ONCE)
         while True:
@@ -598,7 +598,7 @@ class JointAware(Described):
                 if count:
                     own.steps[()] = 1.0
                 return after, shown
-            # The first unusual sample has spoiled the state.
+            # The first unusual sample has made the state invalid.
             count = usual
 
     def _bands(self, state: Array, shown: compiled_sample.Shown) -> Array:
@@ -608,7 +608,7 @@ class JointAware(Described):
         return self.half_band(parts, last.model_error, last.covariance_factor)
 
     def _known(self, taken: Taken, parts: Array) -> Array:
-        """What innovations and displacement readings tell of the model's error, (axes,), m."""
+        """Model error estimated from innovations and displacement readings, (axes,), m."""
         after = taken.after
         by_readings = parts @ mean_of(after.model_error)
         return np.asarray(by_readings + self.observer.meant(after.watch.means))
@@ -686,7 +686,7 @@ class JointAware(Described):
             back=back,
         )
         moved = settled.displacement
-        # One long interval is a gap; two are how often the machine is sampled.
+        # One long interval is a gap; two in a row are the sampling interval.
         often = min(moment.steps, int(before.steps) or moment.steps)
         return Taken(after, moved, expected.memory, factor, used.believed, refused, often)
 
@@ -731,10 +731,10 @@ class JointAware(Described):
         )
 
     def _lines(self, taken: Taken, known: Array, band: Array) -> tuple[Array, Array]:
-        """The displacement (axes,) and the details of lines; the model is off by `known`, m.
+        """Displacement (axes,) and details of lines; `known` is the estimated model error, m.
 
         The displacement is K0 where a control is given the line, else that at the present position.
-        The band (axes,) holds at every position: a slope is not off by more than both ends are.
+        The band (axes,) holds at every position, and so bounds the error of a slope by its ends.
         """
         asked = self._asked(taken, known)
         along = [
@@ -754,7 +754,7 @@ class JointAware(Described):
         return moved, np.array(details)
 
     def _asked(self, taken: Taken, known: Array) -> list[Array]:
-        """Displacements (k, axes), m, over each of the moving axes, the others where they stand."""
+        """Displacements (k, axes), m, along each moving axis, the others at their positions."""
         after, moving, places = taken.after, self.model.moving_axes, list[Array]()
         for k, axis in enumerate(moving):
             places.append(np.tile(self._place(after.loads), (axis.asked.size, 1)))
@@ -772,7 +772,7 @@ class JointAware(Described):
         return bool(time - last > self.thresholds.lost)
 
     def separated(self, values: Sequence[float]) -> Read:
-        """Return what a sample says of each quantity.
+        """Return the values of a sample by quantity.
 
         Parameters
         ----------
@@ -799,7 +799,7 @@ class JointAware(Described):
         given[~np.isfinite(given)] = np.nan
         given[: thermal - 1] -= self.model.offset
         if self.model.modes.way is not None:
-            # Where an axis cannot stand, its position was not read.
+            # A position outside the stroke counts as missing.
             ends = [one[[0, -1]] for one in self.model.modes.way.stations.positions]
             low, high = np.array(ends).T
             place = given[stood - len(ends) : stood]
@@ -865,7 +865,7 @@ class JointAware(Described):
         parts : ndarray, shape (..., axes, d + axes)
             Model error per part, m (`Observer.model_error`).
         known : ModelError
-            What displacement readings have told of it.
+            Its estimate from displacement readings.
         factor : ndarray, shape (n + p + 1, k)
             Covariance factor.
         """
@@ -873,8 +873,8 @@ class JointAware(Described):
         return np.asarray(WIDTH * np.sqrt(usual + left))
 
     def _variances(self, parts: Array, known: ModelError, factor: Array) -> tuple[Array, Array]:
-        """Variance of the displacement (..., axes), m2, and what a start or a gap adds (axes,)."""
-        # As E var(e) E', of which only the diagonal is needed, in every sample.
+        """Variance of the displacement (..., axes), m2, and that of a start or a gap (axes,)."""
+        # E var(e) E', of which only the diagonal is needed, in every sample.
         shared = ((parts @ known.shared) * parts).sum(axis=-1)
         own = np.square(parts[..., known.shared_mean.size :]) @ known.variance
         left = np.zeros(len(self.axes))

@@ -2,8 +2,8 @@
 
 In a single sample, a thermometer near a source that suddenly reads some kelvin wrong looks like a
 source that is switched on. The reading is used, and a second state is marched without it. A
-temperature that follows the heat keeps rising; a wrong one stays at its offset; a spike is gone. In
-the latter two cases the second state is the correct one.
+temperature that follows the heat keeps rising; a wrong one stays at its offset; a spike vanishes.
+In the latter two cases the second state is the correct one.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from thermojoint.artefacts.arrays import Array
 class PendingJump(NamedTuple):
     """A jump whose cause is still unknown."""
 
-    #: Shape (): index of the reading that jumped; NaN if none, and so the others.
+    #: Shape (): index of the reading that jumped; NaN if none, as are the next three.
     channel: Array
     #: Shape (): time of the jump, s.
     since: Array
@@ -46,7 +46,7 @@ class Judgement(Enum):
 
 
 def none(states: int) -> PendingJump:
-    """Return that no jump is pending."""
+    """Return the value for no pending jump."""
     unknown = np.array(np.nan)
     return PendingJump(unknown, unknown, unknown, unknown, np.array(0.0), np.zeros(states))
 
@@ -130,12 +130,12 @@ def judged(
 
 
 def explaining_heat(onset: Array, covariance: Array) -> Array:
-    """Return the change of heat that explains most per innovation, W/K, shape (s, p).
+    """Return the best-fitting change of heat per innovation, W/K, shape (s, p).
 
     Parameters
     ----------
     onset, covariance : ndarray, shapes (p, s) and (p, p)
-        As for `without_heat`, which keeps bounds as well.
+        As for `without_heat`, which also applies bounds.
     """
     root = np.linalg.inv(np.linalg.cholesky(covariance))
     return np.asarray(np.linalg.lstsq(root @ onset, root, rcond=-1)[0])
@@ -167,7 +167,7 @@ def without_heat(
     low, high = bounds
     given = root @ onset[at], root @ innovation[at]
     heat = np.linalg.lstsq(*given, rcond=-1)[0]
-    # Mostly it is possible: `lsq_linear` would find the same.
+    # Usually it is within the bounds, and `lsq_linear` would find the same.
     if not ((heat >= low) & (heat <= high)).all():
         heat = lsq_linear(*given, bounds=bounds).x
     return np.asarray(innovation - onset @ heat)

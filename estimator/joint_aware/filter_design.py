@@ -42,8 +42,8 @@ class Noise:
     #: deviations from the steady covariance take it into account: an unknown start is learned from
     #: many samples, whose errors are not independent.
     lasting: float | Array = 3.0
-    #: Heat of each face with thermometers that no source brings, W, and how long it lasts, s. Zero
-    #: where the thermometers do not tell it (`calibrate.joint_aware.assembling.seen_heat`).
+    #: Heat of each face with thermometers that comes from no source, W, and how long it lasts, s.
+    #: Zero where thermometers do not determine it (`calibrate.joint_aware.assembling.seen_heat`).
     unknown_heat: float = 0.0
     unknown_lasts: float = 4.0 * 3600.0
 
@@ -137,7 +137,7 @@ def design_filter(
     noise : Noise
         Of the readings and the joints.
     unknown : ndarray, shape (r, b)
-        What unknown heat adds to the amplitudes in a step, one standard deviation each.
+        Change of the amplitudes in a step by unknown heat, one standard deviation each.
 
     Returns
     -------
@@ -150,7 +150,7 @@ def design_filter(
         No solution exists: the readings do not determine the inputs.
     """
     size, dynamic = system.size, system.decay.size
-    # On an axis, heat flows between pads and what they are above on average.
+    # On an axis, heat flows between pads and the stations below, averaged over the stroke.
     entry = (
         modes.entry
         if modes.way is None
@@ -170,7 +170,7 @@ def design_filter(
     unit = np.concatenate([np.ones(dynamic), np.where(walk > 0.0, walk, 1.0)])
     matrix, rows = system.matrix * unit / unit[:, None], system.rows * unit
     source = source / unit[:, None]
-    # What is known and constant has no covariance.
+    # Inputs that are known and constant have no covariance.
     open_ = np.flatnonzero(np.append(np.ones(dynamic, dtype=bool), walk > 0.0))
     before = np.zeros((size, size))
     before[np.ix_(open_, open_)] = predicted_covariance(
@@ -190,7 +190,7 @@ def design_filter(
 def with_errors(steady: SteadyFilter) -> SteadyFilter:
     """Return the filter of the states and, after them, of errors of the readings (p + 1,), K.
 
-    In the steady covariance the errors are zero: only a covariance factor knows of them.
+    In the steady covariance the errors are zero: only a covariance factor includes them.
     """
     none = np.zeros((len(steady.noise), len(steady.noise)))
     scale = np.concatenate([steady.scale, np.ones(len(none))])
@@ -233,7 +233,7 @@ def correct(
     covariance_factor : ndarray, shape (n, k + p + 1 - q)
         L after them.
     """
-    # Nothing is picked where every reading is present, as usual: that would take a third of it all.
+    # No indexing if every reading is present, as usual: it would take a third of the time.
     every = present.size == len(rows)
     own = np.s_[:] if every else present
     pairs = np.s_[:, :] if every else np.ix_(present, present)

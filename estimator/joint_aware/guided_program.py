@@ -1,9 +1,9 @@
-"""Tables of an exported machine with moving axes: what of its arithmetic depends on the positions.
+"""Tables of an exported machine with moving axes: the arithmetic that depends on the positions.
 
-Its heat is that of `thermojoint.reduced.physics` on a way, its contact that of `fesim.axes.survey`:
-rows apart, tied at the aligned positions around a place, interpolated there. Then the springs of
-the condensation are exchanged for those of joints that stick, gap by gap, so that only what is
-pressed or slides is left to Newton's method.
+Heat conduction is that of `thermojoint.reduced.physics` with a way, contact that of
+`fesim.axes.survey`: rows apart, tied at the aligned positions around a place, interpolated there.
+Then the springs of the condensation are exchanged for those of sticking joints, gap by gap, so
+that only normal pressure and sliding are left to Newton's method.
 """
 
 from __future__ import annotations
@@ -39,20 +39,20 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.reduced.machine import MovingAxis
 from thermojoint.reduced.physics import Physics, heat_step
 
-#: Status bit that no estimator in Python has: a part of the lines is that of a sample before.
+#: Status bit that no estimator in Python has: a part of the lines is from an earlier sample.
 LINE_HELD = 1 << 12
 #: Largest tables of combinations of aligned positions, numbers: 32 MB in double precision.
 MOST = 4_000_000
-#: Residual of the gap equations relative to the tolerance of Python: its sweep over positions stops
-#: at the hundredth part.
+#: Tolerance of the gap equations relative to that of Python, whose sweep over positions stops at a
+#: hundredth of its tolerance.
 CLOSER = 1e-3
-#: Tolerance of the self-test, relative to the largest displacement: both settle the joints anew at
-#: every position, to a tolerance.
+#: Tolerance of the self-test, relative to the largest displacement: both programs solve the joints
+#: anew at every position, to a tolerance.
 RELATIVE = 1e-7
 
 
 class Placed(NamedTuple):
-    """What a template needs of where the axes stand, or of a machine that has none."""
+    """Data for a template that depend on the positions, or of a machine without moving axes."""
 
     #: Numbers and tables.
     values: dict[str, Any]
@@ -61,21 +61,21 @@ class Placed(NamedTuple):
     indices: list[Table]
     #: Numbers of the state beyond those of a machine without moving axes.
     state: int
-    #: Of a sample, usually and at most, without Newton's method.
+    #: Operations of a sample, usually and at most, without Newton's method.
     usual: Operations
     worst: Operations
 
 
 @lru_cache(maxsize=8)
 def kernel_of(physics: Physics) -> JointKernel | None:
-    """Return the data of joints, on an axis or not; None for laws that are not compiled."""
+    """Return the data of the joints, with axes or without; None for laws that are not compiled."""
     if physics.modes.way is None:
         return physics.kernel
     return joint_kernel(physics.contact, np.zeros((physics.contacts, 0)), physics.held)
 
 
 def guided(estimator: JointAware, kernel: JointKernel) -> Placed:
-    """Return what the program of a machine with moving axes has beside that of one without.
+    """Return the additional data of the program of a machine with moving axes.
 
     Raises
     ------
@@ -187,7 +187,7 @@ def guided(estimator: JointAware, kernel: JointKernel) -> Placed:
 
 
 class _Sizes(NamedTuple):
-    """What the costs depend on."""
+    """Sizes that determine the costs."""
 
     contacts: int
     axes: int
@@ -206,7 +206,7 @@ class _Sizes(NamedTuple):
 
 
 def _state(of: _Sizes) -> int:
-    """Numbers of the state beyond those of a machine that stands at one place."""
+    """Number of values of the state beyond those of a machine without moving axes."""
     kept = 2 * of.moving + of.asked * (3 * of.contacts + of.axes) - 3 * of.contacts
     frame = (of.held + of.probes) * (of.held + 1) + 3 * of.held + 1
     room = 2 * of.contacts + 9 * of.contacts**2 + frame + of.grown + 3 * of.rows + 3 * of.stops
@@ -214,7 +214,7 @@ def _state(of: _Sizes) -> int:
 
 
 def _operations(of: _Sizes, stops: int) -> Operations:
-    """Of a sample in which contact elements pass so many stations each."""
+    """Operations of a sample in which each contact element passes `stops` stations."""
     touches = of.contacts * (1 + 3 * stops + 2 * (stops - 1))
     heat = 2 * of.rows * of.modes + 2 * of.rows**2 + touches * (of.rows + 2) + of.modes
     heat += of.grown * of.modes + of.contacts * (3 + stops)
@@ -234,7 +234,7 @@ def _anchored(packed: CornerTable) -> Array:
 
 
 def _springs(kernel: JointKernel) -> Array:
-    """Springs of a joint that sticks (3 m,), Pa/m: in shear those of friction, if there is any."""
+    """Springs of a sticking joint (3 m,), Pa/m; those in shear are zero without friction."""
     count = kernel.preload.size
     springs = kernel.reference.copy()
     springs[count:] = np.tile(np.where(kernel.laws[:, 5] > 0.0, kernel.laws[:, 6], 0.0), 2)
@@ -242,7 +242,7 @@ def _springs(kernel: JointKernel) -> Array:
 
 
 def _grown(way: Guideway, held: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
-    """What temperatures do to ties, stations, anchors and probes, (g, r); stations below (k, h)."""
+    """Thermal displacement of ties, stations, anchors, probes, (g, r); stations below (k, h)."""
     ties, count = way.elastic.ties, way.stations.count
     direction, element = np.divmod(held, count)
     below = np.vstack(
@@ -267,14 +267,14 @@ def _asked_axes(estimator: JointAware) -> NDArray[np.int64]:
 
 
 def _zeros(estimator: JointAware) -> dict[int, float]:
-    """Axes whose drives are set right on seats, and where, m: the last of the positions asked."""
+    """Zero positions, m, of axes whose drives stand on seats: the last of the positions asked."""
     drives = estimator.model.modes.drives
     assert drives is not None  # with axes
     return drives.seated_zeros
 
 
 def _lines(estimator: JointAware) -> tuple[dict[str, Any], list[Table]]:
-    """Positions asked for, and what their displacements are in the lines of `fesim.axes.line`."""
+    """Positions asked for, and weights of their displacements in lines of `fesim.axes.line`."""
     offset, slope = list[Array](), list[Array]()
     moving = estimator.model.moving_axes
     for axis in moving:
@@ -323,7 +323,7 @@ def outputs(estimator: JointAware) -> tuple[Variable, ...]:
 
 
 def compared(estimator: JointAware) -> tuple[Compared, ...]:
-    """Return what the self-test compares of these: slopes by what they do over the stroke."""
+    """Return those that the self-test compares; slopes by their effect over the stroke."""
     lengths = {
         f"slope_{identifier(axis)}": stroke.high - stroke.low
         for axis, stroke in estimator.model.strokes.items()
@@ -351,14 +351,14 @@ def compared_in(estimator: JointAware, estimate: Estimate) -> Array:
 
 
 def ways(places: Array) -> Array:
-    """Return what odometers count at positions (samples, x), m: some motion between samples too."""
+    """Return odometers at positions (samples, x), m, with some motion between samples too."""
     every = np.arange(len(places))[:, None]
     more = 0.02 * np.mod(every + np.arange(places.shape[1]), 5) * (np.mod(every, 60) > 20)
     return 3.0 + gone_along(places) + np.cumsum(more, axis=0)
 
 
 def course(axes: Sequence[MovingAxis], samples: int) -> Array:
-    """Return positions (samples, x), m: axes stand, pass stations in a step, and turn back."""
+    """Return positions (samples, x), m: axes stop, pass stations in a step, and reverse."""
     found = np.empty((samples, len(axes)))
     for k, axis in enumerate(axes):
         part = np.mod(np.arange(samples) + 7 * k, 48 + 10 * k)

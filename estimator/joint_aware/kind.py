@@ -73,7 +73,7 @@ def _intake(model: ObserverModel, above_ambient: bool) -> Intake:
     wanted = stood + len(powers)
 
     def convert(readings: Sequence[float], cold: float) -> tuple[list[float], float]:
-        # The machine was cold at the first ambient temperature on record that can be one.
+        # The machine was cold at the first plausible ambient temperature on record.
         if math.isnan(cold):
             *sensed, ambient = readings[:count]
             cold = 0.0 if above_ambient else zero_of(np.array(sensed), ambient)

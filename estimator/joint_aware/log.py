@@ -6,12 +6,12 @@ ignored, missing readings are NaN:
 - time, ``NAME_K``, ..., ``ambient_K``: above the ambient at which the machine was cold; without the
   last column the ambient is constant;
 - time, ``NAME_degC``, ..., ``ambient_degC``, or °F: as thermometers read. The machine was cold at
-  the first ambient temperature in the log that can be one, or in the first log of a run that is
+  the first plausible ambient temperature in the log, or in the first log of a run that is
   continued.
 
 Loads that change have columns ``NAME_percent``, of the load in the case; the positions of
-moving axes are ``NAME_pos_mm``, their odometers ``NAME_way_mm``, powers that tell of the heat of a
-source ``NAME_power_W``.
+moving axes are ``NAME_pos_mm``, their odometers ``NAME_way_mm``, powers that determine the heat of
+a source ``NAME_power_W``.
 """
 
 from __future__ import annotations
@@ -50,15 +50,15 @@ def log_samples(
     cold : Cold, optional
         Ambient at which the machine was cold; set here where it is not known.
     zero_of : callable, optional
-        (temperatures of the sensors, ambient) to the ambient of the cold machine, or NaN if it
-        cannot be.
+        (temperatures of the sensors, ambient) to the ambient of the cold machine, or NaN if that is
+        implausible.
 
     Raises
     ------
     InputError
-        A sensor, a load, a position, a way or a power has no column, time restarts, the ambient
-        alone is as read, or temperatures as read continue those above an ambient, or a run that
-        does not say from where it counts.
+        A sensor, a load, a position, a way or a power has no column, time restarts, only the
+        ambient is absolute, or absolute temperatures continue those above an ambient, or a run
+        whose cold ambient is not recorded.
     """
     known = Cold() if cold is None else cold
     units = others or {}

@@ -2,8 +2,8 @@
 
 The covariance after a reading does not depend on what is read, so the band after it is known
 beforehand. The band of the next hours is that at the present heat: the relaxations of the heat
-approach it, and what earlier readings have told fades. What the thermometers will have settled by
-then is not counted.
+approach it, and the effect of earlier readings decays. Uncertainty that the thermometers will have
+removed by then is not subtracted.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from estimator.joint_aware.estimator import WIDTH, JointAware
 from estimator.joint_aware.observer_state import unpacked
 from thermojoint.artefacts.arrays import Array
 
-#: Times at which the band is looked at, s from now.
+#: Times at which the band is evaluated, s from now.
 OUTLOOK = (0.0, 600.0, 1200.0, 1800.0, 3600.0, 7200.0)
-#: A reading that narrows the band of its axis by less than this share is not asked for.
+#: A reading that narrows the band of its axis by less than this share is not requested.
 LEAST = 0.1
 
 
 def narrowest_band(estimator: JointAware) -> float:
-    """Return the half-width that a reading leaves where nothing else was known, m."""
+    """Return the half-width after a reading if nothing else was known, m."""
     steady = float(estimator.model.band.steady.max())
     return float(WIDTH * np.sqrt(2.0 * steady + estimator.probe.noise**2))
 
 
 def next_reading(estimator: JointAware, state: Array, limit: float) -> NextReading | None:
-    """Return the reading to take when the band passes a limit; None if it will not, or if in vain.
+    """Return the reading to take when the band exceeds a limit; None if not, or if none helps.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def next_reading(estimator: JointAware, state: Array, limit: float) -> NextReadi
         before, after = bands_around(estimator, state, due)
         if not (before > limit).any():
             continue
-        # The axis that leaves least above the limit, then the narrowest bands.
+        # The axis whose reading leaves least above the limit, then the narrowest bands.
         left = [(np.maximum(band - limit, 0.0).sum(), band.sum()) for band in after]
         axis = min(range(len(left)), key=left.__getitem__)
         wide, narrow = float(before[axis]), float(after[axis, axis])
@@ -55,7 +55,7 @@ def next_reading(estimator: JointAware, state: Array, limit: float) -> NextReadi
 
 
 def bands_around(estimator: JointAware, state: Array, due: float) -> tuple[Array, Array]:
-    """Return the half-band some time (s) from now, and that after a reading of each axis then, m.
+    """Return the half-width some time (s) from now, and that after a reading of each axis, m.
 
     Shapes (axes,) and (axes read, axes).
     """

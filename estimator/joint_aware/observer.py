@@ -39,7 +39,7 @@ from thermojoint.reduced.physics import (
 
 #: Number of steps for which the response of the readings to heat is stored.
 ANSWER = 60
-#: Most samples in which late ones come to the covariance that they always leave.
+#: Most samples until a sampling interval of several steps reaches its steady covariance.
 MOST_SAMPLES = 500
 
 
@@ -55,8 +55,8 @@ class Moment:
     steps: int
     #: Shape (l,): factors of the loads, and the positions of axes, m, at the sample.
     loads: Array = field(default_factory=lambda: np.zeros(0))
-    #: Shape (x,): how far axes have gone since the previous sample, m, by their odometers; empty
-    #: without any.
+    #: Shape (x,): travel of the axes since the previous sample by their odometers, m; empty without
+    #: any.
     gone: Array = field(default_factory=lambda: np.zeros(0))
 
 
@@ -113,8 +113,8 @@ class Observer:
     def unknown_start(self) -> Array:
         """Covariance factor of both where the past is unknown, shape (n + p + 1, k).
 
-        A reading that the model follows badly is off by about as much for hours: it tells less by
-        what it is than by how it changes.
+        A reading that the model reproduces poorly keeps about the same error for hours: its changes
+        are more informative than its value.
         """
         ill = np.maximum(self.model.filter.lasting - np.square(Noise().lasting), 0.0)
         errors = self.thresholds.start_error * np.sqrt(ill)
@@ -152,7 +152,7 @@ class Observer:
 
     @cached_property
     def _found(self) -> Array:
-        """Innovations while heat of 1 W at each source is found, K, shape (k, p + 1, s)."""
+        """Innovations while the filter finds heat of 1 W at each source, K, shape (k, p + 1, s)."""
         unknown = np.zeros((self.system.size, self.model.power.size))
         unknown[self.system.decay.size :][: self.model.power.size] = np.eye(self.model.power.size)
         innovations = []
@@ -171,14 +171,14 @@ class Observer:
     def sudden(self) -> Array:
         """Largest innovations after a step of 1 W at each source, K, shape (p + 1, s).
 
-        Of a sensor that reads the source at once that is the first one. Where it lags, the heat
-        is found step by step, and the innovations grow meanwhile.
+        For a sensor that responds to the source at once that is the first one. Where it lags, the
+        filter finds the heat step by step, and the innovations grow meanwhile.
         """
         return np.asarray(self._found[self._largest, :, np.arange(self._largest.size)].T)
 
     @cached_property
     def answers(self) -> Array:
-        """Step response of every reading to the source that it sees best, K/W, shape (p + 1, k).
+        """Step response of every reading to its dominant source, K/W, shape (p + 1, k).
 
         It begins where the innovations are largest: a jump is hardly noticed before.
         """
@@ -189,7 +189,7 @@ class Observer:
     def expected(self, before: ObserverState, moment: Moment) -> Expected:
         """Prediction for a sample.
 
-        Loads are those before until they are read again; axes move evenly meanwhile.
+        Loads keep their previous values until the sample; axes move uniformly meanwhile.
         """
         length, steps, loads = moment.length, moment.steps, moment.loads
         gone = moment.gone / max(steps, 1)
@@ -207,7 +207,7 @@ class Observer:
         return Expected(linear, joint, drive, factor, errors, memory)
 
     def lasting_on(self, elapsed: float) -> float:
-        """What is left of the errors of the readings at a start some time (s) later."""
+        """Decay factor of the readings' errors at a start over some time (s)."""
         return math.exp(-elapsed / self.thresholds.start_error_lasts)
 
     def _meanwhile(self, before: Array, after: Array, share: float) -> Array:
@@ -228,11 +228,11 @@ class Observer:
         before : tuple of ndarray, shapes (n,) and (d,)
             Before the step.
         joint : JointState
-            Whose conductance counts.
+            Whose conductance is used.
         length : float
             Of the step, s.
         way : Way, optional
-            Of the axes in it.
+            Of the axes in the step.
         """
         linear, drive = before
         count, dynamic = self.model.modes.rates.size, self.system.decay.size
@@ -303,14 +303,14 @@ class Observer:
         return np.zeros_like(after) if seen.max() <= least and known else after
 
     def unsettled(self, left: Array, usual: Array, steps: int) -> bool:
-        """Whether a start, or readings that were missing, make a band wider by more than 41 %.
+        """Whether a start or missing readings widen a band by more than 41 %.
 
         Parameters
         ----------
         left, usual : ndarray, shape (axes,)
             Variance of the displacement that they add, and the variance without them, m2.
         steps : int
-            Samples that are always so many steps apart add some for good, which does not count.
+            Sampling interval; the variance that it adds permanently does not count.
         """
         if not left.any():
             return False
@@ -318,7 +318,7 @@ class Observer:
         return bool((left > usual + by_interval).any())
 
     def _left_open(self, steps: int) -> Array:
-        """Variance of the displacement (axes,), m2, by samples that are always steps apart."""
+        """Variance of the displacement (axes,), m2, by a sampling interval of several steps."""
         steps = min(steps, math.ceil(self.thresholds.lost / self.model.step))
         if steps not in self._known_left_open:
             every, factor = np.arange(len(self.rows)), self.known_start
@@ -383,9 +383,9 @@ class Observer:
         return np.asarray(moved + self.model.discrepancy.displacement @ relaxed)
 
     def meant(self, means: Array) -> Array:
-        """Return the displacement (..., axes), m, that mean innovations (..., 3 (p + 1)), K, mean.
+        """Return the displacement (..., axes), m, for mean innovations (..., 3 (p + 1)), K.
 
-        As the recorded days of the calibration tell; no more than they show is taken from them.
+        The relation is that of the recorded days of the calibration, within their range.
         """
         band = self.model.band
         return np.asarray(band.within(means) @ band.told.T)
@@ -407,7 +407,7 @@ class Observer:
         means : ndarray, shape (..., 3 (p + 1))
             Mean innovations (`Watch.means`), K.
         since : float
-            How long ago the machine has started, s; of interest after a warm start.
+            Time since the start, s; relevant after a warm start.
         """
         band, rates = self.model.band, self.model.discrepancy.rates.size
         sources = relaxed.shape[-1] // rates

@@ -36,7 +36,7 @@ class Band:
     constant: Array
     #: Shape (axes,): unknown slips after a warm start, m2.
     history: Array
-    #: Shape (axes,): of drives that count as cold when a warm machine starts, m2.
+    #: Shape (axes,): of drives that are assumed cold when a warm machine starts, m2.
     drive: Array
     #: Shape (axes, draws, 2 s q + m): error of machines that the calibration cannot distinguish,
     #: per relaxation of the heat and per square of it, m, and per mean innovation, m/K.
@@ -48,17 +48,17 @@ class Band:
     surprise: Array
     #: Shape (m,): largest mean innovations (`Watch.means`) in recorded days, K; m is zero without.
     seen: Array
-    #: Shape (axes, m): what they mean for the displacement as these days tell, m/K.
+    #: Shape (axes, m): displacement per mean innovation in these days, m/K.
     told: Array
-    #: Shape (): share of the innovations that days show which `surprise` still counts.
+    #: Shape (): share of the innovations in the range of these days that counts in `surprise`.
     allowed: Array
 
     def within(self, means: Array) -> Array:
-        """Return the part (..., m) of mean innovations (..., 3 (p + 1)), K, that days show."""
+        """Return mean innovations (..., 3 (p + 1)), K, in the range of the days, (..., m)."""
         return np.clip(means[..., : self.seen.size], -self.seen, self.seen)
 
     def surprising_of(self, means: Array) -> Array:
-        """Return the innovations that last, (..., p + 1), K, as far as days do not explain them."""
+        """Return the lasting innovations, (..., p + 1), K, less the part that days explain."""
         lasting = means[..., : self.surprise.shape[1]]
         if not self.seen.size:
             return lasting
@@ -66,7 +66,7 @@ class Band:
 
     @cached_property
     def surprising(self) -> tuple[NDArray[np.int64], Array]:
-        """What lasting innovations may mean: a reading (c,), the error by it (axes, c), m/K.
+        """Effects of lasting innovations: a reading (c,), the error per innovation (axes, c), m/K.
 
         One for every axis and reading that is in the band.
         """
@@ -77,7 +77,7 @@ class Band:
 
     @property
     def shared(self) -> tuple[int, int]:
-        """Parts of the model error beside those of the axes' rest (`displacement_readings`).
+        """Numbers of parts of the model error that axes share (`displacement_readings`).
 
         Of the drawn machines, and of the lasting innovations.
         """
@@ -95,10 +95,10 @@ class Calibrated:
     heat : float
         Largest heat of a source relative to its reference; the smallest is 0.
     temperatures : dict of str to (float, float)
-        Sensor to its least and largest value, K.
+        Sensor to its lowest and highest value, K.
     speeds : tuple of float
-        Of every moving axis, how fast it went in its fastest minute, m/s; empty where that is not
-        known, as in models of earlier versions.
+        Speed of every moving axis in its fastest minute, m/s; empty where that is not known, as in
+        models of earlier versions.
     """
 
     duration_s: float
@@ -145,9 +145,9 @@ class ObserverModel(Described):
     kind : str
         Name of the kind of estimator.
     moving_axes : tuple of MovingAxis
-        Of a machine that has any.
+        Its moving axes, if any.
     power_shares : mapping of str to float
-        Of sources whose power is read, the share of it that is their heat.
+        Source whose power is read to the share of that power which becomes its heat.
     """
 
     modes: Modes
@@ -183,12 +183,12 @@ class ObserverModel(Described):
     power_shares: Mapping[str, float] = field(default_factory=dict)
 
     def cold_drives(self, since: float) -> Array:
-        """Return the variance (axes,) of drives that have counted as cold at a warm start, m2.
+        """Return the variance (axes,) due to drives assumed cold at a warm start, m2.
 
         Parameters
         ----------
         since : float
-            How long ago that was, s.
+            Time since the start, s.
         """
         drives = self.modes.drives
         if drives is None or not (lasts := drives.lasts):
@@ -207,7 +207,7 @@ class ObserverModel(Described):
 
     @property
     def counted(self) -> tuple[int, ...]:
-        """Which moving axes have an odometer."""
+        """Indices of the moving axes that have an odometer."""
         return tuple(k for k, axis in enumerate(self.moving_axes) if axis.odometer)
 
     @property
@@ -217,9 +217,9 @@ class ObserverModel(Described):
 
     @property
     def sloped(self) -> dict[str, int]:
-        """Axes of the displacement whose line a control is given, and along which moving axis.
+        """Axes of the displacement whose line a control is given, to the index of a moving axis.
 
-        With one moving axis its own, with several the one that moves along it, if any does.
+        With one moving axis that one; with several, the one that moves along the same axis, if any.
         """
         if len(self.moving_axes) == 1:
             return dict.fromkeys(self.axes, 0)
@@ -228,7 +228,7 @@ class ObserverModel(Described):
 
     @property
     def strokes(self) -> dict[str, Stroke]:
-        """Of these lines."""
+        """Strokes of these lines by the axis of the displacement."""
         strokes = [
             Stroke(axis.reference, float(axis.asked.min()), float(axis.asked.max()))
             for axis in self.moving_axes

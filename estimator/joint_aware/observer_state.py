@@ -18,7 +18,7 @@ from thermojoint.reduced.physics import JointState
 #: Knowledge of the joint's slips: those of a run from rest; unknown, because the temperatures are;
 #: or tracked since the temperatures became known.
 KNOWN, UNKNOWN, FOLLOWED = 0.0, 1.0, 2.0
-#: Parts of the model error that states have always had; its others stand at the end.
+#: Number of parts of the model error in the states of all versions; the others come at the end.
 _FIRST = 2
 
 
@@ -46,9 +46,9 @@ class ObserverState(NamedTuple):
     errors: Array
     #: Shape (d,): temperatures of the axes' drives, K.
     drive: Array
-    #: Shape (c,): odometers as they were read last, m; NaN before.
+    #: Shape (c,): last readings of the odometers, m; NaN before.
     gone: Array
-    #: Shape (t,): heat by the powers that were read last, W.
+    #: Shape (t,): heat according to the last readings of the powers, W.
     told: Array
     #: Memory of every channel.
     watch: Watch
@@ -58,10 +58,10 @@ class ObserverState(NamedTuple):
     pending: PendingJump
     #: Shape (): steps between the last two samples; 0 before.
     steps: Array
-    #: Shape (c,): how long ago odometers were read last, s.
+    #: Shape (c,): time since the last reading of each odometer, s.
     unheard: Array
-    #: Shape (2 c,): how long they were away, s, while that still counts, and for how long they and
-    #: all readings are back since then; of those that tell what was gone, then of those set anew.
+    #: Shape (2 c,): how long odometers were missing, s, while that has an effect, and for how long
+    #: they and all readings are back; of those that report the missed travel, then of reset ones.
     away: Array
     back: Array
 

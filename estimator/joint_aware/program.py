@@ -1,9 +1,9 @@
 """Export of the joint-aware estimator, with a bounded number of Newton steps.
 
 Predict, judge the readings, correct, settle, read, as `estimator.joint_aware.estimator` does. Where
-a reading is left out, the program uses the gain that the observer reaches without it instead of a
-covariance; the band is looked up, then and once it is back. The header of the program lists the
-differences.
+a reading is left out, the program has no covariance but uses the gain that the observer reaches
+without it; the band is looked up, then and after the reading returns. The header of the program
+lists the differences.
 """
 
 from __future__ import annotations
@@ -50,12 +50,12 @@ from thermojoint.reduced.physics import heat_step, simulate_known
 READING_JUMPED, NOT_SETTLED = 1 << 13, 1 << 14
 #: Most Newton steps, and how often one is halved.
 ITERATIONS, HALVINGS = 12, 6
-#: How long a reading, and every reading, is left out for the gain and the band of that, s.
+#: How long one reading, or all, are left out to compute the gain and the band without them, s.
 WITHOUT_ONE, WITHOUT_ALL = 600.0, 1800.0
 #: Passes over the sources that find the heat behind a jump.
 SWEEPS = 20
-#: What is unknown of the past counts for so long at most, s. Its gains change twice in every octave
-#: of time, until this number of samples once.
+#: Longest effect of an unknown past, s. Its gains change twice in every octave of time, and once
+#: until this number of samples.
 LONGEST_START, FEW = 7.0 * 86400.0, 64
 #: Tolerance of the gap equations in single precision, m: below it is rounding.
 SINGLE_TOLERANCE = 2e-11
@@ -68,7 +68,7 @@ _STATUSES = (
     Status.BEYOND_TEMPERATURE,
     Status.READING_MISSING,
 )
-#: Those of readings that are left out: Python has a covariance then.
+#: Those of readings that are left out, for which only Python has a covariance.
 _APPROXIMATE = (Status.UNSETTLED, Status.SENSOR_DISTRUSTED, Status.READINGS_LOST)
 
 
@@ -78,8 +78,8 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
     Raises
     ------
     InputError
-        The joints have no compiled law, or there are none; something of a moving axis has no
-        program (`guided_program`).
+        The joints have no compiled law, or there are none; a moving axis cannot be exported
+        (`guided_program`).
     """
     kernel = kernel_of(estimator.observer.physics)
     if kernel is None or not kernel.preload.size:
@@ -104,7 +104,7 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
     linear, contacts = estimator.observer.system.size, kernel.preload.size
     axes, draws, _ = model.band.open.shape
     fixed = _every_sample(estimator, linear) + Operations(20, 20, 8, 8).times(axes)
-    # Where the axes stand, and at every position asked for.
+    # The present position, and every position asked for.
     places = 1 + way.values["asked"]
     usual = _newton(contacts, contacts, 0).times(2) + _look(contacts)
     worst = _newton(contacts, 3 * contacts, HALVINGS).times(ITERATIONS) + _look(contacts)
@@ -211,7 +211,7 @@ def _interface(estimator: JointAware) -> Interface:
 
 
 def _told(estimator: JointAware) -> list[dict[str, float]]:
-    """Of every power: place of its source, share that is heat there, and the largest, W."""
+    """For every power: index of its source, share that becomes heat, and largest value, W."""
     model = estimator.model
     return [
         {"source": model.sources.index(source), "share": share, "most": most}
@@ -307,7 +307,7 @@ def _days_told(band: Band) -> tuple[Table, Table]:
 
 
 def _standing(estimator: JointAware, kernel: JointKernel) -> Placed:
-    """Return what the program of a machine without moving axes has of its joints."""
+    """Return the data of the joints for the program of a machine without moving axes."""
     model, contacts = estimator.model, kernel.preload.size
     heat = heat_step(model.modes, model.step)
     modes, axes = model.modes.rates.size, len(estimator.axes)
@@ -330,28 +330,28 @@ def _standing(estimator: JointAware, kernel: JointKernel) -> Placed:
 
 
 class _Start(NamedTuple):
-    """What the readings make known after a start in the middle of any past."""
+    """Variances and gains after a start with an unknown past."""
 
     #: Shape (k, 1 + axes): time, s, and from then on the variance of the displacement, m2.
     known: Array
-    #: Shape (k, n + p + 1, p + 1): from then on, of the linear state and of the errors of the
+    #: Shape (k, n + p + 1, p + 1): gain from then on, for the linear state and the errors of the
     #: readings; the last one is the steady gain.
     gain: Array
     #: Shape (k, p + 1): variance of the innovations, K2; of the steady covariance at the end.
     spread: Array
-    #: Shape (k, p + 1, p + 1): what each innovation is expected to be by the others, K/K. In its
-    #: place, that makes the gain the one without it.
+    #: Shape (k, p + 1, p + 1): expected value of each innovation, given the others, K/K. In place
+    #: of a missing innovation, it makes the gain the one without that reading.
     supposed: Array
-    #: From this time on, s, the joint's slips are those of its path.
+    #: From this time on, s, the joint's slips are tracked.
     followed: float
 
 
 @lru_cache(maxsize=8)
 def _start(estimator: JointAware) -> _Start:
-    """Gains that Python would have, each kept for a while, and the covariance that these leave.
+    """Gains as in Python, each kept for some samples, and the covariance with them.
 
-    With the steady gain K_s and what it differs by, D, the covariance beyond the steady one goes
-    from P to (1 - K H) P (1 - K H)^T + D S D^T. It ends when slips and calibration leave more.
+    With the gain K = K_s + D, where K_s is the steady one, the covariance beyond the steady one
+    goes from P to (1 - K H) P (1 - K H)^T + D S D^T. It ends when slips and calibration leave more.
     """
     observer, model, limits = estimator.observer, estimator.model, estimator.thresholds
     own, rows, band = model.filter, observer.rows, model.band
@@ -400,9 +400,9 @@ def _start(estimator: JointAware) -> _Start:
 
 @lru_cache(maxsize=8)
 def _without(estimator: JointAware) -> tuple[Array, Absence]:
-    """Gains without each reading, (p + 1, n, p + 1), and what absences of each and of all leave.
+    """Gains without each reading, (p + 1, n, p + 1), and uncertainty by absences of each and all.
 
-    The observer is run until its covariance has seen the reading missing for `WITHOUT_ONE`.
+    The observer is run with a reading missing for `WITHOUT_ONE`, with all for `WITHOUT_ALL`.
     """
     observer, model = estimator.observer, estimator.model
     every = np.arange(len(observer.system.rows))

@@ -66,7 +66,7 @@ def positions_in(response: xr.Dataset, axes: Sequence[str]) -> Array:
 
 
 def ways_in(response: xr.Dataset, axes: Sequence[str]) -> Array:
-    """Return how far some moving axes have gone, there and back, m, shape (n, c).
+    """Return the distance that some moving axes have travelled, to and fro, m, shape (n, c).
 
     Raises
     ------
@@ -77,7 +77,7 @@ def ways_in(response: xr.Dataset, axes: Sequence[str]) -> Array:
 
 
 def _recorded(response: xr.Dataset, variable: str, names: Sequence[str]) -> Array:
-    """Columns of a variable that a response has where it is wanted, (n, k)."""
+    """Columns of a recorded variable, (n, k), which may be absent if no names are given."""
     if not names:
         return np.zeros((response.sizes["time"], 0))
     if variable not in response:
@@ -86,7 +86,7 @@ def _recorded(response: xr.Dataset, variable: str, names: Sequence[str]) -> Arra
 
 
 def powers_in(response: xr.Dataset, shares: Mapping[str, float]) -> Array:
-    """Return the powers that give the sources their heat by these shares of it, W, shape (n, t).
+    """Return the powers of which these shares are the heat of sources, W, shape (n, t).
 
     Raises
     ------

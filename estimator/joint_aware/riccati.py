@@ -1,9 +1,9 @@
 """The Riccati equation of a steady Kalman filter, solved by doubling.
 
-Where the filter is stable each doubling stands for as many steps of it as all before together, so
-a dozen of them replace the generalised Schur form of a pencil twice as large: a tenth of the time,
-and a smaller residual. What readings tell of a state is the square of a few columns, as they tell
-of most modes only together with others; so a doubling takes three products of dense matrices.
+If the filter is stable, each doubling covers as many steps as all previous ones together, so a
+dozen replace the generalised Schur form of a pencil twice as large, in a tenth of the time and with
+a smaller residual. The information matrix is the square of a few columns, as readings determine
+most modes only in combination; so a doubling takes three products of dense matrices.
 
 References
 ----------
@@ -21,11 +21,11 @@ from scipy.linalg import solve_triangular
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
 
-#: Doublings; the last ones stand for more steps than a machine ever makes.
+#: Most doublings; the last ones cover more steps than a machine ever makes.
 LARGEST_COUNT = 40
 #: Accepted change by a doubling, and accepted residual, relative to the covariance.
 CHANGE, RESIDUAL = 1e-14, 1e-8
-#: Part of the information, relative to the largest, that is rounding.
+#: Eigenvalues of the information that are rounding, relative to the largest.
 TOLD = 1e-15
 
 
@@ -48,11 +48,11 @@ def predicted_covariance(transition: Array, rows: Array, source: Array, readings
     Raises
     ------
     ConvergenceError
-        There is no steady covariance: the readings do not determine what grows.
+        There is no steady covariance: the readings do not determine the growing states.
     """
     step, told = transition.T, rows.T / np.sqrt(readings)
     noise = covariance = source @ source.T
-    # What is not determined grows with every doubling, until it is no number.
+    # Undetermined states grow with every doubling, until they overflow.
     with np.errstate(over="ignore", invalid="ignore"), suppress(np.linalg.LinAlgError):
         for _ in range(LARGEST_COUNT):
             # Information is C C^T, and 1 + C C^T P is inverted by Woodbury's formula.

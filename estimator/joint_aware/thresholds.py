@@ -30,10 +30,10 @@ class Thresholds:
     #: tolerance relative to it on either side.
     onset: float = 1.5
     onset_slack: float = 0.05
-    #: A power that means more than this multiple of the largest calibrated heat is none.
+    #: A power equivalent to more than this multiple of the largest calibrated heat is not used.
     power: float = 5.0
-    #: No odometer counts up to this, m, or below zero; and no axis is faster than this, m/s: where
-    #: one says so it was set anew.
+    #: An odometer beyond this, m, or below zero is not used; no axis is faster than this, m/s: an
+    #: odometer that reports more was reset.
     farthest: float = 1e9
     fastest: float = 10.0
     #: A jump is judged after this time, s, and this many samples.
@@ -42,8 +42,8 @@ class Thresholds:
     #: Columns of the covariance factor that move the readings by less than this fraction of their
     #: noise are dropped.
     forgotten: float = 1e-3
-    #: Samples that are always longer apart leave the displacement uncertain; a start or a gap has
-    #: no effect while it leaves less than this times that variance.
+    #: A constant sampling interval of several steps leaves some variance of the displacement; a
+    #: start or a gap has no effect while it leaves less than this multiple of it.
     settled: float = 4.0
     #: The joint is tracked once the displacement is known to this, m (warm starts after 2, 4 and 6
     #: h, docs/joint-aware.md).
@@ -56,18 +56,18 @@ class Thresholds:
     #: The same when the past is unknown. Of 1, 0.5, 0.3 and 0.1 on warm starts after 2, 4 and 6 h
     #: (docs/joint-aware.md, on the initial state), 0.1 was off by twice as much.
     doubt_of_past: float = 0.3
-    #: Where the past is unknown, readings that the model follows badly err by unknowns, which last
-    #: for this time, s: their standard deviation is this part of what the model's errors add to the
-    #: lasting ones (docs/joint-aware.md, on warm starts).
+    #: Where the past is unknown, readings that the model reproduces poorly have unknown errors with
+    #: this correlation time, s: their standard deviation is this fraction of the model's share of
+    #: the lasting ones (docs/joint-aware.md, on warm starts).
     start_error: float = 1.0 / 16.0
     start_error_lasts: float = 7200.0
-    #: The covariance factor does not know that the machine is nonlinear: the displacement is this
-    #: many times less certain than it says (warm starts after 2, 4 and 6 h, docs/joint-aware.md).
+    #: The covariance factor neglects that the machine is nonlinear: the displacement has this many
+    #: times its standard deviation (warm starts after 2, 4 and 6 h, docs/joint-aware.md).
     doubt: float = 3.0
     #: Tolerated change of the ambient without a flag, K.
     ambient: float = 10.0
-    #: Without any thermometer for longer than this, s, an estimate is bad: the heat may have been
-    #: anything meanwhile. As a learned model, whose temperatures wander with this time constant.
+    #: Without any thermometer for longer than this, s, an estimate is bad: the heat is unknown. As
+    #: in a learned model, whose temperatures drift with this time constant.
     lost: float = 1800.0
     #: Most steps between two samples; after a longer gap they are longer.
     most_steps: int = 2000

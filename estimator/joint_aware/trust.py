@@ -1,4 +1,4 @@
-"""Innovation gate: which readings the observer uses, and what it knows without the others.
+"""Innovation gate: which readings the observer uses, and its covariance without the others.
 
 Start at `trusted`, which judges a sample in three steps:
 
@@ -6,13 +6,13 @@ Start at `trusted`, which judges a sample in three steps:
 2. The channels are judged (`sensor_faults.judge_sample`); an admissible jump of the heat is no
    contradiction (`_unexplained`). If most channels contradict the model, the state is wrong: then
    it is taken as unknown, and they are judged again.
-3. If a newly excluded channel was the one that saw most of a source, that source's heat is unknown:
-   it may have changed at the same moment (`_heat_unknown`). A jump of a channel that is used
-   becomes a pending jump.
+3. If a newly excluded channel was the most sensitive one to a source, that source's heat is
+   unknown: it may have changed at the same moment (`heat_unknown`). A jump of a channel that is
+   used becomes a pending jump.
 
 A usual sample, on which none of this has an effect, is processed in compiled code
-(`compiled_sample`). Verified by tests/test_faulty_readings.py: every fault in every sensor of a
-machine.
+(`compiled_sample`). Verified by tests/estimator/joint_aware/test_faulty_readings.py: every fault in
+every sensor of a machine.
 """
 
 from __future__ import annotations
@@ -176,7 +176,7 @@ def _distrusting(watch: Watch, channel: int, time: float, off: float) -> Watch:
 
 
 def heat_unknown(observer: Observer, factor: Array, newly: Flags, believed: Flags) -> Array:
-    """Return the covariance factor with heat unknown that excluded channels saw best.
+    """Return the covariance factor with unknown heat of sources that excluded channels saw best.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ def _unexplained(
     """Part of the innovations that no possible change of heat explains: `sensor_faults.Explain`."""
     covariance = observer.innovation_covariance(expected.covariance_factor)
     if expected.memory == UNKNOWN:
-        # The state is still a guess: it may consist of nothing but lasting errors of the readings.
+        # The state is still a guess: it may result from lasting errors of the readings alone.
         covariance = covariance + np.diag(observer.model.filter.lasting)
     power = observer.model.power
     heat = expected.linear[observer.system.decay.size :][: power.size]
@@ -220,14 +220,14 @@ def _unexplained(
 
 
 def possible_heat(observer: Observer, steps: int) -> tuple[Array, Array, Array]:
-    """Return what a change of heat since the sample `steps` before does, and its bounds.
+    """Return the effect of a change of heat since the sample `steps` before, and its bounds.
 
     Returns
     -------
     onset : ndarray, shape (p + 1, s)
         Change of the readings per W of each source, K/W.
     most, slack : ndarray, shape (s,)
-        Most heat of each source, and how far a change may lead beyond it or below zero, W.
+        Largest heat of each source, and tolerance beyond it or below zero, W.
     """
     known, model = observer.thresholds, observer.model
     most = known.onset * model.calibrated.heat * model.power
