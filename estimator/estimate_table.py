@@ -75,12 +75,12 @@ def row(estimator: Estimator, estimate: Estimate, more: Sequence[str] = ()) -> l
     return [f"{estimate.time:.15g}", *texts, *more, estimate.words, quality.word]
 
 
-#: Columns of the displacement reading that is asked for; empty if there is none.
+#: Columns of the requested displacement reading; empty if there is none.
 NEXT_READING = ("next_reading", "next_reading_in_min", "next_reading_narrows_um")
 
 
 def next_reading_cells(asked: NextReading | None) -> list[str]:
-    """Return the displacement reading that is asked for as text, in the order of `NEXT_READING`."""
+    """Return the requested displacement reading as text, in the order of `NEXT_READING`."""
     if asked is None:
         return [""] * len(NEXT_READING)
     narrows = MEGA * (asked.band - asked.narrowed)
@@ -94,7 +94,7 @@ def read_estimate(lines: Iterable[str], where: str) -> tuple[tuple[str, ...], li
     ----------
     lines : iterable of str
         A table in any dialect, with the columns ``time_s``, ``NAME_um`` and ``NAME_band_um`` of
-        every axis, and ``status``; and of displacements along an axis those of their lines and at
+        every axis, and ``status``; for displacements along an axis also those of their lines and at
         positions (`estimator.lines`). Other columns are ignored.
     where : str
         Name of the file, for error messages.
@@ -108,7 +108,7 @@ def read_estimate(lines: Iterable[str], where: str) -> tuple[tuple[str, ...], li
     dialect = _dialect(table, where)
     names = list(dialect.names) if dialect else []
     along = _along(names)
-    # What is estimated at the present position of an axis is no axis of its own.
+    # A displacement at the present position of an axis is not an axis of its own.
     here = {f"{axis}_here{_BAND}" for axis in along}
     axes = tuple(
         name.removesuffix(_BAND)

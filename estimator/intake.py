@@ -27,7 +27,7 @@ class Intake:
 
     #: Readings with their units, as named in the sources by default.
     names: tuple[str, ...]
-    #: The first ones are read in every sample, the others occasionally.
+    #: Number of those, the first ones, that are read in every sample; the others are occasional.
     wanted: int
     #: ``temperature``, ``length``, ``speed`` and so on, of each reading.
     quantities: tuple[str, ...]

@@ -75,7 +75,7 @@ class Estimate(NamedTuple):
     displacement : ndarray, shape (axes,)
         δ, m.
     band : ndarray, shape (axes,)
-        Half-width of the 95 % interval of δ, m; NaN if the estimator does not know one.
+        Half-width of the 95 % interval of δ, m; NaN if the estimator has none.
     status : Status
         Reliability of the estimate.
     details : ndarray, shape (details,)
@@ -104,11 +104,11 @@ class Estimate(NamedTuple):
 
 
 class NextReading(NamedTuple):
-    """A displacement reading that an estimator asks for."""
+    """A displacement reading that an estimator requests."""
 
     #: To be read.
     axis: str
-    #: From now, s: the band then passes its limit if the heat stays as it is.
+    #: Time from now at which the band passes its limit if the heat stays as it is, s.
     due: float
     #: Half-widths of the 95 % interval of this axis then, without the reading and after it, m.
     band: float

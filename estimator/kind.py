@@ -39,14 +39,14 @@ OnFirst = Callable[[Mapping[str, float]], None]
 
 @dataclass
 class Cold:
-    """Ambient at which a machine was cold, K, for kinds that count temperatures from it.
+    """Ambient at which a machine was cold, K, for kinds with temperatures relative to it.
 
-    A log in °C sets it by its first row; a run that is continued counts from that of its beginning.
+    A log in °C sets it by its first row; a run that is continued keeps that of its beginning.
     """
 
-    #: NaN before it is known; 0 where temperatures are above it.
+    #: NaN before it is known; 0 where temperatures are relative to it.
     value: float = math.nan
-    #: The run goes on from a state.
+    #: Whether the run continues from a state.
     continued: bool = False
 
 
@@ -184,8 +184,8 @@ class Kind(Generic[M, E]):
     #: Model to the names that it expects of a log's columns, in the form that
     #: `thermojoint.artefacts.log_file.read_log` takes.
     renamed: Callable[[M], Mapping[str, str]] = lambda model: {}
-    #: (model, a log in pieces, its name, callback for the first row, where the machine was cold) to
-    #: samples.
+    #: (model, a log in pieces, its name, callback for the first row, ambient of the cold machine)
+    #: to samples.
     log: Callable[[M, Iterable[Log], str, OnFirst | None, Cold], Iterator[Sample]] = _log
     #: (model, response) to samples, and to the names of their probes.
     response: Callable[[M, xr.Dataset], Iterator[Sample]] = _response
@@ -201,13 +201,13 @@ class Kind(Generic[M, E]):
     judge: Callable[[Kind[M, E], M, Mapping[str, xr.Dataset], Conditions], Figures] | None = _judged
     #: (model, name to log) to errors; None for a kind judged by responses only.
     judge_logs: Callable[[M, Mapping[str, Log]], Figures] | None = None
-    #: (name of a log, estimator, log) to what it is judged by.
+    #: (name of a log, estimator, log) to the logs and columns that it is judged by.
     judged_in: Callable[[str, E, Log], JudgedIn] = _judged_in
     #: (estimator, state, sample as `channels`) to reading minus model, NaN where missing.
     residuals: Callable[[E, Array, Array], Array] | None = None
     #: (estimator, state, largest half-band m) to the displacement reading to take, or None.
     next_reading: Callable[[E, Array, float], NextReading | None] | None = None
-    #: Estimator to the half-band that a displacement reading leaves, m: no limit can be smaller.
+    #: Estimator to the half-band after a displacement reading, m: no limit can be smaller.
     narrowest_band: Callable[[E], float] | None = None
     #: (estimator, precision, nominal interval s) to the contents of an exported program.
     program: Callable[[E, Precision, float], Contents] | None = None
@@ -224,7 +224,7 @@ def checked_limit(
     Raises
     ------
     InputError
-        The kind asks for no readings, or the limit is below the band that a reading leaves.
+        The kind requests no readings, or the limit is below the band after a reading.
     """
     if kind.next_reading is None or kind.narrowest_band is None:
         raise InputError(f"{where}: {kind.name} asks for no readings; leave it out")

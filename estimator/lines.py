@@ -1,9 +1,9 @@
-"""Displacements along an axis, as estimators give them beside the displacement: line and table.
+"""Displacements along an axis, which estimators give beside the displacement: line and table.
 
 δ(P) = K0 + slope (P - P0), with the displacement itself as K0. An estimator with such displacements
 has the details of `DETAILS` for each of them, and those of `HERE` for the present position. One
-that knows what the line leaves also has the displacement at some positions, `channels_at`: a
-control that interpolates between them has the displacement at every position.
+that models the deviation from the line also has the displacement at some positions, `channels_at`:
+a control that interpolates between them has the displacement at every position.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from estimator.interface import Channel, Estimate
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.units import MILLI
 
-#: Ends and units of the names of the details, in the order of `Lines`.
+#: Suffixes and units of the details, in the order of `Lines`.
 DETAILS = (
     ("slope", "m/m"),
     ("slope_band", "m/m"),
@@ -27,9 +27,9 @@ DETAILS = (
     ("stroke_from", "mm"),
     ("stroke_to", "mm"),
 )
-#: Ends and units of the details of the displacement at the present position, and its band.
+#: Suffixes and units of the details of the displacement at the present position, and its band.
 HERE = (("here", "m"), ("here_band", "m"))
-#: Of each line along one of several moving axes, before the name of the axis.
+#: Names and units for each line along one of several moving axes, before the name of the axis.
 ALONG = (("K0", "m"), ("slope", "m/m"))
 #: A displacement at a position, mm, as `name_at` names it.
 _PLACE = re.compile(r"(.+)_at_(-?\d+(?:\.\d+)?(?:e[+-]\d+)?)")
@@ -51,7 +51,7 @@ def lever(reference: float, low: float, high: float) -> float:
 
 
 class Lines(NamedTuple):
-    """Lines of the displacements of an estimate; NaN for those that are known at one place."""
+    """Lines of the displacements of an estimate; NaN for those known at one position only."""
 
     #: Shape (axes,): slope and half-width of its 95 % interval, m/m.
     slope: Array
@@ -83,7 +83,7 @@ def channels_at(axis: str, positions: Array) -> tuple[Channel, ...]:
 
 
 def places_in(axes: Sequence[str], names: Sequence[str]) -> dict[str, int]:
-    """Return which of some names are those of displacements at positions, by name their place.
+    """Return the indices of the names that are displacements at positions, by name.
 
     Parameters
     ----------
@@ -99,9 +99,9 @@ def places_in(axes: Sequence[str], names: Sequence[str]) -> dict[str, int]:
 def here(
     axes: Sequence[str], channels: Sequence[Channel], estimates: Sequence[Estimate]
 ) -> tuple[Array, Array]:
-    """Return displacements where the machine is, and their half-bands, m, (n, axes) each.
+    """Return displacements at the present position, and their half-bands, m, (n, axes) each.
 
-    Along an axis that is not what the estimate itself says, K0 at P0.
+    Along an axis they differ from the displacement of the estimate, which is K0 at P0.
 
     Parameters
     ----------

@@ -147,7 +147,7 @@ def nominal_interval(
     Raises
     ------
     InputError
-        `given` is not positive, or there are fewer than two samples and no interval of such.
+        `given` is not positive, or there are fewer than two samples and `alone` is not given.
     """
     if given is not None:
         if not 0.0 < given < math.inf:

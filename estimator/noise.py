@@ -51,7 +51,7 @@ def sensor_noise(
     InputError
         There are too few samples for the filter, or they are too far apart.
     """
-    # It loads scipy.stats and takes longer than all else that an estimator's start loads.
+    # It loads scipy.stats, which takes longer than all other imports of an estimator.
     from scipy.signal import butter, sosfiltfilt
 
     interval = float(times[-1] - times[0]) / (len(times) - 1)
@@ -91,7 +91,7 @@ def with_noise(
 
 
 def with_added(response: xr.Dataset, added: Mapping[str, np.ndarray]) -> xr.Dataset:
-    """Return the response with something (K, for every sample) added to some probes.
+    """Return the response with values (K, for every sample) added to some probes.
 
     Raises
     ------

@@ -9,7 +9,7 @@ import numpy as np
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.units import MEGA
 
-#: Share of samples that a band promises to cover.
+#: Nominal coverage of a band, as a share of the samples.
 COVERED = 0.95
 #: E.g. case, estimator, axis, max_abs_error_um; None where a value is unknown.
 Row = Mapping[str, str | float | None]

@@ -14,8 +14,8 @@ contradicted must have approached the model by more than the model can have appr
 there for `Thresholds.agreed`. If most channels contradict the model, the model's state is wrong
 (`Verdict.lost`): then all are trusted.
 
-Verified by tests/test_sensor_faults.py, one rule at a time and without a machine, and by ``python
--m benchmarks.sensor_faults`` on the reference machine (docs/faulty-sensors.md).
+Verified by tests/estimator/test_sensor_faults.py, one rule at a time and without a machine, and by
+``python -m benchmarks.sensor_faults`` on the reference machine (docs/faulty-sensors.md).
 """
 
 from __future__ import annotations
@@ -75,7 +75,8 @@ class Thresholds(NamedTuple):
     #: been, on average, this far from multiples of one step, over this many changes; ...
     grain: float = 0.005
     seen: float = 10.0
-    #: ... or if the model says that it should have moved by this many steps or standard deviations.
+    #: ... or if according to the model it should have moved by this many steps or standard
+    #: deviations.
     steps: float = 4.0
     #: A channel that never changed is also stuck if this many others reverse in this fraction of
     #: their changes, as noise does, and it would usually have changed.
@@ -89,10 +90,10 @@ class Thresholds(NamedTuple):
     #: Changes below this are ignored, K.
     rounding: float = 1e-9
     #: Time over which innovations are averaged, s: new heat is found within it, so that an
-    #: innovation that is left after it is an error of the model.
+    #: innovation that remains after it is an error of the model.
     lasts: float = 600.0
-    #: Times over which these means are averaged again, s: what an error of the model means for the
-    #: displacement depends on how long it has lasted.
+    #: Times over which these means are averaged again, s: the effect of a model error on the
+    #: displacement depends on its duration.
     longer: float = 3600.0
     longest: float = 4.0 * 3600.0
 
@@ -150,8 +151,8 @@ class Watch(NamedTuple):
     turned: Array
     #: Its error when the model contradicted it, K; negative once it has jumped back.
     off: Array
-    #: Mean of its innovations over the last ten minutes, each at most the gate of a certain model,
-    #: K; as it was before the channel was distrusted.
+    #: Mean of its innovations over the last ten minutes, each at most `gate` times the model error,
+    #: K; constant while the channel is distrusted.
     lasting: Array
     #: Means of `lasting` over the last hour and the last four, K.
     longer: Array
@@ -273,7 +274,7 @@ def _silent(watch: Watch, channel: int, thermometers: int, rules: Thresholds) ->
 def look(
     watch: Watch, sample: Sample, channels: Channels, rules: Thresholds, odd: Flags, near: Flags
 ) -> None:
-    """Update the watch by a sample, in place; return what is faulty, and what is near the model."""
+    """Update the watch by a sample, and set `odd` if faulty, `near` if near the model, in place."""
     time, readings, predicted = sample.time, sample.readings, sample.predicted
     for k in range(readings.size):
         reading, expected = readings[k], predicted[k]

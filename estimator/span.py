@@ -30,19 +30,19 @@ class Settling:
     span: Span
     #: Sensors at the joint.
     sensors: tuple[str, ...]
-    #: Slowest time constant of the model, s; it counts up to the calibrated duration.
+    #: Slowest time constant of the model, s; limited to the calibrated duration.
     slowest: float
     #: Sampling interval, s.
     nominal: float
 
     @property
     def duration(self) -> float:
-        """Time after which an unknown past no longer counts, s."""
+        """Time after which an unknown past no longer has an effect, s."""
         return SETTLING * min(self.slowest, self.span.duration_s)
 
     @property
     def longest_pause(self) -> float:
-        """After a longer interval a run starts anew as far as its past is concerned, s."""
+        """Longest interval between samples after which the past is still known, s."""
         return max(PAUSE, INTERVALS * self.nominal)
 
     @property

@@ -42,7 +42,7 @@ class SavedState(NamedTuple):
     carried: Any
     #: The state.
     values: Array
-    #: Ambient at which the machine was cold (`estimator.kind.Cold`), K; NaN if it does not count.
+    #: Ambient at which the machine was cold (`estimator.kind.Cold`), K; NaN if it is not used.
     cold: float = math.nan
 
 
@@ -120,9 +120,9 @@ def from_bytes(data: bytes, fingerprint: str, where: str) -> Array:
 
 
 def completed(values: Array, initial: Array) -> Array:
-    """Return a state; one of an earlier version gets the initial values of what it lacks.
+    """Return a state; one of an earlier version gets the initial values of its missing parts.
 
-    What a version adds to a state of a kind stands at the end.
+    Parts that a version adds to the state of a kind come at its end.
     """
     return np.concatenate((values, initial[values.size :]))
 
