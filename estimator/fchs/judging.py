@@ -130,8 +130,7 @@ class Validated:
 def joined(parts: Sequence[Validated]) -> Validated:
     """Return several validations as one.
 
-    A case may be in several parts, with other estimators in each; what is in more than one counts
-    once.
+    A case may be in several parts, with different estimators in each; duplicates count once.
     """
     whole = Validated([], [], [], [], {}, {})
     for part in parts:

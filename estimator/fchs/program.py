@@ -23,7 +23,7 @@ _STATUSES = (
 
 
 class NamedBank(NamedTuple):
-    """A bank as it is named in the program."""
+    """A bank and its name in the program."""
 
     name: str
     modes: modes.Modes
