@@ -4,12 +4,12 @@ For each displacement a small Kalman filter whose state is (zero, drift, weights
 
     δ = zero + drift + Σ w_f φ_f.
 
-Along an axis it has the same again for the slope, and a reading at p observes K0 + (p - P0) slope.
+Along an axis the state has the same for the slope, and a reading at p observes K0 + (p - P0) slope.
 
-The zero is constant, the drift decays within hours and takes up what no feature explains, and the
-weights are the learned ones, with their covariance. Without readings only the features move δ,
-which is therefore bounded by the measurements, however long the run. A reading corrects the
-estimate immediately and, as readings agree, the model gradually.
+The zero is constant, the drift decays within hours and absorbs what no feature explains, and the
+weights are the learned ones, with their covariance. Without readings δ changes with the features
+only, and is therefore bounded by the measurements, however long the run. A reading corrects the
+estimate immediately, and consistent readings gradually correct the model.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _UNITS = {
 
 @dataclass(frozen=True)
 class Following:
-    """Rules for following displacement readings, and for flags.
+    """Settings for the correction by displacement readings, and for flags.
 
     The band's cover and the use of readings were measured on held-out days of a logged machine
     (``python -m benchmarks.measured_machine``, docs/measured-machines.md).
@@ -77,8 +77,8 @@ class Following:
     #: (`estimator.learned.unread`).
     wanders: float = 1800.0
     #: An estimate is unsettled where missing readings or an unknown past may have moved a
-    #: displacement by more than this fraction of what all readings together move it over the range
-    #: of the log; beyond the second one, while readings are missing, it is bad.
+    #: displacement by more than this fraction of its change by all readings over the range of the
+    #: log; beyond the second fraction, while readings are missing, it is bad.
     unsettled: float = 0.1
     lost: float = 0.5
 
@@ -101,7 +101,7 @@ class Learned(Described):
     reading_noise : float
         Standard deviation of a displacement reading, m.
     following : Following
-        How readings are followed.
+        Settings for readings and flags.
     """
 
     model: LearnedModel
@@ -127,9 +127,9 @@ class Learned(Described):
 
     @cached_property
     def channels(self) -> tuple[Channel, ...]:
-        """Columns of the log in SI, positions, a reading of each displacement, where it was read.
+        """Columns of the log in SI, positions, displacement readings, positions of the readings.
 
-        NaN where missing; a reading without a position of its own was made at the present one.
+        NaN where missing; a reading without its own position was made at the present one.
         """
         positions = self.model.positions
         return (
@@ -139,7 +139,7 @@ class Learned(Described):
 
     @property
     def details(self) -> tuple[Channel, ...]:
-        """The line, and the displacement at the position, for those along an axis."""
+        """Line and displacement at the present position, for displacements along an axis."""
         return tuple(
             one
             for channel in self.model.channels
@@ -239,7 +239,7 @@ class Learned(Described):
         for c in np.flatnonzero(~np.isnan(readings)):
             noise = self.reading_noise**2 + unknown[c] ** 2
             own = np.outer(shares[c], row).ravel()
-            # Without its position a reading along an axis says nothing.
+            # A reading along an axis cannot be used without its position.
             if np.isnan(at[c]) or self._correct(last, int(c), own, float(readings[c]), noise):
                 status |= Status.READING_REFUSED
         estimate, band, unknown = self._seen(last, row, self._shares(1.0, np.zeros_like(at)))
@@ -258,7 +258,7 @@ class Learned(Described):
         return whole if self.model.positions else whole[:, :1]
 
     def _seen(self, state: State, row: Array, shares: Array) -> tuple[Array, Array, Array]:
-        """Value, band and bound on what is unread, of shares of K0 and slope; each (axes,)."""
+        """Value, band and bound on unknown errors, for shares of K0 and slope; each (axes,)."""
         filters = np.einsum("cp,cpi->ci", shares, state.mean.reshape(*shares.shape, len(row)))
         rows = (shares[:, :, None] * row).reshape(state.mean.shape)
         variance = np.einsum("ci,cij,cj->c", rows, state.covariance, rows)
@@ -266,7 +266,7 @@ class Learned(Described):
         return filters @ row, band, np.abs(filters[:, WEIGHTS]) @ state.unread.relaxed
 
     def _details(self, state: State, row: Array, levers: Array) -> Array:
-        """Return `details`."""
+        """Values of `details`."""
         if not self.model.positions:
             return np.empty(0)
         one = self._shares(0.0, np.ones_like(levers))
@@ -302,7 +302,7 @@ class Learned(Described):
         return last
 
     def _unread(self, last: State, time: float, now: Array, missing: Flags) -> Unread:
-        """Bounds on what is not known, at a sample."""
+        """Bounds on unknown errors at a sample."""
         if last.fresh or time - last.time > self.following.pause:
             return at_start(self.model, now, missing)
         return later(self.model, last.unread, missing, time - last.time, self.following.wanders)
@@ -354,7 +354,7 @@ class Learned(Described):
     def _correct(self, state: State, c: int, row: Array, reading: float, noise: float) -> bool:
         """Correct filter c by a reading, m, in place; return whether it was refused.
 
-        `noise` is the reading's variance, m2, with that of what is not known at this moment.
+        `noise` is the reading's variance, m2, including that of unknown errors at this moment.
         """
         mean, spread = state.mean[c], state.covariance[c]
         cross = spread @ row

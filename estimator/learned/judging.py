@@ -39,12 +39,12 @@ def run(estimator: Learned, log: Log, every: float | None = None) -> tuple[Array
 def judged_in(case: str, estimator: Learned, log: Log) -> list[tuple[Log, list[tuple[str, str]]]]:
     """Return logs to judge by, each with displacements of the model and their columns in it.
 
-    Beside the log itself there is one for each column of a fixed position, which it has as well.
+    In addition to the log itself there is one for each of its columns at a fixed position.
 
     Raises
     ------
     InputError
-        A displacement along an axis is there without its position.
+        A displacement along an axis is in the log without its position.
     """
     same = [(name, name) for name in estimator.axes if name in log.names]
     judged = [(log, same)] if same else []

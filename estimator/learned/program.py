@@ -5,8 +5,8 @@ ones, and so is the band. With x = dt/τ a relaxation of the straight line from 
 
     y1 - y0 = g (u0 - y0) + h (u1 - u0),   g = 1 - exp(-x),   h = 1 - g/x.
 
-A displacement along an axis has K0 and a slope: shares 1 and 0 of them give the one, 0 and 1 the
-other, 1 and p - P0 what it is at a position p.
+A displacement along an axis has K0 and a slope: shares (1, 0) of them give K0, (0, 1) the slope,
+and (1, p - P0) the displacement at a position p.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from thermojoint.models.learned import LARGEST, LearnedChannel, LearnedModel
 
 #: Terms of the series of h, which is accurate for x below 1.
 TERMS = 18
-#: Status bit that no estimator in Python has: what is `here` is that of the last position read.
+#: Status bit that no estimator in Python has: `here` is at the last position that was read.
 UNPLACED = 1 << 12
 #: Exponents that need no power function.
 _PRODUCTS = (1.0, 2.0)
@@ -89,12 +89,12 @@ def contents(estimator: Learned, interval: float) -> Contents:
     ]
     powers = sum(feature.exponent not in (0.0, *_PRODUCTS) for feature in features)
     slow = sum(feature.tau > 0.0 for feature in features)
-    # K0, then the slope, of which the covariance has the zero, too.
+    # K0, then the slope, whose covariance includes the zero.
     parts = 2 if model.positions else 1
     spread = parts * (count + 1) - 1
     filters = [_filters(channel, parts, own.drift_size) for channel in model.channels]
     zeros, weights, spreads, unexplained = map(np.array, zip(*filters, strict=True))
-    # Each displacement, and along an axis its slope and what it is where the axis stands.
+    # Each displacement, and along an axis its slope and its value at the present position.
     seen = axes + 2 * sum(channel.slope is not None for channel in model.channels)
     products = parts * (3 + 2 * count) + count * (parts + 1) + spread * (spread + 1)
     usual = Operations(
@@ -107,7 +107,7 @@ def contents(estimator: Learned, interval: float) -> Contents:
     strokes = {one.slope.position: one.slope.stroke for one in model.channels if one.slope}
     sensors = [name in model.sensors for name in model.columns]
     return Contents(
-        # The program does not know the log's clock: it starts a new run.
+        # The program has no clock in common with the log: it starts a new run.
         replace(estimator, model=replace(model, log_end=None)),
         _interface(estimator, interval),
         values={
@@ -191,9 +191,9 @@ def _filters(channel: LearnedChannel, parts: int, drift_size: float) -> tuple[Ar
 
 
 def _lines_in(model: LearnedModel, estimate: Estimate) -> Array:
-    """What the self-test compares of lines: here, then what the slope does over the stroke, m.
+    """Values that the self-test compares: at the present position, then slope times stroke, m.
 
-    Here is zero where the position was not read.
+    The former is zero where the position was not read.
     """
     slopes = [channel.slope for channel in model.channels if channel.slope]
     at = len(lines.DETAILS)

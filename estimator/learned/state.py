@@ -54,7 +54,7 @@ def flat(state: State) -> Array:
 
 
 def state_in(array: Array, model: LearnedModel) -> State:
-    """Return the state of a model in an array of `flat`; nothing in it is shared with the array."""
+    """Return the state of a model in an array of `flat`, without shared memory."""
     columns, features, axes = len(model.columns), len(model.features), len(model.channels)
     size = width_of(model)
     ends = np.cumsum([2, columns, features, axes * (size + 1), axes * size**2, features])

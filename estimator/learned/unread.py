@@ -1,4 +1,4 @@
-"""Bound on the error that missing readings and an unknown past leave in a learned estimate.
+"""Bound on the error of a learned estimate due to missing readings and an unknown past.
 
 If the signal u of a feature is wrong by at most b, its relaxation φ is wrong by at most the
 relaxation of b, and
@@ -6,8 +6,8 @@ relaxation of b, and
     |error of δ| ≤ Σ_f |w_f| L_f b_f,
 
 with the relaxation L_f of the feature. Bounds are added and not their squares, because the
-temperatures of a machine rise together. When the reading returns, b is zero, and what was missed
-dies out with the time constant of the feature.
+temperatures of a machine rise together. When the reading returns, b is zero, and the error decays
+with the time constant of the feature.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from thermojoint.models.learned import LearnedModel
 
 
 class Unread(NamedTuple):
-    """Bounds on what is not known; arrays of shape (features,), in units of the signals."""
+    """Bounds on unknown errors; arrays of shape (features,), in units of the signals."""
 
     #: Of the error of each signal; 0 where its reading is present.
     signals: Array
@@ -34,9 +34,9 @@ class Unread(NamedTuple):
 def at_start(model: LearnedModel, values: Array, missing: Flags) -> Unread:
     """Return the bounds at the first sample of a run, or after a pause.
 
-    A column that is missing may be anywhere in the range of the log. A slow feature of a
-    temperature may come from a past as cold as the coldest of the log, that of a heat from one as
-    hot as the warmest thermometer says: on a machine that has cooled down, both are zero.
+    A missing column may have any value in the range of the log. A slow feature of a temperature may
+    stem from a past as cold as the minimum of the log, that of a heat input from one as hot as the
+    warmest thermometer indicates: on a machine that has cooled down, both bounds are zero.
 
     Parameters
     ----------
@@ -61,8 +61,8 @@ def later(
 ) -> Unread:
     """Return the bounds one sample later.
 
-    A missing temperature leaves its last value towards a distance of the log's whole range; a
-    speed or a power may change at once.
+    A missing temperature may drift from its last value by up to the whole range of the log; a speed
+    or a power may change at once.
 
     Parameters
     ----------
@@ -71,9 +71,9 @@ def later(
     missing : ndarray of bool, shape (columns,)
         Columns without a reading.
     interval : float
-        Since the sample before, s.
+        Since the previous sample, s.
     wanders : float
-        Time constant with which a temperature leaves its last value, s.
+        Time constant with which a temperature drifts from its last value, s.
     """
     kept = np.where(model.heats, 0.0, math.exp(-interval / wanders))
     far = model.signal_ranges
