@@ -34,7 +34,7 @@ def write_c(program: Program, folder: Path | str) -> list[Path]:
     Parameters
     ----------
     program : Program
-        What `export_program` returns.
+        From `export_program`.
     folder : Path or str
         Destination; it must be empty, missing, or contain a program of this kind.
 
@@ -75,7 +75,7 @@ def table(values: ArrayLike, precision: Precision) -> str:
 
 
 def _braces(array: np.ndarray, precision: Precision | None) -> str:
-    """An initialiser; without a precision of integers."""
+    """Initialiser of an array; of integers if there is no precision."""
     if array.ndim == 0:
         return literal(float(array), precision) if precision else str(int(array))
     parts = [_braces(entry, precision) for entry in array]

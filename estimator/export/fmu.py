@@ -53,11 +53,11 @@ def write_fmu(program: Program, path: Path | str, standard: Standard = Standard.
     Parameters
     ----------
     program : Program
-        What `export_program` returns.
+        From `export_program`.
     path : Path or str
         The archive to write.
     standard : Standard
-        Which FMI.
+        Version of FMI.
 
     Raises
     ------

@@ -36,7 +36,7 @@ _MEAN_SERIES, _MEAN_RECURSION = Operations(27 * 12, 27 * 8, 27 * 2), Operations(
 
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """A bank with its modes with double poles first; m modes, d of them double."""
+    """A bank, modes with double poles first; m modes, d of them double."""
 
     #: Shape (m,): 1/s.
     poles: np.ndarray

@@ -28,7 +28,7 @@ REFUSED = 1 << 15
 #: Valid prefix of a symbol, which leaves room for the rest.
 _NAME = re.compile(r"[A-Za-z](_?[A-Za-z0-9])*")
 _LONGEST = 31
-#: Longest rest of a symbol: with its prefix, no symbol has more than 63 characters.
+#: Longest remainder of a symbol: with its prefix, no symbol has more than 63 characters.
 _LONGEST_PART = 48
 
 
@@ -99,7 +99,7 @@ class Compared(NamedTuple):
     variable: Variable
     #: Factor that makes it m.
     metres: float = 1.0
-    #: Status bit under which it is that of a sample before, which is not compared.
+    #: Status bit under which it is from an earlier sample and is not compared.
     held: int = 0
 
 
@@ -123,14 +123,14 @@ class Interface:
     statuses: tuple[Status, ...]
     #: Those under which the program is near the estimator in Python, but not the same.
     approximate: tuple[Status, ...] = ()
-    #: What the self-test compares beside the displacements.
+    #: Outputs that the self-test compares beside the displacements.
     lines: tuple[Compared, ...] = ()
     #: `Compared.held` of the displacements.
     held: int = 0
 
     @property
     def compared(self) -> tuple[Compared, ...]:
-        """What the self-test compares: displacements first."""
+        """Outputs that the self-test compares: displacements first."""
         moved = [Compared(one, held=self.held) for one in self.outputs[: len(self.axes)]]
         return (*moved, *self.lines)
 
@@ -237,7 +237,7 @@ class Program:
             "compared": interface.compared,
             "expected": self.kept.compared,
             "words": self.kept.words,
-            # It is written into a comment, which a file name must not end.
+            # It is written into a comment, which a file name must not close.
             "origin": re.sub(r"[^\w .,-]", "_", self.kept.origin),
             "relative": self.precision is Precision.DOUBLE,
             "allowed": self.relative if self.precision is Precision.DOUBLE else ABSOLUTE,

@@ -20,7 +20,7 @@ EVEN, INTERVALS = 400, (15.0, 40.0, 0.5, 77.0)
 DAY, GAP = 86400.0, 3600.0
 #: Period of the load, its on-time as a fraction of it, and the time constant of the machine, s.
 PERIOD, ON, FOLLOWS = 7200.0, 0.6, 1800.0
-#: Stands for a missing reading in a self-test: beyond all that a program takes for a reading.
+#: Marks a missing reading in a self-test: outside the range that a program accepts.
 MISSING = -1e31
 #: Maximum number of compiled-in samples.
 MOST = 5000
@@ -33,7 +33,7 @@ class Recorded:
     #: Shape (n, 1 + channels): interval since the previous sample (nominal for the first), s, and
     #: readings, `MISSING` where there is none.
     samples: Array
-    #: Shape (n, axes + lines): displacements, then what else is compared, m.
+    #: Shape (n, axes + lines): displacements, then the other compared values, m.
     compared: Array
     #: Status words.
     words: tuple[int, ...]
@@ -50,8 +50,8 @@ def recorded(
 ) -> Recorded:
     """Return at most `MOST` samples with the estimates, starting from the initial state.
 
-    Samples are time, s, and a value of each channel; the first has the given interval, s. Beside
-    the displacements of the estimator, what `lines` returns of its estimates is compared, m.
+    Samples are time, s, and a value of each channel; the first has the given interval, s. In
+    addition to the displacements, the values that `lines` returns for an estimate are compared, m.
 
     Raises
     ------

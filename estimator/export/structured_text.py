@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _TYPES = {Precision.DOUBLE: "LREAL", Precision.SINGLE: "REAL"}
 #: Numbers per line of a table.
 _IN_A_LINE = 6
-#: Indentation, variable and value of a loop from a number to the same.
+#: Indentation, variable and value of a loop whose bounds are the same number.
 _ONE_PASS = re.compile(r"^( *)FOR (\w+) := (\d+) TO \3 DO\n", re.MULTILINE)
 
 
@@ -40,7 +40,7 @@ def write_structured_text(program: Program, folder: Path | str) -> list[Path]:
     Parameters
     ----------
     program : Program
-        What `export_program` returns.
+        From `export_program`.
     folder : Path or str
         Destination; it must be empty, missing, or contain a program of this kind.
 
@@ -58,7 +58,7 @@ def write_structured_text(program: Program, folder: Path | str) -> list[Path]:
 
 
 def without_single_passes(text: str) -> str:
-    """Return a program in which each loop of a single pass is its statements.
+    """Return a program with every single-pass loop replaced by its statements.
 
     Some versions of matiec, the compiler of Beremiz and OpenPLC, do not run ``FOR j := 0 TO 0``.
     """
