@@ -27,7 +27,7 @@ from thermojoint.reduced.unknown_heat import with_unknown_heat
 
 @dataclass(frozen=True)
 class Past:
-    """Range of past heating and cooling, and what a run carries of it."""
+    """Range of past heating and cooling, and size of its covariance factor."""
 
     #: Range and number of heating and cooling times, s, evenly spaced in their logarithm.
     shortest: float = 60.0
@@ -47,10 +47,10 @@ class Past:
 #: The defaults.
 PAST = Past()
 #: Unknown heat of a face, relative to the mean of the sources, and the standard deviation of the
-#: displacement, relative to the largest, up to which thermometers tell it: with ten thermometers on
-#: all bodies 0.02 to 0.3 % on six structural plants, with four on one body 2 to 4 %.
+#: displacement, relative to the largest, up to which thermometers determine it: on six structural
+#: plants 0.02 to 0.3 % with ten thermometers on all bodies, 2 to 4 % with four on one body.
 UNKNOWN, TOLD = 1.0 / 60.0, 1.0 / 150.0
-#: Model errors persist over a hundred samples: as white noise they count this many times.
+#: Model errors persist over a hundred samples: as white noise they are this many times larger.
 LASTS = 10.0
 
 
@@ -67,14 +67,14 @@ def make_observer(
 def observer_from_rest(
     machine: ReducedMachine, fit: Fit, calibrated: Calibrated, noise: Noise | None = None
 ) -> ObserverModel:
-    """Return the observer of a fitted machine that is not told what a warm start may be.
+    """Return the observer of a fitted machine without the covariance of a warm start.
 
     Its band does not include the uncertainty of the calibration: `open_band`.
 
     Parameters
     ----------
     machine : ReducedMachine
-        As its case says.
+        As described by its case.
     fit : Fit
         Its parameters, discrepancy and sensors.
     calibrated : Calibrated
@@ -88,7 +88,7 @@ def observer_from_rest(
         The sensors do not determine the heat.
     """
     noise = noise or Noise()
-    # A calibration without noise says nothing about later readings.
+    # A calibration without noise gives no evidence about that of later readings.
     own = np.maximum(noise.sensor, fit.noise)
     # ... and model errors that last for minutes count as noise that is larger by this factor.
     errs = np.sqrt(np.maximum(fit.residual_temperature**2 - fit.noise**2, 0.0))
@@ -163,7 +163,7 @@ def observer_from_rest(
 
 
 def _modes(machine: ReducedMachine, joined: Array, noise: Noise) -> tuple[Modes, Array]:
-    """Modes of a machine, and what unknown heat adds to them in a step (`with_unknown_heat`)."""
+    """Modes of a machine, and their change by unknown heat in a step (`with_unknown_heat`)."""
     if noise.unknown_heat == 0.0:
         modes = diagonal_modes(machine, joined)
         return modes, np.zeros((modes.rates.size, 0))
@@ -174,9 +174,9 @@ def _modes(machine: ReducedMachine, joined: Array, noise: Noise) -> tuple[Modes,
 def seen_heat(machine: ReducedMachine, fit: Fit, calibrated: Calibrated, largest: Array) -> float:
     """Return the unknown heat of each face that an observer is to estimate, W; zero for none.
 
-    A machine of the family of its case needs none. Of any other it is estimated where thermometers
-    would tell heat in any of its bodies, so that the displacement is known with it, too. Where they
-    would not, what the model does wrong near a source looks like heat far away.
+    A machine of the family of its case needs none. For any other it is estimated if thermometers
+    would determine heat in any of its bodies well enough for the displacement. If not, model errors
+    near a source would be mistaken for heat far away.
 
     Parameters
     ----------
@@ -232,7 +232,7 @@ def warm_columns(
     steady : SteadyFilter
         Of the observer.
     pasts : Pasts
-        That the machine may have had.
+        Possible pasts of the machine.
     """
     every = states_after(modes, rates, power, steady.walk, pasts)
     return compressed(every / np.sqrt(every.shape[1]), steady.scale, PAST.columns)

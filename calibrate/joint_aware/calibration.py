@@ -45,9 +45,9 @@ from thermojoint.reduced.machine import (
 MINUTE = 60.0
 #: A singular value above this is determined by the data: the prior contributes less than a tenth.
 DECIDED = 3.0
-#: A machine is taken for one on feet if that leaves no more than this share of the doubt.
+#: A machine is loosened, as one on feet, if that reduces the doubt to this share or less.
 CLEARLY = 0.95
-#: Least doubt of such a machine: at 1 nothing is allowed for that its runs do not show.
+#: Least doubt of such a machine: at 1 the band would not allow for errors that no run shows.
 UNLIKE = 1.1
 #: An axis with less than this fraction of the largest displacement does not move.
 STILL = 1e-6
@@ -80,11 +80,11 @@ class JointAwareCalibration(Described):
     runs : tuple of Run
         Calibration runs.
     unchecked : tuple of str
-        Runs that the band was not checked on: without them there is no fit.
+        Runs on which the band was not checked (`left_out.widened`).
     unknown_heat : float
-        Heat of each face that no source brings, W, if it is estimated; zero if not.
+        Heat of each face that comes from no source, W, if it is estimated; zero if not.
     days : tuple of str
-        Recorded days, which tell how a machine is unlike its case, and no parameters.
+        Recorded days, from which deviations from the case are learned, but no parameters.
     """
 
     model: ObserverModel
@@ -182,7 +182,7 @@ def machine_of(case: Case, sensors: Sequence[str]) -> ReducedMachine:
 
 
 def _moving_axis(case: Case, axis: Axis) -> MovingAxis:
-    """What a model knows of an axis of its case."""
+    """Axis of a case as part of a model."""
     section = case.axes[axis.name]
     own = np.abs(unit_direction(section)).round(9) == 1.0
     along = "".join(one for one, moves in zip(DIRECTIONS, own, strict=True) if moves)
@@ -199,21 +199,21 @@ def calibrate_machine(
 ) -> JointAwareCalibration:
     """Return the observer of an already reduced machine; see `calibrate_joint_aware`.
 
-    `loosening`: makes what else the machine may have, for one that is unlike its case.
+    `loosening` makes the compliant supports and films of a machine that is unlike its case.
     """
     machine = along(machine, _moving(machine, responses))
     every = {name: run_in(response, machine, name) for name, response in responses.items()}
     if not highest_heat(machine, list(every.values())):
         raise InputError("joint-aware: no run has any heat; add one, such as a step")
     names = tuple(name for name, run in every.items() if machine.guide or not is_day(run))
-    # Without any shorter run that has heat days are all that there is to fit.
+    # Without any shorter run with heat, there are only days to fit.
     if not highest_heat(machine, [every[name] for name in names]):
         names = tuple(every)
     days = tuple(name for name in every if name not in names)
     coarse = {name: fewer(run) for name, run in every.items()}
     fit = fit_physics(machine, [coarse[name] for name in names], fitted, effort.search)
     if days and fit.doubt <= 1.0:
-        # On a machine of the family days tell parameters, like any run, and nothing else.
+        # For a machine of the family, days contribute to the parameters only, like any run.
         again = fit_physics(machine, list(coarse.values()), fitted, effort.search)
         if again.doubt <= 1.0:
             days, names, fit = (), tuple(every), again
@@ -223,10 +223,10 @@ def calibrate_machine(
     known = calibrated_range(machine, responses)
     noises = [noise] if noise else _noises(machine, fit, known, runs)
     found = [_observer(machine, whole, fit, known, one, effort.drawing) for one in noises]
-    # Of two observers the one whose band, checked on runs that it has not seen, is narrower.
+    # Of two observers the one with the narrower band, checked on runs that were left out.
     worth = [float(variance_of_heat(model).sum()) for model, _ in found]
     if days:
-        # Days that are left out tell it better.
+        # Errors in days that are left out are a better criterion.
         recorded = [every[name] for name in days]
         told = [_with_days(model, recorded, whole) for model, _ in found]
         worth = [squares for _, squares in told]
@@ -240,7 +240,7 @@ def calibrate_machine(
 def _with_days(
     model: ObserverModel, days: Sequence[Run], others: Sequence[Run]
 ) -> tuple[ObserverModel, float]:
-    """A model that knows what days tell, and its mean square error in days left out, m2."""
+    """A model with corrections by recorded days, and its mean square error in days left out, m2."""
     shown = [[shown_in(model, run) for run in runs] for runs in (days, others)]
     return with_days(model, *shown)
 
@@ -252,15 +252,15 @@ def loosened(
     search: Search,
     loosening: Callable[[], Loosening | None],
 ) -> tuple[ReducedMachine, Fit]:
-    """Return a machine with its fit, or loosened with its own if that leaves clearly less doubt.
+    """Return a machine with its fit, or loosened with its own fit if that has clearly less doubt.
 
-    A machine of the family of its case is not fitted again. One that is loosened is unlike its case
-    even if more parameters explain all of its runs (`UNLIKE`).
+    A machine of the family of its case is not fitted again. A loosened one counts as unlike its
+    case even if the additional parameters explain all of its runs (`UNLIKE`).
 
     Parameters
     ----------
     machine : ReducedMachine
-        As its case says.
+        As described by its case.
     runs : sequence of Run
         From rest.
     fit : Fit
@@ -268,7 +268,7 @@ def loosened(
     search : Search
         Effort and tolerances.
     loosening : callable
-        Makes what else the machine may have; called if it is wanted.
+        Makes the loosening of the machine; only called if it is needed.
     """
     if fit.doubt <= 1.0 or (loose := loosening()) is None:
         return machine, fit
@@ -285,7 +285,7 @@ def loosened(
 def _noises(
     machine: ReducedMachine, fit: Fit, known: Calibrated, runs: Sequence[Run]
 ) -> list[Noise]:
-    """The usual noise, and with unknown heat where thermometers tell it."""
+    """The usual noise, and one with unknown heat if thermometers determine it."""
     largest = np.max([np.abs(run.displacement).max(axis=0) for run in runs], axis=0)
     heat = seen_heat(machine, fit, known, largest)
     return [Noise(), Noise(unknown_heat=heat)] if heat else [Noise()]
@@ -299,12 +299,12 @@ def _observer(
     noise: Noise,
     drawing: Drawing,
 ) -> tuple[ObserverModel, list[int]]:
-    """The observer of a fit with its band, and the positions of runs that it is not checked on."""
+    """The observer of a fit with its band, and the indices of runs on which it is not checked."""
     model = make_observer(machine, fit, known, noise)
     band = open_band(machine, [fewer(run) for run in runs], fit, model, noise, drawing)
     model = replace(model, band=band)
     band, unchecked = widened(machine, runs, fit, model, noise, drawing)
-    # The machines of the band have no powers: where they are read, it is wider than need be.
+    # The machines of the band have no power readings: where there are any, it is too wide.
     return replace(model, band=band, power_shares=machine.power_shares), unchecked
 
 
@@ -347,7 +347,7 @@ def calibrated_range(machine: ReducedMachine, responses: Mapping[str, xr.Dataset
 
 
 def _fastest(response: xr.Dataset, machine: ReducedMachine) -> Array:
-    """How fast each moving axis went in its fastest minute of a run, (x,), m/s."""
+    """Speed of each moving axis in its fastest minute of a run, (x,), m/s."""
     times = response["time"].to_numpy().astype(float)
     ways = ways_of(response, machine, positions_in(response, machine.axis_names))
     lasts = min(MINUTE, float(times[-1] - times[0]))

@@ -1,10 +1,10 @@
 """Identifiability of a machine's parameters from calibration runs, present and further ones.
 
-Profiles: half the sum of squares with one parameter fixed beside its fitted value and the others
+Profiles: half the sum of squares with one parameter fixed near its fitted value and the others
 fitted again. Further runs: the covariance of the parameters with the information that a run would
 add (its Jacobian is that of the fitted machine, so that no new data are needed), propagated to the
-displacement of a day of random heat. There the discrepancy compensates what a parameter changes in
-proportion to the heat in the calibration runs. Everything uses coarse marches.
+displacement of a day of random heat. There the discrepancy compensates the effect of a parameter
+that is proportional to the heat in the calibration runs. Everything uses coarse marches.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ CANDIDATES = {
 
 @dataclass(frozen=True)
 class Inquiry:
-    """Points of a profile, and the day to which uncertainty is carried."""
+    """Points of a profile, and the day to which uncertainty is propagated."""
 
     #: Of a profile, in standard deviations from the fit.
     points: tuple[float, ...] = (-2.0, -1.0, 0.0, 1.0, 2.0)

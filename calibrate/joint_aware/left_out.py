@@ -1,9 +1,9 @@
-"""Whether a band holds on calibration runs that the calibration has not seen.
+"""Check of a band on calibration runs that are left out of the calibration.
 
 Each run is left out in turn; the others give a fit, a posterior and an observer of their own. The
 errors of this observer in the run that was left out, relative to those that the posterior expects,
-tell how far the machine differs from its model by more than parameters. The band is widened until
-it would have held on every run: split conformal prediction, with runs as blocks.
+show how far the machine deviates from its model beyond the parameters. The band is widened until it
+would have held on every run: split conformal prediction, with runs as blocks.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from thermojoint.artefacts.errors import ConvergenceError
 from thermojoint.reduced.discrepancy import REACH, told_by
 from thermojoint.reduced.machine import ReducedMachine
 
-#: Share of the samples of a run that the band has to hold: errors last, so that it is nearly all.
+#: Share of the samples of a run that the band has to contain; nearly all, as errors persist.
 HELD = 0.98
-#: Sizes of a variance that are tried, relative to the mean square of what was missed.
+#: Trial sizes of an additional variance, relative to the mean square shortfall.
 SIZES = (0.0, *np.geomspace(0.1, 100.0, 31))
 
 
@@ -49,17 +49,17 @@ def widened(
 ) -> tuple[Band, list[int]]:
     """Return the band of a model, wide enough to hold on every run that is left out.
 
-    Also the positions of runs that it was not checked on: the others have no fit or no heat, its
-    machine cannot be marched, or the run alone tells of slow errors (`_alone`).
+    Also the indices of runs on which it was not checked: the others have no fit or no heat, their
+    machine cannot be marched, or the run alone shows slow errors (`_alone`).
 
     Parameters
     ----------
     machine : ReducedMachine
-        As its case says.
+        As described by its case.
     runs : sequence of Run
-        Calibration runs with all their samples. A single one leaves the band as it is.
+        Calibration runs with all their samples. With a single one the band is not changed.
     fit : Fit
-        Of all runs, with the samples that `fewer` leaves of them.
+        Of all runs, with the samples that `fewer` keeps.
     model : ObserverModel
         With the band of that fit's posterior (`open_band`).
     noise : Noise, optional
@@ -87,10 +87,10 @@ def widened(
 
 
 def _alone(runs: Sequence[Run], k: int) -> bool:
-    """Whether a run lasts so long that none of the others, at least one, tells of its slow errors.
+    """Whether a run is so long that none of the others, at least one, shows its slow errors.
 
-    On a machine unlike its case a fit without it takes them for films and heat: its errors in this
-    run are none of the fit with it.
+    On a machine unlike its case a fit without it attributes them to films and heat: the errors of
+    that fit in this run are not those of the fit with it.
     """
     lengths = [run.length * len(run.inputs) for run in runs]
     return lengths[k] > REACH * max(lengths[:k] + lengths[k + 1 :])
@@ -137,32 +137,32 @@ def _missing(unseen: Sequence[_Unseen], axis: int, floor: float) -> Array:
 def _unseen(
     machine: ReducedMachine, run: Run, others: _Others, model: ObserverModel, drawing: Drawing
 ) -> _Unseen:
-    """Errors in a run that was left out, and what the posterior of the others expects."""
+    """Errors in a run that was left out, and the variances that the others' posterior expects."""
     fit = others.fit
     filtered = observer_from_rest(machine, fit, model.calibrated, others.noise)
     observer, sources = JointAware(filtered), machine.power.size
     moving = len(machine.axis_names)
     given = samples_of(run, sources + len(machine.held.names))
     found = observer.displacements(np.hstack([given, counted_in(run, filtered.counted)]))
-    # What the posterior expects, on the longer steps of the band.
+    # The expected variances, on the longer steps of the band.
     slow = on_longer_steps(machine, others.runs, model.calibrated, fit, others.noise, drawing)
     step = slow.machine.step
     steps = joined(run, max(1, round(step / run.length)))
     grid = steps.length * np.arange(1.0, len(steps.inputs) + 1.0)
-    # Means over these steps: the noise of the displacement's readings is no error.
+    # Means over these steps: noise of the displacement readings is not an error of the estimate.
     errors, read = means_in(found - run.displacement, run.times, grid)
     driven, course = steps.inputs[:, :sources], steps.inputs[:, steps.inputs.shape[1] - moving :]
     history = history_of(driven / machine.power, fit.discrepancy.rates, step, course)
     drawn = drawn_errors(np.random.default_rng(drawing.seed), slow, [history], drawing)
     expected = filtered.band.steady + filtered.band.constant + np.mean(np.square(drawn), axis=0)
     expected = expected + history.squares @ unlike_its_case(slow).T
-    # The beginning of what lasts for longer than the run is seen in it.
+    # Only relaxations of which the run shows at least the beginning.
     told = told_by(fit.discrepancy.rates, grid[-1]) > 0.0
     return _Unseen((history.squares * told)[read], expected[read], errors)
 
 
 def means_in(values: Array, times: Array, grid: Array) -> tuple[Array, Flags]:
-    """Return means of values (n, c) read at `times` (n,) in steps of `grid`, and which have any.
+    """Return means of values (n, c) at `times` (n,) in steps of `grid`, and the steps with any.
 
     Steps without any reading are left out of the means.
     """
@@ -175,7 +175,7 @@ def means_in(values: Array, times: Array, grid: Array) -> tuple[Array, Flags]:
 def samples_of(run: Run, driven: int) -> Array:
     """Return times and readings of a run, with the inputs after the first `driven`.
 
-    They are the ambient and the loads.
+    The latter are the ambient and the loads.
     """
     grid = run.length * np.arange(1, len(run.inputs) + 1)
     given = [np.interp(run.times, grid, column) for column in run.inputs[:, driven:].T]

@@ -34,7 +34,7 @@ def with_linear_joint(machine: ReducedMachine) -> ReducedMachine:
     Raises
     ------
     InputError
-        It has a moving axis, more than heat acts on it, or it starts warm.
+        It has a moving axis, something other than heat acts on it, or it starts warm.
     """
     if machine.guide is not None:
         raise InputError("kalman-linear: knows no moving axis; take joint-aware")
@@ -70,7 +70,7 @@ def calibrate_linear_joint(
     effort: Effort = USUAL,
 ) -> JointAwareCalibration:
     """Return the Kalman filter of a machine; as `calibrate.joint_aware.calibration`."""
-    # Its joint is known to be wrong, which says nothing about the other parameters.
+    # Its joint is known to be wrong, which is no evidence about the other parameters.
     effort = replace(effort, search=replace(effort.search, doubted=1.0))
     calibrated = calibrate_machine(with_linear_joint(machine), responses, noise, fitted, effort)
     return replace(calibrated, model=replace(calibrated.model, kind="kalman-linear"))

@@ -32,7 +32,7 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
     log : Log
         With a temperature for each probe of the case that is a sensor and for each held surface
         whose temperature changes, one power, W, for all sources together, and the displacements;
-        the ``ambient``, if it was measured; of a case with an axis its position, ``y_pos_mm``.
+        the ``ambient``, if it was measured; for a case with an axis its position, ``y_pos_mm``.
     case : Case
         The machine.
     displacement : sequence of str
@@ -125,7 +125,7 @@ def _response(
 
 
 def _temperatures(log: Log, names: Container[str]) -> dict[str, Array]:
-    """Temperatures of those columns of a log that have one of some names, by name."""
+    """Temperature columns of a log with one of the given names, by name."""
     return {
         column.base: log.at(column.name)
         for column in log.columns
@@ -145,7 +145,7 @@ def _axis(log: Log, name: str) -> str:
 
 
 def _power(log: Log, case: Case) -> Array:
-    """Total heat of all sources, W; the power of a motor, of which a share is heat, is no heat."""
+    """Total heat of all sources, W; a motor power, of which only a share is heat, is left out."""
     told = {f"{name}_power" for name, one in case.sources.items() if one.power_share is not None}
     names = [name for name in log.of("power") if log.columns[log.index(name)].base not in told]
     if len(names) != 1:

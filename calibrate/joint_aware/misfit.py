@@ -1,9 +1,9 @@
-"""Whitened residuals of calibration runs: temperatures and displacements minus the machine's.
+"""Whitened residuals of calibration runs: measured minus simulated temperatures and displacements.
 
-A sensor's error in a run is that of the physics, f(theta), minus what the discrepancy and a
-constant offset of the sensor explain: both are linear, with normal priors, and are eliminated by
-ridge regression (`discrepancy.Ridge`). A displacement has no offset: it is zero at rest by
-definition.
+A sensor's error in a run is that of the physics, f(theta), minus the part explained by the
+discrepancy and a constant offset of the sensor: both are linear, with normal priors, and are
+eliminated by ridge regression (`discrepancy.Ridge`). A displacement has no offset: it is zero at
+rest by definition.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from thermojoint.reduced.physics import Physics, at_start, make_physics, simulat
 
 @dataclass(frozen=True)
 class Sigmas:
-    """Errors of model and sensors that a fit assumes.
+    """Errors of model and sensors assumed in a fit.
 
     The confidence bands that follow from them are checked on drawn machines (``make plants``,
     docs/joint-aware.md).
@@ -46,7 +46,7 @@ class Sigmas:
     #: 0.05 um that last for a run.
     temperature: float = 0.3
     displacement: float = 0.5e-6
-    #: The same for the discrepancy, which follows the rest sample by sample, K and m.
+    #: The same for the discrepancy, which is fitted to the rest sample by sample, K and m.
     discrepancy_temperature: float = 0.03
     discrepancy_displacement: float = 1e-7
     #: Sensors with errors below this, K, or below the median error have equal weight.
@@ -57,7 +57,7 @@ class Sigmas:
 
 #: The defaults.
 SIGMAS = Sigmas()
-#: Beginnings of the names of parameters that turn the modes.
+#: Prefixes of the names of parameters that change the shape of the modes.
 TURNING = ("film", "conduction")
 
 
@@ -76,12 +76,12 @@ class Run:
     displacement: Array
     #: Of a step, s.
     length: float
-    #: Shape (n, x): how far each axis has gone in each step, m; None for from place to place.
+    #: Shape (n, x): travel of each axis in each step, m; None for the change of its position.
     gone: Array | None = None
 
 
 def counted_in(run: Run, axes: Sequence[int]) -> Array:
-    """Return what odometers of some axes (c,) count at the samples of a run, (k, c), m."""
+    """Return the odometers of some axes (c,) at the samples of a run, (k, c), m."""
     if run.gone is None:
         return np.zeros((run.times.size, 0))
     grid = run.length * np.arange(len(run.gone) + 1.0)
@@ -96,7 +96,7 @@ def coarser(run: Run, steps: int) -> Run:
 
 
 def joined(run: Run, factor: int) -> Run:
-    """Return a run in steps so many times as long: means of its inputs, and all that axes go."""
+    """Return a run in steps `factor` times as long: means of its inputs, sums of the travel."""
     count = math.ceil(len(run.inputs) / factor)
 
     def means(values: Array) -> Array:
@@ -108,10 +108,10 @@ def joined(run: Run, factor: int) -> Run:
 
 
 def searched(machine: ReducedMachine, runs: Sequence[Run], steps: int) -> list[Run]:
-    """Return the runs as a search marches through them: in at most this many steps.
+    """Return the runs for the marches of a search: in at most this many steps.
 
-    Where an axis moves, they stay as they are: from one end of a longer step to the other it would
-    miss most of its way, and with it the friction heat that tells preload from heat.
+    Runs in which an axis moves are not changed: longer steps would miss most of its travel, and
+    with it the friction heat that distinguishes preload from heat.
     """
     axes = len(machine.axis_names)
     return [
@@ -123,7 +123,7 @@ def searched(machine: ReducedMachine, runs: Sequence[Run], steps: int) -> list[R
 
 
 def fewer(run: Run) -> Run:
-    """Return a run with few samples (`SIGMAS`); the first one, at rest, tells the offsets."""
+    """Return a run with few samples (`SIGMAS`); the first one, at rest, determines the offsets."""
     kept = slice(None, None, max(1, math.ceil(run.times.size / SIGMAS.samples)))
     return replace(
         run,
@@ -261,14 +261,14 @@ def best_lags(
 ) -> Array:
     """Return the coordinates (k,) with the one of `lags` (s) that fits every sensor best.
 
-    The misfit has a minimum at zero and another one at the lag of a sensor: a search finds only
-    that on whose side it begins.
+    The misfit has a minimum at zero and another one at the lag of a sensor: a search only finds
+    the one on whose side it begins.
     """
     found, names = coordinates.copy(), [parameter.name for parameter in parameters]
     sensors = problem.machine.sensor_names
     lagging = [k for k, sensor in enumerate(sensors) if lag_name(sensor) in names]
     at = [names.index(lag_name(sensors[k])) for k in lagging]
-    # The lag of a sensor is nothing to the others, so that all may have the same.
+    # The lag of a sensor does not affect the others, so that all may have the same.
     costs = np.empty((len(lags), len(lagging)))
     for lag, cost in zip(lags, costs, strict=True):
         found[at] = lag
@@ -281,7 +281,7 @@ def best_lags(
     return found
 
 
-# Lags of sensors change no march.
+# Lags of sensors do not affect a march.
 @lru_cache(maxsize=2)
 def _marched(
     machine: ReducedMachine, runs: tuple[Run, ...], factors: tuple[tuple[str, float], ...]
@@ -331,7 +331,7 @@ def _basis(machine: ReducedMachine, turning: tuple[tuple[str, float], ...]) -> t
 
 
 def _assumed(machine: ReducedMachine) -> Array:
-    """Conductance times area (m,), W/K, that the modes have."""
+    """Conductance times area (m,), W/K, that the modes include."""
     guide = machine.guide
     free = guide is not None and (len(guide.axes) > 1 or guide.drives.any)
     return np.zeros_like(machine.at_preload) if free else machine.at_preload
@@ -343,7 +343,7 @@ def residuals(problem: Problem, parameters: tuple[Parameter, ...], coordinates: 
 
 
 def whitened(problem: Problem, left: Array) -> Array:
-    """Return what the linear part leaves of errors (n, p + axes), one channel after the other.
+    """Return the rest of errors (n, p + axes) without the linear part, one channel after the other.
 
     In units of sigma, shape (n (p + axes),) unless a channel does not move. It is linear in them.
     """
@@ -358,12 +358,11 @@ def whitened(problem: Problem, left: Array) -> Array:
 
 
 def doubt_of(problem: Problem, left: Array) -> float:
-    """Return the factor on the assumed errors that the residuals (n,) of a fit ask for, at least 1.
+    """Return the factor on the assumed errors that the residuals (n,) of a fit require, at least 1.
 
-    As assumed, a run weighs as much as one sample of every channel, so that the squares of a
-    channel sum to the number of runs, or to those of its noise where that is more. Larger ones show
-    that the machine differs from its model by more than parameters: then the parameters are known
-    less well.
+    By assumption a run weighs as much as one sample of every channel, so that the squares of a
+    channel sum to the number of runs, or to those of its noise where that is more. Larger sums show
+    that the machine deviates from its model beyond the parameters, which are then less certain.
     """
     samples = len(problem.states)
     each = left.reshape(-1, samples).T
@@ -407,7 +406,7 @@ def fit_linear(problem: Problem, temperature: Array, displacement: Array) -> Lin
 def trust_in(problem: Problem, left: Array) -> Array:
     """Return the factor on sigma of every sensor from its residuals in a fit, shape (p,).
 
-    A sensor that the model cannot follow, in the contact plane or at an edge, where temperatures
+    A sensor that the model cannot reproduce, in the contact plane or at an edge, where temperatures
     depend on the mesh, would bias the parameters. Its residual in the runs, without its noise,
     determines its weight.
     """

@@ -73,8 +73,8 @@ class Drawing:
     #: Fraction of the largest mean square below which all errors count the same in the band.
     floor: float = 1e-4
     #: A fit assumes model errors this many times larger than it needs to (`misfit`), so that
-    #: persistent errors do not bias the parameters. The machines are drawn as if it assumed them as
-    #: they are: what the data decide is known better, what only the prior decides is not.
+    #: persistent errors do not bias the parameters. The machines are drawn as if it assumed the
+    #: actual ones: this reduces the uncertainty of what the data determine, not that of the prior.
     assumed: float = 2.0
     #: Tolerated residual of an error's approximation, relative to its largest value.
     rough: float = 0.02
@@ -82,14 +82,15 @@ class Drawing:
 
 #: The default.
 USUAL = Drawing()
-#: Where temperatures differ from the model's for ten minutes by a share of their largest in the
-#: runs, the displacement is taken to differ by this part of that share, as a standard deviation.
+#: Where temperatures differ from the model's for ten minutes by a fraction of their largest values
+#: in the runs, the displacement is assumed to differ by this part of that fraction, as a standard
+#: deviation.
 DOUBTED = 0.8
-#: The gain that no run shows is this many times as large as all others are assumed to be together.
+#: The gain that no run shows is assumed this many times as large as all others together.
 SLOWLY = 1.3
-#: A thermometer that warms less counts as if it warmed by this part of what the warmest does.
+#: Least temperature rise with which a thermometer counts, relative to that of the warmest.
 FAR = 0.1
-#: A drawn machine has no faulty sensors: an onset of heat that its steps cannot resolve is none.
+#: Drawn machines have no faulty sensors: an onset of heat within one of their steps is no fault.
 HEALTHY = Thresholds(faults=sensor_faults.Thresholds(gate=1e6, jump=1e6, stuck=1e9), room=1e6)
 
 
@@ -114,7 +115,7 @@ def open_band(
     Parameters
     ----------
     machine : ReducedMachine
-        As its case says.
+        As described by its case.
     runs : sequence of Run
         Calibration runs.
     fit : Fit
@@ -130,7 +131,7 @@ def open_band(
     rng, step = np.random.default_rng(drawing.seed), slow.machine.step
     highest, sources = drawing.beyond * model.calibrated.heat, machine.power.size
     day = random_levels(rng, drawing.duration, step, highest, sources)
-    # The day contains hardly any machine that has just started to warm up.
+    # The day hardly contains the beginning of a warm-up.
     shortest = min(run.length * len(run.inputs) for run in runs)
     begun = np.full((max(1, round(shortest / step)), sources), highest)
     moves = np.random.default_rng(drawing.seed)
@@ -181,7 +182,7 @@ def on_longer_steps(
 ) -> Fitted:
     """Return a fit to `runs`, its machine and its observer on the steps of `drawing`.
 
-    They are whole numbers of the machine's own, into which those of a run can be joined.
+    They are multiples of the machine's own steps, into which those of a run can be joined.
     """
     own = machine.step
     slow = replace(machine, step=own * math.ceil(drawing.step / own - 1e-9))
@@ -194,10 +195,9 @@ def unlike_its_case(fitted: Fitted) -> Array:
     """Return the variance of errors that no run shows, per square of the relaxed heat, (axes, q).
 
     The slowest relaxation has no gain, as no run lasts long enough for it. A machine of the family
-    needs none. One that leaves more than its parameters explain is given one that is unknown, of
-    the size that all others are assumed to have together (`SLOWLY`), in proportion to what is left
-    beyond the family. Heat that no run shows need not move the machine as its sources do: along
-    every axis it counts as in the mean of them.
+    needs none. One with residuals beyond its parameters is given an unknown gain of the size that
+    all others are assumed to have together (`SLOWLY`), in proportion to these residuals. Heat that
+    no run shows need not displace the machine as its sources do: every axis gets the mean of all.
     """
     unknown = np.zeros((len(fitted.machine.axes), fitted.problem.rates.size))
     gains = np.mean(np.square([channel.tau for channel in fitted.problem.displacement]))
@@ -208,10 +208,10 @@ def unlike_its_case(fitted: Fitted) -> Array:
 def surprise_of(runs: Sequence[Run], doubt: float) -> Array:
     """Return the variance of an error per square of a lasting innovation, m2/K2, (axes, p + 1).
 
-    Errors of temperatures and of the displacement that come from the same unknown heat are alike as
-    shares of the largest values, in the mean of the axes. The thermometers count alike, the ambient
-    not at all. Machines of the posterior have lasting innovations, too, and their errors are in the
-    band already.
+    Errors of temperatures and of the displacement due to the same unknown heat are assumed to be
+    equal fractions of the largest values, in the mean of the axes. All thermometers have the same
+    weight, the ambient has none. Machines of the posterior have lasting innovations, too, whose
+    errors are already in the band.
 
     Parameters
     ----------
@@ -308,7 +308,7 @@ class Drawn:
 
 
 def _pasts(observer: JointAware, machine: ReducedMachine, history: History) -> tuple[Array, Array]:
-    """Mean squares of what slips of the past and warm drives displace, m2, (axes,) each."""
+    """Mean squares of the displacement by past slips and by warm drives, m2, (axes,) each."""
     physics = observer.observer.physics
     inputs = machine.inputs(history.heat * machine.power, history.course)
     marched = march_known(physics, inputs, machine.step)
@@ -350,7 +350,7 @@ def draw_machines(
     fit : Fit
         Parameters, discrepancy, and their uncertainty.
     drawing : Drawing
-        Number of machines; what is assumed of errors.
+        Number of machines, and the assumed errors.
     """
     count = sum(_open(fit))
     for along in _directions(rng, max(drawing.draws, count), count):
@@ -387,7 +387,7 @@ def _draw(
         + moved[0].discrepancy.displacement
         - moved[1].discrepancy.displacement
     )
-    # What is assumed of errors, as far as the fit has found them to be so small.
+    # Factor by which the fit assumes too large errors, less where it has found larger ones.
     assumed = drawing.assumed / problem.doubt
     sensed_sigma = SIGMAS.discrepancy_temperature / assumed
     for row in temperature:

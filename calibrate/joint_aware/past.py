@@ -2,7 +2,7 @@
 
 Every past ends now. Its state is that of the linear part of the observer, marched exactly over
 steps of constant inputs. The second moment of many such states is the covariance of an unknown
-start: it says which fields work can have left, and how large they are.
+start: it describes which temperature fields past work can have left, and how large they are.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from thermojoint.reduced.machine import Modes
 
 @dataclass(frozen=True)
 class Duty:
-    """Work of which nothing is known (docs/joint-aware.md, on the initial state)."""
+    """Distribution of unknown past work (docs/joint-aware.md, on the initial state)."""
 
     #: Number of drawn pasts; their seed.
     pasts: int = 400
@@ -64,7 +64,7 @@ def random_pasts(highest: float, sources: int, duty: Duty = BROAD) -> Pasts:
     sources : int
         Each has its own levels.
     duty : Duty
-        What is drawn.
+        Distribution of the pasts.
     """
     rng = np.random.default_rng(duty.seed)
     shortest, longest = np.log(duty.lasts)

@@ -68,12 +68,12 @@ class Search:
     seed: int = 1
     #: Largest distance of a draw from the case's values, in standard deviations of the prior.
     furthest: float = 2.0
-    #: Where searches for the lags of sensors begin, s, if that fits best.
+    #: Candidates for the initial lags of sensors, s; a search begins with the one that fits best.
     lags: tuple[float, ...] = (0.0, 3.0, 6.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0, 75.0)
     #: Largest factor on the assumed errors (`misfit.doubt_of`).
     doubted: float = 5.0
-    #: A film or a lag that the case does not have is taken for one from this many posterior
-    #: standard deviations on.
+    #: A film or a lag that the case does not have is accepted from this many posterior standard
+    #: deviations on.
     evident: float = 2.0
 
 
@@ -83,8 +83,8 @@ SEARCH = Search()
 REFITTED = 4
 #: Slopes are taken by differences again if a step has to be shortened more often.
 MISLED = 1
-#: A residual that is always there, so that changes of the cost count relative to what tells two
-#: fits apart, half a unit, even if there is next to none.
+#: A constant residual, so that changes of the cost count relative to half a unit, which
+#: distinguishes two fits, even if the cost is nearly zero.
 UNIT = 1.0
 #: A step no longer than this, in units of the priors, is rounding.
 NOWHERE = 1e-8
@@ -103,7 +103,7 @@ class Start:
 
 @dataclass(frozen=True, eq=False)
 class Slopes:
-    """Errors at some parameters, and how they change with them."""
+    """Errors at some parameters, and their derivatives."""
 
     #: Shape (k,): coordinates in units of their priors.
     at: Array
@@ -160,7 +160,7 @@ def _errors(problem: Problem, parameters: tuple[Parameter, ...], scaled: Array) 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Where a search has ended."""
+    """Result of a search."""
 
     #: Shape (k,): coordinates in units of their priors.
     at: Array
@@ -172,7 +172,7 @@ class Found:
     cost: float
     #: Parameter evaluations of all runs.
     evaluations: int
-    #: Where the Jacobian is from.
+    #: From which the Jacobian is computed.
     slopes: Slopes
 
 
@@ -191,7 +191,7 @@ class Fit:
     residuals: Array
     #: Shape (n, k): of the residuals by the coordinates in units of their priors.
     jacobian: Array
-    #: Of the errors in the steps of the search; the Jacobian is from them.
+    #: Of the errors on the coarse march; the Jacobian is computed from them.
     slopes: Slopes
     #: Fitted at these parameters.
     discrepancy: Discrepancy
@@ -244,7 +244,7 @@ def fit_physics(
     Parameters
     ----------
     machine : ReducedMachine
-        As its case says.
+        As described by its case.
     runs : sequence of Run
         From rest.
     fitted : sequence of str, optional
@@ -301,15 +301,15 @@ def fit_physics(
 
 
 def _nowhere() -> Found:
-    """Where a search without parameters ends."""
+    """Result of a search without parameters."""
     nothing, none = np.zeros(0), np.zeros((0, 0))
     return Found(nothing, nothing, none, 0.0, 0, Slopes(nothing, none, none))
 
 
 def refit(machine: ReducedMachine, runs: Sequence[Run], fit: Fit, left_out: int) -> Fit:
-    """Fit once more to the runs of a fit but one, from its parameters and with its slopes.
+    """Fit again to all runs of a fit but one, from its parameters and with its slopes.
 
-    By `SEARCH`, but in few evaluations.
+    As with `SEARCH`, but in few evaluations.
 
     Parameters
     ----------
@@ -318,7 +318,7 @@ def refit(machine: ReducedMachine, runs: Sequence[Run], fit: Fit, left_out: int)
     fit : Fit
         Of all these runs.
     left_out : int
-        Which of them is left out.
+        Index of the run that is left out.
 
     Raises
     ------
@@ -366,7 +366,7 @@ def _settled(
         whole, problem = replace(whole, trust=trust), replace(problem, trust=trust)
         defect = _defect(whole, problem, parameters, now)
         if number > 0:
-            # Now the place is about right.
+            # Now the parameters are about right.
             slopes, evaluations = (
                 slopes_at(problem, parameters, now, search),
                 evaluations + now.size,
@@ -422,9 +422,9 @@ def _search(
     search: Search,
     held: Flags | None = None,
 ) -> Found:
-    """Search from where the slopes are; parameters that are `held` stay at zero."""
+    """Search from the parameters of the slopes; those that are `held` stay at zero."""
     least, highest = np.array([parameter.least for parameter in parameters]), 3.0
-    # Bounds that hold a parameter would hold the steps of all of them (dogbox).
+    # Bounds that fix a parameter would block the steps of all of them (dogbox).
     free = np.ones(least.size, dtype=bool) if held is None else ~held
     # Rounding may have moved a parameter at its bound beyond it.
     begun = np.where(free, np.clip(slopes.at, least, highest), 0.0)

@@ -41,8 +41,8 @@ def random_levels(
 def random_course(rng: np.random.Generator, steps: int, step: float, way: Guideway) -> Array:
     """Return positions of x axes at the end of each step, m, shape (n, x).
 
-    Half of the time an axis stands anywhere on its stroke; else it goes to another place in every
-    step.
+    Half of the time an axis stands at a random position of its stroke; otherwise it moves to
+    another one in every step.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def random_course(rng: np.random.Generator, steps: int, step: float, way: Guidew
 
 
 def _course(rng: np.random.Generator, steps: int, step: float, low: float, high: float) -> Array:
-    """Positions (n,) of one of them, between two."""
+    """Positions (n,) of one axis, between two ends, m."""
     course, at = np.empty(steps), 0
     while at < steps:
         lasts = max(1, round(rng.uniform(*LASTS) / step))

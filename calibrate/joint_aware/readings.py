@@ -25,8 +25,8 @@ from thermojoint.reduced.physics import at_start
 
 #: At rest every sensor agrees with the others within this, K; a larger difference is no offset.
 COLD = 3.0
-#: An axis that turns back after more than this part of its moves from sample to sample does so
-#: between samples, too; what is less than this part of its way to and fro is no move.
+#: An axis that reverses after more than this share of its moves from sample to sample is assumed to
+#: do so between samples, too; changes below this share of its range of positions are no moves.
 OFTEN, JITTER = 0.25, 0.01
 
 
@@ -61,8 +61,8 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     Raises
     ------
     InputError
-        Time starts before 0, the run starts warm or is too short, a drive that the model does not
-        know moves the axis, or a probe, an axis or a load is missing.
+        Time starts before 0, the run starts warm or is too short, the axis has a drive that is not
+        in the model, or a probe, an axis or a load is missing.
     """
     guide = machine.guide
     if (guide is None or not guide.drives.any) and "positioning_error" in response:
@@ -74,7 +74,7 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     if times[0] < 0.0:
         raise InputError(f"{where}: time starts at {times[0]:g} s; it must start at rest, at 0")
     temperature = temperatures_in(response, machine.sensor_names)
-    # The machine of the case may start warm, and a sensor on a held surface.
+    # A machine may start warm according to its case, and so may a sensor on a held surface.
     if times[0] == 0.0 and not machine.start.any() and not machine.held.names:
         check_cold(temperature[0], machine.sensor_names, where)
     count = round(times[-1] / machine.step)
@@ -94,7 +94,7 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     factors = [np.interp(grid, times, column) for column in (*loads.T, *positions.T)]
     displacement = columns_of(response, "displacement", machine.axes)
     if not displacement[0].any():
-        # A log counts from its beginning, a machine under loads from where nothing acts.
+        # A log is relative to its beginning, a machine under loads to its unloaded state.
         displacement = displacement + at_start(physics_with(machine, {}))[1]
     ways = ways_of(response, machine, positions).T
     ends = [np.interp(grid, times, column) for column in ways]
@@ -109,7 +109,7 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
 
 
 def _warn_of_turns(positions: Array, machine: ReducedMachine, where: str) -> None:
-    """Warn of axes without an odometer that turn back so often that they do between samples, too.
+    """Warn of axes without an odometer that reverse so often that they also do between samples.
 
     Positions are (n, x), m.
     """
@@ -137,7 +137,7 @@ def _means_in_steps(times: Array, values: Array, grid: Array) -> Array:
 
 
 def ways_of(response: xr.Dataset, machine: ReducedMachine, positions: Array) -> Array:
-    """Return how far axes have gone at every sample, (n, x), m: counted, or by their positions.
+    """Return the travel of axes until every sample, (n, x), m, by odometers or by positions.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def ways_of(response: xr.Dataset, machine: ReducedMachine, positions: Array) -> 
     if "axis_way" in response and positions.shape[1]:
         counted = ways_in(response, machine.axis_names)
         steps = np.diff(counted, axis=0, prepend=counted[:1])
-        # Less than from one position to the next means that an odometer was set anew.
+        # An odometer that reports less than the change of position was reset.
         ways = np.cumsum(np.maximum(steps, np.diff(ways, axis=0, prepend=0.0)), axis=0)
     return ways
 

@@ -1,11 +1,11 @@
-"""What recorded days tell of a machine that is unlike its case.
+"""Corrections learned from recorded days of a machine that is unlike its case.
 
-Its parameters cannot follow such a machine, and its errors last: they are nearly linear in the mean
+No parameters reproduce such a machine, and its errors persist: they are nearly linear in the mean
 innovations of the thermometers over ten minutes, an hour and four, and in the heat of the last
-hours (docs/joint-aware.md). What these mean is a property of the machine that steps and a cool-down
-do not show. Here it is regressed on the errors of the observer in recorded days and in the other
-runs. The size of the coefficients is that of the largest evidence, zero among the sizes. What the
-band allows for a machine unlike its case shrinks as days that are left out turn out.
+hours (docs/joint-aware.md). The coefficients are a property of the machine that steps and a
+cool-down do not show. Here they are found by regression of the errors of the observer in recorded
+days and in the other runs. Their prior size maximises the evidence; zero is among the candidates.
+The allowance of the band for a machine unlike its case is scaled by the errors in days left out.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ from thermojoint.artefacts.arrays import Array
 
 #: A run longer than this is a recorded day, s: longer than any that is made to find parameters.
 LONGEST = 5.0 * 3600.0
-#: Errors are compared as means over this time, and are alike for that long, s: so much less do they
-#: tell than as many independent ones.
+#: Errors are averaged over the first time and correlated over the second, s: by this ratio they
+#: have less information than as many independent ones.
 MEAN, ALIKE = 480.0, 1800.0
-#: Relaxations of the heat that days tell of are slower than this, s.
+#: Only relaxations of the heat that are slower than this, s, are features.
 SLOW = 3600.0
-#: A run that is over before slow errors arise shows what is none of them: in the sum of squares
-#: its errors are so many times as large. If they count once, a step of 3 with four thermometers is
-#: off by up to 9.3 um instead of 4.0 (docs/joint-aware.md, eight plants, five days).
+#: A run that ends before slow errors arise shows errors of other causes: in the sum of squares its
+#: errors are multiplied by this. With a factor of 1, a step of 3 with four thermometers is off by
+#: up to 9.3 um instead of 4.0 (docs/joint-aware.md, eight plants, five days).
 SHORT = 10.0
-#: Sizes of the coefficients that are tried: what the root mean square of each feature explains,
-#: relative to what is left.
+#: Trial sizes of the coefficients: effect of the root mean square of each feature, relative to the
+#: residual.
 SIZES = (0.0, *np.geomspace(0.02, 200.0, 25))
 #: Directions of the coefficients, of every axis, whose uncertainty is in the band.
 DIRECTIONS = 12
@@ -46,7 +46,7 @@ DIRECTIONS = 12
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """A run, or a part of it, as an observer shows it."""
+    """Signals of an observer in a run, or in a part of it."""
 
     #: Shape (n, s q): relaxations of the heat.
     relaxed: Array
@@ -63,7 +63,7 @@ class Shown:
 
 
 class _Told(NamedTuple):
-    """Coefficients of an axis: f features, of variance `left` (m2) what they do not explain."""
+    """Coefficients of f features for an axis, and the variance of the residual, `left` (m2)."""
 
     #: Shape (f,): m and m/K.
     mean: Array
@@ -78,7 +78,7 @@ def is_day(run: Run) -> bool:
 
 
 def shown_in(model: ObserverModel, run: Run) -> Shown:
-    """Return a run as its observer shows it, in means over `MEAN`."""
+    """Return the signals of an observer in a run, as means over `MEAN`."""
     samples = samples_of(run, len(model.sources) + len(model.surfaces))
     shown = JointAware(replace(model, power_shares={})).shown(samples)
     each = shown.relaxed, shown.means, shown.displacement - run.displacement
@@ -91,7 +91,7 @@ def shown_in(model: ObserverModel, run: Run) -> Shown:
 def with_days(
     model: ObserverModel, days: Sequence[Shown], others: Sequence[Shown]
 ) -> tuple[ObserverModel, float]:
-    """Return a model that knows what recorded days tell.
+    """Return a model with corrections learned from recorded days.
 
     And the mean square of its errors, m2, in days that are left out; with a single one, in a half
     of it.
@@ -99,11 +99,11 @@ def with_days(
     Parameters
     ----------
     model : ObserverModel
-        Whose observer shows the days.
+        Of the observer that gave the signals.
     days : sequence of Shown
         At least one.
     others : sequence of Shown
-        The other runs, which what the days tell must not contradict.
+        The other runs, which the corrections must not contradict.
     """
     every, parts = [*others, *days], list(days) if len(days) > 1 else _halves(days[0])
     found = _told(model, every)
@@ -114,7 +114,7 @@ def with_days(
         seen = [*others, *parts[:k], *parts[k + 1 :]]
         left = _left(model, _knowing(model, _told(model, seen), seen), part)
         squares[k], allowed[k] = np.mean(np.square(left)), np.mean(_expected(model, part))
-    # What was allowed for counts as one more day, on which the band was just as wide as needed.
+    # The original allowance counts as one more day, on which the band was exactly wide enough.
     shares = len(days) * np.mean(squares / allowed)
     share = float(1.0 + shares) / (1.0 + len(days))
     known = _knowing(model, found, every)
@@ -130,7 +130,7 @@ def _halves(day: Shown) -> list[Shown]:
 
 
 def _slow(model: ObserverModel) -> NDArray[np.int64]:
-    """Positions of the relaxations that are features, (s k,)."""
+    """Indices of the relaxations that are features, (s k,)."""
     rates = model.discrepancy.rates
     slow = np.tile(rates * SLOW < 1.0, len(model.sources))
     return np.flatnonzero(slow)
@@ -141,7 +141,7 @@ def _features(model: ObserverModel, shown: Shown) -> Array:
 
 
 def _told(model: ObserverModel, runs: Sequence[Shown]) -> list[_Told]:
-    """What runs tell of the features, axis by axis."""
+    """Coefficients of the features by runs, axis by axis."""
     features = np.vstack([run.weight * _features(model, run) for run in runs])
     errors = np.vstack([run.weight * run.errors for run in runs])
     return [_regressed(features, error) for error in errors.T]
@@ -151,7 +151,7 @@ def _regressed(features: Array, error: Array) -> _Told:
     """Coefficients of features (n, f) that explain the negative of an error (n,).
 
     The coefficients of features of root mean square 1 are normal with a standard deviation of
-    `size` times that of what is left; size and rest are those of the largest evidence.
+    `size` times that of the residual; size and residual maximise the evidence.
     """
     scale = np.sqrt(np.mean(features**2, axis=0))
     scale[scale == 0.0] = np.inf
@@ -178,7 +178,7 @@ def _regressed(features: Array, error: Array) -> _Told:
 
 
 def _knowing(model: ObserverModel, found: Sequence[_Told], runs: Sequence[Shown]) -> ObserverModel:
-    """The model with what `runs` tell: they are no longer allowed for, their rest is."""
+    """The model with coefficients by `runs`, and their uncertainty and residual in its band."""
     slow, band = _slow(model), model.band
     gains = np.array([one.mean for one in found])
     gain = np.zeros_like(model.discrepancy.displacement)
@@ -218,13 +218,13 @@ def _directions(covariance: Array, features: Array) -> Array:
 
 
 def _left(model: ObserverModel, known: ObserverModel, shown: Shown) -> Array:
-    """Errors (n, axes), m, of a model that knows, in a part of a run that `model` shows."""
+    """Errors (n, axes), m, of a corrected model, `known`, in a part of a run with `model`."""
     gain = known.discrepancy.displacement - model.discrepancy.displacement
     corrected = shown.relaxed @ gain.T + Observer(known).meant(shown.means)
     return np.asarray(shown.errors + corrected)
 
 
 def _expected(model: ObserverModel, shown: Shown) -> Array:
-    """Variance (n, axes), m2, that the band of a model gives a part of a run."""
+    """Variance (n, axes), m2, of the band of a model in a part of a run."""
     parts = Observer(model).model_error(shown.relaxed, KNOWN, shown.means)
     return np.asarray(model.band.steady + np.square(parts).sum(axis=-1))

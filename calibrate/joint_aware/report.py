@@ -25,13 +25,13 @@ AGREE = 0.5
 
 
 def short_report(calibrated: JointAwareCalibration) -> dict[str, Any]:
-    """Return `report` with what further runs would tell.
+    """Return `report` with the information of further runs.
 
     Returns
     -------
     dict
-        Content of `report`; unchecked_runs: those that the band was not checked on; recorded_days:
-        those that tell how the machine is unlike its case, and no parameters;
+        Content of `report`; unchecked_runs: those on which the band was not checked; recorded_days:
+        those from which deviations from the case are learned, but no parameters;
         unknown_heat_W: standard deviation of the heat of each face that is estimated beside that of
         the sources, zero without it; further_runs:
         standard deviation of every parameter and of the displacement in a day, um, root mean
@@ -65,7 +65,7 @@ def whole_report(calibrated: JointAwareCalibration) -> dict[str, Any]:
         Content of `short_report`; offsets_K and noise_K of the sensors; prediction_only: parameters
         determined by the prior; starts: cost above the best and distance from the fit, in standard
         deviations, of every search; profiles: factor and cost above the fit of each point;
-        condensation: which parameters reuse one.
+        condensation: parameters that reuse one, and those that need a new one.
     """
     machine, runs, fit = calibrated.machine, calibrated.runs, calibrated.fit
     sensors = calibrated.model.sensors
