@@ -60,9 +60,9 @@ if TYPE_CHECKING:
 
 #: Largest factor on A that `stabilised` tries.
 MOST_RAISED = 64.0
-#: Sources that the placement gives a machine, as many as the paper's; fewer with fewer inputs.
+#: Number of sources with automatic placement, as in the paper; fewer with fewer inputs.
 SOURCES = 2
-#: Sets of sensors at the joint tried before one with a sensor fewer.
+#: Sets of sensors at the joint that are tried before one with a sensor fewer.
 MOST_SETS = 12
 #: Samples of a response that are used: a longer one is thinned evenly.
 MOST_SAMPLES = 1500
@@ -150,7 +150,7 @@ def calibrate_responses(
     axes = moving_axes(reference, others)
     every = math.ceil(reference.sizes["time"] / MOST_SAMPLES)
     times = reference["time"].to_numpy()
-    # Without a sample at the step the first is one interval after it, of those that are left, too.
+    # Without a sample at the step, the first is one interval after it, also after thinning.
     first = 0 if times[0] < 0.5 * (times[1] - times[0]) else every - 1
     base, *runs = (
         response.sel(axis=axes).isel(time=slice(first, None, every))

@@ -1,4 +1,4 @@
-"""What a calibration by steps needs of a case: that the heat input alone moves the machine."""
+"""Check for a calibration by steps: that the heat input alone moves the machine of a case."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def _motion_heats(case: Case, name: str) -> bool:
 def check_alone(response: xr.Dataset, where: str) -> None:
     """Refuse a simulated response that something other than the heat input has affected.
 
-    A measured one does not tell; of the ambient every response tells by itself.
+    A measured one has no case to check; the ambient is part of every response.
 
     Raises
     ------

@@ -251,7 +251,7 @@ def _in_order(problem: Separable, theta: np.ndarray) -> np.ndarray:
 
 
 def _distinct(ends: Sequence[_End]) -> list[_End]:
-    """Return the ends but those at the parameters of one before."""
+    """Return the ends without those at the parameters of an earlier one."""
     found: list[_End] = []
     for end in ends:
         if all(np.abs(np.log(end.theta / other.theta)).max() > _SAME for other in found):
@@ -267,7 +267,7 @@ def fit_linear(problem: Separable, theta: Sequence[float]) -> Fit:
 
 
 def _assess(problem: Separable, end: _End, *, free: bool = True) -> Fit:
-    """Return the `Fit` at `end`; `free` says whether the nonlinear parameters were searched."""
+    """Return the `Fit` at `end`; `free`: whether the nonlinear parameters were searched."""
     columns, slopes = problem.basis(end.theta)
     coefficients = solve_linear(columns, problem.data, problem.ridge)
     residual = problem.data - columns @ coefficients

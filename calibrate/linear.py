@@ -145,8 +145,8 @@ def fit_ring(
 def fit_deformation(t: np.ndarray, data: np.ndarray) -> tuple[DeformationModel, Fit]:
     """Return Eq. 8, as printed, fitted to a step response of displacement.
 
-    Its three rates describe minutes or hours, not both: where they miss by more than `INADEQUATE`
-    of the displacement, the four of Eq. 18 are fitted.
+    Its three rates describe minutes or hours, not both: where the error exceeds `INADEQUATE` of the
+    displacement, the four rates of Eq. 18 are fitted.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def fit_deformation(t: np.ndarray, data: np.ndarray) -> tuple[DeformationModel, 
 def _best_deformation(
     t: np.ndarray, data: np.ndarray, names: tuple[str, str]
 ) -> tuple[list[float], list[float], Fit]:
-    """Return coefficients, rates and the fit of Eq. 8 or 18, whose parameters are named so."""
+    """Return coefficients, rates and the fit of Eq. 8 or 18, with these names of parameters."""
     linear_names, rates = map(tuple, names)
     lower, upper = deformation_bounds(t, len(rates))
 

@@ -31,8 +31,8 @@ STILL = 1e-3
 def candidates_in(response: xr.Dataset) -> tuple[list[str], list[str]]:
     """Return the candidates for the sensors around the source, and for those at the joint.
 
-    Two boxes of candidates in the case are those. Otherwise every probe is a candidate for a and b,
-    and the half of them nearest to the contact elements for T1, T2 ...
+    They are those in the two boxes of candidates, if the case has two. Otherwise every probe is a
+    candidate for a and b, and the half of them nearest to the contact elements for T1, T2 ...
 
     Raises
     ------
@@ -62,7 +62,7 @@ def candidates_in(response: xr.Dataset) -> tuple[list[str], list[str]]:
 def _inside(
     response: xr.Dataset, box: Mapping[str, Any], named: Mapping[str, Mapping[str, Any]]
 ) -> list[str]:
-    """Return the probes in a box but those of another body; `named` are those of the case."""
+    """Return the probes in a box without those of other bodies; `named` are those of the case."""
     position = 1e3 * response["probe_position"].to_numpy()
     low, high = np.array(box["low_mm"]) - 1e-6, np.array(box["high_mm"]) + 1e-6
     holds = ((position >= low) & (position <= high)).all(axis=1)

@@ -213,8 +213,8 @@ def fit_by_averaging(
     (they are positive) are the next round's initial guess. The first round searches from
     `FIRST_STARTS` points. The loop ends when every rate is within `TOLERANCE` (in ln) of its mean,
     when the means no longer change (the optima of the inputs differ, and a good optimiser returns
-    to them from any guess), or after `ROUNDS`. The products are then fitted with the means. Takes
-    what `fit_jointly` takes.
+    to them from any guess), or after `ROUNDS`. The products are then fitted with the means.
+    Parameters as of `fit_jointly`.
     """
     _check_deviations(t, deviations, inputs, geometry)
     thin = steps.thinned(t.size)
