@@ -1,8 +1,8 @@
 """Baseline regressions on all temperatures of a log, treated like the learned model.
 
 ``linear``: ordinary least squares. ``ridge``: standardised temperatures and their low-passes, the
-penalty by blocks of time. ``arx``: a pole from one-step predictions, then the weights of the
-temperatures by the same ridge, run freely; that is a relaxation of the temperatures.
+penalty by held-out blocks of time. ``arx``: a pole from one-step predictions, then the weights of
+the temperatures by the same ridge, free-running; that is a relaxation of the temperatures.
 """
 
 from __future__ import annotations

@@ -164,7 +164,7 @@ def _changes_of(table: Table, drives: list[str], rules: Cleaning) -> Flags:
 
 
 def _changes_before(table: Table, there: Flags, changing: Flags, rules: Cleaning) -> Flags:
-    """Return whether something changes (k,) since the reading before, for those that are `there`.
+    """Return whether something has changed (k,) since the previous reading, if it is `there`.
 
     A column that was not read for some time has a gap of its own.
     """
@@ -190,7 +190,7 @@ def _fault(table: Table, k: int, changes: Flags, rules: Cleaning) -> str | None:
     if table.spikes[k] > rules.spikes * table.samples:
         return f"{int(table.spikes[k])} spikes in {table.samples} samples"
     times, read = table.times[there], read_time(table)[there]
-    # Nor does a pause of this sensor alone count.
+    # A pause of this sensor alone does not count either.
     read = _without_pauses(np.diff(read, prepend=read[0]), table.interval)
     stuck = _longest_still(seen, read, rules.unchanged)
     if stuck > max(rules.stuck * (read[-1] - read[0]), rules.shortest_stuck):

@@ -52,7 +52,7 @@ QUANTILE = 1.96
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """Rows of a log's table, which `at` numbers, as used by a kind of model, µm."""
+    """Rows of a log's table, with the indices `at`, as used by a kind of model, µm."""
 
     features: tuple[Feature, ...]
     sizes: Array
@@ -78,9 +78,9 @@ def learn(
 class HeldOut(NamedTuple):
     """Estimates for blocks of time that a model was not learned from."""
 
-    #: Shape (k,): s; they begin again where a run does.
+    #: Shape (k,): s; they restart with every run.
     times: Array
-    #: Shape (k, axes): m; the half-width of the 95 % band.
+    #: Shape (k, axes): m; `band` is the half-width of the 95 % band.
     truth: Array
     estimate: Array
     band: Array
@@ -183,7 +183,7 @@ def _held_out(times: Array, rows: _Rows, judged: _Judged) -> HeldOut:
 
 
 def _beside(parts: Sequence[HeldOut]) -> HeldOut:
-    """Return what was held out of several models, NaN at the times of the others."""
+    """Return the held-out estimates of several models, NaN at the times of the others."""
     return HeldOut(
         np.concatenate([part.times for part in parts]),
         *(_diagonal(values) for values in zip(*(part[1:] for part in parts), strict=True)),
@@ -235,7 +235,7 @@ def _together(models: Sequence[LearnedModel], cleaned: Cleaned) -> LearnedModel:
 
 
 def _on(channel: LearnedChannel, at: Sequence[int], count: int) -> LearnedChannel:
-    """Return a channel on more features: `at` are the places of its own among them."""
+    """Return a channel on more features: `at` are the indices of its own among them."""
 
     def weights(own: Sequence[float]) -> tuple[float, ...]:
         spread = np.zeros(count)
@@ -287,7 +287,7 @@ def _cleaned(
 
 
 def _possible(cleaned: Cleaned, along: Along | None, kind: Kind) -> bool:
-    # One-step predictions need one place.
+    # One-step predictions need readings at one place.
     return kind == "learned" or (bool(cleaned.sensors) and not (kind == "arx" and along))
 
 
@@ -398,7 +398,7 @@ def _wide(
 
 
 def _unseen_speeds(cleaned: Cleaned, rows: _Rows, judged: _Judged, rules: Rules) -> list[str]:
-    """Return, for each speed, what one that was never run may cost, where that is much."""
+    """Return warnings, by speed, of large errors at levels that were never run."""
 
     def without(own: NDArray[np.bool_], away: NDArray[np.bool_]) -> Array:
         return _fitted_without(rows, own, away)[1]
@@ -542,7 +542,7 @@ def learned_from(
     worst: Mapping[str, Array],
     warnings: Sequence[str] = (),
 ) -> LearnedFrom:
-    """Return what a model was learned from, with the errors (axes,), um, of each kind of model."""
+    """Return the origin of a model, with the errors (axes,), um, of each kind of model."""
     return LearnedFrom(
         cleaned.table.samples,
         (),

@@ -1,9 +1,9 @@
 """Displacements that were read at several positions of an axis.
 
 A displacement ``x_um@y_pos_mm`` has its position in a column of the log; columns ``x@0mm_um`` and
-``x@400mm_um`` were read at positions that stay. In either case a table has pairs of columns,
-position and displacement. Within an interval of the table, readings on either side of their mean
-position are averaged apart, so that a fast pass along the axis keeps its slope.
+``x@400mm_um`` were read at fixed positions. In either case a table has pairs of columns, position
+and displacement. Within an interval of the table, readings on either side of their mean position
+are averaged separately, so that the slope of a fast pass along the axis is kept.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class Along:
 def sorted_out(
     pieces: Iterable[Log], displacements: Sequence[str], rules: Thinning
 ) -> tuple[Iterator[Log], tuple[str, ...], tuple[Along, ...]]:
-    """Return the log with columns for readings along axes, the other displacements, and those.
+    """Return the log with added columns, the displacements at one place, and those along axes.
 
     Raises
     ------
@@ -174,7 +174,7 @@ def checked(
             f"{1e3 * rules.shortest:g} mm or more, best at both ends of the stroke once an hour"
         )
     there = rows.any(axis=1)
-    # Of each run: the same hours of two days are others.
+    # Run by run: the same hour of two days counts twice.
     run = np.searchsorted(table.starts, np.flatnonzero(there), side="right")
     spans = np.column_stack((run, table.times[there] // 3600.0))
     hours = np.unique(spans, axis=0, return_inverse=True)[1].ravel()

@@ -18,7 +18,7 @@ class Thinning:
 
     #: Shortest interval, s.
     interval: float = 60.0
-    #: Longer logs have longer intervals.
+    #: Most rows of a table: longer logs have longer intervals.
     most_rows: int = 100_000
     #: Mean times of uneven samples vary by up to this factor around the interval.
     uneven: float = 1.5
@@ -60,10 +60,10 @@ class Cleaning:
     moved: float = 1.0
     usual: float = 15.0
     least_usual: float = 1e-3
-    #: Rows on either side used to distinguish a jump from a spike; largest changes looked at.
+    #: Rows on either side used to distinguish a jump from a spike; number of changes examined.
     side: int = 20
     candidates: int = 5
-    #: A jump remains by this part of its size between the medians of both sides.
+    #: A jump persists by this part of its size, between the medians of both sides.
     lasting: float = 0.7
     #: A displacement that jumps by this fraction of its range has lost its zero.
     jump: float = 0.15
@@ -138,8 +138,8 @@ class Judging:
 
     #: Number of blocks; the whole procedure is repeated without each of them.
     blocks: int = 4
-    #: Factor on the variance of the weights, which similar structures, and errors that last longer
-    #: than an hour, make too small. Without it the band contained too few samples on rolling
+    #: Factor on the variance of the weights, which is too small because structures are similar and
+    #: errors last longer than an hour. Without it the band contained too few samples on rolling
     #: origins of a measured log.
     open: float = 4.0
     #: Fraction of the errors that lies within the band.
@@ -154,7 +154,7 @@ class Judging:
 
 @dataclass(frozen=True)
 class Moving:
-    """What a log must have read along an axis for a slope."""
+    """Readings along an axis that a log must have for a slope."""
 
     #: Distance between the outermost positions, m.
     shortest: float = 0.02
@@ -175,7 +175,7 @@ class Transfer:
     #: Sizes of the drift relative to the sisters', that are averaged over: their held-out error is
     #: that of a shorter log.
     drifts: tuple[float, ...] = (1.0, 2.0, 4.0, 8.0)
-    #: Fewer readings are refused; of more, as many evenly.
+    #: Fewer readings are refused; of more than `most`, that number is used, evenly.
     fewest: int = 4
     most: int = 300
 

@@ -1,8 +1,8 @@
-"""Levels of a speed: which were held in a log, and how well a model does without one of them.
+"""Levels of a speed: which were held in a log, and the error of a model without one of them.
 
-What a speed that was never run will cost cannot be read off the blocks of time that are held out,
-because the other blocks contain the same speeds. Leaving out a whole level shows it: its rows, and
-those so near that they still feel its heat.
+Blocks of time that are held out do not show the error at a speed that was never run, because the
+other blocks contain the same speeds. Leaving out a whole level shows it: its rows, and those so
+near that its heat still affects them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from thermojoint.artefacts.arrays import Array
 
 
 class Cost(NamedTuple):
-    """Rms error, µm, (axes,), at a level: of a model that never saw it, and as usual."""
+    """Rms error, µm, (axes,), at a level: of a model learned without it, and as usual."""
 
     unseen: Array
     usual: Array
@@ -32,7 +32,7 @@ def held_levels(speeds: Array, rules: Cleaning) -> tuple[NDArray[np.int64], NDAr
     speeds : ndarray, shape (k,)
         Relative to the largest. A level is a number of steps of `Cleaning.level`.
     rules : Cleaning
-        What counts as standing, and as held.
+        Limits for standstill, and for levels that are held.
     """
     running = speeds > rules.stopped
     level = np.where(running, np.maximum(np.round(speeds / rules.level), 1.0), 0.0).astype(np.int64)
@@ -48,7 +48,7 @@ def cost_of_unseen(
     usually: Callable[[NDArray[np.bool_]], NDArray[np.bool_]],
     without: Callable[[NDArray[np.bool_], NDArray[np.bool_]], Array],
 ) -> Cost | None:
-    """Return the larger cost of not having seen the lowest or the highest level.
+    """Return the larger cost of learning without the lowest or without the highest level.
 
     Parameters
     ----------
@@ -61,9 +61,9 @@ def cost_of_unseen(
     errors : ndarray, shape (k, axes)
         On blocks of time that were held out, µm.
     usually : callable
-        Takes the rows of a level, (k,) of bool; gives those whose errors are compared (`usual`).
+        Takes the rows of a level, (k,) of bool; returns those whose errors are compared (`usual`).
     without : callable
-        Takes the rows of a level and those to be fitted, (k,) of bool; gives the errors of the
+        Takes the rows of a level and those to be fitted, (k,) of bool; returns the errors of the
         former, µm, (n, axes).
 
     Returns
@@ -86,16 +86,16 @@ def usual(
     folds: Iterable[tuple[slice, NDArray[np.bool_]]],
     seldom: float,
 ) -> NDArray[np.bool_]:
-    """Return the rows of a level that were judged by fits which had seen it; else all others.
+    """Return the rows of a level that were judged by fits that included it; else all others.
 
     Parameters
     ----------
     own : ndarray of bool, shape (k,)
-        Rows of the level. Those of one that was run once only lie in the block that is held out.
+        Rows of the level. If it was run only once, they lie in the block that is held out.
     folds : iterable of (slice, ndarray of bool)
         Rows of every block that was held out, and those that were fitted then.
     seldom : float
-        A level that is held in fewer than this share of the fitted rows was not seen.
+        A level that is held in fewer than this share of the fitted rows is not included.
     """
     known = np.zeros_like(own)
     for held, away in folds:

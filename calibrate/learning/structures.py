@@ -89,7 +89,7 @@ def with_slope(index: Sequence[int], features: int) -> list[int]:
 
 
 class Design(NamedTuple):
-    """Rows of a log: which (k,), features (k, n) in units of their prior, displacements, µm."""
+    """Rows of a log: indices (k,), features (k, n) in units of their prior, displacements, µm."""
 
     rows: NDArray[np.int64]
     inputs: Array

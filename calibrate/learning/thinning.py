@@ -14,7 +14,7 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log, runs_in
 from thermojoint.artefacts.quantities import Column
 
-#: Quantities that drive heat: by their size, whatever their sign.
+#: Quantities that drive heat: by their magnitude, whatever their sign.
 DRIVES = frozenset({"speed", "feed", "power", "current", "torque", "load"})
 
 
@@ -26,8 +26,8 @@ class Table:
     times: Array
     #: As in the log.
     columns: tuple[Column, ...]
-    #: Shape (k, columns): SI; NaN where nothing was read. Of `DRIVES` the mean size, with the sign
-    #: of the mean.
+    #: Shape (k, columns): SI; NaN where nothing was read. For `DRIVES` the mean magnitude, with the
+    #: sign of the mean.
     values: Array
     #: First row of each run.
     starts: tuple[int, ...]
@@ -38,7 +38,7 @@ class Table:
     #: Shape (columns,): removed samples, and missing ones.
     spikes: Array
     missing: Array
-    #: Which run was given last.
+    #: Index of the run that was given last.
     last: int = -1
 
     def runs(self) -> list[slice]:
@@ -47,10 +47,10 @@ class Table:
 
 
 def in_one_order(table: Table) -> Table:
-    """Return a table whose runs follow each other by length and content, however they were given.
+    """Return a table with its runs sorted by length and content, in whatever order they were given.
 
-    Blocks of time that are held out are blocks of its rows: of the runs in another order they would
-    be others, and so would be the model.
+    Blocks of time that are held out are blocks of its rows: without this, they and the model would
+    depend on the order of the runs.
     """
 
     def content(k: int) -> tuple[int, bytes, bytes]:

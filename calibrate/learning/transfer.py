@@ -1,13 +1,13 @@
 """A model from few readings of a machine, with the models of machines like it as prior.
 
-The weights of the sisters' models say what such a machine does; that of this one is w = w0 + d,
+The weights of the sisters' models are the prior for those of this machine, w = w0 + d,
 
     y = zero + Φ w + drift + noise,   d ~ N(0, C + s² diag(w0²)),
 
 w0 the mean of the sisters' weights, C the mean of their covariances and the covariance of their
 means, the drift correlated over hours. The spread s between machines and the size of the drift are
-averaged over a grid by the evidence of the readings: readings that the sisters' model explains
-leave it as it is. The model of the same machine before it aged is a sister, too.
+averaged over a grid by the evidence of the readings: readings that the sisters' model explains do
+not change it. The model of the same machine before it aged is a sister, too.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Readings(NamedTuple):
 
 
 class Prior(NamedTuple):
-    """What the sisters say of one displacement: as `LearnedChannel`; `zero_spread` in m."""
+    """Prior of one displacement by the sisters: as `LearnedChannel`; `zero_spread` in m."""
 
     zero: float
     zero_spread: float
@@ -140,7 +140,7 @@ def learn_like(
 
 
 def fitted(readings: Readings, prior: Prior, rules: Transfer) -> Posterior:
-    """Return what is known of a displacement after readings, averaged over the grid of `rules`."""
+    """Return the posterior of a displacement after readings, averaged over the grid of `rules`."""
     features, apart = readings.features, readings.times[:, None] - readings.times
     correlated = (readings.runs[:, None] == readings.runs) * np.exp(
         -np.abs(apart) / Following().drift_time
@@ -218,7 +218,7 @@ def _prior(sisters: Sequence[LearnedModel], at: int) -> Prior:
 def _cleaned(
     pieces: Iterable[Log], sister: LearnedModel, wanted: Sequence[str], rules: Rules
 ) -> Cleaned:
-    """Return the log's columns by the sister's names; all that the sister reads must be usable."""
+    """Return the log's columns by the sister's names; all columns of the sister must be usable."""
     names = [*sister.columns, *wanted]
     table = thinned(pieces, names, rules.thinning)
     columns = [column_named(name) for name in names]
@@ -234,7 +234,7 @@ def _cleaned(
 
 
 def _readings(cleaned: Cleaned, sister: LearnedModel, name: str, rules: Rules) -> Readings:
-    """Return the readings of a displacement, at most as many as `rules` has.
+    """Return the readings of a displacement, at most `Transfer.most`.
 
     Each run has its own zero, so that only the variations within each are used.
     """
