@@ -1,8 +1,8 @@
 """Known inputs marched along axes: the compiled steps of the simulator on reduced modes.
 
-`fesim.axes.compiled_march` takes modes that have nothing of the exchange between pads and guides
+`fesim.axes.compiled_march` takes modes without the exchange between pads and guides
 (`calibrate.joint_aware.misfit.physics_with`). One axis without a drive has a march of its own
-(`guided_march`), whose modes have that exchange in the mean.
+(`guided_march`), whose modes include the mean of that exchange.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from fesim.march.passing import Rows
 from thermojoint.artefacts.arrays import Array
 from thermojoint.reduced.machine import Modes
 
-#: Steps whose places are tied together.
+#: Number of steps whose places are tied at once.
 AT_ONCE = 64
 
 
@@ -137,9 +137,9 @@ def march_along(
         The machine.
     inputs : ndarray, shape (n, k + 3 x)
         Heat and temperatures of each step, then the positions of x axes at its start and end, and
-        how far each has gone, m.
+        the travel of each, m.
     first : int
-        Which step of the march the first one is.
+        Index of the first one in the march.
     now : tuple
         Amplitudes (r,) with temperatures of the drives (d,), K, and joints, in place.
     record : Record
@@ -148,8 +148,8 @@ def march_along(
     Returns
     -------
     int
-        Number of steps taken: fewer than n if the plain method must take the next one, or the
-        places of more are to be tied; `now` is before it then.
+        Number of steps taken: fewer than n if the next one needs the plain method, or the places of
+        more steps must be tied; `now` is then the state before it.
     """
     tables, kernel, work, known = march
     (amplitudes, drive), moving = now

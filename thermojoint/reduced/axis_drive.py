@@ -1,8 +1,8 @@
 """Drives of axes on the modes of a machine: ball screws and scales, as `fesim.axes.positioning`.
 
-A ball screw warms up by its own motion, heats surfaces of the machine and feels their temperature;
-a scale follows the ambient or a probe; both stand on seats that the machine moves. What an axis is
-displaced by that its control does not see is the positioning error.
+A ball screw warms up by its own motion and exchanges heat with surfaces of the machine; a scale
+follows the ambient or a probe; both stand on seats that the machine displaces. The positioning
+error is the displacement of an axis that its control does not see.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from thermojoint.reduced.axis_way import Way
 
 #: Heat of a screw in its case.
 HEATS = ("nut_torque_Nm", "bearing_torque_Nm", "far_bearing_torque_Nm", "motor_heat_W")
-#: Displacement of a seat that no screw goes slack by, m.
+#: Displacement of a seat that makes no screw go slack, m.
 TIGHT = 1e-9
 
 
@@ -46,28 +46,28 @@ TIGHT = 1e-9
 class AxisDrive:
     """A ball screw or a scale, or both."""
 
-    #: As the case has it.
+    #: As in the case.
     screw: BallScrewSection | None
     #: Of the screw.
     material: MaterialSection | None
-    #: As the case has it; the control then reads it.
+    #: As in the case; the control then reads it.
     scale: ScaleSection | None
     #: Position at which the error is zero at all times, m.
     zero: float | None
     #: Shape (axes,): displacement per m that the bodies on the axis move along it.
     carried: Array
-    #: Shape (3,): which of `AxisDrives.heated` are the surfaces at the nut, the near and the far
+    #: Shape (3,): columns in `AxisDrives.heated` of the surfaces at the nut, the near and the far
     #: bearing; -1 where there is none.
     column: NDArray[np.int64]
-    #: Which row of `AxisDrives.felt` the scale follows; -1 for the ambient.
+    #: Row of `AxisDrives.felt` that the scale follows; -1 for the ambient.
     follows: int
-    #: Shape (3,): which displacement probe is that of the near and the far bearing and of the
-    #: scale, along the axis; -1 for none.
+    #: Shape (3,): displacement probes of the near and the far bearing and of the scale, along the
+    #: axis; -1 for none.
     seat: NDArray[np.int64]
 
     @cached_property
     def drive(self) -> Drive:
-        """What the simulator has of it, on ground that it neither heats nor feels."""
+        """The drive for the simulator, on ground with which it exchanges no heat."""
         screw = None
         if self.screw is not None and self.material is not None:
             screw = screw_of(self.screw, material_of(self.material))
@@ -76,13 +76,13 @@ class AxisDrive:
         return Drive(screw, scale, None, 0, self.zero, none, self.seat)
 
     def along(self, kept: Sequence[int]) -> AxisDrive:
-        """Return it for some of the axes of the displacement."""
+        """Return the drive for some of the axes of the displacement."""
         fewer = self.carried.size - len(kept)
         seat = np.where(self.seat >= 0, self.seat - fewer, -1)
         return replace(self, carried=self.carried[kept], seat=seat)
 
     def scaled(self, by: Mapping[str, float]) -> AxisDrive:
-        """Return it with factors on what a fit may change (`scalable`), by their names."""
+        """Return the drive with factors on its fitted quantities (`scalable`), by their names."""
         screw, scale = self.screw, self.scale
         if screw is not None:
             rotating, heat, film = screw.rotating_film, by["screw heat"], by["screw film"]
@@ -102,7 +102,7 @@ class AxisDrive:
 
     @property
     def scalable(self) -> tuple[str, ...]:
-        """What of it a fit may change: it is zero in the case otherwise."""
+        """Quantities that a fit may change: those that are not zero in the case."""
         found = list[str]()
         if (screw := self.screw) is not None and any(getattr(screw, name) for name in HEATS):
             found += ["screw heat", "screw film"]
@@ -117,7 +117,7 @@ class AxisDrives:
 
     #: In the order of the axes; None for an axis that has none.
     each: tuple[AxisDrive | None, ...]
-    #: Shape (r, c): what heat of 1 W at each of the surfaces that screws heat drives.
+    #: Shape (r, c): drive of the modes per W at each of the surfaces that screws heat.
     heated: Array
     #: Shape (c + f, r): mean temperatures of these surfaces, K, then of probes that scales follow.
     felt: Array
@@ -141,7 +141,7 @@ class AxisDrives:
 
     @property
     def lasts(self) -> float:
-        """Longest time constant with which a drive forgets what it was, s."""
+        """Longest time constant of the temperature of a drive, s."""
         lasting = [0.0]
         for _, one, _ in self._parts:
             if (screw := one.drive.screw) is not None:
@@ -160,22 +160,22 @@ class AxisDrives:
     def turned(
         self, rows: Callable[[Array], Array], columns: Callable[[Array], Array]
     ) -> AxisDrives:
-        """Return them on other modes, by what becomes of rows (..., r) and of columns (r, ...)."""
+        """Return the drives on other modes, by transforms of rows (..., r) and columns (r, ...)."""
         return replace(self, heated=columns(self.heated), felt=rows(self.felt))
 
     def scaled(self, factors: Sequence[Mapping[str, float]]) -> AxisDrives:
-        """Return them with factors of each axis, as for `AxisDrive.scaled`."""
+        """Return the drives with factors of each axis, as for `AxisDrive.scaled`."""
         pairs = zip(self.each, factors, strict=True)
         each = tuple(None if one is None else one.scaled(by) for one, by in pairs)
         return replace(self, each=each)
 
     def driving(self, ambient: int, first: int) -> list[Drive | None]:
-        """Return what the simulator has of them, on these modes.
+        """Return the drives for the simulator, on these modes.
 
         Parameters
         ----------
         ambient, first : int
-            Which inputs of a step are the ambient and the heat of the first heated surface.
+            Indices of the ambient and of the heat of the first heated surface in a step's inputs.
         """
         found: list[Drive | None] = [None] * len(self.each)
         rows = np.pad(self.felt, ((0, 1), (0, 0)))
@@ -199,7 +199,7 @@ class AxisDrives:
         state : ndarray, shape (d,)
             Before, K.
         felt : ndarray, shape (c + f,)
-            Temperatures that they feel before the step, by `felt`, K.
+            Temperatures beside them before the step, by `felt`, K.
         air : float
             The ambient, K.
         way : Way
@@ -213,7 +213,7 @@ class AxisDrives:
             Temperatures after it, K; mean heat of the surfaces that they heat, W.
         """
         after, heat = state.copy(), np.zeros(self.heated.shape[1] + 1)
-        # What is numbered -1 is the ambient, and heats nothing.
+        # Index -1 is the ambient, and is not heated.
         around, times = np.append(felt, air), np.array([0.0, length])
         for a, one, part in self._parts:
             if (screw := one.drive.screw) is None:
@@ -227,14 +227,14 @@ class AxisDrives:
         return after, heat[:-1]
 
     def followed(self, state: Array, ends: tuple[Array, Array], air: float, length: float) -> Array:
-        """Take a step of the scales: their temperatures after it among those of all, (d,), K.
+        """Take a step of the scales; return the temperatures of all drives after it, (d,), K.
 
         Parameters
         ----------
         state : ndarray, shape (d,)
             By `warmed`, K.
         ends : tuple of ndarray, shape (c + f,)
-            Temperatures that they feel before and after the step, by `felt`, K.
+            Temperatures beside them before and after the step, by `felt`, K.
         air, length : float
             As for `warmed`.
         """
@@ -249,15 +249,15 @@ class AxisDrives:
 
     @cached_property
     def seated_zeros(self) -> dict[int, float]:
-        """Axes whose drive stands on seats and is set right somewhere, and where, m."""
+        """Zero positions, m, of the axes whose drive stands on seats and has one."""
         found = ((a, one) for a, one, _ in self._parts if (one.seat >= 0).any())
         return {a: one.zero for a, one in found if one.zero is not None}
 
     def with_zeros(self, places: Array) -> Array:
-        """Return places (..., x), m, with where drives are set right meanwhile, (..., 1 + z, x).
+        """Return places (..., x), m, followed by those at the zeros of drives, (..., 1 + z, x).
 
-        One drive after the other, the other axes at the place; of drives that stand on seats, as
-        what displaces a seat depends on the positions.
+        One drive after the other, the other axes at the place; only for drives on seats, whose
+        displacement depends on the positions.
         """
         every = np.repeat(places[..., None, :], 1 + len(self.seated_zeros), axis=-2)
         for z, (a, zero) in enumerate(self.seated_zeros.items(), start=1):
@@ -272,7 +272,7 @@ class AxisDrives:
         state : ndarray, shape (..., d)
             Temperatures of the drives, K.
         places : ndarray, shape (..., k + z, x)
-            Where the axes stand, m; the last z of them by `with_zeros`.
+            Positions of the axes, m; the last z of them by `with_zeros`.
         probes : ndarray, shape (..., k + z, p)
             Displacement probes there, m, of the axes of the displacement and of seats.
         """
@@ -287,7 +287,7 @@ class AxisDrives:
             if a in right:
                 error = error - error[..., right[a], None]
             elif one.zero is not None:
-                # On ground that stands.
+                # On fixed ground.
                 there = np.full_like(at[..., :1], one.zero)
                 ground = np.zeros((*there.shape, 3))
                 error = error - positioning_error(one.drive, own, there, ground)
@@ -295,7 +295,7 @@ class AxisDrives:
         return found
 
     def tangent(self, rows_at: Callable[[Place], Array], place: Place) -> Array:
-        """Return rows (axes, n) of the displacement by those of its probes, with what seats do.
+        """Return rows (axes, n) of the displacement from those of its probes, seats included.
 
         Parameters
         ----------
@@ -306,7 +306,7 @@ class AxisDrives:
         """
         places = self.with_zeros(np.array(place))
         rows = np.concatenate([rows_at(tuple(at)) for at in places.tolist()])
-        # One row after the other moves its probe.
+        # Each row displaces its own probe.
         probes = TIGHT * np.eye(len(rows)).reshape(len(rows), len(places), -1)
         moved = self.displacement(self.cold, places, probes)[:, 0]
         return np.asarray(moved.T / TIGHT @ rows)
@@ -355,7 +355,7 @@ def drives_on(case: Case, ready: MovingSetup) -> AxisDrives:
 
 
 def displacement_probes(ready: MovingSetup) -> NDArray[np.int64]:
-    """Return which displacement probes of a set-up a model has: all but those of rotations."""
+    """Return the indices of a set-up's displacement probes in a model: all but rotations."""
     every = np.arange(len(ready.setup.machine.contact.elastic.probe_thermal))
     rotations = every[TURNED] if ready.turned else every[:0]
     return np.setdiff1d(every, rotations)

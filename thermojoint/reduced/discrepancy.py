@@ -1,8 +1,8 @@
 """Model discrepancy: difference between machine and model as bounded relaxations.
 
 y_plant - y_model = sum_ij G_ij z_ij with dz_ij/dt = rho_j (Q_i - z_ij), Q_i the heat of source i
-relative to its reference. Every z is a mean over the heat's past: whatever the run, none exceeds
-the largest heat that there was, and so the remainder never exceeds the sum of its gains times that.
+relative to its reference. Every z is a mean over the heat's past: in any run none exceeds the
+largest heat so far, and so the discrepancy never exceeds the sum of its gains times that heat.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from thermojoint.artefacts.arrays import Array
 
 #: Relaxation times from the first to the last, s, evenly in their logarithm.
 FASTEST, SLOWEST, COUNT = 8.0, 6000.0, 9
-#: ... and of one without a gain, which tells the band how long the machine has been warm, s. With a
-#: gain it takes a difference of meshes in a cool-down for a drift.
+#: ... and of one without a gain, by which the band depends on how long the machine has been warm,
+#: s. With a gain it would fit a difference of meshes in a cool-down as a drift.
 BEYOND = 24000.0
-#: Longest relaxation time that has a gain, relative to the longest run: none tells what is slower.
+#: Longest relaxation time with a gain, relative to the longest run: no run shows slower ones.
 REACH = 3.0
 #: Prior standard deviation of a gain, as a part of the channel's largest value per heat input.
 SHARE = 0.05
@@ -72,8 +72,8 @@ def relaxed(heat: Array, rates: Array, length: float) -> Array:
 class Ridge:
     """Least squares for gains with a normal prior.
 
-    min_G |(y - Z G)/sigma|^2 + |G/(tau shape)|^2. What is left of a y at its minimum is
-    |whitened(y)|^2, so that a fit of other parameters may be made as if there were no Z.
+    min_G |(y - Z G)/sigma|^2 + |G/(tau shape)|^2. The minimum for a y is |whitened(y)|^2, so that
+    other parameters may be fitted as if there were no Z.
     """
 
     #: Shape (n, k).
@@ -86,13 +86,13 @@ class Ridge:
     shape: Array
 
     def whitened(self, signal: Array, sigma: float, tau: float) -> Array:
-        """Return what Z does not explain of a signal (n,), in units of sigma."""
+        """Return the part of a signal (n,) that Z does not explain, in units of sigma."""
         kept = np.sqrt(sigma**2 / (sigma**2 + (tau * self.values) ** 2))
         white: Array = (signal - self.left @ ((1.0 - kept) * (self.left.T @ signal))) / sigma
         return white
 
     def gains(self, signal: Array, sigma: float, tau: float) -> tuple[Array, Array]:
-        """Return the gains (c,) that fit a signal (n,), and what is left of it."""
+        """Return the gains (c,) that fit a signal (n,), and the residual."""
         part = self.values / (self.values**2 + (sigma / tau) ** 2) * (self.left.T @ signal)
         return self.shape * (self.right.T @ part), signal - self.left @ (self.values * part)
 

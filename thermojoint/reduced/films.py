@@ -1,8 +1,8 @@
 """Convection coefficients of single surfaces: parts of a machine's convection, on its modes.
 
-A real machine has no even film: draughts, fans and enclosed air differ from surface to surface.
-Every named surface that convects has a factor of its own beside the common one. A named surface
-without convection may have a little that the case does not know. Patches of them, by body and by
+The film of a real machine is not uniform: draughts, fans and enclosed air differ from surface to
+surface. Every named surface that convects has a factor of its own beside the common one. A named
+surface without convection may have a little that the case lacks. Patches of them, by body and by
 direction, are for a machine that is unlike its case.
 """
 
@@ -23,7 +23,7 @@ from thermojoint.artefacts.arrays import Array
 
 #: Largest number of surfaces with a film of their own; smaller ones share the common factor.
 MOST = 6
-#: Likewise of patches, and the least share of all of them that one has: smaller ones tell nothing.
+#: Likewise of patches, and the least share of one in all of them: smaller ones are negligible.
 MOST_PATCHES, LEAST = 12, 0.01
 
 
@@ -54,8 +54,8 @@ def films_of(case: Case, setup: Setup) -> tuple[Film, ...]:
 def patches_of(case: Case, setup: Setup) -> tuple[Film, ...]:
     """Return the films of patches of the surfaces, likewise.
 
-    A patch is what looks one way of a body and a surface that convects, or what of a body is on a
-    surface to which the case gives no film.
+    A patch is the part of a surface that convects which belongs to one body and faces one
+    direction, or the part of a surface without a film in the case which belongs to one body.
     """
     structure = setup.structure
     convecting: dict[str, csr_array] = {}
@@ -73,7 +73,7 @@ def patches_of(case: Case, setup: Setup) -> tuple[Film, ...]:
 def _films(
     setup: Setup, convecting: dict[str, csr_array], free: dict[str, csr_array], most: int
 ) -> tuple[Film, ...]:
-    """Films of parts of the surface, by their matrices, but for the largest that convects."""
+    """Films of parts of the surface, by their matrices, without the largest that convects."""
     assert setup.modes is not None  # reduce_machine needs them
     basis = setup.modes.basis
     ones = np.ones(basis.shape[0])
@@ -87,7 +87,7 @@ def _films(
 
 
 def _patched(setup: Setup, whole: str, labels: NDArray[np.str_]) -> dict[str, csr_array]:
-    """Convection matrices at 1 W/(m2 K) of what of a surface is of one body and label."""
+    """Convection matrices at 1 W/(m2 K) of the parts of a surface, by body and label."""
     structure = setup.structure
     facets = structure.surfaces[whole]
     patches = {

@@ -1,9 +1,10 @@
 """JIT-compiled march of a machine on one axis: the plain steps of `physics`, one after the other.
 
-A step solves for the heat that leaves pads and stations beyond what the modes have of it, then the
-gap equations with the elasticity interpolated between two aligned positions. Their springs are
-those of the condensation, and none in the shear of contact elements without friction: so these have
-no unknown. Those of the joint at its preload, as in `fesim.joint.gap`, would gain nothing else.
+A step solves for the heat that leaves pads and stations beyond the part that the modes include,
+then the gap equations with the elasticity interpolated between two aligned positions. Their springs
+are those of the condensation, with none in the shear of contact elements without friction, which
+therefore have no unknown. Springs of the joint at its preload, as in `fesim.joint.gap`, would have
+no other advantage.
 
 Start at `march_along`; `tests/thermojoint/reduced/test_guided_march.py` compares it with the plain
 steps.
@@ -71,17 +72,17 @@ class Guided(NamedTuple):
     heat: HeatStep
     #: Shape (q, r): R, K.
     rows: Array
-    #: Shape (q, q): L0, W/K, which the modes have, and I - L0 S.
+    #: Shape (q, q): L0, W/K, which the modes include, and I - L0 S.
     held: Array
     without: Array
-    #: Shape (m,): heat of running friction per pressure and metre of way in a step, W/(Pa m).
+    #: Shape (m,): heat of running friction per pressure and metre of travel in a step, W/(Pa m).
     running: Array
     #: Elasticity.
     aligned: Aligned
 
 
 class There(NamedTuple):
-    """Elasticity where the axis stands; written in place."""
+    """Elasticity at the position of the axis; written in place."""
 
     #: Its compliance, `columns`, `moved` and `free` are those there; its `gap` is not used.
     joint: JointKernel
@@ -89,7 +90,7 @@ class There(NamedTuple):
     weights: Array
     #: Shape (s, s): smooth gaps without springs, per those with the condensation's.
     freed: Array
-    #: Shape (3 m - s, s): what the smooth gaps' springs do to the others, per gap.
+    #: Shape (3 m - s, s): effect of the smooth gaps' springs on the others, per gap.
     coupled: Array
     #: Shapes (3 m,), (2, s) and (3 m - s,): storage of gaps, m.
     partly: Array
@@ -114,7 +115,7 @@ class Passed(NamedTuple):
     right: Array
     #: Shape (q, q): I + (L - L0) S.
     system: Array
-    #: Shape (r,): amplitudes that heat of the rows gives.
+    #: Shape (r,): amplitudes due to heat of the rows.
     drawn: Array
 
 
@@ -283,7 +284,7 @@ def _open(aligned: Aligned, there: There, amplitudes: Array, free_gap: Array) ->
 
 @compiled_part
 def _settle_anew(there: There, work: JointWork, now: JointState) -> bool:
-    """Whether Newton's method settles the joint; how gaps changed elsewhere is no guess here."""
+    """Whether Newton's method settles the joint, without changes of gaps elsewhere as a guess."""
     put(now.gap, work.trial.gap)
     return settle_by_newton(there.joint, work.free_gap, now, work.trial, work.newton)[0]
 
@@ -357,7 +358,7 @@ def _rub(guide: Guided, passed: Passed, pressure: Array, way: float) -> None:
 
 @compiled_part
 def _pass_heat(guide: Guided, passed: Passed, amplitudes: Array) -> None:
-    """Add what heat of friction and the exchange of the rows do to amplitudes without either."""
+    """Add the effect of friction heat and of the exchange of rows to amplitudes without them."""
     np.dot(guide.rows, amplitudes, passed.warm)
     np.dot(guide.heat.joint_influence, passed.rubbed, passed.right)
     for row in range(passed.warm.size):
@@ -384,8 +385,8 @@ def march_along(
     steps : Steps
         Its storage, by `new_steps`.
     inputs : ndarray, shape (n, k + 3)
-        Heat and temperatures of each step, then the axis's positions at its start and end, and how
-        far it has gone, m.
+        Heat and temperatures of each step, then the axis's positions at its start and end, and its
+        travel, m.
     now : Moving
         Amplitudes and joints, in place.
     record : tuple of ndarray, shapes (n, r) and (n, axes)
@@ -394,8 +395,8 @@ def march_along(
     Returns
     -------
     int
-        Number of steps taken: fewer than n if the next one has no equilibrium near; `now` is before
-        it then.
+        Number of steps taken: fewer than n if the next one has no equilibrium near; `now` is then
+        the state before it.
     """
     kept, there, passed = steps
     heat, aligned, known = guide.heat, guide.aligned, guide.heat.drive.shape[1]

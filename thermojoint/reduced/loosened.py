@@ -15,7 +15,7 @@ from thermojoint.reduced.supports import Supports, supports_of
 
 @dataclass(frozen=True, eq=False)
 class Loosening:
-    """What a machine may have beside what its case says, on the modes of its set-up."""
+    """Possible additions to the machine of a case, on the modes of its set-up."""
 
     #: Along `DIRECTIONS`.
     supports: Supports
@@ -23,7 +23,7 @@ class Loosening:
     films: tuple[Film, ...]
 
     def of(self, machine: ReducedMachine) -> ReducedMachine:
-        """Return the machine with these as parameters, its supports giving way as usual."""
+        """Return the machine with these as parameters, its supports with the usual give."""
         rows = [DIRECTIONS.index(axis) for axis in machine.axes]
         supports = self.supports.with_probes(rows)
         elastic = supports.elastic([GIVE] * len(supports.names))
@@ -31,7 +31,7 @@ class Loosening:
 
 
 def loosening_of(case: Case, setup: Setup) -> Loosening | None:
-    """Return what may be beside a case; None if no support is fixed, or loads, bolts or axes act.
+    """Return the possible additions; None if no support is fixed, or loads, bolts or axes act.
 
     Parameters
     ----------

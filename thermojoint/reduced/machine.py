@@ -42,7 +42,7 @@ from thermojoint.reduced.supports import Supports
 
 #: Rate at which the amplitude of a held surface follows its temperature, 1/s: at once, in any step.
 FOLLOWS = 1e12
-#: A mode is for itself if its rate and what drives it are less than this part of the largest.
+#: A mode is isolated if its rate and its drive are less than this part of the largest.
 ALONE = 1e-9
 #: Least relative difference of the rates of a mode and of a sensor's lag.
 NEAR = 1e-4
@@ -52,7 +52,7 @@ NEAR = 1e-4
 class Joint:
     """One joint as data."""
 
-    #: As the case has it.
+    #: As in the case.
     section: JointSection
     #: Shape (m,): k_h of Eq. 11 at its contact elements, W/(m K).
     conductivity: Array
@@ -88,7 +88,7 @@ class Acting:
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """Surfaces whose temperature is held; their amplitudes stand behind those of the modes."""
+    """Surfaces whose temperature is held; their amplitudes come after those of the modes."""
 
     #: Of the h surfaces.
     names: tuple[str, ...] = ()
@@ -100,7 +100,7 @@ class Held:
 
 @dataclass(frozen=True, eq=False)
 class MovingAxis:
-    """A moving axis: where displacements are wanted, and what its control counts from."""
+    """A moving axis: positions at which displacements are asked for, reference of its control."""
 
     #: Of the axis.
     name: str
@@ -110,36 +110,35 @@ class MovingAxis:
     asked: Array
     #: P0 of the line through them, m.
     reference: float
-    #: Whether its way is counted, there and back.
+    #: Whether its travel, to and fro, is counted.
     odometer: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class Guide:
-    """What a machine with moving axes has beside one that stands."""
+    """Additional data of a machine with moving axes."""
 
     #: In the case's order.
     axes: tuple[MovingAxis, ...]
-    #: What positions them; without one the bodies stand where the control believes. On the
-    #: machine's modes.
+    #: On the machine's modes; without a drive the bodies stand where the control believes.
     drives: AxisDrives
-    #: On the same.
+    #: On the same modes.
     way: Guideway
     #: Positions at time zero, m.
     first: Place
 
     def on(self, elastic: TiedCondensations) -> Guide:
-        """Return it with other condensations at its aligned positions."""
+        """Return the guide with other condensations at its aligned positions."""
         return replace(self, way=replace(self.way, elastic=elastic))
 
     def turned(self, rows: Callable[[Array], Array], columns: Callable[[Array], Array]) -> Guide:
-        """Return it on other modes, by what becomes of rows (..., r) and of columns (r, ...)."""
+        """Return the guide on other modes, by transforms of rows (..., r) and columns (r, ...)."""
         return replace(self, way=self.way.turned(rows), drives=self.drives.turned(rows, columns))
 
 
 @dataclass(frozen=True, eq=False)
 class ReducedMachine:
-    """M da/dt + (K + H) a = P u + h T_amb - B^T j on r modes, and what the joint needs.
+    """M da/dt + (K + H) a = P u + h T_amb - B^T j on r modes, and the data of the joint.
 
     The last of the modes are held surfaces at 1 K: their amplitudes are given.
     """
@@ -166,12 +165,12 @@ class ReducedMachine:
     sensors: Array
     #: Shape (r,): amplitudes at time zero.
     start: Array
-    #: Gaps and displacement on the modes; before the bolts are tightened, with their ends behind.
-    #: On axes, at the first positions, with the seats of drives behind.
+    #: Gaps and displacement on the modes; before the bolts are tightened, followed by their ends.
+    #: On axes, at the first positions, followed by the seats of drives.
     elastic: ElasticCondensation
     #: In the order of the contact elements.
     joints: tuple[Joint, ...]
-    #: What rows and columns belong to.
+    #: Names of rows and columns.
     sensor_names: tuple[str, ...]
     axes: tuple[str, ...]
     source_names: tuple[str, ...]
@@ -179,11 +178,11 @@ class ReducedMachine:
     power: Array
     #: Longest time step, s.
     step: float
-    #: Of sources whose power a control knows, the share of it that is their heat.
+    #: Source whose power a control reads to the share of that power which becomes its heat.
     power_shares: Mapping[str, float] = field(default_factory=dict)
-    #: Convection of single surfaces: what of `convection` and `ambient` is theirs, or could be.
+    #: Convection of single surfaces: their parts of `convection` and `ambient`, or additions.
     films: tuple[Film, ...] = ()
-    #: Fixed supports, where their give is a parameter; `elastic` is with the usual one.
+    #: Fixed supports, where their give is a parameter; `elastic` has the usual one.
     supports: Supports | None = None
     #: Loads and bolts.
     acting: Acting | None = None
@@ -251,7 +250,7 @@ class ReducedMachine:
         )
 
     def with_probes(self, probes: Sequence[int]) -> ReducedMachine:
-        """Return the machine with some displacement probes, by their places."""
+        """Return the machine with some displacement probes, by their indices."""
         guide = self.guide
         if guide is not None:
             guide = guide.on(guide.way.elastic.with_probes(probes))
@@ -331,7 +330,7 @@ def reduce_machine(
     Raises
     ------
     InputError
-        The case has no source, or what a joint-aware estimator cannot have.
+        The case has no source, or something that a joint-aware estimator does not support.
     """
     if case.displacement is None:
         raise InputError("joint-aware: the case records no displacement; add [displacement]")
@@ -457,18 +456,18 @@ class Modes:
     drive: Array
     #: As in `ReducedMachine`, and so are `mean`, `sensors` and `start`.
     jump: Array
-    #: Shape (r, m): what a heat flow across each contact element takes, per W: the jump's
-    #: transpose, but for modes of sensors that lag (`lagging`). On an axis, what leaves each row.
+    #: Shape (r, m): drain of the modes per W across each contact element: the jump's transpose,
+    #: but for modes of sensors that lag (`lagging`). On an axis, per W that leaves each row.
     entry: Array
     mean: Array
     sensors: Array
     start: Array
     #: On these modes; bolts are part of it.
     elastic: ElasticCondensation
-    #: Shape (r, r): the part of the rates, a full matrix, that is convection, 1/s; only
+    #: Shape (r, r): the part of the rates due to convection, a full matrix, 1/s; only
     #: `diagonal_modes` has it.
     film: Array
-    #: Of l factors on gaps and displacement: loads, forces of the bolts, and what bolts count from
+    #: Of l factors on gaps and displacement: loads, forces of the bolts, and the bolts' reference
     #: (`fesim.solid.bolts.fastened`).
     loads: LoadInfluence
     #: Shape (l,): at time zero; of a machine on axes their positions, m, are the last.
@@ -482,7 +481,7 @@ class Modes:
 
 
 def placed(modes: Modes, at: Place) -> Modes:
-    """Return the modes of a machine with axes as one that stands at positions, m."""
+    """Return the modes of a machine whose axes are fixed at positions, m."""
     way = modes.way
     if way is None:
         return modes
@@ -543,7 +542,7 @@ def diagonal_basis(machine: ReducedMachine, held: Array | None = None) -> tuple[
     # The modes of a case are orthonormal already.
     plain = np.array_equal(capacity, np.eye(free))
     rates, basis = np.linalg.eigh(system) if plain else eigh(system, capacity, check_finite=False)
-    # A rigid wall against which no heat passes is a mode for itself, which nothing drives or reads.
+    # A rigid wall without heat flow is an isolated mode, which nothing drives or reads.
     drives = [machine.sources, machine.ambient, machine.jump.T, whole[:, free:]]
     driven = np.abs(basis.T @ np.column_stack(drives)[:free])
     alone = (rates <= ALONE * rates.max()) & (driven.max(axis=1) <= ALONE * driven.max())
@@ -566,7 +565,7 @@ def _conducting(machine: ReducedMachine, held: Array | None) -> Array:
 
 
 def evenly_exchanged(way: Guideway, held: Array) -> Array:
-    """Return L (q, q), W/K, of axes that are everywhere equally often, at conductances (m,)."""
+    """Return L (q, q), W/K, of axes equally often at every position, at conductances (m,)."""
     return exchange(way.stations.everywhere.touches, held, way.stations.size)
 
 
@@ -644,7 +643,7 @@ def lagging(modes: Modes, lags: Array) -> Modes:
     """
     slow = np.flatnonzero(lags > 0.0)
     lag = lags[slow, None]
-    # The limit of a rate that is the lag's own is another function of time, as near as one likes.
+    # Where a rate equals that of a lag the solution has another form; a lag nearby is as good.
     while (near := np.abs(1.0 - lag * modes.rates).min(axis=1, initial=1.0) < NEAR).any():
         lag = lag * np.where(near, 1.0 + 2.0 * NEAR, 1.0)[:, None]
     seen = modes.sensors[slow]
@@ -677,7 +676,7 @@ def lagging(modes: Modes, lags: Array) -> Modes:
 def _drive(
     machine: ReducedMachine, turned: ReducedMachine, rates: Array, basis: Array, held: Array | None
 ) -> Array:
-    """What sources, held surfaces and ambient drive, (k, s + h + 1); held surfaces follow."""
+    """Drive by sources, held surfaces and ambient, (k, s + h + 1); held surfaces follow."""
     surfaces = len(machine.held.names)
     if not surfaces:
         return np.column_stack([turned.sources, turned.ambient])

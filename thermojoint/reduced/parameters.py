@@ -1,20 +1,20 @@
 """Uncertain parameters of a machine, their priors, and the machine with other values.
 
-Every parameter is a factor on what the case says; its logarithm has a normal prior. The film of a
+Every parameter is a factor on a value of the case; its logarithm has a normal prior. The film of a
 surface that has none in the case is not a factor but W/(m2 K), with half a normal distribution as
 prior: a film cannot be negative, and most likely there is none. So is the lag of a sensor, in s.
 All of them reuse one condensation:
 
-- conduction, capacity, film: K, M and H are scaled on the same modes, which are turned again, and
-  so is the part of H of every surface. The modes are those of the nominal machine;
-  docs/joint-aware.md shows what that costs.
+- conduction, capacity, film: K, M and H are scaled on the same modes, which are diagonalised again,
+  and so is the part of H of every surface. The modes are those of the nominal machine;
+  docs/joint-aware.md shows the error due to that.
 - heat: the columns of the sources.
 - expansion: thermal gap and probe rows.
 - give of a fixed support, for a machine that is unlike its case: um/kN (`supports`).
 - modulus: compliance falls, the reference springs rise (they follow the modulus), and so do bolts;
   the thermal gap stays.
 - preload: of the joints, and the forces of the bolts.
-- the rest of the joint's: the law alone.
+- other parameters of the joint: the law alone.
 - heat and film of an axis's screw, expansion and lag of its scale: its drive alone.
 """
 
@@ -36,7 +36,7 @@ from thermojoint.reduced.machine import Joint, ReducedMachine
 class Parameter:
     """A factor on the case's value."""
 
-    #: What is scaled.
+    #: Scaled quantity.
     name: str
     #: Standard deviation of the logarithm of the factor before any calibration.
     spread: float
@@ -50,7 +50,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Added(Parameter):
-    """What the case does not have: a surface's film, or a sensor's lag.
+    """A quantity that the case does not have: a surface's film, or a sensor's lag.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ PARAMETERS = (
     Parameter("modulus", 0.06),
 )
 
-#: Of the drive of an axis, whose name comes behind: friction of a nut changes with its grease.
+#: Spreads for the drive of an axis, whose name follows: friction of a nut changes with its grease.
 OF_DRIVE = {"screw heat": 0.4, "screw film": 0.4, "scale expansion": 0.1, "scale lag": 0.5}
 #: Spread of the factor of one surface's film beside the common one, and of a film that the case
 #: does not have, W/(m2 K): enclosed air, or an outside that was left out.
@@ -100,10 +100,10 @@ OF_SURFACE, ADDED = 0.7, 3.0
 LAG = 30.0
 #: Median of the give of a support, um/kN, and spread of its logarithm: feet of 350 to 8 000 N/um.
 GIVE, OF_GIVE = 0.6, 0.8
-#: Ends of the names of parameters that are no factors.
+#: Suffixes of the names of parameters that are not factors.
 ABSOLUTE = (FILM_UNIT, LAG_UNIT, GIVE_UNIT) = (", W/m2K", ", s", ", um/kN")
 
-#: What is no parameter here, as it changes the modes or the condensed stiffness as a whole.
+#: Not parameters here, as they change the modes or the condensed stiffness as a whole.
 NEW_CONDENSATION = (
     "geometry",
     "mesh",
@@ -116,8 +116,8 @@ NEW_CONDENSATION = (
 def active(machine: ReducedMachine) -> tuple[Parameter, ...]:
     """Return the parameters that a machine has.
 
-    The normal compliance is a measured coefficient's (`BackBurdekinLaw`); with the surface law it
-    follows from roughness and preload.
+    The normal compliance is that of a measured coefficient (`BackBurdekinLaw`); with the surface
+    law it follows from roughness and preload.
     """
     absent = set()
     sections = [joint.section for joint in machine.joints]

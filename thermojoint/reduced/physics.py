@@ -62,7 +62,7 @@ from thermojoint.reduced.machine import (
 
 #: Steps that alternate are halved down to this length, s.
 SHORTEST = 0.05
-#: Positions of axes at which the joints are kept ready.
+#: Number of positions of axes whose joints are cached.
 KEPT = 64
 
 
@@ -85,11 +85,11 @@ class Physics:
     laws: Sequence[tuple[JointLaw, int]]
     #: Shape (m,): conductance times area that belongs to the modes, W/K.
     held: Array
-    #: Its gap equations: they do not see the heat. On axes, those at the first positions.
+    #: Its gap equations, without the heat. On axes, those at the first positions.
     contact: ContactProblem
 
     def standing(self, loads: Array) -> Physics:
-        """Return the joints where the axes stand, the last of the factors (l,), m.
+        """Return the joints at the positions of the axes, the last of the factors (l,), m.
 
         Their amplitudes are those of `felt`; they conduct nothing.
         """
@@ -97,7 +97,7 @@ class Physics:
         return self if place is None else _standing(self, place)
 
     def felt(self, amplitudes: Array, loads: Array) -> Array:
-        """Return what the joints feel where the axes stand: of `standing`, its amplitudes."""
+        """Return the amplitudes for the joints of `standing`, at the positions of the axes."""
         way, place = self.modes.way, place_in(self.modes, loads)
         if way is None or place is None:
             return amplitudes
@@ -105,7 +105,7 @@ class Physics:
 
     @cached_property
     def held_exchange(self) -> Array:
-        """Exchange between the rows of a guideway that the modes have already, W/K, (q, q)."""
+        """Exchange between the rows of a guideway that the modes include, W/K, (q, q)."""
         assert self.modes.way is not None  # asked for on an axis only
         return evenly_exchanged(self.modes.way, self.held)
 
@@ -160,7 +160,7 @@ class Physics:
         return JointState(*map(np.array, self.rest))
 
     def beyond_held(self, joint: JointState, amplitudes: Array) -> Array:
-        """Conductance times area that the modes do not have yet, W/K, shape (m,)."""
+        """Conductance times area that the modes do not include, W/K, shape (m,)."""
         return conducted(self.laws, self.modes, Rest(*joint), amplitudes) - self.held
 
 
@@ -183,7 +183,7 @@ def make_physics(modes: Modes, joints: Sequence[Joint], held: Array) -> Physics:
 
 @lru_cache(maxsize=64)
 def heat_step(modes: Modes, length: float) -> HeatStep:
-    """Return the step of some length (s); kept, as samples usually come evenly."""
+    """Return the step of some length (s); cached, as samples are usually evenly spaced."""
     decay = 1.0 / (1.0 + length * modes.rates)
     entering = modes.drive
     if modes.drives is not None:
@@ -203,7 +203,7 @@ def conduct(
     length: float,
     way: Way | None = None,
 ) -> Array:
-    """Return the amplitudes (r,) after `length` (s) at the joint's conductance of before.
+    """Return the amplitudes (r,) after `length` (s) at the joint's previous conductance.
 
     Parameters
     ----------
@@ -245,7 +245,7 @@ def conduct_driven(
 ) -> Driving:
     """Return amplitudes and drives after `length` (s) of a way; otherwise as `conduct`.
 
-    A screw heats and feels what it is beside as that is before the step; a scale follows.
+    A screw exchanges heat with its surroundings as they are before the step; a scale follows.
     """
     drives, air = physics.modes.drives, float(inputs[-1])
     assert drives is not None  # there is a way on an axis only
@@ -258,7 +258,7 @@ def conduct_driven(
 
 
 def place_in(modes: Modes, loads: Array) -> Place | None:
-    """Return where axes stand, m, by the factors (l,) of a sample; None without any."""
+    """Return the positions of axes, m, from the factors (l,) of a sample; None without any."""
     if modes.way is None:
         return None
     return tuple(loads[loads.size - len(modes.way.stations.positions) :].tolist())
@@ -267,7 +267,7 @@ def place_in(modes: Modes, loads: Array) -> Place | None:
 def positioned(
     physics: Physics, now: Driving, joint: JointState, loads: Array, probes: Array
 ) -> Array:
-    """Return the displacement (axes,), m, by displacement probes (p,), m, where the axes stand.
+    """Return the displacement (axes,), m, from displacement probes (p,), m, at the axes' positions.
 
     Without drives they are the same. `joint` is settled there.
     """
@@ -282,7 +282,7 @@ def positioned(
 def way_of(modes: Modes, before: Array, loads: Array, gone: Sequence[float] = ()) -> Way | None:
     """Return the way of axes between two samples, by their factors (l,); None without any.
 
-    `gone` (x,) is how far odometers say that they have gone, m, if there are any.
+    `gone` (x,) is their travel by odometers, m, if there are any.
     """
     start, end = place_in(modes, before), place_in(modes, loads)
     return None if start is None or end is None else way_between(start, end, gone)
@@ -296,9 +296,9 @@ def _conduct_passing(
     length: float,
     way: Way,
 ) -> Array:
-    """As `conduct` where pads and the stations that they pass exchange heat, and rub.
+    """As `conduct`, with heat exchange and friction of pads and the stations that they pass.
 
-    That is the step of `fesim.march.passing`, of which the modes have a part (`held_exchange`);
+    This is the step of `fesim.march.passing`, of which the modes include a part (`held_exchange`);
     `alone` (r,) are the amplitudes without the rest.
     """
     modes, step = physics.modes, heat_step(physics.modes, length)
@@ -357,7 +357,7 @@ def settle_joint(
 def _settle_guided(
     physics: Physics, joint: JointState, amplitudes: Array, position: float
 ) -> tuple[JointState, Array] | None:
-    """As `settle_joint`, the axis standing at a position, m; None where it takes the plain way."""
+    """As `settle_joint`, with the axis at a position, m; None where it needs the plain method."""
     if (kernel := physics.guided_joint) is None:
         return None
     aligned = physics.aligned
@@ -441,7 +441,7 @@ def at_start(physics: Physics) -> tuple[Array, Array]:
 def simulate_known(
     physics: Physics, inputs: Array, length: float, gone: Array | None = None
 ) -> tuple[Array, Array]:
-    """March from rest under known inputs; where steps alternate, by halves of them.
+    """March from rest under known inputs, with halved steps where they alternate.
 
     Parameters
     ----------
@@ -449,12 +449,12 @@ def simulate_known(
         The machine.
     inputs : ndarray, shape (n, s + h + 1 + v)
         Heat of each source, W, the held surfaces and the ambient, K, at the end of each step;
-        factors of the first loads, where they are not those of time zero; the positions of axes,
-        m, stand behind them.
+        factors of the first loads, where they are not those of time zero; then the positions of
+        axes, m.
     length : float
         Of a step, s.
     gone : ndarray, shape (n, x), optional
-        How far each axis has gone in each step, m. Default: from one position to the next.
+        Travel of each axis in each step, m. Default: from one position to the next.
 
     Returns
     -------
@@ -480,7 +480,7 @@ class Marched(NamedTuple):
     drive: Array
     #: Shape (n, p): displacement probes, m.
     probes: Array
-    #: Shape (n, x): where the axes stand at the end of each step, m.
+    #: Shape (n, x): positions of the axes at the end of each step, m.
     places: Array
     #: The joints after each step, (n, ...): pressures alone of a machine without axes; NaN of one
     #: axis without a drive.
@@ -545,7 +545,7 @@ def march_known(
 
 
 def guided_steps(physics: Physics, length: float) -> tuple[Guided, Steps] | None:
-    """Return what a compiled march along an axis needs; None where there is no `guided_joint`."""
+    """Return the data of a compiled march along an axis; None where there is no `guided_joint`."""
     way, drives, joint = physics.modes.way, physics.modes.drives, physics.guided_joint
     if way is None or joint is None or (drives is not None and drives.any):
         return None
@@ -569,7 +569,7 @@ def _along_axes(physics: Physics, length: float) -> axes_march.ReducedMarch | No
 
 
 def _march_moving(physics: Physics, inputs: Array, length: float, gone: Array | None) -> Marched:
-    """As `march_known` of a machine with axes; without positions they stand."""
+    """As `march_known`, of a machine with axes; without positions they do not move."""
     modes = physics.modes
     assert modes.drives is not None  # with axes
     known, first = modes.drive.shape[1], np.array(place_in(modes, modes.factors))

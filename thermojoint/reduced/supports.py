@@ -1,15 +1,15 @@
-"""Elastic operators of a machine whose fixed supports give way, at any stiffness of theirs.
+"""Elastic operators of a machine whose fixed supports give way, for any stiffness of the supports.
 
 On springs, a surface s that the case fixes has displacements u = B v. With Psi the displacements of
 the whole machine that these cause (static modes; Craig and Bampton 1968), G the gaps, D the probes
-and F the loads of temperatures, its operators are those of the fixed machine and one term each:
+and F the loads of temperatures, its operators are those of the fixed machine plus one term each:
 
     C = C0 + G Psi Q (G Psi)^T,    S_T = S_T0 + G Psi Q Psi^T F,
     Q = (Psi^T K Psi + sum k_s M_s)^-1,
 
 and likewise with D; k_s is the stiffness of the springs and M_s that of springs of 1 N/m in B. This
-is exact if B is all displacements of the surfaces. It is polynomials of degree `DEGREE`, so that
-the number of solves does not depend on the mesh; what that costs is in docs/joint-aware.md.
+is exact if B spans all displacements of the surfaces. Here it has polynomials of degree `DEGREE`,
+so that the number of solves does not depend on the mesh; the error is in docs/joint-aware.md.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class Supports:
         )
 
     def with_probes(self, probes: Sequence[int]) -> Supports:
-        """Return them with some of the probes."""
+        """Return the supports with some of the probes."""
         fixed = self.fixed.with_probes(probes)
         return replace(self, fixed=fixed, probes=self.probes[probes])
 

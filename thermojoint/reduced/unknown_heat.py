@@ -1,7 +1,7 @@
-"""Heat that no source of a case brings, on the modes of its machine.
+"""Heat that comes from no source of a case, on the modes of its machine.
 
-Guides and seals rub, motors warm what they stand on, a door opens, air is warmer at the top. An
-observer that does not know of such heat takes it for heat of the sources or for their past.
+Guides and seals rub, motors warm their mounts, a door opens, air is warmer at the top. An observer
+without such heat attributes it to the sources or to their past.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from thermojoint.reduced.machine import Modes, ReducedMachine, diagonal_modes
 def with_unknown_heat(
     machine: ReducedMachine, held: Array | None, lasts: float
 ) -> tuple[Modes, Array]:
-    """Return diagonal modes with one more for the heat of every face, and what drives those.
+    """Return diagonal modes with one more for the heat of every face, and the noise of a step.
 
     The heat q of a face is a Gauss-Markov process, dq/dt = -q / lasts + w, and drives the
     amplitudes, da/dt + rates a = b q + ... With c = b / (rates - 1 / lasts), q and a - c q relax
     independently: q is one more mode, and rows C on a become [C, C c]. So the equations stay
-    diagonal, those of an implicit step included, and what marches and reads modes need not know
-    which of them are heat.
+    diagonal, those of an implicit step included, and code that marches or reads modes treats those
+    of heat like any other.
 
     Parameters
     ----------
@@ -37,10 +37,10 @@ def with_unknown_heat(
     Returns
     -------
     tuple of (Modes, ndarray of shape (r + b, b))
-        The modes, and what a step of `machine.step` adds to them per W of standard deviation of the
+        The modes, and their change in a step of `machine.step` per W of standard deviation of the
         heat of each face: one standard deviation, independent of the others.
     """
-    # Several thermometers may be on one.
+    # Several thermometers may be on one face.
     heated = np.unique(machine.faces[:, machine.faces.any(axis=0)], axis=1)
     faces, known = heated.shape[1], machine.power.size
     whole = replace(
@@ -52,7 +52,7 @@ def with_unknown_heat(
     rate = _apart(modes.rates, 1.0 / lasts)
     own = np.s_[known : known + faces]
     shares = modes.drive[:, own] / (modes.rates - rate)[:, None]
-    # Amplitudes of heat are as large as what they add to those of the machine.
+    # Amplitudes of heat are scaled to their effect on those of the machine.
     size = np.linalg.norm(shares, axis=0)
     shares = shares / size
 
@@ -84,7 +84,7 @@ def with_unknown_heat(
 def _apart(rates: Array, rate: float) -> float:
     """Return the rate, 1/s, that is furthest from those of modes, up to twice as fast or as slow.
 
-    Next to the rate of a mode, both would be large and cancel.
+    Next to the rate of a mode, both terms would be large and cancel.
     """
     tried = rate * np.geomspace(0.5, 2.0, 65)
     gaps = np.abs(np.log(rates[rates > 0.0] / tried[:, None])).min(axis=1)
