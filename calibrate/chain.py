@@ -62,7 +62,7 @@ if TYPE_CHECKING:
 MOST_RAISED = 64.0
 #: Number of sources with automatic placement, as in the paper; fewer with fewer inputs.
 SOURCES = 2
-#: Sets of sensors at the joint that are tried before one with a sensor fewer.
+#: Sets of sensors at the joint that are tried before one sensor fewer is used.
 MOST_SETS = 12
 #: Samples of a response that are used: a longer one is thinned evenly.
 MOST_SAMPLES = 1500

@@ -89,7 +89,7 @@ def _motion_heats(case: Case, name: str) -> bool:
 def check_alone(response: xr.Dataset, where: str) -> None:
     """Refuse a simulated response that something other than the heat input has affected.
 
-    A measured one has no case to check; the ambient is part of every response.
+    A measured one has no case to check; a change of the ambient is in the response itself.
 
     Raises
     ------

@@ -203,7 +203,7 @@ def fit(
     Parameters
     ----------
     problem : Separable
-        What to fit.
+        The problem to fit.
     coarse : Separable, optional
         The same problem on fewer samples: the starts are compared on it, and the best `polished`
         results are refined on `problem`. Default: `problem` itself.

@@ -137,7 +137,7 @@ def save_state(
     path : Path or str
         JSON to write.
     cold : float
-        Ambient at which the machine was cold, K, for kinds that count from it (`Cold`).
+        Ambient at which the machine was cold, K, for kinds that are relative to it (`Cold`).
 
     Raises
     ------

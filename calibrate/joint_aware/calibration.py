@@ -366,7 +366,7 @@ def report(fit: Fit) -> dict[str, object]:
     -------
     dict
         parameters: factor on the case's value, standard deviation of its logarithm before and
-        after, all in W/m2K where the name says so; directions: singular value and main parameters
+        after, in W/m2K if the name has that unit; directions: singular value and main parameters
         (|weight| > 0.3), with those determined by the data (`DECIDED`); residuals; doubt: factor on
         the assumed errors.
     """

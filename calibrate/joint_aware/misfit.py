@@ -268,7 +268,7 @@ def best_lags(
     sensors = problem.machine.sensor_names
     lagging = [k for k, sensor in enumerate(sensors) if lag_name(sensor) in names]
     at = [names.index(lag_name(sensors[k])) for k in lagging]
-    # The lag of a sensor does not affect the others, so that all may have the same.
+    # The lag of a sensor does not affect the others, so that all are given the same.
     costs = np.empty((len(lags), len(lagging)))
     for lag, cost in zip(lags, costs, strict=True):
         found[at] = lag
@@ -343,7 +343,7 @@ def residuals(problem: Problem, parameters: tuple[Parameter, ...], coordinates: 
 
 
 def whitened(problem: Problem, left: Array) -> Array:
-    """Return the rest of errors (n, p + axes) without the linear part, one channel after the other.
+    """Return errors (n, p + axes) without their linear part, one channel after the other.
 
     In units of sigma, shape (n (p + axes),) unless a channel does not move. It is linear in them.
     """

@@ -74,7 +74,7 @@ class Drawing:
     floor: float = 1e-4
     #: A fit assumes model errors this many times larger than it needs to (`misfit`), so that
     #: persistent errors do not bias the parameters. The machines are drawn as if it assumed the
-    #: actual ones: this reduces the uncertainty of what the data determine, not that of the prior.
+    #: actual ones: this only reduces the uncertainty in directions that the data determine.
     assumed: float = 2.0
     #: Tolerated residual of an error's approximation, relative to its largest value.
     rough: float = 0.02
@@ -387,7 +387,7 @@ def _draw(
         + moved[0].discrepancy.displacement
         - moved[1].discrepancy.displacement
     )
-    # Factor by which the fit assumes too large errors, less where it has found larger ones.
+    # Factor by which the fit assumes errors too large, given its doubt.
     assumed = drawing.assumed / problem.doubt
     sensed_sigma = SIGMAS.discrepancy_temperature / assumed
     for row in temperature:
@@ -460,7 +460,7 @@ def _explained(features: Array, error: Array, ends: Array, drawing: Drawing) -> 
 def shortfall(squares: Array, claimed: Array, errors: Array, floor: float) -> Array:
     """Return coefficients (q,) of squares (n, q) for mean square errors beyond `claimed`, (n,).
 
-    `errors` has the shape (draws, n); every sample counts relative to what is claimed for it.
+    `errors` has the shape (draws, n); every sample is weighted relative to its claimed variance.
     """
     mean = np.mean(errors**2, axis=0)
     size = float(mean.max())

@@ -149,7 +149,7 @@ def _drives(table: Table, rules: Cleaning) -> tuple[list[str], list[str]]:
 
 
 def _changes_of(table: Table, drives: list[str], rules: Cleaning) -> Flags:
-    """Return whether a drive changes at a row or beside it, or a gap ends there, shape (k,)."""
+    """Return whether a drive changes at a row or next to it, or a gap ends there, shape (k,)."""
     names = [column.name for column in table.columns]
     changing = np.zeros(len(table.times), dtype=bool)
     for name in drives:

@@ -45,7 +45,7 @@ class Cleaning:
     still_length: float = 0.5e-6
     #: Without a drive, one temperature must have this standard deviation, K.
     warms: float = 0.5
-    #: A sensor is excluded if it stays within `unchanged`, K (rounding of what it shows), for this
+    #: A sensor is excluded if it stays within `unchanged`, K (rounding of its display), for this
     #: fraction of the log and for this time, s.
     stuck: float = 0.1
     shortest_stuck: float = 1800.0

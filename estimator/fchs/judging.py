@@ -245,7 +245,7 @@ def _followed(
 
 
 def _of(roles: Collection[str], given: Mapping[str, Value] | None) -> dict[str, Value]:
-    """Return what is given for some roles."""
+    """Return the given values of some roles."""
     return {role: value for role, value in (given or {}).items() if role in roles}
 
 

@@ -105,7 +105,7 @@ def step(
     if len(measured) != 1 + assembly.n_sources or not all(map(_possible, measured)):
         raise _unusable(assembly, time, measured)
     result = propagator(assembly, dt) @ np.concatenate((state[TIME + 1 :], measured))
-    # Not by np.split, which takes longer.
+    # np.split would take longer.
     sources, axes, heat = assembly.n_sources, len(assembly.axes), state.size - 1
     last = heat + 1 + sources
     inner, strengths = result[:heat], result[heat + 1 : last]

@@ -72,7 +72,7 @@ class Filter(NamedTuple):
 class Shown(NamedTuple):
     """Results of n samples, written in place."""
 
-    #: Shape (n, axes): displacement before corrections by innovations and its readings, m.
+    #: Shape (n, axes): displacement, m, before corrections by innovations and readings of it.
     displacement: Array
     #: Shape (n, s q): relaxations of the heat.
     relaxed: Array

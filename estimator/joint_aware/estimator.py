@@ -77,7 +77,7 @@ class Taken(NamedTuple):
 
     #: State after the sample.
     after: ObserverState
-    #: Shape (axes,): before corrections by innovations and its readings, m.
+    #: Shape (axes,): before corrections by innovations and displacement readings, m.
     displacement: Array
     #: Knowledge of the joint's slips before the sample.
     memory: float
@@ -386,7 +386,7 @@ class JointAware(Described):
         return np.abs(least)[list(self.model.counted)]
 
     def _possible_ways(self, counted: Array, since: Array) -> Flags:
-        """Whether axes can have travelled what odometers report, m, read `since` s ago, all (c,).
+        """Whether axes can have travelled the distance by odometers, m, in `since` s, all (c,).
 
         A distance that no axis can travel means a reset odometer: then only positions count.
         """

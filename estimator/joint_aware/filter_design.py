@@ -1,11 +1,11 @@
 """Steady Kalman filter of the linear part, and low-rank deviations of its covariance.
 
-State: amplitudes of the modes, relaxations of the model discrepancy, heat of the sources and
-ambient. With the joint at its preload one step is x' = F x + w, where F is diagonal but for the
-columns of the inputs, which are random walks; readings are y = H x + v. The steady covariance P
-before a reading solves the discrete Riccati equation. Any other covariance is P + L L^T with a
-covariance factor L of few columns: an unknown start, missing readings, late samples (`forget`,
-`correct`).
+State: amplitudes of the modes, relaxations of the model discrepancy, heat of the sources, held
+surfaces and ambient. With the joint at its preload one step is x' = F x + w, where F is diagonal
+but for the columns of the inputs, which are random walks; readings are y = H x + v. The steady
+covariance P before a reading solves the discrete Riccati equation. Any other covariance is
+P + L L^T with a covariance factor L of few columns: an unknown start, missing readings, late
+samples (`correct`).
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class LinearSystem:
     decay: Array
     #: Shape (d, s + h + 1): per W of each source and K of the held surfaces and the ambient.
     drive: Array
-    #: Shape (p + 1, d + s + 1): sensors, then the ambient's own.
+    #: Shape (p + 1, d + s + h + 1): sensors, then the ambient's own.
     rows: Array
 
     @property

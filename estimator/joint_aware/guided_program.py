@@ -351,7 +351,7 @@ def compared_in(estimator: JointAware, estimate: Estimate) -> Array:
 
 
 def ways(places: Array) -> Array:
-    """Return odometers at positions (samples, x), m, with some motion between samples too."""
+    """Return odometer readings at positions (samples, x), m, with motion between samples too."""
     every = np.arange(len(places))[:, None]
     more = 0.02 * np.mod(every + np.arange(places.shape[1]), 5) * (np.mod(every, 60) > 20)
     return 3.0 + gone_along(places) + np.cumsum(more, axis=0)

@@ -54,7 +54,7 @@ class Band:
     allowed: Array
 
     def within(self, means: Array) -> Array:
-        """Return mean innovations (..., 3 (p + 1)), K, in the range of the days, (..., m)."""
+        """Return mean innovations (..., 3 (p + 1)), K, clipped to those of the days, (..., m)."""
         return np.clip(means[..., : self.seen.size], -self.seen, self.seen)
 
     def surprising_of(self, means: Array) -> Array:

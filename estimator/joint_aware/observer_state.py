@@ -31,7 +31,8 @@ class ObserverState(NamedTuple):
     begun: Array
     #: Shape (): knowledge of the joint's slips: `KNOWN`, `UNKNOWN` or `FOLLOWED`.
     memory: Array
-    #: Shape (n,): amplitudes, relaxations, heat of the sources (W), ambient (K): `filter_design`.
+    #: Shape (n,): amplitudes, relaxations, heat of the sources (W), held surfaces and ambient (K):
+    #: `filter_design`.
     linear: Array
     #: Shape (l,): factors of the loads: the last that were read, and those that are constant.
     loads: Array

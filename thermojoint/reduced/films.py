@@ -23,7 +23,7 @@ from thermojoint.artefacts.arrays import Array
 
 #: Largest number of surfaces with a film of their own; smaller ones share the common factor.
 MOST = 6
-#: Likewise of patches, and the least share of one in all of them: smaller ones are negligible.
+#: Likewise of patches, and the least share of one in all of them: no data determine smaller ones.
 MOST_PATCHES, LEAST = 12, 0.01
 
 

@@ -201,7 +201,7 @@ def new_steps(guide: Guided, there: There) -> Steps:
 
 @compiled
 def occupy(positions: Array, start: float, end: float, passed: Passed) -> None:
-    """Put the shares of an even way, as `fesim.axes.occupation.even`."""
+    """Set the shares of a uniform way, as `fesim.axes.occupation.even`."""
     fill(passed.mean, 0.0)
     fill(passed.square, 0.0)
     fill(passed.product, 0.0)
@@ -221,7 +221,7 @@ def _mix(weights: Array, each: Array, into: Array) -> None:
 
 @compiled_part
 def _stand(aligned: Aligned, there: There, at: float) -> None:
-    """Put the elasticity at a position, m."""
+    """Set the elasticity at a position, m."""
     place = place_of(aligned.positions, at)
     below = min(math.floor(place), aligned.positions.size - 2)
     fill(there.weights, 0.0)
@@ -238,7 +238,7 @@ def _stand(aligned: Aligned, there: There, at: float) -> None:
 
 @compiled_part
 def _free_smooth(aligned: Aligned, there: There) -> None:
-    """Take the springs of smooth gaps away, as `fesim.joint.gap` does with others."""
+    """Remove the springs of smooth gaps, as `fesim.joint.gap` does with others."""
     compliance, springs = there.joint.compliance, aligned.reference
     smooth, rough, coupled = aligned.smooth, aligned.rough, there.coupled
     system, across = np.empty((smooth.size, smooth.size)), np.empty((smooth.size, rough.size))

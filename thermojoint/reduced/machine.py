@@ -120,7 +120,7 @@ class Guide:
 
     #: In the case's order.
     axes: tuple[MovingAxis, ...]
-    #: On the machine's modes; without a drive the bodies stand where the control believes.
+    #: On the machine's modes; without a drive the bodies stand where the control assumes.
     drives: AxisDrives
     #: On the same modes.
     way: Guideway

@@ -2,8 +2,8 @@
 
 Every parameter is a factor on a value of the case; its logarithm has a normal prior. The film of a
 surface that has none in the case is not a factor but W/(m2 K), with half a normal distribution as
-prior: a film cannot be negative, and most likely there is none. So is the lag of a sensor, in s.
-All of them reuse one condensation:
+prior: a film cannot be negative, and most likely there is none. The same holds for the lag of a
+sensor, in s. All parameters reuse one condensation:
 
 - conduction, capacity, film: K, M and H are scaled on the same modes, which are diagonalised again,
   and so is the part of H of every surface. The modes are those of the nominal machine;

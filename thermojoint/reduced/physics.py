@@ -156,7 +156,7 @@ class Physics:
         return JointState(*rest_of(here.contact, replace(here.modes, start=start)))
 
     def at_rest(self) -> JointState:
-        """The joints before the first step, to go on from."""
+        """The joints before the first step, to continue from."""
         return JointState(*map(np.array, self.rest))
 
     def beyond_held(self, joint: JointState, amplitudes: Array) -> Array:
