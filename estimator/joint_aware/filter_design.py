@@ -263,9 +263,9 @@ def correct(
 
 
 def compressed(factor: Array, scale: Array, count: int) -> Array:
-    """Return the rank-`count` approximation of L L^T, in units of `scale`; shape (n, count).
+    """Return a factor (n, k) of at most `count` columns that is nearest to L in units of `scale`.
 
-    Columns without information are zero.
+    A factor with no more columns is returned as it is.
     """
     if factor.shape[1] > count:
         unit = np.where(scale > 0.0, scale, 1.0)[:, None]
