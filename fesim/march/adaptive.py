@@ -1,9 +1,9 @@
-"""March of second order whose steps are chosen by estimated errors (docs/march.md).
+"""Second-order march with step sizes chosen by estimated errors (docs/march.md).
 
-Heat is exact on the modes but for the joint heat flows, which are linear in a step
+Heat conduction is exact on the modes except for the joint heat flows, which are linear in a step
 (`fesim.march.exponential`); pressure and conductance agree at its end (`iterated_step`); slip is
-extrapolated (`fesim.march.slip_path`). Steps end at every knot of what drives the machine, never at
-the times that are asked for: there the joints are settled once more, and nothing depends on it.
+extrapolated (`fesim.march.slip_path`). Steps end at every knot of the inputs, never at the
+requested times: there the joints are settled separately, and no later step depends on the result.
 """
 
 from __future__ import annotations
@@ -55,23 +55,23 @@ from thermojoint.artefacts.units import MEGA
 if TYPE_CHECKING:
     from fesim.march.adaptive_kernel import FreeMarch
 
-#: Weights of so many lengths are kept.
+#: Number of step lengths whose weights are kept.
 KEPT = 4
-#: Inputs that differ by less than this part of the largest are the same.
+#: Inputs whose difference is below this fraction of the largest are the same.
 ALIKE = 1e-6
 
 
 @dataclass(frozen=True)
 class _March:
-    """What stays the same from step to step."""
+    """Data that do not change from step to step."""
 
-    #: What marches.
+    #: The simulated machine.
     machine: CondensedMachine
-    #: Length (s) to the weights of a step.
+    #: Weights of a step as a function of its length, s.
     weights: Callable[[float], ExponentialStep]
     #: The inputs.
     drive: Histories
-    #: Of half an hour.
+    #: For half an hour.
     tolerance: Tolerance
     #: `fesim.march.exponential.heat_spread`.
     spread: float
@@ -79,17 +79,17 @@ class _March:
 
 @dataclass(frozen=True)
 class _Tried:
-    """A step that has been computed."""
+    """A computed step, not yet accepted."""
 
-    #: At its end.
+    #: Result at its end.
     step: Step
-    #: Of its length.
+    #: Weights of its length.
     weights: ExponentialStep
-    #: What acts in it.
+    #: Inputs and joint heat flows at its start and end.
     ends: Ends
-    #: The joints at its end without extrapolated slip.
+    #: State at its end without extrapolated slip.
     once: State
-    #: Estimated.
+    #: Estimated error.
     error: StepError
 
 
@@ -102,24 +102,24 @@ def march_adaptively(  # noqa: PLR0913 - the last is optional
     start: State,
     judge: Callable[[StepEnds], None] = lambda ends: None,
 ) -> Iterator[tuple[Track, Passed]]:
-    """Yield the machine at given times, some at a time, and the march after them.
+    """Yield the machine at given times, in blocks, and the march after each block.
 
     Parameters
     ----------
     machine : CondensedMachine
-        On the modes of a reduced thermal model.
+        With the modes of a reduced thermal model.
     rates : ndarray, shape (r,)
-        Of the modes, 1/s.
+        Decay rates of the modes, 1/s.
     drive : Histories
-        Inputs (k + l,) in time, s.
+        Inputs (k + l,) as functions of time, s.
     times : ndarray, shape (n,)
         Ascending, s. State k of the tracks has the index of `start` + k + 1.
     tolerance : Tolerance
-        For the sum of the errors of the steps of half an hour.
+        For the sum of the errors of the steps in half an hour.
     start : State
-        At time zero, or one that keeps the march before these times (`Now.packed`).
+        State at time zero, or one that contains the march before these times (`Now.packed`).
     judge : callable, optional
-        Called with the ends of steps; raises an error where the machine may not be so.
+        Called with the ends of steps; raises an error if such a state is not allowed.
 
     Raises
     ------
@@ -156,7 +156,7 @@ def _compiled(machine: CondensedMachine, rates: Array) -> FreeMarch | None:
 
 
 def _plain_step(march: _March, now: Now, asked: Asked, index: int) -> tuple[Track | None, Passed]:
-    """Take a step; the first of the times in it has an index."""
+    """Take a step; `index` is that of the first requested time in it."""
     at = int(np.searchsorted(asked.knots, now.time, side="right"))
     knot, before = float(asked.knots[at]), float(asked.knots[at - 1]) if at else 0.0
     tried, pace, rejected = _accepted(march, now, before, knot)
@@ -178,9 +178,9 @@ def _plain_step(march: _March, now: Now, asked: Asked, index: int) -> tuple[Trac
 
 
 def _resumed(machine: CondensedMachine, drive: Histories, start: State) -> Now:
-    """The march that a state keeps; begun anew at its time if other inputs led to it.
+    """The march stored in a state; a new one from its time if other inputs led to it.
 
-    Within a step, in which that time is, inputs are linear.
+    That time may lie within a step, in which the inputs are linear.
     """
     axes = len(machine.contact.elastic.probe_thermal)
     now, last = unpacked(start, drive.values.shape[1], axes)
@@ -193,7 +193,7 @@ def _resumed(machine: CondensedMachine, drive: Histories, start: State) -> Now:
 
 
 def _begun(machine: CondensedMachine, drive: Histories, start: State) -> Now:
-    """The march at a state, settled at the held temperatures of the first instant after it."""
+    """The march at a state, settled at the prescribed temperatures just after its time."""
     time = start.index * machine.thermal.step
     thermal, inputs = machine.thermal, drive(time)
     held = thermal.capacity_rate.diagonal() == 0.0
@@ -210,7 +210,7 @@ def _begun(machine: CondensedMachine, drive: Histories, start: State) -> Now:
 
 
 def _after(now: Now, tried: _Tried, end: float, edge: bool) -> Now:
-    """The march after an accepted step; within an edge, how flows change tells nothing of later."""
+    """The march after an accepted step; the flows' slope within an edge is not used later."""
     step, length = tried.step, tried.weights.length
     after = replace(now, time=end, state=step.state, inputs=tried.ends.inputs[1])
     after = replace(after, flow=tried.ends.flow[1])
@@ -222,7 +222,7 @@ def _after(now: Now, tried: _Tried, end: float, edge: bool) -> Now:
 
 
 def _accepted(march: _March, now: Now, before: float, knot: float) -> tuple[_Tried, Pace, int]:
-    """The next step, between two knots, the pace after it, and how many were tried in vain."""
+    """The next step between two knots, the pace after it, and the number of rejected steps."""
     rejected, pace, times = 0, now.pace, stretch(knot - before)
     while True:
         length = until(pace.length, knot - now.time)
@@ -240,7 +240,7 @@ def _accepted(march: _March, now: Now, before: float, knot: float) -> tuple[_Tri
             free = pace.way > march.tolerance.temperature
             followed = np.inf if free else march.tolerance.followed * changed
             ratio = of_allowed(part, allowed(times * length), warmed, followed)
-            # A joint that snaps does so in any time.
+            # The length of the step does not influence a snap-through.
             snaps = tried.step.cuts > 0 and times * length <= BRIEF
             if ratio <= 1.0 or ((snaps or last_chance) and part <= 1.0):
                 return tried, next_pace(pace, length, ratio, changed), rejected
@@ -256,7 +256,7 @@ def _accepted(march: _March, now: Now, before: float, knot: float) -> tuple[_Tri
 
 
 def _explain(contact: ContactProblem, state: State, where: str) -> None:
-    """Raise ConvergenceError if no step is short enough because a body is about to come loose."""
+    """Raise ConvergenceError if no step is short enough because a body is coming loose."""
     if contact.watch is not None:
         try:
             contact.watch.explain(contact.gap_problem.law(state.gap, state.slip))
@@ -265,14 +265,14 @@ def _explain(contact: ContactProblem, state: State, where: str) -> None:
 
 
 def _changed(march: _March, before: State, tried: _Tried) -> float:
-    """Change of the temperature in a step, K: the root mean square, weighted by heat capacity."""
+    """Temperature change in a step, K: root mean square weighted by heat capacity."""
     count = tried.weights.rates.size
     change = tried.step.state.temperature[:count] - before.temperature[:count]
     return float(np.linalg.norm(change)) / march.spread
 
 
 def _tried(march: _March, now: Now, length: float, begins: bool) -> _Tried:
-    """Compute a step, which may begin at a knot; the state before it is as it was."""
+    """Compute a step, which may begin at a knot, without changing the state before it."""
     machine, weights, before = march.machine, march.weights(length), now.state
     inputs = march.drive(now.time + length)
     half = weights.before_end(before.temperature, now.inputs, now.flow)
@@ -307,9 +307,9 @@ def _tried(march: _March, now: Now, length: float, begins: bool) -> _Tried:
 
 
 def _within(machine: CondensedMachine, now: Now, tried: _Tried, share: float) -> Step:
-    """The machine after a share of an accepted step, settled from the slip at its start.
+    """The machine after a fraction of an accepted step, settled from the slip at its start.
 
-    What extrapolation adds to the slip grows with the square of the time.
+    The extrapolated part of the slip grows with the square of the time.
     """
     if share == 1.0:
         return tried.step
@@ -333,7 +333,7 @@ def _within(machine: CondensedMachine, now: Now, tried: _Tried, share: float) ->
 
 
 def _settled_from(machine: CondensedMachine, step: Step, slip: Array, unknowns: Array) -> Step:
-    """A step at other temperatures, its joints settled once more from another slip."""
+    """A step with other temperatures, its joints settled again from another slip."""
     near = replace(step.state, slip=slip, change=np.zeros_like(step.state.change))
     settled, cuts = settled_at(machine, near, unknowns, step.inputs)
     remainder, displacement = displaced(machine, unknowns, settled, step.inputs)
@@ -356,7 +356,7 @@ def _settled_from(machine: CondensedMachine, step: Step, slip: Array, unknowns: 
 
 
 def _reported(steps: Sequence[Step], solving: Solving, index: int) -> Track:
-    """Rows of a response, with what the solvers say of all steps since the row before."""
+    """Rows of a response, with the solver figures of all steps since the previous row."""
     rows = []
     for k, step in enumerate(steps):
         rows.append(

@@ -1,4 +1,4 @@
-"""Data of a condensed machine for the JIT-compiled adaptive march, if it supports the machine."""
+"""Data of a condensed machine for the JIT-compiled adaptive march, if supported."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from fesim.march.track import Track
 from fesim.solid.condensation import ThermalCondensation
 from thermojoint.artefacts.arrays import Array
 
-#: Most steps that are taken at once.
+#: Maximum number of steps per call.
 BLOCK = 128
 #: As in `fesim.joint.compiled_gap.GapKernel`.
 LEFT = 0.05
@@ -46,33 +46,33 @@ LEFT = 0.05
 class FreeMarch:
     """A compiled adaptive march."""
 
-    #: What marches.
+    #: The simulated machine.
     machine: CondensedMachine
     #: Its data.
     kernel: AdaptiveKernel
-    #: Written in place.
+    #: Work arrays, written in place.
     storage: Storage
 
     def run(self, now: Now, asked: Asked, index: int) -> tuple[Track | None, Passed, bool]:
-        """March on, for so many steps at most.
+        """Advance the march by `BLOCK` steps at most.
 
         Parameters
         ----------
         now : Now
             The march so far.
         asked : Asked
-            Its inputs, its tolerance and the times that are left.
+            Inputs, tolerance and the remaining times.
         index : int
-            Of the first of these times.
+            Index of the first of these times.
 
         Returns
         -------
         track : Track or None
-            The machine at the times that were passed, if there are any.
+            The machine at the times that were passed; None if there are none.
         passed : Passed
-            The march after them.
+            The march after the steps.
         usual : bool
-            False if the next step is left to the plain march.
+            False if the plain march must take the next step.
         """
         course = self._course(now)
         within = np.searchsorted(asked.times, now.time + LONGEST, side="right")
@@ -126,7 +126,7 @@ class FreeMarch:
         return track, Passed(effort, after, ends), usual
 
     def _course(self, now: Now) -> Course:
-        """The march so far as arrays of its own."""
+        """The march so far, copied into new arrays."""
         state, pace, effort = now.state, now.pace, now.effort
         counts = (effort.steps, effort.rejected, effort.shortest, effort.longest)
 
@@ -154,9 +154,9 @@ class FreeMarch:
     def _solved(
         self, now: Now, taken: Taken, count: int
     ) -> tuple[Solving, Array, Array, np.ndarray]:
-        """What the solvers say of the steps after the last row, and up to each of the rows.
+        """Solver figures of the steps after the last row, and up to each of the rows.
 
-        Of a row that is residual, heat balance and iterations.
+        For each row: residual, heat balance and iterations.
         """
         thermal, solving = self.machine.thermal, now.solving
         length, residuals, iterations, ends = taken.numbers.T
@@ -210,9 +210,9 @@ def free_march(machine: CondensedMachine, rates: Array) -> FreeMarch | None:
     Parameters
     ----------
     machine : CondensedMachine
-        On the modes of a reduced thermal model.
+        With the modes of a reduced thermal model.
     rates : ndarray, shape (r,)
-        Of the modes, 1/s.
+        Decay rates of the modes, 1/s.
     """
     thermal, contact = machine.thermal, machine.contact
     if not contact.count or machine.friction or machine.stiffness:
@@ -235,9 +235,9 @@ def free_march(machine: CondensedMachine, rates: Array) -> FreeMarch | None:
 
 @lru_cache(maxsize=1)
 def _heat_of(thermal: ThermalCondensation, rates: bytes) -> tuple[Modes, Lengths]:
-    """The heat equation, and its weights, which marches with other laws and inputs share.
+    """The heat equation and its weights, shared by marches with other laws and inputs.
 
-    What is kept of a length follows from it: no march depends on those before.
+    Stored weights depend on the step length only, so no march depends on earlier ones.
     """
     own = np.frombuffer(rates)
     drawn = np.array(np.asarray(thermal.jump).T, order="C", dtype=np.float64)

@@ -1,4 +1,4 @@
-"""An adaptive march between two steps."""
+"""State of an adaptive march between two steps."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from fesim.march.machine import State, Step
 from fesim.march.step_control import ROUNDING, Pace, StepError, Tolerance
 from thermojoint.artefacts.arrays import Array
 
-#: Arrays of a state that belong to the time between two steps; numbers before the arrays.
+#: Arrays of a state that are stored between two steps; count of the numbers before the arrays.
 OF_STATE = ("temperature", "gap", "slip", "pressure", "change")
 NUMBERS = 15
 
 
 @dataclass(frozen=True)
 class Effort:
-    """Steps of an adaptive march so far, and what they are estimated to be off by."""
+    """Number and lengths of the steps of an adaptive march so far, and its estimated error."""
 
-    #: Steps that were taken, and tried in vain.
+    #: Accepted and rejected steps.
     steps: int
     rejected: int
-    #: Of the steps taken, s.
+    #: Lengths of accepted steps, s.
     shortest: float
     longest: float
-    #: Of the estimated errors of all steps: some cancel.
+    #: Sum of the estimated errors of all steps, which partly cancel.
     sum: StepError
-    #: Largest magnitudes that this sum has had, m and K.
+    #: Largest magnitudes of this sum so far, m and K.
     displacement: float
     temperature: float
 
     def with_step(self, length: float, error: StepError, rejected: int) -> Effort:
-        """Return the effort with a step more, of a length (s), after some that were rejected."""
+        """Return the effort after a further step of a length (s) and its rejected attempts."""
         total = self.sum + error
         moved, warmed = total.largest()
         return Effort(
@@ -57,20 +57,20 @@ def no_effort(axes: int, count: int) -> Effort:
 
 @dataclass(frozen=True)
 class Asked:
-    """What a march is asked for."""
+    """Request to a march."""
 
-    #: Inputs in time, s.
+    #: Inputs as functions of time, s.
     drive: Histories
-    #: Shape (k,): ascending, s: where steps end; the last one is infinite.
+    #: Shape (k,): times at which steps end, ascending, s; the last one is infinite.
     knots: Array
-    #: Shape (t,): of the response, ascending, s.
+    #: Shape (t,): times of the response, ascending, s.
     times: Array
-    #: Of half an hour.
+    #: For half an hour.
     tolerance: Tolerance
 
 
 class Solving(NamedTuple):
-    """What the solvers say of the steps since the last row of a response; fields as in `Step`."""
+    """Solver figures of the steps since the last row of a response; fields as in `Step`."""
 
     residual: float = 0.0
     heat_balance: float = 0.0
@@ -78,7 +78,7 @@ class Solving(NamedTuple):
     cuts: int = 0
 
     def and_of(self, later: Solving | Step) -> Solving:
-        """Return this and that of a later step together."""
+        """Return the figures combined with those of a later step."""
         return Solving(
             max(self.residual, later.residual),
             max(self.heat_balance, later.heat_balance, key=abs),
@@ -89,28 +89,28 @@ class Solving(NamedTuple):
 
 @dataclass(frozen=True)
 class Now:
-    """The march between two steps."""
+    """State of the march between two steps."""
 
-    #: s.
+    #: Time, s.
     time: float
-    #: Temperatures, and what friction has come to.
+    #: Temperatures, contact and friction.
     state: State
     #: Shapes (k + l,) and (m,): inputs and joint heat flows, W.
     inputs: Array
     flow: Array
-    #: Shape (m,): change of the flows in the last step, W/s.
+    #: Shape (m,): rate of change of the flows in the last step, W/s.
     slope: Array
-    #: Of the last step, s; zero if there is none that tells anything of the next.
+    #: Length of the last step, s; zero if `slope` does not predict the next step.
     length: float
-    #: Of the next step.
+    #: Step size control of the next step.
     pace: Pace
-    #: So far.
+    #: Steps so far.
     effort: Effort
-    #: Since the last row of the response.
+    #: Solver figures since the last row of the response.
     solving: Solving = field(default_factory=Solving)
 
     def packed(self, driven: Array) -> Array:
-        """Return all of it as one array, as `fesim.march.machine.State` keeps it.
+        """Return all fields as one array, as `fesim.march.machine.State` stores them.
 
         Parameters
         ----------
@@ -129,7 +129,7 @@ class Now:
 
 
 def unpacked(state: State, inputs: int, axes: int) -> tuple[Now, Array]:
-    """Return the march that a state keeps, and the inputs (k + l,) at its time.
+    """Return the march stored in a state, and the inputs (k + l,) at its time.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def unpacked(state: State, inputs: int, axes: int) -> tuple[Now, Array]:
 class StepEnds(NamedTuple):
     """The machine at the ends of s steps."""
 
-    #: Shape (s,): s.
+    #: Shape (s,): times, s.
     times: Array
     #: Shapes (s, n), (s, 3 m) and (s, m): as in `fesim.march.machine.Step`.
     unknowns: Array
@@ -178,17 +178,17 @@ class StepEnds(NamedTuple):
     pressure: Array
 
     def until(self, time: float) -> StepEnds:
-        """Those up to a time, s."""
+        """Return the ends up to a time, s."""
         count = int(np.searchsorted(self.times, time * (1.0 + ROUNDING), side="right"))
         return StepEnds(*(each[:count] for each in self))
 
 
 class Passed(NamedTuple):
-    """An adaptive march that has passed some times."""
+    """An adaptive march after some of the requested times."""
 
-    #: Up to the end of the last step.
+    #: Steps up to the end of the last one.
     effort: Effort
-    #: Where the march goes on: at the last time that is asked for at the start of its step.
+    #: Where the march continues; after the last requested time, the start of the step with it.
     now: Now
-    #: Of the steps that were taken for it.
+    #: Ends of the steps taken.
     ends: StepEnds

@@ -1,9 +1,9 @@
-"""Steps of the staggered coupling that alternate.
+"""Alternating steps of the staggered coupling.
 
-A staggered step takes the conductance of the one before: a fixed-point map. If its gain is above
-one, pressures alternate between too high and too low although every step is in balance. The sign of
-such increments changes in every step, except where a joint stays open for one. Since an
-intermittent heat input does the same, the gain is then computed (`fesim.march.stepping`).
+A staggered step uses the conductance of the one before: a fixed-point map. If its gain is above
+one, pressures alternate between too high and too low although every step is in balance. Increments
+then change sign in every step, except where a joint stays open for one. Since an intermittent heat
+input has the same effect, the gain is then computed (`fesim.march.stepping`).
 """
 
 from __future__ import annotations
@@ -16,26 +16,25 @@ from numpy.typing import NDArray
 
 from thermojoint.artefacts.arrays import Array, Flags
 
-#: Smallest increment that counts, of what it is relative to: above what the gap equations leave.
+#: Smallest relative increment that counts: above the tolerance of the gap equations.
 LEAST = 1e-5
 #: Consecutive changes of sign after which the gain is computed.
 SUSPECTED = 2
-#: Steps between them in which nothing moves.
+#: Steps without motion allowed between them.
 STILL = 1
-#: From this gain on steps alternate without end: it is one where they do so evenly.
+#: Gain from which on the alternation does not end; even alternation has a gain of one.
 GAIN = 0.9
-#: And in so many steps in a row, where the gain is seen in the increments themselves.
+#: Changes of sign in a row that are required if the gain is estimated from the increments.
 STUBBORN = 6
-#: Motion to and fro turns increments in most steps. A compiled march on axes looks at the gain in
-#: one of so many: it changes slowly, and steps that alternate still do so then.
+#: Motion to and fro reverses increments in most steps. A compiled march on axes computes the gain
+#: in one of so many: it changes slowly, and alternating steps persist until then.
 SOMETIMES = 4
-#: And whether longer periods die out, for which steps are taken while inputs and ways are held, in
-#: one of so many.
+#: One of so many steps, in which a march also checks whether longer periods decay, by steps with
+#: constant inputs and positions.
 SELDOM = 8
-#: Increments below this part of the largest one tell no gain.
+#: Increments below this fraction of the largest one are not used for the gain.
 LEADING = 0.1
-#: Increments from which on periods of more than two steps are looked for, of what they are relative
-#: to.
+#: Relative increment from which on periods of more than two steps are looked for.
 LARGE = 0.1
 
 
@@ -60,7 +59,7 @@ def turnings(last: Array, moved: Array) -> Array:
     time = np.arange(1.0, 1.0 + len(moved))[:, None]
     counted = np.abs(moved) > LEAST
     began = np.where(last[0] != 0.0, -last[2], -np.inf)
-    # Time of the last increment that counts, at the start and after each step, and its place.
+    # Time of the last increment that counts, at the start and after each step, and its index.
     when = np.maximum.accumulate(np.vstack([began, np.where(counted, time, -np.inf)]), axis=0)
     at = np.maximum(when, 0.0).astype(np.intp) * moved.shape[1] + np.arange(moved.shape[1])
     increment = np.vstack([last[0], moved]).ravel()[at]
@@ -72,21 +71,21 @@ def turnings(last: Array, moved: Array) -> Array:
 
 
 def suspected(turning: Array) -> Array:
-    """Return which elements may alternate, by the result (..., 3, m) of `turnings`."""
+    """Return which elements may alternate, from the result (..., 3, m) of `turnings`."""
     return np.asarray((turning[..., 1, :] >= SUSPECTED) & (turning[..., 2, :] == 0.0))
 
 
 def alternating(values: Array) -> bool:
-    """Return whether relative values (n, m) of known steps come to oscillate: `oscillating`."""
+    """Return whether relative values (n, m) of given steps begin to oscillate (`oscillating`)."""
     return bool(oscillating(values).any())
 
 
 def oscillating(values: Array) -> Flags:
-    """Return which of n steps belong to an oscillation of steps that does not end by itself.
+    """Return which of n steps belong to an oscillation from step to step that does not decay.
 
-    Either increments turn in `STUBBORN` steps in a row and hardly decay; or they turn in half of
-    three times as many and come back to about where they were, by swings of which each third is
-    hardly less than the one before: periods of two, three, four or six steps.
+    Either increments change sign in `STUBBORN` steps in a row and hardly decay; or they do so in
+    half of three times as many steps, return to about the same values, and each third swings hardly
+    less than the one before: periods of two, three, four or six steps.
 
     Parameters
     ----------
@@ -94,7 +93,7 @@ def oscillating(values: Array) -> Flags:
         Relative values at the ends of the steps.
     """
     marked = np.zeros(len(values), dtype=np.bool_)
-    # Few columns turn often enough, and looking at all of them would cost much.
+    # Few columns change sign often enough; a check of all would be expensive.
     often = _turned(np.diff(values, axis=0)).sum(axis=0) >= STUBBORN - 1
     if len(values) < STUBBORN + 2 or not often.any():
         return marked
@@ -120,17 +119,17 @@ def oscillating(values: Array) -> Flags:
 def unresolved(pressure: Array, inputs: Array, events: Flags) -> NDArray[np.intp]:
     """Return the steps whose pressures oscillate from step to step although no input does.
 
-    Iterated steps that do so are in balance, each of them, but too long for what they follow: heat
-    and pressure drive each other (Barber, Dundurs and Comninou 1980), and the machine oscillates.
+    Such iterated steps are in balance, each of them, but too long to resolve the oscillation that
+    heat and pressure excite in each other (Barber, Dundurs and Comninou 1980).
 
     Parameters
     ----------
     pressure : ndarray, shape (n, m)
         At the ends of the steps, relative to the reference pressures.
     inputs : ndarray, shape (n, k)
-        Of the steps.
+        Inputs of the steps.
     events : ndarray of bool, shape (n,)
-        Steps from which on a march takes another course: at a snap, or as it is taken over.
+        Steps at which a march changes course: at a snap-through, or where iterated ones begin.
     """
     largest = np.abs(inputs).max(axis=0)
     driven = inputs / np.where(largest > 0.0, largest, 1.0)
@@ -140,7 +139,7 @@ def unresolved(pressure: Array, inputs: Array, events: Flags) -> NDArray[np.intp
 
 
 def _turned(moved: Array) -> Flags:
-    """Where increments (n, m) have another sign than the last ones that count, (n - 1, m)."""
+    """Where increments (n, m) differ in sign from the last ones that count, shape (n - 1, m)."""
     counted = np.abs(moved) > LEAST
     last = np.maximum.accumulate(np.where(counted, np.arange(len(moved))[:, None], 0), axis=0)
     sign = np.take_along_axis(np.sign(moved) * counted, last, axis=0)
@@ -155,8 +154,8 @@ def _windows(values: NDArray[Any], length: int) -> NDArray[Any]:
 def gain_of(once: Array, twice: Array) -> float:
     """Return the gain of an alternating map from two consecutive increments (k,).
 
-    It is that of the element which alternates most: others may decay. Elements that hardly move
-    beside the rest only follow it.
+    It is the gain of the element that alternates most: others may decay. Elements that move much
+    less than the rest only follow it.
     """
     leading = np.abs(once) >= max(LEADING * float(np.abs(once).max()), 1e-300)
     return float((-twice[leading] / once[leading]).max(initial=0.0))

@@ -1,7 +1,7 @@
 """Anderson acceleration of a fixed-point iteration (Anderson 1965; Walker and Ni 2011).
 
-The misfits of the last sweeps are taken as linear in their values; the next value is that of the
-combination with the least misfit, and a full sweep from there.
+The misfits of the last sweeps are taken as linear in their values; the next value is a full sweep
+from the combination with the least misfit.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from thermojoint.artefacts.arrays import Array
 
 #: Sweeps before the last one that are combined.
 DEPTH = 10
-#: Singular values below this part of the largest one tell nothing.
+#: Singular values below this fraction of the largest one are dropped.
 LEAST = 1e-8
 
 
 def accelerated(values: Sequence[Array], misfits: Sequence[Array]) -> Array:
-    """Return the next value (m,) after sweeps from values (m,) that ended at value plus misfit."""
+    """Return the next value (m,) after sweeps from values (m,) and their misfits, end - start."""
     kept = slice(-DEPTH - 1, None)
     taken, left = np.array(values[kept]), np.array(misfits[kept])
     if len(taken) == 1:

@@ -1,7 +1,7 @@
 """Tightening of a machine's bolts before any other load.
 
-All bolts are tightened at once. During tightening their forces are given: a load under which the
-joints settle. Afterwards the bolts are springs.
+All bolts are tightened at once. During tightening their forces are prescribed, and the joints
+settle under this load. Afterwards the bolts are springs.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Bolts:
     loose: CondensedMachine
     #: Properties of the bolts.
     springs: BoltSprings
-    #: Their forces, N, as functions of a step of the machine with bolts.
+    #: Their forces, N, as functions of a step of the bolted machine.
     force: MechanicalOutputs
 
 
@@ -43,7 +43,7 @@ def tightened(
     names, loose, springs
         As for `Bolts`.
     forces : ndarray, shape (b,)
-        Force of each bolt after all are tight, N.
+        Force of each bolt once all are tight, N.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def tightened(
 def tightened_contact(
     loose: ContactProblem, springs: BoltSprings, forces: Array
 ) -> tuple[ContactProblem, Assembly, MechanicalOutputs]:
-    """Tighten the bolts of a contact problem; return it with bolts, its start, their forces.
+    """Tighten the bolts of a contact problem; return it with bolts, its start and their forces.
 
     Parameters
     ----------

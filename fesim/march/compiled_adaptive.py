@@ -1,12 +1,12 @@
 """JIT-compiled adaptive march: the steps of `fesim.march.adaptive` for built-in laws.
 
-Line by line the same method; the gap equations are solved by Newton's method, whose factors serve
-later iterations of a step, too, as long as they leave little. A step that does not go as usual (a
-joint snaps, a body may be loose, pressure and heat flow do not agree soon, no step is short enough)
-is left to the plain march.
+It is the same method, line by line; the gap equations are solved by Newton's method, whose factors
+are reused in later iterations of a step as long as the residual falls quickly. A step that needs
+special treatment (a joint snaps, a body may be loose, pressure and heat flow do not agree soon, no
+step is short enough) is left to the plain march.
 
-Start at `march_freely`; `tests/fesim/march/test_adaptive.py` compares both marches. Arrays of one
-shape are rows of one array: compiling takes time in proportion to the number of arrays.
+Start at `march_freely`; `tests/fesim/march/test_adaptive.py` compares both marches. Arrays of the
+same shape are rows of one array: compile time is proportional to the number of arrays.
 """
 
 from __future__ import annotations
@@ -68,27 +68,27 @@ LIGHTEST, HEAVIEST = iteration.WEIGHTS
 
 #: Rows of `Course`: start and end of a step.
 BEFORE, AFTER = range(2)
-#: Rows of its errors: of all steps, and of this one.
+#: Rows of its errors: sum over all steps, and this step.
 ALL, THIS = range(2)
-#: Entries of its clock, s: start, end and length of the step, length of the last (zero: it tells
-#: nothing), planned length; the error of the last, of what was allowed in it; time asked for, s;
-#: changes of temperature so far, K; time in which the flows of this step and the last bend.
+#: Entries of its clock, s: start, end and length of the step, length of the last (zero: its slope
+#: is not used), planned length; error of the last step relative to the allowed one; requested time,
+#: s; temperature change so far, K; time in which the flows of this step and the last bend.
 START, STOP, LENGTH, LAST, PLANNED, ERROR, ASKED, WAY, BENT_OVER = range(9)
 #: Entries of its effort, as in `fesim.march.adaptive_state.Effort`.
 STEPS, REJECTED, SHORT, LONG, MOVED, WARMED = range(6)
 #: Rows of `Work`.
 AT, DRAWN, WEIGHTS = range(3)
 CONDUCTED, JUMP, FLOW, VALUE, MISFIT, MISFIT_BEFORE, PRESSURE = range(7)
-#: Entries of its sweeps: weight, and largest misfit of the one before; then the part of what
-#: extrapolated slip adds that is estimated to be wrong.
+#: Entries of its sweeps: weight, and largest misfit of the previous one; then the estimated
+#: relative error of the slip that extrapolation adds.
 WEIGHT, LARGEST, DOUBT = range(3)
 SLIP, BENT, ORIGIN, HALFWAY = range(4)
 GAP, CHANGE, GUESS, HALF, ONCE = range(5)
-#: Rows of its tractions and displacements: of the step; of a piece or of a time within it.
+#: Rows of its tractions and displacements: of the step; of a fraction of it or a time within it.
 WHOLE, PART = range(2)
 #: Equilibria of the joint in a step, in their order: sweeps of the in-step iteration, the step with
-#: what it lacks, both halves of it, its end with extrapolated slip; at a time within it, and there
-#: with the slip that extrapolation has added. Then it is done, or given up.
+#: the missing curvature of the flows, both halves of it, its end with extrapolated slip; at a time
+#: within it, and there with the extrapolated part of the slip. Then it is done, or given up.
 SWEEP, LACKING, HALVES, WHOLE_STEP, MOMENT, BENT_MOMENT, DONE, GIVEN_UP = range(8)
 #: Entries of `Asked.limits`, as in `fesim.march.step_control.Tolerance`.
 DISPLACEMENT, TEMPERATURE, FOLLOWED = range(3)
@@ -111,18 +111,18 @@ class AdaptiveKernel(NamedTuple):
     mean: Array
     #: Shape (m,): reference pressures, Pa.
     scale: Array
-    #: Change of a pressure that the tolerance of the gap equations leaves open, relative.
+    #: Relative change of a pressure within the tolerance of the gap equations.
     left_open: float
-    #: Magnitude of the amplitudes of 1 K everywhere.
+    #: Magnitude of the amplitudes for a uniform temperature of 1 K.
     spread: float
 
 
 class Asked(NamedTuple):
-    """What a march is asked for."""
+    """Request to the march."""
 
-    #: Shape (t,): ascending, s.
+    #: Shape (t,): requested times, ascending, s.
     times: Array
-    #: Shape (k,): ascending, s: where steps end; the last one is infinite.
+    #: Shape (k,): times at which steps end, ascending, s; the last one is infinite.
     knots: Array
     #: Shapes (d,) and (d, k + l): `fesim.case.history.Histories`.
     drive_times: Array
@@ -132,12 +132,12 @@ class Asked(NamedTuple):
 
 
 class Course(NamedTuple):
-    """The march at the start of a step, and at the end of the one that is tried.
+    """The march at the start of a step, and at the end of the attempted one.
 
-    The first dimension of the first eight is `BEFORE` and `AFTER`.
+    The first dimension of the first eight arrays is `BEFORE` and `AFTER`.
     """
 
-    #: Shape (2, n): unknowns, and what acts on them: heat of modes, W; temperatures of held
+    #: Shape (2, n): unknowns, and their forcing: heat input of modes, W; temperatures of held
     #: surfaces, K.
     unknowns: Array
     acting: Array
@@ -150,7 +150,7 @@ class Course(NamedTuple):
     flow: Array
     #: Shape (2, k + l): inputs.
     inputs: Array
-    #: Shape (m,): change of the flows in the last step, W/s.
+    #: Shape (m,): rate of change of the flows in the last step, W/s.
     slope: Array
     #: Shapes (9,) and (6,): see `START` and `STEPS`.
     clock: Array
@@ -162,13 +162,13 @@ class Course(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Storage; its content is not used after a step."""
+    """Work arrays; their content is not used after a step."""
 
     #: Shape (5, n): `AT` a time, `DRAWN` by the joints, and three `WEIGHTS` of that time.
     unknowns: Array
-    #: Shape (7, m): see `CONDUCTED`; conductance times area, W/K, of the step.
+    #: Shape (7, m): see `CONDUCTED`, conductance times area of the step, W/K.
     contact: Array
-    #: Shapes (4, 2, m) and (5, 3, m), m: of a part of the step; slip that extrapolation adds
+    #: Shapes (4, 2, m) and (5, 3, m), m: slip in a part of the step; slip added by extrapolation
     #: (`BENT`), that of `fesim.march.slip_path.origin`, and after half of the step; gaps after half
     #: of it, and after all of it in one piece (`ONCE`).
     slip: Array
@@ -176,9 +176,9 @@ class Work(NamedTuple):
     #: Shapes (2, 3 m) and (2, axes): `WHOLE` and `PART`.
     remainder: Array
     displacement: Array
-    #: Shape (k + l,): at that time.
+    #: Shape (k + l,): inputs at that time.
     inputs: Array
-    #: Shapes (m, m) and (m,): I + diag(conductance times area) S column after column; its factors.
+    #: Shapes (m, m) and (m,): I + diag(conductance times area) S in column order; its factors.
     system: Array
     pivots: NDArray[np.int32]
     #: Shapes (axes,), (2, 3 m) and (3,): displacement by the joint, m; J0^-1 g_T, m, of the step
@@ -186,12 +186,12 @@ class Work(NamedTuple):
     moved: Array
     free_gap: Array
     sweeps: Array
-    #: Shape (1,): equilibria of this stage so far.
+    #: Shape (1,): number of equilibria in this stage so far.
     turn: NDArray[np.int64]
 
 
 class Storage(NamedTuple):
-    """All storage of a march: for its steps, the gap equations, `surely_held`, and the weights."""
+    """Work arrays of a march: for its steps, the gap equations, `surely_held`, and the weights."""
 
     work: Work
     trial: Trial
@@ -201,7 +201,7 @@ class Storage(NamedTuple):
 
 
 class Sweeping(NamedTuple):
-    """What a sweep needs of a machine; see `JointKernel` and `AdaptiveKernel`."""
+    """Machine data for a sweep; see `JointKernel` and `AdaptiveKernel`."""
 
     preload: Array
     scale: Array
@@ -221,7 +221,7 @@ class Heat(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """Records at the times that are asked for; the first dimension is their number."""
+    """Records at the requested times, which are the first dimension."""
 
     #: Of a state, (n,), (3, m), (2, m); pressure, conductance times area and heat flow (3, m); (3
     #: m,) and (axes,).
@@ -234,9 +234,9 @@ class Rows(NamedTuple):
 
 
 class Taken(NamedTuple):
-    """Records of the steps; the first dimension is their number."""
+    """Records of the steps, which are the first dimension."""
 
-    #: Shape (s, n): at the end, and over the step.
+    #: Shape (s, n): at the end of the step, and its mean over the step.
     unknowns: Array
     mean: Array
     #: Shape (s, 4 m): at the end: remainder, then pressure.
@@ -251,13 +251,13 @@ class Taken(NamedTuple):
 
 @compiled_part
 def _part(work: Work) -> JointState:
-    """The joint at a part of a step."""
+    """The joint in a part of a step."""
     return JointState(work.gap[GAP], work.slip[SLIP], work.contact[PRESSURE], work.gap[CHANGE])
 
 
 @compiled_part
 def _begun_at(gap: Array, slip: Array, part: JointState) -> None:
-    """Let the part begin with a gap and a slip."""
+    """Start the part from a gap and a slip."""
     put(gap, part.gap)
     put(slip, part.slip)
     fill(part.change, 0.0)
@@ -271,7 +271,7 @@ def _between(ends: Array, share: float, into: Array) -> None:
 
 @compiled_part
 def _within(course: Course, weights: Array, into: Array) -> None:
-    """The unknowns after a share of a step, by its weights E, A, B."""
+    """The unknowns after a fraction of a step, from its weights E, A, B."""
     start, acting = course.unknowns[BEFORE], course.acting
     for k in range(into.size):
         turn = acting[AFTER, k] - acting[BEFORE, k]
@@ -281,7 +281,7 @@ def _within(course: Course, weights: Array, into: Array) -> None:
 
 @compiled_part
 def _give(matrix: Array, inputs: Array, into: Array) -> None:
-    """What inputs (k + l,) give to the unknowns (n,), by a matrix (n, k)."""
+    """Product of a matrix (n, k) and the first of the inputs (k + l,)."""
     for k in range(into.size):
         into[k] = 0.0
         for i in range(matrix.shape[1]):
@@ -290,7 +290,7 @@ def _give(matrix: Array, inputs: Array, into: Array) -> None:
 
 @compiled_part
 def _begin(modes: Modes, work: Work, course: Course) -> None:
-    """What acts at the start of the first step: as after a step that ended there, to the bit."""
+    """The forcing at the start of the first step, bit-identical to that after a step."""
     _give(modes.inputs, course.inputs[BEFORE], course.acting[BEFORE])
     np.dot(modes.drawn, course.flow[BEFORE], work.unknowns[DRAWN])
     for k in range(course.acting.shape[1]):
@@ -299,7 +299,7 @@ def _begin(modes: Modes, work: Work, course: Course) -> None:
 
 @compiled_part
 def _flows(heat: Heat, work: Work, flow: Array) -> None:
-    """Joint heat flows at conductances and jumps, and what they draw from the unknowns."""
+    """Joint heat flows from conductances and jumps, and the heat they draw from the unknowns."""
     conducted, jump, at = work.contact[CONDUCTED], work.contact[JUMP], work.unknowns[AT]
     drawn, system, count = work.unknowns[DRAWN], work.system, flow.size
     for f in range(count):
@@ -316,7 +316,7 @@ def _flows(heat: Heat, work: Work, flow: Array) -> None:
 
 @compiled_part
 def _first_guess(heat: Heat, joint: JointKernel, work: Work, trial: Trial, course: Course) -> None:
-    """Unknowns without joint heat flows, and pressures as the last step goes on."""
+    """Unknowns without joint heat flows, and pressures extrapolated from the last step."""
     part, base, weights = _part(work), course.unknowns[AFTER], heat.weights
     inputs, value = course.inputs[AFTER], work.contact[VALUE]
     given = course.acting[AFTER]
@@ -341,7 +341,7 @@ def _first_guess(heat: Heat, joint: JointKernel, work: Work, trial: Trial, cours
 
 @compiled_part
 def _lacking(heat: Heat, work: Work, course: Course) -> None:
-    """The unknowns with what they lack as the flows bend (`fesim.march.exponential`)."""
+    """The unknowns with the effect of the flows' curvature (`fesim.march.exponential`)."""
     at, bend, jump = work.unknowns[AT], work.contact[VALUE], work.contact[JUMP]
     length, span = course.clock[LENGTH], course.clock[BENT_OVER]
     for e in range(bend.size):
@@ -359,7 +359,7 @@ def _lacking(heat: Heat, work: Work, course: Course) -> None:
 
 @compiled_part
 def _prepare(heat: Heat, work: Work, course: Course, stage: int) -> None:
-    """Unknowns, inputs and start of the next equilibrium."""
+    """Prepare unknowns, inputs and start of the next equilibrium."""
     part, at, gap, slip = _part(work), work.unknowns[AT], course.gap, course.slip
     turn, clock = work.turn[0], course.clock
     if stage == SWEEP:
@@ -395,7 +395,7 @@ def _prepare(heat: Heat, work: Work, course: Course, stage: int) -> None:
         _within(course, weights, at)
         _between(course.inputs, share, work.inputs)
         for k in range(guess.size):
-            # In one piece from the same slip, as the step and its first half: through both.
+            # In one piece from the same slip, as the step and its first half: a parabola.
             first, last = gap[BEFORE].flat[k], once.flat[k]
             guess.flat[k] = first + share * (last - first)
             guess.flat[k] += middle * (half.flat[k] - 0.5 * (first + last))
@@ -406,7 +406,7 @@ def _prepare(heat: Heat, work: Work, course: Course, stage: int) -> None:
 
 @compiled_part
 def _swept(machine: Sweeping, work: Work, trial: Trial, gap: Array) -> int:
-    """The stage after a sweep: another, or the next with one pressure and conductance.
+    """The stage after a sweep: another sweep, or the next one if pressure and conductance agree.
 
     `gap` (3, m) is that at the start of the step, m.
     """
@@ -429,7 +429,7 @@ def _swept(machine: Sweeping, work: Work, trial: Trial, gap: Array) -> int:
         work.sweeps[WEIGHT] = factor
     work.sweeps[LARGEST] = change
     for e in range(value.size):
-        # Not the value and its misfit: rounding would leave an open joint a pressure below zero.
+        # Not value plus misfit: rounding would give an open joint a negative pressure.
         after = preload[e] + trial.value[0, e]
         least, most = 0.5 * min(value[e], after), 2.0 * max(value[e], after)
         value[e] = min(max(value[e] + work.sweeps[WEIGHT] * (after - value[e]), least), most)
@@ -451,7 +451,7 @@ def _trace_back(course: Course, once: Array, gap: Array, slip: Array, slides: bo
 
 @compiled_part
 def _extrapolate(work: Work, course: Course) -> None:
-    """Gap of the part from both halves of a step, and what its slip starts from."""
+    """Extrapolate the gap of the part from both halves of a step, and the origin of its slip."""
     gap, slip, once, whole = work.gap[GAP], work.slip[SLIP], work.gap[ONCE], course.slip[AFTER]
     origin, halfway = work.slip[ORIGIN], work.slip[HALFWAY]
     for k in range(gap.size):
@@ -469,7 +469,7 @@ def _extrapolate(work: Work, course: Course) -> None:
 
 @compiled_part
 def _conclude(work: Work, course: Course, stage: int) -> int:
-    """Take over an equilibrium, which the part has; return the next stage."""
+    """Store the equilibrium of the part; return the next stage."""
     part, remainder, moved = _part(work), work.remainder, work.displacement
     gap, before, error = course.gap[AFTER], course.gap[BEFORE], course.moved[THIS]
     if stage == SWEEP:
@@ -525,7 +525,7 @@ def _conclude(work: Work, course: Course, stage: int) -> int:
 
 @compiled_part
 def _free_gap(stage: int, turn: int) -> tuple[int, bool]:
-    """Row of `Work.free_gap` for an equilibrium, and whether one before has the same."""
+    """Row of `Work.free_gap` for an equilibrium, and whether an earlier one already set it."""
     ends = stage == WHOLE_STEP or (stage == HALVES and turn == 1)
     return WHOLE if ends or stage == SWEEP else PART, ends or stage == BENT_MOMENT
 
@@ -534,10 +534,9 @@ def _free_gap(stage: int, turn: int) -> tuple[int, bool]:
 def _solved(
     machine: AdaptiveKernel, storage: Storage, heat: Heat, course: Course, stage: int
 ) -> tuple[bool, float, int]:
-    """Find all equilibria from a stage on: whether, largest residual and all iterations.
+    """Find all equilibria from a stage on: success, largest residual and total iterations.
 
-    This is the one place where the gap equations are solved: what calls their solver takes seconds
-    to compile.
+    This is the only call of the solver of the gap equations: each takes seconds to compile.
     """
     joint, work, trial, newton = machine.joint, storage.work, storage.trial, storage.newton
     part, at = _part(work), work.unknowns[AT]
@@ -604,7 +603,7 @@ def _driven(asked: Asked, time: float, inputs: Array) -> None:
 
 @compiled_part
 def _note(joint: JointKernel, work: Work, course: Course, rows: Rows, row: int) -> None:
-    """Record the machine at a time that is asked for: the end of the step, or within it."""
+    """Record the machine at a requested time: the end of the step, or within it."""
     part, clock, contact = _part(work), course.clock, rows.contact[row]
     if clock[ASKED] < clock[STOP]:
         share = (clock[ASKED] - clock[START]) / clock[LENGTH]
@@ -628,7 +627,7 @@ def _note(joint: JointKernel, work: Work, course: Course, rows: Rows, row: int) 
 
 @compiled_part
 def _record(weights: Array, work: Work, course: Course, taken: Taken, step: int) -> None:
-    """Record the step that was tried."""
+    """Record the attempted step."""
     joint, size = taken.joint[step], work.remainder.shape[1]
     put(work.remainder[WHOLE], joint[:size])
     put(course.pressure[AFTER], joint[size:])
@@ -640,10 +639,10 @@ def _record(weights: Array, work: Work, course: Course, taken: Taken, step: int)
 
 @compiled_part
 def _changed(course: Course, rates: Array, spread: float) -> float:
-    """Change of the temperature in a step, K."""
+    """Temperature change in a step, K."""
     total = 0.0
     for k in range(rates.size):
-        # Held surfaces follow at an infinite rate.
+        # Held surfaces have an infinite rate.
         if rates[k] < np.inf:
             total += (course.unknowns[AFTER, k] - course.unknowns[BEFORE, k]) ** 2
     return float(np.sqrt(total)) / spread
@@ -651,7 +650,7 @@ def _changed(course: Course, rates: Array, spread: float) -> float:
 
 @compiled_part
 def _accept(course: Course, edge: bool) -> None:
-    """Take over the step that was tried; within an edge, flows tell nothing of later ones."""
+    """Accept the attempted step; the flows' slope within an edge is not used later."""
     clock, effort, length = course.clock, course.effort, course.clock[LENGTH]
     add(course.moved[THIS], course.moved[ALL])
     add(course.warmed[THIS], course.warmed[ALL])
@@ -683,14 +682,14 @@ def march_freely(
     rows: Rows,
     taken: Taken,
 ) -> tuple[int, int, bool]:
-    """March until all times are given or the records are full, in place.
+    """March until all times are reached or the records are full, in place.
 
     The step with the last time is recorded, but the march stays at its start.
 
     Returns
     -------
     step, row : int
-        Numbers of recorded steps, and of times.
+        Numbers of recorded steps and times.
     usual : bool
         False if the plain march must take the next step.
     """
@@ -725,7 +724,7 @@ def march_freely(
                 within = asked.times[at] < clock[STOP] * (1.0 - ROUNDING)
                 clock[ASKED] = asked.times[at] if within else clock[STOP]
                 stage = MOMENT if within else DONE
-            # Factors serve a step or a time within it: neither depends on what was asked before.
+            # Factors serve one step or one time within it: neither depends on earlier requests.
             storage.newton.kept[0] = 0
             solved, most, more = _solved(machine, storage, heat, course, stage)
             if not solved:

@@ -1,8 +1,8 @@
 """JIT-compiled weights of exponential steps (`fesim.march.exponential`).
 
-After a share of a step of length h the unknowns are E a + A f0 + B (f1 - f0), where a are those at
-its start, and f0 and f1 what acts on them at its start and end: on a mode its heat, on a held
-surface its temperature, which makes the weights of both alike. The weights of the last few lengths
+After a fraction of a step of length h the unknowns are E a + A f0 + B (f1 - f0), where a are those
+at its start, and f0 and f1 the forcing at its start and end: the heat of a mode, or the temperature
+of a held surface, so that the same form of weights serves both. The weights of the last few lengths
 are kept.
 """
 
@@ -18,20 +18,20 @@ from fesim.jit import compiled_part
 from fesim.march.exponential import NEAR, TERMS
 from thermojoint.artefacts.arrays import Array
 
-#: Shares of a step at whose ends its pieces are: one, and two of them.
+#: Fractions of a step at which its pieces end: the whole step, and half of it.
 SHARES = (1.0, 0.5)
-#: Rows of the weights of a length: E, A, B of each share; of the mean over the step; of what a bend
-#: of the flows adds.
+#: Rows of the weights of a length: E, A, B of each fraction; of the mean over the step; of the
+#: effect of a curvature of the flows.
 STAYS, STARTS, TURNS = range(3)
 MEAN, BENDS = 3 * len(SHARES), 3 * len(SHARES) + 3
-#: Most lengths that are kept, fewest, and numbers that their weights may have together.
+#: Maximum and minimum number of kept lengths, and maximum total size of their weights.
 MOST, FEWEST, NUMBERS = 124, 4, 4_000_000
 
 
 class Modes(NamedTuple):
     """Heat equation on n unknowns: modes, then held surfaces."""
 
-    #: Shape (n,): of the modes, 1/s; infinite for held surfaces.
+    #: Shape (n,): decay rates of the modes, 1/s; infinite for held surfaces.
     rates: Array
     #: Shape (n, k): heat of each mode per unit of each input, and temperature of each held surface.
     inputs: Array
@@ -40,18 +40,18 @@ class Modes(NamedTuple):
 
 
 class Lengths(NamedTuple):
-    """Weights of the lengths of the last steps; written in place."""
+    """Weights of the most recent step lengths; written in place."""
 
-    #: Shape (q,): s; zero where there is none.
+    #: Shape (q,): lengths, s; zero for an empty place.
     length: Array
     #: Shape (q, 10, n): rows as above.
     weights: Array
     #: Shape (q, m, m): temperature jumps per W across each contact element at the end of the step,
     #: K/W.
     influence: Array
-    #: Shape (1,): place of the next one.
+    #: Shape (1,): place for the next length.
     next: NDArray[np.int64]
-    #: Shape (n, m): its content is not used afterwards.
+    #: Shape (n, m): work array.
     storage: Array
 
 
@@ -86,7 +86,7 @@ def phi(decay: float) -> tuple[float, float, float]:
 
 @compiled_part
 def weigh(rates: Array, length: float, share: float, weights: Array) -> None:
-    """E, A, B of a share of a step of a length (s) into `weights` (3, n)."""
+    """Write E, A, B of a fraction of a step of a length (s) into `weights` (3, n)."""
     time = share * length
     for k in range(rates.size):
         if rates[k] == math.inf:
@@ -99,7 +99,7 @@ def weigh(rates: Array, length: float, share: float, weights: Array) -> None:
 
 @compiled_part
 def place_of(modes: Modes, jump: Array, lengths: Lengths, length: float) -> int:
-    """Place of a length (s), whose weights are made if they are not kept; `jump` is (m, n)."""
+    """Place of a length (s), whose weights are computed if not stored; `jump` is (m, n)."""
     for place in range(lengths.length.size):
         if lengths.length[place] == length:
             return place

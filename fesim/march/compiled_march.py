@@ -1,7 +1,7 @@
 """JIT-compiled time integration with staggered steps and frozen tangents.
 
-A step factorises nothing as long as the stored factorisations are usable: for the gap equations
-that of `fesim.joint.modified_newton`, for the joint heat flows that of `fesim.march.joint_flows`.
+A step needs no new factorisation as long as the stored ones are usable: for the gap equations that
+of `fesim.joint.modified_newton`, for the joint heat flows that of `fesim.march.joint_flows`.
 """
 
 from __future__ import annotations
@@ -54,15 +54,15 @@ class Moving(NamedTuple):
 
 
 class Kept(NamedTuple):
-    """Factors that are reused from step to step, and storage; written in place."""
+    """Factors that are reused from step to step, and work arrays; written in place."""
 
-    #: Of the gap equations, block by block.
+    #: Factors of the gap equations, block by block.
     tangents: FrozenTangents
-    #: Of the joint heat flows.
+    #: Factors of the joint heat flows.
     flows: Flows
-    #: Storage.
+    #: Work arrays of the joint.
     work: JointWork
-    #: Storage.
+    #: Work arrays of the detection of loose bodies.
     check: WatchWork
 
 
@@ -96,7 +96,7 @@ class Record(NamedTuple):
 
 @compiled_part
 def settle(joint: JointKernel, kept: Kept, now: JointState) -> tuple[bool, float, int]:
-    """By the stored factors, else by Newton's method: whether solved, residual, iterations."""
+    """Settle with the stored factors, else by Newton's method: success, residual, iterations."""
     free_gap, rest, trial = kept.work.free_gap, kept.work.rest, kept.work.trial
     put(now.gap, trial.gap)
     add(now.change, trial.gap)
@@ -109,7 +109,7 @@ def settle(joint: JointKernel, kept: Kept, now: JointState) -> tuple[bool, float
     if solved:
         return True, residual, iterations
     forget(kept.tangents)
-    if not joint.columns.size:  # the plain step has what Newton's method needs
+    if not joint.columns.size:  # Newton's method needs them: left to the plain step
         return False, residual, iterations
     put(now.gap, trial.gap)
     add(now.change, trial.gap)
@@ -128,8 +128,8 @@ def march_steps(
     taken : int
         Number of recorded steps.
     why : int
-        `THROUGH`; `SNAPS`: the next step's gap equations have no solution near, and `now` is its
-        initial state; `LOOSE`: `Watch.check` must judge the last step.
+        `THROUGH`; `SNAPS`: the gap equations of the next step have no solution nearby, and `now` is
+        its initial state; `LOOSE`: `Watch.check` must examine the last step.
     """
     heat, joint = machine.heat, machine.joint
     count, thermal = now.joint.pressure.size, heat.drive.shape[1]

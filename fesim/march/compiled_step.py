@@ -28,7 +28,7 @@ from thermojoint.artefacts.arrays import Array
 class HeatStep(NamedTuple):
     """Implicit Euler step of one length on r uncoupled modes."""
 
-    #: Shape (r,): of the amplitudes.
+    #: Shape (r,): factors on the amplitudes.
     decay: Array
     #: Shape (r, k): amplitudes per unit of each input.
     drive: Array
@@ -53,12 +53,12 @@ class JointKernel(NamedTuple):
     springs: Array
     compliance: Array
     columns: Array
-    #: Shapes (3 m, r) and (3 m, l): gaps that heat and loads open, m: J0^-1 S_T, of the joint that
-    #: sticks at its preload, and `change` is zero; or S_T, and it is k - k0, (3 m,), Pa/m.
+    #: Shapes (3 m, r) and (3 m, l): gaps due to heat and loads, m. Either J0^-1 S_T, of the joint
+    #: sticking at its preload, and `change` is zero; or S_T, and `change` is k - k0, (3 m,), Pa/m.
     gap: Array
     loaded_gap: Array
     change: Array
-    #: Shape (m,): Pa.
+    #: Shape (m,): preload, Pa.
     preload: Array
     #: Shape (3 m,): k, Pa/m.
     reference: Array
@@ -67,7 +67,7 @@ class JointKernel(NamedTuple):
     #: Shapes (axes, r) and (axes, l): d_T, and displacement per load, m.
     free: Array
     loaded: Array
-    #: Of the gap equations, m.
+    #: Largest residual of the gap equations, m.
     tolerance: float
     #: As in `GapKernel`.
     left: float = 0.0
@@ -87,20 +87,20 @@ class JointState(NamedTuple):
 
 
 class HeatWork(NamedTuple):
-    """Storage of a heat step with m contact elements; its content is not used afterwards."""
+    """Work arrays of a heat step with m contact elements; content is not used afterwards."""
 
-    #: Shape (m,): conductance times area that the modes lack, W/K, and times the temperature jump,
-    #: W.
+    #: Shape (m,): conductance times area that the modes do not include, W/K, and times the
+    #: temperature jump, W.
     beyond: Array
     driving: Array
     #: Shape (m, m): `flow_system`.
     system: Array
-    #: Shape (r,): amplitudes that the joint heat flows take.
+    #: Shape (r,): amplitudes removed by the joint heat flows.
     drawn: Array
 
 
 class JointWork(NamedTuple):
-    """Storage of the settling of m contact elements; its content is not used afterwards."""
+    """Work arrays for settling m contact elements; content is not used afterwards."""
 
     #: Of the gap equations.
     trial: Trial
@@ -115,13 +115,13 @@ class JointWork(NamedTuple):
 
 
 def heat_work(joint: JointKernel) -> HeatWork:
-    """Return storage for the heat steps of a machine."""
+    """Return work arrays for the heat steps of a machine."""
     count, modes = joint.jump.shape
     return HeatWork(np.empty(count), np.empty(count), np.empty((count, count)), np.empty(modes))
 
 
 def joint_work(joint: JointKernel) -> JointWork:
-    """Return storage for the settling of a joint."""
+    """Return work arrays for settling a joint."""
     size, axes = joint.springs.size, len(joint.free)
     trial, newton = trial_at(np.zeros((3, size // 3))), newton_work(size // 3)
     free_gap, rest, remainder = np.empty(size), np.zeros(size), np.empty(size)
@@ -148,7 +148,7 @@ def conduct(joint: JointKernel, pressure: Array, conducted: Array) -> None:
 
 @compiled_part
 def flow_system(joint_influence: Array, beyond: Array, system: Array) -> None:
-    """I + diag(beyond) S into `system` (m, m), the matrix of the joint heat flows."""
+    """Write I + diag(beyond) S, the matrix of the joint heat flows, into `system` (m, m)."""
     count = beyond.size
     for e in range(count):
         for f in range(count):
@@ -167,7 +167,7 @@ def conduct_step(
 ) -> None:
     """Advance the amplitudes (r,) by one step, in place, at the conductance of pressures (m,).
 
-    The one array that is allocated is the solution by LAPACK, which Numba copies.
+    The only array allocated is the LAPACK solution, which Numba copies.
     """
     beyond, driving = work.beyond, work.driving
     drive(heat, amplitudes, inputs)
@@ -197,7 +197,7 @@ def gap_kernel(joint: JointKernel) -> GapKernel:
 
 @compiled_part
 def add_loads(influence: Array, loads: Array, total: Array) -> None:
-    """Add what loads (l,) do by their influence (n, l) to a total (n,), in place."""
+    """Add the effect of loads (l,) with influence (n, l) to a total (n,), in place."""
     for k in range(total.size):
         for i in range(loads.size):
             total[k] += influence[k, i] * loads[i]
@@ -212,9 +212,9 @@ def settle_step(
     now: JointState,
     displacement: Array,
 ) -> int:
-    """Settle the joint under loads (l,) and read the displacement (axes,), in place.
+    """Settle the joint under loads (l,) and write the displacement (axes,), in place.
 
-    Returns 0, or 1 if there is no equilibrium near; then the joint is unchanged.
+    Returns 0, or 1 if there is no equilibrium nearby; then the joint is unchanged.
     """
     put(now.gap, work.trial.gap)
     add(now.change, work.trial.gap)
@@ -237,9 +237,9 @@ def displace(
     remainder: Array,
     displacement: Array,
 ) -> None:
-    """The displacement (axes,) by amplitudes (r,), loads (l,) and z + k g (3 m,), in place.
+    """The displacement (axes,) due to amplitudes (r,), loads (l,) and z + k g (3 m,), in place.
 
-    `moved` (axes,) is storage.
+    `moved` (axes,) is a work array.
     """
     np.dot(joint.free, amplitudes, displacement)
     np.dot(joint.moved, remainder, moved)
@@ -251,9 +251,9 @@ def displace(
 def settle_by_newton(
     joint: JointKernel, free_gap: Array, now: JointState, trial: Trial, work: NewtonWork
 ) -> tuple[bool, float, int]:
-    """Newton's method from a trial, then from the present gaps.
+    """Newton's method from the trial, then from the present gaps.
 
-    Returns whether it converged, the residual and the iterations.
+    Returns success, residual and iterations.
     """
     for attempt in range(2):
         if attempt == 1:
@@ -262,7 +262,7 @@ def settle_by_newton(
             outcome, residual, iterations = solve_in_place(
                 gap_kernel(joint), free_gap, now.slip, trial, work
             )
-        except Exception:  # a singular tangent; compiled code can catch no narrower class
+        except Exception:  # a singular tangent; compiled code cannot catch a narrower class
             outcome, residual, iterations = 1, np.nan, 0
         if outcome == 0:
             return True, residual, iterations

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 #: Thermal gap (3 m,), slip (2, m) at the start of the step and a first guess of the gaps (3, m).
 Settle = Callable[[Array, Array, Array], Equilibrium]
-#: Largest residual of the gap equations, relative to the gap that closes a joint as stiff as at its
-#: preload: this bounds the error of the pressure for any stiffness. It is 1e-13 m in the reference
-#: machine, whose published figures were computed with that.
+#: Largest residual of the gap equations, relative to the gap that closes a joint with its stiffness
+#: at preload: this bounds the error of the pressure for any stiffness. It is 1e-13 m in the
+#: reference machine, whose published figures were computed with that value.
 SHARE = 2.508557e-7
 #: The law of each joint and its number of contact elements.
 Laws = Sequence[tuple[JointLaw, int]]
@@ -31,13 +31,14 @@ Laws = Sequence[tuple[JointLaw, int]]
 
 @dataclass(frozen=True, eq=False)
 class ContactProblem:
-    """The joints of a condensed structure: their laws, and the gaps that heat and loads open."""
+    """The joints of a condensed structure: their laws, and the gaps due to heat and loads."""
 
-    #: Gaps and probes.
+    #: Elasticity of gaps and displacement probes.
     elastic: ElasticCondensation
-    #: The law of each joint and how many contact elements it has, in their order.
+    #: The law of each joint and its number of contact elements, in their order.
     laws: Laws
-    #: Largest residual of the gap equations, m; default `SHARE` of what closes the stiffest joint.
+    #: Largest residual of the gap equations, m; default `SHARE` of the closing of the stiffest
+    #: joint.
     gap_tolerance: float | None = None
     #: Constraints of the bodies; with them, a step in which a body comes loose is an error.
     constraints: Constraints | None = None
@@ -71,13 +72,13 @@ class ContactProblem:
 
     @cached_property
     def settle(self) -> Settle:
-        """Their compiled solver."""
+        """Compiled solver of the gap equations."""
         return gap_solver(self)
 
     @cached_property
     def blocks(self) -> Blocks:
         """Weakly coupled blocks of contact elements; a single one if no constraints are known."""
-        # Here, not above, as in `gap_solver`.
+        # Imported here, as in `gap_solver`.
         from fesim.joint.blocks import blocks_of, whole
 
         problem, constraints = self.gap_problem, self.constraints
@@ -89,13 +90,13 @@ class ContactProblem:
     @cached_property
     def watch(self) -> Watch | None:
         """Detection of loose bodies."""
-        # Here, not above, as in `gap_solver`.
+        # Imported here, as in `gap_solver`.
         from fesim.joint.loosening import watch_of
 
         return None if self.constraints is None else watch_of(self.constraints, self.laws)
 
     def slices(self) -> Iterator[tuple[JointLaw, slice]]:
-        """Yield the law of each joint and where its contact elements are."""
+        """Yield the law of each joint and the slice of its contact elements."""
         start = 0
         for law, count in self.laws:
             yield law, slice(start, start + count)
@@ -124,7 +125,7 @@ class ContactProblem:
 
     @cached_property
     def reference_pressure(self) -> Array:
-        """Preload of every contact element, or its reference pressure where there is none, Pa."""
+        """Preload of every contact element, or its reference pressure if it has none, Pa."""
         parts = [np.full(count, law.reference_pressure) for law, count in self.laws]
         return np.concatenate([np.empty(0), *parts])
 

@@ -29,10 +29,10 @@ def march_many(
     machine : CondensedMachine
         The condensation; its own laws are not used.
     laws : sequence of sequence of (JointLaw, int)
-        Of each march, as in `CondensedMachine`.
+        Laws of each march, as in `CondensedMachine`.
     inputs : ndarray, shape (marches, n + 1, k + l)
-        Of each march at time zero, where only the factors of loads count, and at the end of each
-        of its n steps: sources, W; ambient and held surfaces, K; factors of the loads.
+        Inputs of each march at time zero, where only the load factors matter, and at the end of
+        each of its n steps: sources, W; ambient and held surfaces, K; factors of the loads.
 
     Returns
     -------
@@ -42,7 +42,7 @@ def march_many(
     Raises
     ------
     InputError
-        There are not as many laws as inputs.
+        The numbers of laws and inputs differ.
     ConvergenceError
         A step of a march does not converge.
     """

@@ -1,10 +1,10 @@
 """Exponential trapezoidal step of the heat equation on uncoupled modes.
 
-Each amplitude follows a' = f(t) - lambda a, with f what sources, films and joints give to the mode.
-Where f is linear in time, so are sources and ambient between two knots, the solution is exact (the
-phi functions below). The joint heat flows are taken as linear between their values at both ends of
-a step, which is of second order; those at its end follow from the temperatures there. This is a
-step of the form that implicit Euler has, with other weights (`fesim.march.heat_step`).
+Each amplitude follows a' = f(t) - lambda a, where f is the heat from sources, films and joints. For
+f linear in time, as sources and ambient are between two knots, the solution is exact (the phi
+functions below). The joint heat flows are taken as linear between their values at both ends of a
+step, which is of second order; those at its end follow from the temperatures there. The step has
+the form of implicit Euler with other weights (`fesim.march.heat_step`).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from fesim.march.reduced import with_diagonal
 from fesim.solid.condensation import ThermalCondensation
 from thermojoint.artefacts.arrays import Array
 
-#: Below this the phi functions come from their series, above it from their recursion.
+#: The phi functions are computed from their series below this and from their recursion above it.
 NEAR = 1.0
 TERMS = 18
 
@@ -49,17 +49,17 @@ def phi_functions(decay: Array) -> tuple[Array, Array, Array]:
 
 
 def heat_spread(thermal: ThermalCondensation, rates: Array) -> float:
-    """Return the magnitude of the modes' amplitudes where everything is 1 K warmer.
+    """Return the magnitude of the modes' amplitudes for a uniform temperature of 1 K.
 
-    They are orthonormal in the heat capacity: the root mean square of a temperature, weighted with
-    it, is the magnitude of its amplitudes over this one.
+    The modes are orthonormal in the heat capacity: the root mean square of a temperature, weighted
+    with it, is the magnitude of its amplitudes divided by this one.
     """
     return float(np.linalg.norm(thermal.balance.stored[: rates.size])) or 1.0
 
 
 @dataclass(frozen=True)
 class Ends:
-    """What acts on the heat equation at the start and at the end of a step; linear in between."""
+    """Inputs and joint heat flows at the start and end of a step; linear in between."""
 
     #: Shape (k + l,): as in `fesim.march.machine.Step`.
     inputs: tuple[Array, Array]
@@ -67,11 +67,11 @@ class Ends:
     flow: tuple[Array, Array]
 
     def inputs_at(self, share: float) -> Array:
-        """Return the inputs after a share of the step, (k + l,)."""
+        """Return the inputs after a fraction of the step, (k + l,)."""
         return _between(self.inputs, share)
 
     def flow_at(self, share: float) -> Array:
-        """Return the joint heat flows after a share of the step, (m,), W."""
+        """Return the joint heat flows after a fraction of the step, (m,), W."""
         return _between(self.flow, share)
 
 
@@ -83,18 +83,18 @@ def _between(ends: tuple[Array, Array], share: float) -> Array:
 class ExponentialStep:
     """The weights of a step of one length."""
 
-    #: s.
+    #: Length, s.
     length: float
     #: Shape (r,): decay rates of the modes, 1/s.
     rates: Array
     #: Shape (r,): phi_1, phi_2 and phi_3.
     weights: tuple[Array, Array, Array]
-    #: Its heat step gives the temperatures at the end from what `before_end` returns and the inputs
-    #: at the end.
+    #: Its heat step gives the temperatures at the end from the result of `before_end` and the
+    #: inputs at the end.
     machine: CondensedMachine
 
     def before_end(self, unknowns: Array, inputs: Array, flow: Array) -> Array:
-        """Return the unknowns (r + s,) with the part of what acts at the start of the step."""
+        """Return the unknowns (r + s,) with the contribution of the forcing at the start."""
         first, second, _ = self.weights
         early = self.length * (first - second)
         found = unknowns.copy()
@@ -104,7 +104,7 @@ class ExponentialStep:
         return found
 
     def within(self, unknowns: Array, ends: Ends, share: float) -> Array:
-        """Return the unknowns (r + s,) after a share of the step that began with `unknowns`."""
+        """Return the unknowns (r + s,) after a fraction of the step from `unknowns`."""
         count, time = self.rates.size, share * self.length
         first, second, _ = phi_functions(self.rates * time)
         start, end = self._heatings(ends)
@@ -116,8 +116,8 @@ class ExponentialStep:
     def balance(self, before: Array, after: Array, ends: Ends) -> float:
         """Return the heat balance of a step, as `fesim.march.heat_step.heat_balance` defines it.
 
-        Temperatures count with their mean over the step and what is stored with its change. The
-        mean comes from phi_3, which the step itself does not use.
+        Temperatures enter with their mean over the step, stored heat with its change. The mean
+        comes from phi_3, which the step itself does not use.
         """
         thermal, count = self.machine.thermal, self.rates.size
         first, second, third = self.weights
@@ -131,14 +131,14 @@ class ExponentialStep:
         return heat_balance(thermal, mean - change, mean, inputs, ends.flow_at(0.5))
 
     def lacking(self, bend: Array, conducted: Array) -> Array:
-        """Return what the unknowns (r + s,) lack if the joint heat flows bend within the step.
+        """Return the error of the unknowns (r + s,) if the joint heat flows are curved in the step.
 
         Parameters
         ----------
         bend : ndarray, shape (m,)
             Half of the second derivative of the flows, W/s2.
         conducted : ndarray, shape (m,)
-            Conductance times area of each contact element, W/K: the flows at the end respond.
+            Conductance times area of each contact element, W/K, with which the end flows respond.
         """
         thermal, count = self.machine.thermal, self.rates.size
         _, second, third = self.weights
@@ -149,7 +149,7 @@ class ExponentialStep:
         return answered
 
     def _heating(self, inputs: Array, flow: Array) -> Array:
-        """Heat that the modes receive at one time, f, shape (r,)."""
+        """Heat input of the modes at one time, f, shape (r,)."""
         thermal, count = self.machine.thermal, self.rates.size
         given = thermal.inputs[:count] @ inputs[: thermal.inputs.shape[1]]
         return np.asarray(given - thermal.jump[:, :count].T @ flow)
@@ -159,23 +159,23 @@ class ExponentialStep:
         return self._heating(*start), self._heating(*end)
 
     def _with_held(self, unknowns: Array, inputs: Array) -> Array:
-        """The unknowns with the held surfaces, the last of them, as the inputs say."""
+        """The unknowns, with the held surfaces, which are last, set from the inputs."""
         thermal, count = self.machine.thermal, self.rates.size
         held = thermal.inputs[count:] @ inputs[: thermal.inputs.shape[1]]
         return np.concatenate([unknowns[:count], held])
 
 
 def exponential_step(machine: CondensedMachine, rates: Array, length: float) -> ExponentialStep:
-    """Make the weights of a step.
+    """Compute the weights of a step.
 
     Parameters
     ----------
     machine : CondensedMachine
-        On the modes of a reduced thermal model.
+        With the modes of a reduced thermal model.
     rates : ndarray, shape (r,)
-        Of the modes, 1/s; the unknowns after the first r are held surfaces.
+        Decay rates of the modes, 1/s; the unknowns after the first r are held surfaces.
     length : float
-        Of the step, s.
+        Length of the step, s.
     """
     thermal, count = machine.thermal, rates.size
     weights = phi_functions(rates * length)

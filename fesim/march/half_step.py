@@ -1,7 +1,7 @@
-"""A step of the reduced thermal model in two halves: its heat equation is diagonal.
+"""A step of the reduced thermal model in two halves: cheap, as its heat equation is diagonal.
 
-Where pressure and heat flow do not agree within a step, they mostly do within shorter ones: the
-gain of their map falls with the length (docs/march.md, Coupling).
+If pressure and heat flow do not agree within a step, they mostly do in shorter ones: the gain of
+their map falls with the length (docs/march.md, Coupling).
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ from fesim.solid.condensation import FULL
 
 
 def can_be_halved(machine: CondensedMachine) -> bool:
-    """Return whether shorter steps cost nothing.
+    """Return whether shorter steps are available at no cost.
 
-    The full thermal model would need another factorisation, and contact elements that move have
-    their places within a whole step.
+    The full thermal model would need another factorisation, and the places of moving contact
+    elements apply to a whole step.
     """
     return machine.thermal.model != FULL and machine.passing is None
 
 
 def halved(machine: CondensedMachine) -> CondensedMachine:
-    """Return a machine with steps of half the length, of one that `can_be_halved`."""
+    """Return the machine with steps of half the length; it must satisfy `can_be_halved`."""
     return replace(machine, thermal=at_step(machine.thermal, 0.5 * machine.thermal.step))
 
 
 def joined(first: Step, second: Step) -> Step:
-    """Return two halves of a step as one: its end, mean heat flows and largest residuals."""
+    """Return two half steps as one: the end, mean heat flows and largest residuals."""
     return replace(
         second,
         state=replace(second.state, change=first.state.change + second.state.change),

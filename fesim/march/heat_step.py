@@ -29,18 +29,18 @@ def heat_step(
     thermal : ThermalCondensation
         The condensed step.
     temperature : ndarray, shape (n,)
-        At the start, K.
+        Temperatures at the start, K.
     inputs : ndarray, shape (k,)
         Sources, W; ambient and held surfaces, K.
     joint : ndarray, shape (m,)
         Conductance times area of each contact element, W/K.
     lost : ndarray, shape (n,), optional
-        Further heat that leaves each node, W; zero where temperatures are held.
+        Further heat lost by each node, W; zero where temperatures are held.
 
     Returns
     -------
     temperature : ndarray, shape (n,)
-        At the end, K.
+        Temperatures at the end, K.
     heat_flow : ndarray, shape (m,)
         Across the joint from side a to side b, W.
     """
@@ -54,7 +54,7 @@ def heat_step(
 
 
 def each(matrix: Array | csr_array, rows: Array) -> Array:
-    """Return `matrix` times each row of (n, r), bit for bit the same for any number of rows.
+    """Return `matrix` times each row of (n, r), bit-identical for any number of rows.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def each(matrix: Array | csr_array, rows: Array) -> Array:
     -------
     ndarray, shape (n, k) or (n,)
     """
-    if matrix.ndim == 2 and not matrix.shape[0]:  # Nothing is held: no rows need to be aligned.
+    if matrix.ndim == 2 and not matrix.shape[0]:  # No held surfaces: no rows to align.
         return np.zeros((len(rows), 0))
     if isinstance(matrix, np.ndarray):
         product = np.matmul(_aligned(np.atleast_2d(matrix)), _aligned(rows)[:, :, None])[:, :, 0]
@@ -76,7 +76,7 @@ def each(matrix: Array | csr_array, rows: Array) -> Array:
 
 
 def _aligned(rows: Array) -> Array:
-    """Rows padded to whole cache lines: otherwise the bits of a sum depend on its address."""
+    """Rows padded to whole cache lines: otherwise the rounding of a sum depends on its address."""
     count, size = rows.shape
     width = -(-size // LINE) * LINE
     storage = np.zeros(count * width + LINE)
@@ -121,11 +121,11 @@ def heat_balances(
     before, after : ndarray, shape (n, r)
         Temperatures at the start and at the end of each step.
     inputs : ndarray, shape (n, k)
-        Of each step.
+        Inputs of each step.
     heat_flow : ndarray, shape (n, m)
-        W.
+        Joint heat flows, W.
     lost : tuple of ndarray, shapes (n,) and (n, h), optional
-        Further heat that leaves the nodes, W: in total, and of each held unknown.
+        Further heat lost by the nodes, W: in total, and of each held unknown.
 
     Returns
     -------

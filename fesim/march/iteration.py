@@ -1,6 +1,6 @@
 """Iterated coupling in a step: pressure and conductance at its end agree (docs/march.md).
 
-Sweeps of heat and contact, weighted or accelerated; a step whose sweeps do not settle is taken in
+Sweeps of heat and contact, weighted or accelerated; a step whose sweeps do not converge is taken in
 halves.
 """
 
@@ -19,17 +19,17 @@ from fesim.march.step import step_with
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
 
-#: In-step iteration: largest change of a pressure between sweeps, relative to the preload.
+#: Convergence limit: largest change of a pressure between sweeps, relative to the preload.
 PRESSURE_TOLERANCE = 1e-9
-#: Smallest and largest weight of a sweep, and the number of sweeps that are weighted.
+#: Smallest and largest weight of a sweep, and the number of sweeps with Aitken weights.
 WEIGHTS = 0.05, 10.0
 SEEKING = 400
 #: Weight of later sweeps.
 RELAXING = 300 * (0.3,) + 400 * (0.1,) + 800 * (0.03,)
 #: From this sweep on, agreement within the tolerance of the gap equations is sufficient.
 PATIENCE = 20
-#: Sweeps after which a step that can be halved is taken anew with accelerated ones, the number of
-#: these after which it is halved, and how often it may be.
+#: Sweeps after which a step that can be halved is repeated with accelerated ones, the number of
+#: these after which it is halved, and the largest number of halvings.
 UNSETTLED, ACCELERATED, HALVINGS = 30, 60, 8
 #: Largest change of a pressure in the shortest parts, relative to the preload, for a joint that
 #: snaps between two values of the conductance.
@@ -37,23 +37,23 @@ SNAPS = 0.1
 
 
 def divided_step(machine: CondensedMachine, state: State, inputs: Array, parts: int = 1) -> Step:
-    """Take an iterated step, in halves of halves where its sweeps do not settle.
+    """Take an iterated step, halved repeatedly if its sweeps do not converge.
 
     Parameters
     ----------
     machine : CondensedMachine
         The machine.
     state : State
-        At the start of the step.
+        State at the start of the step.
     inputs : ndarray, shape (k + l,)
-        Of the whole step.
+        Inputs of the whole step.
     parts : int
-        A power of two; it is taken in as many parts or more.
+        Smallest number of parts, a power of two.
 
     Raises
     ------
     ConvergenceError
-        Pressure and heat flow do not agree in the shortest part, either, or a part has no
+        Pressure and heat flow do not agree even in the shortest part, or a part has no
         equilibrium.
     """
     return _divided(machine, state, inputs, HALVINGS, parts.bit_length() - 1)[0]
@@ -62,10 +62,10 @@ def divided_step(machine: CondensedMachine, state: State, inputs: Array, parts: 
 def _divided(
     machine: CondensedMachine, state: State, inputs: Array, halvings: int, least: int
 ) -> tuple[Step, int]:
-    """Take an iterated step, in halves of halves where its sweeps do not settle.
+    """Take an iterated step, halved repeatedly if its sweeps do not converge.
 
-    Returns the step and how often its shortest part was halved, at least `least` times: the second
-    half of a step is not tried in longer parts than the first one needed.
+    Returns the step and the number of halvings of its shortest part, at least `least`: the second
+    half of a step is not tried in longer parts than the first half needed.
     """
     if not can_be_halved(machine):
         return iterated_step(machine, state, inputs), 0
@@ -86,21 +86,21 @@ def _divided(
 
 
 class _UnsettledError(ConvergenceError):
-    """Pressure and heat flow of a step still change after all sweeps."""
+    """Pressure and heat flow of a step have not converged after all sweeps."""
 
 
 @dataclass(frozen=True)
 class Sweeps:
-    """How the value that is carried is found: by these sweeps, one kind after the other."""
+    """Sweeps that determine the carried quantity, one kind after the other."""
 
     #: Number of sweeps with weights by Aitken's method.
     seeking: int = SEEKING
-    #: Weights of further ones.
+    #: Weights of further sweeps.
     relaxing: tuple[float, ...] = RELAXING
     #: Number of sweeps with Anderson acceleration.
     accelerating: int = 0
-    #: Largest change of a pressure, relative to the preload, in the sweep that is taken where none
-    #: settles.
+    #: Largest change of a pressure, relative to the preload, for which the best sweep is accepted
+    #: if none converges.
     snaps: float = 0.0
 
 
@@ -110,9 +110,9 @@ def iterated_step(
     """Take one step of `iterated`.
 
     Fixed-point iteration. Every sweep starts from the state at the start of the step, so that
-    friction sees one increment only; the first takes the pressure of the state. Where a joint snaps
-    between two values of the conductance no sweep settles: the one that changes least can be taken,
-    with at least one viscous step counted.
+    friction sees one increment only; the first uses the pressure of the state. If a joint snaps
+    between two values of the conductance, no sweep converges: the one with the smallest change can
+    be accepted, and then counts as at least one viscous step.
 
     Raises
     ------
@@ -135,7 +135,7 @@ def iterated_step(
         misfit = (after - value) / carried.scale
         change = float(np.abs(misfit).max(initial=0.0))
         enough = PRESSURE_TOLERANCE if sweep < PATIENCE else left_open(machine)
-        # Where the joint snaps, the pressure jumps: it cannot agree with the conductance before.
+        # When the joint snaps, the pressure jumps: it cannot agree with the conductance before.
         if change <= enough or step.cuts > 0:
             return replace(step, iterations=iterations, cuts=cuts)
         if change < least:
@@ -168,9 +168,9 @@ def iterated_step(
 class Carried:
     """Quantity carried from one sweep of an in-step iteration to the next, m values."""
 
-    #: Returns it for a state.
+    #: Returns the quantity of a state.
     of: Callable[[State], Array]
-    #: Returns conductances, W/(m2 K).
+    #: Returns the conductances from its values, W/(m2 K).
     conductance: Callable[[Array], Array]
     #: Shape (m,): scale of its changes.
     scale: Array
@@ -187,14 +187,14 @@ def carried_by(machine: CondensedMachine, state: State) -> Carried:
 
 
 def left_open(machine: CondensedMachine) -> float:
-    """Return ten times the tolerance of the gaps as one of pressures, relative to the preload."""
+    """Return ten times the gap tolerance as a pressure relative to the preload."""
     stiffness = machine.contact.gap_problem.springs[: machine.contact.count]
     left = 10.0 * machine.contact.tolerance * stiffness / machine.contact.reference_pressure
     return float(left.max(initial=PRESSURE_TOLERANCE))
 
 
 def _aitken(weight: float, last: Array, misfit: Array) -> float:
-    """Weight of the next sweep by Aitken's method (Irons & Tuck 1969), where sweeps settle slowly.
+    """Weight of the next sweep by Aitken's method (Irons & Tuck 1969), for slow convergence.
 
     Growing sweeps leave an unstable state; full steps lead to a stable one.
     """

@@ -1,8 +1,8 @@
 """Joint heat flows of a step, (I + diag(c) S) j = diag(c) jump, with frozen factors.
 
-S are the temperature jumps per W of each contact element, c the conductances times areas. The
-factors, in single precision, are those of other conductances and precondition GMRES (Saad & Schultz
-1986), so that a few products with S and solutions with them replace a factorisation in every step.
+S is the temperature jump per W at each contact element, c the conductance times area. The factors,
+in single precision, belong to other conductances and precondition GMRES (Saad & Schultz 1986): a
+few products with S and solutions with the factors replace a factorisation in every step.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from thermojoint.artefacts.arrays import Array
 
 #: Largest residual of the flows, relative to the right-hand side.
 TOLERANCE = 1e-13
-#: Iterations after which the factors are computed again. For 100 to 1 000 contact elements that
+#: Iterations after which the factors are computed again. For 100 to 1 000 contact elements this
 #: costs about as much as 20 iterations.
 PATIENCE = 8
 #: Largest number of restarts: the recurrence of GMRES only estimates the residual.
@@ -39,11 +39,11 @@ class Equations(NamedTuple):
 
 
 class Krylov(NamedTuple):
-    """Storage of GMRES for up to k directions."""
+    """Work arrays of GMRES for up to k directions."""
 
     #: Shape (k + 1, m): orthonormal residuals.
     basis: Array
-    #: Shape (k, m): directions: solutions for the residuals with the factors.
+    #: Shape (k, m): directions: the residuals, preconditioned.
     along: Array
     #: Shape (k + 1, k): triangular factor of the Hessenberg matrix.
     triangle: Array
@@ -54,25 +54,25 @@ class Krylov(NamedTuple):
 
 
 class Flows(NamedTuple):
-    """Factors that are reused from step to step, and storage; written in place."""
+    """Factors that are reused from step to step, and work arrays; written in place."""
 
-    #: Shape (m,): its conductances times areas, W/K; zero before the first.
+    #: Shape (m,): conductances times areas of the factors, W/K; zero before the first.
     conducted: Array
-    #: Shapes (m, m) and (m,): I + diag(conducted) S, factorised column after column.
+    #: Shapes (m, m) and (m,): I + diag(conducted) S, factorised in column order.
     factors: NDArray[np.float32]
     pivots: NDArray[np.int32]
-    #: Shape (m,): storage: right side, then solution with the factors.
+    #: Shape (m,): work array: right side, then solution with the factors.
     solved: NDArray[np.float32]
-    #: Shape (m,): storage: conductance times area times temperature jump, W.
+    #: Shape (m,): work array: conductance times area times temperature jump, W.
     driving: Array
     #: Shape (2, m): flows of the last step and of the one before, W; NaN before there are two.
     before: Array
-    #: Storage.
+    #: Work arrays of GMRES.
     krylov: Krylov
 
 
 def new_flows(count: int) -> Flows:
-    """Return storage for the factors of `count` contact elements, which are not computed yet."""
+    """Return storage for the factors of `count` contact elements, not computed yet."""
     krylov = Krylov(
         basis=np.empty((PATIENCE + 1, count)),
         along=np.empty((PATIENCE, count)),
@@ -97,7 +97,7 @@ def freeze_flows(joint_influence: Array, beyond: Array, flows: Flows) -> None:
     put(beyond, flows.conducted)
     for f in range(beyond.size):
         for e in range(beyond.size):
-            # S is symmetric, and read as it is stored.
+            # S is symmetric, and read in storage order.
             flows.factors[f, e] = beyond[e] * joint_influence[f, e]
         flows.factors[f, f] += 1.0
     fill(flows.solved, 1.0)
@@ -135,9 +135,9 @@ def solve_flows(
 def _guess(flows: Flows, flow: Array) -> None:
     """Put a first guess of the flows into `flow`.
 
-    That of `MANY` contact elements continues the flows of the last two steps. A march resumed from
-    a saved state does not know them: its flows then agree to `TOLERANCE`, where those of fewer
-    elements are the same bits.
+    For `MANY` contact elements or more it extrapolates the flows of the last two steps. A march
+    resumed from a saved state lacks them: its flows then agree to `TOLERANCE`, while those of fewer
+    elements are bit-identical.
     """
     if flow.size < MANY or math.isnan(flows.before[1, 0]):
         _precondition(flows, flows.driving, flow)
@@ -148,7 +148,7 @@ def _guess(flows: Flows, flow: Array) -> None:
 
 @compiled_part
 def _improve(equations: Equations, flows: Flows, flow: Array) -> bool:
-    """Whether preconditioned GMRES leads from a guess to the flows in the allowed iterations."""
+    """Whether preconditioned GMRES converges from a guess in the allowed iterations."""
     driving, lack = equations.driving, flows.krylov.basis[0]
     enough = TOLERANCE * largest(driving)
     taken = 0
@@ -174,7 +174,7 @@ def _precondition(flows: Flows, right_side: Array, solution: Array) -> None:
 
 @compiled_part
 def _apply(equations: Equations, flow: Array, into: Array) -> None:
-    """(I + diag(c) S) j into `into` (m,)."""
+    """Write (I + diag(c) S) j into `into` (m,)."""
     np.dot(equations.joint_influence, flow, into)
     for e in range(flow.size):
         into[e] = flow[e] + equations.beyond[e] * into[e]

@@ -1,7 +1,7 @@
-"""Data of a condensed machine for the JIT-compiled march, if it supports the machine.
+"""Data of a condensed machine for the JIT-compiled march, if supported.
 
 Supported are reduced thermal models, the joint laws of `fesim.joint.compiled_gap`, and conductances
-by Eq. 11 or fixed ones.
+that follow Eq. 11 or are fixed.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from thermojoint.artefacts.arrays import Array
 class StepKernel:
     """Compiled functions and data for the time integration of a machine."""
 
-    #: Its heat step and its joints.
+    #: Data of its heat step and its joints.
     machine: MarchKernel
     #: Weakly coupled blocks of contact elements.
     blocks: Blocks
@@ -55,20 +55,20 @@ class StepKernel:
         Parameters
         ----------
         kept : Kept
-            Of the march, written in place; computed again if it does not match the state.
+            Factors of the march, written in place; recomputed if they do not match the state.
         state : State
             State to continue from.
         inputs : ndarray, shape (n, k + l)
-            Of each step.
+            Inputs of each step.
 
         Returns
         -------
         record : Record
-            Of the steps taken.
+            Records of the steps taken.
         taken : int
-            Their number: fewer than n if the next one has no equilibrium near.
+            Their number: fewer than n if the next one has no equilibrium nearby.
         loose : bool
-            A body may have come loose in the last one.
+            Whether a body may have come loose in the last one.
         """
         if not np.array_equal(_frozen(kept), state.frozen):
             self._make(kept, state.frozen)
@@ -83,7 +83,7 @@ class StepKernel:
         return Record._make(column[:taken] for column in record), taken, why == LOOSE
 
     def _make(self, kept: Kept, frozen: Array) -> None:
-        """Compute the stored data, which the frozen tangent (7, m) of a `State` determines."""
+        """Compute the stored factors, which the frozen tangent (7, m) of a `State` determines."""
         kept.tangents.every.about[:, MADE] = 0
         for k in range(self.blocks.starts.size - 1):
             block = part_of(self.blocks, k)
@@ -99,7 +99,7 @@ class StepKernel:
 
 
 def _frozen(kept: Kept) -> Array:
-    """The frozen tangent (7, m) of the stored data, as in `State`."""
+    """The frozen tangent (7, m) of the stored factors, as in `State`."""
     stored = np.empty((7, kept.flows.conducted.size))
     put_tangents(kept.tangents, stored[FROZEN_TANGENT])
     stored[FROZEN_CONDUCTED] = kept.flows.conducted
@@ -107,7 +107,7 @@ def _frozen(kept: Kept) -> Array:
 
 
 def new_kept(machine: MarchKernel, blocks: Blocks) -> Kept:
-    """Return the factors and the storage of a new march."""
+    """Return the factors and work arrays of a new march."""
     return Kept(
         frozen_tangents(blocks),
         new_flows(blocks.elements.size),
@@ -117,7 +117,7 @@ def new_kept(machine: MarchKernel, blocks: Blocks) -> Kept:
 
 
 def new_record(steps: int, now: Moving, axes: int) -> Record:
-    """Return storage for so many steps."""
+    """Return storage for a number of steps."""
     count = now.joint.pressure.size
     return Record(
         amplitudes=np.empty((steps, now.amplitudes.size)),
@@ -186,8 +186,8 @@ def joint_kernel(contact: ContactProblem, jump: Array, held: Array) -> JointKern
 def sprung_kernel(contact: ContactProblem, jump: Array, held: Array) -> JointKernel | None:
     """`joint_kernel` with the gaps of the condensation's springs, for `march_steps`.
 
-    J0^-1 S_T of many modes takes as long as many steps, and a step by frozen tangents has a product
-    with F anyway. Nor is F transposed stored for many contact elements in several blocks.
+    J0^-1 S_T of many modes takes as long as many steps, and a step with frozen tangents needs a
+    product with F anyway. F transposed is not stored for many contact elements in several blocks.
     """
     elastic = contact.elastic
     solver = compile_gap(contact.gap_problem, contact.laws)
@@ -218,7 +218,7 @@ def sprung_kernel(contact: ContactProblem, jump: Array, held: Array) -> JointKer
 
 
 def owned(values: Array) -> Array:
-    """Return contiguous values, copied where they are not: kernels are compiled for that layout."""
+    """Return values as a contiguous array, the layout for which kernels are compiled."""
     return np.ascontiguousarray(values, dtype=np.float64)
 
 

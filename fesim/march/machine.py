@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
 
 class Straining(Protocol):
-    """What temperatures do to bodies."""
+    """Equivalent temperatures of the thermal expansion of bodies."""
 
     def strained(self, temperature: Array) -> Array:
-        """Return what the condensed elasticity takes of temperatures (n,)."""
+        """Return the equivalent temperatures (n,) of temperatures (n,)."""
 
 
 @dataclass(frozen=True)
@@ -33,11 +33,11 @@ class Assembly:
     Attributes
     ----------
     gap : ndarray, shape (3, m)
-        Relative to the state before, m.
+        Gaps relative to the state before, m.
     slip : ndarray, shape (2, m)
         Irreversible slip, m.
     pressure : ndarray, shape (m,)
-        Pa.
+        Contact pressure, Pa.
     remainder : ndarray, shape (3 m,)
         z + k g, Pa.
     factors : ndarray, shape (l,)
@@ -55,7 +55,7 @@ class Assembly:
 class CondensedMachine:
     """A condensed structure with its joints, ready for time integration."""
 
-    #: One heat step.
+    #: Condensed heat step.
     thermal: ThermalCondensation
     #: Gaps, probes and joint laws.
     contact: ContactProblem
@@ -65,18 +65,18 @@ class CondensedMachine:
     start: StartField | None = None
     #: Temperature-dependent part of conduction, convection and radiation; full model only.
     variable: VariableHeat | None = None
-    #: Temperature-dependent expansion of the bodies, full model only; or what they do where axes
-    #: stand.
+    #: Temperature-dependent expansion of the bodies, full model only; or their effect at the
+    #: positions of moving axes.
     growth: Straining | None = None
-    #: Heat of friction of the joints; default none.
+    #: Frictional heat of the joints; default none.
     friction: FrictionHeat | None = None
-    #: What contact elements touch that move within the step; not with `variable`.
+    #: Bodies that contact elements touch as they move within the step; not with `variable`.
     passing: Passing | None = None
     #: Temperature-dependent part of the stiffness; full model only, and without bolts.
     stiffness: VariableStiffness | None = None
 
     def with_laws(self, laws: Laws) -> CondensedMachine:
-        """Return the machine with other joint laws, on which no condensation depends."""
+        """Return the machine with other joint laws; the condensations do not depend on them."""
         return replace(self, contact=replace(self.contact, laws=laws))
 
     def conductance_in(self, state: State) -> Array:
@@ -120,14 +120,14 @@ class State:
     frozen: Array
     #: Shape (3, m): record of alternating increments of the last steps (`fesim.march.alternation`).
     turning: Array
-    #: Parts in which this step and all later ones are iterated at least, because staggered ones, or
-    #: iterated ones in fewer parts, alternated; zero while steps are staggered.
+    #: Smallest number of parts in which this step and all later ones are iterated, because
+    #: staggered steps, or iterated ones in fewer parts, alternated; zero while steps are staggered.
     parts: int
     #: Shape (d,): temperatures of the drive of a moving axis above the initial ambient, K
     #: (`fesim.axes.positioning`); empty without one.
     drive: Array
-    #: Shape (c,): where an adaptive march goes on (`fesim.march.adaptive_state.Now.packed`); else
-    #: empty.
+    #: Shape (c,): continuation data of an adaptive march
+    #: (`fesim.march.adaptive_state.Now.packed`); else empty.
     course: Array = field(default_factory=lambda: np.zeros(0))
 
 
@@ -135,14 +135,14 @@ class State:
 class Step:
     """Results of one step of a march, and its residuals."""
 
-    #: At the end of the step.
+    #: State at the end of the step.
     state: State
     #: Shape (k + l,): sources, W; ambient and held surfaces, K; factors of the loads.
     inputs: Array
-    #: Shape (m,): W/(m2 K), and W from side a to side b.
+    #: Shape (m,): conductance, W/(m2 K), and heat flow from side a to side b, W.
     conductance: Array
     heat_flow: Array
-    #: Shape (k,): displacement probes, m.
+    #: Shape (k,): readings of the displacement probes, m.
     displacement: Array
     #: Shape (3 m,): z + k g, Pa: with the temperature, it gives the displacement field.
     remainder: Array

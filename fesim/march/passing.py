@@ -1,9 +1,9 @@
 """Heat step of contact elements that pass several places of another body within the step.
 
 At every moment the jump of a contact element is a combination b of rows R of the temperatures: its
-own, less those of the places below it. With the time means of the products b b^T, weighted with the
-conductances, in a matrix L, the heat that leaves the rows is q = L R T. With S = R A0^-1 R^T the
-implicit Euler step is (1 + L S) q = L R y, T = y - A0^-1 R^T q, where y is the step without joints
+own, less those of the places below it. With L the time means of the products b b^T, weighted with
+the conductances, the heat that leaves the rows is q = L R T. With S = R A0^-1 R^T the implicit
+Euler step is (1 + L S) q = L R y, T = y - A0^-1 R^T q, where y is the step without joints
 (docs/moving-axes.md).
 """
 
@@ -26,17 +26,17 @@ from thermojoint.artefacts.arrays import Array
 class Rows:
     """Rows of m contact elements, then of the places that they may touch: q in all."""
 
-    #: Shape (q, n): R: mean temperature of each, K; of a contact element that passes nothing its
-    #: jump.
+    #: Shape (q, n): R: mean temperature of each row, K; its jump for a contact element that does
+    #: not move.
     temperature: Array
-    #: Shape (q, n): R A0^-1, K/W: what heat that enters each row does to the temperatures.
+    #: Shape (q, n): R A0^-1, K/W: temperature response to heat that enters each row.
     influence: Array
     #: Shape (q, q): R A0^-1 R^T, K/W.
     joint_influence: Array
 
 
 class Touches(NamedTuple):
-    """What contact elements touch in a step: l products of their combinations of rows."""
+    """Contacts in a step: l products of the row coefficients of contact elements."""
 
     #: Shape (l,): contact element of each product.
     element: NDArray[np.int64]
@@ -49,29 +49,29 @@ class Touches(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Passing:
-    """Rows, and what contact elements touch of them in a step."""
+    """Rows, and the contacts between them in a step."""
 
     rows: Rows
     touches: Touches
-    #: Shape (q,): heat of running friction that enters each row, W.
+    #: Shape (q,): frictional heat of motion that enters each row, W.
     rubbed: Array
 
     @cached_property
     def used(self) -> NDArray[np.int64]:
-        """The contact elements, then the other rows that they touch."""
+        """Indices of the contact elements, then of the other rows that they touch."""
         count = 1 + int(self.touches.element.max(initial=-1))
         return np.union1d(np.arange(count), self.touches.first)
 
     @cached_property
     def between(self) -> Touches:
-        """The products, counted among the rows that are used."""
+        """The products, with indices among the used rows."""
         ends = self.touches.first, self.touches.second
         first, second = (np.searchsorted(self.used, at) for at in ends)
         return self.touches._replace(first=first, second=second)
 
     @cached_property
     def influence(self) -> Array:
-        """S of the rows that are used."""
+        """S of the used rows."""
         return self.rows.joint_influence[np.ix_(self.used, self.used)]
 
 
@@ -88,7 +88,7 @@ def leaving(exchanged: Array, influence: Array, alone: Array) -> Array:
     Parameters
     ----------
     exchanged : ndarray, shape (q, q)
-        L, W/K; as from `exchange`, or what of it is not part of y yet.
+        L, W/K, from `exchange`, or the part of it that y does not include yet.
     influence : ndarray, shape (q, q)
         S, K/W.
     alone : ndarray, shape (q,)
@@ -109,9 +109,9 @@ def pass_heat(
     thermal : ThermalCondensation
         The condensed step; its influence of the joints is not used.
     passing : Passing
-        Who touches what.
+        Contacts in the step.
     temperature : ndarray, shape (n,)
-        At the start, K.
+        Temperatures at the start, K.
     inputs : ndarray, shape (k,)
         Sources, W; ambient and held surfaces, K.
     joint : ndarray, shape (m,)

@@ -1,7 +1,7 @@
 """JIT-compiled products with some rows of a matrix.
 
-A step needs a fifth of the rows of a moving machine. To copy them for a product takes longer than
-a product with all; here they are read where they are.
+A step needs a fifth of the rows of a moving machine. Copying them for a product takes longer than a
+product with all rows; here they are read in place.
 """
 
 from __future__ import annotations

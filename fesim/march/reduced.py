@@ -1,4 +1,4 @@
-"""Condensed machine on the modes of the reduced thermal model.
+"""Condensed machine with the modes of the reduced thermal model.
 
 T = V a + E u with the modes V on the free unknowns and the held surfaces E, whose temperatures are
 inputs. Every operator of the march is multiplied by [V, E] once; the march is the same.
@@ -33,10 +33,10 @@ USUAL_POWER, USUAL_RISE = 1000.0, 10.0
 TEMPERATURE_ERROR, GAP_ERROR, DISPLACEMENT_ERROR = 2e-4, 1e-10, 4e-10
 #: Times that the reduced model resolves, s: at least a step of this length, and the steady state.
 SHORTEST, LONGEST = 1.0, 1e6
-#: Up to this many contact elements, dense products cost less than the sparse factors.
+#: Up to this many contact elements, dense products are cheaper than the sparse factors.
 FEW = 200
 
-#: From the heat equation, and the shortest and the longest time of interest, s.
+#: Arguments: the heat equation, and the shortest and longest time of interest, s.
 Reduce = Callable[[HeatSystem, float, float], ReducedHeat]
 
 
@@ -54,7 +54,7 @@ class ThermalModes:
 
     @property
     def digest(self) -> str:
-        """Digest of the basis, without which amplitudes have no meaning."""
+        """Digest of the basis: amplitudes are meaningful with the same basis only."""
         return hashlib.sha256(np.ascontiguousarray(self.basis).tobytes()).hexdigest()
 
 
@@ -209,9 +209,9 @@ def at_step(thermal: ThermalCondensation, step: float) -> ThermalCondensation:
     Parameters
     ----------
     thermal : ThermalCondensation
-        By `project_heat`.
+        Result of `project_heat`.
     step : float
-        s.
+        Length of the step, s.
     """
     rate, ratio = thermal.capacity_rate.diagonal(), thermal.step / step
     diagonal = thermal.factor.matrix.diagonal() + (ratio - 1.0) * rate
@@ -232,10 +232,10 @@ def with_diagonal(
     Parameters
     ----------
     thermal : ThermalCondensation
-        By `project_heat`.
+        Result of `project_heat`.
     diagonal, kept : ndarray, shape (r + s,)
-        Of A0, and of what multiplies the unknowns at the start of the step; zero where they are
-        held.
+        Diagonals of A0, and of the factor of the unknowns at the start of the step; the latter is
+        zero for held ones.
     """
     influence, joint_influence = _influences(np.asarray(thermal.jump), (kept > 0.0) / diagonal)
     return replace(
@@ -248,7 +248,7 @@ def with_diagonal(
 
 
 def _influences(jump: Array, weights: Array) -> tuple[Array, Array]:
-    """W (r + s, m) and S (m, m) by jumps B (m, r + s) and the inverse of A0, zero where held."""
+    """W (r + s, m) and S (m, m) from jumps B (m, r + s) and the inverse of A0, zero if held."""
     # A product with its own transpose takes half as long as one with another matrix.
     half = jump * np.sqrt(weights)
     return np.multiply(jump.T, weights[:, None], order="C"), half @ half.T

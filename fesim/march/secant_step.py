@@ -1,7 +1,7 @@
 """Heat step with temperature-dependent properties, convection or radiation, by iteration.
 
 Each iteration is a step of the constant operators with a correction at the last temperatures, so
-that nothing is factorised. Anderson's method (1965) combines the last few iterates.
+that no factorisation is needed. Anderson's method (1965) combines the last few iterates.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ DEPTH = 5
 class HeatTaken:
     """Result of a step of the heat equation."""
 
-    #: Shape (n,): at its end.
+    #: Shape (n,): temperatures at its end, K.
     temperature: Array
-    #: Shape (m,): across the joints, W.
+    #: Shape (m,): heat flows across the joints, W.
     heat_flow: Array
     #: `fesim.march.heat_step.heat_balance`.
     balance: float
@@ -45,7 +45,7 @@ class HeatTaken:
 class HeatLoads(NamedTuple):
     """Loads of a step of the heat equation; arrays as for `fesim.march.heat_step.heat_step`.
 
-    `given` is heat that enters besides the inputs.
+    `given` is heat that enters in addition to the inputs.
     """
 
     inputs: Array
@@ -107,7 +107,7 @@ def step_heat(
 
 
 def accelerated(guesses: list[Array], changes: list[Array]) -> Array:
-    """Return the iterate after some, where linear extrapolation of their changes is smallest."""
+    """Return the next iterate: the linear combination of iterates with the least change."""
     step = guesses[-1] + changes[-1]
     if len(guesses) == 1:
         return step

@@ -1,4 +1,4 @@
-"""Equilibrium of the joints, at the start and in every step."""
+"""Equilibrium of the joints at the start and in every step."""
 
 from __future__ import annotations
 
@@ -49,16 +49,16 @@ class Rest(NamedTuple):
 def first_equilibrium(
     contact: ContactProblem, tight: Rest | None = None, thermal_gap: Array | None = None
 ) -> Rest:
-    """Return joints at their preload, or `tight` under bolts, then under what acts at time zero.
+    """Return joints at their preload, or `tight` under bolts, then under the loads at time zero.
 
     Parameters
     ----------
     contact : ContactProblem
         The joints.
     tight : Rest, optional
-        After the bolts have been tightened.
+        State after the bolts have been tightened.
     thermal_gap : ndarray, shape (3 m,), optional
-        Gap by heat and loads before the first step, m; default none.
+        Gap due to heat and loads before the first step, m; default none.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def first_equilibrium(
     still = np.zeros((3, count))
     rest = tight or Rest(still, np.zeros((2, count)), contact.preload.copy(), still)
     if thermal_gap is None:
-        # A joint without preload is at rest only where it is open.
+        # A joint without preload is at rest only if it is open.
         if tight is not None or contact.preload.all():
             return rest
         thermal_gap = np.zeros(3 * count)
@@ -88,8 +88,8 @@ def initial_state(machine: CondensedMachine, inputs: Array | None = None) -> Sta
     machine : CondensedMachine
         The machine.
     inputs : ndarray, shape (k + l,), optional
-        At time zero; the factors of mechanical loads count and, with a `start`, held temperatures.
-        Default: none.
+        Inputs at time zero, of which only the load factors are used and, with a `start`, held
+        temperatures. Default: none.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def initial_state(machine: CondensedMachine, inputs: Array | None = None) -> Sta
 
 
 def _at_zero(machine: CondensedMachine, inputs: Array) -> tuple[State, Array | None]:
-    """The state at time zero, and what a changed modulus adds to the probes then."""
+    """The state at time zero, and the effect of a changed modulus on the probes then."""
     count, start, tight = machine.contact.count, machine.start, machine.assembly
     contact, lift = machine.contact, None
     ambient = np.zeros(machine.thermal.inputs.shape[0])
@@ -142,7 +142,7 @@ def at_rest(machine: CondensedMachine, inputs: Array | None = None) -> Step:
     machine : CondensedMachine
         The machine.
     inputs : ndarray, shape (k + l,), optional
-        At time zero; as for `initial_state`. Default: those of an `undriven` machine.
+        Inputs at time zero; as for `initial_state`. Default: those of an `undriven` machine.
     """
     inputs = undriven(machine) if inputs is None else inputs
     elastic = machine.contact.elastic
@@ -156,7 +156,7 @@ def at_rest(machine: CondensedMachine, inputs: Array | None = None) -> Step:
         remainder = exerted(machine.contact, state.gap, value)
         displacement = displacement + elastic.probe_compliance @ (elastic.area * remainder)
     driven = np.zeros(len(inputs))
-    if machine.start is not None:  # Otherwise held surfaces are at the ambient, too.
+    if machine.start is not None:  # Otherwise held surfaces are at ambient temperature, too.
         held = np.unique(machine.start.held.indices)
         driven[held] = inputs[held]
     if machine.contact.loads is not None:
@@ -180,24 +180,24 @@ def at_rest(machine: CondensedMachine, inputs: Array | None = None) -> Step:
 
 
 def exerted(contact: ContactProblem, gap: Array, value: Array) -> Array:
-    """Return z + k g (3 m,), Pa, of gaps and tractions (3, m)."""
+    """Return z + k g (3 m,), Pa, from gaps and tractions (3, m)."""
     return np.asarray(value.ravel() + contact.elastic.reference * gap.ravel())
 
 
 def acting_on(machine: CondensedMachine, temperature: Array, inputs: Array) -> Acting:
-    """Return what acts on the bodies at temperatures (n_heat,) and inputs (k + l,)."""
+    """Return the temperatures (n_heat,) and loads on the bodies from the inputs (k + l,)."""
     return Acting(temperature, machine.strained(temperature), load_factors(machine, inputs))
 
 
 def undriven(machine: CondensedMachine) -> Array:
-    """Return the inputs (k + l,) of a machine without heat, and without loads except its bolts."""
+    """Return the inputs (k + l,) of a machine without heat or loads other than its bolts."""
     loads = 0 if machine.contact.loads is None else machine.contact.loads.gap.shape[1]
     factors = np.zeros(loads) if machine.assembly is None else machine.assembly.factors
     return np.concatenate([np.zeros(machine.thermal.inputs.shape[1]), factors])
 
 
 def loaded_gap(machine: CondensedMachine, thermal_gap: Array, inputs: Array) -> Array:
-    """Return the gap by heat and loads, (3 m,), m."""
+    """Return the gap due to heat and loads, (3 m,), m."""
     if machine.contact.loads is None:
         return thermal_gap
     return thermal_gap + machine.contact.loads.gap @ load_factors(machine, inputs)
@@ -215,9 +215,9 @@ def displaced(
     strained : ndarray, shape (n,)
         Temperatures that strain the bodies (`CondensedMachine.strained`).
     settled : Equilibrium
-        The joints.
+        Equilibrium of the joints.
     inputs : ndarray, shape (k + l,)
-        With the factors of the loads.
+        Inputs with the factors of the loads.
     """
     elastic = machine.contact.elastic
     remainder = exerted(machine.contact, settled.gap, settled.traction.value)
@@ -232,17 +232,17 @@ def displaced(
 def settled_between(machine: CondensedMachine, state: State, factors: Array) -> State:
     """Return a state after load reversals within the next step.
 
-    They change gaps and slips. Temperatures and pressures, which determine the conductance in the
-    step, remain those of the state.
+    They change gaps and slips. Temperatures and pressures, and so the conductance in the step,
+    remain those of the state.
 
     Parameters
     ----------
     machine : CondensedMachine
         The machine.
     state : State
-        At the start of a step.
+        State at the start of a step.
     factors : ndarray, shape (k, l)
-        Of the loads, one row for each reversal.
+        Factors of the loads, one row for each reversal.
 
     Raises
     ------
@@ -268,15 +268,15 @@ def settle_along(
 ) -> tuple[Equilibrium, int]:
     """Return the equilibrium at the end of a step, and the number of viscous steps.
 
-    The first guess extrapolates the last step; the second one is the present gaps. If neither leads
-    to an equilibrium, the joint snaps. If that fails as well, the step is subdivided.
+    The first guess extrapolates the last step; the second is the present gaps. If neither leads to
+    an equilibrium, the joint snaps. If that fails as well, the step is subdivided.
 
     Parameters
     ----------
     contact : ContactProblem
         The joints.
     state : JointState
-        Of the joint at the start of the step, e.g. a `State`.
+        State of the joint at the start of the step, e.g. a `State`.
     thermal_gap : ndarray, shape (3 m,)
         g_T at its end, m.
 

@@ -1,8 +1,8 @@
 """Slip of the joints over a long step, extrapolated from the same step in halves.
 
-A step's return mapping goes straight from the slip at its start to that at its end. Where the slip
-turns or the pressure changes on the way, this is implicit Euler along the path: its error falls
-with the first power of the number of pieces. One piece and two give the slip of second order.
+A step's return mapping goes straight from the slip at its start to that at its end. If the slip
+turns or the pressure changes within the step, this is implicit Euler along the path: the error is
+of first order in the length of the pieces. One piece and two give second-order slip.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from fesim.march.machine import CondensedMachine, State
 from fesim.march.settling import loaded_gap, settle_along
 from thermojoint.artefacts.arrays import Array
 
-#: Part of what extrapolation adds that is estimated to be wrong (docs/march.md): where the same
-#: contact elements slide in both halves of a step, and where others do.
+#: Estimated relative error of the extrapolation (docs/march.md): where the same contact elements
+#: slide in both halves of a step, and where others do.
 SMOOTH, ABRUPT = 1.0 / 32.0, 1.0 / 4.0
-#: Share of a step to the temperature unknowns (n,) and the inputs (k + l,) after it.
+#: Fraction of a step to the temperature unknowns (n,) and the inputs (k + l,) after it.
 Course = Callable[[float], tuple[Array, Array]]
 
 
 @dataclass(frozen=True)
 class SlipPath:
-    """What the end of a step is settled from."""
+    """Start values for settling the end of a step."""
 
     #: Shape (2, m): slip whose return mapping leads to the extrapolated slip, m.
     origin: Array
-    #: Shape (3, m): gaps there, extrapolated, m.
+    #: Shape (3, m): extrapolated gaps, m.
     gap: Array
-    #: Part of what extrapolation adds that is estimated to be wrong.
+    #: Estimated relative error of the extrapolation.
     doubt: float
 
 
@@ -61,21 +61,21 @@ def slip_path(
 
 
 def origin(begun: Array, once: Array, gap: Array, slip: Array, slides: Array) -> Array:
-    """Return the slip (2, m) from which the return mapping at gaps leads to a slip.
+    """Return the slip (2, m) from which the return mapping at given gaps leads to a given slip.
 
-    Where a contact element slides, friction bears what it can, and only the direction of the shear
-    is free: its trial is as long as in one piece. Where it sticks, the slip stays as it is.
+    In a sliding contact element friction is at its limit, and only the direction of the shear is
+    free: its trial is as long as in one piece. In a sticking one the slip does not change.
 
     Parameters
     ----------
     begun : ndarray, shape (2, m)
         Slip before, m.
     once : ndarray, shape (3, m)
-        Gaps that have come of it in one piece, m.
+        Gaps at the end of the step taken in one piece, m.
     gap, slip : ndarray, shapes (3, m) and (2, m)
-        Wanted, m.
+        Gaps and slip to be reached, m.
     slides : ndarray of bool, shape (m,)
-        Contact elements that slide there.
+        Contact elements that slide at these gaps.
     """
     held, tried = np.hypot(*(gap[1:] - slip)), np.hypot(*(once[1:] - begun))
     longer = np.divide(tried, held, out=np.ones_like(held), where=slides & (held > 0.0))
@@ -93,7 +93,7 @@ def settled_at(
 def _halves(
     machine: CondensedMachine, state: State, course: Course, turn: Array
 ) -> list[State] | None:
-    """The ends of both halves of a step whose gaps turn by about `turn` (3, m)."""
+    """The ends of both halves of a step whose gaps change by about `turn` (3, m)."""
     ends, begun = [], state.gap
     for share in (0.5, 1.0):
         state = replace(state, change=begun + share * turn - state.gap)

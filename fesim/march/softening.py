@@ -1,6 +1,6 @@
-"""Displacement that bodies gain or lose because their modulus depends on temperature.
+"""Additional displacement of bodies because their modulus depends on temperature.
 
-The joints settle anew in every iteration (`fesim.solid.variable_stiffness`).
+The joints are settled again in every iteration (`fesim.solid.variable_stiffness`).
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from fesim.solid.variable_stiffness import VariableStiffness
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
 
-#: Largest change of a displacement between the last two iterations, of the largest displacement.
+#: Largest change of a displacement in the last iteration, relative to the largest displacement.
 TOLERANCE = 1e-9
 MOST = 200
 
 
 class Acting(NamedTuple):
-    """What acts on the bodies: T and theta (n_heat,), K; factors of the loads (l,)."""
+    """Temperatures T and equivalent ones theta (n_heat,), K; factors of the loads (l,)."""
 
     temperature: Array
     strained: Array
@@ -29,7 +29,7 @@ class Acting(NamedTuple):
 
 
 class Lift(NamedTuple):
-    """Displacement by the changed modulus: of gaps (3 m,), of probes (k,), and of all (n,), m.
+    """Displacement due to the changed modulus: of gaps (3 m,), probes (k,) and nodes (n,), m.
 
     `moved` (n,) is the whole displacement.
     """
@@ -43,23 +43,23 @@ class Lift(NamedTuple):
 def lifted(
     stiffness: VariableStiffness, acting: Acting, settle: Callable[[Array], Array], most: int = MOST
 ) -> Lift:
-    """Find the displacement that a changed modulus adds, in equilibrium with the joints.
+    """Find the displacement added by a changed modulus, in equilibrium with the joints.
 
     Parameters
     ----------
     stiffness : VariableStiffness
-        What changes.
+        Temperature-dependent part of the stiffness.
     acting : Acting
         Temperatures and loads.
     settle : callable
-        Added gap (3 m,), m, to what the joints then exert, z + k g (3 m,), Pa.
+        From the added gap (3 m,), m, to the resulting z + k g of the joints (3 m,), Pa.
     most : int
         Largest number of iterations.
 
     Raises
     ------
     ConvergenceError
-        It does not converge.
+        The iteration does not converge.
     """
     field = stiffness.field()
     load = field.structure.thermal_load @ acting.strained

@@ -14,16 +14,16 @@ from thermojoint.artefacts.arrays import Array
 
 @dataclass(frozen=True)
 class StartField:
-    """Temperature unknowns (n,) at time zero, free + held u; held surfaces from the start on."""
+    """Temperature unknowns (n,) at time zero, free + held u; held surfaces included."""
 
-    #: Shape (n,): temperatures above the initial ambient where none is held, K, zero elsewhere; or
-    #: the amplitudes of a reduced model.
+    #: Shape (n,): temperatures above the initial ambient, K, zero where held; or the amplitudes of
+    #: a reduced model.
     free: Array
     #: Shape (n, k): held temperatures per unit of each input u of the march.
     held: csr_array
 
     def temperature(self, inputs: Array) -> Array:
-        """Return the unknowns (n,) under the inputs (k or more) of time zero."""
+        """Return the unknowns (n,) for the inputs (k or more) at time zero."""
         field: Array = self.free + self.held @ inputs[: self.held.shape[1]]
         return field
 
@@ -40,7 +40,7 @@ def start_field(
     field : ndarray, shape (n,), or None
         Nodal temperatures above the initial ambient, K; None starts at the ambient.
     modes : ThermalModes or None
-        Of the reduced model; None for the full one.
+        Modes of the reduced model; None for the full one.
     """
     if field is None:
         return None

@@ -1,8 +1,8 @@
-"""File of a march's state, exact to the bit and valid for the same machine only.
+"""File of a march's state, bit-exact and valid for the same machine only.
 
-It has a fingerprint of everything that the state depends on. Outputs (probes, candidates, the
-displacement, snapshots, the title), the heat input and the duration may differ. Where heat is
-marched alone there is no displacement, and the state has joints that did not move.
+It contains a fingerprint of everything that the state depends on. Outputs (probes, candidates, the
+displacement, snapshots, the title), the heat input and the duration may differ. If only heat is
+simulated, there is no displacement, and the state contains joints that have not moved.
 """
 
 from __future__ import annotations
@@ -39,17 +39,17 @@ _ARRAYS = (
 
 
 def fingerprint(case: Case) -> str:
-    """Return a digest of all that a state depends on; files count by their content."""
+    """Return a digest of all that a state depends on; files are included by content."""
     data = case.model_dump(exclude=_RECORDING)
     data["deforms"] = case.displacement is not None
     del data["march"]["duration_min"]
     for source in data["sources"].values():
         del source["heat_input"]
-    # Probes are only recorded, except those that a scale follows.
+    # Probes are only recorded, except those that the temperature of a scale follows.
     follows = [axis.scale.follows for axis in case.axes.values() if axis.scale is not None]
     data["followed"] = [case.probes[name].model_dump() for name in follows if name is not None]
-    # Contact elements are numbered joint by joint, and drives follow each other axis by axis, so
-    # the order of both matters.
+    # Contact elements are numbered joint by joint, and drives axis by axis, so the order of both
+    # matters.
     for section in ("joints", "axes"):
         data[section] = list(data[section].items())
     data["version"] = version("thermojoint")
@@ -70,7 +70,7 @@ def save_state(state: State, case: Case, path: Path) -> None:
         "parts": state.parts,
     }
     with whole_file(Path(path)) as part, part.open("wb") as file:
-        # To an open file: np.savez adds a suffix to names.
+        # An open file, since np.savez adds a suffix to names.
         np.savez(file, header=np.array(json.dumps(header)), **arrays)
 
 
@@ -80,7 +80,7 @@ def load_state(path: Path, case: Case) -> State:
     Raises
     ------
     InputError
-        The file is missing, truncated, no state, of another version or of another machine.
+        The file is missing, truncated, not a state, of another version or of another machine.
     """
     path = Path(path)
     if not path.is_file():

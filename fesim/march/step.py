@@ -1,4 +1,4 @@
-"""One step of heat, then of contact, with given conductances of the joints."""
+"""One step of heat, then of contact, with given joint conductances."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fesim.solid.friction_heat import GivenHeat, friction_work, given_heat
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
 
-#: Largest change of the heat of friction between sweeps, relative to it, and number of sweeps.
+#: Largest relative change of the frictional heat between sweeps, and number of sweeps.
 FRICTION_TOLERANCE, FRICTION_SWEEPS = 1e-9, 50
 
 
@@ -28,11 +28,11 @@ def step_with(machine: CondensedMachine, state: State, inputs: Array, conductanc
     machine : CondensedMachine
         The machine.
     state : State
-        At the start of the step.
+        State at the start of the step.
     inputs : ndarray, shape (k + l,)
-        Of the step.
+        Inputs of the step.
     conductance : ndarray, shape (m,)
-        Of the contact elements, W/(m2 K).
+        Conductances of the contact elements, W/(m2 K).
 
     Raises
     ------
@@ -48,10 +48,10 @@ def step_with(machine: CondensedMachine, state: State, inputs: Array, conductanc
 def _with_friction(
     machine: CondensedMachine, before: Array, take: Callable[[GivenHeat], Step]
 ) -> Step:
-    """Repeat a step until the heat that entered is the work of friction in it."""
+    """Repeat a step until the heat supplied equals the friction work in it."""
     length, friction, contact = machine.thermal.step, machine.friction, machine.contact
     assert friction is not None
-    # Work that the tolerance of the gap equations leaves open.
+    # Work within the tolerance of the gap equations.
     area = contact.elastic.area[: contact.count]
     least = float((area * contact.reference_pressure).max()) * contact.tolerance / length
     power = np.zeros(contact.count)

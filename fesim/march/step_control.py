@@ -1,8 +1,8 @@
 """Step lengths from estimated errors: a PI controller (Gustafsson 1991) on a ladder of lengths.
 
-The error allowed in a step is in proportion to its length (error per unit step), whatever the end
-of the march: a march that is continued goes on as if it had never stopped. Functions of
-numbers alone are compiled as well, by `fesim.march.compiled_adaptive`.
+The error allowed in a step is proportional to its length (error per unit step), independent of the
+end of the march: a continued march proceeds as if it had never stopped. Functions of numbers only
+are compiled as well, by `fesim.march.compiled_adaptive`.
 """
 
 from __future__ import annotations
@@ -14,34 +14,34 @@ import numpy as np
 
 from thermojoint.artefacts.arrays import Array
 
-#: Longest step, s, and the steps of a ladder down from it, so that few weights have to be made.
+#: Longest step, s, and rungs of the ladder of shorter ones, which limits the sets of weights.
 LONGEST = 3600.0
 OCTAVE, RUNGS = 4, 120
 SHORTEST = LONGEST * 2.0 ** (-RUNGS / OCTAVE)
-#: The first step, s. Shorter ones follow what jumps, as a held temperature at a joint: they soon
+#: The first step, s. Shorter ones follow jumps, such as a held temperature at a joint: they soon
 #: grow with the time since, and each may use as much of the tolerance as one of this length.
 BRIEF = LONGEST * 2.0**-16
-#: Errors of steps have either sign and decay: their magnitudes may add up to so many tolerances in
-#: so long a time, s.
+#: Errors of steps have either sign and decay: their magnitudes may add up to this many tolerances
+#: in this time, s.
 TOGETHER, SPAN = 2.0, 1800.0
-#: Times that differ by less than this part are the same.
+#: Times whose relative difference is below this are the same.
 ROUNDING = 1e-12
-#: A step is wanted in which the error is this part of what is allowed, to the power of a length.
+#: Safety factor on the step length for which the error is the allowed one.
 SAFETY = 0.9
 #: Limits of the change of length from one step to the next.
 LEAST, MOST = 0.2, 5.0
-#: Powers of the error that the next length follows: the error is of second order over the length,
-#: of third order alone (below `BRIEF`). Gain on the last error, of that on this one.
+#: Exponents of the next length on the error, which is of second order over the length in a march,
+#: of third order in a single step (below `BRIEF`); exponent on the last error relative to this one.
 ROOT, SHORT_ROOT, LAST = 1.0 / 2.0, 1.0 / 3.0, 0.2
-#: Part of a change that is followed; what rounding makes of a temperature, K.
+#: Allowed error of a temperature change, relative; rounding error of a temperature, K.
 FOLLOWED, ROUNDED = 1e-3, 1e-8
-#: Errors below this part of what is allowed do not differ.
+#: Errors below this fraction of the allowed one are treated as equal.
 SMALL = 1e-4
-#: Part of its length that a step is cut to if its equations have no solution.
+#: Fraction of its length to which a step is cut if its equations have no solution.
 RETREAT = 0.25
-#: Between two knots nearer than `BRIEF`, steps are as if the edge lasted so long, s: friction
-#: depends on the way of a load, not on its time. Times as near as the last are the same: a part of
-#: the span between them could be lost in rounding.
+#: Between two knots nearer than `BRIEF`, steps are scaled as if the edge took this long, s:
+#: friction depends on the path of a load, not on its duration. Times nearer than the last value are
+#: the same: a fraction of the span between them could be lost in rounding.
 EDGE, NEAREST = 1.0, 1e-7
 
 
@@ -49,12 +49,12 @@ EDGE, NEAREST = 1.0, 1e-7
 class Tolerance:
     """Error allowed in half an hour (`SPAN`)."""
 
-    #: m.
+    #: Of displacements, m.
     displacement: float
-    #: Of the joints, K.
+    #: Of temperatures at the joints, K.
     temperature: float
-    #: It says nothing of changes below it: until the machine's temperature has changed by as much,
-    #: those of the joints may be off by this part of the change in a step.
+    #: The tolerance does not limit changes below it: until the machine's temperature has changed by
+    #: as much, the joint temperatures may be off by this fraction of the change in a step.
     followed: float = FOLLOWED
 
 
@@ -62,63 +62,63 @@ class Tolerance:
 class StepError:
     """Estimated errors of one step, or of several together."""
 
-    #: Shape (axes,): m.
+    #: Shape (axes,): of displacements, m.
     displacement: Array
     #: Shape (2 m,): of means and jumps at the contact elements, K.
     temperature: Array
 
     def __add__(self, other: StepError) -> StepError:
-        """Return the errors of both together."""
+        """Return the sum of both."""
         moved = self.displacement + other.displacement
         return StepError(moved, self.temperature + other.temperature)
 
     def largest(self) -> tuple[float, float]:
-        """Return the largest magnitudes of both, m and K."""
+        """Return the largest magnitudes of displacement and temperature, m and K."""
         moved, warmed = np.abs(self.displacement), np.abs(self.temperature)
         return float(moved.max(initial=0.0)), float(warmed.max(initial=0.0))
 
     def relative_to(self, tolerance: Tolerance) -> float:
-        """Return the larger of both, of what is allowed in half an hour."""
+        """Return the larger of both, relative to the tolerance for half an hour."""
         moved, warmed = self.largest()
         return max(moved / tolerance.displacement, warmed / tolerance.temperature)
 
 
 @dataclass(frozen=True)
 class Pace:
-    """The controller between two steps."""
+    """State of the controller between two steps."""
 
-    #: Of the next step, s.
+    #: Length of the next step, s.
     length: float = BRIEF
-    #: Of the last step, of what was allowed in it.
+    #: Error of the last step, relative to the allowed one.
     error: float = 1.0
-    #: Changes of temperature in all steps so far, K.
+    #: Sum of the temperature changes of all steps so far, K.
     way: float = 0.0
 
 
 def allowed(length: float) -> float:
-    """Return the part of the tolerance that a step of a length (s) may use."""
+    """Return the fraction of the tolerance that a step of a length (s) may use."""
     return TOGETHER * max(length, BRIEF) / SPAN
 
 
 def stretch(apart: float) -> float:
-    """Return how many times lengths count between two knots so far apart (s)."""
+    """Return the factor on lengths between two knots that are `apart` (s)."""
     return EDGE / apart if NEAREST < apart < BRIEF else 1.0
 
 
 def least(times: float) -> float:
-    """Return the shortest step (s) where lengths count so many `times`."""
+    """Return the shortest step (s) if lengths have the factor `times`."""
     return BRIEF / times if times > 1.0 else SHORTEST
 
 
 def bent_over(length: float, last: float, begins: bool) -> float:
-    """Return the time (s) in which the flows of two steps bend.
+    """Return the time (s) over which the slope of the flows changes between two steps.
 
     Parameters
     ----------
     length, last : float
-        Of the step and of the one before, s; zero if that tells nothing.
+        Lengths of the step and of the one before, s; zero if its slope is not used.
     begins : bool
-        Whether what drives the machine may bend between them: then the bend is in this step.
+        Whether the slope of the inputs may change between them: then the change is in this step.
     """
     if last == 0.0 or (begins and last > length):
         return 2.0 * length
@@ -126,14 +126,14 @@ def bent_over(length: float, last: float, begins: bool) -> float:
 
 
 def of_allowed(part: float, share: float, warmed: float, followed: float) -> float:
-    """Return the error of a step, of what is allowed in it.
+    """Return the error of a step relative to the allowed one.
 
     Parameters
     ----------
     part, share : float
-        Error, and what is allowed in a step of this length (`allowed`), of the tolerance.
+        Error, and the error allowed in a step of this length (`allowed`), of the tolerance.
     warmed, followed : float
-        Error of the joints' temperatures, and what may be of the change in the step, K.
+        Error of the joint temperatures, and the one allowed for the change in the step, K.
     """
     return max(part / share, warmed / (followed + ROUNDED))
 
@@ -144,13 +144,13 @@ def next_pace(pace: Pace, taken: float, error: float, changed: float) -> Pace:
     Parameters
     ----------
     pace : Pace
-        Before it.
+        Pace before the step.
     taken : float
-        Length of the step, s; shorter than that of the pace where a knot cut it.
+        Length of the step, s; shorter than planned if a knot cut it.
     error : float
-        Of the step, of what was allowed in it.
+        Error of the step relative to the allowed one.
     changed : float
-        Of temperature in the step, K.
+        Temperature change in the step, K.
     """
     error, way = max(error, SMALL), pace.way + changed
     return Pace(rung(next_length(pace.length, pace.error, taken, error)), error, way)
@@ -162,9 +162,9 @@ def shorter(pace: Pace, taken: float, error: float) -> Pace:
 
 
 def next_length(planned: float, last: float, taken: float, error: float) -> float:
-    """Return the length wanted after a step of length `taken` (s) instead of `planned` (s).
+    """Return the next length (s) after a step of length `taken` (s) instead of `planned` (s).
 
-    `error` and `last` are the errors of this step and of the one before, of what was allowed.
+    `error` and `last` are the errors of this step and the one before, relative to the allowed ones.
     """
     factor = SAFETY * (last**LAST / error) ** (SHORT_ROOT if taken < BRIEF else ROOT)
     length = taken * min(max(factor, LEAST), MOST)
@@ -172,7 +172,7 @@ def next_length(planned: float, last: float, taken: float, error: float) -> floa
 
 
 def shorter_length(taken: float, error: float) -> float:
-    """Return the length wanted after a step of length `taken` (s) that is rejected."""
+    """Return the length (s) to try after a rejected step of length `taken` (s)."""
     root = SHORT_ROOT if taken < BRIEF else ROOT
     return taken * min(max(SAFETY * error**-root, LEAST), 2.0**-0.5)
 
@@ -183,18 +183,18 @@ def retreated(pace: Pace, taken: float) -> Pace:
 
 
 def below(taken: float, wanted: float) -> float:
-    """Return a wanted length of the ladder, or half of `taken` where the ladder has none below."""
+    """Return the wanted length of the ladder, or half of `taken` if it has no shorter one."""
     return 0.5 * taken if taken <= SHORTEST else wanted
 
 
 def rung(length: float) -> float:
-    """Return the longest length of the ladder that is not above `length` (s)."""
+    """Return the longest length of the ladder that does not exceed `length` (s)."""
     below = math.ceil(OCTAVE * math.log2(LONGEST / length) - 1e-9)
     return LONGEST * 2.0 ** (-min(max(below, 0), RUNGS) / OCTAVE)
 
 
 def until(length: float, left: float) -> float:
-    """Return a step of `length` (s) or less that ends at a knot in `left` (s), or well before."""
+    """Return a step of up to `length` (s) that ends at the knot in `left` (s) or well before."""
     if length >= left:
         return left
     return length if 2.0 * length <= left else 0.5 * left

@@ -31,7 +31,7 @@ from fesim.march.track import Track, first_of, kernel_march, track_of
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError, ThermojointError
 
-#: Parts into which steps are divided at most because longer ones alternate.
+#: Largest number of parts into which alternating steps are divided.
 MOST_PARTS = 16
 #: Steps in a block, whose amplitudes fit into the processor's cache.
 BLOCK = 128
@@ -91,7 +91,7 @@ def march_along(
     machine : CondensedMachine
         The machine.
     inputs : ndarray, shape (n, k + l)
-        Of each step, as `fesim.march.stepping.march` takes them one by one.
+        Inputs of each step, as for `fesim.march.stepping.march`.
     advance : callable
         `staggered` or `iterated`.
     start : State
@@ -102,7 +102,7 @@ def march_along(
     Raises
     ------
     ConvergenceError, InputError
-        As `march`, after the steps before are yielded.
+        As `march`, after the preceding steps have been yielded.
     """
     return tracks_along(machine, advance(machine), inputs, start, between)
 
@@ -133,7 +133,7 @@ def _after(machine: CondensedMachine, take: Take, factors: Array) -> Take:
 
 
 def advanced(machine: CondensedMachine, take: Take, state: State, inputs: Array) -> Track:
-    """Take one step or more; an error names the step.
+    """Take one step or more; an error message contains the time of the step.
 
     Raises
     ------
@@ -148,9 +148,9 @@ def advanced(machine: CondensedMachine, take: Take, state: State, inputs: Array)
 
 
 def staggered(machine: CondensedMachine) -> Take:
-    """Steps in which the last step's pressure sets the conductance, as in the paper.
+    """Steps with the conductance at the pressure of the previous step, as in the paper.
 
-    Once they alternate, the march continues with `iterated` ones; these in more parts if they do,
+    Once they alternate, the march continues with `iterated` ones, in more parts if those alternate,
     too.
     """
     fast = kernel_march(machine)
@@ -185,7 +185,7 @@ def _staggered_step(machine: CondensedMachine, state: State, inputs: Array) -> S
 
 
 def _taken_over(machine: CondensedMachine, state: State, inputs: Array) -> Track:
-    """Take an iterated step, as all later ones are; these in more parts if they alternate."""
+    """Take an iterated step, like all later ones; in more parts if they alternate."""
     parts = max(state.parts, 1)
     step = divided_step(machine, state, inputs, parts)
     carried = carried_by(machine, state)
@@ -197,13 +197,13 @@ def _taken_over(machine: CondensedMachine, state: State, inputs: Array) -> Track
 
 
 def _lasts(before: Array, turning: Array) -> bool:
-    """Whether increments of steps turn and hardly decay, by the records (3, m) of the last two."""
+    """Whether increments change sign and hardly decay, from the records (3, m) of two steps."""
     which = suspected(turning)
     return bool(which.any()) and gain_of(before[0, which], turning[0, which]) > GAIN
 
 
 def _watched(machine: CondensedMachine, before: State, track: Track) -> Track:
-    """Record sign changes in a track."""
+    """Record sign changes of the increments in a track."""
     if not machine.contact.count:
         return track
     carried = carried_by(machine, before)
@@ -215,7 +215,7 @@ def _watched(machine: CondensedMachine, before: State, track: Track) -> Track:
 
 
 def _steady(machine: CondensedMachine, track: Track, inputs: Array) -> Track:
-    """The steps of a track up to the one after which they alternate, if they do."""
+    """The steps of a track before they alternate; all if they do not."""
     for at in np.flatnonzero(suspected(track.turning[:-1]).any(axis=1)):
         if _alternates(machine, track.step(int(at)).state, inputs[at + 1]):
             return first_of(track, int(at) + 1)
@@ -231,13 +231,13 @@ def _alternates(machine: CondensedMachine, state: State, inputs: Array) -> bool:
 
 
 def _steady_step(machine: CondensedMachine, state: State, inputs: Array) -> Step | None:
-    """Take a staggered step; None where they alternate, by the gain of their map over it."""
+    """Take a staggered step; None if its map's gain shows that such steps alternate."""
     which = suspected(state.turning)
     if not which.any():
         return _staggered_step(machine, state, inputs)
     carried = carried_by(machine, state)
     before = carried.of(state)
-    # Where a step has no equilibrium, the iteration finds another one or raises the error.
+    # If a step has no equilibrium, the iteration finds another one or raises the error.
     with suppress(ConvergenceError):
         step = step_with(machine, state, inputs, carried.conductance(before))
         once = carried.of(step.state)
@@ -251,10 +251,10 @@ def _steady_step(machine: CondensedMachine, state: State, inputs: Array) -> Step
 
 
 def _goes_on(machine: CondensedMachine, state: State, inputs: Array) -> bool:
-    """Whether staggered steps oscillate while these inputs are held.
+    """Whether staggered steps oscillate while these inputs are constant.
 
-    Where the joint opens and the bodies must warm up before it closes, the period is of three steps
-    or more, and the gain over one step says nothing.
+    If the joint opens and the bodies must warm up before it closes, the period is three steps or
+    more, and the gain over one step is no criterion.
     """
     carried = carried_by(machine, state)
     values = [carried.of(state)]
@@ -269,5 +269,5 @@ def _goes_on(machine: CondensedMachine, state: State, inputs: Array) -> bool:
 
 
 def iterated(machine: CondensedMachine) -> Take:
-    """Steps with the conductance of the pressure at their end, unless the joint snaps."""
+    """Steps with the conductance at the pressure at their end, unless the joint snaps."""
     return lambda state, inputs: track_of(divided_step(machine, state, inputs[0]))

@@ -1,6 +1,6 @@
-"""Arrays of the results of many steps, JIT-compiled where possible.
+"""Arrays of the results of many steps, computed by JIT-compiled code if possible.
 
-A `Track` has the content of several `Step`s.
+A `Track` contains several `Step`s.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 class Track:
     """n consecutive steps: arrays are as in `Step` and `State`, with n as their first dimension."""
 
-    #: Steps taken at the end of each.
+    #: Number of steps taken at the end of each.
     index: NDArray[np.int64]
     inputs: Array
     conductance: Array
@@ -113,7 +113,7 @@ def joined(tracks: Sequence[Track]) -> Track:
 
 
 def kernel_march(machine: CondensedMachine) -> Callable[[State, Array], Track | None] | None:
-    """Start a compiled march; None if a law, the thermal model or friction heat is not supported.
+    """Start a compiled march; None if a law, the thermal model or frictional heat is unsupported.
 
     The returned function takes a state and inputs (n, k + l), and returns the steps before a joint
     snaps or a body comes loose; None if that happens in the first one.
@@ -134,7 +134,7 @@ def _kernel_track(
 ) -> Track | None:
     record, taken, loose = kernel.run(kept, state, inputs)
     if loose and _came_loose(machine, state.slip if taken == 1 else record.slip[-2], record):
-        # The plain step raises its error; the steps before it are valid.
+        # The plain step raises the error; the steps before it are valid.
         record, taken = type(record)._make(column[:-1] for column in record), taken - 1
     if not taken:
         return None
