@@ -1,13 +1,13 @@
-"""A ball screw: heat along it, elongation, tension between its bearings.
+"""Ball screw: heat conduction, elongation, and tension between its bearings.
 
-Heat is conducted along the screw, into the air by a film that is the same along it, and through
-the bearings at its ends to their seats. In finite volumes of equal width,
+Heat is conducted along the screw, to the air through a uniform film, and through the bearings at
+its ends to their seats. In finite volumes of equal width,
 
     C dT/dt = -K T - G (T - Ts) - h S (T - Ta) + q,
 
-and because C and S are the same in every cell, the modes of K + G are those of any film: it adds
-h S/C to each rate. They are found once; a step is exact for what is constant in it, the film and
-the heat of each cell, both means over the step.
+and because C and S are the same in every cell, K + G has the same modes for any film, which adds
+h S/C to each rate. They are computed once; a step is exact for a constant film and constant heat
+of each cell, both means over the step.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from fesim.solid.materials import Material
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.units import MILLI
 
-#: Least distance over which the heat of a longer way is spread along a screw, m.
+#: Least length over which the heat of a longer travel is spread along a screw, m.
 SHORTEST = MILLI
 
 
@@ -30,7 +30,7 @@ SHORTEST = MILLI
 class Rod:
     """A screw without thread."""
 
-    #: `length`, `diameter`: between the bearings; of the cross-section, m.
+    #: Length between the bearings; diameter of the cross-section, m.
     length: float
     diameter: float
     material: Material
@@ -45,15 +45,15 @@ class Rod:
 class Conduction:
     """Conduction along a rod in n cells of equal width, and its modes."""
 
-    #: Shape (n + 1,): of the cells, from 0 to the length, m.
+    #: Shape (n + 1,): edges of the cells, from 0 to the length, m.
     edges: Array
     #: Of a cell: heat capacity, J/K, and area to the air, m2.
     capacity: float
     surface: float
     #: Shape (2,): conductance of the first and the last cell to the seats of the bearings, W/K.
     sinks: Array
-    #: Shape (2,): share of heat at either end that reaches its cell; the rest goes straight to the
-    #: seat.
+    #: Shape (2,): fraction of the heat at either end that reaches its cell; the rest goes straight
+    #: to the seat.
     reaching: Array
     #: Shape (n,): decay rates of the modes without a film, 1/s.
     rates: Array
@@ -65,10 +65,10 @@ class Conduction:
 class Film:
     """Film h = still + added (v/speed)^exponent at speed v of the nut."""
 
-    #: W/(m2 K).
+    #: In still air, and added by motion, W/(m2 K).
     still: float
     added: float
-    #: Speed of the nut at which `added` is added, m/s.
+    #: Speed of the nut at which the film is still + added, m/s.
     speed: float
     #: Positive.
     exponent: float
@@ -78,21 +78,21 @@ class Film:
 class Heat:
     """Heat that enters a screw."""
 
-    #: At the nut, J per m of its way.
+    #: At the nut, J per m of its travel.
     nut: float
-    #: m.
+    #: Length of the nut, m.
     nut_length: float
-    #: At the near and the far end, J per m of the nut's way.
+    #: At the near and the far end, J per m of travel of the nut.
     bearings: tuple[float, float]
-    #: At the near end, always, W.
+    #: At the near end, constant, W.
     motor: float
 
 
 @dataclass(frozen=True)
 class Hold:
-    """How a screw is held at its far end."""
+    """Bearings that hold a screw."""
 
-    #: Of the cold screw, N; 0 if nothing pulls it.
+    #: Of the cold screw, N; 0 without pretension.
     tension: float
     #: Of the near and the far bearing, m/N.
     compliance: tuple[float, float]
@@ -104,13 +104,13 @@ class BallScrew:
 
     #: Its shape and material.
     rod: Rod
-    #: Along it.
+    #: Conduction along it.
     conduction: Conduction
-    #: To the ambient.
+    #: Film to the ambient.
     film: Film
-    #: Of nut, bearings and motor.
+    #: Heat of nut, bearings and motor.
     heat: Heat
-    #: At its ends.
+    #: Bearings at its ends.
     hold: Hold
 
 
@@ -118,9 +118,9 @@ class BallScrew:
 class Warmed:
     """A screw after a step, and the heat of the step."""
 
-    #: Shape (n,): of the cells at its end, K.
+    #: Shape (n,): temperatures of the cells at its end, K.
     temperature: Array
-    #: Mean heat that entered, stayed, and went into the air, W.
+    #: Mean heat that entered, was stored, and went to the air, W.
     entered: float
     stored: float
     given: float
@@ -129,7 +129,7 @@ class Warmed:
 
     @property
     def balance(self) -> float:
-        """Return what is left of the heat, relative to the largest part of it."""
+        """Return the heat balance error, relative to the largest term."""
         parts = np.array([self.entered, -self.stored, -self.given, *-self.seated])
         largest = float(np.abs(parts).max())
         return float(parts.sum()) / largest if largest else 0.0
@@ -137,11 +137,11 @@ class Warmed:
 
 @dataclass(frozen=True)
 class Beside:
-    """Temperatures beside a screw, means over a step, K."""
+    """Temperatures around a screw, means over a step, K."""
 
     #: Of the ambient.
     air: float
-    #: Shape (2,): of what the bearings at the near and the far end conduct to.
+    #: Shape (2,): of the seats of the near and the far bearing.
     seats: Array
 
 
@@ -153,14 +153,14 @@ def conduction_along(rod: Rod, cells: int, ends: tuple[float, float]) -> Conduct
     rod : Rod
         The rod.
     cells : int
-        Two or more.
+        Number of cells, two or more.
     ends : tuple of float
         Conductance of the bearings at both ends to their seats, W/K.
     """
     width = rod.length / cells
     across = rod.material.conductivity * rod.area / width
     capacity = rod.material.density * rod.material.heat_capacity * rod.area * width
-    # From the middle of a cell to its end is half a width.
+    # From the centre of a cell to its end is half a width.
     reaching = 2.0 * across / (2.0 * across + np.array(ends))
     sinks = reaching * ends
     neighbours = np.full(cells, 2.0)
@@ -174,7 +174,7 @@ def conduction_along(rod: Rod, cells: int, ends: tuple[float, float]) -> Conduct
         surface=np.pi * rod.diameter * width,
         sinks=sinks,
         reaching=reaching,
-        # Of an insulated rod the first is zero, up to rounding.
+        # The first rate of an insulated rod is zero, up to rounding.
         rates=np.maximum(rates, 0.0),
         modes=modes,
     )
@@ -190,12 +190,12 @@ def warmed(
     screw : BallScrew
         The screw.
     temperature : ndarray, shape (n,)
-        Of its cells at the start, K.
+        Temperatures of its cells at the start, K.
     beside : Beside
         Temperatures around it.
     times, places : ndarray, shape (k,)
-        Times from the start to the end of the step, s, between which the nut moves evenly, and
-        positions of its middle, m from the fixed bearing.
+        Times from the start to the end of the step, s, between which the nut moves uniformly, and
+        positions of its centre, m from the fixed bearing.
     """
     along, step = screw.conduction, float(times[-1] - times[0])
     film = film_over(screw.film, times, places)
@@ -225,17 +225,17 @@ def warmed(
 def moved_so_far(
     made: BallScrew, way: tuple[float, float, float]
 ) -> tuple[BallScrew, tuple[float, float]]:
-    """Return a screw and positions between which it is heated and cooled as on a longer way, m.
+    """Return a screw and positions between which it has the heat and film of a longer travel, m.
 
-    Per metre between the positions, which are `SHORTEST` apart at least, it takes the heat of all
-    that the nut has gone.
+    The positions are `SHORTEST` apart at least; the heat of the whole travel is spread uniformly
+    between them.
 
     Parameters
     ----------
     made : BallScrew
         The screw.
     way : (float, float, float)
-        Positions between which its nut moves evenly, and how far it has gone, there and back, m.
+        Positions between which its nut moves uniformly, and its travel, to and fro, m.
     """
     start, end, gone = way
     if gone <= abs(end - start):
@@ -267,7 +267,7 @@ def heat_at_ends(heat: Heat, times: Array, places: Array) -> Array:
 def heat_of_nut(screw: BallScrew, times: Array, places: Array) -> Array:
     """Return the mean heat of the nut in each cell (n,) over a step of times and places (k,), W.
 
-    It is spread over the length of the nut wherever this passes, in proportion to its way.
+    Heat is distributed over the length of the nut, in proportion to the travel.
     """
     edges, length = screw.conduction.edges, screw.heat.nut_length
     low, high = np.minimum(places[:-1], places[1:]), np.maximum(places[:-1], places[1:])
@@ -276,7 +276,7 @@ def heat_of_nut(screw: BallScrew, times: Array, places: Array) -> Array:
 
 
 def _below(distance: Array, length: float) -> Array:
-    """Integral of the share of a nut that lies below a point, over the point's distance ahead."""
+    """Integral of the fraction of a nut below a point, over the distance of the point ahead."""
     inside = np.clip(distance + 0.5 * length, 0.0, length)
     return inside**2 / (2.0 * length) + np.maximum(distance - 0.5 * length, 0.0)
 
@@ -289,9 +289,9 @@ def grown(screw: BallScrew, temperature: Array, at: Array) -> Array:
     screw : BallScrew
         The screw.
     temperature : ndarray, shape (..., n)
-        Of its cells, K.
+        Temperatures of its cells, K.
     at : ndarray, shape (..., k)
-        Places, m from the fixed bearing; beyond the ends nothing more grows.
+        Places, m from the fixed bearing; the elongation is constant beyond the ends.
     """
     edges = screw.conduction.edges
     strain = screw.rod.material.expansion * temperature * np.diff(edges)
@@ -304,14 +304,14 @@ def grown(screw: BallScrew, temperature: Array, at: Array) -> Array:
 
 
 def tension(screw: BallScrew, temperature: Array, apart: Array | float = 0.0) -> Array:
-    """Return the tension of a screw, N, (..., k); bearings only pull, so at 0 it is slack.
+    """Return the tension of a screw, N, (..., k); it is slack at 0, as bearings only pull.
 
     Parameters
     ----------
     screw, temperature
         As for `grown`.
     apart : float or ndarray, shape (..., k)
-        How far the seats of its bearings have moved apart, m.
+        Distance by which the seats of its bearings have moved apart, m.
     """
     rod, hold = screw.rod, screw.hold
     if not hold.tension:
@@ -323,10 +323,10 @@ def tension(screw: BallScrew, temperature: Array, apart: Array | float = 0.0) ->
 
 
 def moved(screw: BallScrew, temperature: Array, at: Array, apart: Array | float = 0.0) -> Array:
-    """Return how far places have moved away from the fixed bearing's seat, m, (..., k).
+    """Return the displacement of places away from the fixed bearing's seat, m, (..., k).
 
-    From where they are in the cold screw under its own tension: what warms grows, and what loses
-    tension becomes shorter.
+    It is relative to the cold screw under its own tension, and due to thermal elongation and loss
+    of tension.
 
     Parameters
     ----------

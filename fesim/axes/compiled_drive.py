@@ -1,6 +1,6 @@
 """JIT-compiled steps of ball screws and scales, as in `fesim.axes.positioning`.
 
-Screws of all axes stand in arrays of one shape, cells without a screw being of no effect.
+Screws of all axes are stored in arrays of one shape; cells without a screw have no effect.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ from thermojoint.artefacts.arrays import Array
 
 
 class Drives(NamedTuple):
-    """Drives of a axes; screws of n cells at most."""
+    """Drives of a axes, whose screws have n cells at most."""
 
-    #: Shape (a, 2): where the state of each begins, and its number of cells.
+    #: Shape (a, 2): start of the state of each, and its number of cells.
     state: NDArray[np.int64]
-    #: Shape (a, 11): of each screw, as `fesim.axes.ball_screw` has them: heat capacity and surface
-    #: of a cell; heat and length of the nut; heat of the motor; the film; direction, and the nut
-    #: while the axis is at zero, m from the fixed bearing along the axis.
+    #: Shape (a, 11): parameters of each screw, as in `fesim.axes.ball_screw`: heat capacity and
+    #: surface of a cell; heat and length of the nut; heat of the motor; the film; direction, and
+    #: position of the nut with the axis at zero, m from the fixed bearing along the axis.
     numbers: Array
-    #: Shapes (a, 2): of its ends: sinks, W/K; shares that reach the cells; of bearings, J per m.
+    #: Shapes (a, 2): at its ends: sinks, W/K; fractions that reach the cells; bearings, J per m.
     sinks: Array
     reaching: Array
     bearings: Array
@@ -54,23 +54,25 @@ class Drives(NamedTuple):
     rates: Array
     modes: Array
     rows: Array
-    #: Shape (a, 3): heat that the screw spares, J per m of way; input of its surfaces.
+    #: Shape (a, 3): frictional heat replaced by the screw's, J per m of travel; input of its
+    #: surfaces.
     spared: Array
     column: NDArray[np.int64]
-    #: Shape (a, 3, r): rows of their temperatures.
+    #: Shape (a, 3, r): rows of the temperatures of these surfaces.
     temperature: Array
-    #: Shape (a,): place of a scale in the state, -1 without one; its lag, s; if it follows a probe.
+    #: Shape (a,): index of a scale in the state, -1 without one; lag, s; whether it follows a
+    #: probe.
     scale: NDArray[np.int64]
     lag: Array
     follows: NDArray[np.bool_]
     #: Shape (a, r): row of that probe.
     followed: Array
-    #: Which input is the ambient.
+    #: Index of the ambient among the inputs.
     ambient: int
 
 
 class DriveWork(NamedTuple):
-    """Storage, of n cells."""
+    """Work arrays of n cells."""
 
     heat: Array
     before: Array
@@ -134,7 +136,7 @@ def drives_of(axes: Sequence[Axis], size: int) -> Drives:
 
 
 def drive_work(drives: Drives) -> DriveWork:
-    """Return storage."""
+    """Return work arrays."""
     cells = drives.rates.shape[1]
     return DriveWork(*(np.zeros(size) for size in (*(5 * [cells]), 2)))
 
@@ -148,7 +150,7 @@ def _below(distance: float, length: float) -> float:
 
 @compiled_part
 def _rub(drives: Drives, ways: Ways, step: int, a: int, work: DriveWork) -> tuple[float, float]:
-    """Put the mean heat of cells and ends in a step; return the mean film and the way."""
+    """Compute the mean heat of cells and ends in a step; return the mean film and the travel."""
     numbers, cells, edges = drives.numbers[a], drives.state[a, 1], drives.edges[a]
     begin, end = ways.start[a, step], ways.start[a, step + 1]
     whole, film, way = ways.times[end] - ways.times[begin], 0.0, 0.0
@@ -202,15 +204,15 @@ def warm_screw(
     drives : Drives
         The screws.
     taken : tuple of Ways and int
-        Ways, and the step.
+        Travel of the axes, and index of the step.
     work : DriveWork
-        Storage.
+        Work arrays.
     amplitudes : ndarray, shape (r,)
-        Of the machine at the start.
+        Amplitudes of the machine at the start.
     now : ndarray, shape (d,)
         State of the drives, in place, K.
     inputs : ndarray, shape (k,)
-        Of the step, in place.
+        Inputs of the step, in place.
     """
     ways, step = taken
     air = inputs[drives.ambient]
@@ -256,7 +258,7 @@ def warm_screw(
 def warm_scale(
     drives: Drives, length: float, before: Array, after: Array, air: float, now: Array
 ) -> None:
-    """Take a step of every scale, of a machine with amplitudes (r,) at its start and end."""
+    """Take a step of every scale; `before` and `after` are amplitudes (r,) at its start and end."""
     for a in range(drives.scale.size):
         at = drives.scale[a]
         if at < 0:

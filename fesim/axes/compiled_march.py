@@ -1,8 +1,8 @@
 """JIT-compiled march of a machine on several axes: `fesim.axes.march` for staggered steps.
 
-A step takes screws, heat and contact as the plain one does; what changes with the positions comes
-from tables made once. Joints settle as in `fesim.axes.survey`. A step that may alternate is taken
-twice, for the gain of its map (`fesim.march.stepping`).
+A step treats screws, heat and contact like the plain one; whatever depends on the positions comes
+from tables computed once. Joints are settled as in `fesim.axes.survey`. A step that may alternate
+is taken twice, for the gain of its map (`fesim.march.stepping`).
 """
 
 from __future__ import annotations
@@ -59,35 +59,35 @@ from thermojoint.artefacts.arrays import Array
 class AxesKernel(NamedTuple):
     """Data of a machine on axes."""
 
-    #: Its influences are not used.
+    #: Heat step; its influences are not used.
     heat: HeatStep
     guides: Guides
     drives: Drives
-    #: Of its matrices none is used.
+    #: Joint data; its matrices are not used.
     joint: JointKernel
     #: Its slip is that of the march, in place.
     pads: Pads
-    #: Of u rows: untied displacements of pads, stations, anchors and probes, m/K.
+    #: u rows: untied displacements of pads, stations, anchors and probes, m/K.
     untied: RowBlocks
-    #: Of q rows: the same per W that enters each row of the guides, m.
+    #: q rows: the same per W that enters each row of the guides, m.
     warmed: RowBlocks
-    #: Shapes (m,): heat of running friction per pressure and metre of way in a step, W/(Pa m);
+    #: Shapes (m,): frictional heat of motion per pressure and metre of travel in a step, W/(Pa m);
     #: reference pressure, Pa.
     running: Array
     scale: Array
     watched: Watched
-    #: Of the meshed part in the whole machine.
+    #: Number of copies of the meshed part in the whole machine.
     copies: int
-    #: s.
+    #: Step length, s.
     length: float
 
 
 class AxesWork(NamedTuple):
-    """Storage of a march."""
+    """Work arrays of a march."""
 
     passed: Passed
     drive: DriveWork
-    #: Joints in a step, and in the second one for its gain: with the same C and factors.
+    #: Joints in a step, and in its repetition for the gain: with the same C and factors.
     here: Here
     again: Here
     check: WatchWork
@@ -98,10 +98,10 @@ class AxesWork(NamedTuple):
     packed: Array
     moved: Array
     conducted: Array
-    #: Shapes (r,): amplitudes without exchange, and with it.
+    #: Shapes (r,): amplitudes without and with the exchange.
     without: Array
     amplitudes: Array
-    #: Shapes (m,), Pa, and (q,), W: pressures after a step, and the heat that left the rows in it.
+    #: Shapes (m,), Pa, and (q,), W: pressures after a step, and the heat lost by the rows in it.
     pressure: Array
     left: Array
     #: Shape (3 m,): z + k g, Pa.
@@ -109,7 +109,7 @@ class AxesWork(NamedTuple):
     #: Shapes (d,) and (k,): drives and inputs of a step.
     state: Array
     driven: Array
-    #: False, True: whether there are factors. Of literals, what takes them is compiled twice.
+    #: False, True: whether there are factors. With literals, callees would be compiled twice.
     known: NDArray[np.bool_]
 
 
@@ -118,11 +118,11 @@ class AxesSteps(NamedTuple):
 
     #: Index of the first one in the march.
     first: int
-    #: Shape (n, k): without the heat of friction and of drives.
+    #: Shape (n, k): inputs without the heat of friction and of drives.
     inputs: Array
     ways: Ways
-    #: Combinations of aligned positions, which are around the end of each step (n, c), with their
-    #: weights, and storage for what is free there (k, h + p).
+    #: Combinations of aligned positions; those around the end of each step (n, c), with their
+    #: weights; storage for free gaps and probes there (k, h + p).
     table: CornerTable
     touched: NDArray[np.int64]
     weight: Array
@@ -156,7 +156,7 @@ class AxesRecord(NamedTuple):
     displacement: Array
     remainder: Array
     residual: Array
-    #: Negative of steps that are not taken.
+    #: Negative for steps not taken.
     iterations: NDArray[np.int64]
 
 
@@ -166,7 +166,7 @@ def march_axes(
 ) -> None:
     """March through steps into `record`; `now` is the state after the last one.
 
-    Fewer than n are taken if the plain method must judge the next one.
+    Fewer than n are taken if the plain method must take the next one.
 
     Raises
     ------
@@ -213,7 +213,7 @@ def march_axes(
 def _step(
     machine: AxesKernel, work: AxesWork, steps: AxesSteps, n: int, now: AxesState
 ) -> tuple[bool, float, int]:
-    """Whether heat, then contact find a step that leaves no body loose; residual, iterations."""
+    """Take heat, then contact: success without a loose body, residual, iterations."""
     guides, passed, joint, pressure = machine.guides, work.passed, machine.joint, work.pressure
     put(now.amplitudes, work.without)
     drive(machine.heat, work.without, work.driven)
@@ -238,9 +238,9 @@ def _step(
 def _dies_out(
     machine: AxesKernel, work: AxesWork, steps: AxesSteps, n: int, now: AxesState
 ) -> bool:
-    """Whether steps cease to turn while inputs and ways are held; `now` is as before then.
+    """Whether alternation decays at constant inputs and travel; `now` is restored afterwards.
 
-    Where they do not soon, `fesim.march.stepping` looks whether they oscillate.
+    If it does not soon, `fesim.march.stepping` checks whether the steps oscillate.
     """
     joint, turning, quiet = now.joint, np.zeros_like(now.turning), 0
     amplitudes, gap, slip = now.amplitudes.copy(), joint.gap.copy(), joint.slip.copy()
@@ -264,7 +264,7 @@ def _dies_out(
 
 @compiled_part
 def _rub(machine: AxesKernel, work: AxesWork, pressure: Array) -> None:
-    """Put the heat of running friction, of rows and among the inputs."""
+    """Compute the frictional heat of motion of the rows and among the inputs."""
     guides, heat = machine.guides, work.conducted
     axes = guides.first.size - 1
     fill(heat, 0.0)
@@ -279,7 +279,7 @@ def _rub(machine: AxesKernel, work: AxesWork, pressure: Array) -> None:
 
 @compiled_part
 def _displace(machine: AxesKernel, work: AxesWork, steps: AxesSteps, n: int) -> None:
-    """Put the untied displacements that the places around need."""
+    """Compute the untied displacements that the surrounding aligned positions need."""
     table, touched, weight = steps.table, steps.touched[n], steps.weight[n]
     held, count, size = machine.pads.held, work.pressure.size, work.alone.size
     others = table.anchored.shape[2] + table.probes.shape[1]
@@ -300,7 +300,7 @@ def _displace(machine: AxesKernel, work: AxesWork, steps: AxesSteps, n: int) -> 
 
 @compiled_part
 def _open(pads: Pads, steps: AxesSteps, n: int, alone: Array, here: Here) -> None:
-    """Put the gaps and the probes without contact where the axes stand."""
+    """Compute gaps and probes without contact at the position of the axes."""
     table, touched, weight = steps.table, steps.touched[n], steps.weight[n]
     for c in range(touched.size):
         if weight[c] != 0.0:
@@ -319,7 +319,7 @@ def _open(pads: Pads, steps: AxesSteps, n: int, alone: Array, here: Here) -> Non
 def _settle(
     machine: AxesKernel, work: AxesWork, steps: AxesSteps, n: int, now: AxesState
 ) -> tuple[float, int]:
-    """Settle the joints where the axes stand: the error left, m, or NaN; iterations."""
+    """Settle the joints at the position of the axes: the error left, m, or NaN; iterations."""
     here, pads, table = work.here, machine.pads, steps.table
     touched, weight = steps.touched[n], steps.weight[n]
     _open(pads, steps, n, work.alone, here)
@@ -327,7 +327,7 @@ def _settle(
     unpacked(work.packed, here.compliance)
     mixed(table.probes.reshape(len(table.probes), -1), touched, weight, work.moved)
     gap, change = now.joint.gap.reshape(-1), now.joint.change.reshape(-1)
-    # Where axes move, gaps do not go on as they did.
+    # While axes move, gaps do not continue their last change.
     moves = largest(work.passed.length) > 0.0
     for i in range(pads.held.size):
         at = pads.held[i]
@@ -348,7 +348,7 @@ def _turns(turning: Array, element: int) -> bool:
 
 @compiled_part
 def _may_alternate(turning: Array, above: float) -> bool:
-    """Whether any element is, with an increment above some."""
+    """Whether any element is suspected, with an increment above a limit."""
     doubtful = False
     for e in range(turning.shape[1]):
         doubtful = doubtful or (_turns(turning, e) and abs(turning[0, e]) > above)

@@ -1,4 +1,4 @@
-"""JIT-compiled time shares of aligned positions, as `fesim.axes.occupation` has them."""
+"""JIT-compiled time shares of aligned positions, as in `fesim.axes.occupation`."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ def add_shares(
     square: Array,
     both: Array,
 ) -> None:
-    """Add the shares of an even way between two positions (m) that takes a part of the time.
+    """Add the shares of a uniform motion between two positions (m) that takes a part of the time.
 
     Parameters
     ----------
     positions : ndarray, shape (k,)
         As for `fesim.axes.occupation.even`.
     ends : tuple of float
-        Between which the axis moves, m.
+        Positions between which the axis moves, m.
     time : float
         Part of the time.
     mean, square, both : ndarray, shapes (k,), (k,) and (k - 1,) or longer

@@ -1,10 +1,10 @@
 """JIT-compiled heat step of pads that pass several places: `fesim.march.passing` for axes.
 
-The temperatures of the rows that are touched solve (I + S L) T = w + S f, with w those without heat
-of the rows and f that of friction; q = L T leaves them. Each axis has pads and stations of its own,
-and a step takes heat hardly from one guide to another: the part of each axis is factorised alone,
-and what is left of the others' influence goes in by iteration. Where that does not converge the
-whole is one part.
+The temperatures of the touched rows solve (I + S L) T = w + S f, with w those without heat of the
+rows and f the frictional heat; q = L T is the heat they lose. Each axis has its own pads and
+stations, and a step transfers hardly any heat from one guide to another: the part of each axis is
+factorised alone, and the influence of the others is added by iteration. If that does not converge,
+the whole is one part.
 """
 
 from __future__ import annotations
@@ -25,26 +25,26 @@ from fesim.joint.in_place import fill
 from fesim.joint.linear_system import factorise_columns, solve_again
 from thermojoint.artefacts.arrays import Array, Flags
 
-#: What the iteration may leave: in a step, relative to the warmest row; in a second one that only
-#: shows a gain, relative to what it begins with. Most iterations.
+#: Limits of the iteration's error: in a step, relative to the warmest row; in a repetition that
+#: only serves for the gain, relative to its initial error. Most iterations.
 LEFT, ROUGHLY, MOST = 1e-10, 1e-2, 40
-#: An iteration that leaves no more than this share of what may be left, at the rate of the one
-#: before, is the last one.
+#: An iteration whose error, at the rate of the one before, is below this fraction of the limit is
+#: the last one.
 SURELY = 0.1
 
 
 class Guides(NamedTuple):
-    """Which rows m contact elements touch along a axes; p aligned positions of all axes in all."""
+    """Rows that m contact elements touch along a axes; p aligned positions of all axes together."""
 
-    #: Shapes (p,) and (a + 1,): aligned positions, m, one axis after the other, and where each
-    #: begins.
+    #: Shapes (p,) and (a + 1,): aligned positions, m, one axis after the other, and start of each
+    #: axis.
     positions: Array
     first: NDArray[np.int64]
-    #: Shape (p, m): row of the station under each contact element; not of those that ride on
-    #: another axis, or on none.
+    #: Shape (p, m): row of the station under each contact element; undefined for those on another
+    #: axis or on none.
     place: NDArray[np.int64]
-    #: Shapes (m,) and (a + 2,): contact elements, those of each axis one after the other and then
-    #: those that ride on none, and where each of these groups begins.
+    #: Shapes (m,) and (a + 2,): contact elements, grouped by axis, then those on no axis, and start
+    #: of each of these groups.
     riding: NDArray[np.int64]
     group: NDArray[np.int64]
     #: Of q rows, twice, and of shape (q, q), once whole and once as rows: as in
@@ -56,39 +56,39 @@ class Guides(NamedTuple):
 
 
 class Ways(NamedTuple):
-    """Ways of a axes in n steps: t times at which one of them may turn."""
+    """Travel of a axes in n steps, with t times between which it is uniform."""
 
-    #: Shapes (t,): s, and m.
+    #: Shapes (t,): times, s, and positions, m.
     times: Array
     positions: Array
-    #: Shape (a, n + 1): which of these is the start of each step; the last, the end.
+    #: Shape (a, n + 1): index of the start of each step among these; last, the end.
     start: NDArray[np.int64]
-    #: Shape (a, n): what an axis has gone beyond that, there and back, m.
+    #: Shape (a, n): travel of an axis in excess of that, to and fro, m.
     more: Array
 
 
 class Passed(NamedTuple):
-    """Who touches what in a step, and storage; written in place."""
+    """Contacts in a step, and work arrays; written in place."""
 
     #: Shapes (p,): shares of the aligned positions, as in `fesim.axes.occupation.Shares`.
     mean: Array
     square: Array
     both: Array
-    #: Shape (a, 2): the first aligned position that is touched, and that after the last.
+    #: Shape (a, 2): index of the first touched aligned position, and that after the last.
     reached: NDArray[np.int64]
-    #: Shape (a,): ways, m.
+    #: Shape (a,): travel, m.
     length: Array
-    #: Shapes (q,) and (a + 2,): rows that are touched, group by group, and where each begins.
+    #: Shapes (q,) and (a + 2,): touched rows, group by group, and start of each group.
     rows: NDArray[np.int64]
     begin: NDArray[np.int64]
-    #: Shapes (q,): which of these a row is, and whether it is any.
+    #: Shapes (q,): index of a row among these, and whether it is touched.
     local: NDArray[np.int64]
     touched: Flags
     #: Shapes (q q,) and (q,): factors of I + L S of the groups, and their pivots.
     system: Array
     pivots: NDArray[np.int32]
-    #: Shape (q,): heat of friction that enters the rows, W; their temperatures without heat of the
-    #: rows, and with it, K; heat that leaves them by the exchange, and all that enters, W; storage.
+    #: Shape (q,): frictional heat that enters the rows, W; their temperatures without and with the
+    #: heat of the rows, K; heat lost by the exchange, and net heat that enters, W; work arrays.
     rubbed: Array
     warm: Array
     found: Array
@@ -118,7 +118,7 @@ def guides_of(stations: GuideStations, rows: BodyRows, joint_influence: Array) -
 
 
 def new_passed(guides: Guides) -> Passed:
-    """Return storage."""
+    """Return work arrays."""
     count, axes, size = guides.positions.size, guides.first.size - 1, len(guides.joint_influence)
     shares: list[Any] = [np.zeros(count) for _ in range(3)]
     whole = size * size
@@ -133,7 +133,7 @@ def new_passed(guides: Guides) -> Passed:
 
 @compiled_part
 def go(guides: Guides, ways: Ways, step: int, passed: Passed) -> None:
-    """Put what is passed in a step: shares, ways, and rows that are touched."""
+    """Compute the contacts of a step: shares, travel and touched rows."""
     fill(passed.mean, 0.0)
     fill(passed.square, 0.0)
     fill(passed.both, 0.0)
@@ -159,7 +159,7 @@ def go(guides: Guides, ways: Ways, step: int, passed: Passed) -> None:
 
 @compiled_part
 def _go_along(guides: Guides, ways: Ways, step: int, axis: int, passed: Passed) -> tuple[int, int]:
-    """Put shares and way of an axis; return which positions it touches."""
+    """Compute shares and travel of an axis; return the range of positions that it touches."""
     low, high = guides.first[axis], guides.first[axis + 1]
     positions = guides.positions[low:high]
     mean, square, both = passed.mean[low:high], passed.square[low:high], passed.both[low:high]
@@ -181,7 +181,7 @@ def _go_along(guides: Guides, ways: Ways, step: int, axis: int, passed: Passed) 
 
 @compiled_part
 def rub(guides: Guides, passed: Passed, heat: Array) -> None:
-    """The heat of friction of each row, W, of (m,) contact elements: one half enters each side."""
+    """Frictional heat of each row, W, from (m,) contact elements: one half enters each side."""
     fill(passed.rubbed, 0.0)
     for axis in range(guides.first.size - 1):
         for e in guides.riding[guides.group[axis] : guides.group[axis + 1]]:
@@ -193,9 +193,9 @@ def rub(guides: Guides, passed: Passed, heat: Array) -> None:
 
 @compiled_part
 def _leave(guides: Guides, passed: Passed, conducted: Array) -> None:
-    """Put q = L T, and what enters the rows with the heat of friction."""
+    """Compute q = L T, and the net heat of the rows with friction."""
     found, leaving, last = passed.found, passed.leaving, guides.first.size - 1
-    # Read once: what a named tuple has is counted wherever it is read.
+    # Read once: each access to a named tuple's array changes its reference count.
     place, means, squares, boths = guides.place, passed.mean, passed.square, passed.both
     riding, groups, reached = guides.riding, guides.group, passed.reached
     fill(leaving, 0.0)
@@ -221,7 +221,7 @@ def _leave(guides: Guides, passed: Passed, conducted: Array) -> None:
 
 @compiled_part
 def _factorise(guides: Guides, passed: Passed, conducted: Array, first: int, after: int) -> None:
-    """Solve for some groups of rows alone, and keep the factors."""
+    """Solve some groups of rows alone, and keep the factors."""
     begin, end = passed.begin[first], passed.begin[after]
     system, near, found = _part(passed, begin, end)
     rows, influence, warm = passed.rows[begin:end], guides.joint_influence, passed.warm
@@ -259,7 +259,7 @@ def _factorise(guides: Guides, passed: Passed, conducted: Array, first: int, aft
     for i in range(size):
         add_product(near, passes[i], system[i])
         system[i, i] += 1.0
-    # Row after row, I + L S is I + S L column after column: both are symmetric.
+    # In row order, I + L S is I + S L in column order: both are symmetric.
     factorise_columns(system, passed.pivots[begin:end], found)
     for i in range(size):
         passed.found[rows[i]] = found[i]
@@ -267,7 +267,7 @@ def _factorise(guides: Guides, passed: Passed, conducted: Array, first: int, aft
 
 @compiled_part
 def _part(passed: Passed, begin: int, end: int) -> tuple[Array, Array, Array]:
-    """Storage of the factors of some rows, of their S, and of a right side."""
+    """Work arrays for the factors of some rows, their S, and a right side."""
     size, total = end - begin, passed.begin[passed.begin.size - 1]
     at = begin * total
     system = passed.system[at : at + size * size].reshape(size, size)
@@ -276,12 +276,12 @@ def _part(passed: Passed, begin: int, end: int) -> tuple[Array, Array, Array]:
 
 @compiled_part
 def _refine(guides: Guides, passed: Passed, conducted: Array, groups: int, again: bool) -> bool:
-    """Whether iterations with the factors of so many parts of the rows solve for T and q."""
+    """Whether iterations with the factors of `groups` parts of the rows converge to T and q."""
     rows, begin = passed.rows, passed.begin
     total = begin[begin.size - 1]
     before, enough = 0.0, LEFT * largest(passed.warm)
     for i in range(total):
-        # What the heat of the rows does: of it, others' influence is what is left open.
+        # Effect of the heat of the rows; what the factors omit, others' influence, is part of it.
         before = max(before, abs(passed.found[rows[i]] - passed.warm[rows[i]]))
     for iteration in range(MOST):
         _leave(guides, passed, conducted)
@@ -312,18 +312,18 @@ def _refine(guides: Guides, passed: Passed, conducted: Array, groups: int, again
 
 @compiled_part
 def exchange(guides: Guides, passed: Passed, conducted: Array, again: bool) -> bool:
-    """Whether T and q are found: without new factors where it is done `again`.
+    """Solve for T and q, without new factors if `again`; return success.
 
     Parameters
     ----------
     guides : Guides
         The rows.
     passed : Passed
-        With w and what is touched.
+        Contacts of the step, and w.
     conducted : ndarray, shape (m,)
         Conductance times area of the contact elements, W/K.
     again : bool
-        Whether `passed` has factors and T of other conductances in the same step.
+        Whether `passed` contains factors and T for other conductances in the same step.
     """
     groups = passed.begin.size - 1
     if not again:
@@ -337,12 +337,12 @@ def exchange(guides: Guides, passed: Passed, conducted: Array, again: bool) -> b
 
 @compiled_part
 def enter(guides: Guides, passed: Passed, amplitudes: Array) -> None:
-    """Add to amplitudes (r,) without exchange what friction and the exchange do."""
+    """Add the effect of friction and exchange to amplitudes (r,) without them."""
     add_rows(guides.influence, passed.touched, passed.entering, amplitudes)
 
 
 @compiled_part
 def warm(guides: Guides, passed: Passed, amplitudes: Array) -> None:
-    """Put temperatures of amplitudes (r,) without heat of the rows."""
+    """Compute temperatures of the rows without their heat from amplitudes (r,)."""
     fill(passed.warm, 0.0)
     multiply(guides.temperature, passed.touched, amplitudes, passed.warm)

@@ -1,7 +1,7 @@
 """JIT-compiled products with rows of the modes of one body each (`fesim.axes.row_blocks`).
 
-A product with a block of rows reads it as it is stored, and takes two fifths of the time of as many
-products with one row each.
+A product with a block of rows reads it in storage order, and takes two fifths of the time of
+products with its single rows.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from thermojoint.artefacts.arrays import Array, Flags
 
 @compiled_part
 def multiply(blocks: RowBlocks, wanted: Flags, vector: Array, into: Array) -> None:
-    """Put the products of the wanted rows (k,) with a vector (n,); those that are zero stay."""
+    """Write products of the wanted rows (k,) with a vector (n,); rows without entries are kept."""
     for b in range(len(blocks.where)):
         begin, end, low, high, at = blocks.where[b]
         block = blocks.entries[at : at + (end - begin) * (high - low)]

@@ -1,10 +1,10 @@
 """Elastic condensation at aligned positions of axes, from pieces condensed once.
 
 Every piece is factorised once and solved for its own rows: pads, stations of the guides, anchors,
-probes. Where all axes are aligned, each contact element is tied to its station, which is a small
-dense system (`fesim.solid.substructures.tied`), as in a machine that is meshed there. Several axes
-have too many such combinations to tie them all: each is tied when it is first wanted.
-Between aligned positions the tied matrices are interpolated (`fesim.axes.guideway`).
+probes. If all axes are aligned, each contact element is tied to its station: a small dense system
+(`fesim.solid.substructures.tied`), equivalent to a machine meshed at that position. Several axes
+have too many such combinations to tie them all: each is tied when it is first needed. Between
+aligned positions the tied matrices are interpolated (`fesim.axes.guideway`).
 """
 
 from __future__ import annotations
@@ -22,30 +22,30 @@ from fesim.solid.condensation import ElasticCondensation, elastic_condensation
 from fesim.solid.substructures import Substructure, UntiedCondensation, tied, untied
 from thermojoint.artefacts.arrays import Array
 
-#: Which aligned position of every axis.
+#: Index of the aligned position of every axis.
 Corner = tuple[int, ...]
-#: Numbers in the condensations that are kept: 0.8 GB; and how many are in any case.
+#: Numbers in the stored condensations (0.8 GB), and least number of condensations.
 KEPT_NUMBERS, KEPT = 100_000_000, 64
 
 
 @dataclass(frozen=True, eq=False)
 class Ties:
-    """What aligned positions tie, each when it is first wanted: m contact elements, n stations."""
+    """Ties at aligned positions, made when first needed: m contact elements, n stations."""
 
-    #: Shape (q,): of the rows condensed apart, N/m: none of 3 m of pads and 3 n of stations, then
-    #: of anchors.
+    #: Shape (q,): springs of the rows condensed apart, N/m: zero for 3 m of pads and 3 n of
+    #: stations, then those of anchors.
     springs: Array
-    #: Shape (q + p, q): of these rows and p probes, m/N.
+    #: Shape (q + p, q): compliance of these rows and p probes, m/N.
     compliance: Array
     #: Shape (k, m): as in `fesim.axes.operators.GuidedOperators`.
     place: tuple[NDArray[np.int64], ...]
-    #: Shape (m,): of the contact elements, m2.
+    #: Shape (m,): areas of the contact elements, m2.
     area: Array
     #: Shape (3 m,): stiffness of the reference springs, Pa/m.
     reference: Array
 
     def __post_init__(self) -> None:
-        """Keep what is tied."""
+        """Create the caches."""
         probes = len(self.compliance) - self.springs.size
         ties = self.reference.size + self.springs.size - self.guided
         each = (self.reference.size + probes) * (self.reference.size + ties + probes)
@@ -54,7 +54,7 @@ class Ties:
             object.__setattr__(self, name, lru_cache(maxsize=kept)(made))
 
     def __reduce__(self) -> tuple[type[Ties], tuple[object, ...]]:
-        """Return what makes it anew in another process."""
+        """Return the constructor and arguments for pickling."""
         return Ties, tuple(getattr(self, field.name) for field in fields(self))
 
     @property
@@ -68,12 +68,12 @@ class Ties:
         return 1 + max(int(place.max(initial=-1)) for place in self.place)
 
     def own(self, corner: Corner) -> csr_array:
-        """Return ties where all axes are aligned, then probes, on the rows condensed apart."""
+        """Return ties at an aligned position, then probes, on the rows condensed apart."""
         rows: csr_array = vars(self)["_own"](corner)
         return rows
 
     def at(self, corner: Corner) -> ElasticCondensation:
-        """Return the condensation where all axes are aligned, on what its own rows do untied."""
+        """Return the condensation at an aligned position, on its rows' untied displacements."""
         elastic: ElasticCondensation = vars(self)["_tied"](corner)
         return elastic
 
@@ -88,17 +88,18 @@ class Ties:
 
 @dataclass(frozen=True, eq=False)
 class TiedCondensations:
-    """Condensations where all axes are aligned, on what is `felt` there of r temperatures.
+    """Condensations at aligned positions, on the displacements `felt` there of r temperatures.
 
-    They are small, because each is on its own rows and the probes as the temperatures displace them
+    They are small, because the columns are the untied displacements of their own rows and of the
+    probes, not the temperatures.
     untied, not on the temperatures.
     """
 
-    #: Of the structure.
+    #: Ties of the structure.
     ties: Ties
-    #: Shape (q + p, r): what the temperatures do to the rows condensed apart and the probes, m/K.
+    #: Shape (q + p, r): displacement of the rows condensed apart and the probes, m/K.
     thermal: Array
-    #: Factor on the elastic modulus of everything that `ties` has.
+    #: Factor on the elastic modulus of everything in `ties`.
     modulus: float = 1.0
 
     def __getitem__(self, corner: Corner, /) -> ElasticCondensation:
@@ -106,19 +107,19 @@ class TiedCondensations:
         return elastic if self.modulus == 1.0 else elastic.strained(self.modulus, 1.0)
 
     def alone(self, temperatures: Array, /) -> Array:
-        """Return displacements of all rows, pads, stations, anchors and probes, untied."""
+        """Return untied displacements of all rows: pads, stations, anchors and probes."""
         return np.asarray(self.thermal @ temperatures)
 
     def felt(self, corner: Corner, alone: Array, /) -> Array:
-        """Return the displacements of the ties at aligned positions and of the probes."""
+        """Return the displacements of the ties at an aligned position and of the probes."""
         return np.asarray(self.ties.own(corner) @ alone)
 
     def rows(self, corner: Corner, /) -> NDArray[np.int64]:
-        """Return which rows of the untied displacements `felt` takes."""
+        """Return the rows of the untied displacements that `felt` uses."""
         return np.asarray(self.ties.own(corner).indices)
 
     def turned(self, rows: Callable[[Array], Array]) -> TiedCondensations:
-        """Return them on other temperatures, by what becomes of rows (..., r)."""
+        """Return them on other temperatures; `rows` transforms rows (..., r)."""
         return replace(self, thermal=rows(self.thermal))
 
     def strained(self, modulus: float, expansion: float) -> TiedCondensations:
@@ -146,7 +147,7 @@ def condense_apart(
     operators : GuidedOperators
         Pads and stations.
     probes : scipy.sparse.csr_array, shape (p, n)
-        Rows that give each probed displacement.
+        Rows of the displacement probes.
     temperatures : int
         n_heat.
     """
@@ -155,12 +156,12 @@ def condense_apart(
 
 
 def condense_aligned(ties: Ties, own: csr_array) -> ElasticCondensation:
-    """Return the condensation where all axes are aligned, on what ties and probes do untied.
+    """Return the condensation at an aligned position, on untied displacements of ties and probes.
 
     Parameters
     ----------
     ties : Ties
-        Of the structure.
+        Ties of the structure.
     own : scipy.sparse.csr_array, shape (t + p, q + p)
         The t ties there, and the p probes, on the rows condensed apart and the probes.
 

@@ -1,10 +1,10 @@
-"""Tied combinations of aligned positions, one after the other in contiguous arrays.
+"""Tied combinations of aligned positions in contiguous arrays.
 
-A combination is small once what follows from its compliance C is left out. With the springs D of
-the ties, untied displacements u of ties and v of probes, and compliance P of the probes, what the
-temperatures do is u - C D u at the gaps and v - P D u at the probes (`fesim.solid.substructures`);
-so only the columns of the anchors are kept of it. C is symmetric, and its rows along an axis, where
-a joint holds nothing, are zero.
+A combination is small without the terms that follow from its compliance C. With the springs D of
+the ties, untied displacements u of ties and v of probes, and compliance P of the probes, thermal
+displacements are u - C D u at the gaps and v - P D u at the probes (`fesim.solid.substructures`);
+so only the columns of the anchors are stored. C is symmetric, and its rows along an axis, where a
+joint does not hold, are zero.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from fesim.axes.occupation import STILL
 from fesim.solid.condensation import ElasticCondensation
 from thermojoint.artefacts.arrays import Array
 
-#: Combinations that are kept packed, at most, and numbers in them: 0.4 GB.
+#: Largest number of stored packed combinations, and of numbers in them: 0.4 GB.
 KEPT, KEPT_NUMBERS = 4096, 50_000_000
 
 
 class CornerTable(NamedTuple):
-    """Combinations of aligned positions of m contact elements, of which h rows hold something."""
+    """Combinations of aligned positions of m contact elements, with h restrained gap rows."""
 
     #: Shape (k, h (h + 1) / 2): upper triangle of C, row after row, m/N.
     compliance: Array
@@ -42,16 +42,16 @@ class CornerTable(NamedTuple):
 class Around(NamedTuple):
     """Combinations of aligned positions around n places."""
 
-    #: The combinations, each once.
+    #: Distinct combinations.
     corners: list[Corner]
-    #: Shape (n, c): which of them are around each place.
+    #: Shape (n, c): index of the combinations around each place.
     touched: NDArray[np.int64]
-    #: Shape (n, c): their weights; of a combination that is not needed, zero.
+    #: Shape (n, c): their weights; zero if a combination is not needed.
     weight: Array
 
 
 def around(stations: GuideStations, places: Array) -> Around:
-    """Return what is around places (n, axes), m, as `GuideStations.corners` of each."""
+    """Return the combinations around places (n, axes), m, as `GuideStations.corners` of each."""
     low, share = [], []
     for positions, at in zip(stations.positions, places.T, strict=True):
         last = len(positions) - 1
@@ -66,7 +66,7 @@ def around(stations: GuideStations, places: Array) -> Around:
     above, upper = np.array(share).T[:, None], up[None] == 1
     weight = np.where(upper, above, 1.0 - above).prod(axis=2)
     index = np.ravel_multi_index(tuple(np.moveaxis(np.array(low).T[:, None] + up, -1, 0)), shape)
-    # A combination without weight need not be tied: the heaviest one stands in its place.
+    # A combination of zero weight need not be tied: the heaviest one takes its place.
     heaviest = np.take_along_axis(index, weight.argmax(axis=1)[:, None], axis=1)
     used, touched = np.unique(np.where(weight > 0.0, index, heaviest), return_inverse=True)
     corners = [tuple(map(int, np.unravel_index(one, shape))) for one in used]
@@ -74,7 +74,7 @@ def around(stations: GuideStations, places: Array) -> Around:
 
 
 class CornerTables:
-    """Tables of the combinations that are wanted, each packed when it is first wanted."""
+    """Tables of the requested combinations, each packed when first needed."""
 
     def __init__(self, guideway: Guideway) -> None:
         elastic, self.guideway = guideway.first, guideway
@@ -85,8 +85,8 @@ class CornerTables:
         for k, own in enumerate(groups):
             group[own] = k
         group = group[rows % count]
-        #: Rows of the gaps that hold something, one group of contact elements after the other, and
-        #: where each begins.
+        #: Restrained gap rows, one group of contact elements after the other, and start of each
+        #: group.
         self.held = rows[np.argsort(group, kind="stable")]
         self.begin = np.searchsorted(np.sort(group), np.arange(len(groups) + 1))
         self._anchors = slice(gaps, elastic.thermal_gap.shape[1] - probes)

@@ -1,4 +1,4 @@
-"""What a response says of moving axes: positions, displacements asked for, lines, drives."""
+"""Results of moving axes in a response: positions, requested displacements, lines, drives."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ Values = dict[str, np.ndarray]
 
 
 class Mapped(NamedTuple):
-    """Displacement probes where the axes do not stand, at the end of steps."""
+    """Displacement probes at other positions than those of the axes, at the ends of steps."""
 
     #: Shape (n, c, p): of n steps, at the c positions of `elsewhere`.
     asked: Array
-    #: Shape (t, v, p): at the points of the volume, at the t times asked for among the steps.
+    #: Shape (t, v, p): at the points of the volume, at the t requested times among the steps.
     volume: Array
     #: Shape (t, v): largest error of the gaps there, m.
     residual: Array
 
 
 def mapped(ready: MovingSetup, track: Track) -> Mapped:
-    """Return the displacement probes of each step where the axes do not stand."""
+    """Return the displacement probes of each step at other positions of the axes."""
     steps = [track.step(at) for at in range(len(track))]
     stands = [_stands(ready, step.state.index) for step in steps]
     asked = [
@@ -57,27 +57,27 @@ def mapped(ready: MovingSetup, track: Track) -> Mapped:
 
 
 def _stands(ready: MovingSetup, index: int) -> Place:
-    """Where the axes stand after some steps, m."""
+    """Position of the axes after a number of steps, m."""
     return place_of(ready.axes, index * ready.moving.machine.thermal.step)
 
 
 def _surveyed(ready: MovingSetup, track: Track) -> np.ndarray:
-    """Which steps of a track are asked about the volume."""
+    """Steps of a track at which the volume is requested."""
     return np.flatnonzero(np.isin(track.index, ready.volume.steps))
 
 
 def elsewhere(ready: MovingSetup, stands: Place) -> list[Place]:
-    """Return the positions that a step is asked about, where the axes stand at some, m.
+    """Return the further positions at which a step is evaluated, with the axes at `stands`, m.
 
-    One axis after the other is at those asked for, then one after the other where its drive is set
-    right; the others stand.
+    One axis after the other is at its requested positions, then one after the other at the position
+    at which the error of its drive is zero; the others stay.
     """
     asked = [(a, float(at)) for a, axis in enumerate(ready.axes) for at in axis.asked]
     return [(*stands[:a], at, *stands[a + 1 :]) for a, at in [*asked, *_set_right(ready)]]
 
 
 def _set_right(ready: MovingSetup) -> list[tuple[int, float]]:
-    """Which axes have a drive that is set right somewhere, and where, m."""
+    """Axes whose drive has a zero position, and that position, m."""
     drives = [(a, axis.drive) for a, axis in enumerate(ready.axes)]
     return [(a, drive.zero) for a, drive in drives if drive is not None and drive.zero is not None]
 
@@ -92,11 +92,11 @@ def course_values(
     ready : MovingSetup
         The set-up.
     times : ndarray, shape (n,)
-        s.
+        Times, s.
     track : Track
         Steps that end at these times.
     there : Mapped
-        By `mapped`.
+        Result of `mapped`.
     """
     count, axes = len(DIRECTIONS), ready.axes
     stands = [_stands(ready, index) for index in track.index]
@@ -145,7 +145,7 @@ def course_values(
 
 
 def _volume_values(ready: MovingSetup, states: Array, zeros: Array, probes: Array) -> Values:
-    """Variables at the points of the volume (v, a), by probes (t, v, p) in states (t, d)."""
+    """Variables at the points of the volume (v, a), from probes (t, v, p) in states (t, d)."""
     count, places = len(DIRECTIONS), ready.volume.places
     at = np.broadcast_to(places, (len(states), *places.shape))
     errors = _errors(ready, states, at, probes) - zeros
@@ -158,13 +158,13 @@ def _volume_values(ready: MovingSetup, states: Array, zeros: Array, probes: Arra
 
 
 def _by_axis(ready: MovingSetup, values: Array) -> list[Array]:
-    """Of values (n, 1 + c, ...) where axes stand and `elsewhere`, those asked for of each axis."""
+    """Values at the requested positions of each axis, of (n, 1 + c, ...) at all positions."""
     ends = 1 + np.cumsum([axis.asked.size for axis in ready.axes])
     return _even(np.split(values, [1, *ends], axis=1)[1:-1], axis=1)
 
 
 def _even(parts: Sequence[Array], axis: int = 0) -> list[Array]:
-    """Make arrays equally long along an axis: shorter ones repeat their last values."""
+    """Pad arrays to equal length along an axis by repeating their last values."""
     most = max(part.shape[axis] for part in parts)
     return [
         np.take(part, np.minimum(np.arange(most), part.shape[axis] - 1), axis) for part in parts
@@ -174,7 +174,7 @@ def _even(parts: Sequence[Array], axis: int = 0) -> list[Array]:
 def _errors(ready: MovingSetup, states: Array, places: Array, probes: Array) -> Array:
     """Positioning errors (n, c, a) in states (n, d) at places (n, c, a) with probes (n, c, p).
 
-    Not yet less those where drives are set right.
+    The errors at the zero positions of the drives are not subtracted yet.
     """
     errors = np.zeros(places.shape)
     for a, (axis, part) in enumerate(zip(ready.axes, parts_of(ready.axes), strict=True)):
@@ -185,7 +185,7 @@ def _errors(ready: MovingSetup, states: Array, places: Array, probes: Array) -> 
 
 
 def _zeros(ready: MovingSetup, errors: Array) -> Array:
-    """Errors (n, 1, a) of each axis where its drive is set right, of those (n, 1 + c, a) there."""
+    """Errors (n, 1, a) of each axis at its zero position, from all errors (n, 1 + c, a)."""
     zeros, there = np.zeros((len(errors), 1, len(ready.axes))), _set_right(ready)
     for k, (a, _) in enumerate(there, errors.shape[1] - len(there)):
         zeros[:, 0, a] = errors[:, k, a]
@@ -220,7 +220,7 @@ def _drive_values(
 
 
 def _screw_values(drive: Drive | None, states: Array, probes: Array) -> tuple[Array, Array, Array]:
-    """Cells (k,), m, their temperatures (n, k), K, and the tension (n,), N, of an axis's screw."""
+    """Cells (k,), m, their temperatures (n, k), K, and tension (n,), N, of an axis's screw."""
     count = len(states)
     if drive is None or (screw := drive.screw) is None:
         return np.zeros(1), np.zeros((count, 1)), np.zeros(count)

@@ -1,6 +1,6 @@
-"""What the pads of axes ride along: elasticity at aligned positions, temperatures of stations.
+"""Guides of the axes' pads: elasticity at aligned positions, temperatures of stations.
 
-Where all axes are aligned the machine is that condensed there; between aligned positions its
+If all axes are aligned, the machine is the one condensed there; between aligned positions its
 elasticity is interpolated, linearly along each axis. In a step a contact element touches the
 stations that it passes, each for its share of the time (docs/moving-axes.md).
 """
@@ -26,14 +26,14 @@ from thermojoint.artefacts.arrays import Array
 
 #: Position of every axis, m.
 Place = tuple[float, ...]
-#: Ways whose passages are kept ready: those of the steps of some runs.
+#: Number of cached passages: enough for the steps of some runs.
 KEPT = 1024
 
 
 class Passage(NamedTuple):
-    """What contact elements pass on an even way."""
+    """Contacts of contact elements in a uniform motion."""
 
-    #: Of each axis: how long it is at its aligned positions.
+    #: Of each axis: time shares of its aligned positions.
     shares: tuple[Shares, ...]
     #: Products of rows that exchange heat.
     touches: Touches
@@ -63,37 +63,37 @@ class GuideStations:
 
     @cached_property
     def riding(self) -> tuple[NDArray[np.int64], ...]:
-        """Contact elements that pass stations, of every axis."""
+        """Contact elements of every axis that pass stations."""
         return tuple(np.flatnonzero(place[0] >= 0) for place in self.place)
 
     @cached_property
     def groups(self) -> tuple[NDArray[np.int64], ...]:
-        """Contact elements of every axis (`riding`), then those that ride on none."""
+        """Contact elements of every axis (`riding`), then those of no axis."""
         return *self.riding, np.setdiff1d(np.arange(self.count), np.concatenate(self.riding))
 
     def ridden(self, ways: Sequence[float]) -> Array:
-        """Return the ways (axes, m) of contact elements along each axis, of axes' ways, m."""
+        """Return the travel (axes, m) of contact elements along each axis from that of axes, m."""
         along = np.zeros((len(ways), self.count))
         for row, riding, way in zip(along, self.riding, ways, strict=True):
             row[riding] = way
         return along
 
     def passage(self, start: Place, end: Place) -> Passage:
-        """Return what is passed while axes move evenly between two positions, m."""
+        """Return the contacts while axes move uniformly between two positions, m."""
         return _passage(self, start, end)
 
     def corners(self, at: Place) -> Sequence[tuple[Corner, float]]:
-        """Return the aligned positions around positions, m, with their weights; not zero."""
+        """Return the aligned positions around positions, m, with their nonzero weights."""
         return _corners(self, at)
 
     @property
     def everywhere(self) -> Passage:
-        """What is passed by axes that are everywhere equally often."""
+        """Contacts of axes that spend equal time at all positions."""
         first, last = (tuple(float(one[end]) for one in self.positions) for end in (0, -1))
         return self.passage(first, last)
 
     def coefficients(self, weights: Sequence[Array]) -> Array:
-        """Return b (m, m + n) by weights (k,) of each axis's positions, which add up to one."""
+        """Return b (m, m + n) from weights (k,) of each axis's positions, which add up to one."""
         own = np.eye(self.count, self.size)
         for riding, place, of_axis in zip(self.riding, self.place, weights, strict=True):
             for k in np.flatnonzero(of_axis):
@@ -101,7 +101,7 @@ class GuideStations:
         return own
 
     def touches(self, shares: Sequence[Shares]) -> Touches:
-        """Return the products of rows whose means over a step are those of each axis's shares."""
+        """Return the products of rows with their means over a step, from each axis's shares."""
         every = np.arange(self.count)
         parts = [(every, every, every, np.ones(self.count))]
         for riding, place, of_axis in zip(self.riding, self.place, shares, strict=True):
@@ -120,7 +120,7 @@ class GuideStations:
         return Touches(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
     def rubbed(self, heat: Array, shares: Sequence[Shares]) -> Array:
-        """Return the heat (m + n,), W, that friction of (m,), W, gives to each row: half a side."""
+        """Return the heat (m + n,), W, of each row from frictional heat (m,), W: half per side."""
         rows = np.zeros(self.size)
         rows[: self.count] = 0.5 * heat
         for riding, place, of_axis in zip(self.riding, self.place, shares, strict=True):
@@ -151,14 +151,14 @@ def _corners(stations: GuideStations, at: Place) -> tuple[tuple[Corner, float], 
 class Guideway:
     """Pads of m contact elements on n stations; r temperatures."""
 
-    #: What the contact elements cover.
+    #: Stations of the contact elements.
     stations: GuideStations
-    #: Where all axes are aligned, by which position of each axis.
+    #: Condensations at aligned positions, by the index of the position of each axis.
     elastic: TiedCondensations
     #: Shape (m + n, r): mean temperature of each contact element without its station, K, then of
-    #: each station. Of one that rides on nothing, the jump across its joint.
+    #: each station. For one on no axis, the jump across its joint.
     temperature: Array
-    #: Shape (m, r): mean of the sides of each contact element, K, a station's part left out.
+    #: Shape (m, r): mean of the sides of each contact element, K, without the station's part.
     means: Array
     #: Shape (m,): running friction coefficient times area of each contact element of the meshed
     #: part, m2.
@@ -181,9 +181,9 @@ class Guideway:
         Parameters
         ----------
         at : tuple of float
-            m.
+            Position of every axis, m.
         alone : ndarray, shape (q + p, ...)
-            What the temperatures do untied, by `elastic.alone`.
+            Untied thermal displacements, from `elastic.alone`.
         """
         touched = [
             (weight, self.elastic[corner], self.elastic.felt(corner, alone))
@@ -197,12 +197,12 @@ class Guideway:
         )
 
     def felt_at(self, at: Place) -> NDArray[np.int64]:
-        """Return which rows of what the temperatures do untied matter at positions, m."""
+        """Return the rows of the untied displacements that positions, m, need."""
         corners = self.stations.corners(at)
         return np.unique(np.concatenate([self.elastic.rows(corner) for corner, _ in corners]))
 
     def contact_at(self, at: Place) -> ElasticCondensation:
-        """Return the elastic condensation at positions, m, on what is free there (`free_at`)."""
+        """Return the elastic condensation at positions, m, on the result of `free_at` there."""
         first, every = self.first, self._every
         gaps = first.reference.size
         return replace(
@@ -215,7 +215,7 @@ class Guideway:
 
     @cached_property
     def _every(self) -> Array:
-        """Gaps, then displacements, of themselves."""
+        """Identity: gaps, then displacements, as functions of themselves."""
         return np.eye(self.first.reference.size + len(self.first.probe_compliance))
 
     def _mixed(self, name: str, at: Place) -> Array:
@@ -227,25 +227,25 @@ class Guideway:
         return np.asarray(sum(parts))
 
     def sides(self, coefficients: Array | csr_array) -> tuple[Array, Array]:
-        """Return `sides` per temperature, (m, r), by b (m, m + n)."""
+        """Return `sides` per temperature, (m, r), from b (m, m + n)."""
         return sides(coefficients, self.temperature, self.means)
 
     def friction_heat(self, pressure: Array, way: Array | float, length: float) -> Array:
-        """Return the heat (..., m), W, of running friction: mu p A v.
+        """Return the frictional heat (..., m), W, of motion: mu p A v.
 
         Parameters
         ----------
         pressure : ndarray, shape (m,)
-            Pa.
+            Contact pressure, Pa.
         way : float or ndarray, shape (..., m)
-            Of each contact element along its guide in the step, m.
+            Travel of each contact element along its guide in the step, m.
         length : float
-            Of the step, s.
+            Length of the step, s.
         """
         return np.asarray(self.running * pressure * way / length)
 
     def turned(self, rows: Callable[[Array], Array]) -> Guideway:
-        """Return it on other temperatures, by what becomes of rows (..., r)."""
+        """Return it on other temperatures; `rows` transforms rows (..., r)."""
         return replace(
             self,
             elastic=self.elastic.turned(rows),
@@ -262,7 +262,7 @@ def sides(coefficients: Array | csr_array, temperature: Array, means: Array) -> 
     coefficients : ndarray or scipy.sparse.csr_array, shape (m, m + n)
         b.
     temperature : ndarray, shape (m + n, ...)
-        Of the rows, K.
+        Temperatures of the rows, K.
     means : ndarray, shape (m, ...)
         As `Guideway.means`, K.
     """

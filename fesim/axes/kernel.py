@@ -1,4 +1,4 @@
-"""Data of a machine on axes for the JIT-compiled march, if it supports the machine.
+"""Data of a machine on axes for the JIT-compiled march, if supported.
 
 It supports the same laws as `fesim.march.kernel`.
 """
@@ -35,25 +35,25 @@ from fesim.march.machine import State
 from fesim.march.track import Track
 from thermojoint.artefacts.arrays import Array
 
-#: What the second step at a place has of its own: not the matrices.
+#: Arrays that the repetition of a step has for itself: all but the matrices.
 APART = ("free", "solved", "gap", "force", "residual", "correction", "before", "step")
 
 
 @dataclass(frozen=True, eq=False)
 class AxesMarch:
-    """A compiled march, and its storage."""
+    """A compiled march and its work arrays."""
 
     #: The machine.
     moving: MovingMachine
     axes: Sequence[Axis]
-    #: The same for compiled steps.
+    #: Data and work arrays of the compiled steps.
     kernel: AxesKernel
     work: AxesWork
 
     def take(self, state: State, inputs: Array) -> Track | None:
         """Take the steps with inputs (n, k), or the first of them.
 
-        None where the plain method must take the first one: the joints have no equilibrium near, a
+        None if the plain method must take the first one: the joints have no equilibrium nearby, a
         body may have come loose, or steps may alternate.
         """
         kernel, thermal = self.kernel, self.moving.machine.thermal
@@ -115,14 +115,14 @@ class AxesMarch:
 def march_into(
     record: AxesRecord, kernel: AxesKernel, work: AxesWork, steps: AxesSteps, now: AxesState
 ) -> int:
-    """March into a new record: the number of steps taken, also before a singular tangent."""
+    """March into a new record; return the number of steps before any singular tangent."""
     with suppress(np.linalg.LinAlgError):
         march_axes(kernel, work, steps, now, record)
     return int(np.count_nonzero(record.iterations >= 0))
 
 
 def new_record(work: AxesWork, steps: int) -> AxesRecord:
-    """Return storage for what steps leave."""
+    """Return storage for the results of steps."""
     count, probes = work.pressure.size, work.here.free.size - work.here.gap.size
     joint = [(3, count), (2, count), (count,), (3, count), (3, count)]
     before, after = [(work.driven.size,), (work.without.size,)], [(work.state.size,)]
@@ -132,7 +132,7 @@ def new_record(work: AxesWork, steps: int) -> AxesRecord:
 
 
 def ways_of(axes: Sequence[Axis], ends: Array) -> Ways:
-    """Return the ways of axes in the steps between times (n + 1,), s."""
+    """Return the travel of axes in the steps between times (n + 1,), s."""
     times, places, starts, size = [], [], [], 0
     for axis in axes:
         knots = axis.course.times
@@ -177,7 +177,7 @@ def axes_march(moving: MovingMachine, axes: Sequence[Axis]) -> AxesMarch | None:
 
 
 def axes_work(kernel: AxesKernel, here: Here, drives: int, untied: int) -> AxesWork:
-    """Return storage, for a state of drives and untied displacements of these sizes."""
+    """Return work arrays for the given sizes of the drives' state and the untied displacements."""
     count, held = kernel.scale.size, kernel.pads.held.size
     rows, modes = len(kernel.guides.joint_influence), kernel.heat.decay.size
     own: dict[str, Any] = {name: np.zeros_like(getattr(here, name)) for name in APART}

@@ -17,7 +17,7 @@ class Line:
     offset: Array
     #: Shape (..., c): tan beta.
     slope: Array
-    #: Shape (..., c): largest magnitude of what the line leaves, m.
+    #: Shape (..., c): largest magnitude of the residual of the line, m.
     left: Array
 
 
@@ -27,9 +27,9 @@ def line_over(positions: Array, displacements: Array, reference: float) -> Line:
     Parameters
     ----------
     positions : ndarray, shape (k,)
-        Two different ones or more, m.
+        Positions, at least two different ones, m.
     displacements : ndarray, shape (..., k, c)
-        m.
+        Displacements, m.
     reference : float
         P0, m.
     """

@@ -1,6 +1,6 @@
-"""A machine with moving axes: the condensed machine at any positions, made of few products.
+"""A machine with moving axes: the condensed machine at any positions, from few products.
 
-Where all axes are aligned it is the machine condensed there. Elsewhere the elastic condensation is
+If all axes are aligned, it is the machine condensed there. Elsewhere the elastic condensation is
 interpolated between the neighbours. In the heat step a contact element touches the stations that it
 passes, each for its share of the time.
 """
@@ -25,19 +25,19 @@ from fesim.march.passing import Passing, Rows
 from fesim.solid.condensation import ThermalCondensation
 from thermojoint.artefacts.arrays import Array
 
-#: Machines and joints at positions asked for that are kept ready, and numbers in their compliances.
+#: Largest number of cached machines and joints at positions, and of numbers in their compliances.
 KEPT, KEPT_NUMBERS = 128, 20_000_000
 
 
 @dataclass(frozen=True, eq=False)
 class FreeGrowth:
-    """What temperatures do where axes stand, if nothing touches."""
+    """Thermal displacements at positions of the axes without contact."""
 
     guideway: Guideway
     at: Place
 
     def strained(self, temperature: Array) -> Array:
-        """Return `Guideway.free_at`, on which the joints there are (`MovingMachine.settling`)."""
+        """Return `Guideway.free_at`, which `MovingMachine.settling` takes."""
         # Imported here because it loads a compiler, as in `fesim.march.contact.gap_solver`.
         from fesim.march.picked import product_of
 
@@ -55,20 +55,20 @@ class FreeGrowth:
 class MovingMachine:
     """A condensed structure on linear axes; the temperatures are r amplitudes of modes."""
 
-    #: At the first aligned positions, on what its joints feel there. Its last thermal inputs count
-    #: the heat of running friction of each axis, W.
+    #: The machine at the first aligned positions, on the displacements of its joints there. Its
+    #: last thermal inputs are the frictional heat of motion of each axis, W, for the balance only.
     machine: CondensedMachine
-    #: What its pads ride along.
+    #: Guides of its pads.
     guideway: Guideway
-    #: Temperatures of the guideway, and what heat there does.
+    #: Temperatures of the guideway, and their response to heat there.
     rows: Rows
-    #: Copies of the meshed part in the whole machine.
+    #: Number of copies of the meshed part in the whole machine.
     copies: int
     #: Number of modes; the amplitudes after them are those of held surfaces.
     free: int
 
     def __post_init__(self) -> None:
-        """Keep machines at some positions ready."""
+        """Create caches of machines at some positions."""
         kept = max(2, min(KEPT, KEPT_NUMBERS // (1 + self.guideway.first.compliance.size)))
         for name, made in (("_standing", self._made), ("_settling", self._joined)):
             object.__setattr__(self, name, lru_cache(maxsize=kept)(made))
@@ -80,7 +80,7 @@ class MovingMachine:
 
     @cached_property
     def blocks(self) -> BodyRows:
-        """`rows` and untied displacements without what is zero, made once for all marches."""
+        """`rows` and untied displacements without zeros, computed once for all marches."""
         return body_rows(self.rows, self.guideway.elastic.thermal)
 
     @property
@@ -89,7 +89,7 @@ class MovingMachine:
         return len(self.guideway.stations.positions)
 
     def standing(self, at: Place) -> CondensedMachine:
-        """Return the machine that stands at positions, m."""
+        """Return the machine at rest at positions, m."""
         machine: CondensedMachine = vars(self)["_standing"](at)
         return machine
 
@@ -100,7 +100,7 @@ class MovingMachine:
         return replace(machine, thermal=self._thermal(shares))
 
     def settling(self, at: Place) -> ContactProblem:
-        """Return the joints at positions, m, on what is free there (`Guideway.free_at`)."""
+        """Return the joints at positions, m, on the result of `Guideway.free_at` there."""
         contact: ContactProblem = vars(self)["_settling"](at)
         return contact
 
@@ -115,15 +115,15 @@ class MovingMachine:
         Parameters
         ----------
         shares : sequence of Shares
-            Of each axis's aligned positions in the step.
+            Time shares of each axis's aligned positions in the step.
         at : tuple of float
             Positions at the end of the step, m.
         heat : ndarray, shape (m,)
-            Of running friction, of each contact element of the meshed part, W.
+            Frictional heat of motion of each contact element of the meshed part, W.
         """
         stations, thermal = self.guideway.stations, self.machine.thermal
         passing = Passing(self.rows, stations.touches(shares), stations.rubbed(heat, shares))
-        # In a step, jumps and means matter to conductances alone.
+        # In a step, jumps and means affect conductances only.
         if not self.machine.contact.conducts_by_pressure:
             thermal = self._thermal(shares)
         return replace(

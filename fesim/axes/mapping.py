@@ -1,4 +1,4 @@
-"""Displacements at positions where the axes do not stand."""
+"""Displacements at other positions than those of the axes."""
 
 from __future__ import annotations
 
@@ -18,30 +18,30 @@ from fesim.march.settling import displaced, settle_along
 from fesim.one_thread import one_thread
 from thermojoint.artefacts.arrays import Array
 
-#: Numbers in the combinations that are taken at once: 0.4 GB.
+#: Largest number of numbers in the combinations of one sweep: 0.4 GB.
 AT_ONCE = 50_000_000
 
 
 class Seen(NamedTuple):
-    """What the joints and the probes do at c places in one thermal state."""
+    """State of joints and probes at c places in one thermal state."""
 
-    #: Shape (c, p): of the probes, m.
+    #: Shape (c, p): displacement probes, m.
     displacement: Array
     #: Shape (c,): largest error of the gaps, m.
     residual: Array
 
 
 def seen_from(moving: MovingMachine, step: Step, places: Sequence[Place]) -> Seen:
-    """Return what is displaced if the axes stood elsewhere at the end of a step.
+    """Return the displacements if the axes were at other positions at the end of a step.
 
-    Temperatures and friction's memory are those of the step; the joints settle there.
+    Temperatures and the history of friction are those of the step; the joints are settled there.
 
     Parameters
     ----------
     moving : MovingMachine
         The machine.
     step : Step
-        Of its march.
+        A step of its march.
     places : sequence of tuple of float
         c times the position of every axis, m.
 
@@ -53,7 +53,7 @@ def seen_from(moving: MovingMachine, step: Step, places: Sequence[Place]) -> See
     alone = moving.guideway.elastic.alone(step.state.temperature)
     contact, tables = moving.machine.contact, moving.tables
     joint = step.state.gap, step.state.slip
-    # Threads wait actively between small products: a first map took twelve times as long with two.
+    # Threads busy-wait between small products: a first map took twelve times as long with two.
     with one_thread():
         found = surveyed(contact, tables, joint, alone, np.array(places))
         for at in np.flatnonzero(np.isnan(found.residual)).tolist():
@@ -69,7 +69,7 @@ def surveyed(
     alone: Array,
     places: Array,
 ) -> Seen:
-    """Return what is displaced at all places in one sweep.
+    """Return the displacements at all places from one sweep.
 
     The residual is NaN where it does not converge, and everywhere for laws that are not compiled.
 
@@ -78,13 +78,13 @@ def surveyed(
     contact : ContactProblem
         The joints, at the first positions.
     tables : CornerTables
-        Of the same machine.
+        Tables of the same machine.
     joint : tuple of ndarray, shapes (3, m) and (2, m)
-        Gaps and irreversible slips where the axes stand, m.
+        Gaps and irreversible slips at the positions of the axes, m.
     alone : ndarray, shape (q + p,)
-        What the temperatures do untied.
+        Untied thermal displacements.
     places : ndarray, shape (n, axes)
-        m.
+        Positions, m.
     """
     # Imported here because they load a compiler, as in `fesim.march.contact.gap_solver`.
     from fesim.axes.survey import Survey, grown, new_here, pads_of, settle_all
@@ -109,7 +109,8 @@ def surveyed(
     # One layout, for which the sweep is compiled once.
     around_each = np.ascontiguousarray(places), near.touched, np.ascontiguousarray(near.weight)
     here = new_here(held, probes, trial_at(joint[0]))
-    # What is not reached is left to the plain method: single precision may find a tangent singular.
+    # Places not reached are left to the plain method: a tangent may be singular in single
+    # precision.
     with suppress(np.linalg.LinAlgError):
         settle_all(table, pads, free, around_each, here, found)
     return seen

@@ -1,8 +1,8 @@
 """Time stepping of a machine with moving axes.
 
-A step conducts heat between pads and the stations that they pass in it, by their shares of the
-time, and settles the joints at the positions of its end. Screws warm up before it and give their
-heat to the machine in the same step.
+A step conducts heat between pads and the stations that they pass in it, according to their shares
+of the time, and settles the joints at the positions at its end. Screws are stepped first, and
+their heat enters the machine in the same step.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ def march_moving(
     moving : MovingMachine
         The machine.
     axes : sequence of Axis
-        Its axes; the states of their drives are part of the march's.
+        Its axes; the states of their drives are part of that of the march.
     inputs : ndarray, shape (n, k)
-        Of each step; the last ones, the heat of running friction of each axis, and those of the
-        drives are filled in.
+        Inputs of each step; the last ones, the frictional heat of motion of each axis, and those of
+        the drives are filled in.
     advance : callable
         `plainly_staggered` or `iterated` of `fesim.march.stepping`.
     start : State
@@ -81,7 +81,7 @@ def march_iterated(
 def _in_step(
     moving: MovingMachine, axes: Sequence[Axis], state: State, ends: tuple[float, float]
 ) -> tuple[CondensedMachine, Array]:
-    """The machine in the step between two times (s), and its heat (axes,) of running friction."""
+    """The machine in the step between two times (s), and the frictional heat (axes,) of motion."""
     at = place_of(axes, ends[1])
     ways = [distance(axis.course, *ends) for axis in axes]
     if not any(ways):

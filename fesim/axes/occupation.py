@@ -1,8 +1,8 @@
-"""Time shares of the aligned positions of an axis, and what moves in a step.
+"""Time shares of the aligned positions of an axis, and its travel in a step.
 
-At a position between two aligned ones these have the weights of linear interpolation. A step needs
-the means of the weights over time, and of their products. Both are exact while the axis moves
-evenly, stands or turns back.
+A position between two aligned ones has the weights of linear interpolation. A step needs the means
+over time of these weights and of their products. Both are exact while the axis moves uniformly,
+stands or reverses.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ import numpy as np
 from fesim.case.history import History
 from thermojoint.artefacts.arrays import Array
 
-#: A position nearer to an aligned one than this share of their spacing is that position.
+#: A position nearer to an aligned one than this fraction of their spacing is that position.
 STILL = 1e-9
 
 
 @dataclass(frozen=True)
 class Shares:
-    """Means over a step of the weights w of k aligned positions, at most two at a time not zero."""
+    """Means over a step of the weights w of k aligned positions, at most two nonzero at a time."""
 
     #: Shape (k,): of w_i; they add up to one.
     mean: Array
@@ -33,13 +33,13 @@ class Shares:
 def weights_at(positions: Array, at: float) -> Array:
     """Return the weights (k,) of evenly spaced positions (k,), m, at a position, m.
 
-    One of them is one at an aligned position.
+    At an aligned position, its weight is one.
     """
     return even(positions, at, at).mean
 
 
 def even(positions: Array, start: float, end: float) -> Shares:
-    """Return the shares of positions (k,), m, of an axis that moves evenly between two, m."""
+    """Return the shares of positions (k,), m, of an axis that moves uniformly between two, m."""
     places = np.array([place_of(positions, start), place_of(positions, end)])
     return _shares(len(positions), places, np.ones(1))
 
@@ -50,11 +50,11 @@ def shares_of(positions: Array, course: History, start: float, end: float) -> Sh
     Parameters
     ----------
     positions : ndarray, shape (k,)
-        Evenly spaced, ascending, m.
+        Aligned positions, evenly spaced, ascending, m.
     course : History
         Position of the axis, m.
     start, end : float
-        s.
+        Times, s.
     """
     times, at = stretches(course, start, end)
     places = np.array([place_of(positions, place) for place in at])
@@ -62,7 +62,7 @@ def shares_of(positions: Array, course: History, start: float, end: float) -> Sh
 
 
 def place_of(positions: Array, at: float) -> float:
-    """Return a position in units of the spacing; a whole number where it is aligned.
+    """Return a position in units of the spacing; an integer if it is aligned.
 
     Compiled as well, by `fesim.axes.compiled_occupation`.
     """
@@ -75,7 +75,7 @@ def place_of(positions: Array, at: float) -> float:
 
 
 def _shares(count: int, places: Array, lengths: Array) -> Shares:
-    """Shares of `count` positions on a way through places (n,) in parts (n - 1,) of the time."""
+    """Shares of `count` positions in a motion through places (n,) in parts (n - 1,) of the time."""
     mean, square, product = np.zeros(count), np.zeros(count), np.zeros(count - 1)
     for first, second, length in zip(places, places[1:], lengths, strict=False):
         low, high = min(first, second), max(first, second)
@@ -86,7 +86,7 @@ def _shares(count: int, places: Array, lengths: Array) -> Shares:
         a, b = ends[:-1] - below, ends[1:] - below
         once, twice = length * part * (a + b) / 2.0, length * part * (a * a + a * b + b * b) / 3.0
         whole = length * part
-        # No position occurs twice: each piece lies between another two.
+        # No index occurs twice: each piece lies between another pair of positions.
         mean[below] += whole - once
         mean[below + 1] += once
         square[below] += whole - 2.0 * once + twice
@@ -96,12 +96,12 @@ def _shares(count: int, places: Array, lengths: Array) -> Shares:
 
 
 def distance(course: History, start: float, end: float) -> float:
-    """Return the length of the way from `start` to `end` (s), there and back counted, m."""
+    """Return the travel from `start` to `end` (s), to and fro, m."""
     return float(np.abs(np.diff(stretches(course, start, end)[1])).sum())
 
 
 def stretches(course: History, start: float, end: float) -> tuple[Array, Array]:
-    """Return times, s, and positions, m, (k,) each, between which an axis moves evenly."""
+    """Return times, s, and positions, m, (k,) each, between which an axis moves uniformly."""
     knots = course.times[(course.times > start) & (course.times < end)]
     times = np.concatenate([[start], knots, [end]])
     return times, course(times)

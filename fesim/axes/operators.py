@@ -1,4 +1,4 @@
-"""Rows of pads and of the stations of their guide, apart from each other."""
+"""Rows of pads and of the stations of their guide, separately."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from thermojoint.artefacts.arrays import Array
 
 @dataclass(frozen=True)
 class GuidedOperators:
-    """Joints of which some move along a guide: m contact elements, n stations."""
+    """Joints, some of which move along a guide: m contact elements, n stations."""
 
-    #: Both sides of the joints that do not move along a guide, side a alone of the others.
+    #: Both sides of the joints that do not move along a guide, only side a of the others.
     pads: JointOperators
     #: Shape (n, n_heat): mean temperature of each station.
     heat: csr_array
@@ -57,7 +57,7 @@ def _pads(
         for side in (0, 1)
     )
     gap = directed(csr_array(facing @ side_b - side_a), frames_of(joints))
-    gap.eliminate_zeros()  # a row without entries is not solved for
+    gap.eliminate_zeros()  # rows without entries are not solved for
     return JointOperators(
         csr_array(heat_a - facing @ heat_b),
         gap,
@@ -86,7 +86,7 @@ def places_at(place: Sequence[NDArray[np.int64]], corner: Sequence[int]) -> NDAr
     place : sequence of ndarray of int, shape (k, m)
         As in `GuidedOperators`: a contact element rides on one axis at most.
     corner : sequence of int
-        Which aligned position of each axis.
+        Index of the aligned position of each axis.
     """
     rows = [one[at] for one, at in zip(place, corner, strict=True)]
     return np.asarray(np.maximum.reduce(rows))
@@ -102,16 +102,16 @@ def coupled(
     places : sequence of ndarray of int, shape (k, m)
         As in `GuidedOperators`.
     corner : sequence of int
-        Which aligned position of each axis.
+        Index of the aligned position of each axis.
     stations : int
         n.
     others : int
-        Number of further rows, which remain as they are.
+        Number of further rows, which remain unchanged.
 
     Returns
     -------
     scipy.sparse.csr_array, shape (3 m + others, 3 m + 3 n + others)
-        On the rows of the pads, then those of the stations, then the others.
+        Columns: the rows of the pads, those of the stations, then the others.
     """
     place = places_at(places, corner)
     count = place.size
@@ -128,5 +128,5 @@ def coupled(
 
 
 def untied_springs(operators: GuidedOperators) -> Array:
-    """Return no springs (3 m + 3 n,) on the rows condensed apart."""
+    """Return zero springs (3 m + 3 n,) on the rows condensed apart."""
     return np.zeros(operators.pads.gap.shape[0] + operators.gap.shape[0])

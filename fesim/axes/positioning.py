@@ -1,10 +1,11 @@
-"""Where a moving axis is, beside where its control believes that it is.
+"""Actual position of a moving axis relative to the position assumed by its control.
 
-A control with a rotary encoder at the motor counts turns: the nut is where the screw has taken it,
-and moves on with the seat of the fixed bearing and with the elongation between that and the nut. A
-control with a scale sees the graduation below the reading head, and moves on with the fixed point
-of the scale and with the elongation between that and the head. The positioning error is body less
-control. It is zero in a machine at the initial ambient; at `zero`, if there is one, at all times.
+A control with a rotary encoder at the motor counts turns: the nut follows the screw, and is
+displaced by the seat of the fixed bearing and by the elongation between that and the nut. A control
+with a scale reads the graduation below the reading head, and is displaced by the fixed point of the
+scale and by the elongation between that and the head. The positioning error is the position of the
+bodies less that of the control. It is zero in a machine at the initial ambient; at `zero`, if
+given, at all times.
 """
 
 from __future__ import annotations
@@ -48,16 +49,16 @@ class Screw:
     towards: float
     #: Position of the nut while the axis is at zero, m.
     nut: float
-    #: Shape (3,): heat of friction of the nut and of the near and the far bearing that the screw
-    #: does not take, J per m of way.
+    #: Shape (3,): frictional heat of the nut and of the near and the far bearing that the screw
+    #: does not take up, J per m of travel.
     spared: Array
 
     def along(self, positions: Array) -> Array:
-        """Return how far from the fixed bearing the nut is at positions of the axis, m."""
+        """Return the distance of the nut from the fixed bearing at positions of the axis, m."""
         return self.towards * (positions + self.nut - self.start)
 
     def apart(self, seats: Array) -> Array:
-        """Return how far seats (..., 3) have moved apart, m."""
+        """Return the distance by which seats (..., 3) have moved apart, m."""
         return np.asarray(self.towards * (seats[..., 1] - seats[..., 0]))
 
 
@@ -65,12 +66,12 @@ class Screw:
 class Scale:
     """A scale on an axis."""
 
-    #: 1/K.
+    #: Thermal expansion coefficient, 1/K.
     expansion: float
     #: Position of its fixed point, and of the head while the axis is at zero, m.
     fixed: float
     head: float
-    #: With which its temperature follows that around it, s.
+    #: Time constant of its temperature, s.
     lag: float
 
 
@@ -78,44 +79,44 @@ class Scale:
 class Surfaces:
     """Surfaces of the machine at the nut, the near and the far bearing of a screw."""
 
-    #: Shape (3,): which input of a step is their heat, W; -1 where there is none.
+    #: Shape (3,): index of the step input of their heat, W; -1 if there is none.
     column: NDArray[np.int64]
-    #: Shape (3, r): rows of their mean temperatures; zero where there is none.
+    #: Shape (3, r): rows of their mean temperatures; zero if there is none.
     temperature: Array
 
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """What positions an axis; its state has the temperatures of the screw, then of the scale."""
+    """Drive of an axis; its state has the temperatures of the screw, then of the scale."""
 
-    #: If there is one.
+    #: Ball screw, if any.
     screw: Screw | None
-    #: If there is one; the control then reads it.
+    #: Scale, if any; the control then reads it.
     scale: Scale | None
-    #: Shape (r,): row of the machine's temperature that the scale follows; None for the ambient.
+    #: Shape (r,): row of the machine temperature that the scale follows; None for the ambient.
     followed: Array | None
-    #: Which input of a step is the ambient.
+    #: Index of the ambient among the inputs of a step.
     ambient: int
     #: Position at which the error is zero at all times, m.
     zero: float | None
-    #: That the screw heats.
+    #: Surfaces heated by the screw.
     surfaces: Surfaces
-    #: Shape (3,): which displacement probe of the machine is that of the near and the far bearing
-    #: and of the scale, along the axis; -1 for none.
+    #: Shape (3,): displacement probe of the machine at the near and the far bearing and at the
+    #: scale, along the axis; -1 for none.
     seat: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class Way:
-    """Way of an axis in a step."""
+    """Motion of an axis in a step."""
 
-    #: Shape (j,): between which it moves evenly, from the start to the end, s and m.
+    #: Shape (j,): times, s, and positions, m, from start to end, between which it is uniform.
     times: Array
     positions: Array
 
     @property
     def speed(self) -> float:
-        """Mean speed, there and back counted, m/s."""
+        """Mean speed, to and fro, m/s."""
         return float(np.abs(np.diff(self.positions)).sum() / (self.times[-1] - self.times[0]))
 
 
@@ -126,7 +127,7 @@ def screw_of(section: BallScrewSection, material: Material) -> Screw:
     lead = MILLI * section.lead_mm
     sink = section.bearing_conductance_W_K
     sinks = (sink, 0.0 if section.bearings == "fixed-free" else sink)
-    # J per m of way: torque times angle.
+    # J per m of travel: torque times angle.
     turned = 2.0 * math.pi / lead
     rubbed = turned * np.array(
         [section.nut_torque_Nm, section.bearing_torque_Nm, section.far_bearing_torque_Nm]
@@ -191,25 +192,25 @@ def screw_temperature(screw: Screw, state: Array) -> Array:
 
 
 def warm_screw(drive: Drive, state: State, inputs: Array, way: Way) -> tuple[Array, Array]:
-    """Take a step of a screw, and find what heat it gives to the machine.
+    """Take a step of a screw; return its temperature and the heat to the machine.
 
     Parameters
     ----------
     drive : Drive
         The drive.
     state : State
-        Of the march, at the start of the step.
+        State of the march at the start of the step.
     inputs : ndarray, shape (k,)
-        Of the machine in the step.
+        Inputs of the machine in the step.
     way : Way
-        Of the axis in the step.
+        Motion of the axis in the step.
 
     Returns
     -------
     temperature : ndarray, shape (n,)
-        Of the screw at the end, K; empty without one.
+        Temperatures of the screw at the end, K; empty without one.
     inputs : ndarray, shape (k,)
-        With the heat of the surfaces that the screw heats.
+        Inputs with the heat of the surfaces heated by the screw.
     """
     screw, surfaces = drive.screw, drive.surfaces
     if screw is None:
@@ -238,9 +239,9 @@ def warm_scale(drive: Drive, state: State, step: Step, length: float) -> Array:
     drive, state
         As in `warm_screw`.
     step : Step
-        Of the machine.
+        The step of the machine.
     length : float
-        Of the step, s.
+        Length of the step, s.
     """
     if drive.scale is None:
         return np.zeros(0)
@@ -259,11 +260,11 @@ def followed(scale: Scale, temperature: float, ends: tuple[float, float], length
     scale : Scale
         The scale.
     temperature : float
-        At the start, K.
+        Temperature at the start, K.
     ends : tuple of float
-        What it follows, at the start and at the end, even in between, K.
+        Temperature that it follows, at the start and the end, linear in between, K.
     length : float
-        Of the step, s.
+        Length of the step, s.
     """
     start, end = ends
     if not scale.lag:
@@ -273,7 +274,7 @@ def followed(scale: Scale, temperature: float, ends: tuple[float, float], length
 
 
 def seated(drive: Drive, probes: Array) -> Array:
-    """Return the displacement (..., 3) of both bearings and of the scale, m, along the axis.
+    """Return the displacement (..., 3) of both bearings and of the scale along the axis, m.
 
     Parameters
     ----------
@@ -295,14 +296,14 @@ def positioning_error(drive: Drive, state: Array, positions: Array, seats: Array
     state : ndarray, shape (..., d)
         Its temperatures, K.
     positions : ndarray, shape (..., k)
-        Of the axis, m.
+        Positions of the axis, m.
     seats : ndarray, shape (..., k, 3)
-        At these positions, by `seated`.
+        Displacements at these positions, from `seated`.
 
     Returns
     -------
     ndarray, shape (..., k)
-        Along the axis, m; not yet less that at `zero`.
+        Error along the axis, m; that at `zero` is not subtracted yet.
     """
     if (scale := drive.scale) is not None:
         from_fixed = positions + scale.head - scale.fixed
@@ -315,12 +316,12 @@ def positioning_error(drive: Drive, state: Array, positions: Array, seats: Array
 
 
 def screw_tension(screw: Screw, state: Array, seats: Array) -> Array:
-    """Return the tension (...) of a screw in states (..., d) of its drive, seats (..., 3), N."""
+    """Return the tension (...) of a screw, N, from states (..., d) of its drive, seats (..., 3)."""
     apart = screw.apart(seats)[..., None]
     return tension(screw.made, screw_temperature(screw, state), apart)[..., 0]
 
 
 def station_positions(screw: Screw) -> Array:
-    """Return the middles (n,) of the cells of a screw as positions of the axis's scale, m."""
+    """Return the centres (n,) of the cells of a screw as positions of the axis, m."""
     edges = screw.made.conduction.edges
     return screw.start + screw.towards * 0.5 * (edges[1:] + edges[:-1])

@@ -1,6 +1,6 @@
-"""Rows of the modes of one body each: zero elsewhere, and kept without what is zero.
+"""Rows of the modes of one body each, stored without their zeros.
 
-`fesim.axes.compiled_rows` has what a compiled march does with them.
+The products of a compiled march with them are in `fesim.axes.compiled_rows`.
 """
 
 from __future__ import annotations
@@ -16,35 +16,35 @@ from thermojoint.artefacts.arrays import Array
 
 
 class RowBlocks(NamedTuple):
-    """Rows that follow each other and are not zero in the same columns, block by block."""
+    """Consecutive rows with the same nonzero columns, block by block."""
 
     #: Shape (b, 5): first row and that after the last, first column and that after the last, and
-    #: where the entries begin.
+    #: start of the entries.
     where: NDArray[np.int64]
-    #: Of all blocks, one after the other, row after row.
+    #: Entries of all blocks, one after the other, in row order.
     entries: Array
 
 
 class BodyRows(NamedTuple):
-    """What a march on axes multiplies with amplitudes, and with the heat of rows."""
+    """Rows that a march on axes multiplies by amplitudes or by the heat of rows."""
 
-    #: Of the q rows, as in `fesim.march.passing.Rows`.
+    #: q rows, as in `fesim.march.passing.Rows`.
     temperature: RowBlocks
     influence: RowBlocks
-    #: Of u rows: untied displacements of pads, stations, anchors and probes, m/K.
+    #: u rows: untied displacements of pads, stations, anchors and probes, m/K.
     untied: RowBlocks
-    #: Of q rows: the same per W that enters each row of the guides, m.
+    #: q rows: the same per W that enters each row of the guides, m.
     warmed: RowBlocks
 
 
 def body_rows(rows: Rows, untied: Array) -> BodyRows:
-    """Return the rows of a machine, with untied displacements (u, r), m/K."""
+    """Return the rows of a machine, from untied displacements (u, r), m/K."""
     each = rows.temperature, rows.influence, untied, rows.influence @ untied.T
     return BodyRows(*map(row_blocks, each))
 
 
 def row_blocks(rows: Array) -> RowBlocks:
-    """Return the blocks of rows (k, n); those that are zero are in none."""
+    """Return the blocks of rows (k, n); zero rows belong to none."""
     filled = rows != 0.0
     spans = np.stack([filled.argmax(axis=1), rows.shape[1] - filled[:, ::-1].argmax(axis=1)], 1)
     spans[~filled.any(axis=1)] = 0

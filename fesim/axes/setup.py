@@ -55,11 +55,11 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.units import MILLI
 
-#: A rotation counts as its displacement at this distance, m.
+#: A rotation is weighted as its displacement at this distance, m.
 LEVER = 0.1
-#: Displacement probes that are rotations, if they are asked for.
+#: Displacement probes that are rotations, if requested.
 TURNED = slice(3, 6)
-#: Positions along the stroke at which displacements are given if the case names none.
+#: Number of positions along the stroke with displacements if the case specifies none.
 USUAL = 5
 #: A recorded position this far beyond an end of the stroke, mm, is that end.
 STROKE_SLACK = 2e-3
@@ -71,15 +71,15 @@ MOST_NUMBERS = 400_000_000
 class MovingSetup:
     """A condensed case with moving axes."""
 
-    #: Of the machine as it stands at time zero; nothing draws or factorises it.
+    #: Set-up of the machine at its position at time zero, not for drawings or factorisations.
     setup: Setup
     #: The machine at all positions.
     moving: MovingMachine
-    #: In the case's order.
+    #: In the order of the case.
     axes: tuple[Axis, ...]
     #: Whether the displacement probes include rotations.
     turned: bool
-    #: Combinations of positions that are asked about.
+    #: Requested combinations of positions.
     volume: Volume
 
 
@@ -136,7 +136,7 @@ def set_up_axes(case: Case) -> MovingSetup:
 
 
 def axis_inputs(case: Case) -> MarchInputs:
-    """Return the inputs of a case with axes; the last ones are the heat of running friction."""
+    """Return the inputs of a case with axes; the last ones are the frictional heat of motion."""
     return replace(march_inputs(case), forces=[step_history(0.0) for _ in case.axes])
 
 
@@ -164,33 +164,33 @@ def course_of(axis: AxisSection, name: str) -> History:
 
 
 def aligned_positions(axis: AxisSection) -> Array:
-    """Return the positions at which everything is exact: stations apart or less, m."""
+    """Return the positions without interpolation, at most a station length apart, m."""
     low, high = axis.stroke_mm
     count = int(np.ceil((high - low) / axis.station_mm - 1e-9))
     return MILLI * np.linspace(low, high, count + 1)
 
 
 def asked_positions(axis: AxisSection) -> Array:
-    """Return the positions at which displacements are wanted, m."""
+    """Return the positions at which displacements are requested, m."""
     if axis.asked_mm is None:
         return MILLI * np.linspace(*axis.stroke_mm, USUAL)
     return MILLI * np.array(axis.asked_mm)
 
 
 def reference_of(axis: AxisSection) -> float:
-    """Return P0 of the line over the stroke, m: its middle if the case names none."""
+    """Return P0 of the line over the stroke, m: the middle unless the case specifies it."""
     given = axis.reference_mm
     return MILLI * (0.5 * sum(axis.stroke_mm) if given is None else given)
 
 
 def turned_within(case: Case) -> float | None:
-    """Return how near nodes show the rotation at a point, m; None if none is wanted."""
+    """Return the radius, m, of the nodes for the rotation at a point; None if not requested."""
     wanted = (axis.rotation_within_mm for axis in case.axes.values())
     return next((MILLI * radius for radius in wanted if radius is not None), None)
 
 
 def volume_of(case: Case) -> Volume:
-    """Return the combinations of positions that a case asks about: none if it does not."""
+    """Return the combinations of positions requested in a case; none if there are none."""
     if case.volume is None:
         return Volume(np.zeros((0, len(case.axes))), np.zeros(0, dtype=np.int64))
     step, end = case.march.step_s, step_count(case.march)
@@ -200,18 +200,18 @@ def volume_of(case: Case) -> Volume:
 
 
 def drive_of(case: Case, setup: Setup, name: str, surfaces: Surfaces) -> Drive | None:
-    """Return what positions an axis of a case; None if its bodies stand as the control believes.
+    """Return the drive of an axis of a case; None if the bodies are at the commanded position.
 
     Parameters
     ----------
     case : Case
-        With the axis.
+        The case with the axis.
     setup : Setup
-        Of the same machine, whatever its drives.
+        Set-up of the same machine, independent of its drives.
     name : str
-        Of the axis.
+        Name of the axis.
     surfaces : Surfaces
-        That its screw heats.
+        Surfaces heated by its screw.
     """
     axis = case.axes[name]
     if axis.ball_screw is None and axis.scale is None:
@@ -232,7 +232,7 @@ def drive_of(case: Case, setup: Setup, name: str, surfaces: Surfaces) -> Drive |
 
 
 def _check_bearings(screw: Screw, surfaces: Surfaces, thermal: ThermalCondensation) -> None:
-    """Refuse bearings that would make a surface swing, whose temperature is that before a step."""
+    """Refuse bearings that would make a surface oscillate, as its temperature lags one step."""
     for end, sink in enumerate(screw.made.conduction.sinks):
         column = surfaces.column[1 + end]
         if column < 0:
@@ -247,7 +247,7 @@ def _check_bearings(screw: Screw, surfaces: Surfaces, thermal: ThermalCondensati
 
 
 def surfaces_of(whole: Discretised, modes: ThermalModes, name: str) -> Surfaces:
-    """Return what the screw of an axis heats: a mean temperature weighs nodes as even heat does."""
+    """Return the surfaces heated by an axis's screw, with nodes weighted as for uniform heat."""
     case = whole.case
     columns = {heated: len(case.sources) + k for k, heated in enumerate(heated_by_drives(case))}
     own = np.array([columns.get(f"{name} {part}", -1) for part in HEATED])
@@ -259,13 +259,13 @@ def surfaces_of(whole: Discretised, modes: ThermalModes, name: str) -> Surfaces:
 
 
 def _carried(case: Case, axis: AxisSection, parts: Parts) -> Array:
-    """Direction of an axis if it moves the point of `[displacement]`, less its origin's."""
+    """Direction of an axis if it moves the point of `[displacement]`, less that of its origin."""
     moves = _moving_points(parts, axis, measured_points(case)).astype(np.float64)
     return float(moves[0] - moves[1:].sum()) * unit_direction(axis)
 
 
 def _moving_points(parts: Parts, axis: AxisSection, names: Sequence[str]) -> NDArray[np.bool_]:
-    """Which probes are on bodies that move along an axis."""
+    """Whether each probe is on a body that moves along an axis."""
     if not names:
         return np.zeros(0, dtype=bool)
     moving = np.concatenate([parts.structure.bodies[name] for name in axis.bodies])
@@ -274,7 +274,7 @@ def _moving_points(parts: Parts, axis: AxisSection, names: Sequence[str]) -> NDA
 
 
 def _moving(whole: Discretised, keys: CacheKeys) -> tuple[MovingMachine, ThermalModes]:
-    """Condense pads, guides and modes once; combinations of positions are tied when wanted."""
+    """Condense pads, guides and modes once; combinations of positions are tied when needed."""
     case, parts = whole.case, whole.parts
     positions, operators = operators_of(whole)
     _check_held(whole, operators)
@@ -335,7 +335,7 @@ def operators_of(whole: Discretised) -> tuple[tuple[Array, ...], GuidedOperators
 
 
 def _probes(whole: Discretised) -> csr_array:
-    """Rows of the displacement between tool and workpiece, then of the rotation if asked for.
+    """Rows of the displacement between tool and workpiece, then of the rotation if requested.
 
     Then of the seats of the drives, each along its axis.
     """
@@ -354,12 +354,12 @@ def _probes(whole: Discretised) -> csr_array:
 
 
 def _all_seats(case: Case) -> list[tuple[str, str]]:
-    """Axes, and the probes that the parts of their drives move with, each once."""
+    """Axes, and the probes at the seats of their drives, each once."""
     return [(name, seat) for name, axis in case.axes.items() for seat in _seats(axis)]
 
 
 def _seats(axis: AxisSection) -> list[str]:
-    """Probes that the parts of a drive move with, each once."""
+    """Probes at the seats of a drive, each once."""
     return list(dict.fromkeys(name for name in seats_of(axis) if name is not None))
 
 
@@ -384,7 +384,7 @@ def _apart(
 def _modes(
     whole: Discretised, operators: GuidedOperators, apart: UntiedCondensation, key: str | None
 ) -> ThermalModes:
-    """Modes of each body for heat at every pad and at every station."""
+    """Modes of each body for heat at every pad and every station."""
     march, pads = whole.case.march, operators.pads
     by_body = partial(reduce_apart, solver=march.solver)
     every = replace(pads, jump=csr_array(vstack([pads.jump, operators.heat], format="csr")))
@@ -406,14 +406,14 @@ def _modes(
 def _rows(thermal: ThermalCondensation, operators: GuidedOperators, modes: ThermalModes) -> Rows:
     temperature = np.vstack([operators.pads.jump @ modes.basis, operators.heat @ modes.basis])
     influence = thermal.factor.solve(np.ascontiguousarray(temperature.T))
-    influence[modes.rates.size :] = 0.0  # held surfaces stay as they are
+    influence[modes.rates.size :] = 0.0  # held surfaces do not change
     return Rows(temperature, np.ascontiguousarray(influence.T), temperature @ influence)
 
 
 def _with_friction(thermal: ThermalCondensation, axes: int, copies: int) -> ThermalCondensation:
-    """Inputs for the heat of running friction of each axis, W, of all copies of the meshed part.
+    """Add inputs for the frictional heat of motion of each axis, W, of all copies.
 
-    They do nothing but count: a step distributes the heat over the rows (`Passing.rubbed`).
+    They only enter the balance: a step distributes the heat over the rows (`Passing.rubbed`).
     """
     balance = thermal.balance
     return replace(
@@ -428,7 +428,7 @@ def _with_friction(thermal: ThermalCondensation, axes: int, copies: int) -> Ther
 
 
 def _check_guides(case: Case, parts: Parts) -> None:
-    """Refuse convection from a guide's surface: the pads cover another part at every position."""
+    """Refuse convection from a guide's surface, whose covered part depends on the position."""
     for name, joint in case.joints.items():
         if joint.axis is None:
             continue
@@ -475,12 +475,12 @@ def _check_size(whole: Discretised, operators: GuidedOperators) -> None:
 
 
 def check_still(case: Case, where: str) -> None:
-    """Refuse a case with axes where its fields are wanted; `where` names the place.
+    """Refuse a case with axes where its fields are needed; `where` is the place in the message.
 
     Raises
     ------
     InputError
-        It has some.
+        The case has axes.
     """
     if case.axes:
         raise InputError(

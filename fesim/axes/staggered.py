@@ -1,4 +1,4 @@
-"""Staggered march of a machine on axes: compiled where it can be, else by plain steps."""
+"""Staggered march of a machine on axes: compiled if possible, else by plain steps."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fesim.march.stepping import plainly_staggered
 from fesim.march.track import Track
 from thermojoint.artefacts.arrays import Array
 
-#: Steps that are taken at once, at most and after a plain one: what is around them is in one array.
+#: Number of steps per call, at most and after a plain one; their aligned positions share an array.
 BLOCK, FEW = 64, 4
 
 
@@ -24,7 +24,7 @@ def march_staggered(
     Parameters
     ----------
     moving, axes, inputs, start
-        As for `fesim.axes.march.march_moving`, whose steps these are.
+        As for `fesim.axes.march.march_moving`, which has the same steps.
 
     Raises
     ------

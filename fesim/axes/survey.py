@@ -1,13 +1,14 @@
-"""Joints that settle at many places for one thermal state, in one JIT-compiled sweep.
+"""Equilibria of joints at many places in one thermal state, in one JIT-compiled sweep.
 
 The gap equations g = g_T + C A [z(g) + k g] at a place have C, g_T and the rows of the probes
-interpolated there, as `fesim.axes.guideway` has them. The places differ little, so Newton's method
-factorises its Jacobian, in single precision, once for many of them (a chord method), and starts at
-the gaps of places before: with the rows that hold nothing left out, a place costs the interpolation
-and some products of that size. It is factorised again where the iteration becomes slow.
+interpolated there, as in `fesim.axes.guideway`. The places differ little, so Newton's method
+factorises its Jacobian, in single precision, once for many of them (a chord method), and starts
+from the gaps of earlier places: without the unrestrained rows, a place costs the interpolation and
+some products of that size. It is factorised again when convergence becomes slow.
 
-`survey` stands beside `fesim.march.settling.settle_along`, which finds the same equilibria one by
-one and takes over where this does not converge; `tests/fesim/axes/test_survey.py` compares both.
+`survey` is an alternative to `fesim.march.settling.settle_along`, which finds the same equilibria
+one by one and takes over if this does not converge; `tests/fesim/axes/test_survey.py` compares
+both.
 """
 
 from __future__ import annotations
@@ -27,29 +28,29 @@ from fesim.joint.linear_system import factorise_single, solve_again
 from fesim.march.contact import ContactProblem
 from thermojoint.artefacts.arrays import Array
 
-#: Most iterations at a place, and how often its Jacobian may be factorised.
+#: Most iterations at a place, and most factorisations of its Jacobian.
 MAX_ITERATIONS, MOST_MOVES = 60, 10
-#: An iteration that leaves more than this fraction is taken back, for a Jacobian of its own.
+#: If an iteration leaves more than this fraction, it is repeated with a new Jacobian.
 SLOW = 0.5
-#: So many more iterations at the rate of the last one cost more than to factorise it again.
+#: If more iterations than this are expected at the present rate, a new factorisation is cheaper.
 WORTH = 2.0
 #: Residual of an accepted state, relative to the tolerance, as `fesim.joint.modified_newton`.
 LEFT = 0.01
-#: A residual of less than this part of it is accepted whatever the correction is: where nothing but
-#: friction that slides holds a body, picometres along its way are below rounding.
+#: A residual below this fraction of it is accepted whatever the correction is: if only sliding
+#: friction holds a body, picometres along its path are below rounding.
 SLIDES = 1e-3
-#: Nothing of the first correction may be left. A name: literals are compiled apart from others.
+#: No part of the first correction may be left. Named, since literals are compiled separately.
 EXACT = 0.0
-#: Places before in which near ones are looked for.
+#: Number of earlier places among which near ones are looked for.
 BACK = 512
 
 
 class Pads(NamedTuple):
-    """The joints: m contact elements with h rows that hold something."""
+    """The joints: m contact elements with h restrained rows."""
 
-    #: Shape (h,): those rows among the 3 m gaps.
+    #: Shape (h,): index of these rows among the 3 m gaps.
     held: NDArray[np.int64]
-    #: Shape (j + 1,): where those of each group of contact elements begin.
+    #: Shape (j + 1,): start of those of each group of contact elements.
     begin: NDArray[np.int64]
     #: Shape (m, 7): as in `fesim.joint.compiled_gap.CompiledGap`.
     laws: Array
@@ -70,27 +71,26 @@ def pads_of(tables: CornerTables, contact: ContactProblem, laws: Array, slip: Ar
 
 
 class Survey(NamedTuple):
-    """What is found at n places, written in place."""
+    """Results at n places, written in place."""
 
-    #: Shape (n, p): of the probes, m.
+    #: Shape (n, p): displacement probes, m.
     displacement: Array
-    #: Shape (n,): largest error of the gaps, by Newton's correction, m; NaN where it did not
-    #: converge.
+    #: Shape (n,): largest error of the gaps, from Newton's correction, m; NaN without convergence.
     residual: Array
-    #: Shape (n, h): m.
+    #: Shape (n, h): gaps, m.
     gap: Array
 
 
 @compiled_part
 def unpacked(packed: Array, into: Array) -> None:
-    """C (h, h) of its upper triangle."""
+    """Unpack C (h, h) from its upper triangle."""
     size, at = into.shape[0], 0
     for i in range(size):
         row, own = into[i], packed[at : at + size - i]
         for j in range(own.size):
             row[i + j] = own[j]
         at += size - i
-    # Apart from the rows above, which are copied as they are stored.
+    # Separate from the rows above, which are copied in storage order.
     for i in range(size):
         row = into[i]
         for j in range(i):
@@ -99,7 +99,7 @@ def unpacked(packed: Array, into: Array) -> None:
 
 @compiled
 def grown(table: CornerTable, pads: Pads, alone: Array, free: Array) -> None:
-    """Gaps, then probes, as temperatures leave them without contact, into `free` (k, h + p).
+    """Write thermal gaps, then probes, without contact into `free` (k, h + p).
 
     Parameters
     ----------
@@ -108,9 +108,9 @@ def grown(table: CornerTable, pads: Pads, alone: Array, free: Array) -> None:
     pads : Pads
         The joints.
     alone : ndarray, shape (3 m + 3 n + a + p,)
-        What the temperatures do untied: to pads, stations, anchors and probes.
+        Untied thermal displacements of pads, stations, anchors and probes.
     free : ndarray, shape (k, h + p)
-        Written.
+        Output.
     """
     count, held = pads.laws.shape[0], pads.held
     size, probes, anchors = held.size, table.probes.shape[1], table.anchored.shape[2]
@@ -140,7 +140,7 @@ def grown(table: CornerTable, pads: Pads, alone: Array, free: Array) -> None:
 
 @compiled_part
 def mixed(parts: Array, touched: NDArray[np.int64], weight: Array, into: Array) -> None:
-    """The rows (k, n) that are touched, each by its weight, into (n,)."""
+    """Write the weighted sum of the touched rows of (k, n) into (n,)."""
     first = True
     for c in range(touched.size):
         if weight[c] == 0.0:
@@ -157,7 +157,7 @@ def mixed(parts: Array, touched: NDArray[np.int64], weight: Array, into: Array) 
 
 @compiled_part
 def _jacobian(pads: Pads, here: Here, ends: tuple[int, int], columns: NDArray[np.float32]) -> None:
-    """Put 1 - C A (T + k) on some rows that hold something, column after column."""
+    """Write 1 - C A (T + k) of some restrained rows, in column order."""
     count, held, compliance = pads.laws.shape[0], pads.held, here.compliance
     first, last = ends
     where = np.full(3 * count, -1)
@@ -181,7 +181,7 @@ def _jacobian(pads: Pads, here: Here, ends: tuple[int, int], columns: NDArray[np
 
 @compiled_part
 def _guess(places: Array, found: Survey, at: int, into: Array) -> bool:
-    """Gaps continued from places before, into (h,); False if there is none."""
+    """Extrapolate gaps from earlier places into (h,); return False if there are none."""
     first, least = -1, math.inf
     for other in range(max(0, at - BACK), at):
         if math.isnan(found.residual[other]):
@@ -210,14 +210,14 @@ def _guess(places: Array, found: Survey, at: int, into: Array) -> bool:
 
 
 class Here(NamedTuple):
-    """The gap equations at one place, and storage."""
+    """The gap equations at one place, and work arrays."""
 
     #: Shape (h, h): C, m/N.
     compliance: Array
-    #: Shape (h + p,): g_T, m, then the probes without contact.
+    #: Shape (h + p,): g_T, m, then the probes without contact, m.
     free: Array
-    #: Shapes (h h,) and (h,): factors of the Jacobian there or nearby, and their pivots; (h,): what
-    #: is solved with them; (1,): in how many parts they are.
+    #: Shapes (h h,) and (h,): factors of the Jacobian there or nearby, and their pivots; (h,):
+    #: right side and solution with them; (1,): number of parts in which they are factorised.
     factors: NDArray[np.float32]
     pivots: NDArray[np.int32]
     solved: NDArray[np.float32]
@@ -236,7 +236,7 @@ class Here(NamedTuple):
 
 @compiled_part
 def _corrected(pads: Pads, here: Here, anew: int) -> tuple[float, float]:
-    """Newton's correction at the gaps, with a Jacobian factorised anew in so many parts, or not.
+    """Newton's correction at the gaps, with a Jacobian factorised in `anew` parts, or a stored one.
 
     Returns its largest entry, and the norm of the residual, m.
     """
@@ -274,7 +274,7 @@ def _corrected(pads: Pads, here: Here, anew: int) -> tuple[float, float]:
 
 @compiled_part
 def _iterations_left(before: float, after: float, enough: float) -> float:
-    """How many more iterations leave enough, if each leaves as much of the last as this one."""
+    """Number of further iterations until `enough` is left, at the present rate."""
     if after <= enough or after >= before:
         return 0.0
     return math.log(enough / after) / math.log(after / before)
@@ -282,12 +282,13 @@ def _iterations_left(before: float, after: float, enough: float) -> float:
 
 @compiled_part
 def settle_here(pads: Pads, here: Here, made: bool, share: float) -> tuple[float, int]:
-    """Settle from the gaps, with factors if they are made: error left, m, or NaN; iterations.
+    """Settle from the gaps, with stored factors if `made`: error left, m, or NaN; iterations.
 
-    A share of the first correction may be left. Factors are made again where many more iterations
-    with them would follow, or where a step leaves too much, as a whole where those in parts do as
-    well; then the step is shortened until the residual falls, as in `fesim.joint.gap.solve_gap`. At
-    a kink of the law no length may do, and a full step leaves it.
+    A fraction `share` of the first correction may be left. The factors are computed again if many
+    more iterations would follow, or if a step leaves too much; as a whole if factors in parts do
+    not suffice. Then the step is shortened until the residual falls, as in
+    `fesim.joint.gap.solve_gap`. At a kink of the law no length may suffice, and a full step is
+    taken.
     """
     kept, groups = 0, pads.begin.size - 1
     (left, norm), moves, fresh = _corrected(pads, here, kept if made else groups), 0, not made
@@ -302,7 +303,7 @@ def settle_here(pads: Pads, here: Here, made: bool, share: float) -> tuple[float
             for i in range(here.gap.size):
                 here.gap[i] = here.before[i] - length * here.step[i]
             after, rest = _corrected(pads, here, kept)
-            # In parts, factors lack what one group of contact elements does to another.
+            # Factors in parts omit the coupling between groups of contact elements.
             apart = fresh and here.parts[0] > 1
             newton = fresh and not apart
             falls = rest <= (1.0 - 1e-4 * length) * norm if newton else after <= SLOW * left
@@ -332,7 +333,7 @@ def settle_here(pads: Pads, here: Here, made: bool, share: float) -> tuple[float
 
 @compiled_part
 def probe(here: Here, moved: Array, into: Array) -> None:
-    """The displacement of the probes (p,), by that per joint force (p h,)."""
+    """Displacement of the probes (p,), from that per joint force (p h,)."""
     size = here.gap.size
     for i in range(into.size):
         total = here.free[size + i]
@@ -342,7 +343,7 @@ def probe(here: Here, moved: Array, into: Array) -> None:
 
 
 def new_here(held: NDArray[np.int64], probes: int, trial: Trial) -> Here:
-    """Return storage for the rows (h,) that hold something and p probes, at the gaps of a trial."""
+    """Return work arrays for the restrained rows (h,) and p probes, at the gaps of a trial."""
     size, single = held.size, np.float32
     storage: list[Any] = [np.zeros((size, size)), np.zeros(size + probes)]
     storage += [np.zeros(size * size, single), np.zeros(size, np.int32), np.zeros(size, single)]
@@ -360,7 +361,7 @@ def settle_all(
     here: Here,
     found: Survey,
 ) -> None:
-    """Settle at places one after the other, into `found`.
+    """Settle at one place after the other, into `found`.
 
     Parameters
     ----------
@@ -369,13 +370,13 @@ def settle_all(
     pads : Pads
         The joints.
     free : ndarray, shape (k, h + p)
-        By `grown`.
+        Result of `grown`.
     around : tuple of ndarray
-        Places (n, axes), m, which combinations are around each (n, c), and their weights (n, c).
+        Places (n, axes), m, index of the combinations around each (n, c), and their weights (n, c).
     here : Here
-        Storage, at the gaps where the axes stand.
+        Work arrays, with the gaps at the positions of the axes.
     found : Survey
-        Written; its residuals are NaN before.
+        Output; its residuals are NaN on entry.
     """
     places, touched, weights = around
     size, probes = pads.held.size, table.probes.shape[1]
