@@ -1,10 +1,10 @@
 """Weakly coupled blocks of contact elements, for the gap equations of large machines.
 
-Where bodies are stacked, the blocks of F between their joints are small: a joint carries what
-equilibrium demands, however the others slide. To factorise each block is much cheaper than all as
-one matrix, only the block of a joint that changes is factorised again, and a sweep over the blocks
-replaces the solution with the whole (`fesim.joint.modified_newton`). It moves the gaps by F in
-single precision, half of what there is to read; the state they lead to is still judged with F.
+In stacked bodies the blocks of F between their joints are small: the load on a joint follows from
+equilibrium, however the others slide. Factorising the blocks is much cheaper than one matrix, only
+the block of a joint that changes is factorised again, and a sweep over the blocks replaces the
+solution with the whole (`fesim.joint.modified_newton`). It moves the gaps by F in single precision,
+half as many bytes to read; the resulting state is still checked with F.
 
 Parallel joints between the same bodies, such as the two rails of a table, can slide against each
 other as a whole; then each depends on the other more than on itself, and they form one block.
@@ -32,7 +32,7 @@ from thermojoint.artefacts.arrays import Array, Flags
 #: Up to this many contact elements are one block in any case: their factors fit into the cache.
 WHOLE = 96
 #: Joints with a larger coupling than this are in one block: a sweep would leave about this fraction
-#: of the residual, where drift leaves 0.01 anyway.
+#: of the residual, while drift leaves 0.01 anyway.
 COUPLED = 0.15
 #: Steps of the power method that estimates a coupling.
 POWERS = 8
@@ -53,8 +53,8 @@ class Blocks(NamedTuple):
     #: Shape (3 m, 3 m): the whole of F transposed in single precision, m/Pa, in the order of the
     #: machine; (0, 0) for a single block.
     between: NDArray[np.float32]
-    #: Largest gap anywhere by tractions that close their own springs k0 by up to 1 m each, m;
-    #: unknown, and not used, for a single block.
+    #: Largest gap anywhere due to tractions that close their own springs k0 by up to 1 m each, m;
+    #: not computed or used for a single block.
     reach: float
 
 
@@ -87,10 +87,10 @@ def whole(problem: GapProblem) -> Blocks:
 
 
 def columns_for(problem: GapProblem, blocks: Blocks) -> Array:
-    """Return F transposed (3 m, 3 m), m/Pa, for Newton's method where sweeps fail.
+    """Return F transposed (3 m, 3 m), m/Pa, for Newton's method if sweeps fail.
 
-    It is empty for several blocks of `MANY` contact elements: to store it takes as long as twenty
-    steps, and a plain step, which makes it at need, takes over from sweeps that fail.
+    It is empty for several blocks of `MANY` contact elements: storing it takes as long as twenty
+    steps, and a plain step, which computes it if necessary, takes over when sweeps fail.
     """
     apart = blocks.starts.size > 2 and blocks.elements.size >= MANY
     return np.empty((0, 0)) if apart else problem.columns
@@ -102,7 +102,7 @@ def blocks_of(problem: GapProblem, counts: Sequence[int], share: Array, supports
     Parameters
     ----------
     problem : GapProblem
-        Their gap equations; F transposed is only made where one block remains.
+        Their gap equations; F transposed is only computed if one block remains.
     counts : sequence of int
         Number of contact elements of each joint, in order.
     share, supports : ndarray, shapes (m, p) and (k, 6 p)

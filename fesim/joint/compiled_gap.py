@@ -6,7 +6,7 @@ stiff as the joint at its preload while it sticks, dT is nonzero only in the pre
 element and in the shear of a sliding one. So the linear system has as many unknowns as there are
 such tractions, not three for each contact element.
 
-Start at `solve_in_place` beside `fesim.joint.gap.solve_gap`: line by line the same method.
+Start at `solve_in_place` next to `fesim.joint.gap.solve_gap`: the same method, line by line.
 `tests/fesim/joint/test_compiled_gap.py` compares law, equilibria and march with the plain ones.
 """
 
@@ -53,8 +53,8 @@ from thermojoint.artefacts.arrays import Array
 _KIND, _SCALE, _SHAPE, _START, _PRELOAD, _FRICTION, _STIFFNESS = range(7)
 _SURFACE, _BACK_BURDEKIN = 0.0, 1.0
 _SOLVED, _STALLED, _UNCONVERGED = range(3)
-#: Part of the tolerance that earlier factors may leave, as they come closer by parts only: friction
-#: remembers what is left, and errors are estimated from differences of equilibria.
+#: Fraction of the tolerance that stored factors may leave, as they converge linearly: friction
+#: remembers the residual, and errors are estimated from differences of equilibria.
 CLOSER = 0.1
 
 
@@ -70,12 +70,12 @@ class GapKernel(NamedTuple):
     laws: Array
     #: Largest residual accepted, m.
     tolerance: float
-    #: Part of the residual that an iteration with earlier factors may leave; zero: it has its own.
+    #: Fraction of the residual that an iteration with stored factors may leave; zero: no reuse.
     left: float = 0.0
 
 
 class Trial(NamedTuple):
-    """Trial gaps and the law there, written in place."""
+    """Trial gaps and the law evaluated there, written in place."""
 
     #: Shape (3, m): gaps, m, and tractions over the preload, Pa.
     gap: Array
@@ -90,15 +90,15 @@ class Trial(NamedTuple):
 class CompiledGap:
     """The gap equations of one machine."""
 
-    #: Their linear side.
+    #: Linear part.
     problem: GapProblem
     #: Shape (m, 7): parameters of the law of each contact element.
     laws: Array
 
     def kernel(self, columns: Array, tolerance: float) -> GapKernel:
-        """Return its data for machine code, and for residuals up to a tolerance, m.
+        """Return its data for compiled code, for residuals up to a tolerance, m.
 
-        `columns`: F transposed, (3 m, 3 m), m/Pa, or an empty matrix where it is not used.
+        `columns`: F transposed, (3 m, 3 m), m/Pa, or an empty matrix if it is not used.
         """
         springs, compliance = self.problem.springs, self.problem.compliance
         return GapKernel(springs, compliance, columns, self.laws, tolerance)
@@ -128,7 +128,7 @@ def compile_gap(problem: GapProblem, laws: Sequence[tuple[JointLaw, int]]) -> Co
     Parameters
     ----------
     problem : GapProblem
-        With the springs of these laws.
+        Gap equations with the springs of these laws.
     laws : sequence of (JointLaw, int)
         The law of each joint and its number of contact elements.
     """
@@ -139,7 +139,7 @@ def compile_gap(problem: GapProblem, laws: Sequence[tuple[JointLaw, int]]) -> Co
             return None
         table = np.tile(row, (count, 1))
         if isinstance(law.normal, OpenLaw):
-            # Both laws take the opening from the state with their reference pressure.
+            # Both laws count the opening from the state at their reference pressure.
             sign = 1.0 if row[_KIND] == _SURFACE else -1.0
             table[:, _START] += sign * law.normal.shift
         rows.append(table)
@@ -168,7 +168,7 @@ def trial_at(gap: Array) -> Trial:
 
 @compiled_part
 def _pressure(law: Array, opening: float) -> tuple[float, float]:
-    """Pressure (Pa) and its slope (Pa/m), as `SurfaceNormalLaw` and `BackBurdekinLaw` say."""
+    """Pressure (Pa) and its slope (Pa/m), as in `SurfaceNormalLaw` and `BackBurdekinLaw`."""
     if law[_KIND] == _SURFACE:
         scaled = (law[_START] + opening) / (math.sqrt(2.0) * law[_SHAPE])
         bell = math.exp(-min(scaled * scaled, 700.0))
@@ -183,7 +183,7 @@ def _pressure(law: Array, opening: float) -> tuple[float, float]:
 
 @compiled
 def evaluate_in_place(laws: Array, slip: Array, trial: Trial) -> None:
-    """`fesim.joint.law.evaluate` at the gaps of a trial, into it."""
+    """Evaluate the law at the gaps of a trial, in place, as `fesim.joint.law.evaluate`."""
     gap, value, moved, tangent = trial.gap, trial.value, trial.moved, trial.tangent
     for e in range(laws.shape[0]):
         law = laws[e]
@@ -217,7 +217,7 @@ def evaluate_in_place(laws: Array, slip: Array, trial: Trial) -> None:
 def _residual(
     kernel: GapKernel, free_gap: Array, trial: Trial, remainder: Array, residual: Array
 ) -> None:
-    """r(g) into `residual`; `remainder` is storage."""
+    """Write r(g) into `residual`; `remainder` is a work array."""
     gap, value, springs = trial.gap, trial.value, kernel.springs
     count = gap.shape[1]
     for i in range(3):
@@ -232,7 +232,7 @@ def _residual(
 
 @compiled_part
 def lacking_rows(springs: Array, tangent: Array, rows: NDArray[np.int64]) -> int:
-    """Put the nonzero rows of dT into `rows` (3 m,); return their number.
+    """Write the indices of the nonzero rows of dT into `rows` (3 m,); return their number.
 
     They are the pressures, and both shears of each sliding contact element.
     """
@@ -253,7 +253,7 @@ def lacking_rows(springs: Array, tangent: Array, rows: NDArray[np.int64]) -> int
 
 @compiled_part
 def lacking(springs: Array, tangent: Array, row: int) -> tuple[float, float, float]:
-    """The entries of a row of dT: of the opening and both tangents of its contact element."""
+    """Entries of a row of dT: for the opening and both tangents of its contact element."""
     count = tangent.shape[1]
     part, e = divmod(row, count)
     if part == 0:
@@ -267,7 +267,7 @@ def lacking(springs: Array, tangent: Array, row: int) -> tuple[float, float, flo
 def lacking_entries(
     springs: Array, tangent: Array, rows: NDArray[np.int64], entries: Array
 ) -> None:
-    """`lacking` of the first rows of `rows`, as many as `entries` (3, n) has columns."""
+    """Write `lacking` of as many rows of `rows` as `entries` (3, n) has columns."""
     for k in range(entries.shape[1]):
         entries[0, k], entries[1, k], entries[2, k] = lacking(springs, tangent, rows[k])
 
@@ -276,17 +276,17 @@ def lacking_entries(
 def lacking_system(
     columns: Array, entries: Array, rows: NDArray[np.int64], system: NDArray[np.floating]
 ) -> None:
-    """I - dT F of `lacking_entries` (3, n), column after column, into `system` (n, n).
+    """Write I - dT F of `lacking_entries` (3, n), in column order, into `system` (n, n).
 
-    `columns` (3 m, 3 m) is F transposed. The pressures are the first rows: theirs are read and
-    written as they are stored.
+    `columns` (3 m, 3 m) is F transposed. The pressures are the first rows, which are read and
+    written in storage order.
     """
     count = columns.shape[0] // 3
     for j in range(system.shape[0]):
         column, into = columns[rows[j]], system[j]
         for k in range(count):
             into[k] = -entries[0, k] * column[k]
-        # Then both shears of one contact element after another, as `lacking_rows` has them.
+        # Then both shears of one contact element after another, as in `lacking_rows`.
         for pair in range(count, into.size, 2):
             e = rows[pair] - count
             opening, first, second = column[e], column[count + e], column[2 * count + e]
@@ -297,7 +297,7 @@ def lacking_system(
 
 
 class NewtonWork(NamedTuple):
-    """Storage of Newton's method for m contact elements, kept from solve to solve."""
+    """Work arrays of Newton's method for m contact elements, kept from solve to solve."""
 
     #: Shape (3 m,): tractions, Pa, and gaps, m.
     remainder: Array
@@ -306,19 +306,19 @@ class NewtonWork(NamedTuple):
     before: Array
     forces: Array
     moved: Array
-    #: Shape (3 m,): of dT.
+    #: Shape (3 m,): nonzero rows of dT.
     rows: NDArray[np.int64]
-    #: Shapes (9 m,) and (9 m^2,): of the tractions that the springs lack, and its factors.
+    #: Shapes (9 m,) and (9 m^2,): entries of these rows, and the system and then its factors.
     entries: Array
     system: Array
-    #: Shape (3 m,): of the factors; shape (1,): their size, zero if there are none.
+    #: Shape (3 m,): pivots of the factors; shape (1,): their size, zero if there are none.
     pivots: NDArray[np.int32]
     kept: NDArray[np.int64]
 
 
 @compiled
 def newton_work(count: int) -> NewtonWork:
-    """Storage for `count` contact elements."""
+    """Work arrays for `count` contact elements."""
     size = 3 * count
     return NewtonWork(
         np.empty(size),
@@ -337,7 +337,7 @@ def newton_work(count: int) -> NewtonWork:
 
 @compiled_part
 def _newton_step(kernel: GapKernel, tangent: Array, work: NewtonWork, anew: bool) -> None:
-    """-J^-1 r into the step, with the tangent of this iteration or the last that was factorised.
+    """Compute -J^-1 r with the present tangent, or with the last one that was factorised.
 
     With y = dT step, the tractions missing in the springs: (I - dT F) y = -dT r on the nonzero rows
     of dT, and step = F y - r.
@@ -372,7 +372,7 @@ def _newton_step(kernel: GapKernel, tangent: Array, work: NewtonWork, anew: bool
 
 @compiled_part
 def largest(values: Array) -> float:
-    """The largest magnitude; NaN if there is one, so that it does not look like convergence."""
+    """The largest magnitude; NaN if any value is NaN, so that it does not look like convergence."""
     maximum = 0.0
     for value in values.flat:
         if math.isnan(value):
@@ -385,7 +385,7 @@ def largest(values: Array) -> float:
 def solve_in_place(
     kernel: GapKernel, free_gap: Array, slip: Array, trial: Trial, work: NewtonWork
 ) -> tuple[int, float, int]:
-    """Newton's method from the gaps of a trial: outcome (0 is solved), residual and iterations."""
+    """Newton's method from the gaps of a trial: outcome (0: solved), residual, iterations."""
     gap = trial.gap
     count = gap.shape[1]
     remainder, residual, step = work.remainder, work.residual, work.step
@@ -414,7 +414,7 @@ def solve_in_place(
                 settled, anew = anew or slow, slow
                 break
             if not anew:
-                # Back to where they led from, for factors of its own.
+                # Back to the gaps before the step, for a new factorisation.
                 settled = anew = True
                 put(before, gap)
                 evaluate_in_place(kernel.laws, slip, trial)
@@ -422,7 +422,7 @@ def solve_in_place(
                 break
             length /= 2.0
             if length < SHORTEST_STEP:
-                # At a kink of the law a full step leaves it (`fesim.joint.gap.solve_gap`).
+                # A full step leaves a kink of the law (`fesim.joint.gap.solve_gap`).
                 if full_steps == 0:
                     return _STALLED, size, iteration
                 full_steps -= 1

@@ -23,9 +23,9 @@ LEAST_PRESSURE = 1e-300
 
 @dataclass(frozen=True)
 class FixedConductance:
-    """The same value at every pressure, open joints included: a bond, or a measured mean."""
+    """The same value at every pressure, also in open joints: a bond, or a measured mean."""
 
-    #: W/(m2 K).
+    #: Conductance, W/(m2 K).
     value: float
 
     def __call__(self, pressure: Array) -> Array:
@@ -49,7 +49,7 @@ class ConductanceTable:
         pressure.
     """
 
-    #: Shape (n,): increasing, Pa.
+    #: Shape (n,): pressures, increasing, Pa.
     pressures: Array
     #: Shape (k,): temperatures above the initial ambient, increasing, K; one entry if h does not
     #: depend on it.
@@ -73,7 +73,7 @@ class ConductanceTable:
             raise InputError(
                 "conductance table: conductance_W_m2K falls as pressure_MPa rises; correct the rows"
             )
-        # It loads scipy.optimize, which few cases need.
+        # Imported here because it loads scipy.optimize, which few cases need.
         from scipy.interpolate import PchipInterpolator
 
         logarithm = np.log(self.pressures)
@@ -96,7 +96,7 @@ class ConductanceTable:
         Parameters
         ----------
         pressure : ndarray, shape (m,)
-            Pa.
+            Contact pressure, Pa.
         rise : ndarray, shape (m,)
             Mean temperature of the two sides above the initial ambient, K.
         """
@@ -131,14 +131,14 @@ class GapConductance:
     """Heat transfer in parallel with the contact: gas in the gap, and radiation.
 
     h = k_g / (Y + M) + h_r with the distance Y of the mean planes (Yovanovich 1981): that at first
-    contact plus the opening. The mean planes of a pressed joint are nearer according to its law.
+    contact plus the opening. In a pressed joint its law determines their approach.
     """
 
     #: k_g of the gas, W/(m K).
     conductivity: float
     #: M: temperature jump distances of both sides, m.
     jump: float
-    #: h_r where it is linearised, W/(m2 K).
+    #: h_r if it is linearised, W/(m2 K).
     radiation: float
     #: Distance of the mean planes at first contact, m.
     touching: float
@@ -146,7 +146,7 @@ class GapConductance:
     opening: float | Array
     #: Whether the mean planes of a pressed joint continue to approach each other.
     follows: bool
-    #: Of radiation that is not linearised, W/(m2 K4).
+    #: Exchange factor of radiation that is not linearised, W/(m2 K4).
     exchange: float = 0.0
     #: Initial ambient, K.
     ambient: float = 0.0
@@ -157,7 +157,7 @@ class GapConductance:
         Parameters
         ----------
         gap : ndarray, shape (m,)
-            From the state at the start, m.
+            Gap relative to the initial state, m.
         rise, jump : ndarray, shape (m,)
             Mean temperature of the sides above the initial ambient, and their difference, K.
         """
@@ -172,5 +172,5 @@ class GapConductance:
 
 
 def exchange_factor(first: float, second: float) -> float:
-    """Return sigma / (1/e1 + 1/e2 - 1), W/(m2 K4), of parallel planes by their emissivities."""
+    """Return sigma / (1/e1 + 1/e2 - 1), W/(m2 K4), of parallel planes from their emissivities."""
     return STEFAN_BOLTZMANN / (1.0 / first + 1.0 / second - 1.0)

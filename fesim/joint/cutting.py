@@ -1,10 +1,10 @@
 """Subdivision of a step of the gap equations that has no continuous solution path.
 
-The thermal gap of a long step may pass over states that friction remembers: an element that would
+The thermal gap of a long step may pass through states that affect friction: an element that would
 close, stick and open again sees only the end points. So the step from the last equilibrium is
-divided into pieces, each starting from the friction history of the previous ones: Newton's method
-where it finds an equilibrium, `fesim.joint.relaxation` where a piece snaps. A piece that fails is
-halved repeatedly.
+divided into pieces, each starting from the friction history of the previous ones: with Newton's
+method if it finds an equilibrium, with `fesim.joint.relaxation` if a piece snaps. A piece that
+fails is halved repeatedly.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from fesim.joint.relaxation import relax
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
 
-#: The shortest piece, of a step.
+#: Length of the shortest piece, relative to the step.
 SHORTEST = 2.0**-10
 
 
@@ -36,7 +36,7 @@ def cut(
     """Return the equilibrium at the end of a step, and its numbers of pieces and viscous steps.
 
     Parameters as for `fesim.joint.gap.solve_gap`; `gap` is the equilibrium at the start. `explain`
-    is given the last state that was reached, and may raise an error that says more.
+    receives the last state reached, and may raise a more specific error.
 
     Raises
     ------

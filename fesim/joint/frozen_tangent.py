@@ -2,15 +2,15 @@
 
 A Newton step solves (I - dT F) y = lack, with dT = T + k0 nonzero only in the pressures and in the
 shears of sliding contact elements (`fesim.joint.compiled_gap`). The matrix is factorised at one
-state, in single precision, and kept: the frozen tangent. Where a contact element has since begun to
+state, in single precision, and kept: the frozen tangent. If a contact element has since begun to
 stick, slide or open, its three rows are corrected exactly (Woodbury's formula); drift is left to
 the iteration, whose residuals are in double precision.
 
-Everything stored follows from the frozen tangent: a march resumed from a saved one gives the same
-bits. Each block of contact elements (`fesim.joint.blocks`) has its own.
+Everything stored follows from the frozen tangent: a march resumed from a saved one is
+bit-identical. Each block of contact elements (`fesim.joint.blocks`) has its own.
 
-Start at `correct`, which states the formula. That the frozen tangent does not affect the
-equilibrium is tested in `tests/fesim/joint/test_modified_newton.py`.
+Start at `correct`, which contains the formula. `tests/fesim/joint/test_modified_newton.py` tests
+that the frozen tangent does not affect the equilibrium.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ CHANGED = 0.05
 #: Contact elements corrected at once: a fraction of all, with a minimum and a maximum.
 SHARE, FEWEST, MOST = 16, 4, 8
 
-#: Positions in `FrozenTangent.about`.
+#: Indices of `FrozenTangent.about`.
 MADE, ROWS, FROZEN = 0, 1, 2
 
 
 class Scratch(NamedTuple):
-    """Storage of one correction, large enough for any block; its content is not used afterwards."""
+    """Work arrays of one correction, large enough for any block; not used afterwards."""
 
     #: Shape (MOST,): contact elements to be corrected.
     changed: NDArray[np.int64]
@@ -53,16 +53,16 @@ class Scratch(NamedTuple):
 
 
 class FrozenTangent(NamedTuple):
-    """A frozen tangent, its factors and its corrections; storage that is written in place."""
+    """A frozen tangent, its factors and its corrections, written in place."""
 
-    #: Shape (6, m): of the law there, as in `fesim.joint.law.Traction`.
+    #: Shape (6, m): tangent of the law, as in `fesim.joint.law.Traction`.
     tangent: Array
     #: Shape (3,): whether the factors exist, their number of rows, how often they were computed.
     about: NDArray[np.int64]
-    #: Shape (3 m,): rows of the system, and position of each row in it; -1 for none.
+    #: Shape (3 m,): rows of the system, and index of each row in it; -1 for none.
     rows: NDArray[np.int64]
     place: NDArray[np.int64]
-    #: Shapes (9 m^2,) and (3 m,): I - dT F on these rows, factorised column after column.
+    #: Shapes (9 m^2,) and (3 m,): I - dT F on these rows, factorised in column order.
     factors: NDArray[np.float32]
     pivots: NDArray[np.int32]
     #: Shape (m,): slot of the stored columns of a contact element; -1 for none.
@@ -71,25 +71,25 @@ class FrozenTangent(NamedTuple):
     element: NDArray[np.int64]
     #: Shape (s, 3, 3 m): three columns of the inverse for each, Pa.
     columns: Array
-    #: Shape (s, 3, s, 3): gaps of each slot's contact element by each slot's columns, m.
+    #: Shape (s, 3, s, 3): gaps of each slot's contact element due to each slot's columns, m.
     moved: Array
-    #: Storage, shared by all blocks.
+    #: Work arrays, shared by all blocks.
     scratch: Scratch
 
 
 class Iteration(NamedTuple):
-    """Storage of the iteration over all blocks; its content is not used after a step."""
+    """Work arrays of the iteration over all blocks; not used after a step."""
 
-    #: Shape (3 m,): tractions, Pa, and gaps, m: the unknown, its residual, its correction, the gaps
-    #: that follow from it, and the correction by one block.
+    #: Shape (3 m,): tractions, Pa, and gaps, m: the unknown, its residual, its correction, the
+    #: resulting gaps, and the correction by one block.
     force: Array
     lack: Array
     step: Array
     shift: Array
     part: Array
-    #: Shape (6 m,): of the law, in one block.
+    #: Shape (6 m,): tangent of the law, in one block.
     tangent: Array
-    #: Shape (3 m,): in one block.
+    #: Shape (3 m,): residual and correction in one block.
     own_lack: Array
     own_step: Array
 
@@ -106,12 +106,12 @@ class FrozenTangents(NamedTuple):
     #: Shape (5, b + 1): start of each block: in contact elements, in slots, in contact elements
     #: squared, in slots times contact elements and in slots squared.
     begins: NDArray[np.int64]
-    #: Storage.
+    #: Work arrays of the iteration.
     iteration: Iteration
 
 
 def frozen_tangents(blocks: Blocks) -> FrozenTangents:
-    """Return storage for the frozen tangents of blocks, without any yet."""
+    """Return storage for the frozen tangents of blocks, initially without any."""
     counts = np.diff(blocks.starts)
     slots = np.minimum(np.clip(counts // SHARE, FEWEST, MOST), np.maximum(counts, 1))
     every = int(counts.sum())
@@ -165,7 +165,7 @@ def block_tangent(tangents: FrozenTangents, block: int) -> FrozenTangent:
 
 @compiled
 def put_tangents(tangents: FrozenTangents, into: Array) -> None:
-    """Put the existing frozen tangents into `into` (6, m), zero for the others."""
+    """Write the existing frozen tangents into `into` (6, m), zero for the others."""
     elements = tangents.blocks.elements
     for block in range(tangents.begins.shape[1] - 1):
         first, last = tangents.begins[0, block], tangents.begins[0, block + 1]
@@ -178,7 +178,7 @@ def put_tangents(tangents: FrozenTangents, into: Array) -> None:
 
 @compiled
 def forget(tangents: FrozenTangents) -> None:
-    """Let every block compute its factors anew."""
+    """Mark the factors of all blocks as missing."""
     for block in range(tangents.every.about.shape[0]):
         tangents.every.about[block, MADE] = 0
 
@@ -188,9 +188,9 @@ class Lacking(NamedTuple):
 
     #: Shape (6, m): tangent of the law.
     tangent: Array
-    #: Shape (3 m,): Pa.
+    #: Shape (3 m,): the difference, Pa.
     lack: Array
-    #: A sticking contact element is not corrected up to this, a gap in m.
+    #: Gap, m, up to which a sticking contact element is not corrected.
     least: float
 
 
@@ -215,9 +215,9 @@ def freeze_tangent(frozen: FrozenTangent, block: Block) -> None:
 
 @compiled_part
 def add_product(columns: NDArray[np.floating], factors: Array, total: Array) -> None:
-    """Add the sum of the rows of `columns`, each by its factor, to `total`; factors may be zero.
+    """Add the sum of the rows of `columns`, each times its factor, to `total`; factors may be zero.
 
-    Four rows at a time: the total is read and written once for them.
+    Four rows at a time: the total is read and written once for all four.
     """
     size, count = total.size, 0
     first, second, third = 0, 0, 0
@@ -246,7 +246,7 @@ def add_product(columns: NDArray[np.floating], factors: Array, total: Array) -> 
 
 @compiled_part
 def _solve_frozen(frozen: FrozenTangent, right_side: Array, solution: Array) -> None:
-    """The frozen system's solution for `right_side`, and zero elsewhere, into `solution` (3 m,)."""
+    """Write the frozen system's solution for `right_side` into `solution`, zero elsewhere."""
     size = frozen.about[ROWS]
     solved = frozen.scratch.solved[:size]
     for k in range(size):
@@ -262,12 +262,12 @@ def _solve_frozen(frozen: FrozenTangent, right_side: Array, solution: Array) -> 
 def _changed(
     frozen: FrozenTangent, springs: Array, now: Lacking, changed: NDArray[np.int64]
 ) -> int:
-    """Put the contact elements to be corrected into `changed`; return how many, or -1: too many."""
+    """Write the elements to be corrected into `changed`; return their number, -1: too many."""
     tangent, lack, least = now.tangent, now.lack, now.least
     count, number = tangent.shape[1], 0
     for e in range(count):
         first, second = count + e, 2 * count + e
-        # A row outside the system can only lack something while its element keeps sliding.
+        # A row outside the system can only have a residual while its element keeps sliding.
         lacks = max(abs(lack[first]), abs(lack[second])) > least * springs[first]
         differs = frozen.place[first] < 0 and lacks
         for k in range(6):
@@ -285,7 +285,7 @@ def _changed(
 def _keep_columns(
     frozen: FrozenTangent, block: Block, changed: NDArray[np.int64], number: int
 ) -> None:
-    """Store the columns of the inverse of these contact elements in slots, if they are not yet."""
+    """Store these contact elements' columns of the inverse in slots, unless already stored."""
     springs, columns = block.springs, block.columns
     count = frozen.slot.size
     needed = frozen.scratch.needed[:count]
@@ -308,7 +308,7 @@ def _keep_columns(
             kept = frozen.columns[free, i]
             fill(kept, 0.0)
             inside = frozen.place[row] >= 0
-            # The right side is put where the solution goes.
+            # The solution replaces the right side.
             if inside:
                 kept[row] = 1.0
             else:
@@ -332,7 +332,7 @@ def _keep_columns(
 
 @compiled_part
 def _move(frozen: FrozenTangent, compliance: Array, slot: int, by: int) -> None:
-    """Store the gaps of a slot's contact element by the columns of a slot."""
+    """Store the gaps of a slot's contact element due to the columns of another slot."""
     for i in range(3):
         row = compliance[i * frozen.slot.size + frozen.element[slot]]
         for j in range(3):
@@ -341,7 +341,7 @@ def _move(frozen: FrozenTangent, compliance: Array, slot: int, by: int) -> None:
 
 @compiled_part
 def correct(frozen: FrozenTangent, block: Block, now: Lacking, step: Array) -> bool:
-    """Newton's step y (3 m,), Pa, for what is lacking, in place; False: too much changed.
+    """Newton's step y (3 m,), Pa, for the residual, in place; False: too much has changed.
 
     With E = dT - dT_frozen of the changed contact elements (rows P) and A the frozen system:
     (A - P E F_P) y = lack, so y = A^-1 lack + A^-1 P (I - E F_P A^-1 P)^-1 E F_P A^-1 lack.
@@ -401,7 +401,7 @@ def _follow_change(
 def _combine(
     frozen: FrozenTangent, changed: NDArray[np.int64], factors: Array, step: Array
 ) -> None:
-    """Add the kept columns, each by its factor, to the step."""
+    """Add the stored columns, each times its factor, to the step."""
     for k in range(factors.size):
         if factors[k] != 0.0:
             column = frozen.columns[frozen.slot[changed[k // 3]], k % 3]

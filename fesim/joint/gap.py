@@ -2,14 +2,14 @@
 
 Unknown: the gaps g (opening, two tangential) of all contact elements. The condensation gives
 g = g_T + C A [z(g) + k g], with the law's traction z, the thermal gap g_T and the reference springs
-k, whose force C contains already. Springs k0 as stiff as the joint itself take their place:
+k, whose forces C already includes. They are replaced by springs k0 as stiff as the joint itself:
 r(g) = g - J0^-1 g_T - F [z(g) + k0 g], J0 = I - C A (k - k0), F = J0^-1 C A. The solutions are the
 same, and r does not depend on k: it is the error of the gaps of a joint that sticks at its preload.
-In the gap, unlike in the tractions, the law has a bounded slope however much the joint slides or
-opens.
+As a function of the gap, unlike of the tractions, the law has a bounded slope however much the
+joint slides or opens.
 
-Start here: `solve_gap` is the method to read. It stands once more as compiled code for known laws
-(`fesim.joint.compiled_gap`), and a march tries a frozen tangent first
+Start here: `solve_gap` is the method to read. The same method exists as compiled code for known
+laws (`fesim.joint.compiled_gap`), and a march tries a frozen tangent first
 (`fesim.joint.modified_newton`); their tests compare both with this one.
 """
 
@@ -36,9 +36,9 @@ TOLERANCE = 1e-13
 MAX_ITERATIONS = 60
 SHORTEST_STEP = 2.0**-10
 MAX_FULL_STEPS = 10
-#: Reference springs that differ from the joint's own by less, relative to these, are nearly equal.
+#: Reference springs whose relative difference from the joint's own is below this are nearly equal.
 NEAR = 0.01
-#: Rows that are copied at a time from one triangle of a symmetric matrix into the other.
+#: Number of rows copied at a time from one triangle of a symmetric matrix into the other.
 AT_ONCE = 64
 #: Edge of the tiles in which a matrix is transposed.
 TILE = 500
@@ -50,7 +50,7 @@ class Equilibrium:
 
     #: Shape (3, m): opening and tangential relative displacements, m.
     gap: Array
-    #: The law there.
+    #: Tractions there.
     traction: Traction
     #: Largest gap residual, m.
     residual: float
@@ -60,15 +60,15 @@ class Equilibrium:
 
 @dataclass(frozen=True)
 class GapProblem:
-    """The gap equations of one machine, with dense matrices made once; see `gap_problem`."""
+    """The gap equations of one machine, with precomputed dense matrices; see `gap_problem`."""
 
     #: Shape (3 m,): k0: stiffness of the joint at its preload while it sticks, Pa/m.
     springs: Array
-    #: Shape (3 m,): k - k0: by how much the condensation's springs are stiffer, Pa/m.
+    #: Shape (3 m,): k - k0: excess stiffness of the condensation's springs, Pa/m.
     change: Array
     #: Shape (3 m, 3 m): F: gap per traction of the structure with the springs k0, m/Pa.
     compliance: Array
-    #: (gap, slip) to `Traction`.
+    #: From (gap, slip) to `Traction`.
     law: Law
 
     @cached_property
@@ -105,13 +105,13 @@ class GapProblem:
 def transposed(matrix: Array, precision: type[Real]) -> NDArray[Real]:
     """Return the transpose of a square matrix, contiguous.
 
-    It is made tile by tile, as whole rows would miss the cache.
+    It is computed tile by tile, as whole rows would miss the cache.
 
     Parameters
     ----------
     matrix : ndarray, shape (n, n)
     precision : type
-        Of the numbers of the transpose.
+        Type of the numbers of the transpose.
     """
     found = np.empty(matrix.shape, dtype=precision)
     starts = range(0, len(matrix), TILE)
@@ -124,7 +124,7 @@ def transposed(matrix: Array, precision: type[Real]) -> NDArray[Real]:
 def gap_problem(
     compliance: Array, area: Array, reference: Array, springs: Array, law: Law
 ) -> GapProblem:
-    """Put springs as stiff as the joint in the place of those of the condensation.
+    """Replace the springs of the condensation by springs as stiff as the joint.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def gap_problem(
     springs : ndarray, shape (3 m,)
         k0, Pa/m: `fesim.joint.law.stiffness_at_rest`.
     law : callable
-        (gap, slip) to `Traction`.
+        From (gap, slip) to `Traction`.
 
     Raises
     ------
@@ -152,7 +152,7 @@ def gap_problem(
         found = _definite_inverse(compliance, area * change)
     if found is None:
         found = _inverse(compliance, area * change)
-    # J0^-1 C A (k - k0) = J0^-1 - I: a product is only needed where k and k0 are nearly equal.
+    # J0^-1 C A (k - k0) = J0^-1 - I: a product is only needed for columns with nearly equal k, k0.
     product = found @ (compliance[:, near] * area[near])
     divisor = np.where(near, 1.0, change)
     found /= divisor
@@ -174,15 +174,15 @@ def _inverse(compliance: Array, change: Array) -> Array:
 def _definite_inverse(compliance: Array, change: Array) -> Array | None:
     """`_inverse` of stiffnesses of one sign; None if it is not definite.
 
-    With R = |D|^1/2 it is R^-1 (I -+ R C R)^-1 R: a symmetric matrix, which takes less than half as
-    long to invert. It is positive definite wherever supports and joints hold all bodies.
+    With R = |D|^1/2 it is R^-1 (I -+ R C R)^-1 R: the inverse of a symmetric matrix takes less than
+    half as long. It is positive definite if supports and joints hold all bodies.
     """
     root = np.sqrt(np.abs(change))
     system = compliance * root
     system *= (-np.sign(change) * root)[:, None]
     system[np.diag_indices(root.size)] += 1.0
-    # In place, as a large array costs more than what is done to it. LAPACK counts along columns:
-    # its lower triangle is the upper one here.
+    # In place, as allocating a large array costs more than the operations. LAPACK uses column
+    # order: its lower triangle is the upper one here.
     factor, failed = lapack.dpotrf(system.T, lower=True, clean=False, overwrite_a=True)
     if failed:
         return None

@@ -1,7 +1,7 @@
 """JIT-compiled assignments in loops.
 
-``into[:] = values`` takes a second to compile wherever it stands in compiled code: it broadcasts,
-looks for overlaps and writes the message of an error. So do operations on whole arrays.
+``into[:] = values`` takes a second to compile at every occurrence in compiled code: it broadcasts,
+checks for overlaps and builds an error message. The same is true of operations on whole arrays.
 """
 
 from __future__ import annotations

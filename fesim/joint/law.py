@@ -1,7 +1,7 @@
 """The joint law at a contact element: normal pressure, micro-slip friction, conductance (Eq. 11).
 
 Gaps are measured from the preloaded state: opening positive, slip along the two tangents. Tractions
-are those that the joint exerts on the gap: a pressure pushes it open, friction resists its slip.
+are those of the joint on the gap: a pressure opens it, friction resists its slip.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class SurfaceNormalLaw:
 
     @property
     def limit(self) -> float:
-        """H/2, Pa: there the mean planes meet, and no asperities are left."""
+        """H/2, Pa, at which the mean planes meet and no asperities are left."""
         return 0.5 * self.hardness
 
     @property
@@ -124,13 +124,13 @@ class JointLaw:
     normal: NormalLaw
     #: Shear traction against slip.
     friction: Friction
-    #: Pressure (Pa) to contact conductance, W/(m2 K).
+    #: From pressure (Pa) to contact conductance, W/(m2 K).
     conductance: Callable[[Array], Array]
     #: Law whose state at opening zero defines springs, tangential stiffness and relative errors;
     #: default `normal`. A joint without preload has no stiffness there.
     reference: NormalLaw | None = None
-    #: Opening from the start (m), rise and jump (K) as for `conducts` to the conductance of the gap
-    #: in parallel with the contact, W/(m2 K).
+    #: From opening since the start (m), rise and jump (K) as for `conducts` to the conductance of
+    #: the gap in parallel with the contact, W/(m2 K).
     gap: Callable[[Array, Array, Array], Array] | None = None
 
     def __post_init__(self) -> None:
@@ -150,7 +150,7 @@ class JointLaw:
 
     @property
     def reference_pressure(self) -> float:
-        """Preload, or the reference pressure where there is none, Pa."""
+        """Preload, or the reference pressure if there is none, Pa."""
         return (self.reference or self.normal).preload
 
     @property
@@ -181,8 +181,8 @@ class JointLaw:
         Parameters
         ----------
         pressure, opening, rise, jump : ndarray, shape (m,)
-            Pa; m from the start; mean temperature of both sides above the initial ambient, K; their
-            difference, K.
+            Pressure, Pa; opening since the start, m; mean temperature of both sides above the
+            initial ambient, K; their difference, K.
         """
         table = self.conductance
         if isinstance(table, ConductanceTable):
@@ -204,8 +204,8 @@ def stiffness_at_rest(laws: Sequence[tuple[JointLaw, int]]) -> Array:
     return np.concatenate([np.empty((3, 0)), *parts], axis=1).ravel()
 
 
-#: Rows of a tangent: entries 00, 10, 20, 11, 12, 22 of dz_i/dg_j. Shear adds no pressure, and the
-#: shears' part is symmetric.
+#: Rows of a tangent: entries 00, 10, 20, 11, 12, 22 of dz_i/dg_j. Shear does not change the
+#: pressure, and the part of the shears is symmetric.
 NORMAL, FIRST, SECOND, ALONG, CROSS, ACROSS = range(6)
 
 
@@ -222,7 +222,7 @@ class Traction:
 
 
 def tangent_matrix(tangent: Array) -> Array:
-    """Return dz_i/dg_j, shape (3, 3, m), of the rows `NORMAL` to `ACROSS` (6, m) of a tangent."""
+    """Return dz_i/dg_j, shape (3, 3, m), from the rows `NORMAL` to `ACROSS` (6, m) of a tangent."""
     normal, first, second, along, cross, across = tangent
     nothing = np.zeros_like(normal)
     return np.array([[normal, nothing, nothing], [first, along, cross], [second, cross, across]])
@@ -249,7 +249,7 @@ def evaluate(law: JointLaw, gap: Array, slip: Array) -> Traction:
     sliding = (size > bound) | (bound == 0.0)
     direction = np.divide(trial, size, out=np.zeros_like(trial), where=size > 0.0)
     shear = np.where(sliding, bound * direction, trial)
-    # Sticking: -k_t I. Sliding: the traction turns with the slip and grows only with pressure.
+    # Sticking: -k_t I. Sliding: the traction turns with the slip and grows with pressure only.
     ratio = np.divide(bound, size, out=np.zeros_like(size), where=sliding & (size > 0.0))
     along, across = direction
     tangent = np.empty((6, gap.shape[1]))
@@ -308,7 +308,7 @@ def exact_conductance(
     Raises
     ------
     InputError
-        When called with a pressure of half the hardness or more, where the model ends.
+        When called with a pressure of half the hardness or more, beyond the range of the model.
     """
     factor = slope / roughness * conductivity / (2.0 * np.sqrt(2.0 * np.pi))
 

@@ -1,12 +1,12 @@
-"""Solution of a dense linear system in JIT-compiled code: by elimination; large ones by LAPACK.
+"""Solution of dense linear systems in JIT-compiled code: by elimination; large ones by LAPACK.
 
-All systems here are the unit matrix and what joints add to it, and nearly all can be solved without
-exchanging rows. Where few equations are solved, LAPACK takes twice as long as elimination that only
-looks for another row where a pivot is small.
+All systems here are the unit matrix plus contributions of joints, and nearly all can be solved
+without exchanging rows. For few equations LAPACK takes twice as long as elimination that only
+searches for another row if a pivot is small.
 
-``np.linalg.solve`` does the same in compiled code. Its checks take longer to compile than most of a
-march. LAPACK's name in Numba is private: it is used here alone, and
-`tests/project/test_private_parts.py` says what is relied on.
+``np.linalg.solve`` does the same in compiled code, but its checks take longer to compile than most
+of a march. LAPACK's name in Numba is private: it is used only here, and
+`tests/project/test_private_parts.py` lists the assumptions.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ _gesv = _LAPACK().numba_xgesv(types.float64)
 _gesv_single = _LAPACK().numba_xgesv(types.float32)
 #: Numba's letters for double and single precision.
 _DOUBLE, _SINGLE = ord("d"), ord("s")
-#: Most equations that our own elimination takes.
+#: Largest number of equations for our own elimination.
 FEW = 128
-#: Least pivot that is taken without looking for a larger one.
+#: Smallest pivot accepted without searching for a larger one.
 LEAST = 1e-3
 
 
@@ -36,11 +36,11 @@ def solve(matrix: Array, right_side: Array) -> NDArray[np.floating]:
     Raises
     ------
     numpy.linalg.LinAlgError
-        The matrix is singular, or something is not finite.
+        The matrix is singular, or a value is not finite.
     """
     size = right_side.size
     columns, found = np.empty((size, size)), right_side.copy()
-    # LAPACK counts along columns.
+    # LAPACK uses column order.
     for i in range(size):
         for j in range(size):
             columns[j, i] = matrix[i, j]
@@ -50,10 +50,10 @@ def solve(matrix: Array, right_side: Array) -> NDArray[np.floating]:
 
 @compiled_part
 def factorise_columns(columns: Array, pivots: NDArray[np.int32], found: Array) -> None:
-    """Solve a system given column after column (n, n) for a right side (n,).
+    """Solve a system given in column order (n, n) for a right side (n,).
 
-    The solution takes the place of the right side, factors that of the columns, with reciprocals on
-    the diagonal; `solve_again` takes them and the pivots (n,).
+    The solution replaces the right side, and the factors replace the columns, with reciprocals on
+    the diagonal; `solve_again` uses them and the pivots (n,).
 
     Raises
     ------
@@ -80,10 +80,10 @@ def _solve_few(
 
 @compiled_part
 def _eliminate_fours(columns: NDArray[np.floating]) -> int:
-    """Factorise four columns at a time, as they are, up to a small pivot: how many are done.
+    """Factorise four columns at a time without pivoting up to a small pivot; return how many.
 
-    What is left of the others is updated two at a time, so that the four are read half as often;
-    slices that begin at zero let the loops take several numbers at once.
+    The remaining columns are updated two at a time, so that the four are read half as often; slices
+    that begin at zero allow vectorised loops.
     """
     size = columns.shape[0]
     for k in range(0, size - 3, 4):
@@ -143,7 +143,7 @@ def _lower(columns: NDArray[np.floating], k: int, j: int) -> tuple[float, float,
 
 @compiled_part
 def _eliminate(columns: NDArray[np.floating], pivots: NDArray[np.int32], done: int) -> None:
-    """Factorise what is left after so many columns, with partial pivoting."""
+    """Factorise the columns after the first `done`, with partial pivoting."""
     size = columns.shape[0]
     for k in range(done):
         pivots[k] = k + 1
@@ -189,7 +189,7 @@ def _check(
     for k in range(found.size):
         # `solve_again` divides by it.
         columns[k, k] = 1.0 / columns[k, k]
-    # To name the arrays here keeps them until LAPACK is done with them.
+    # Naming the arrays here keeps them alive until LAPACK has finished.
     _check_finite(found, failed == 0 and columns.size + pivots.size > 0)
 
 
@@ -205,9 +205,9 @@ def _check_finite(found: NDArray[np.floating], solved: bool) -> None:
 def solve_again(
     columns: NDArray[np.floating], pivots: NDArray[np.int32], found: NDArray[np.floating]
 ) -> None:
-    """Solve for another right side (n,), in place, by factors of either precision.
+    """Solve for another right side (n,), in place, with factors of either precision.
 
-    Four columns at a time: the right side is read and written once for them.
+    Four columns at a time: the right side is read and written once for all four.
     """
     size, fours = found.size, found.size - found.size % 4
     for i in range(size):

@@ -5,8 +5,8 @@ pressed, along its tangents while it sticks, across its slip while it slides. A 
 a whole has no stiffness along its slip, so that its equilibrium position is undetermined.
 
 The check costs next to nothing per step: three sticking contact elements that are not on a line
-constrain everything that a joint can. Where a joint has fewer, a small factorisation decides; if
-that is inconclusive, `Constraints.unheld`.
+provide all the constraints of a joint. For fewer, a small factorisation decides; if that is
+inconclusive, `Constraints.unheld`.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from fesim.solid.rigid_motions import Constraints, described
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
 
-#: A contact element below this fraction of its preload constrains nothing, nor does it along a
+#: A contact element below this fraction of its preload does not constrain, nor does it along a
 #: tangent with this fraction of its stiffness.
 NOTHING = 1e-6
 #: A factorisation pivot above this, relative to the largest entry, is not rounding.
 SURE = 1e-7
-#: An equilibrium that cannot be followed further is judged with this margin.
+#: Margin in the check of an equilibrium that cannot be followed further.
 SPARE = 1e-2
 
 #: Columns of the table of contact elements.
@@ -39,7 +39,7 @@ _LEAST, _STIFFNESS, _GROUP, _PLACE = 0, 1, 2, 3
 
 
 class Watched(NamedTuple):
-    """Precomputed data of m contact elements for compiled code; nothing is checked without them."""
+    """Precomputed data of m contact elements for compiled code; no check if empty."""
 
     #: Shape (m, 6): smallest effective pressure (Pa), tangential stiffness while sticking (Pa/m; 0
     #: without friction), group of elements between the same bodies, centre (m).
@@ -55,7 +55,7 @@ class Watched(NamedTuple):
 
 
 class WatchWork(NamedTuple):
-    """Storage of a check: sticking elements of each group, and the stiffness (6 p, 6 p)."""
+    """Work arrays of a check: sticking elements of each group, and the stiffness (6 p, 6 p)."""
 
     corner_count: NDArray[np.int64]
     whole: NDArray[np.bool_]
@@ -64,7 +64,7 @@ class WatchWork(NamedTuple):
 
 
 def watch_work(watched: Watched) -> WatchWork:
-    """Return storage for checks."""
+    """Return work arrays for checks."""
     groups = watched.needed.size
     return WatchWork(
         np.empty(groups, dtype=np.int64),
@@ -74,7 +74,7 @@ def watch_work(watched: Watched) -> WatchWork:
     )
 
 
-#: Nothing is watched.
+#: Data for no check.
 UNWATCHED = Watched(np.empty((0, 6)), np.empty(0, dtype=np.int64), np.empty((0, 3, 0)), np.eye(0))
 
 
@@ -86,9 +86,9 @@ class Watch:
     constraints: Constraints
     #: Data of the quick checks.
     watched: Watched
-    #: Shape (m,): mu.
+    #: Shape (m,): friction coefficient mu.
     friction: Array
-    #: Shape (m,): Pa.
+    #: Shape (m,): preload, Pa.
     preload: Array
 
     def check(self, pressure: Array, tangent: Array) -> None:
@@ -97,7 +97,7 @@ class Watch:
         Parameters
         ----------
         pressure : ndarray, shape (m,)
-            Pa.
+            Contact pressure, Pa.
         tangent : ndarray, shape (6, m)
             See `fesim.joint.law.Traction`.
         """
@@ -108,9 +108,9 @@ class Watch:
             raise _loose(self.constraints, motions)
 
     def explain(self, traction: Traction) -> None:
-        """Raise ConvergenceError if a body is about to come loose in a state without a next one.
+        """Raise ConvergenceError if a body is coming loose in a state without a next one.
 
-        There friction at its limit bears nothing more, in whatever directions the joint slips.
+        In such a state friction at its limit takes no further load in any direction of slip.
         """
         pressure = traction.value[0] + self.preload
         slides = np.hypot(*traction.value[1:]) > (1.0 - SPARE) * self.friction * pressure
@@ -151,7 +151,7 @@ def watch_of(constraints: Constraints, laws: Sequence[tuple[JointLaw, int]]) -> 
 
 @lru_cache(maxsize=4)
 def _watched_places(constraints: Constraints) -> Watched:
-    """What joints of any law have: their places and their groups; their laws are zero."""
+    """Data that do not depend on the joint laws, places and groups; data of the laws are zero."""
     count = len(constraints.centre)
     sides, group = np.unique(np.round(constraints.share, 9), axis=0, return_inverse=True)
     group = group.ravel()
@@ -179,7 +179,7 @@ def _rough_stiffness(law: JointLaw) -> float:
 
 
 def _needed(centres: Array) -> int:
-    """One more than the dimension of what contact elements (k, 3) span, at most three."""
+    """One more than the dimension spanned by contact elements (k, 3), at most three."""
     sizes = np.linalg.svd(centres - centres.mean(axis=0), compute_uv=False)
     return 1 + min(2, int(np.count_nonzero(sizes > 1e-6 * np.abs(centres).max())))
 
@@ -194,7 +194,7 @@ def _loose(constraints: Constraints, motions: Array) -> ConvergenceError:
 
 @compiled
 def _as_at_rest(watched: Watched, work: WatchWork, pressure: Array, tangent: Array) -> bool:
-    """Whether every group of contact elements certainly constrains all that it does at rest."""
+    """Whether every group of contact elements certainly provides all its constraints at rest."""
     table, needed = watched.table, watched.needed
     corner_count, whole, corners = work.corner_count, work.whole, work.corners
     for k in range(needed.size):
@@ -273,16 +273,16 @@ def _stiff(watched: Watched, work: WatchWork, pressure: Array, tangent: Array) -
 
 @compiled
 def surely_held(watched: Watched, work: WatchWork, pressure: Array, tangent: Array) -> bool:
-    """Whether nothing is watched, or a converged state certainly leaves no body loose.
+    """Whether nothing is checked, or a converged state certainly leaves no body loose.
 
     Parameters
     ----------
     watched : Watched
         `UNWATCHED`, or that of a `Watch`.
     work : WatchWork
-        Storage.
+        Work arrays.
     pressure : ndarray, shape (m,)
-        Pa.
+        Contact pressure, Pa.
     tangent : ndarray, shape (6, m)
         As in `fesim.joint.law.Traction`.
     """

@@ -1,12 +1,12 @@
 """Modified Newton method for the gap equations with a frozen tangent over many steps.
 
-Unknown: the tractions w = z(g) + k0 g missing in the springs, with g = J0^-1 g_T + F w. As
-J0^-1 g_T = g_T + F (k - k0) g_T, both terms take one product with F. A Newton step solves
-(I - dT F) y = z(g) + k0 g - w by the factors of a frozen tangent (`fesim.joint.frozen_tangent`),
-which is updated where the iteration converges badly. With several blocks of contact elements it is
-replaced by a Gauss-Seidel sweep over the blocks, each with its own frozen tangent.
+Unknown: the tractions w = z(g) + k0 g missing in the springs, with g = J0^-1 g_T + F w. Since
+J0^-1 g_T = g_T + F (k - k0) g_T, both terms need one product with F. A Newton step solves
+(I - dT F) y = z(g) + k0 g - w with the factors of a frozen tangent (`fesim.joint.frozen_tangent`),
+which is updated when convergence is slow. With several blocks of contact elements it is replaced by
+a Gauss-Seidel sweep over the blocks, each with its own frozen tangent.
 
-Start at `settle_near`; read `fesim.joint.gap` first, which solves the same equations plainly.
+Start at `settle_near`; first read `fesim.joint.gap`, the plain solution of the same equations.
 `tests/fesim/joint/test_modified_newton.py` compares the equilibria of random joints with those of
 `solve_gap`, `tests/fesim/march/test_reduced_march.py` the march with that of `plainly_staggered`.
 """
@@ -47,12 +47,12 @@ from thermojoint.artefacts.arrays import Array
 
 #: Most iterations of a step, and most updates of the tangent in it.
 MAX_ITERATIONS, MOST_MOVES = 40, 4
-#: An iteration that leaves more than this fraction of the residual updates the tangent.
+#: If an iteration leaves more than this fraction of the residual, the tangent is updated.
 SLOW = 0.3
 #: After a step with more iterations than this the tangent is updated in the next one.
 PATIENCE = 8
 #: Residual of an accepted state, relative to the tolerance: the last iterations of Newton's own
-#: method leave as little, and friction remembers it.
+#: method leave as little, and friction remembers the residual.
 LEFT = 0.01
 #: Relative error of gaps in single precision.
 SINGLE = float(np.finfo(np.float32).eps)
@@ -87,9 +87,9 @@ def _correct_or_move(
 
 @compiled_part
 def _sweep(tangents: FrozenTangents, now: Lacking, most: float, may_move: bool) -> int:
-    """One sweep over the blocks: into the step and the shift of the storage.
+    """One sweep over the blocks, into the step and shift of the work arrays.
 
-    Blocks whose residual is above `most`, a gap in m, update their tangent.
+    Blocks with a residual above `most`, a gap in m, update their tangent.
     """
     tangent, lack = now.tangent, now.lack
     count, outcome = tangent.shape[1], _CORRECTED
@@ -135,14 +135,14 @@ def _sweep(tangents: FrozenTangents, now: Lacking, most: float, may_move: bool) 
 
 @compiled_part
 def _lack(springs: Array, trial: Trial, rest: Array, force: Array, lack: Array) -> float:
-    """z(g) + k0 g + rest - force into `lack`; return its largest entry in gaps, m."""
+    """Write z(g) + k0 g + rest - force into `lack`; return its largest entry as a gap, m."""
     gap, value = trial.gap, trial.value
     count, size = gap.shape[1], 0.0
     for i in range(3):
         for e in range(count):
             at = i * count + e
             lack[at] = value[i, e] + springs[at] * gap[i, e] + rest[at] - force[at]
-            if springs[at] == 0.0:  # of a gap that has no traction
+            if springs[at] == 0.0:  # a gap without traction
                 continue
             length = abs(lack[at]) / springs[at]
             if not length <= 1e300:
@@ -160,12 +160,12 @@ def settle_near(
     slip: Array,
     trial: Trial,
 ) -> tuple[bool, float, int]:
-    """Iterate from the gaps of a trial: whether it is solved, the residual and the iterations.
+    """Iterate from the gaps of a trial; return success, residual and iterations.
 
     J0^-1 g_T is given as `free_gap` + F `rest`, (3 m,), m and Pa: g_T and (k - k0) g_T, or
     J0^-1 g_T and zero. Other arguments as in `fesim.joint.compiled_gap.solve_in_place`. An accepted
-    state has a residual g - J0^-1 g_T - F (z(g) + k0 g) within the tolerance. Of several blocks an
-    upper bound is returned where that suffices: a product with F takes a seventh of a step.
+    state has a residual g - J0^-1 g_T - F (z(g) + k0 g) within the tolerance. For several blocks an
+    upper bound is returned if that suffices: a product with F takes a seventh of a step.
     """
     springs, tolerance, gap = kernel.springs, kernel.tolerance, trial.gap
     compliance = kernel.compliance
@@ -174,12 +174,12 @@ def settle_near(
     evaluate_in_place(kernel.laws, slip, trial)
     fill(step, 0.0)
     _lack(springs, trial, rest, step, force)
-    # Not of block 0: a literal would be another type, and all that takes it compiled twice.
+    # Not block 0: a literal has another type, and all callees would be compiled twice.
     last = tangents.blocks.starts.size - 2
     np.dot(compliance, force, flat)
     add(free_gap, flat)
     moves, before, corrected, least = 0, math.inf, math.inf, 0.1 * LEFT * tolerance
-    # Gaps that were moved since then in single precision.
+    # Sum of the gap changes in single precision since then.
     rounded = 0.0
     now = Lacking(trial.tangent, lack, least)
     whole, whole_tangent = part_of(tangents.blocks, last), block_tangent(tangents, last)
@@ -235,7 +235,7 @@ def solve_in_blocks(
 ) -> Equilibrium:
     """Find the gaps by sweeps over blocks, without frozen tangents of earlier steps.
 
-    By Newton's method where that fails; arguments and errors as for `fesim.joint.gap.solve_gap`.
+    Newton's method is used if that fails; arguments and errors as `fesim.joint.gap.solve_gap`.
     """
     problem, trial = solver.problem, trial_at(guess)
     kernel = solver.kernel(columns_for(problem, blocks), tolerance)

@@ -1,8 +1,8 @@
 """Normal laws of joints without preload, with openings counted from first contact.
 
-The surface model has no first contact: its pressure decays without end. Here rough surfaces are in
-contact from `TOUCHING` of the hardness, 4.75 roughnesses apart; beyond, the pressure is smaller and
-soon zero. A law with an approach has its first contact at zero approach.
+In the surface model there is no first contact: its pressure decays without end. Here rough surfaces
+are in contact from `TOUCHING` of the hardness, at a distance of 4.75 roughnesses; beyond, the
+pressure is smaller and soon zero. For a law of the approach, first contact is at zero approach.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ TOUCHING = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class OpenLaw:
-    """A joint without preload: pressure by `law`, at openings counted from the start of a march."""
+    """A joint without preload: pressure from `law`, openings counted from the start of a march."""
 
     #: Its preload is the reference pressure, which defines springs and tangential stiffness.
     law: SurfaceNormalLaw | BackBurdekinLaw
@@ -30,7 +30,7 @@ class OpenLaw:
 
     @property
     def preload(self) -> float:
-        """None: 0 Pa."""
+        """Always 0 Pa."""
         return 0.0
 
     @property

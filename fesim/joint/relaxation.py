@@ -1,15 +1,15 @@
 """Snap-through to another equilibrium by viscous relaxation of the gap equations.
 
 Friction can end a branch of equilibria: a contact element begins to slide, its neighbours cannot
-carry the released load, and no equilibrium is near any more. Newton's method then fails, however
-short the step. A real joint snaps to an equilibrium tens of micrometres away. Dampers of c k0 (Pa
-s/m) across the joint provide a path there. Its implicit Euler step solves
+carry the released load, and there is no equilibrium nearby any more. Newton's method then fails,
+however short the step. A real joint snaps to an equilibrium tens of micrometres away. Dampers of
+c k0 (Pa s/m) across the joint provide a path there. Its implicit Euler step solves
 
     r(g) + d F k0 (g - g_before) = 0,    d = c / (length of the step),
 
-which is the gap problem with a damped law. For large d it has one solution, near by. Steps grow as
-long as they are easy, until no damper is needed (pseudo-transient continuation, Kelley & Keyes
-1998): the result solves the equations without dampers, to the same tolerance.
+which is the gap problem with a damped law. For large d it has one solution, nearby. Steps grow as
+long as they converge easily, until no damper is needed (pseudo-transient continuation, Kelley &
+Keyes 1998): the result solves the equations without dampers, to the same tolerance.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from thermojoint.artefacts.errors import ConvergenceError
 
 #: Most viscous steps, including failed ones.
 MAX_STEPS = 500
-#: Most Newton iterations of a viscous step, or without dampers; where more are needed, it is too
-#: long, or dampers are needed still.
+#: Most Newton iterations of a viscous step, or without dampers; if more are needed, the step is too
+#: long, or dampers are still needed.
 MAX_ITERATIONS = 12
 #: Tolerance of a viscous step, relative to its initial residual.
 ROUGHLY = 1e-2
@@ -50,7 +50,7 @@ def relax(
 ) -> tuple[Equilibrium, int]:
     """Return the equilibrium reached by an overdamped joint, and its number of viscous steps.
 
-    Parameters as for `fesim.joint.gap.solve_gap`; `gap` is where the joint starts.
+    Parameters as for `fesim.joint.gap.solve_gap`; `gap` is the start of the joint.
 
     Raises
     ------
