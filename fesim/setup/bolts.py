@@ -15,27 +15,27 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError, shown_point, unknown_name
 from thermojoint.artefacts.units import MEGA
 
-#: Rings of equal area that represent a disc, and points on each: means of fields of second order
-#: over it are exact.
+#: Rings of equal area that represent a disc, and points on each: means of second-order fields over
+#: it are exact.
 RINGS, AROUND = 3, 8
 #: Ends closer to each other than this fraction of the structure's size coincide.
 APART = 1e-6
 
 
 def bolts_of(case: Case, structure: Structure) -> list[Bolt]:
-    """Return the bolts of the meshed part, in the case's order.
+    """Return the bolts of the meshed part, in the order of the case.
 
     Raises
     ------
     InputError
-        A bolt names a surface, body or material that does not exist, an end lies in no cell, or
+        A bolt refers to a surface, body or material that does not exist, an end lies in no cell, or
         its ends coincide.
     """
     return [_bolt(case, structure, name, bolt) for name, bolt in case.bolts.items()]
 
 
 def tightening(case: Case) -> list[History]:
-    """Return the history of each bolt's force, N: the force if its ends did not move."""
+    """Return the history of each bolt's force, N: that with unmoved ends."""
 
     def given(bolt: BoltSection) -> History:
         factor = step_history(1.0) if bolt.file is None else read_history(bolt.file, "factor")
@@ -91,7 +91,7 @@ def _ends(section: BoltSection) -> tuple[tuple[str, BoltEndSection], ...]:
 
 
 def _anchor(structure: Structure, end: BoltEndSection, where: str) -> Array:
-    """Centre of an end as the case gives it, m."""
+    """Centre of an end as specified in the case, m."""
     if end.position_mm is not None:
         return 1e-3 * np.array(end.position_mm)
     return _surface_patch(structure, end.surface or "", where).centre
@@ -104,7 +104,7 @@ def _patch(structure: Structure, end: BoltEndSection, axis: Array, where: str) -
 
 
 def _surface_patch(structure: Structure, name: str, where: str) -> Patch:
-    """All of a surface, by quadrature."""
+    """A whole surface, by quadrature."""
     facets = structure.surface(name, f"{where}.surface")
     mesh = structure.mesh
     element = make_spaces(mesh).heat.elem

@@ -1,4 +1,4 @@
-"""Constraints of the bodies of a case, checked before anything is factorised."""
+"""Constraints of the bodies of a case, checked before any factorisation."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fesim.solid.rigid_motions import Constraints, check_held, constraints_of
 from meshes.pairing import PairedJoint
 from meshes.structure import Structure
 
-#: A contact element that starts open by less than this is closed, m: rounding of coordinates.
+#: A contact element with a smaller initial opening than this is closed, m: rounding of coordinates.
 CLOSED = 1e-9
 
 
@@ -42,16 +42,16 @@ def checked_constraints(
 
 
 def check_constrained(case: Case, constraints: Constraints, joints: Sequence[PairedJoint]) -> None:
-    """Refuse a body that nothing constrains, unless heat is marched alone.
+    """Refuse a body without constraints, unless only heat is simulated.
 
-    Joints that start open constrain nothing, unless there are loads. These may close them: the
-    state at time zero is then the equilibrium in which the body rests on them, and the march
-    refuses a step that leaves it loose.
+    Joints that start open do not constrain, unless there are loads. These may close them: the state
+    at time zero is then the equilibrium in which the body rests on them, and the march refuses a
+    step that leaves it loose.
 
     Raises
     ------
     InputError
-        Names the body and its motions.
+        A body is not constrained; the message contains it and its motions.
     """
     if case.displacement is not None:
         closed = None if case.loads else start_closed(case, joints)

@@ -35,30 +35,30 @@ from thermojoint.artefacts.units import MILLI
 class Discretised:
     """A case as finite elements, before anything is condensed."""
 
-    #: Where it comes from.
+    #: The case.
     case: Case
     #: Structure, joints, bolts, probes.
     parts: Parts
-    #: Of every body; a modulus that depends on temperature in its middle.
+    #: Material of every body, with a temperature-dependent modulus at its middle.
     materials: dict[str, Material]
     #: Finite-element spaces.
     spaces: Spaces
     operators: JointOperators
-    #: Of the structure.
+    #: Heat operators of the structure.
     heat: HeatOperators
-    #: Shape (n,): temperatures at the start, if these are not the ambient's.
+    #: Shape (n,): initial temperatures, if they differ from the ambient.
     warm: Array | None
     #: Shape (3 m,): reference springs, Pa/m.
     springs: Array
-    #: Of the bolts: rows of their stretch, and of the temperatures at their ends.
+    #: Rows of the bolts' stretch, and of the temperatures at their ends.
     stretch: csr_array
     ends: csr_array
-    #: Of the temperature probes.
+    #: Rows of the temperature probes.
     rows: csr_array
 
 
 def discretised(case: Case, parts: Parts) -> Discretised:
-    """Make spaces and operators of a case whose parts are checked."""
+    """Create spaces and operators of a case whose parts are checked."""
     structure, joints = parts.structure, parts.joints
     materials = reference_moduli(case, body_materials(case, structure))
     spaces = make_spaces(structure.mesh)
@@ -101,7 +101,7 @@ def relative_rows(whole: Discretised) -> csr_array:
 def displacement_rows(case: Case, structure: Structure, spaces: Spaces) -> csr_array:
     """Rows of the displacement probe of a case along x, y and z.
 
-    The tip of a rigid tool at r from the point moves by w x r more, as the point turns by w.
+    For a rotation w of the point, the tip of a rigid tool at r from it moves by w x r in addition.
     """
     points = {name: structure.probes[name] for name in measured_points(case)}
     rows = probe_rows(spaces.displacement, structure, points)

@@ -36,13 +36,13 @@ from thermojoint.artefacts.arrays import Array
 class ElasticStructure:
     """Pieces of a case and the springs across its joints."""
 
-    #: Assembles one piece after the other.
+    #: Assembles the pieces one after the other.
     pieces: Callable[[], Iterator[ElasticPiece]]
-    #: G and areas.
+    #: Gap rows G and areas.
     joints: JointOperators
     #: Shape (3 m,): stiffness of the reference springs, Pa/m.
     reference: Array
-    #: Displacement and temperature unknowns.
+    #: Numbers of displacement and temperature unknowns.
     shape: tuple[int, int]
     #: See `fesim.solid.linear_solver.factorise`.
     solver: str | None
@@ -60,7 +60,7 @@ class ElasticStructure:
         )
 
     def one_by_one(self) -> Iterator[Substructure]:
-        """Yield the pieces, each factorised in its turn and not stored."""
+        """Yield the pieces, factorised one after the other and not stored."""
         return substructures(self.pieces(), self.joints.gap, self.springs, self.solver)
 
     def condense(self, each: Iterable[Substructure], probes: csr_array) -> TieCondensation:
@@ -100,7 +100,7 @@ def elastic_structure(
 def reference_springs(
     structure: Structure, materials: dict[str, Material], joints: Sequence[PairedJoint]
 ) -> Array:
-    """Reference springs (3 m,) as stiff as the softer body is behind a contact element, Pa/m.
+    """Reference springs (3 m,) as stiff as the softer body behind a contact element, Pa/m.
 
     They do not depend on the joint's law, so that one condensation serves every law. Their modulus
     is the harmonic mean of the two: with much stiffer springs, rounding would hide the compliance.

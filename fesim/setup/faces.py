@@ -1,6 +1,6 @@
-"""Faces of the bodies that carry thermometers: there they tell of heat that no source brings.
+"""Faces of the bodies with thermometers, where these detect heat that comes from no source.
 
-A face is a piece of a body's free surface that looks in one direction along an axis throughout.
+A face is a piece of a body's free surface whose normal has one direction along an axis.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from fesim.solid.spaces import probe_cells
 from meshes.pairing import linked_parts, outward_areas
 from meshes.structure import Probe, Structure
 
-#: Numbers of facets.
+#: Indices of facets.
 Facets = NDArray[np.int64]
-#: Directions that a facet looks in.
+#: Directions of the normal of a facet.
 LOOKS = ("-x", "-y", "-z", "+x", "+y", "+z")
 
 
 def with_faces(
     structure: Structure, closed: Iterable[str], probes: Mapping[str, Probe]
 ) -> tuple[Structure, dict[str, str]]:
-    """Return a structure with a surface for the face that each probe is nearest to, and its name.
+    """Return a structure with a surface for the nearest face of each probe, and the faces' names.
 
     Parameters
     ----------
     structure : Structure
-        Of the machine.
+        Structure of the machine.
     closed : iterable of str
         Surfaces through which no heat enters: planes of symmetry, sides of joints.
     probes : mapping of str to Probe
@@ -57,7 +57,7 @@ def with_faces(
 
 
 def _pieces(structure: Structure, facets: Facets) -> NDArray[np.int32]:
-    """Number of the piece of each facet: those hang together by edges and look the same way."""
+    """Number of the piece of each facet: a piece is connected by edges and has one direction."""
     looks = directions_of(structure, facets)
 
     def one(pairs: coo_array) -> NDArray[np.bool_]:
@@ -67,7 +67,7 @@ def _pieces(structure: Structure, facets: Facets) -> NDArray[np.int32]:
 
 
 def directions_of(structure: Structure, facets: Facets) -> NDArray[np.int64]:
-    """Return the direction that each facet looks in, as its place in `LOOKS`."""
+    """Return the direction of each facet as its index in `LOOKS`."""
     areas = outward_areas(structure.mesh, facets)
     axis = np.abs(areas).argmax(axis=1)
     return np.asarray(axis + 3 * (np.take_along_axis(areas, axis[:, None], axis=1)[:, 0] > 0.0))

@@ -22,7 +22,7 @@ from thermojoint.artefacts.arrays import Array, OfPosition
 from thermojoint.artefacts.errors import InputError, UnreadableError, shown_point
 
 WHERE = "initial_temperature"
-#: A node may lie outside the snapshot's body by this fraction of its size: it gets the temperature
+#: A node may lie outside the snapshot's body by this fraction of its size: it takes the temperature
 #: of the nearest node.
 BESIDE = 0.02
 
@@ -31,13 +31,13 @@ BESIDE = 0.02
 class Snapshot:
     """Nodal temperatures of another simulation."""
 
-    #: Where they are from.
+    #: File.
     path: Path
-    #: Of first order.
+    #: First-order mesh.
     mesh: Mesh
     #: Shape (cells,): number of the body of each cell.
     body: NDArray[np.int64]
-    #: Shape (nodes,): above the initial ambient of that simulation, K.
+    #: Shape (nodes,): temperatures above the initial ambient of that simulation, K.
     temperature: Array
 
 
@@ -92,7 +92,7 @@ def read_snapshot(path: Path) -> Snapshot:
         raise UnreadableError(f"{path}: no such file; give the structure's snapshot (VTU) or a CSV")
     try:
         grid = meshio.vtu.read(str(path))
-    # meshio raises whatever its parser meets.
+    # meshio passes on any error of its parser.
     except Exception as error:
         raise UnreadableError(f"{path}: not a readable VTU, perhaps truncated") from error
     kinds = [block.type for block in grid.cells]
@@ -113,7 +113,7 @@ def read_snapshot(path: Path) -> Snapshot:
 
 
 def _carried_over(snapshot: Snapshot, structure: Structure, basis: CellBasis) -> Array:
-    """Interpolate a snapshot body by body: where bodies touch, each keeps its own temperature."""
+    """Interpolate a snapshot body by body: touching bodies keep their own temperatures."""
     here, there = len(structure.bodies), int(snapshot.body.max()) + 1
     if here != there:
         raise InputError(
@@ -122,7 +122,7 @@ def _carried_over(snapshot: Snapshot, structure: Structure, basis: CellBasis) ->
         )
     temperatures = np.zeros(basis.N)
     source = CellBasis(snapshot.mesh, basis.elem, intorder=1)
-    # The unknowns of the snapshot's basis are its nodes, maybe in another order.
+    # The unknowns of the snapshot's basis are its nodes, possibly in another order.
     values = np.empty(source.N)
     values[source.nodal_dofs[0]] = snapshot.temperature
     for number, (name, cells) in enumerate(structure.bodies.items()):
@@ -144,7 +144,7 @@ def _carried_over(snapshot: Snapshot, structure: Structure, basis: CellBasis) ->
 def _nearest(
     snapshot: Snapshot, corners: NDArray[np.int64], points: Array, body: str
 ) -> NDArray[np.int64]:
-    """Nodes of the snapshot that are nearest to points (3, n) a little outside of its body."""
+    """Nodes of the snapshot nearest to points (3, n) slightly outside its body."""
     around = snapshot.mesh.p[:, corners]
     away, nearest = cKDTree(around.T).query(points.T)
     if away.max() > BESIDE * np.ptp(around, axis=1).max():

@@ -44,7 +44,7 @@ def joint_laws(
     materials: dict[str, Material],
     joints: Sequence[PairedJoint],
 ) -> list[tuple[JointLaw, int]]:
-    """Return the law of each joint and how many contact elements it has."""
+    """Return the law of each joint and its number of contact elements."""
     return [
         (
             joint_law(as_walled(case, case.joints[joint.name]), structure, materials, joint),
@@ -55,7 +55,7 @@ def joint_laws(
 
 
 def as_walled(case: Case, section: JointSection) -> JointSection:
-    """Return a joint's section; against a wall that has no temperature it passes no heat."""
+    """Return a joint's section, without heat flow if its wall has no temperature."""
     adiabatic = set(case.walls) - set(case.held_temperatures)
     if adiabatic.isdisjoint({section.side_a, section.side_b}):
         return section
@@ -74,7 +74,7 @@ def joint_law(
 
 
 def table_of(section: JointSection) -> ConductanceTable | None:
-    """Return the table of conductances that a joint names; None if it has another law."""
+    """Return the conductance table of a joint; None if it has another law."""
     path = section.conductance.file
     return None if path is None else read_conductance_table(path)
 
@@ -105,7 +105,7 @@ def initial_opening(section: JointSection, joint: PairedJoint) -> NDArray[np.flo
         return np.full(len(joint.area), MICRO * given)
     apart = (joint.points_b - joint.points_a).T
     separation = element_means(joint, (apart * joint.normal[joint.element]).sum(axis=1))
-    # Coordinates of a mesh file are accurate to about this fraction of its size.
+    # Coordinates in a mesh file are accurate to about this fraction of its size.
     if separation.min() < -1e-6 * np.sqrt(joint.area.sum()):
         raise InputError(
             f"joints.{joint.name}: its sides overlap by {-MEGA * separation.min():.4g} um in the "
@@ -125,13 +125,13 @@ def law_of(
     Parameters
     ----------
     section : JointSection
-        Of the case.
+        Section of the case.
     conductivity : ndarray, shape (m,)
         Harmonic conductivity at its contact elements, W/(m K).
     opening : ndarray, shape (m,), optional
-        `initial_opening`, of a joint without preload.
+        `initial_opening` of a joint without preload.
     table : ConductanceTable, optional
-        `table_of`, of a joint that has one.
+        `table_of` of a joint with a table.
     """
     closed = _closed_law(section)
     stiffness = -float(closed.slope(np.zeros(1))[0])
@@ -187,7 +187,7 @@ def read_conductance_table(path: Path) -> ConductanceTable:
     )
     pressure, value = MEGA * columns["pressure_MPa"], columns["conductance_W_m2K"]
     rise = columns.get("rise_K", np.zeros(len(pressure)))
-    # Blocks of one temperature after another, as they stand in the file.
+    # Blocks of equal temperature, in the order of the file.
     starts = np.flatnonzero(np.append(len(rise) > 0, np.diff(rise) != 0.0))
     blocks = np.split(np.arange(len(rise)), starts[1:])
     if any(not np.array_equal(pressure[block], pressure[blocks[0]]) for block in blocks):

@@ -41,9 +41,9 @@ from thermojoint.artefacts.units import MEGA
 
 
 def heat_sources(case: Case, structure: Structure) -> list[HeatSource]:
-    """Return the sources of the meshed part, per W of the whole structure, in the case's order.
+    """Return the sources of the meshed part, per W of the whole structure, in case order.
 
-    Those of drives come last.
+    Those of drives are last.
     """
     sources = []
     part = 1.0 / structure.symmetry_factor
@@ -68,7 +68,7 @@ def source_names(case: Case) -> list[str]:
 
 
 def held_profiles(case: Case) -> dict[str, OfPosition | None]:
-    """Return the factor of position of every held surface; None for a uniform temperature."""
+    """Return the position-dependent factor of every held surface; None if uniform."""
     return {
         name: None
         if held.profile is None
@@ -78,18 +78,18 @@ def held_profiles(case: Case) -> dict[str, OfPosition | None]:
 
 
 def mechanical_loads(case: Case, structure: Structure) -> list[Load]:
-    """Return the forces, pressures and weights on the meshed part, in the case's order.
+    """Return the forces, pressures and weights on the meshed part, in the order of the case.
 
     Raises
     ------
     InputError
-        A load names a surface or a body that does not exist.
+        A load refers to a surface or a body that does not exist.
     """
     loads: list[Load] = []
     for name, load in case.loads.items():
         where = f"loads.{name}"
         if load.acceleration_m_s2 is not None:
-            # A rigid wall has no size and no weight.
+            # A rigid wall has no volume and no weight.
             every = tuple(body for body in structure.bodies if body not in case.walls)
             bodies = every if load.bodies is None else tuple(load.bodies)
             for body in bodies:
@@ -117,7 +117,7 @@ def spring_stiffnesses(case: Case, structure: Structure) -> dict[str, tuple[floa
 
 
 def source_power(source: SourceSection) -> float:
-    """Heat that a source gives the whole structure at heat input 1, W."""
+    """Heat of a source to the whole structure at heat input 1, W."""
     each = source.reference_power_W
     return each * source.count if source.reading == "per source" else each
 
@@ -139,11 +139,11 @@ class MarchInputs:
     heat: History
     #: Power at heat input 1, W, and heat input of each source.
     sources: list[tuple[float, History]]
-    #: °C.
+    #: Ambient temperature, °C.
     ambient: History | None
-    #: Of the held surfaces, K.
+    #: Temperatures of the held surfaces, K.
     held: list[History]
-    #: Factors of the loads, forces of the bolts (N), and with bolts a 1
+    #: Factors of the loads, forces of the bolts (N), and 1 if there are bolts
     #: (`fesim.solid.bolts.fastened`).
     forces: list[History]
 
@@ -160,7 +160,7 @@ class MarchInputs:
         )
 
     def exactly(self) -> Histories:
-        """Return the inputs at every time, for a march whose steps end at the knots."""
+        """Return the inputs as functions of time, for a march whose steps end at the knots."""
         ambient = [] if self.ambient is None else [self.ambient]
         sources = [history for _, history in self.sources]
         times = common_knots([*sources, *ambient, *self.held, *self.forces])
@@ -188,7 +188,7 @@ class MarchInputs:
         return rows
 
     def reversed_forces(self, ends: Array) -> dict[int, Array]:
-        """Return the forces where they reverse within a step.
+        """Return the forces at their reversals within a step.
 
         Parameters
         ----------
@@ -229,7 +229,7 @@ def march_inputs(case: Case) -> MarchInputs:
             (source_power(source), heat_history(source.heat_input) if source.heat_input else heat)
             for source in case.sources.values()
         ]
-        # Their heat is known when the axis has moved: `fesim.axes.march`.
+        # Their heat is known once the axis has moved: `fesim.axes.march`.
         + [(0.0, step_history(0.0)) for _ in heated_by_drives(case)],
         ambient=read_history(case.ambient.file, "ambient_degC") if case.ambient else None,
         held=[held_history(section) for section in case.held_temperatures.values()],
@@ -238,13 +238,13 @@ def march_inputs(case: Case) -> MarchInputs:
 
 
 def check_turns(case: Case) -> None:
-    """Refuse loads that turn back within a step where what depends on them cannot follow.
+    """Refuse load reversals within a step if the dependent quantities cannot follow.
 
     Raises
     ------
     InputError
-        A load turns back within a step, with heat of friction or a modulus that depends on
-        temperature; or as `march_inputs`.
+        A load reverses within a step, with frictional heat or a temperature-dependent modulus; or
+        as `march_inputs`.
     """
     used = [made for name, made in case.materials.items() if name in case.bodies.values()]
     keys = ["slip_heating"] if any(joint.slip_heating for joint in case.joints.values()) else []

@@ -82,7 +82,7 @@ from meshes.structure import Probe, Structure
 from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import InputError
 
-#: Factors of structures with fewer displacement unknowns are held in memory together.
+#: Factors of structures with fewer displacement unknowns than this are kept in memory together.
 SMALL = 150_000
 
 
@@ -93,9 +93,9 @@ class Setup(Described):
     Attributes
     ----------
     case : Case
-        The case that it was made for; others may differ in loads and in the length of the march.
+        Case of the condensation; others may differ in loads and in the length of the march.
     structure : Structure
-        With all probes of the case.
+        Structure with all probes of the case.
     spaces : Spaces
         Finite-element spaces.
     joints : tuple of PairedJoint
@@ -103,11 +103,11 @@ class Setup(Described):
     machine : CondensedMachine
         Its displacement probes are the relative displacement along x, y and z.
     make_field : callable
-        Returns `field`, which is factorised at the first call.
+        Returns `field`, which is factorised on the first call.
     probes : dict of str to Probe
-        Temperature probes: those that the case names and its candidates.
+        Temperature probes: the named ones and the candidates.
     probe_rows : scipy.sparse.csr_array or ndarray, shape (probes, n_heat)
-        Their rows, of nodal temperatures or of the reduced model's amplitudes.
+        Their rows on nodal temperatures or on the amplitudes of the reduced model.
     modes : ThermalModes or None
         The reduced thermal model; None for the full one.
     constraints : Constraints
@@ -115,16 +115,16 @@ class Setup(Described):
     forces : ndarray, shape (n, l + b)
         Nodal forces of the mechanical loads at factor one, then of the bolts per N, N.
     outputs : MechanicalOutputs or None
-        Forces and stresses, if the case asks for them; of `acting`.
+        Forces and stresses, if requested; functions of `acting`.
     bolts : Bolts or None
         The bolts, if there are any.
     materials : dict of str to Material
-        Of every body.
+        Material of every body.
     make_thermal : callable
-        Length of a step (s) to the heat step of that length, on the same unknowns.
+        From the length of a step (s) to the heat step of that length, on the same unknowns.
     make_mesh_errors : callable
-        The machine before its bolts are tightened, and the length of a march (s), to rows of the
-        errors of the mesh; None where the structure is too large for them.
+        From the machine before its bolts are tightened and the length of a march (s) to rows of the
+        mesh errors; None if the structure is too large for them.
     """
 
     case: Case
@@ -163,7 +163,7 @@ class Setup(Described):
         Parameters
         ----------
         step : float
-            s.
+            New length, s.
         """
         thermal = self.machine.thermal
         if step != thermal.step:
@@ -176,7 +176,7 @@ class Setup(Described):
         Parameters
         ----------
         state : State
-            Of a march of this set-up.
+            State in a march of this set-up.
         """
         return state.temperature if self.modes is None else self.modes.basis @ state.temperature
 
@@ -186,7 +186,7 @@ class Setup(Described):
         Parameters
         ----------
         step : Step
-            Of a march of this set-up.
+            Step of a march of this set-up.
         """
         if self.bolts is None:
             return np.empty(0)
@@ -194,12 +194,12 @@ class Setup(Described):
         return self.bolts.force.of(step.state.temperature, step.remainder, factors)
 
     def acting(self, step: Step) -> NDArray[np.float64]:
-        """Factors of the loads and forces (N) of the bolts, shape (l + b,), as `forces` wants them.
+        """Factors of the loads and forces (N) of the bolts, shape (l + b,), as for `forces`.
 
         Parameters
         ----------
         step : Step
-            Of a march of this set-up.
+            Step of a march of this set-up.
         """
         pulls = self.bolt_forces(step)
         factors = load_factors(self.machine, step.inputs)
@@ -211,7 +211,7 @@ class Setup(Described):
         Parameters
         ----------
         step : Step
-            Of a march of this set-up.
+            Step of a march of this set-up.
         """
         if self.machine.stiffness is not None:
             return self.deformation(step)
@@ -228,7 +228,7 @@ class Setup(Described):
         Parameters
         ----------
         step : Step
-            Of a march of this set-up.
+            Step of a march of this set-up.
         """
         temperature = self.nodal_temperature(step.state)
         strained = self.machine.strained(temperature)
@@ -257,8 +257,8 @@ def set_up(case: Case) -> Setup:
     Raises
     ------
     InputError
-        A name does not exist in the structure, parts do not fit, a body is not constrained, or the
-        case has axes.
+        A name does not exist in the structure, parts do not match, a body is not constrained, or
+        the case has axes.
     """
     check_stands(case)
     before = thermal_key(case)
@@ -310,8 +310,8 @@ def _condensed(case: Case, parts: Parts, keys: CacheKeys) -> Setup:
 
 
 def cache_keys(case: Case, before: str) -> CacheKeys:
-    """Return keys in the cache; `before` is the thermal key from before the meshes were read."""
-    # A mesh file may have been rewritten since.
+    """Return the cache keys; `before` is the thermal key from before the meshes were read."""
+    # A mesh file may have been rewritten in the meantime.
     digest = cache(file_digest)
     if thermal_key(case, digest) != before:
         return CacheKeys(None, None)
@@ -323,7 +323,7 @@ def _condensed_elasticity(
 ) -> tuple[ElasticCondensation, Callable[[], DisplacementField], StressErrors | None]:
     """Condense the structure; its displacement field is factorised on demand.
 
-    Errors of the mesh are found while its factors exist.
+    Mesh errors are computed while its factors exist.
     """
     case = whole.case
     if case.displacement is None:
@@ -338,7 +338,7 @@ def _condensed_elasticity(
         whole.springs,
     )
     solid, rows = make(), relative_rows(whole)
-    # The factors are stored if loads, outputs or snapshots need them again; all at once only where
+    # The factors are stored if loads, outputs or snapshots need them again; all at once only if
     # they are small.
     soft = modulus_factors(case, whole.materials)
     again = case.loads or case.bolts or case.output.snapshots_s or asks_for_outputs(case) or soft
@@ -363,7 +363,7 @@ def _condensed_elasticity(
 
 
 def _undeformed(whole: Discretised) -> ElasticCondensation:
-    """Joints that stay as they are, and no displacement: nothing is assembled or factorised."""
+    """Joints without change and no displacement: nothing is assembled or factorised."""
     area, heat = np.tile(whole.operators.area, 3), int(whole.spaces.heat.N)
     return ElasticCondensation(
         compliance=np.zeros((area.size, area.size)),
@@ -402,7 +402,7 @@ def _outputs(
     field: Callable[[], DisplacementField],
     forces: NDArray[np.float64],
 ) -> MechanicalOutputs | None:
-    """Forces and stresses, if the case asks for them."""
+    """Forces and stresses, if requested."""
     case = whole.case
     if not asks_for_outputs(case):
         return None
@@ -417,7 +417,7 @@ def _outputs(
 def _modes(
     whole: Discretised, keys: CacheKeys, condensed: ElasticCondensation
 ) -> ThermalModes | None:
-    """The reduced thermal model, if the case marches on one."""
+    """The reduced thermal model, if the case uses one."""
     march = whole.case.march
     if march.thermal != "reduced":
         return None
@@ -437,21 +437,21 @@ def _modes(
 
 
 def _counted(whole: Discretised) -> NDArray[np.float64]:
-    """Contact elements whose heat of friction counts (1) or not (0), (m,)."""
+    """Weight (m,) of the frictional heat of contact elements: 1 with slip heating, else 0."""
     joints, sections = whole.parts.joints, whole.case.joints
     each = [float(sections[joint.name].slip_heating) for joint in joints]
     return np.repeat(each, [len(joint.area) for joint in joints])
 
 
 def _rubbed(whole: Discretised) -> csr_array:
-    """Mean temperatures of the contact elements whose heat of friction counts: its dual."""
+    """Mean temperatures of the contact elements with slip heating: the dual of their heat."""
     return csr_array(whole.operators.mean[np.flatnonzero(_counted(whole))])
 
 
 def _thermal(
     whole: Discretised, modes: ThermalModes | None, full: Callable[[float], ThermalCondensation]
 ) -> ThermalCondensation:
-    """A heat step of the march, by its length (s) on all unknowns or on the modes."""
+    """A heat step of the march, from its length (s), on all unknowns or on the modes."""
     step = whole.case.march.step_s
     return full(step) if modes is None else project_heat(whole.heat, whole.operators, step, modes)
 
@@ -483,7 +483,7 @@ def _machine(
 def _variable_stiffness(
     whole: Discretised, field: Callable[[], DisplacementField], forces: NDArray[np.float64]
 ) -> VariableStiffness | None:
-    """What the stiffness lacks where moduli depend on temperature."""
+    """Correction of the stiffness for temperature-dependent moduli."""
     factors = modulus_factors(whole.case, whole.materials)
     if not factors or whole.case.displacement is None:
         return None
@@ -499,7 +499,7 @@ def _mesh_errors(
     machine: CondensedMachine,
     duration: float,
 ) -> MeshErrors | None:
-    """Rows of the errors of the mesh in a march (s), with the joints as at their preload."""
+    """Rows of the mesh errors in a march (s), with joints in their state at preload."""
     if stress is None:
         return None
     conductance = machine.conductance_in(initial_state(replace(machine, assembly=None)))
@@ -517,7 +517,7 @@ def _mesh_errors(
 def with_laws(setup: Setup, case: Case) -> Setup:
     """Return the set-up of a case that differs only in its loads, bolt forces and joint laws.
 
-    Nothing is condensed again: none of them enters the condensation.
+    The condensation is reused, as it depends on none of them.
 
     Raises
     ------

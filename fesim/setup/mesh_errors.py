@@ -1,7 +1,7 @@
-"""Errors of a case's mesh in its displacement: rows on temperatures, tractions and loads.
+"""Mesh errors of a case's displacement: rows on temperatures, tractions and loads.
 
-With the dual solutions of the displacement (`fesim.solid.recovery`) they cost six right-hand sides
-more than the condensation, and two products in a march.
+With the dual solutions of the displacement (`fesim.solid.recovery`) they take six right-hand sides
+in addition to the condensation, and two products in a march.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ from thermojoint.artefacts.units import MEGA
 
 @dataclass(frozen=True)
 class StressErrors:
-    """Error of the displacement by the mesh of the displacements, along three axes."""
+    """Displacement error due to the displacement mesh, along three axes."""
 
-    #: Shape (3, n_heat): m/K.
+    #: Shape (3, n_heat): per temperature, m/K.
     temperature: Array
-    #: Shape (3, 3 m): m/Pa.
+    #: Shape (3, 3 m): per traction, m/Pa.
     remainder: Array
     #: Shape (3, l + b): per factor of each load and N of each bolt, m.
     forces: Array
@@ -47,26 +47,26 @@ class StressErrors:
 
 @dataclass(frozen=True)
 class HeatErrors:
-    """Error of the displacement by the mesh of the temperatures, along three axes."""
+    """Displacement error due to the temperature mesh, along three axes."""
 
-    #: Shape (3, n_heat): m/K.
+    #: Shape (3, n_heat): per temperature, m/K.
     temperature: Array
-    #: Shape (3, n_heat): per change of temperature in time, m s/K.
+    #: Shape (3, n_heat): per rate of temperature, m s/K.
     rising: Array
     #: Shape (3, k): per unit of each input, m.
     inputs: Array
     #: Shape (3, m): per heat flow through each contact element, m/W.
     flow: Array
-    #: Shape (n_high, 3): part of the dual temperatures of second order that those of first order
-    #: lack, m/W.
+    #: Shape (n_high, 3): part of the second-order dual temperatures that is not of first order,
+    #: m/W.
     beyond: Array
 
     def on(self, basis: Array) -> HeatErrors:
-        """Return the same of the amplitudes of modes (n_heat, r)."""
+        """Return the rows on the amplitudes of modes (n_heat, r)."""
         return replace(self, temperature=self.temperature @ basis, rising=self.rising @ basis)
 
     def of(self, step: Step, begun: Array, time: float) -> Array:
-        """Errors (3,), m, of a step that ends at a time, s, as if all rose evenly from `begun`."""
+        """Errors (3,), m, of a step that ends at a time, s, for a uniform rise from `begun`."""
         warm, inputs = step.state.temperature, step.inputs[: self.inputs.shape[1]]
         found = self.temperature @ warm + self.rising @ (warm - begun) / time
         return np.asarray(found + self.inputs @ inputs + self.flow @ step.heat_flow)
@@ -74,19 +74,19 @@ class HeatErrors:
 
 @dataclass(frozen=True)
 class MeshErrors:
-    """Errors of the displacement by the meshes of temperatures and of displacements."""
+    """Displacement errors due to the meshes of temperatures and displacements."""
 
-    #: By that of the temperatures.
+    #: Due to the temperature mesh.
     heat: HeatErrors
-    #: Part of that by what depends on temperature: nodal temperatures at the start and at a time
+    #: Temperature-dependent part of the former: from nodal temperatures at the start and at a time
     #: (n_heat,), that time (s), and inputs (k + l,) to errors (3,), m.
     variable: Callable[[Array, Array, float, Array], Array] | None
-    #: By that of the displacements.
+    #: Due to the displacement mesh.
     stress: StressErrors
 
 
 def stress_errors(whole: Discretised, field: DisplacementField, forces: Array) -> StressErrors:
-    """Return the rows of a case by the displacements (n,) under its probes' rows and `forces`."""
+    """Return the rows of a case from the displacements (n,) under its probes' rows and `forces`."""
     structure, axes = whole.parts.structure, len(DIRECTIONS)
     duals = field.respond(relative_rows(whole)[:axes].toarray().T, "displacement's dual")
     free = _free_facets(whole)
@@ -103,7 +103,7 @@ def stress_errors(whole: Discretised, field: DisplacementField, forces: Array) -
 
 
 def _free_facets(whole: Discretised) -> NDArray[np.int64]:
-    """Facets of the boundary that no support, joint or load touches."""
+    """Boundary facets without support, joint or load."""
     loaded = [load.surface for load in whole.case.loads.values() if load.surface is not None]
     return np.setdiff1d(whole.parts.structure.mesh.boundary_facets(), _touched(whole, loaded))
 
@@ -120,7 +120,7 @@ def _touched(whole: Discretised, others: Sequence[str]) -> NDArray[np.int64]:
 def _pressed(
     whole: Discretised, free: NDArray[np.int64], count: int
 ) -> tuple[NDArray[np.int64], Array]:
-    """Facets without traction or with pressures only, and these (f, count) by the loads, Pa."""
+    """Facets without traction or with pressures only, and their pressures (f, count), Pa."""
     structure, loads = whole.parts.structure, list(whole.case.loads.values())
     others = [load.surface for load in loads if load.pressure_MPa is None and load.surface]
     under = [
@@ -138,7 +138,7 @@ def _pressed(
 
 
 def dual_rows(condensed: ElasticCondensation, contact: ContactProblem) -> Array:
-    """Return the displacement per nodal temperature, (3, n_heat), m/K, with joints that stick."""
+    """Return the displacement per nodal temperature, (3, n_heat), m/K, with sticking joints."""
     problem, axes = contact.gap_problem, len(DIRECTIONS)
     closing = condensed.probe_compliance[:axes] * (condensed.area * problem.change)
     closing = closing + (closing @ problem.compliance) * problem.change
@@ -146,10 +146,10 @@ def dual_rows(condensed: ElasticCondensation, contact: ContactProblem) -> Array:
 
 
 def heat_errors(whole: Discretised, rows: Array, conducts: Array, duration: float) -> HeatErrors:
-    """Return the errors by `dual_rows`, with joints that conduct as given (m,), W/(m2 K).
+    """Return the errors from `dual_rows`, with given joint conductances (m,), W/(m2 K).
 
-    The dual temperatures are of second order, after one step as long as the march, `duration`, s.
-    What they have beyond first order is what the residual of the heat equation is multiplied with
+    The dual temperatures are of second order, after one step of the length of the march,
+    `duration`, s. Their difference from first order multiplies the residual of the heat equation
     (Becker & Rannacher 2001).
     """
     structure = whole.parts.structure
@@ -161,8 +161,8 @@ def heat_errors(whole: Discretised, rows: Array, conducts: Array, duration: floa
     through = csr_array(jump.T @ diags_array(whole.operators.area * conducts) @ jump)
     lifted = _lifted(low, high)
     lost = csr_array(fine.conduction + fine.convection)
-    # Rows are integrals of a density, here per heat capacity: the same with functions of second
-    # order.
+    # Rows are integrals of a density, here per heat capacity: the same with second-order
+    # functions.
     density = factorise(lifted.T @ capacity @ lifted, "density of the heat's dual", solver)
     duals = capacity @ lifted @ checked_solve(density, rows.T, "density of the heat's dual")
     duals[fine.held] = 0.0
@@ -203,17 +203,17 @@ def variable_errors(
 
 
 def _second_order(whole: Discretised) -> tuple[CellBasis, dict[str, Material], HeatOperators]:
-    """Space, materials and heat operators of temperatures of second order."""
+    """Space, materials and heat operators of second-order temperatures."""
     case, structure = whole.case, whole.parts.structure
     materials = reference_materials(case, whole.materials)
     loads = thermal_loads(case, structure)
-    # A copy's, for it is large and not needed again.
+    # Of a copy, because it is large and not needed again.
     high = replace(whole.spaces).elastic
     return high, materials, heat_operators(structure, high, materials, loads, whole.parts.joints)
 
 
 def _lifted(low: CellBasis, high: CellBasis) -> csr_array:
-    """Functions of first order at the unknowns of second order, shape (n_high, n_low)."""
+    """First-order functions at the second-order unknowns, shape (n_high, n_low)."""
     places = np.asarray(high.elem.doflocs).T
     shapes, _ = reference_shapes(low.elem, places, len(low.element_dofs))
     at, first = np.unique(high.element_dofs, return_index=True)

@@ -24,12 +24,12 @@ from thermojoint.artefacts.arrays import Array
 
 
 def asks_for_outputs(case: Case) -> bool:
-    """Whether a case asks for forces or stresses."""
+    """Whether forces or stresses are requested in a case."""
     return case.output.forces or bool(case.output.stress_probes)
 
 
 def support_names(case: Case) -> list[str]:
-    """Return what the supports of a case are called in a response, in the order of its rows."""
+    """Return the names of a case's supports in a response, in the order of its rows."""
     held = [*fixed_surfaces(case), *case.supports.symmetry]
     springs = [f"{name} springs" if name in held else name for name in case.supports.springs]
     return [*held, *springs]
@@ -60,12 +60,12 @@ def mechanical_outputs(
     rows = reaction_rows(structure, spaces, field, whole.springs, forces, supports)
     if case.output.stress_probes:
         probes = {name: structure.probes[name] for name in case.output.stress_probes}
-        probe_cells(structure, probes)  # refuses a point in no cell, or on a joint
+        probe_cells(structure, probes)  # refuses points in no cell or on a joint
         around = [cells_around(structure, probe) for probe in probes.values()]
         count = [len(cells) for cells in around]
         points = np.array([probe.position for probe in probes.values()]).T.repeat(count, axis=1)
         stresses = stress_rows(structure, spaces, whole.materials, points, np.concatenate(around))
-        # At a node, the stress of a single cell would depend on which one is found first.
+        # At a node, the stress of a single cell would depend on the order of the search.
         mean = block_diag([np.tile(np.eye(6) / n, n) for n in count], format="csr")
         rows = with_stresses(rows, *(csr_array(mean @ one) for one in stresses))
     return condense_outputs(field, rows, forces)

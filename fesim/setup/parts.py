@@ -39,17 +39,17 @@ MOST_IN_ALL = 6_000
 class Parts:
     """Checked contents of a case, before any finite-element work."""
 
-    #: With all probes of the case.
+    #: Structure with all probes of the case.
     structure: Structure
     #: In the order of the contact elements.
     joints: tuple[PairedJoint, ...]
-    #: Temperature probes: those that the case names and its candidates.
+    #: Temperature probes: the named ones and the candidates.
     probes: dict[str, Probe]
-    #: Constraints of the bodies; checked.
+    #: Checked constraints of the bodies.
     constraints: Constraints
-    #: The law of each joint and how many contact elements it has.
+    #: The law of each joint and its number of contact elements.
     laws: list[tuple[JointLaw, int]]
-    #: In the case's order.
+    #: In the order of the case.
     bolts: list[Bolt]
 
 
@@ -59,14 +59,14 @@ def make_parts(case: Case) -> Parts:
     Raises
     ------
     InputError
-        A name does not exist in the structure, a history is invalid, parts do not fit, or a body
+        A name does not exist in the structure, a history is invalid, parts do not match, or a body
         is not constrained.
     """
     structure = build_structure(case)
     check_names(case, structure)
-    if (reason := not_reducible(case)) is not None:  # a copy of a case may be another
+    if (reason := not_reducible(case)) is not None:  # a copy of a case may be changed
         raise InputError(reason)
-    march_inputs(case)  # an invalid history is found now, not after the factorisation
+    march_inputs(case)  # finds invalid histories before the factorisation
     joints = paired_joints(case, structure)
     check_sound(case, structure, joints)
     probes = {
@@ -89,7 +89,7 @@ def paired_joints(
     Raises
     ------
     InputError
-        The sides of a joint do not fit, or there are more than `most` contact elements.
+        The sides of a joint do not match, or there are more than `most` contact elements.
     """
     joints = tuple(_paired(case, structure, name, section) for name, section in case.joints.items())
     count = sum(len(joint.area) for joint in joints)
@@ -109,14 +109,14 @@ def _paired(case: Case, structure: Structure, name: str, section: JointSection) 
 
 
 def unit_direction(axis: AxisSection) -> Array:
-    """Direction of an axis, shape (3,), of length one."""
+    """Unit vector of an axis, shape (3,)."""
     return np.array(axis.direction) / np.linalg.norm(axis.direction)
 
 
 def _check_walls(case: Case) -> None:
-    """Refuse heat and loads on rigid walls, which nothing warms or moves, and names of their faces.
+    """Refuse heat and loads on rigid walls, which have no unknowns, and names of their faces.
 
-    By its name alone a wall is known to have a temperature, or none.
+    Whether a wall has a temperature follows from its name.
     """
     joints = {f"joints.{name}": [one.side_a, one.side_b] for name, one in case.joints.items()}
     held = {"held_temperatures": list(case.held_temperatures)}

@@ -31,7 +31,7 @@ def checked(function: OfPosition, where: str, least: float = -math.inf) -> OfPos
 
     def values(points: Array) -> Array:
         result = function(points)
-        # Written so that NaN fails too.
+        # Written so that NaN fails, too.
         bad = np.flatnonzero(~(np.isfinite(result) & (result >= least)))
         if bad.size:
             at = bad[0]

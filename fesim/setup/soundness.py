@@ -1,4 +1,4 @@
-"""Checks that refuse structures and names which would give wrong results."""
+"""Checks that refuse structures and names that would give wrong results."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from meshes.units import USUAL_SIZE
 from thermojoint.artefacts.errors import ConvergenceError, InputError, shown_point
 from thermojoint.artefacts.settings.toml import as_key
 
-#: Sides of a preloaded joint further apart than this share of its width were never in contact. The
-#: facets of a round bore may leave a few per cent.
+#: Sides of a preloaded joint further apart than this fraction of its width were never in contact.
+#: The facets of a round bore may leave a few per cent.
 APART = 0.05
-#: Temperatures of the ambient at time zero that differ by more than this contradict each other, K.
+#: Ambient temperatures at time zero that differ by more than this are contradictory, K.
 SAME_AMBIENT = 0.5
 
 
@@ -32,10 +32,10 @@ def check_sound(case: Case, structure: Structure, joints: Sequence[PairedJoint])
     Raises
     ------
     InputError
-        A body has pieces that touch without a common node; joints lie on each other; the sides of
-        a preloaded joint are far apart; surfaces that exchange heat in the same way overlap, or
-        walls of a cavity and surfaces that give off heat to the ambient; joints cover all of a
-        cavity; radiation goes to another ambient than that of the case.
+        A body has pieces that touch without a common node; joints overlap; the sides of a preloaded
+        joint are far apart; surfaces with the same kind of heat exchange overlap, or walls of a
+        cavity and surfaces that lose heat to the ambient; joints cover all of a cavity; the ambient
+        of radiation differs from that of the case.
     """
     check_whole(structure)
     check_covered_once(structure, joints)
@@ -50,14 +50,14 @@ def check_sound(case: Case, structure: Structure, joints: Sequence[PairedJoint])
 
 
 def check_laws(case: Case, joints: Sequence[PairedJoint]) -> None:
-    """Refuse what `check_sound` refuses of joint laws and the ambient.
+    """Refuse joint laws and an ambient as `check_sound` does.
 
     Cases that share a condensation may differ in these.
 
     Raises
     ------
     InputError
-        The sides of a preloaded joint are far apart; radiation goes to another ambient than that of
+        The sides of a preloaded joint are far apart; the ambient of radiation differs from that of
         the case.
     """
     for joint in joints:
@@ -67,12 +67,12 @@ def check_laws(case: Case, joints: Sequence[PairedJoint]) -> None:
 
 
 def check_stands(case: Case) -> None:
-    """Refuse a case with axes where the machine has to stand.
+    """Refuse a case with axes where the machine must be at rest.
 
     Raises
     ------
     InputError
-        It has some.
+        The case has axes.
     """
     if case.axes:
         raise InputError(
@@ -82,7 +82,7 @@ def check_stands(case: Case) -> None:
 
 
 def suspicions(structure: Structure, joints: Sequence[PairedJoint]) -> list[str]:
-    """Return a warning about each pair of bodies that touch without a joint, or overlap.
+    """Return a warning for each pair of bodies that touch without a joint, or overlap.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def suspicions(structure: Structure, joints: Sequence[PairedJoint]) -> list[str]
 
 @contextmanager
 def explained_by_size(structure: Structure) -> Iterator[None]:
-    """Add to an error about a structure of implausible size that its unit may be the cause."""
+    """Add to an error of a structure of implausible size that its unit may be the cause."""
     try:
         yield
     except (InputError, ConvergenceError) as error:
@@ -121,7 +121,7 @@ def check_open(case: Case, structure: Structure, joints: Sequence[PairedJoint]) 
 
 
 def radiated_to(case: Case) -> dict[str, float]:
-    """Return the ambient that radiation goes to at time zero, °C, by the section that says it."""
+    """Return the ambient of radiation at time zero, °C, by the section that specifies it."""
     given = {f"radiation.{name}": one.ambient_degC for name, one in case.radiation.items()}
     gaps = {name: joint.gap for name, joint in case.joints.items() if joint.gap is not None}
     return given | {
@@ -132,7 +132,7 @@ def radiated_to(case: Case) -> dict[str, float]:
 
 
 def check_one_ambient(case: Case) -> None:
-    """Refuse radiation to an ambient that is not that of time zero, or not the same everywhere."""
+    """Refuse an ambient of radiation that differs from that at time zero or between sections."""
     given = radiated_to(case)
     if not given:
         return
@@ -149,7 +149,7 @@ def check_one_ambient(case: Case) -> None:
 
 
 def check_whole(structure: Structure) -> None:
-    """Refuse a body whose pieces touch without sharing nodes: no heat or force would pass there."""
+    """Refuse a body whose pieces touch without common nodes: it would transfer no heat or force."""
     mesh = structure.mesh
     near = TOUCHING * float(np.ptp(mesh.p, axis=1).max())
     for name, cells in structure.bodies.items():
@@ -194,7 +194,7 @@ def check_covered_once(structure: Structure, joints: Sequence[PairedJoint]) -> N
 
 
 def check_closed(joint: PairedJoint) -> None:
-    """Refuse a preloaded joint whose sides lie far apart, or far within each other, in the mesh."""
+    """Refuse a preloaded joint whose sides are far apart, or overlap far, in the mesh."""
     between = joint.separation
     most = APART * float(np.sqrt(joint.area.sum()))
     if float(np.abs(between).max()) > most:

@@ -19,12 +19,12 @@ from meshes.wall import face_of, with_wall
 from thermojoint.artefacts.errors import InputError, shown_point, unknown_name
 from thermojoint.artefacts.settings.toml import as_key
 
-#: More possible sensors than this are probably a mistake of the unit.
+#: A larger number of possible sensors than this is probably a mistake of the unit.
 MOST_CANDIDATES = 100_000
 
 
 def build_structure(case: Case) -> Structure:
-    """Build or read the structure, with the probes and joints that the case adds."""
+    """Build or read the structure, with the probes and joints of the case."""
     section = case.structure
     probes = {
         name: Probe(_metres(probe.position_mm), probe.body) for name, probe in case.probes.items()
@@ -78,7 +78,7 @@ def build_structure(case: Case) -> Structure:
 
 
 def _side(case: Case, name: str) -> str:
-    """Return the surface that a joint means by the name of a surface or a wall."""
+    """Return the surface for the name of a surface or a wall in a joint."""
     return face_of(name) if name in case.walls else name
 
 
@@ -118,7 +118,7 @@ def candidate_probes(case: Case, structure: Structure) -> dict[str, Probe]:
     Raises
     ------
     InputError
-        A box names a body that does not exist, has too many points, or none in its body.
+        A box refers to a body that does not exist, has too many points, or none in its body.
     """
     probes: dict[str, Probe] = {}
     several = len({section.body for section in case.candidates}) > 1
@@ -145,7 +145,7 @@ def candidate_probes(case: Case, structure: Structure) -> dict[str, Probe]:
 
 
 def body_of_candidate(name: str) -> str | None:
-    """Return the body that the name of a candidate states; None if it states none."""
+    """Return the body in the name of a candidate; None if there is none."""
     parts = name.split("_", 3)
     return parts[3] if name.startswith("s") and len(parts) > 3 else None
 
@@ -181,7 +181,7 @@ def measured_points(case: Case) -> list[str]:
 
 
 def displacement_of(case: Case) -> str:
-    """Return what is displaced, and relative to what, for a person."""
+    """Return a readable description of the displaced and the reference point."""
     names, section = measured_points(case), case.displacement
     if section is not None and section.tool_mm is not None:
         names[0] = f"a tool's tip, {shown_point(section.tool_mm)} mm from {names[0]},"

@@ -37,7 +37,7 @@ def factor_of(section: FactorSection) -> TemperatureFactor:
 
 
 def reference_materials(case: Case, materials: dict[str, Material]) -> dict[str, Material]:
-    """Return the bodies' materials with the middle of what has a factor."""
+    """Return the bodies' materials with the middle of properties that have a factor."""
     found = dict(materials)
     for body, factor in _factors(case, materials, "conductivity_factor").items():
         own = found[body]
@@ -83,7 +83,7 @@ def variable_heat(
     joints: Sequence[PairedJoint],
     heat: HeatOperators,
 ) -> VariableHeat | None:
-    """Return the terms that the constant operators `heat` lack; None if there are none."""
+    """Return the terms that the constant operators `heat` do not include, or None."""
     terms = []
     for body, factor in _factors(case, materials, "conductivity_factor").items():
         own = {name: m.conductivity if name == body else 0.0 for name, m in materials.items()}
