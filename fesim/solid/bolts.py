@@ -1,10 +1,10 @@
 """Bolts as springs between two places of a structure, part of its condensation (docs/bolts.md).
 
 A bolt's ends move apart by e = Q u, the mean displacement of its head minus that of its thread
-along its axis. It pulls them together with f = F + k_b (e - e_0 - alpha L T_b), nodal forces -Q^T
-f. With the elongation by joints, heat and loads alone, e_free = e + C_bb f, this is f = D (F / k_b
-- e_0 + e_free - alpha L T_b), D = (1/k_b + C_bb)^-1. The system remains linear, and gaps and probes
-change by those of unit bolt forces times f. Only D is factorised.
+along its axis. The bolt force is f = F + k_b (e - e_0 - alpha L T_b), with nodal forces -Q^T f.
+With the elongation due to joints, heat and loads only, e_free = e + C_bb f, this is
+f = D (F / k_b - e_0 + e_free - alpha L T_b), D = (1/k_b + C_bb)^-1. The system remains linear, and
+gaps and probes change by those of unit bolt forces times f. Only D is factorised.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from thermojoint.artefacts.arrays import Array
 class Patch:
     """Contact area of a bolt's end: points that share its force."""
 
-    #: Shape (3, q): m.
+    #: Shape (3, q): positions, m.
     points: Array
-    #: Shape (q,): the cell each point lies in.
+    #: Shape (q,): cell of each point.
     cells: NDArray[np.int64]
     #: Shape (q,): share of each point; together 1.
     weights: Array
@@ -95,7 +95,7 @@ def bolt_springs(bolts: Sequence[Bolt], means: Array) -> BoltSprings:
     Parameters
     ----------
     bolts : sequence of Bolt
-        b of them.
+        The b bolts.
     means : ndarray, shape (b, n)
         Their `temperature_rows`, or those times the basis of a reduced model.
     """
@@ -115,7 +115,7 @@ def fastened(
     Parameters
     ----------
     elastic : ElasticCondensation
-        Without bolts; its last b probes are the bolts' `stretch_rows`.
+        Condensation without bolts; its last b probes are the bolts' `stretch_rows`.
     loads : LoadInfluence
         Its last b columns are unit forces of the bolts.
     springs : BoltSprings
@@ -127,8 +127,8 @@ def fastened(
     Returns
     -------
     tuple of ElasticCondensation, LoadInfluence, MechanicalOutputs
-        Of k probes; of the loads, of the forces that the bolts are given (N), and of a last factor
-        that is always 1: the state they count from; the bolts' forces as functions of a step.
+        Condensation with k probes; influence of the loads, of the prescribed bolt forces (N), and
+        of a last factor that is always 1, the reference state; bolt forces as functions of a step.
     """
     bolts = springs.flexibility.size
     probes, given = len(start) - bolts, loads.gap.shape[1] - bolts

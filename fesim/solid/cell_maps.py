@@ -1,9 +1,9 @@
-"""Maps of cells from their own coordinates to space, with each derivative evaluated once.
+"""Maps of cells from reference coordinates to space, with each derivative evaluated once.
 
-scikit-fem evaluates all functions of a cell anew for each of the nine entries of a gradient, and
-inverts it for each function of a basis; it looks for the points of a facet twice, and keeps every
-gradient for as long as the mesh lives. Here those of one set of points are evaluated together, in
-the same order and to the same bit, and only the last ones are kept.
+scikit-fem evaluates all functions of a cell again for each of the nine entries of a gradient, and
+inverts it for each function of a basis; it searches for the points of a facet twice, and keeps
+every gradient for the lifetime of the mesh. Here those of one set of points are evaluated together,
+in the same order and bit-identical, and only the last ones are kept.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from skfem.mapping import Mapping, MappingIsoparametric
 
 from thermojoint.artefacts.arrays import Array
 
-#: Cells whose numbers a map takes.
+#: Indices of the cells that a map is applied to.
 Cells = NDArray[np.int64] | None
 
 _Method = Callable[[MappingIsoparametric, Array, Cells], Array]
 
 
 def _last_kept(method: _Method) -> Callable[..., Array]:
-    """Method that returns its last array again where it is asked for the same points and cells."""
+    """Method that returns its last array again for the same points and cells."""
     place = f"_last_{method.__name__}"
 
     @wraps(method)
@@ -60,7 +60,7 @@ class _Isoparametric(MappingIsoparametric):
         return gradient
 
     def F(self, X: Array, tind: Cells = None) -> Array:
-        """Return the places (3, cells, points) of points X of the cells, m."""
+        """Return the positions (3, cells, points) of points X of the cells, m."""
         nodes = self.mesh.dofs.element_dofs
         nodes = nodes if tind is None else nodes[:, tind]
         places = np.zeros((3, nodes.shape[1], X.shape[-1]))

@@ -1,9 +1,9 @@
 """Static condensation on the joints: linear parts are solved once in advance (docs/march.md).
 
-Thermal: A0 = M/dt + K + H is factorised; W = A0^-1 B^T and S = B W carry the joint's heat flows.
-Elastic: C = G Kr^-1 G^T carries the tractions to the gaps, S_T = G Kr^-1 F the temperatures, and
-the same rows serve every displacement probe. Kr has reference springs at the joint, which constrain
-a body supported only by the joint; `fesim.joint.gap` subtracts them from the law. It is never
+Thermal: A0 = M/dt + K + H is factorised; W = A0^-1 B^T and S = B W contain the joint's heat flows.
+Elastic: C = G Kr^-1 G^T maps tractions to gaps, S_T = G Kr^-1 F temperatures to gaps, and the same
+rows serve every displacement probe. Kr includes reference springs at the joint, which constrain a
+body supported only by the joint; `fesim.joint.gap` subtracts them from the law. Kr is never
 assembled: `fesim.solid.substructures` factorises body by body.
 """
 
@@ -36,7 +36,8 @@ FULL = "full"
 class HeatBalance:
     """Heat balance summed over all nodes: in = stored + convected.
 
-    Heat enters by the inputs and at the h held unknowns. There it is the residual of their rows:
+    Heat enters through the inputs and at the h held unknowns, where it is the residual of their
+    rows:
     after T - before T_before - drive u + flow j.
     """
 
@@ -65,7 +66,7 @@ class ThermalCondensation:
     factor: Factor
     #: Shape (n, n): M/dt, W/K; zero for the held unknowns.
     capacity_rate: csr_array
-    #: Shape (n, k): right-hand side per unit of each input; for the held unknowns their
+    #: Shape (n, k): right-hand side per unit of each input; for the held unknowns, their
     #: temperature.
     inputs: Array
     #: Shape (m, n): B, and the mean temperature of both sides of each contact element.
@@ -112,7 +113,7 @@ class ElasticCondensation:
         )
 
     def turned(self, rows: Callable[[Array], Array]) -> ElasticCondensation:
-        """Return it on other temperatures, by what becomes of rows (..., n_heat)."""
+        """Return it on other temperatures; `rows` transforms rows (..., n_heat)."""
         return replace(
             self, thermal_gap=rows(self.thermal_gap), probe_thermal=rows(self.probe_thermal)
         )
@@ -130,9 +131,9 @@ class ElasticCondensation:
 class LoadInfluence:
     """Influence of l mechanical loads on gaps and probes, at factor one without joint forces."""
 
-    #: Shape (3 m, l): m, with the reference springs across the joints.
+    #: Shape (3 m, l): with the reference springs across the joints, m.
     gap: Array
-    #: Shape (k, l): m.
+    #: Shape (k, l): probes, m.
     probes: Array
 
 
@@ -144,7 +145,7 @@ class DisplacementField:
     structure: FactorisedStructure
     #: Shape (q, n): E: G, and the unknowns with anchors.
     ties: csr_array
-    #: On these ties.
+    #: Condensation on these ties.
     condensed: TieCondensation
     #: Shape (3 m, n): G.
     gap: csr_array
@@ -165,14 +166,14 @@ class DisplacementField:
         Parameters
         ----------
         forces : ndarray
-            Those on held unknowns move nothing.
+            Forces on held unknowns have no effect.
         what : str
             Name for the error message.
 
         Raises
         ------
         ConvergenceError
-            A solve left a residual.
+            A solve left too large a residual.
         """
         springs = self.condensed.springs
         apart = self._apart(forces, what)
@@ -266,7 +267,7 @@ def condense_elasticity(
     reference : ndarray, shape (3 m,)
         Stiffness of the reference springs, Pa/m: positive, of the order of the joint's own.
     probes : scipy.sparse array, shape (k, n)
-        Rows that give each probed displacement.
+        Rows of the probed displacements.
     solver : str, optional
         See `fesim.solid.linear_solver.factorise`.
     """
@@ -313,9 +314,9 @@ def condense_loads(field: DisplacementField, forces: Array, probes: csr_array) -
     field : DisplacementField
         The factorised structure.
     forces : ndarray, shape (n, l)
-        `fesim.solid.forces.nodal_forces`.
+        Nodal forces, from `fesim.solid.forces.nodal_forces`.
     probes : scipy.sparse array, shape (k, n)
-        Rows that give each probed displacement.
+        Rows of the probed displacements.
     """
     moved = field.respond(forces, "mechanical loads")
     return LoadInfluence(field.gap @ moved, probes @ moved)

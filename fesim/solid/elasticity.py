@@ -1,6 +1,6 @@
 """Elastic operators (stiffness, thermal load, supports), assembled piece by piece.
 
-Bodies that a joint separates share no node, so the stiffness is block diagonal: its blocks are the
+Bodies separated by a joint share no node, so the stiffness is block diagonal: its blocks are the
 connected pieces of the mesh.
 """
 
@@ -50,13 +50,13 @@ class ElasticOperators:
     stiffness: csr_array
     #: Shape (n, n_heat): F, N/K: nodal forces of a fully constrained temperature field.
     thermal_load: csr_array
-    #: Unknowns that no support holds.
+    #: Unknowns without support.
     free: NDArray[np.int64]
     #: Shape (n / 3, 3): positions of the nodes, m.
     points: Array
 
     def pieces(self) -> Iterator[ElasticPiece]:
-        """Yield the parts that no entry of the stiffness connects."""
+        """Yield the parts that are not connected by an entry of the stiffness."""
         nodes = len(self.points)
         at = self.stiffness.tocoo()
         links = coo_array((np.ones(at.nnz), (at.row // 3, at.col // 3)), (nodes, nodes))
@@ -122,7 +122,7 @@ def elastic_pieces(
     symmetry : dict
         Surface name to the constrained direction ("x", "y" or "z").
     springs : mapping, optional
-        Surface name to the total stiffness in x, y and z of the springs under it, N/m, evenly
+        Surface name to the total stiffness in x, y and z of the springs under it, N/m, uniformly
         distributed.
     """
     free = np.ones(spaces.displacement_size, dtype=bool)

@@ -1,8 +1,8 @@
 """Element matrices of isotropic thermoelasticity, computed in batches, and their assembly.
 
-Every cell has the same functions on the same points of its own coordinates: with their gradients
-side by side in one array, the element matrices are one batched product. They are summed by
-positions that are sorted once, so that no entry is stored twice.
+Every cell has the same functions at the same reference points: with their gradients side by side in
+one array, the element matrices are one batched product. They are summed at positions that are
+sorted once, so that no entry is stored twice.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from skfem.element import Element
 
 from thermojoint.artefacts.arrays import Array
 
-#: Cells per batch of element matrices; more would only need memory.
+#: Cells per batch of element matrices; a larger batch only needs more memory.
 AT_ONCE = 1024
 
 
@@ -25,9 +25,9 @@ AT_ONCE = 1024
 class Places:
     """Positions of element-matrix entries in a CSR matrix."""
 
-    #: Shape (e,): entries in the order of their places.
+    #: Shape (e,): order of the entries by their places.
     order: NDArray[np.int64]
-    #: Shape (p,): the first one, in that order, of each place.
+    #: Shape (p,): index of the first one, in that order, at each place.
     first: NDArray[np.int64]
     #: Shapes (p,) and (rows + 1,): column of each place, and the first place of each row.
     indices: NDArray[np.int32]
@@ -46,9 +46,9 @@ def places_of(
     Parameters
     ----------
     rows, columns : ndarray of int, any equal shape
-        Of each entry; there is one or more.
+        Row and column of each entry; there is one or more.
     shape : (int, int)
-        Of the matrix.
+        Shape of the matrix.
     """
     place = (rows.astype(np.int64) * shape[1] + columns).reshape(-1)
     order = np.argsort(place)
@@ -56,7 +56,7 @@ def places_of(
     first = np.flatnonzero(np.concatenate([[True], place[1:] != place[:-1]]))
     row, column = np.divmod(place[first], shape[1])
     indptr = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=shape[0]))])
-    # A matrix with one kind of index in 64 bits has all of them so.
+    # If one index array of a matrix has 64 bits, all have.
     if first.size <= np.iinfo(np.int32).max:
         indptr = indptr.astype(np.int32)
     return Places(order, first, column.astype(np.int32), indptr)
@@ -66,7 +66,7 @@ def places_of(
 class CellGradients:
     """Gradients on the quadrature points of some cells."""
 
-    #: Shape (cells, functions, 3, points): of each shape function, 1/m.
+    #: Shape (cells, functions, 3, points): gradient of each shape function, 1/m.
     gradient: Array
     #: Shape (cells, points): weight of each point, m3.
     volume: Array
@@ -76,7 +76,7 @@ class CellGradients:
     ) -> Array:
         """Return entries (3, 3, pairs, cells) of (sigma(u), eps(v)), N/m.
 
-        Entry (i, j) of a pair (a, b) is the force along i at a by a displacement along j at b.
+        Entry (i, j) of a pair (a, b) is the force along i at a due to a displacement along j at b.
 
         Parameters
         ----------
@@ -104,14 +104,14 @@ class CellGradients:
         bulk : ndarray, shape (cells,)
             (3 lambda + 2 mu) alpha, Pa/K.
         shapes : ndarray, shape (heat functions, points)
-            Temperature's functions.
+            Shape functions of the temperature.
         """
         weighted = self.gradient * (bulk[:, None] * self.volume)[:, None, None]
         return np.asarray((weighted @ shapes.T).transpose(2, 1, 3, 0))
 
 
 def reference_shapes(element: Element, points: Array, count: int) -> tuple[Array, Array]:
-    """Values (count, q) and gradients (count, 3, q) of an element's functions at its own points."""
+    """Values (count, q) and gradients (count, 3, q) of element functions at reference points."""
     each = [element.lbasis(points, i) for i in range(count)]
     values = np.array([np.broadcast_to(value, points.shape[1:]) for value, _ in each])
     slopes = np.array([np.broadcast_to(slope, points.shape) for _, slope in each])
@@ -125,20 +125,20 @@ def cell_gradients(
     cells: NDArray[np.int64],
     order: NDArray[np.int64],
 ) -> Iterator[tuple[slice, CellGradients]]:
-    """Yield the gradients of `AT_ONCE` cells at a time, and which of the cells they are.
+    """Yield the gradients of `AT_ONCE` cells at a time, and the slice of these cells.
 
     Parameters
     ----------
     mesh : skfem.Mesh
-        Any mesh; curved cells have the map of their own geometry.
+        Any mesh; curved cells use the map of their own geometry.
     element : skfem.Element
-        A scalar one.
+        A scalar element.
     quadrature : (ndarray, ndarray), shapes (3, q) and (q,)
         Points and weights of the reference cell.
     cells : ndarray of int, shape (c,)
         The cells.
     order : ndarray of int, shape (functions, c)
-        The order in which each cell's functions are given.
+        Order of each cell's functions in the result.
     """
     points, weights = quadrature
     corners = mesh.dofs.element_dofs

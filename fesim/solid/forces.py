@@ -20,11 +20,11 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class SurfaceForce:
-    """A force distributed evenly over a surface."""
+    """A force distributed uniformly over a surface."""
 
-    #: Where it acts.
+    #: Surface on which it acts.
     surface: str
-    #: On the meshed part, N.
+    #: Force on the meshed part, N.
     force: Vector
 
 
@@ -32,9 +32,9 @@ class SurfaceForce:
 class SurfacePressure:
     """A pressure on a surface, against its outward normal."""
 
-    #: Where it acts.
+    #: Surface on which it acts.
     surface: str
-    #: Pa.
+    #: Pressure, Pa.
     pressure: float
 
 
@@ -44,7 +44,7 @@ class BodyForce:
 
     #: Bodies on which it acts.
     bodies: tuple[str, ...]
-    #: m/s2: (0, 0, -9.81) is gravity where z is up.
+    #: Acceleration, m/s2: (0, 0, -9.81) is gravity if z points up.
     acceleration: Vector
 
 
@@ -59,7 +59,7 @@ def pressure_form(v: DiscreteField, w: FormExtraParams) -> Array:
 
 @LinearForm
 def mass_form(v: DiscreteField, w: FormExtraParams) -> Array:
-    """Mass that moves with a node: (rho, v)."""
+    """Mass assigned to a node: (rho, v)."""
     return w["value"] * v
 
 
@@ -75,9 +75,9 @@ def nodal_forces(
     spaces : Spaces
         Displacement space.
     materials : dict
-        Body name to its material: density.
+        Body name to its material, for the density.
     loads : sequence of Load
-        l of them.
+        The l loads.
     """
     nodal = np.zeros((spaces.displacement_size, len(loads)))
     for column, load in enumerate(loads):

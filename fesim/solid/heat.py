@@ -29,15 +29,15 @@ from thermojoint.artefacts.errors import InputError
 
 @dataclass(frozen=True)
 class HeatSource:
-    """A region that is heated: one surface, or the volume of one body."""
+    """A heated region: one surface, or the volume of one body."""
 
     #: Heat that enters the meshed part at input 1, W.
     power: float
-    #: Exactly one of them is given.
+    #: Exactly one of the two is given.
     surface: str | None = None
     body: str | None = None
-    #: Position (3, n), m, to the relative heat density (n,), not negative; the total remains
-    #: `power`. None heats evenly.
+    #: From position (3, n), m, to the relative heat density (n,), not negative; the total remains
+    #: `power`. None: uniform.
     weight: OfPosition | None = None
 
 
@@ -48,8 +48,8 @@ class ThermalLoads:
     #: Surface name to its convection coefficient, W/(m2 K).
     convection: Mapping[str, float] = field(default_factory=dict)
     sources: Sequence[HeatSource] = ()
-    #: Surface with prescribed temperature to a factor of position on it; None holds it evenly.
-    #: Where two of them meet, the first one applies.
+    #: Surface with prescribed temperature to a position-dependent factor on it; None: uniform.
+    #: Where two surfaces meet, the first one applies.
     held: Mapping[str, OfPosition | None] = field(default_factory=dict)
 
 
@@ -64,11 +64,11 @@ class HeatOperators:
     #: Shape (n, k): P: nodal heat per unit of each input: of the sources (W), of the ambient above
     #: the initial one (W/K); zero for the held surfaces.
     inputs: Array
-    #: Shape (h,): unknowns whose temperature is given; their rows of the equation do not hold.
+    #: Shape (h,): unknowns with prescribed temperature; their rows of the equation do not hold.
     held: NDArray[np.int64]
     #: Shape (h, k): their temperature per unit of each input.
     held_inputs: Array
-    #: Which input is which.
+    #: Order of the inputs.
     layout: InputLayout
 
 
@@ -145,7 +145,7 @@ def heat_operators(
     stored = {name: m.density * m.heat_capacity for name, m in materials.items()}
     conducted = {name: m.conductivity for name, m in materials.items()}
     consistent = capacity_form.assemble(basis, value=cell_field(structure, stored, basis))
-    # Lumped: a consistent capacity lets temperatures next to a sudden source undershoot ambient.
+    # Lumped: with a consistent capacity, temperatures next to a sudden source fall below ambient.
     capacity = diags_array(np.asarray(consistent.sum(axis=1)).ravel(), format="csr")
     conduction = conduction_form.assemble(basis, value=cell_field(structure, conducted, basis))
     convection = csr_array((basis.N, basis.N))
@@ -178,7 +178,7 @@ def convection_matrix(
 ) -> csr_array:
     """(u, v) on the part of a surface that no joint covers, shape (n, n), m2.
 
-    Completely covered facets are left out. On the others the integral over the covered part, from
+    Completely covered facets are left out. For the others the integral over the covered part, from
     the quadrature points of the joint, is subtracted.
     """
     facets = structure.surface(surface, "heat operators")
@@ -191,7 +191,7 @@ def convection_matrix(
     partly = cover.share[cover.facet] < 1.0
     if not partly.any():
         return matrix
-    # The joint treats facets as plane; it covers the same share of a curved one.
+    # The joint treats facets as plane; it covers the same fraction of a curved one.
     curved = np.ones(len(facets))
     curved[free] = on.dx.sum(axis=1) / cover.area[free]
     weights = (curved[cover.facet] * cover.weights)[partly]
@@ -219,7 +219,7 @@ def _held_factors(
     nodes: NDArray[np.int64],
     surface: NDArray[np.int64],
 ) -> Array:
-    """Factor of each held unknown (h,), on the surface of given number (h,), on its temperature."""
+    """Factor of each held unknown (h,) on the temperature of its surface, given by number (h,)."""
     factors = np.ones(nodes.size)
     for number, profile in enumerate(held.values()):
         if profile is not None:
@@ -244,7 +244,7 @@ def _heated(structure: Structure, basis: CellBasis, source: HeatSource) -> Abstr
 def _held_unknowns(
     structure: Structure, basis: CellBasis, held: Sequence[str]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Unknowns on the held surfaces, and which of the surfaces each one is on."""
+    """Unknowns on the held surfaces, and the number of the surface of each."""
     on = [basis.get_dofs(structure.surface(name, "heat operators")).all() for name in held]
     nodes = np.concatenate([np.empty(0, dtype=np.int64), *on])
     surface = np.repeat(np.arange(len(on)), [len(part) for part in on])

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class InputLayout:
-    """Positions of the inputs."""
+    """Indices of the inputs."""
 
     #: Number of heat sources, W each.
     sources: int
-    #: Number of surfaces of given temperature, K each.
+    #: Number of surfaces with prescribed temperature, K each.
     held: int
 
     @property

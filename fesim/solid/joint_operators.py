@@ -46,7 +46,7 @@ def joint_operators(joints: Sequence[PairedJoint], spaces: Spaces) -> JointOpera
 
 
 def jumps(joints: Sequence[PairedJoint], basis: CellBasis) -> csr_array:
-    """Return rows (m, n) of the mean of a scalar on side a of all elements minus that on side b."""
+    """Return rows (m, n) of the mean of a scalar on side a of each element minus that on side b."""
     if not joints:
         return csr_array((0, basis.N))
     sides = [side_means(joint, basis) for joint in joints]

@@ -1,12 +1,12 @@
 """Interface to the direct solvers: factorise once, solve many times.
 
-PARDISO where its wheel is installed, SciPy's SuperLU otherwise; the environment variable
-`VARIABLE` names another default. Both take symmetric positive definite matrices here; the residual
-of a solve is checked by `checked_solve`.
+PARDISO if its wheel is installed, SciPy's SuperLU otherwise; the environment variable `VARIABLE`
+sets another default. Both are used for symmetric positive definite matrices; `checked_solve` checks
+the residual of a solve.
 
-PARDISO's factors of a large matrix are of single precision: half the memory, half the time. Their
-solutions are refined (`fesim.solid.refinement`); where that fails, a factor of double precision
-takes their place.
+PARDISO's factors of a large matrix are in single precision: half the memory, half the time. Their
+solutions are refined (`fesim.solid.refinement`); if that fails, they are replaced by a factor in
+double precision.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ SOLVERS = ("pardiso", "superlu")
 #: Environment variable with the default solver.
 VARIABLE = "THERMOJOINT_SOLVER"
 
-#: From so many unknowns on a factor is of single precision: on smaller ones, refinement takes more
-#: time than that saves with two threads.
+#: Smallest number of unknowns for factors in single precision: for fewer, refinement takes more
+#: time than is saved with two threads.
 LARGE = 500_000
-#: From so many unknowns on PARDISO is given the blocks of nodes, where these are known.
+#: Smallest number of unknowns for which PARDISO receives the blocks of nodes, if these are known.
 BLOCKED = 150_000
 #: Largest accepted residual relative to the right-hand side.
 RESIDUAL_LIMIT = 1e-6
-#: The residuals of many columns are looked for in so many combinations of them with random signs:
-#: in each the largest one is undiminished with a probability of one half or more.
+#: Number of combinations with random signs in which the residuals of many columns are checked: in
+#: each the largest one is undiminished with a probability of at least one half.
 COMBINED = 16
-#: Numbers in a product, at a time: 20 MB.
+#: Largest number of numbers in a product: 20 MB.
 AT_ONCE = 2_500_000
 #: A larger residual is accepted if rounding explains it, up to this fraction of |A| |x| and up to
 #: this limit: forces in a body a million times stiffer than its surroundings are large and cancel.
@@ -55,19 +55,19 @@ class Factor:
 
     #: Upper triangle of the factorised matrix.
     matrix: csr_array
-    #: Right-hand sides, shape (n,) or (n, k), to solutions of the same shape.
+    #: From right-hand sides, shape (n,) or (n, k), to solutions of the same shape.
     solve: Callable[[Array], Array]
     #: Name of the solver.
     solver: str
 
 
 def default_solver() -> str:
-    """Return the solver named by `VARIABLE`, else ``"pardiso"`` if installed, else ``"superlu"``.
+    """Return the solver set by `VARIABLE`, else ``"pardiso"`` if installed, else ``"superlu"``.
 
     Raises
     ------
     InputError
-        `VARIABLE` names no solver.
+        `VARIABLE` is not a solver.
     """
     named = os.environ.get(VARIABLE)
     if named and named not in SOLVERS:
@@ -77,7 +77,7 @@ def default_solver() -> str:
 
 @cache
 def _installed() -> str:
-    """The best installed solver; looked up once, as every folder of modules is searched for it."""
+    """The best installed solver; cached, as the search goes through all module folders."""
     return "pardiso" if find_spec("pypardiso") else "superlu"
 
 
@@ -112,12 +112,12 @@ def factorise_upper(
     Parameters
     ----------
     upper : scipy.sparse.csr_array, shape (n, n)
-        As `upper_triangle` gives it.
+        As returned by `upper_triangle`.
     what, solver
-        As for `factorise`, and so is what is raised.
+        As for `factorise`, including the errors raised.
     places : ndarray of int, shape (n,), optional
-        Ascending: unknown 3 i + c is direction c at node i. Where it is given, PARDISO's analysis
-        of a large matrix takes a quarter of the time and a sixth of the memory.
+        Ascending: unknown 3 i + c is direction c at node i. With it, PARDISO's analysis of a large
+        matrix takes a quarter of the time and a sixth of the memory.
     """
     large = upper.shape[0] >= LARGE and (solver or default_solver()) == "pardiso"
     if large:
@@ -135,11 +135,11 @@ def shifted_factors(
     Parameters
     ----------
     upper : scipy.sparse.csr_array, shape (n, n)
-        Upper triangle of A; every place of the diagonal is stored.
+        Upper triangle of A; every entry of the diagonal is stored.
     least : ndarray, shape (n,)
-        The smallest of the diagonals: what is not singular with it is not so with others.
+        The smallest of the diagonals: if A is not singular with it, it is not with the others.
     what, solver
-        As for `factorise`, and so is what is raised.
+        As for `factorise`, including the errors raised.
     """
     make = _factoriser(upper, what, solver)
 
@@ -172,7 +172,7 @@ def _factoriser(
 
 
 def _rough_factor(upper: csr_array, what: str, places: NDArray[np.int64] | None) -> Factor:
-    """Factorise in single precision, and in double only where that does not do."""
+    """Factorise in single precision, and in double only if that is not sufficient."""
     precise = cache(lambda: _factoriser(upper, what, "pardiso", places)(upper))
     try:
         rough = _pardiso(upper, what, True, places)(upper)
@@ -187,7 +187,7 @@ def _rough_factor(upper: csr_array, what: str, places: NDArray[np.int64] | None)
 
 
 def _not_singular(factor: Factor, what: str) -> Factor:
-    """The factor, whose pivots may be zero except for rounding; a solve reveals it."""
+    """Return the factor, unless pivots are zero up to rounding, which a solve reveals."""
     probe = np.cos(np.arange(factor.matrix.shape[0]))
     if not _relative_residual(factor, factor.solve(probe), probe) <= RESIDUAL_LIMIT:
         raise singular(what)
@@ -205,7 +205,7 @@ def upper_triangle(matrix: csr_array) -> csr_array:
 
 
 def symmetric_product(upper: csr_array, vectors: Array) -> Array:
-    """Multiply a symmetric matrix, of which the upper triangle is given, with vectors."""
+    """Multiply a symmetric matrix, given by its upper triangle, by vectors."""
     return _product(upper, upper.diagonal(), vectors)
 
 
@@ -214,7 +214,7 @@ def _product(upper: csr_array, diagonal: Array, vectors: Array) -> Array:
 
 
 def symmetric(upper: csr_array) -> csr_array:
-    """Return the whole of a symmetric matrix of which the upper triangle is given."""
+    """Return a whole symmetric matrix from its upper triangle."""
     return csr_array(upper + upper.T - diags_array(upper.diagonal()))
 
 
@@ -224,7 +224,7 @@ def checked_solve(factor: Factor, right_side: Array, what: str) -> Array:
         return np.zeros(right_side.shape)
     solution = factor.solve(right_side)
     residual = _relative_residual(factor, solution, right_side)
-    # Written so that NaN fails too.
+    # Written so that NaN fails, too.
     if not (residual <= RESIDUAL_LIMIT or _is_rounding(factor, solution, right_side, residual)):
         raise ConvergenceError(
             f"{what}: the solver left a relative residual of {residual:.1e}; "
@@ -253,7 +253,7 @@ def _largest_residual(factor: Factor, solution: Array, right_side: Array) -> flo
 
 
 def _product_in_parts(upper: csr_array, vectors: Array) -> Array:
-    """`symmetric_product` of vectors (n, k), stored as they are."""
+    """`symmetric_product` of vectors (n, k), in their storage order."""
     found = np.empty_like(vectors)
     for part, product in _products(upper, vectors):
         found[part] = product
@@ -261,7 +261,7 @@ def _product_in_parts(upper: csr_array, vectors: Array) -> Array:
 
 
 def _products(upper: csr_array, vectors: Array) -> Iterator[tuple[tuple[slice, slice], Array]]:
-    """A few columns at a time: whole, products need several times the memory of the vectors."""
+    """A few columns at a time: all at once would need several times the memory of the vectors."""
     diagonal, width = upper.diagonal(), max(1, AT_ONCE // len(vectors))
     for first in range(0, vectors.shape[1], width):
         part = np.s_[:, first : first + width]
@@ -276,7 +276,7 @@ def _is_rounding(factor: Factor, solution: Array, right_side: Array, residual: f
 
 
 def singular(what: str) -> InputError:
-    """Return the error for a matrix that has no inverse."""
+    """Return the error for a singular matrix."""
     return InputError(
         f"{what}: the matrix is singular; some body is free to move or has no material: "
         "check supports, joints and materials"
@@ -315,13 +315,13 @@ def _pardiso(
 def _by_nodes(
     upper: csr_array, single: bool, places: NDArray[np.int64]
 ) -> Callable[[csr_array], Substitution]:
-    """Factors by PARDISO of matrices in blocks of nodes; right-hand sides are as for `upper`."""
+    """Factors by PARDISO of matrices in blocks of nodes, for right-hand sides as for `upper`."""
     precision = np.float32 if single else np.float64
     blocks = in_blocks(upper, places, precision)
     make = pardiso(blocks, single)
 
     def factorised(matrix: csr_array) -> Substitution:
-        # Most often it is the one whose pattern was analysed: its blocks are there.
+        # Usually it is the matrix whose pattern was analysed, and its blocks are available.
         own = blocks if matrix is upper else in_blocks(matrix, places, precision)
         substitution = make(own)
 
@@ -341,16 +341,16 @@ def in_blocks(
 ) -> bsr_array:
     """Return the upper triangle of a symmetric matrix in blocks of three, one per pair of nodes.
 
-    Blocks on the diagonal are whole. Where no unknown is placed the diagonal is one.
+    Blocks on the diagonal are whole. The diagonal is one at places without an unknown.
 
     Parameters
     ----------
     upper : scipy.sparse.csr_array, shape (n, n)
-        As `upper_triangle` gives it.
+        As returned by `upper_triangle`.
     places : ndarray of int, shape (n,)
         Ascending: unknown 3 i + c is direction c at node i.
     precision : type
-        Of the numbers.
+        Type of the numbers.
     """
     size = _whole_size(places)
     counts, lacking = np.zeros(size + 1, dtype=np.int32), np.ones(size, dtype=precision)

@@ -2,7 +2,7 @@
 
 An output is o = c_u u + c_T T + c_z r + c_f phi with displacement u, temperature T, the joints'
 remainder r = z + k g and load factors phi. With the adjoint y = Kr^-1 c_u of each output, solved
-once, it needs no displacement field: o = (c_T + y F) T + (c_z + y G^T A) r + (c_f + y f) phi.
+once, no displacement field is needed: o = (c_T + y F) T + (c_z + y G^T A) r + (c_f + y f) phi.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ class MechanicalOutputs:
     temperature: Array
     #: Shape (o, 3 m): per Pa.
     remainder: Array
-    #: Shape (o, l): per unit of each load's factor.
+    #: Shape (o, l): per unit of each load factor.
     loads: Array
 
     def of(self, temperature: Array, remainder: Array, factors: Array) -> Array:
-        """Outputs (o,) of a step."""
+        """Return the outputs (o,) of a step."""
         outputs = self.temperature @ temperature + self.remainder @ remainder
         return np.asarray(outputs + self.loads @ factors)
 
@@ -77,7 +77,7 @@ def condense_outputs(
 
 
 def stacked(rows: Sequence[OutputRows]) -> OutputRows:
-    """Put the rows of several outputs one below the other."""
+    """Stack the rows of several outputs."""
     return OutputRows(
         csr_array(vstack([row.displacement for row in rows])),
         csr_array(vstack([row.temperature for row in rows])),
@@ -119,7 +119,7 @@ def reaction_rows(
     forces : ndarray, shape (n, l)
         Nodal forces of the loads, N.
     supports : Supports
-        The held ones come first.
+        Supports; the held ones come first.
     """
     held = supports.held
     size = spaces.displacement_size
@@ -136,7 +136,7 @@ def reaction_rows(
     sums = csr_array(chosen)
     lacking = sums @ field.gap.T @ diags_array(field.area)
     known = field.structure
-    # z is the remainder minus the share of the reference springs.
+    # z is the remainder minus the forces of the reference springs.
     fixed = OutputRows(
         csr_array(sums @ known.held_stiffness + lacking @ diags_array(reference) @ field.gap),
         csr_array(-(sums @ known.thermal_load)),
@@ -164,7 +164,7 @@ def _spring_rows(
 
 
 def _on_displacements(rows: csr_array, like: OutputRows) -> OutputRows:
-    """Rows that depend on displacements alone, as wide as others."""
+    """Rows that depend on displacements only, with the widths of `like`."""
     count = rows.shape[0]
     return OutputRows(
         rows,

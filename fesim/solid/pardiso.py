@@ -1,7 +1,7 @@
-"""Factors and solutions by PARDISO of MKL, for symmetric positive definite matrices.
+"""Factors and solutions by MKL's PARDISO, for symmetric positive definite matrices.
 
 The public calls of pypardiso compare the whole matrix with a copy of it, and store the copy; its
-private one copies the pattern at every call, and the solution. MKL is therefore called as it is.
+private one copies the pattern and the solution at every call. MKL is therefore called directly.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from scipy.sparse import bsr_array, csr_array
 
 from thermojoint.artefacts.arrays import Array
 
-#: Right-hand sides, shape (n,) or (n, k), to solutions of that shape, in the factors' precision.
+#: From right-hand sides, shape (n,) or (n, k), to solutions of that shape, in the same precision.
 Substitution = Callable[[Array], Array]
 
 #: Its phases: fill-in reduction, numerical factorisation, substitution.
@@ -28,7 +28,7 @@ ANALYSIS, NUMBERS, SOLUTION = 11, 22, 33
 #: Its parameters, numbered from 1: use these instead of the defaults; nested dissection; indices
 #: from zero. By default MKL refines every solution twice, which takes four times as long.
 PARAMETERS = {1: 1, 2: 2, 35: 1}
-#: Whether numbers are of single precision; edge of blocks, 0 for none.
+#: Parameters for single precision and for the size of blocks, 0 for none.
 SINGLE, BLOCK = 28, 37
 
 
@@ -41,14 +41,15 @@ def pardiso(
     ----------
     upper : scipy.sparse.csr_array or bsr_array, shape (n, n)
         Upper triangle of one of them, without empty rows, which would crash MKL; in blocks, those
-        on the diagonal whole. Of blocks MKL analyses the pattern, not that of the numbers.
+        on the diagonal whole. For blocks MKL analyses the pattern of the blocks, not of the
+        numbers.
     single : bool
-        Whether factors are of single precision, and solutions no better.
+        Whether factors, and so solutions, are in single precision.
 
     Raises
     ------
     ImportError
-        It is not installed.
+        PARDISO is not installed.
     numpy.linalg.LinAlgError
         A matrix is not positive definite.
     """
@@ -59,7 +60,7 @@ def pardiso(
     block = upper.blocksize[0] if isinstance(upper, bsr_array) else 0
     for parameter, value in (PARAMETERS | {SINGLE: int(single), BLOCK: block}).items():
         solver.set_iparm(parameter, value)
-    # Where it had to be searched for, it is not searched for again.
+    # If a search was necessary, its result is kept.
     os.environ.setdefault("PYPARDISO_MKL_RT", solver.libmkl._name)
 
     number, to = ctypes.c_int32, ctypes.POINTER(ctypes.c_int32)
@@ -71,7 +72,7 @@ def pardiso(
     )
 
     def run(phase: int, values: Array, right_side: Array) -> Array:
-        """Solution, columns one after the other in memory, of a matrix with these `values`."""
+        """Solution, in column order in memory, of a matrix with these `values`."""
         solution = np.empty_like(right_side)
         many = number(1 if right_side.ndim == 1 else right_side.shape[1])
         error = number(0)
@@ -93,7 +94,7 @@ def pardiso(
         values = matrix.data.astype(precision, copy=False)
         run(NUMBERS, values, nothing)
 
-        # MKL does not refine a solution, so that it reads no numbers of the matrix again.
+        # Without refinement, MKL does not read the numbers of the matrix again.
         return lambda right_side: run(
             SOLUTION, nothing, np.asfortranarray(right_side, dtype=precision)
         )
@@ -102,9 +103,9 @@ def pardiso(
 
 
 def _tell_where_mkl_is() -> None:
-    """Name MKL's library, for which pypardiso would otherwise search the whole installation.
+    """Set the path of MKL's library, for which pypardiso would search the whole installation.
 
-    That takes up to a second of every process. MKL's wheels put it into ``lib`` of an installation.
+    The search takes up to a second of every process. MKL's wheels install it in ``lib``.
     """
     if "PYPARDISO_MKL_RT" in os.environ:
         return

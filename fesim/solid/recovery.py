@@ -1,10 +1,10 @@
-"""Errors of the mesh in linear outputs, by recovered stresses (Zienkiewicz & Zhu 1987).
+"""Mesh errors of linear outputs, from recovered stresses (Zienkiewicz & Zhu 1987).
 
 A recovered stress, its mean at each node over the cells of the same material, is compared with that
-of the solution. At a free surface it bears no traction, which also tells where a single element
-reaches across a wall. The error of an output is the inner product of these differences of the
-solution and of its dual, the solution under the output's own row as the load (Becker & Rannacher
-2001). It is linear in the solution, so it comes as a row.
+of the solution. It has no traction at a free surface, which also detects walls with a single
+element across. The error of an output is the inner product of these differences of the solution and
+of its dual, the solution with the output's own row as the load (Becker & Rannacher 2001). It is
+linear in the solution, so it is computed as a row.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from thermojoint.artefacts.arrays import Array
 
 #: Order of the quadrature of the differences.
 ORDER = 4
-#: Facets at a node are one surface where their normals vary by less than this, in the mean square.
+#: Facets at a node are one surface if the mean square variation of their normals is below this.
 SMOOTH = 0.1
 
 
@@ -42,17 +42,17 @@ def stress_error_rows(
 ) -> tuple[Array, Array]:
     """Return rows, as columns (n, k) and (n_heat, k), that give the errors of outputs, m.
 
-    Stresses are recovered from the Gauss points of an element of first order, where those of
-    second-order displacements are of one order more (Barlow 1976).
+    Stresses are recovered from the Gauss points of a first-order element, where those of
+    second-order displacements are one order more accurate (Barlow 1976).
 
     Parameters
     ----------
     structure, spaces, materials
-        What is meshed, its spaces, and the material of every body.
+        Mesh, its spaces, and the material of every body.
     free : ndarray of int, shape (f,)
-        Facets of the boundary that bear no traction.
+        Boundary facets without traction.
     duals : ndarray, shape (n, k)
-        Displacements under each output's row as forces, per N.
+        Displacements with each output's row as forces, per N.
     """
     basis, heat, count = spaces.displacement, spaces.heat, duals.shape[1]
     elastic = _Elastic.of(structure, materials)
@@ -66,7 +66,7 @@ def stress_error_rows(
     taken = np.zeros((*heat.element_dofs.shape, count, 3, 3))
 
     def put(part: slice, at: CellGradients, weights: Array, shapes: Array) -> None:
-        """Add what gives a sum of stresses with weights (c, k, 3, 3, q) to the rows."""
+        """Add the sum of stresses with weights (c, k, 3, 3, q) to the rows."""
         given, pressed = elastic.transposed(part, weights)
         shares = np.einsum("cfjq,ckijq->fcik", at.gradient, given, optimize=True)
         np.add.at(moved, basis.element_dofs[:, part], shares)
@@ -91,16 +91,16 @@ def stress_error_rows(
 
 @dataclass(frozen=True)
 class _Recovery:
-    """Means at nodes of values at the corners of cells, and where they are compared."""
+    """Nodal means of values at the corners of cells, and the points of their comparison."""
 
-    #: Corners, one cell after the other in each, to their node's mean: symmetric.
+    #: From corners, in the order of the cells for each, to the mean at their node: symmetric.
     mean: csr_array
     #: Shapes (3, q) and (q,): points and weights of the reference cell.
     quadrature: tuple[Array, Array]
-    #: Shape (corners, q): functions of the corners there.
+    #: Shape (corners, q): functions of the corners at these points.
     shapes: Array
-    #: Shape (corners, cells, 3, 3): projection on the directions along which a section through the
-    #: node of a corner may bear traction.
+    #: Shape (corners, cells, 3, 3): projection on the directions in which a section through the
+    #: node of a corner may have traction.
     inwards: Array
 
     def smoothed(self, stress: Array) -> Array:
@@ -129,9 +129,10 @@ def _recovery(
 
 
 def _inwards(mesh: Mesh, free: NDArray[np.int64]) -> Array:
-    """Projection (nodes, 3, 3) on what is perpendicular to all free facets at each node.
+    """Projection (nodes, 3, 3) perpendicular to all free facets at each node.
 
-    It is one at re-entrant edges and where other facets of the boundary begin: stresses may be
+    It is the identity at re-entrant edges and where other boundary facets begin: stresses may be
+    singular there. Facets that meet at less than about 40 degrees are one surface.
     singular there. Facets that meet at less than about 40 degrees are one surface.
     """
     area = outward_areas(mesh, free)
@@ -143,7 +144,7 @@ def _inwards(mesh: Mesh, free: NDArray[np.int64]) -> Array:
     values, vectors = np.linalg.eigh(spread / np.where(whole > 0.0, whole, 1.0)[:, None, None])
     kept = vectors * (values < SMOOTH)[:, None, :]
     inwards = np.einsum("nik,njk->nij", kept, kept)
-    # Convex where all cells around a node lie behind each free facet there.
+    # Convex if all cells around a node lie behind each free facet there.
     cells = csr_array(
         (np.ones(mesh.t.size), (mesh.t.ravel(), np.tile(np.arange(mesh.nelements), len(mesh.t)))),
         shape=(mesh.nvertices, mesh.nelements),
@@ -177,17 +178,17 @@ class _Elastic:
         return cls(lame, shear, (3.0 * lame + 2.0 * shear) * alpha)
 
     def stress(self, part: slice, at: CellGradients, own: Array) -> Array:
-        """Stress (c, k, 3, 3, q) of displacements (functions, c, 3, k) without thermal strain."""
+        """Stress (c, k, 3, 3, q) from displacements (functions, c, 3, k) without thermal strain."""
         slope = np.einsum("cfjq,fcik->ckijq", at.gradient, own, optimize=True)
         return self._stressed(part, slope)
 
     def transposed(self, part: slice, weights: Array) -> tuple[Array, Array]:
-        """Weights of the displacements' gradient and, (c, k, q), of the temperature."""
+        """Weights of the displacement gradient and, (c, k, q), of the temperature."""
         pressed = np.einsum("ckiiq->ckq", weights)
         return self._stressed(part, weights), -self.bulk[part, None, None] * pressed
 
     def strain(self, part: slice, stress: Array) -> Array:
-        """Elastic strain (c, k, 3, 3, q) of stresses."""
+        """Elastic strain (c, k, 3, 3, q) due to stresses."""
         lame, shear = (x[part, None, None] for x in (self.lame, self.shear))
         pressed = np.einsum("ckiiq->ckq", stress) * lame / (3.0 * lame + 2.0 * shear)
         strain = stress.copy()
@@ -207,7 +208,7 @@ class _Elastic:
 def _batches(
     basis: CellBasis, quadrature: tuple[Array, Array]
 ) -> Iterator[tuple[slice, CellGradients]]:
-    """Gradients of all cells at some points, their functions in the basis's own order."""
+    """Gradients of all cells at some points, with functions in the order of the basis."""
     cells: NDArray[np.int64] = np.arange(basis.nelems)
     order = np.tile(np.arange(basis.Nbfun)[:, None], (1, len(cells)))
     return cell_gradients(basis.mesh, basis.elem, quadrature, cells, order)

@@ -3,14 +3,15 @@
 M dT/dt + A T = P u - B^T j is projected on T = V a with V^T M V = I and V^T A V diagonal. The basis
 contains the exact responses (A + s M)^-1 [P, B^T] at shifts s spaced evenly in ln s between the
 slowest and the fastest time of interest: the solution, for any time step, is a combination of such
-responses. Each block adds only the directions that the basis lacks by more than a tolerance
-(singular value decomposition), which keeps the rank small where neighbouring contact elements have
-similar responses. The error is measured: full against reduced transfer at shifts between those of
-the basis, and full against reduced march; where it is too large there are more shifts. The constant
-temperature is in the basis, so that the reduced model keeps the heat balance to rounding.
+responses. Each block adds only directions that exceed the span of the basis by more than a
+tolerance (singular value decomposition), which keeps the rank small if neighbouring contact
+elements have similar responses. The error is measured: full against reduced transfer function at
+shifts between those of the basis, and full against reduced march; if it is too large, more shifts
+are used. The basis contains the constant temperature, so that the reduced model keeps the heat
+balance to rounding.
 
 The basis also contains the initial field and its free decay, s (A + s M)^-1 M T0, which are checked
-in the same way: by the transfer function and by free decay.
+in the same way: with the transfer function and with free decay.
 """
 
 from __future__ import annotations
@@ -26,33 +27,33 @@ from fesim.solid.linear_solver import Factor, checked_solve, shifted_factors, up
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
 
-#: Directions below this fraction of the responses are rounding, and always left out.
+#: Directions below this fraction of the responses are rounding errors, and always left out.
 ROUNDING = 1e-13
-#: Relative accuracy of the full responses: a body that gives off no heat gets very hot at the
-#: slowest shifts, where no smaller tolerance can be checked.
+#: Relative accuracy of the full responses: a body without heat loss gets very hot at the slowest
+#: shifts, so that no smaller tolerance can be checked.
 SOLVED = 1e-9
-#: The transfer is checked at about this many shifts, the march over this many steps of each length,
-#: in units of the shortest time: real shifts alone would underestimate the error, which is largest
-#: after a few steps or after hundreds of times the shortest time.
+#: The transfer function is checked at about this many shifts, the march over this many steps of
+#: each length, in units of the shortest time: real shifts alone would underestimate the error,
+#: which is largest after a few steps or after hundreds of times the shortest time.
 CHECKED, STEPS, LENGTHS = 3, 50, (2.0, 6.0)
 
-#: From a diagonal d to what solves (A + diag(d)) x = right-hand sides.
+#: From a diagonal d to the solver of (A + diag(d)) x = right-hand sides.
 _Shifted = Callable[[Array], Callable[[Array], Array]]
-#: By `shifted_factors`.
+#: Result of `shifted_factors`.
 _Factors = Callable[[Array], Factor]
 
 
 @dataclass(frozen=True)
 class Search:
-    """How a basis is searched for."""
+    """Parameters of the search for a basis."""
 
     #: Numbers of shifts tried in turn.
     shifts: tuple[int, ...] = (20, 28, 40)
-    #: Directions whose heat capacity-weighted size, K (J/K)^0.5, is below this are left out at
+    #: Directions whose size weighted by heat capacity, K (J/K)^0.5, is below this are left out at
     #: first; a tenth of it with every further number of shifts.
     cut: float = 3e-4
-    #: So many random combinations at a time represent the drives if these are more than twice as
-    #: many, until fewer than half of them add a new direction.
+    #: Number of random combinations at a time that represent the drives if these are more than
+    #: twice as many, until fewer than half of them add a new direction.
     sample: int = 64
 
 
@@ -67,9 +68,9 @@ class ReducedHeat:
     basis: Array
     #: Shape (r,): V^T A V, 1/s.
     rates: Array
-    #: Largest error of an output measured between the shifts, relative to its tolerance.
+    #: Largest error of an output between the shifts, relative to its tolerance.
     error: float
-    #: Shape (k,): 1/s.
+    #: Shape (k,): shifts of the basis, 1/s.
     shifts: Array
 
 
@@ -110,7 +111,7 @@ def reduce_heat(
     Raises
     ------
     ConvergenceError
-        The error stays above the tolerance with the most shifts.
+        The error stays above the tolerance with the largest number of shifts.
     """
     capacity, drives, outputs, fields = system.capacity, system.drives, system.outputs, system.start
     stored = capacity[:, None] * fields
@@ -156,9 +157,9 @@ def reduce_apart(
 ) -> ReducedHeat:
     """Reduce the heat equation of bodies that exchange no heat; arguments as for `reduce_heat`.
 
-    Every mode is one of a single body, so that what touches one body has no part in the modes of
+    Every mode belongs to a single body, so that contact with one body does not involve the modes of
     others. An output of k bodies has the k-th part of its tolerance in each. A body with at least
-    half as many inputs as unknowns keeps all its modes: they are exact, and found sooner.
+    half as many inputs as unknowns keeps all its modes: they are exact, and faster to compute.
     """
     count, body = connected_components(system.conduction, directed=False)
     each = [np.flatnonzero(body == k) for k in range(count)]
@@ -213,7 +214,7 @@ def _krylov_basis(
         factor = factors(shift * system.capacity)
         driving = np.hstack([system.drives, shift * system.capacity[:, None] * fields])
         for combined in _samples(driving, sample):
-            # Only what the basis is measured by is checked.
+            # Only the columns that are added to the basis are checked.
             block = root * factor.solve(combined)
             directions = _orthonormal(block, basis[:, :rank], cut)
             basis = _added(basis, rank, directions)
@@ -224,9 +225,9 @@ def _krylov_basis(
 
 
 def _added(room: Array, rank: int, columns: Array) -> Array:
-    """`room` with columns behind the first `rank`; twice as wide a one where they do not fit.
+    """Add columns after the first `rank` of `room`; return a room twice as wide if necessary.
 
-    Columns are one after the other in memory: the first ones of a room are no copy.
+    Columns are contiguous in memory: the first columns of a room are a view.
     """
     width = rank + columns.shape[1]
     if width > room.shape[1]:
@@ -237,7 +238,7 @@ def _added(room: Array, rank: int, columns: Array) -> Array:
 
 
 def _samples(driving: Array, size: int) -> Iterator[Array]:
-    """Combinations of right-hand sides (n, k): each by itself if they are few, else random ones.
+    """Combinations of right-hand sides (n, k): single ones if there are few, else random ones.
 
     A combination is scaled so that inputs of unit size give a response of unit size.
     """
@@ -251,7 +252,7 @@ def _samples(driving: Array, size: int) -> Iterator[Array]:
 
 
 def _unit_march(solver: _Shifted, system: HeatSystem, shortest: float) -> Array:
-    """Outputs (q, steps (p + f)) of `STEPS` of each of `LENGTHS`: driven ones, and free decay."""
+    """Outputs (q, steps (p + f)) of `STEPS` of each of `LENGTHS`: driven steps, and free decay."""
     drives = _together(system.drives)
     right_side = np.asfortranarray(np.hstack([drives, np.zeros(system.start.shape)]))
     state, responses = np.hstack([np.zeros(drives.shape), system.start]), []
@@ -266,7 +267,7 @@ def _unit_march(solver: _Shifted, system: HeatSystem, shortest: float) -> Array:
 
 
 def _projected(system: HeatSystem, modes: Array, rates: Array) -> HeatSystem:
-    """The reduced model: its capacities are one, its conduction is diagonal."""
+    """The reduced model, with unit capacities and diagonal conduction."""
     return HeatSystem(
         np.ones(rates.size),
         csr_array(diags_array(rates)),
@@ -287,19 +288,19 @@ def _transfer_error(exact: Array, reduced: HeatSystem, shift: float) -> float:
 
 
 def _largest(exact: Array, reduced: Array) -> float:
-    """Largest error in units of its tolerance, or of `SOLVED` where outputs are huge."""
+    """Largest error in units of its tolerance, or of `SOLVED` for huge outputs."""
     return float(np.abs(exact - reduced).max() / (1.0 + SOLVED * np.abs(exact).max()))
 
 
 def _orthonormal(block: Array, basis: Array, cut: float) -> Array:
-    """Directions of `block` that `basis` lacks by more than `cut` and rounding, orthonormal."""
+    """Orthonormal directions of `block` outside `basis` by more than `cut` and rounding."""
     least = max(cut, ROUNDING * float(np.linalg.norm(block)))
     rest, sizes = _principal(_without(block, basis))
-    # The rounding of a large block leaves some of the basis in a small direction: project again,
-    # each direction by itself, and only then decide.
+    # With a large block, rounding leaves components of the basis in a small direction: project
+    # again, each direction by itself, and only then decide.
     rest, sizes = _principal(_without(rest[:, sizes > least / 2.0], basis))
     directions = rest[:, sizes > least] / sizes[sizes > least]
-    # Orthogonal but for the rounding of the larger ones, which is little enough for their squares.
+    # Orthogonal up to the rounding of the larger ones, which is small enough for their squares.
     lower = np.linalg.cholesky(directions.T @ directions)
     return np.asarray(directions @ np.linalg.inv(lower).T)
 
@@ -311,7 +312,7 @@ def _without(block: Array, basis: Array) -> Array:
 def _principal(block: Array) -> tuple[Array, Array]:
     """Left singular vectors times their singular values, and these.
 
-    Without the vectors' own orthogonalisation, which takes most of the time of a tall matrix.
+    Without orthogonalising the vectors themselves, which takes most of the time for a tall matrix.
     """
     _, sizes, turn = np.linalg.svd(np.linalg.qr(block, mode="r"), full_matrices=False)
     return block @ turn.T, sizes

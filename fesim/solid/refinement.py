@@ -1,8 +1,8 @@
-"""Solutions in double precision by factors in single precision.
+"""Solutions in double precision from factors in single precision.
 
-The conjugate gradients of every column, with the factors as preconditioner: where these leave a
-thousandth of the error, so does each iteration, and where they leave more, less of it than a plain
-correction by the residual would.
+Conjugate gradients for every column, with the factors as preconditioner: if a solution with the
+factors leaves a thousandth of the error, so does each iteration; if it leaves more, an iteration
+leaves less than a plain correction by the residual.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import numpy as np
 
 from thermojoint.artefacts.arrays import Array
 
-#: What may be left of a residual, relative to its right-hand side. Solutions then agree with
-#: those by a factor of double precision to about 1e-10 of the largest.
+#: Largest residual left, relative to its right-hand side. Solutions then agree with those by a
+#: factor in double precision to about 1e-10 of the largest.
 LEFT = 1e-9
 #: Most iterations.
 MOST = 20
@@ -25,14 +25,14 @@ def refined(
     rough: Callable[[Array], Array],
     right_side: Array,
 ) -> Array | None:
-    """Solve A X = B for a symmetric positive definite A; None if that does not converge.
+    """Solve A X = B for a symmetric positive definite A; None if the iteration does not converge.
 
     Parameters
     ----------
     product : callable
-        X (n, k) to A X, stored as X is: one column after the other.
+        From X (n, k) to A X, stored like X in column order.
     rough : callable
-        B (n, k) to a rough solution, by a symmetric positive definite matrix.
+        From B (n, k) to a rough solution, by a symmetric positive definite matrix.
     right_side : ndarray, shape (n,) or (n, k)
         B.
 
@@ -51,7 +51,7 @@ def refined(
         direction += corrected
         answer = product(direction)
         curved = _products(direction, answer)
-        # A column whose residual is zero stays as it is.
+        # A column with zero residual does not change.
         length = np.divide(steep, curved, out=np.zeros_like(steep), where=steep != 0.0)
         solution += length * direction
         residual -= length * answer

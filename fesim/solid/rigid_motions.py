@@ -1,4 +1,4 @@
-"""Unconstrained rigid motions, found from geometry alone before anything is factorised.
+"""Unconstrained rigid motions, found from geometry before any factorisation.
 
 A structure consists of pieces that share no node. Piece i moves rigidly by u(x) = t + w x (x - O):
 six numbers (t, w L) with one origin O and length L for all. Supports, springs and contact elements
@@ -30,10 +30,10 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 
 #: A rigid motion of unit size that moves its constraints by less than this is free: normals that
-#: differ by less (rad) are parallel up to the rounding of a mesh file.
+#: differ by a smaller angle (rad) are parallel up to the rounding of a mesh file.
 HELD = 1e-5
 #: In a message, a motion within this angle of coordinate axes, rad, is described by these, and
-#: bodies that move by less than this share are not named.
+#: bodies that move by less than this fraction are left out.
 NAMED = 0.05
 
 
@@ -54,17 +54,17 @@ class Frame:
 class Constraints:
     """Possible constraints of the pieces of a structure."""
 
-    #: Of the motions of all p pieces.
+    #: Coordinates of the motions of all p pieces.
     frame: Frame
     #: Names of the pieces in messages.
     pieces: tuple[str, ...]
     #: Shape (k, 6 p): orthonormal rows for each surface of fixed points, symmetry or springs, and
     #: for each bolt.
     supports: Array
-    #: Shape (m, p): share of each piece in side b of each contact element, minus its share in side
-    #: a.
+    #: Shape (m, p): fraction of each piece in side b of each contact element, minus its fraction in
+    #: side a.
     share: Array
-    #: Shape (m, 3): of each contact element, m.
+    #: Shape (m, 3): centre of each contact element, m.
     centre: Array
     #: Shape (3, m, 3): its normal and its two tangents.
     directions: Array
@@ -112,7 +112,7 @@ class Constraints:
         )
 
     def _slips(self, motion: Array, joints: Sequence[_Between]) -> bool:
-        """Whether supports and joints resist a motion only by the apparent stiffness of facets."""
+        """Whether only the apparent stiffness of facets resists a motion."""
         parts = motion.reshape(-1, 6)
         across = [(joint.sides @ parts, joint) for joint in joints]
         moved = [(shift, joint) for shift, joint in across if np.linalg.norm(shift) > HELD]
@@ -148,9 +148,9 @@ def constraints_of(
     structure : Structure
         Mesh and names.
     joints : sequence of PairedJoint
-        In the order of the contact elements.
+        Joints in the order of the contact elements.
     fixed, symmetry, springs
-        As for `fesim.solid.elasticity.elastic_operators`; zero stiffness constrains nothing.
+        As for `fesim.solid.elasticity.elastic_operators`; zero stiffness does not constrain.
     bolts : sequence of Bolt
         Each prevents its ends from moving apart.
     """
@@ -208,14 +208,14 @@ def check_held(
     constraints : Constraints
         Possible constraints.
     sticks : ndarray of bool, shape (m,)
-        Which contact elements have friction.
+        Contact elements with friction.
     closed : ndarray of bool, shape (m,), optional
-        Which of them may hold a body at rest; default all.
+        Contact elements that may hold a body at rest; default all.
 
     Raises
     ------
     InputError
-        Names the body and its motions.
+        A body is not constrained; the message contains it and its motions.
     """
     count = len(constraints.pieces)
     closed = np.ones(len(sticks), dtype=bool) if closed is None else closed
@@ -230,7 +230,7 @@ def check_held(
         )
     motions = _free_at_rest(constraints, closed.tobytes(), (sticks & closed).tobytes())
     if motions.shape[1]:
-        # A contact element acts at its centre alone: one of them is a hinge.
+        # A contact element acts at its centre only: a single one is a hinge.
         instead = "more contact elements" if sticks.all() else "a friction_coefficient above 0"
         raise InputError(
             f"supports: no support, spring or joint keeps {described(constraints, motions)}; "
@@ -238,7 +238,7 @@ def check_held(
         )
 
 
-# The cases of a study differ in their laws, hardly ever in what is held.
+# The cases of a study differ in their laws, hardly ever in their constraints.
 @lru_cache(maxsize=4)
 def _free_at_rest(constraints: Constraints, closed: bytes, sticking: bytes) -> Array:
     """Free motions, (6 p, motions); flags of the contact elements (m,) as bytes."""
@@ -258,10 +258,10 @@ def described(constraints: Constraints, motions: Array) -> str:
     constraints : Constraints
         Names of the pieces.
     motions : ndarray, shape (6 p, k)
-        Orthonormal motions, k at least 1; bodies that move on their own are named first.
+        Orthonormal motions, k at least 1; bodies that move on their own are listed first.
     """
     count = len(constraints.pieces)
-    # The projector on the motions does not depend on their basis: its blocks link what moves.
+    # The projector on the motions does not depend on their basis: its blocks link moving pieces.
     linked = np.linalg.norm((motions @ motions.T).reshape(count, 6, count, 6), axis=(1, 3)) > NAMED
     _, group = connected_components(linked, directed=False)
     moving = [int(i) for i in np.flatnonzero(linked.diagonal())]
@@ -282,8 +282,8 @@ def described(constraints: Constraints, motions: Array) -> str:
 def _span(frame: Frame, points: Array, directions: Array, slack: float) -> Array:
     """Orthonormal rows (r, 6) of the constraints at points along directions (k, 3).
 
-    The tolerance for zero is relative to the extent of the points: a small seat keeps a large body
-    from tilting.
+    The tolerance for zero is relative to the extent of the points: a small seat prevents a large
+    body from tilting.
     """
     if not len(points):
         return np.empty((0, 6))
@@ -302,7 +302,7 @@ def _span(frame: Frame, points: Array, directions: Array, slack: float) -> Array
 
 
 def _tie(frame: Frame, bolt: Bolt, piece: NDArray[np.int64], count: int) -> Array:
-    """Unit row (1, 6 p) of the distance between the ends of a bolt; none if one piece has both."""
+    """Unit row (1, 6 p) of the distance between a bolt's ends; none if both are on one piece."""
     row = np.zeros((count, 6))
     for end, sign in ((bolt.head, 1.0), (bolt.thread, -1.0)):
         moved = frame.rows(end.points.T, np.tile(bolt.axis, (len(end.weights), 1)))
@@ -312,7 +312,7 @@ def _tie(frame: Frame, bolt: Bolt, piece: NDArray[np.int64], count: int) -> Arra
 
 
 def _facet_slack(mesh: Mesh, joint: PairedJoint) -> float:
-    """phi^2 / 8 for facets that turn by phi at most from one to the next, edges left out.
+    """phi^2 / 8 for facets with an angle of phi at most between neighbours, edges left out.
 
     This is the relative deviation of a facet from the smooth face, in height and in direction.
     """
@@ -359,7 +359,7 @@ def _only(motions: Array, members: Sequence[int]) -> Array:
 
 
 def _null(rows: Array) -> Array:
-    """Orthonormal basis (n, r) of the null space of `rows` (k, n), to the accuracy of a message."""
+    """Orthonormal null space (n, r) of `rows` (k, n), accurate enough for a message."""
     if not len(rows):
         return np.eye(rows.shape[1])
     _, sizes, vectors = np.linalg.svd(rows)

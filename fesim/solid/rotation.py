@@ -1,4 +1,4 @@
-"""Rotation of a body at a point: that of the rigid motion which fits the nodes around it best."""
+"""Rotation of a body at a point: that of the rigid motion that best fits the nodes around it."""
 
 from __future__ import annotations
 
@@ -10,31 +10,31 @@ from meshes.structure import Probe, Structure
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.units import MILLI
 
-#: Nodes on a line do not show every rotation: smallest over largest moment of inertia.
+#: Smallest over largest moment of inertia below which nodes are on a line and miss a rotation.
 ON_A_LINE = 1e-6
 
 
 def rotation_rows(structure: Structure, spaces: Spaces, name: str, radius: float) -> csr_array:
     """Return rows (3, n) of the rotation about x, y and z at a probe, rad per m.
 
-    Of u_i = a + w x r_i, with r_i from the nodes' centre, least squares give
+    From u_i = a + w x r_i, with r_i from the nodes' centre, least squares give
     w = J^-1 sum r_i x u_i, J = sum (r_i . r_i I - r_i r_i^T).
 
     Parameters
     ----------
     structure : Structure
-        With the probe.
+        Structure with the probe.
     spaces : Spaces
-        Its displacements.
+        Its displacement space.
     name : str
-        Of the probe.
+        Name of the probe.
     radius : float
-        Nodes of the probe's body as near as this count, m.
+        Distance within which nodes of the probe's body are used, m.
 
     Raises
     ------
     InputError
-        The nodes so near lie on a line.
+        The nodes within this distance lie on a line.
     """
     probe = structure.probes[name]
     at, basis = np.array(probe.position), spaces.displacement
@@ -60,7 +60,7 @@ def rotation_rows(structure: Structure, spaces: Spaces, name: str, radius: float
 
 
 def _own_cells(structure: Structure, probe: Probe) -> np.ndarray:
-    """Cells of the body that a probe belongs to."""
+    """Cells of the body of a probe."""
     if probe.body is not None:
         return structure.bodies[probe.body]
     around = cells_around(structure, probe)

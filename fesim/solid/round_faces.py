@@ -1,9 +1,9 @@
-"""Errors of straight edges on round faces in linear outputs, by the derivative of their shape.
+"""Errors of straight edges on round faces in linear outputs, from the shape derivative.
 
-Where the normals of neighbouring facets differ little, the face between their corners is taken as
-round: with the normals at the corners its distance d from a facet follows. Material between both
-changes an output by -(sigma : eps* + p div u*) d per area, with the stress of the solution, the
-strain of its dual, the output's row as the load, and the pressure p on the face.
+If the normals of neighbouring facets differ little, the face between their corners is taken as
+round: its distance d from a facet follows from the normals at the corners. The material between
+both changes an output by -(sigma : eps* + p div u*) d per area, with the stress of the solution,
+the strain of its dual (the output's row as the load), and the pressure p on the face.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from thermojoint.artefacts.arrays import Array
 
 #: Cosine of the angle up to which neighbouring facets belong to one round face: 40 degrees.
 ALIKE = float(np.cos(np.deg2rad(40.0)))
-#: Smaller distances, of a facet's size, are rounding.
+#: Distances below this fraction of a facet's size are rounding.
 FLAT = 1e-9
 
 
 def bulges(mesh: Mesh, facets: NDArray[np.int64]) -> Array:
-    """Mean distance of the round face outwards from each boundary facet, (f,), m; 0 if it is flat.
+    """Mean outward distance of the round face from each boundary facet, (f,), m; 0 if it is flat.
 
     Cells of second order follow round faces themselves.
     """
@@ -55,8 +55,8 @@ def bulges(mesh: Mesh, facets: NDArray[np.int64]) -> Array:
     slopes = smooth.reshape(len(own), ends, 3)
     edges = np.roll(mesh.p.T[nodes[own]], -1, axis=1) - mesh.p.T[nodes[own]]
     turned = np.einsum("fei,fei->fe", np.roll(slopes, -1, axis=1) - slopes, edges)
-    # The middle of an arc is an eighth of this above its chord, and a facet's mean is the third of
-    # the sum over its edges.
+    # The middle of an arc is an eighth of this above its chord, and the mean over a facet is a
+    # third of the sum over its edges.
     found = dict(zip(boundary[own].tolist(), (turned.sum(axis=1) / 24.0).tolist(), strict=True))
     return np.array([found[facet] for facet in facets.tolist()])
 
@@ -75,9 +75,9 @@ def shape_error_rows(
     structure, spaces, materials
         As for `fesim.solid.recovery.stress_error_rows`.
     pressed : (ndarray of int, ndarray), shapes (f,) and (f, l)
-        Facets that bear no other traction than the pressure of each load at factor one, Pa.
+        Facets without other traction than the pressure of each load at factor one, Pa.
     duals : ndarray, shape (n, k)
-        Displacements under each output's row as forces, per N.
+        Displacements with each output's row as forces, per N.
     """
     facets, pressure = pressed
     mesh = structure.mesh
@@ -100,7 +100,7 @@ def shape_error_rows(
     strain = stress / (2.0 * shear)[:, None, None]
     share = lame / (3.0 * lame + 2.0 * shear) / (2.0 * shear)
     strain[:, normal] -= (share[:, None] * trace)[:, None]
-    # Of sigma : eps, shears count twice.
+    # In sigma : eps, shears count twice.
     weights = -strain * swept[:, None, None] * np.where(normal, 1.0, 2.0)[:, None]
     flat = weights.reshape(-1, duals.shape[1])
     opened = strain[:, normal].sum(axis=1)

@@ -1,7 +1,7 @@
 """Finite-element spaces: temperatures of first order, displacements of second order.
 
-Second-order displacements do not lock in bending with one element through a wall, and a
-temperature of one order less gives a thermal strain of the order that the elements can follow.
+Second-order displacements do not lock in bending with one element across a wall, and a temperature
+of one order less gives a thermal strain of the order that the elements can represent.
 Displacements use the scalar space for each direction; unknown 3 i + c is direction c at node i.
 """
 
@@ -35,13 +35,13 @@ from fesim.solid.cell_maps import cell_maps
 from meshes.structure import Probe, Structure
 from thermojoint.artefacts.errors import InputError, shown_point
 
-#: A point may lie outside its cell by this much in the cell's own coordinates (0 to 1).
+#: A point may lie outside its cell by this much in reference coordinates (0 to 1).
 LOCATE_SLACK = 1e-4
-#: A curved cell may reach beyond the box of its corners by this part of its size.
+#: A curved cell may extend beyond the box of its corners by this fraction of its size.
 _BULGE = 0.2
-#: Cells tried first for a point, those with the nearest centres.
+#: Number of cells, those with the nearest centres, that are tried first for a point.
 _NEAREST = 32
-#: Points located together; more would only need memory.
+#: Number of points located together; a larger one only needs more memory.
 _AT_ONCE = 1_000
 _NEWTON_STEPS = 20
 
@@ -53,9 +53,9 @@ class Spaces:
     #: Temperature.
     heat: CellBasis
     #: One component of displacement: its numbering, places and surfaces. It has one quadrature
-    #: point a cell and integrates nothing over cells: `elastic` does.
+    #: point per cell and is not used for integrals over cells: `elastic` is.
     displacement: CellBasis
-    #: Of the quadrature of the stiffness.
+    #: Order of the quadrature of the stiffness.
     order: int
 
     @cached_property
@@ -102,7 +102,7 @@ def make_spaces(mesh: Mesh) -> Spaces:
         heat_order, elastic_order = (4, 4) if curved else (2, 2)
     maps = cell_maps(mesh)
     heat = CellBasis(mesh, low, maps, intorder=heat_order)
-    # Not of order one: of a hexahedron that would be eight points.
+    # Not of order one, which would be eight points for a hexahedron.
     centre = low.refdom.p.mean(axis=1, keepdims=True), np.ones(1)
     return Spaces(heat, CellBasis(mesh, high, maps, quadrature=centre), elastic_order)
 
@@ -124,9 +124,9 @@ def interpolation(
     points : ndarray, shape (3, n)
         Points, m.
     cells : ndarray of int, shape (n,)
-        The cell each point lies in.
+        Cell of each point.
     rows : ndarray of int, shape (n,), optional
-        Row that each point adds to; default one row each.
+        Row to which each point adds; default one row each.
     weights : ndarray, shape (n,), optional
         Factor of each point; default one.
     row_count : int, optional
@@ -148,8 +148,8 @@ def local_coordinates(
 ) -> NDArray[np.float64]:
     """Reference coordinates (3, n) of points (3, n) in the cells (n,), also of points outside them.
 
-    Newton's method, not kept inside the cell, as `cells_at` asks how far outside a point lies.
-    Where it does not settle (a point far outside a distorted cell) the result is not finite.
+    Newton's method, not restricted to the cell, as `cells_at` needs the distance of outside points.
+    If it does not converge (a point far outside a distorted cell), the result is not finite.
     """
     mapping = cell_maps(mesh)
     local = np.full((3, points.shape[1], 1), 0.5)
@@ -169,10 +169,10 @@ def local_coordinates(
 def _inverse_gradient(
     mapping: CellMaps, local: NDArray[np.float64], cells: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Inverse gradient of the cells' maps, shape (3, 3, n, 1); NaN where a cell is flat."""
+    """Inverse gradient of the cells' maps, shape (3, 3, n, 1); NaN if a cell is flat."""
     try:
         return np.asarray(mapping.invDF(local, cells))
-    except Exception:  # bare: what skfem raises where a determinant is zero
+    except Exception:  # bare: raised by skfem if a determinant is zero
         gradient = np.moveaxis(mapping.DF(local, cells), (0, 1), (2, 3)).copy()
         gradient[np.linalg.det(gradient) == 0.0] = np.nan
         return np.moveaxis(np.linalg.inv(gradient), (2, 3), (0, 1))
@@ -187,7 +187,7 @@ def shape_values(basis: CellBasis, local: NDArray[np.float64]) -> NDArray[np.flo
 def cells_at(
     mesh: Mesh, points: NDArray[np.float64], cells: NDArray[np.int64]
 ) -> NDArray[np.int64]:
-    """Return which of some cells contains each point, -1 where none does.
+    """Return which of some cells contains each point, -1 if none does.
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ def cells_at(
     low, high = corners.min(axis=1), corners.max(axis=1)
     slack = _BULGE * (high - low).max(axis=0)
     for lost in np.flatnonzero(containing < 0):
-        # Among small cells the centre of a large one is not near, although it holds the point.
+        # Among small cells the centre of a large one is not near, although it contains the point.
         x = points[lost][:, None]
         around = ((x >= low - slack) & (x <= high + slack)).all(axis=0)
         if around.any():
@@ -238,7 +238,7 @@ def _holding(
 def _outside(
     mesh: Mesh, points: NDArray[np.float64], cells: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """By how much points (3, n) lie outside cells (n,), in units of these, shape (n,)."""
+    """Distance of points (3, n) outside cells (n,), in units of the cells, shape (n,)."""
     local = local_coordinates(mesh, points, cells)
     outside = np.maximum(-local, local - 1.0).max(axis=0)
     if mesh.t.shape[0] == 4:
@@ -247,7 +247,7 @@ def _outside(
 
 
 def cells_around(structure: Structure, probe: Probe) -> NDArray[np.int64]:
-    """Return every cell (of its body) that holds a probe: several where it lies between them."""
+    """Return every cell (of its body) that contains a probe: several if it lies between them."""
     mesh = structure.mesh
     cells = np.arange(mesh.nelements) if probe.body is None else structure.bodies[probe.body]
     x, corners = np.array(probe.position)[:, None], mesh.p[:, mesh.t[:, cells]]
@@ -259,13 +259,13 @@ def cells_around(structure: Structure, probe: Probe) -> NDArray[np.int64]:
 
 
 def probe_cells(structure: Structure, probes: Mapping[str, Probe]) -> NDArray[np.int64]:
-    """Return the cell that each probe lies in, shape (probes,).
+    """Return the cell of each probe, shape (probes,).
 
     Raises
     ------
     InputError
-        No cell (of the probe's body) holds the point; or it names no body and lies in two that
-        share no node there, so that either could be meant.
+        No cell (of the probe's body) contains the point; or it specifies no body and lies in two
+        that share no node there, so that it is ambiguous.
     """
     names = list(probes)
     containing = np.full(len(names), -1)
@@ -292,7 +292,7 @@ def probe_cells(structure: Structure, probes: Mapping[str, Probe]) -> NDArray[np
 
 
 def _check_one_body(structure: Structure, names: list[str], points: NDArray[np.float64]) -> None:
-    """Refuse points (n, 3) that lie in two bodies which may move apart."""
+    """Refuse points (n, 3) that lie in two bodies that may move apart."""
     at = {body: cells_at(structure.mesh, points, cells) for body, cells in structure.bodies.items()}
     for i, name in enumerate(names):
         held = {body: structure.mesh.t[:, cells[i]] for body, cells in at.items() if cells[i] >= 0}

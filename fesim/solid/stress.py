@@ -25,16 +25,16 @@ def stress_at(rows: tuple[csr_array, csr_array], displacement: Array, temperatur
     Parameters
     ----------
     rows : tuple of scipy.sparse.csr_array
-        Of the points, by `stress_rows`.
+        Rows of the points, from `stress_rows`.
     displacement : ndarray, shape (3 n,)
         Unknown 3 i + c is direction c at node i, m (`fesim.solid.condensation.DisplacementField`).
     temperature : ndarray, shape (n_heat,)
-        Above the temperature without thermal strain, K.
+        Temperatures above that without thermal strain, K.
 
     Returns
     -------
     ndarray, shape (k, 3, 3)
-        Pa, tension positive.
+        Stresses, Pa, tension positive.
     """
     moved, heated = rows
     return stress_tensors((moved @ displacement + heated @ temperature).reshape(-1, 6))
@@ -47,7 +47,7 @@ def stress_rows(
     points: Array,
     cells: NDArray[np.int64],
 ) -> tuple[csr_array, csr_array]:
-    """Rows that give stresses, with no smoothing: on a cell's boundary that of the named cell.
+    """Rows of stresses without smoothing: on a cell boundary, those of the given cell.
 
     sigma = lambda tr(e) I + 2 mu e - (3 lambda + 2 mu) alpha T I, with the strain e = sym grad u.
 
@@ -62,7 +62,7 @@ def stress_rows(
     points : ndarray, shape (3, k)
         Points, m.
     cells : ndarray of int, shape (k,)
-        The cell each point lies in (`fesim.solid.spaces.probe_cells`).
+        Cell of each point (`fesim.solid.spaces.probe_cells`).
 
     Returns
     -------
@@ -107,8 +107,8 @@ def corner_stresses(
 ) -> Array:
     """Stress at the corners of every cell, extrapolated from its most accurate points.
 
-    Strains of second-order displacements are of one order more in the Gauss points of an element of
-    first order (Barlow 1976). From there they go on to its corners by its shape functions.
+    Strains of second-order displacements are one order more accurate at the Gauss points of a
+    first-order element (Barlow 1976). They are extrapolated to its corners by its shape functions.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def corner_stresses(
 
 
 def best_points(corners: int) -> Array:
-    """Return the Gauss points of an element of first order, shape (3, corners)."""
+    """Return the Gauss points of a first-order element, shape (3, corners)."""
     if corners == 8:
         low, high = 0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0)
         return np.array(list(product((low, high), repeat=3))).T
@@ -150,7 +150,7 @@ def _stress_in(
     temperature: Array,
     point: Array,
 ) -> Array:
-    """Stress (cells, 6) at one local point (3,) of every cell."""
+    """Stress (cells, 6) at one reference point (3,) of every cell."""
     cells = np.arange(structure.mesh.nelements)
     local = np.tile(point[:, None, None], (1, len(cells), 1))
     slopes = _shape_gradients(spaces.displacement, local, cells)
@@ -185,7 +185,7 @@ def _constants(
 
 
 def stress_tensors(components: Array) -> Array:
-    """Return tensors (..., 3, 3) of `COMPONENTS` (..., 6)."""
+    """Return tensors (..., 3, 3) from `COMPONENTS` (..., 6)."""
     number = {pair: row for row, pair in enumerate(COMPONENTS)}
     order = [[number.get((i, j), number.get((j, i), 0)) for j in range(3)] for i in range(3)]
     return np.asarray(components[..., order])
@@ -205,7 +205,7 @@ def principal(components: Array) -> Array:
 
 
 def _shape_gradients(basis: CellBasis, local: Array, cells: NDArray[np.int64]) -> Array:
-    """Gradients of the shape functions at local points (3, k, 1), shape (functions, 3, k)."""
+    """Gradients of the shape functions at reference points (3, k, 1), shape (functions, 3, k)."""
     return np.stack(
         [
             basis.elem.gbasis(basis.mapping, local, i, tind=cells)[0].grad[:, :, 0]

@@ -2,10 +2,10 @@
 
 Without the springs across its joints the stiffness is block diagonal by connected pieces. A piece
 constrained less by its supports than by its joints is anchored: springs constrain three of its
-nodes. With Kd, the stiffness with anchors and without joints, ties E = [G; N] (gaps, and what
-anchors hold) and their springs D = diag(A k, -kappa), the stiffness with springs across the joints
-is Kr = Kd + E^T D E. Everything that time stepping needs of Kr^-1 follows from E Kd^-1 [E^T, F] by
-one dense system of the size of the joints (Woodbury).
+nodes. With Kd, the stiffness with anchors and without joints, ties E = [G; N] (gaps and anchored
+unknowns) and their springs D = diag(A k, -kappa), the stiffness with springs across the joints is
+Kr = Kd + E^T D E. All products with Kr^-1 in time stepping follow from E Kd^-1 [E^T, F] by one
+dense system of the size of the joints (Woodbury).
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from thermojoint.artefacts.arrays import Array
 
 #: Numbers in the right-hand sides of one solve: 0.14 GB.
 AT_ONCE = 18_000_000
-#: A piece is anchored if its supports provide less than this share of the stiffness of supports and
-#: anchors together against some rigid motion.
+#: A piece is anchored if, against some rigid motion, its supports provide less than this fraction
+#: of the stiffness of supports and anchors together.
 HELD = 1e-3
 
 
@@ -44,7 +44,7 @@ class Substructure:
 
     #: Shape (f,): its free unknowns in the numbering of the whole.
     unknowns: NDArray[np.int64]
-    #: Kd on them.
+    #: Factor of Kd on these.
     factor: Factor
     #: Shape (f, n_heat): F.
     thermal_load: csr_array
@@ -67,7 +67,7 @@ class TieCondensation:
     compliance: Array
     #: Shape (q, n_heat): E Kr^-1 F, m/K.
     thermal: Array
-    #: Shape (k, q): of probes P: P Kr^-1 E^T, m/N.
+    #: Shape (k, q): for probes P: P Kr^-1 E^T, m/N.
     probe_compliance: Array
     #: Shape (k, n_heat): P Kr^-1 F, m/K.
     probe_thermal: Array
@@ -76,7 +76,7 @@ class TieCondensation:
 def _constrained(
     piece: ElasticPiece, gap: csr_array, springs: Array
 ) -> tuple[csr_array, NDArray[np.int64], Callable[[Factor], Substructure]]:
-    """Kd of a piece, anchored if it needs that, its own unknowns, and what a factor makes of it."""
+    """Kd of a piece, anchored if needed, its free unknowns, and a function of the factor."""
     free = np.flatnonzero(piece.free)
     stiffness = piece.stiffness
     if free.size < piece.free.size:
@@ -136,7 +136,7 @@ def _needs_anchors(
     try:
         least = scipy.linalg.eigh(supported, both, eigvals_only=True)[0]
     except np.linalg.LinAlgError:
-        return True  # Neither constrains a motion: the factorisation will report it.
+        return True  # Neither constrains a motion, which the factorisation will report.
     return bool(least < HELD)
 
 
@@ -154,7 +154,7 @@ def substructures(
     gap : scipy.sparse.csr_array, shape (3 m, n)
         G, on the unknowns of the whole.
     springs : ndarray, shape (3 m,)
-        Of the reference springs across the joints, A k, N/m.
+        Stiffnesses of the reference springs across the joints, A k, N/m.
     solver : str, optional
         See `fesim.solid.linear_solver.factorise`.
 
@@ -163,7 +163,7 @@ def substructures(
     InputError
         Neither supports nor joints constrain a piece.
     """
-    # No loop: its variable would keep a piece while the next one is made. Nor is a piece kept
+    # No loop: its variable would keep a piece alive while the next one is made. Nor is a piece kept
     # while it is factorised, which takes the most memory.
     free = filter(lambda piece: piece.free.any(), pieces)
     constrained = map(partial(_constrained, gap=gap, springs=springs), free)
@@ -175,9 +175,9 @@ class FactorisedStructure:
     """All pieces of a structure, factorised."""
 
     substructures: tuple[Substructure, ...]
-    #: Shape (n, n_heat): F, also of unknowns that supports hold.
+    #: Shape (n, n_heat): F, also for unknowns held by supports.
     thermal_load: csr_array
-    #: Shape (n, n): rows of K of the unknowns that supports hold; the others are empty.
+    #: Shape (n, n): rows of K for unknowns held by supports; the others are empty.
     held_stiffness: csr_array
 
 
@@ -214,7 +214,7 @@ def tie_rows(gap: csr_array, pieces: Iterable[Substructure]) -> csr_array:
 
 @dataclass(frozen=True)
 class UntiedCondensation:
-    """Ties and k probes as functions of forces and temperatures, for Kd: no tie carries a force."""
+    """Ties and k probes as functions of forces and temperatures, for Kd: ties carry no force."""
 
     #: Shape (q,): D, N/m.
     springs: Array
@@ -252,9 +252,9 @@ def condense_ties(
     gap : scipy.sparse.csr_array, shape (3 m, n)
         G.
     springs : ndarray, shape (3 m,)
-        Of the reference springs across the joints, A k, N/m.
+        Stiffnesses of the reference springs across the joints, A k, N/m.
     probes : scipy.sparse.csr_array, shape (k, n)
-        Rows that give each probed displacement.
+        Rows of the probed displacements.
     temperatures : int
         n_heat.
 
@@ -274,7 +274,7 @@ def untied(
     temperatures: int,
 ) -> UntiedCondensation:
     """Condense pieces on their ties and probes without coupling them; as `condense_ties`."""
-    # No loop: its variable would keep a factor while the next one is made.
+    # No loop: its variable would keep a factor alive while the next one is made.
     influences = list(map(partial(_influence, gap=gap, probes=probes), pieces))
     springs = np.concatenate([springs, *(-influence.anchors for influence in influences)])
     ties = springs.size
@@ -298,7 +298,7 @@ def _influence(piece: Substructure, gap: csr_array, probes: csr_array) -> _Influ
     ends = np.arange(at.size + 1)
     anchors = csr_array((np.ones(at.size), at, ends), shape=(at.size, piece.unknowns.size))
     rows = csr_array(vstack([own_gap[gaps], anchors, own_probes[probed]], format="csr"))
-    # The load is large; neither a copy of it nor a sorted one of its indices is made.
+    # The load is large; it is not copied, nor are its indices sorted.
     has_load = np.zeros(piece.thermal_load.shape[1], dtype=bool)
     has_load[piece.thermal_load.indices] = True
     heated = np.flatnonzero(has_load)
@@ -316,14 +316,14 @@ def _influence(piece: Substructure, gap: csr_array, probes: csr_array) -> _Influ
         np.full(at.size, piece.anchor),
         probed,
         heated,
-        # Symmetric by reciprocity; rounding is taken out so that it is symmetric to the last bit.
+        # Symmetric by reciprocity; rounding is removed to make it so to the last bit.
         0.5 * (compliance + compliance.T),
         thermal,
     )
 
 
 def tied(apart: UntiedCondensation) -> TieCondensation:
-    """Tie pieces by their springs D: (I + E Kd^-1 E^T D)^-1 before all that belongs to ties.
+    """Tie pieces by their springs D: (I + E Kd^-1 E^T D)^-1 times everything on ties.
 
     Raises
     ------
@@ -335,7 +335,7 @@ def tied(apart: UntiedCondensation) -> TieCondensation:
     probes, by_force = thermal[count:], compliance[count:] * springs
     if not count:
         return TieCondensation(springs, np.zeros((0, 0)), thermal[:0], compliance, probes)
-    # With rows and columns in units of each spring all entries are of order one.
+    # With rows and columns in units of each spring, all entries are of order one.
     root, sign = np.sqrt(np.abs(springs)), np.sign(springs)
     right = root[:, None] * compliance[:count] * root
     system = right * sign
@@ -356,7 +356,7 @@ def tied(apart: UntiedCondensation) -> TieCondensation:
 def _checked(factor: tuple[Array, Array], system: Array, right: Array) -> Array:
     solved = scipy.linalg.lu_solve(factor, right)
     left = np.abs(system @ solved - right).max(initial=0.0)
-    # Written so that NaN fails too.
+    # Written so that NaN fails, too.
     if not left <= RESIDUAL_LIMIT * np.abs(right).max(initial=0.0):
         raise singular("stiffness")
     return np.asarray(solved)

@@ -16,14 +16,14 @@ from thermojoint.artefacts.errors import InputError
 class TemperatureFactor:
     """A piecewise linear factor f(T), constant beyond its points."""
 
-    #: Shape (p,): temperatures above the initial ambient, K, rising strictly.
+    #: Shape (p,): temperatures above the initial ambient, K, strictly increasing.
     rises: Array
-    #: Shape (p,): the factor there, positive.
+    #: Shape (p,): the factor at these, positive.
     values: Array
 
     @property
     def middle(self) -> float:
-        """Mean of the largest and the smallest value; no value deviates by as much from it."""
+        """Mean of the largest and the smallest value, with the least maximum deviation."""
         return 0.5 * float(self.values.min() + self.values.max())
 
     @cached_property
@@ -51,7 +51,7 @@ class ThermalGrowth:
     parts: tuple[tuple[NDArray[np.int64], TemperatureFactor], ...]
 
     def strained(self, temperature: Array) -> Array:
-        """Return the temperatures (n,) that give the same strain at the constant coefficient, K."""
+        """Return the temperatures (n,) with the same strain at the constant coefficient, K."""
         equivalent = temperature.copy()
         for nodes, factor in self.parts:
             equivalent[nodes] = factor.integral(temperature[nodes])
@@ -68,7 +68,7 @@ def thermal_growth(
     unknowns : dict
         Body name to its temperature unknowns.
     factors : dict
-        Body name to the factor on its coefficient of expansion, where it has one.
+        Body name to the factor on its coefficient of expansion, if it has one.
 
     Raises
     ------

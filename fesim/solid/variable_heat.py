@@ -25,7 +25,7 @@ from scipy.sparse import csr_array
 from fesim.solid.temperature_factor import TemperatureFactor
 from thermojoint.artefacts.arrays import Array
 
-#: Nodal temperatures (n,) and the ambient, above the initial one, K, to nodal values (n,).
+#: From nodal temperatures (n,) and the ambient, above the initial one, K, to nodal values (n,).
 Potential = Callable[[Array, float], Array]
 
 
@@ -43,7 +43,7 @@ class VariableHeat:
     capacities: tuple[tuple[Array, TemperatureFactor], ...] = ()
 
     def retained(self, before: Array, after: Array) -> Array:
-        """Return the heat (n,), J, that nodes store besides that of the constant capacity."""
+        """Return the heat (n,), J, stored in nodes in addition to that of the constant capacity."""
         heat = np.zeros(len(after))
         for capacity, factor in self.capacities:
             stored = factor.integral(after) - factor.integral(before)
@@ -51,7 +51,7 @@ class VariableHeat:
         return heat
 
     def lost(self, temperature: Array, inputs: Array) -> Array:
-        """Return N(T) (n,), W: heat leaving the nodes in addition to the constant operators."""
+        """Return N(T) (n,), W: heat that leaves the nodes in addition to the constant operators."""
         around = float(inputs[self.ambient])
         heat_loss = np.zeros(len(temperature))
         for matrix, potential in self.terms:
@@ -60,12 +60,12 @@ class VariableHeat:
 
 
 def conduction_potential(factor: TemperatureFactor) -> Potential:
-    """Return theta(T) - m T of a conductivity that has a factor, m its middle."""
+    """Return theta(T) - m T of a conductivity with a factor whose middle is m."""
     return lambda temperature, _: factor.integral(temperature) - factor.middle * temperature
 
 
 def convection_potential(coefficient: float, factor: TemperatureFactor) -> Potential:
-    """Return h (f(d) - m) d, W/m2, with a factor of d, the surface above the ambient."""
+    """Return h (f(d) - m) d, W/m2, with a factor f of d, the surface rise above the ambient."""
 
     def potential(temperature: Array, ambient: float) -> Array:
         above = temperature - ambient

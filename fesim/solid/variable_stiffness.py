@@ -2,13 +2,13 @@
 
 sigma = f(T) C (eps - alpha theta I), with the strain eps from the stress-free state at the initial
 ambient, Poisson's ratio constant and f a factor on the modulus at the present temperature. The
-factorised stiffness has the middle m of the factor. What it lacks is a load,
+factorised stiffness has the middle m of the factor. The difference is a load,
 
     r(T, u) = -sum over bodies of the integral of grad v : (f(T) - m) C (eps(u) - alpha theta I),
 
-and K u = F T + G^T A z + r(T, u) is solved by iteration, so that nothing is factorised again. In
-the energy of K its map contracts at least by (max f - min f)/(max f + min f), and Anderson's method
-(1965) does better.
+and K u = F T + G^T A z + r(T, u) is solved by iteration, without another factorisation. In the
+energy norm of K the iteration contracts at least by (max f - min f)/(max f + min f); Anderson's
+method (1965) converges faster.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ from thermojoint.artefacts.arrays import Array
 class SoftBody:
     """Cells of a body whose modulus has a factor."""
 
-    #: On its modulus.
+    #: Factor on its modulus.
     factor: TemperatureFactor
-    #: Lame's constants and (3 lambda + 2 mu) alpha where the factor is in its middle, Pa, Pa/K.
+    #: Lame's constants and (3 lambda + 2 mu) alpha at the middle of the factor, Pa, Pa/K.
     constants: tuple[float, float, float]
     #: Shape (c,): its cells.
     cells: NDArray[np.int64]
     #: Shapes (c, f) and (c, g): displacement nodes and temperature unknowns of its cells.
     nodes: NDArray[np.int64]
     corners: NDArray[np.int64]
-    #: Shape (g, q): temperature's functions at the quadrature points.
+    #: Shape (g, q): temperature shape functions at the quadrature points.
     shapes: Array
-    #: Shapes (c, f, 3 q) and (c, q): gradients of the displacement's functions there, 1/m, and
+    #: Shapes (c, f, 3 q) and (c, q): gradients of the displacement shape functions there, 1/m, and
     #: weights, m3.
     gradient: Array
     volume: Array
@@ -55,7 +55,7 @@ class SoftBody:
         return np.asarray(value / self.factor.middle)
 
     def load(self, temperature: Array, strained: Array, moved: Array) -> Array:
-        """Nodal forces r (c, f, 3) of displacements (nodes, 3), N; see `VariableStiffness.load`."""
+        """Nodal forces r (c, f, 3), N, of displacements (nodes, 3); see `VariableStiffness.load`."""
         cells = len(self.nodes)
         lame, shear, bulk = self.constants
         slope = (self.gradient.transpose(0, 2, 1) @ moved[self.nodes]).reshape(cells, 3, -1, 3)
@@ -72,9 +72,9 @@ class SoftBody:
 
 @dataclass(frozen=True, eq=False)
 class VariableStiffness:
-    """What the factorised stiffness of a structure lacks."""
+    """Correction of the factorised stiffness of a structure."""
 
-    #: Those with a factor.
+    #: Bodies with a factor.
     bodies: tuple[SoftBody, ...]
     #: The factorised structure.
     field: Callable[[], DisplacementField]
@@ -89,11 +89,11 @@ class VariableStiffness:
         Parameters
         ----------
         temperature : ndarray, shape (n_heat,)
-            T, K: the modulus follows it.
+            T, K, which determines the modulus.
         strained : ndarray, shape (n_heat,)
-            theta, K: it expands the bodies.
+            theta, K, which expands the bodies.
         moved : ndarray, shape (n,)
-            u, m, from the stress-free state.
+            u, m, relative to the stress-free state.
         """
         total, nodal = np.zeros(len(moved)), moved.reshape(-1, 3)
         for body in self.bodies:
@@ -103,7 +103,7 @@ class VariableStiffness:
         return total
 
     def relative(self, corners: Array) -> Array:
-        """Return the modulus at the corners of all cells, by their temperatures (g, cells), K."""
+        """Return the modulus at the corners of all cells from their temperatures (g, cells), K."""
         found = np.ones(corners.shape)
         for body in self.bodies:
             found[:, body.cells] = body.relative(corners[:, body.cells])
@@ -123,9 +123,9 @@ def soft_bodies(
     structure, spaces
         Mesh and spaces.
     materials : mapping
-        Of every body, the modulus at the middle of its factor.
+        Material of every body, with the modulus at the middle of its factor.
     factors : mapping
-        Body name to the factor on its modulus, where it has one.
+        Body name to the factor on its modulus, if it has one.
     """
     basis, heat = spaces.displacement, spaces.heat
     points = spaces.quadrature[0]
