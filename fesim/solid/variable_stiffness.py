@@ -55,7 +55,7 @@ class SoftBody:
         return np.asarray(value / self.factor.middle)
 
     def load(self, temperature: Array, strained: Array, moved: Array) -> Array:
-        """Nodal forces r (c, f, 3), N, of displacements (nodes, 3); see `VariableStiffness.load`."""
+        """Nodal forces r (c, f, 3), N, at displacements (nodes, 3) (`VariableStiffness.load`)."""
         cells = len(self.nodes)
         lame, shear, bulk = self.constants
         slope = (self.gradient.transpose(0, 2, 1) @ moved[self.nodes]).reshape(cells, 3, -1, 3)
