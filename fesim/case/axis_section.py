@@ -1,4 +1,4 @@
-"""Sections of a case for bodies that move during the march, and for the volume they reach."""
+"""Sections of a case for bodies that move during the march, and for the working volume."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from thermojoint.artefacts.settings.section import (
 class AxisSection(Section):
     """``[axes.NAME]``: bodies that move together along a straight line.
 
-    A body may move along several axes: ``bodies`` has what the axis carries as well.
+    A body may move along several axes: ``bodies`` includes what the axis carries.
 
-    The position is one value, or a CSV with ``time_s,position_mm``. The mesh shows the bodies at
+    The position is one value, or a CSV with ``time_s,position_mm``. In the mesh the bodies are at
     ``mesh_position_mm``. Stiffness and heat are exact at positions that are stations apart.
-    Without a ball screw and a scale the bodies stand where the control believes; with both, the
-    control reads the scale. With ``odometer`` the control counts how far the axis has gone, there
-    and back, and a model reads it.
+    Without a ball screw or a scale the bodies are at the commanded position; with both, the control
+    reads the scale. With ``odometer`` the control counts the travel of the axis, to and fro, and a
+    model reads it.
     """
 
     bodies: Annotated[list[str], Field(min_length=1)]
@@ -92,11 +92,11 @@ class AxisSection(Section):
 
 
 class VolumeSection(Section):
-    """``[volume]``: combinations of positions of all axes that are asked about.
+    """``[volume]``: combinations of positions of all axes at which results are requested.
 
-    ``grid_mm`` has positions of each axis, and every combination of them counts; ``points_mm`` has
-    single points, a position of each axis. The temperatures are those at ``at_s``, by default at
-    the end.
+    ``grid_mm`` has positions of each axis, for all their combinations; ``points_mm`` has single
+    points with a position of each axis. The temperatures are those at ``at_s``, by default at the
+    end.
     """
 
     grid_mm: dict[str, Annotated[list[Finite], Field(min_length=1)]] | None = None
@@ -104,14 +104,14 @@ class VolumeSection(Section):
     at_s: Annotated[list[NotNegative], Field(min_length=1)] | None = None
 
     def places_mm(self, axes: Sequence[str]) -> list[tuple[float, ...]]:
-        """Return the points, those of the grid first, as positions of some axes."""
+        """Return the points as positions of some axes, those of the grid first."""
         grid = product(*(self.grid_mm[name] for name in axes)) if self.grid_mm else ()
         points = self.points_mm or []
         return [*grid, *(tuple(point[name] for name in axes) for point in points)]
 
 
 def not_asked(volume: VolumeSection, axes: Mapping[str, AxisSection], end: float) -> str | None:
-    """Return why a volume cannot be asked about in a march to `end`, s; None if it can."""
+    """Return why a volume is invalid in a march to `end`, s; None if it is valid."""
     if not volume.grid_mm and not volume.points_mm:
         return "volume: no point; give grid_mm or points_mm"
     named_by = [set(point) for point in volume.points_mm or []]
@@ -132,10 +132,10 @@ def not_asked(volume: VolumeSection, axes: Mapping[str, AxisSection], end: float
 
 
 def seats_of(axis: AxisSection) -> tuple[str | None, str | None, str | None]:
-    """Return the probes that the near and the far bearing and the scale of an axis move with."""
+    """Return the probes at the seats of the near bearing, the far bearing and the scale."""
     near = far = on_scale = None
     if (screw := axis.ball_screw) is not None:
-        # Without a seat of its own the far bearing moves with the near one.
+        # Without its own seat the far bearing moves with the near one.
         near, far = screw.seat, screw.far_seat or screw.seat
     if axis.scale is not None:
         on_scale = axis.scale.seat

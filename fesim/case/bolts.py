@@ -10,7 +10,8 @@ from thermojoint.artefacts.settings.section import File, Point, Positive, Sectio
 class BoltEndSection(Section):
     """``[bolts.NAME.head]`` and ``thread``: a surface, or a disc around a point of a body.
 
-    The disc is perpendicular to the bolt; the part of it in no cell, such as a hole, is left out.
+    The disc is perpendicular to the bolt; any part of it outside all cells, such as in a hole, is
+    left out.
     """
 
     surface: str | None = None
@@ -33,7 +34,7 @@ class BoltSection(Section):
 
     Its stiffness follows from ``diameter_mm``, its length and its material's modulus, or is
     ``stiffness_N_um``; it expands like its material. ``file`` is a CSV with ``time_s,factor``: the
-    force relative to ``force_kN`` if its ends did not move.
+    force with unmoved ends, relative to ``force_kN``.
     """
 
     head: BoltEndSection

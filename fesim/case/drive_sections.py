@@ -1,4 +1,4 @@
-"""Sections of a case for what positions a moving axis: a ball screw, a scale."""
+"""Sections of a case for the drive of a moving axis: a ball screw, a scale."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from pydantic import Field, model_validator
 
 from thermojoint.artefacts.settings.section import Finite, Fraction, NotNegative, Positive, Section
 
-#: What of a screw heats the machine.
+#: Parts of a screw that heat the machine.
 HEATED = ("nut", "bearing", "far bearing")
 
 
 class RotatingFilmSection(Section):
-    """``[axes.NAME.ball_screw.rotating_film]``: film that rotation adds.
+    """``[axes.NAME.ball_screw.rotating_film]``: film added by rotation.
 
-    ``added_W_m2K`` at ``rotation_rpm``, and in proportion to rotation to the power ``exponent``.
+    It is ``added_W_m2K`` at ``rotation_rpm``, proportional to rotation to the power ``exponent``.
     """
 
     added_W_m2K: Positive
@@ -24,12 +24,12 @@ class RotatingFilmSection(Section):
 
 
 class BallScrewSection(Section):
-    """``[axes.NAME.ball_screw]``: the screw that a motor with a rotary encoder turns.
+    """``[axes.NAME.ball_screw]``: the screw turned by a motor with a rotary encoder.
 
     Positions are those of the axis: the fixed bearing is at the motor, the far end has the other
-    bearing or none; the middle of the nut is at ``nut_mm`` while the axis is at zero. What heat of
-    friction the screw does not take enters the structure through the surfaces, if they are named.
-    ``seat`` and ``far_seat`` are probes that the bearings move with.
+    bearing or none; the middle of the nut is at ``nut_mm`` while the axis is at zero. Frictional
+    heat that the screw does not take up enters the structure through the surfaces, if given.
+    ``seat`` and ``far_seat`` are probes with which the bearings move.
     """
 
     nut_surface: str | None = None
@@ -92,7 +92,7 @@ class BallScrewSection(Section):
         return self
 
     def surfaces(self) -> dict[str, str]:
-        """Return the surfaces that take heat, by what they belong to, in the order of inputs."""
+        """Return the heated surfaces by the part they belong to, in the order of the inputs."""
         named = (self.nut_surface, self.bearing_surface, self.far_bearing_surface)
         return {
             part: surface
@@ -101,7 +101,7 @@ class BallScrewSection(Section):
         }
 
     def span_mm(self) -> tuple[float, float]:
-        """Return the lower and the upper end of the screw, positions of the axis."""
+        """Return the lower and the upper end of the screw as positions of the axis."""
         low, high = sorted((self.fixed_bearing_mm, self.far_end_mm))
         return low, high
 
@@ -109,9 +109,9 @@ class BallScrewSection(Section):
 class ScaleSection(Section):
     """``[axes.NAME.scale]``: a linear scale that the control reads.
 
-    It stands, fixed at ``fixed_mm``, there moving with the probe ``seat``; the reading head moves
-    along, at ``head_mm`` while the axis is at zero. Its temperature follows the ambient, or the
-    probe ``follows``, with a lag.
+    It does not move with the axis: at ``fixed_mm`` it is fixed and moves with the probe ``seat``;
+    the reading head moves with the axis, and is at ``head_mm`` while the axis is at zero. Its
+    temperature follows the ambient, or the probe ``follows``, with a lag.
     """
 
     expansion_1_K: Finite

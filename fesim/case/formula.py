@@ -1,6 +1,6 @@
 """Formulas of position in a case file, e.g. ``sqrt(x_m**2 + y_m**2) + z_m``.
 
-A case file must never run code: a formula is parsed, every part of it is looked up in the lists
+A case file must never run code: a formula is parsed, each of its parts is looked up in the lists
 below, and arrays are computed from the parts. Nothing is compiled or passed to ``eval``, unlike in
 the libraries for expressions (numexpr, asteval, sympy).
 """
@@ -17,7 +17,7 @@ import numpy as np
 from thermojoint.artefacts.arrays import Array, OfPosition
 from thermojoint.artefacts.errors import unknown_name
 
-#: Name of a coordinate to its axis and how many of its unit are 1 m.
+#: From the name of a coordinate to its axis and the number of its units in 1 m.
 COORDINATES = {
     f"{axis}_{unit}": (number, per_metre)
     for number, axis in enumerate("xyz")
@@ -72,17 +72,17 @@ def formula(text: str) -> OfPosition:
     ----------
     text : str
         Numbers, `COORDINATES`, `CONSTANTS`, ``+ - * / **``, comparisons, brackets and
-        `FUNCTIONS`; ``where(condition, then, otherwise)`` decides.
+        `FUNCTIONS`; ``where(condition, then, otherwise)`` selects.
 
     Returns
     -------
     callable
-        Where the formula is undefined the function is NaN or infinite.
+        Function of position; NaN or infinite where the formula is undefined.
 
     Raises
     ------
     ValueError
-        The formula is invalid; one line says why.
+        The formula is invalid; the message is one line with the reason.
     """
     if len(text) > LONGEST:
         raise ValueError(
@@ -114,7 +114,7 @@ def _check(node: ast.expr, deeper: int) -> None:
 def _parts(node: ast.expr) -> list[ast.expr]:
     """Return the operands of a part of a formula, if it is allowed."""
     match node:
-        # Integers of this size and more have no floating-point number.
+        # Integers from this size on have no floating-point number.
         case ast.Constant(value=int() | float() as value) if not isinstance(value, bool) and (
             abs(value) < 2**1023
         ):

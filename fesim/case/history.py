@@ -14,18 +14,18 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.tables.columns import read_columns
 
-#: Knots that lie off a straight line by less than this part of the largest value lie on it, and
-#: those that lie off the end of a step by less than this part of it lie there.
+#: Relative to the largest value, the distance below which knots are on a straight line; relative to
+#: the end of a step, the one below which they are at that end.
 ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """A quantity in time: linear between its knots, constant before and after them."""
+    """A quantity as a function of time: linear between knots, constant before and after them."""
 
-    #: Shape (n,): strictly increasing, s.
+    #: Shape (n,): times of the knots, strictly increasing, s.
     times: Array
-    #: Shape (n,): at these times.
+    #: Shape (n,): values at these times.
     values: Array
 
     def __call__(self, time: Array) -> Array:
@@ -50,11 +50,11 @@ class History:
 
 @dataclass(frozen=True, eq=False)
 class Histories:
-    """Several quantities in time: linear between their common knots, constant after the last."""
+    """Several functions of time: linear between common knots, constant after the last."""
 
-    #: Shape (n,): strictly increasing, s; the first is zero.
+    #: Shape (n,): times of the knots, strictly increasing, s; the first is zero.
     times: Array
-    #: Shape (n, k): at these times.
+    #: Shape (n, k): values at these times.
     values: Array
 
     def __call__(self, time: float | Array) -> Array:
@@ -67,9 +67,9 @@ class Histories:
 
 
 def common_knots(histories: Sequence[History]) -> Array:
-    """Return time zero and every later time at which one of some histories may bend, s.
+    """Return time zero and every later time at which the slope of a history may change, s.
 
-    Knots within a stretch of one value are left out.
+    Knots between equal values are left out.
     """
     knots = [np.zeros(1)]
     for history in histories:
@@ -86,7 +86,7 @@ def bent_steps(history: History, step: float) -> NDArray[np.int64]:
     Step k ends at k times `step` (s); the values at its ends do not determine the history within.
     """
     knots, number = _within_steps(history.times[history.times > 0.0], step)
-    if not knots.size:  # a step, of which every case of a study has its own
+    if not knots.size:  # e.g. a step input, different in every case of a study
         return np.empty(0, dtype=np.int64)
     before, after = history((number - 1.0) * step), history(number * step)
     line = before + (after - before) * (knots / step - (number - 1.0))
@@ -95,7 +95,7 @@ def bent_steps(history: History, step: float) -> NDArray[np.int64]:
 
 
 def mean_over_steps(history: History, step: float, ends: Array) -> Array:
-    """Return the value of a history in each step: its mean where it is not linear within the step.
+    """Return the value of a history in each step: its mean if it is not linear within the step.
 
     In all other steps it is the value at the end, as in the implicit Euler method.
 
@@ -111,7 +111,7 @@ def mean_over_steps(history: History, step: float, ends: Array) -> Array:
     Returns
     -------
     ndarray, shape (n,)
-        In the unit of the history.
+        Values in the unit of the history.
     """
     return _with_means(
         history, step, ends, np.isin(np.rint(ends / step), bent_steps(history, step))
@@ -121,16 +121,16 @@ def mean_over_steps(history: History, step: float, ends: Array) -> Array:
 def entering_in_steps(history: History, step: float, ends: Array) -> Array:
     """Return the value of a history in each step such that the sum over all steps is exact.
 
-    A history that is not linear within some step counts with its mean in every step: where linear
-    steps took the value at their end, their sum would lead by what one of the others would have to
-    take back. Arguments and result as for `mean_over_steps`.
+    For a history that is not linear within some step, the mean is used in every step: if linear
+    steps used the value at their end, their sum would be ahead by an amount that one of the others
+    would have to correct. Arguments and result as for `mean_over_steps`.
     """
     bends = bent_steps(history, step).size > 0
     return _with_means(history, step, ends, (ends > 0.0) & bends)
 
 
 def _with_means(history: History, step: float, ends: Array, where: NDArray[np.bool_]) -> Array:
-    """Values at the ends of steps; means over them `where` (n,) they are wanted."""
+    """Values at the ends of steps; means over the steps selected by `where` (n,)."""
     values, last = history(ends), ends[where]
     if last.size:
         values[where] = (history.integral(last) - history.integral(last - step)) / step
@@ -140,7 +140,7 @@ def _with_means(history: History, step: float, ends: Array, where: NDArray[np.bo
 def reversals(
     histories: Sequence[History], step: float, ends: Array
 ) -> dict[int, NDArray[np.float64]]:
-    """Return where histories reverse within a step, which the values at its ends do not show.
+    """Return reversals of histories within a step, which the values at its ends do not show.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def reversals(
     Returns
     -------
     dict of int to ndarray, shape (k,)
-        Place in `ends` to the times inside that step, s, in ascending order.
+        Index in `ends` to the times inside that step, s, in ascending order.
     """
     turning = [_turning(history) for history in histories]
     times, number = _within_steps(np.unique(np.concatenate([np.empty(0), *turning])), step)
@@ -162,14 +162,14 @@ def reversals(
 
 
 def _within_steps(times: Array, step: float) -> tuple[Array, Array]:
-    """Return the times that lie between the ends of steps, s, and the numbers of these steps."""
+    """Return the times that lie within steps, s, and the numbers of these steps."""
     places = times / step
     inside = np.abs(places - np.rint(places)) > ROUNDING * np.maximum(places, 1.0)
     return times[inside], np.ceil(places[inside])
 
 
 def _turning(history: History) -> Array:
-    """Times after zero at which a history rises before and does not afterwards, or falls, s."""
+    """Times after zero at which a history stops rising or stops falling, s."""
     slopes = np.sign(np.concatenate([np.zeros(1), np.diff(history.values), np.zeros(1)]))
     turns = (slopes[1:] != slopes[:-1]) & (slopes[:-1] != 0.0)
     return np.asarray(history.times[turns & (history.times > 0.0)])

@@ -1,4 +1,4 @@
-"""Digests of a case: of its whole content, and of what its condensation depends on."""
+"""Digests of a case: of its whole content, and of the data that its condensation depends on."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from fesim.case.schema import Case, heated_by_drives
 from fesim.solid.linear_solver import default_solver
 from thermojoint.artefacts.errors import UnreadableError
 
-#: Keys that enter only the joint's law (`fesim.setup.machine.with_laws`) or the loads, or are only
-#: recorded. All other keys are part of the condensation, new ones included.
+#: Keys that only affect the joint's law (`fesim.setup.machine.with_laws`) or the loads, or are only
+#: recorded. All other keys, including new ones, belong to the condensation.
 _LAW = {
     "preload_MPa",
     "reference_pressure_MPa",
@@ -31,7 +31,7 @@ _LAW = {
     "tangential_stiffness_ratio",
     "running_friction_coefficient",
 }
-#: Where an axis stands, what positions it there, and what is read from it.
+#: Position, drive and requested results of an axis.
 _COURSE = {
     "position_mm",
     "file",
@@ -44,7 +44,7 @@ _COURSE = {
 }
 _MARCH = {"duration_min", "coupling", "method", "tolerance_um", "tolerance_K"}
 _LOADS = {"title", "heat_input", "ambient", "output", "volume"}
-#: Sections, and keys of materials, that enter the heat equation only.
+#: Sections, and keys of materials, that only affect the heat equation.
 _HEAT = {
     "convection_W_m2K",
     "convection_factor",
@@ -67,7 +67,7 @@ _THERMAL = {
 _STRENGTH = {"reference_power_W", "count", "reading", "heat_input", "power_share"}
 _TIGHTENING = {"force_kN", "file"}
 
-#: Read once: it takes longer than all the rest of a digest.
+#: Read once, as it takes longer than the rest of a digest.
 _VERSION = version("thermojoint")
 
 Digest = Callable[[Path], str]
@@ -94,8 +94,8 @@ def hashed(data: dict[str, Any], digest: Digest = file_digest) -> str:
     Parameters
     ----------
     data : dict
-        From `Case.model_dump`, whole or in part; the order matters. A path enters by the content of
-        its file.
+        From `Case.model_dump`, whole or in part; the order matters. The content of its file
+        replaces a path.
     digest : callable
         As for `case_id`.
 
@@ -104,7 +104,7 @@ def hashed(data: dict[str, Any], digest: Digest = file_digest) -> str:
     UnreadableError
         A file cannot be read.
     """
-    # A path is the only kind of value of a case that JSON does not have.
+    # Paths are the only values of a case that JSON does not support.
     text = json.dumps(data | {"version": _VERSION}, default=digest)
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -115,9 +115,9 @@ def case_id(case: Case, digest: Digest = file_digest) -> str:
     Parameters
     ----------
     case : Case
-        Files enter by their content, not by their names.
+        Files are included by content, not by name.
     digest : callable
-        Path to the digest of the file's content; use a caching one for many cases.
+        From a path to the digest of the file's content; use a caching one for many cases.
     """
     return hashed(case.model_dump(), digest)[:16]
 
@@ -125,8 +125,8 @@ def case_id(case: Case, digest: Digest = file_digest) -> str:
 def condensation_key(case: Case, digest: Digest = file_digest) -> str:
     """Return the digest of everything that `set_up` uses except loads and joint laws.
 
-    Cases of equal key share one condensation: `fesim.setup.machine.with_laws` makes one's set-up
-    from another's.
+    Cases with equal keys share one condensation: `fesim.setup.machine.with_laws` makes the set-up
+    of one from that of another.
 
     Parameters
     ----------
@@ -137,10 +137,10 @@ def condensation_key(case: Case, digest: Digest = file_digest) -> str:
 
 
 def shared_key(case: Case, digest: Digest = file_digest) -> str:
-    """Return the digest of everything that cases which share a set-up in a batch have in common.
+    """Return the digest of everything that cases with a common set-up in a batch share.
 
-    That is their condensation; of machines with axes, whose set-up holds laws, positions and what
-    is asked about, it is all but the heat.
+    That is their condensation; for machines with axes, whose set-up includes laws, positions and
+    requested results, it is everything except the heat.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ def bolt_places(case: Case) -> list[tuple[str, dict[str, Any]]]:
 
 
 def set_up_differently(one: Case, other: Case) -> str | None:
-    """Return the first key that a set-up has taken from its case and that differs in another.
+    """Return the first key that a set-up depends on and that differs between two cases.
 
     None if the other case may use the same set-up. Lengths of steps and forces of bolts are left
     out, as `fesim.simulate.simulate` compares those with the set-up itself.
@@ -221,14 +221,14 @@ def set_up_differently(one: Case, other: Case) -> str | None:
     Parameters
     ----------
     one, other : Case
-        Files count by their names.
+        Files are compared by name.
     """
     path = _first_difference(_used(one), _used(other))
     return None if path is None else ".".join(map(str, path))
 
 
 def _used(case: Case) -> dict[str, Any]:
-    """Data that a set-up holds: those of the condensation, joint laws, and what axes do."""
+    """Data that a set-up contains: those of the condensation, joint laws, and motion of axes."""
     data = _condensed(case)
     del data["march"]["step_s"], data["seats"]
     data |= case.model_dump(include={"joints", "axes", "volume"})
@@ -236,7 +236,7 @@ def _used(case: Case) -> dict[str, Any]:
 
 
 def _first_difference(one: Any, other: Any) -> list[Any] | None:  # noqa: ANN401 - nested data
-    """Path to the first difference of nested data; the order of names counts."""
+    """Path to the first difference of nested data; the order of names matters."""
     if isinstance(one, dict) and isinstance(other, dict) and list(one) == list(other):
         for key, value in one.items():
             if (rest := _first_difference(value, other[key])) is not None:
@@ -246,10 +246,10 @@ def _first_difference(one: Any, other: Any) -> list[Any] | None:  # noqa: ANN401
 
 
 def _condensed(case: Case) -> dict[str, Any]:
-    """Data that enter `set_up` except loads and joint laws."""
+    """Data that affect `set_up`, except loads and joint laws."""
     data = case.model_dump(exclude=_LOADS)
     data["march"] = _without(data["march"], _MARCH)
-    # Lists of pairs where the order is that of the condensed rows and columns.
+    # Lists of pairs if their order is that of the condensed rows and columns.
     data["joints"] = [(name, _without(joint, _LAW)) for name, joint in data["joints"].items()]
     sources = data["sources"].values()
     data["sources"] = {number: _without(source, _STRENGTH) for number, source in enumerate(sources)}
@@ -271,7 +271,7 @@ def _condensed(case: Case) -> dict[str, Any]:
 
 
 def _structure(case: Case) -> dict[str, Any]:
-    """Data that enter `set_up` except loads, joint laws, outputs and the time step."""
+    """Data that affect `set_up`, except loads, joint laws, outputs and the time step."""
     data = _condensed(case)
     del data["loads"], data["output"]
     data["march"] = {"solver": case.march.solver or default_solver()}

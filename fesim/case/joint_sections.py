@@ -58,7 +58,7 @@ class GapSection(Section):
     """``[joints.NAME.gap]``: heat transfer in parallel with the contact, open or closed.
 
     Radiation is linearised at ``mean_temperature_degC``, or not at all: then ``ambient_degC`` is
-    the ambient at time 0, above which temperatures count.
+    the ambient at time 0, the reference of the temperatures.
     """
 
     gas_conductivity_W_mK: NotNegative = 0.0
@@ -90,10 +90,10 @@ class JointSection(Section):
     Properties of one machine have no default: preload, surfaces, friction. A joint without preload
     starts open by ``initial_opening_um``, or by the distance of its sides in the mesh.
     Without ``along`` and ``across``, `meshes.pairing.pair_joint` divides it by its geometry.
-    With ``slip_heating`` the work of sliding heats both sides in equal parts.
+    With ``slip_heating`` the friction work heats both sides in equal parts.
     ``tangential_stiffness_ratio`` is Mindlin's 2(1-v)/(2-v), by default for v = 0.27; it is 0.86
     for v = 0.25 and 0.80 for v = 0.33. Side a of a joint on an ``axis`` are the pads, which move
-    along side b; ``running_friction_coefficient`` gives the heat of their motion.
+    along side b; ``running_friction_coefficient`` determines the heat of their motion.
     """
 
     side_a: str | None = None
@@ -164,7 +164,7 @@ class JointSection(Section):
 class WallSection(Section):
     """``[walls.NAME]``: a rigid body against a surface; one side of a joint.
 
-    It has the temperature that ``[held_temperatures.NAME]`` gives; without one, no heat passes.
+    Its temperature is that of ``[held_temperatures.NAME]``; without one, no heat passes.
     """
 
     faces: str

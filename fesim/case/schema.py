@@ -40,9 +40,9 @@ from thermojoint.artefacts.settings.section import (
 
 #: More steps than this in one run are a mistake: the response would not fit into any memory.
 MOST_STEPS = 10_000_000
-#: Error of an adaptive march that is allowed by default: displacement, um; temperature, K.
+#: Default tolerances of an adaptive march: displacement, um; temperature, K.
 TOLERANCE_UM, TOLERANCE_K = 0.01, 0.5
-#: A time may lie after a step by this fraction of the step and still be that step.
+#: A time may be after a step by this fraction of the step and still count as that step.
 TIME_SLACK = 1e-6
 
 
@@ -66,7 +66,7 @@ class MeshSection(Section):
 
 
 class SpringSection(Section):
-    """``[supports.springs.SURFACE]``: levelling mounts, distributed evenly over a surface."""
+    """``[supports.springs.SURFACE]``: levelling mounts, distributed uniformly over a surface."""
 
     stiffness_N_um: Annotated[tuple[NotNegative, NotNegative, NotNegative], Field(strict=False)]
 
@@ -82,8 +82,8 @@ class SupportsSection(Section):
 class LoadSection(Section):
     """``[loads.NAME]``: a force, a pressure, or an acceleration of bodies such as gravity.
 
-    ``force_N`` acts on the whole structure, spread evenly over its surface. A load is constant
-    from the start, or multiplied by the ``factor`` of a CSV with ``time_s,factor``.
+    ``force_N`` acts on the whole structure, distributed uniformly over its surface. A load is
+    constant from the start, or multiplied by the ``factor`` of a CSV with ``time_s,factor``.
     """
 
     surface: str | None = None
@@ -167,9 +167,9 @@ class ProbeSection(Section):
 
 
 class DisplacementSection(Section):
-    """``[displacement]``: the displacement that is recorded, of one point or between two.
+    """``[displacement]``: the recorded displacement, of one point or between two.
 
-    Without it heat is marched alone.
+    Without it only heat is simulated.
     """
 
     point: str
@@ -237,7 +237,7 @@ class Case(Described, Section):
     output: OutputSection = OutputSection()
 
     def replace(self, **changes: Any) -> Case:  # noqa: ANN401 - what a case file may say
-        """Return this case with changes, checked as a case file is.
+        """Return this case with changes, checked like a case file.
 
         Parameters
         ----------
@@ -357,7 +357,7 @@ class Case(Described, Section):
 
 
 def secant_sections(case: Case) -> list[str]:
-    """Return the sections that make the heat equation of a case depend on temperature."""
+    """Return the sections that make the heat equation of a case temperature-dependent."""
     return [
         *(f"convection_factor.{name}" for name in case.convection_factor),
         *(f"radiation.{name}" for name in case.radiation),
@@ -372,7 +372,7 @@ def secant_sections(case: Case) -> list[str]:
 
 
 def deforming_sections(case: Case) -> list[str]:
-    """Return the sections, besides ``[displacement]``, that need the structure's deformation."""
+    """Return the sections, other than ``[displacement]``, that need the structure's deformation."""
     asked = case.output.snapshots_s or case.output.forces or case.output.stress_probes
     return [
         *(f"loads.{name}" for name in case.loads),
@@ -390,7 +390,7 @@ def deforming_sections(case: Case) -> list[str]:
 
 
 def solid_sections(case: Case) -> list[str]:
-    """Return the sections that make expansion or modulus depend on temperature."""
+    """Return the sections that make expansion or modulus temperature-dependent."""
     return [
         f"materials.{name}.{key}"
         for name, material in case.materials.items()
@@ -400,7 +400,7 @@ def solid_sections(case: Case) -> list[str]:
 
 
 def not_softening(case: Case) -> str | None:
-    """Return what a modulus that depends on temperature cannot be with; None if nothing."""
+    """Return why a temperature-dependent modulus cannot be used; None if it can or is not."""
     refused = [
         *(["output.forces"] if case.output.forces else []),
         *(["output.stress_probes"] if case.output.stress_probes else []),
@@ -457,7 +457,7 @@ def not_movable(case: Case) -> str | None:
 
 
 def heated_by_drives(case: Case) -> dict[str, str]:
-    """Return the surfaces that drives heat, by names of sources: they come after the case's own."""
+    """Return the surfaces heated by drives, by source name; they follow the case's own sources."""
     return {
         f"{name} {part}": surface
         for name, axis in case.axes.items()
@@ -467,7 +467,7 @@ def heated_by_drives(case: Case) -> dict[str, str]:
 
 
 def not_driven(case: Case) -> str | None:
-    """Return what the drives of a case name that it does not have; None if nothing."""
+    """Return what is missing for the drives of a case; None if nothing is."""
     for name, axis in case.axes.items():
         if axis.ball_screw is not None and axis.ball_screw.material not in case.materials:
             made = axis.ball_screw.material
@@ -491,7 +491,7 @@ def read_case(path: Path | str) -> Case:
     Parameters
     ----------
     path : Path or str
-        TOML; relative file names in it are relative to its folder.
+        TOML file; file names in it are relative to its folder.
 
     Raises
     ------

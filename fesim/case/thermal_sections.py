@@ -19,7 +19,7 @@ from thermojoint.artefacts.settings.section import (
 
 
 class FactorSection(Section):
-    """A factor that depends on temperature: straight lines between points, constant beyond them."""
+    """A temperature-dependent factor: linear between points, constant beyond them."""
 
     rise_K: Annotated[list[Finite], Field(min_length=1)]
     factor: Annotated[list[Positive], Field(min_length=1)]
@@ -37,7 +37,7 @@ class FactorSection(Section):
         return self
 
 
-#: Above an ambient of at most 100 °C; less would lie below absolute zero.
+#: Relative to an ambient of at most 100 °C; lower values would be below absolute zero.
 Rise = Annotated[float, Field(gt=-373.15, allow_inf_nan=False)]
 
 
@@ -116,10 +116,11 @@ class ProfileSection(Section):
 class SourceSection(Section):
     """``[sources.NAME]``: heat that enters through a surface, or in the volume of a body.
 
-    ``reading`` says what ``reference_power_W`` is: the heat of each of the ``count`` sources of the
-    whole machine, or of all of them together. A source without its own ``heat_input`` uses the
-    case's. A ``profile`` distributes the same heat unevenly. With ``power_share`` a joint-aware
-    model of the case reads the power of a motor or drive, that share of which becomes heat here.
+    ``reading`` defines ``reference_power_W``: the heat of each of the ``count`` sources of the
+    whole machine, or of all of them together. A source without its own ``heat_input`` uses that of
+    the case. A ``profile`` distributes the same heat nonuniformly. With ``power_share`` a
+    joint-aware model of the case reads the power of a motor or drive, of which that share becomes
+    heat here.
     """
 
     surface: str | None = None
@@ -190,7 +191,7 @@ class CavitySection(Section):
 
 
 class RadiationSection(Section):
-    """``[radiation.SURFACE]``: to surroundings of the ambient's temperature.
+    """``[radiation.SURFACE]``: to surroundings at the ambient temperature.
 
     ``ambient_degC`` is the ambient at time 0; the surroundings follow its changes.
     """
