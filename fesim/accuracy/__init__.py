@@ -1,1 +1,1 @@
-"""How good a simulated displacement is: errors of the joints, the mesh and the steps."""
+"""Error estimates of a simulated displacement: due to joints, mesh and steps."""

@@ -1,7 +1,7 @@
 """The same condensed machine with contact elements merged two by two.
 
-Tractions and heat flows of merged elements are uniform, gaps and jumps are means: all that a
-condensation on the finer elements already holds.
+Tractions and heat flows of merged elements are uniform, gaps and jumps are means: all are available
+from a condensation on the finer elements.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ from fesim.solid.friction_heat import FrictionHeat
 from meshes.pairing import PairedJoint
 from thermojoint.artefacts.arrays import Array
 
-#: Shorter rows are not merged: one element left of a row would not resist rocking at all.
+#: Shorter rows are not merged: a single element in a row would not resist rocking at all.
 FEWEST = 3
-#: Merged elements face the same way: cosine of the largest angle between their normals.
+#: Merged elements have similar normals: cosine of the largest angle between them.
 ALIKE = 0.9
-#: Condition number from which a body of the merged machine is held by nothing.
+#: Condition number from which on a body of the merged machine is unconstrained.
 FREE = 1e12
 
 
 def merged_elements(joint: PairedJoint, first_alone: bool) -> tuple[NDArray[np.int64], float]:
-    """Return the merged element of each contact element, (m,), and what that does to the error.
+    """Return the merged element of each contact element, (m,), and the factor on the error.
 
-    An error of second order in the size of an element grows by up to four. It is one where nothing
-    can be merged. Pairs begin with the first of a row, or with the second, which leaves the first
-    alone.
+    An error of second order in the size of an element grows by up to four. The factor is one if
+    nothing can be merged. Pairs begin with the first element of a row, or with the second, so that
+    the first remains single.
     """
     place, ratios = joint.place.copy(), []
     for part in np.unique(place[:, 0]):
@@ -59,7 +59,7 @@ def merged_elements(joint: PairedJoint, first_alone: bool) -> tuple[NDArray[np.i
 
 
 def merged_joint(joint: PairedJoint, number: NDArray[np.int64]) -> PairedJoint:
-    """Return a joint on merged elements; they have the frames of the first of theirs."""
+    """Return a joint on merged elements, which have the frames of their first ones."""
     _, first = np.unique(number, return_index=True)
     area = np.bincount(number, joint.area).astype(np.float64)
     return replace(
@@ -75,7 +75,7 @@ def merged_joint(joint: PairedJoint, number: NDArray[np.int64]) -> PairedJoint:
 
 
 def means_of(joints: Sequence[PairedJoint], numbers: Sequence[NDArray[np.int64]]) -> csr_array:
-    """Return the rows (M, m) that take means over merged elements, all joints one after another."""
+    """Return rows (M, m) of the means over merged elements, of all joints one after another."""
     starts = np.cumsum([0, *(number.max(initial=-1) + 1 for number in numbers)])
     owner = np.concatenate([start + own for start, own in zip(starts, numbers, strict=False)])
     area = np.concatenate([joint.area for joint in joints])
@@ -95,15 +95,15 @@ def merged_machine(
     Parameters
     ----------
     case : Case
-        Of the march.
+        Case of the march.
     setup : Setup
         Its machine.
     thermal : ThermalCondensation
         The heat step to be merged.
     joints : sequence of PairedJoint
-        With merged elements.
+        The joints with merged elements.
     means : scipy.sparse.csr_array, shape (M, m)
-        By `means_of`.
+        Result of `means_of`.
 
     Raises
     ------
@@ -160,7 +160,7 @@ def _merged_friction(friction: FrictionHeat | None, means: csr_array) -> Frictio
 
 
 def _shares(means: csr_array) -> Array:
-    """Share (m, M) of each element in the heat flow of its merged one."""
+    """Fraction (m, M) of each element in the heat flow of its merged one."""
     return np.asarray(means.T.toarray())
 
 
@@ -169,7 +169,7 @@ def _elastic(
 ) -> tuple[ElasticCondensation, LoadInfluence | None]:
     """Uniform tractions, and reference springs across the mean gaps of merged elements only.
 
-    With z = P z_c and what the springs exert taken from one machine to the other, gaps are
+    With z = P z_c and the spring forces transferred from one machine to the other, gaps are
     g = S_T T + C A (P w_c + D g), w_c = z_c + k_c g_c and D = k - P k_c R.
     """
     small = means.toarray()
@@ -183,7 +183,7 @@ def _elastic(
         exchange = np.linalg.inv(tangent)
     except np.linalg.LinAlgError as error:
         raise singular() from error
-    # In the 1-norm, to which the inverse is at hand: that in the 2-norm takes a decomposition more.
+    # In the 1-norm, for which the inverse is available: the 2-norm needs another decomposition.
     if not np.linalg.norm(tangent, 1) * np.linalg.norm(exchange, 1) < FREE:
         raise singular()
     returned = (elastic.probe_compliance * elastic.area) @ moved @ exchange

@@ -1,8 +1,9 @@
-"""How good the displacement of a march is, from its contact elements, its mesh and its steps.
+"""Accuracy of the displacement of a march, from its contact elements, its mesh and its steps.
 
-Marches with longer steps tell what the steps leave (implicit Euler is of first order), and with
-merged contact elements what those leave (of second order); rows of the mesh's errors, made with the
-condensation, apply to the states on the way. All of it costs a part of the march itself.
+Marches with longer steps give the error of the steps (implicit Euler is of first order), and with
+merged contact elements the error of these (of second order); rows of the mesh errors, computed with
+the condensation, are applied to the states of the march. All of it takes a fraction of the march
+itself.
 """
 
 from __future__ import annotations
@@ -30,47 +31,47 @@ from fesim.setup.machine import Setup
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ThermojointError
 
-#: Steps of the marches for comparison, at most; and a march of fewer than so many is halved.
+#: Most steps of the marches for comparison; a march of fewer steps than the second is halved.
 MOST, FEW = 200, 16
-#: Their steps are up to so many times as long, where there are enough.
+#: Their steps are up to this many times as long, if there are enough.
 LONGER = 8
-#: Machines of more contact elements are not merged: dense products would take longer than a march.
+#: Larger machines are not merged: dense products would take longer than a march.
 LARGEST = 600
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Largest estimated errors of a displacement in a march, m; None where there is no estimate."""
+    """Largest estimated errors of a displacement in a march, m; None if there is no estimate."""
 
-    #: By the contact elements of all joints.
+    #: Due to the contact elements of all joints.
     joint: float | None
-    #: By the meshes of temperatures and displacements.
+    #: Due to the meshes of temperatures and displacements.
     mesh: float | None
-    #: By the steps.
+    #: Due to the steps.
     time: float | None
     #: Parts of `joint`; joints whose elements cannot be merged are missing.
     by_joint: dict[str, float]
 
     @property
     def total(self) -> float:
-        """Root of the sum of the squares of what is known."""
+        """Root of the sum of the squares of the known errors."""
         known = [part for part in (self.joint, self.mesh, self.time) if part is not None]
         return float(np.linalg.norm(known))
 
 
 @dataclass(frozen=True)
 class Marched:
-    """What is judged."""
+    """The march to be assessed."""
 
-    #: Of the march.
+    #: Case of the march.
     case: Case
     #: Its machine.
     setup: Setup
     #: Its coupling.
     advance: Advance
-    #: Where it went on; None at time zero.
+    #: State that it continued from; None at time zero.
     start: State | None
-    #: Shape (n, axes): at the end of each step, m.
+    #: Shape (n, axes): displacement at the end of each step, m.
     displacement: Array
 
 
@@ -82,7 +83,7 @@ def accuracy_of(marched: Marched, known: float | None = None) -> Accuracy:
     marched : Marched
         The march.
     known : float, optional
-        The error of the steps, m, if the march has estimated it itself.
+        Error of the steps, m, if the march has estimated it itself.
     """
     count, setup = len(marched.displacement), marched.setup
     longer = max(-(-count // MOST), min(LONGER, count // FEW), 1)
@@ -111,7 +112,7 @@ def accuracy_of(marched: Marched, known: float | None = None) -> Accuracy:
 
 
 def _of_steps(marched: Marched, fine: Track, longer: int) -> float:
-    """Error of the steps: what longer ones, or halves, are apart from them, by the first order."""
+    """Error of the steps: their first-order difference from longer ones or from halves."""
     if longer > 1:
         at = longer * np.arange(1, len(fine) + 1) - 1
         return _largest(fine.displacement - marched.displacement[at]) / (longer - 1)
@@ -122,9 +123,9 @@ def _of_steps(marched: Marched, fine: Track, longer: int) -> float:
 def _of_joint(
     marched: Marched, machine: CondensedMachine, fine: Track, merging: tuple[str, bool]
 ) -> float | None:
-    """Error by the contact elements of a joint; None if they cannot be merged.
+    """Error due to the contact elements of a joint; None if they cannot be merged.
 
-    `merging` names the joint, and says whether its first elements stay alone.
+    `merging` is the name of the joint, and whether its first elements remain single.
     """
     setup, numbers, ratio = marched.setup, [], 1.0
     for joint in setup.joints:
@@ -143,10 +144,10 @@ def _of_joint(
 
 
 def _of_mesh(marched: Marched, fine: Track, step: float) -> float | None:
-    """Error by the meshes at steps (s) of a march; None where the structure is too large for rows.
+    """Error due to the meshes at steps (s) of a march; None if the structure is too large for rows.
 
-    Nor do they know how a modulus that depends on temperature varies in a cell.
-    Temperatures change in time as if they had risen evenly since time zero, as the dual ones do.
+    Also None with a temperature-dependent modulus, whose variation in a cell is unknown.
+    Temperatures are taken to have risen uniformly since time zero, like the dual ones.
     """
     setup = marched.setup
     machine, found = setup.machine, []
@@ -187,13 +188,13 @@ def _begun(marched: Marched) -> Array:
 
 
 def _with_steps(marched: Marched, longer: float) -> CondensedMachine:
-    """The machine with steps so many times as long."""
+    """The machine with steps `longer` times as long."""
     setup = marched.setup
     return setup.at_step(longer * setup.machine.thermal.step).machine
 
 
 def _track(marched: Marched, machine: CondensedMachine, start: State | None) -> Track:
-    """The march by another machine; its steps end at those of the march or halfway."""
+    """The march of another machine, whose steps end with those of the march or halfway."""
     step, own = machine.thermal.step, marched.setup.machine.thermal.step
     march = marched.case.march.model_copy(update={"step_s": step})
     inputs = march_inputs(marched.case.model_copy(update={"march": march}))
