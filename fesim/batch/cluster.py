@@ -1,7 +1,7 @@
 """Workers of an existing Dask cluster.
 
 Only cases and responses are transferred: the cluster needs no access to the batch's folder, but it
-must find the files that a case refers to (meshes, histories) under the same absolute paths.
+must find the files of a case (meshes, histories) under the same absolute paths.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ OWN_VERSION = version("thermojoint")
 
 
 class DaskCrew:
-    """The workers of a cluster, which may join and leave; see `fesim.batch.crew.Crew`.
+    """Workers of a cluster, which may join and leave; see `fesim.batch.crew.Crew`.
 
     A worker with another version at the start ends the batch; one that joins later is reported once
     and gets no cases.
@@ -51,7 +51,7 @@ class DaskCrew:
         self._news = Event()
 
     def members(self) -> list[str]:
-        """Every worker of this version: its address."""
+        """Every worker of this version, by its address."""
         try:
             addresses = list(self._client.nthreads())
         except (OSError, TimeoutError, RuntimeError) as error:
@@ -70,7 +70,7 @@ class DaskCrew:
 
     def hand(self, worker: str, task: Task) -> None:
         """Give an idle worker a case."""
-        # Pinned, for the worker's condensation; and unique, or Dask takes a repetition for known.
+        # Pinned, for the worker's condensation; and unique, or Dask would return a known result.
         future = self._client.submit(
             run,
             task,
@@ -135,23 +135,23 @@ def dask_crew(
     tell: Callable[[str], None] = lambda text: None,
     timeout: float = CONNECT_TIMEOUT,
 ) -> Iterator[DaskCrew]:
-    """Give the workers of the cluster at `address`, e.g. ``tcp://10.0.0.1:8786``.
+    """Provide the workers of the cluster at `address`, e.g. ``tcp://10.0.0.1:8786``.
 
     Parameters
     ----------
     address : str
-        Of the scheduler.
+        Address of the scheduler.
     tell : callable
         Called with one line for each worker with another version that joins later.
     timeout : float, optional
-        For the scheduler to respond, s.
+        Time for the scheduler to respond, s.
 
     Raises
     ------
     InputError
         The scheduler does not respond, or the cluster has another version of this program.
     """
-    # A lost connection is reported in one line, not in three tracebacks.
+    # To report a lost connection in one line instead of three tracebacks.
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     try:
         client = Client(address, timeout=timeout, set_as_default=False)

@@ -12,18 +12,18 @@ from fesim.batch.worker import Outcome, Task
 class Report:
     """Report of a worker on its case."""
 
-    #: Its name.
+    #: Name of the worker.
     worker: str
-    #: Its case.
+    #: Case of the worker.
     task: Task
-    #: None if the worker and its case were lost.
+    #: Outcome; None if the worker and its case were lost.
     outcome: Outcome | None
-    #: How the worker ended, or why its program failed.
+    #: Exit code or signal of the worker, or error of its program.
     detail: str = ""
 
 
 class Crew(Protocol):
-    """Workers, each with one case at a time; names of lost workers are not reused."""
+    """Workers with one case each at a time; names of lost workers are not reused."""
 
     def idle(self) -> list[str]:
         """Currently idle workers; others may have joined or left."""
@@ -35,4 +35,4 @@ class Crew(Protocol):
         """Wait for reports, `timeout` seconds at most."""
 
     def members(self) -> list[str]:
-        """Every worker, as of now."""
+        """All current workers."""

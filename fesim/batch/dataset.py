@@ -1,9 +1,9 @@
-"""All responses of a study in one labelled dataset: a Zarr store that xarray opens.
+"""All responses of a study in one labelled dataset: a Zarr store for xarray.
 
 It is created before the first case runs, with all cases of the study, and each response fills its
-own chunks. Zarr (from 3.1.3 on) writes a chunk as a file atomically, so a reader never sees part of
-one, and a killed writer damages nothing. Missing values (a case is pending, failed, is shorter, or
-has fewer probes or contact elements) are NaN or empty text.
+own chunks. Zarr (from 3.1.3 on) writes a chunk as a file atomically, so a reader never sees an
+incomplete one, and a killed writer damages nothing. Missing values (a case is pending, failed, is
+shorter, or has fewer probes or contact elements) are NaN or empty text.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Dataset:
 
     #: Variables by name.
     arrays: dict[str, zarr.Array]
-    #: Position of each case.
+    #: Index of each case.
     row: dict[str, int]
     #: Labels of every other dimension.
     labels: dict[str, Labels]
@@ -58,8 +58,8 @@ class Dataset:
 def open_dataset(path: Path, study: Study) -> Dataset:
     """Open the dataset of a study; create it if there is none, or one of another study.
 
-    Of another study's the displacements of common cases are kept; without responses they exist
-    nowhere else.
+    From another study's dataset the displacements of common cases are kept; without responses they
+    exist nowhere else.
     """
     labels = dimension_labels(study)
     layout = _layout_digest(study, labels)
@@ -73,14 +73,14 @@ def open_dataset(path: Path, study: Study) -> Dataset:
     dataset = Dataset(dict(group.arrays()), row, labels)
     for case, (times, moved) in kept.items():
         _write(dataset, case, "displacement", {"time": times, "axis": labels["axis"]}, moved)
-    # Last: a store without it is not complete and is laid out again.
+    # Written last: a store without it is incomplete and is created again.
     group.attrs["layout"] = layout
     zarr.consolidate_metadata(path, zarr_format=2)
     return dataset
 
 
 def dimension_labels(study: Study) -> dict[str, Labels]:
-    """Return the labels of every dimension but ``case``: the union of those of its cases."""
+    """Return the labels of every dimension but ``case``: the union over all cases."""
     shapes = study.shapes.values()
     cases = [case.case for case in study.cases]
     forces = [case for case in cases if case.output.forces]
@@ -135,7 +135,7 @@ def store_response(dataset: Dataset, case: str, response: AnyResponse) -> None:
 def _write(
     dataset: Dataset, case: str, name: str, labels: Mapping[str, Labels], values: Labels
 ) -> None:
-    """Write values of a variable, whose dimensions have these labels, into the row of a case."""
+    """Write the values of a variable, with the labels of its dimensions, into the row of a case."""
     array = dataset.arrays[name]
     whole = np.full(array.shape[1:], array.fill_value, dtype=array.dtype)
     places = [_positions(dataset.labels[dim], own) for dim, own in labels.items()]
@@ -144,7 +144,7 @@ def _write(
 
 
 def holds_response(dataset: Dataset, case: str) -> bool:
-    """Whether the row of a case has values."""
+    """Whether there are values in the row of a case."""
     at, stored = dataset.row[case], dataset.arrays.items()
     own = [array for name, array in stored if name in VARIABLES and array.dtype.kind == "f"]
     return any(not np.isnan(np.asarray(array[at])).all() for array in own)
@@ -175,7 +175,7 @@ def _times(duration: float, step: float) -> NDArray[np.float64]:
 
 
 def _rounded(times: Labels) -> NDArray[np.float64]:
-    """Times to the nanosecond: 3 x 0.1 s and 1 x 0.3 s are one label."""
+    """Times rounded to the nanosecond: 3 x 0.1 s and 1 x 0.3 s are one label."""
     return np.round(times, 9).astype(np.float64)
 
 
@@ -202,7 +202,7 @@ def _layout_digest(study: Study, labels: dict[str, Labels]) -> str:
 
 
 def _displacements(path: Path, cases: Iterable[str]) -> dict[str, tuple[Labels, Labels]]:
-    """Return the times and displacements that a complete dataset has of some cases, by their id."""
+    """Return times and displacements of some cases in a complete dataset, by case id."""
     if not (path / ".zgroup").is_file():
         return {}
     group = zarr.open_group(path, mode="r", zarr_format=2)
@@ -228,7 +228,7 @@ def _lay_out(path: Path, study: Study, labels: dict[str, Labels]) -> zarr.Group:
         _coordinate(group, name, (name,), some, attrs)
     varied = []
     for path_name in study.paths:
-        # A whole section, as "heat_input", may be called like a variable of the response.
+        # A whole section, such as "heat_input", may have the name of a variable of the response.
         varied.append(path_name if "." in path_name else f"case.{path_name}")
         values = [plain(case.values[path_name]) for case in study.cases]
         numbers = all(isinstance(value, int | float) for value in values)
@@ -265,7 +265,7 @@ def _lay_out(path: Path, study: Study, labels: dict[str, Labels]) -> zarr.Group:
 
 
 def _attributes(dims: tuple[str, ...], attrs: dict[str, Any]) -> dict[str, Any]:
-    """Attributes of a variable, with its dimensions as xarray reads them."""
+    """Attributes of a variable, with its dimensions in xarray's convention."""
     return {"_ARRAY_DIMENSIONS": list(dims), **attrs}
 
 

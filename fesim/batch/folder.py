@@ -1,8 +1,8 @@
 """Results folder of a batch: lock, records of finished cases, summary tables.
 
 docs/batch.md lists its content. Only the main process writes, every file atomically. The record of
-a case is written last, so that a record means that everything else is there. The lock of a killed
-process is released.
+a case is written last, so that its existence means that everything else is there. The lock of a
+killed process is released.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from thermojoint.artefacts.unfinished import cleared_at_stop
 
 Record = dict[str, Any]
 
-#: Temporary names of a killed process (`thermojoint.artefacts.files.whole_file`, and Zarr's).
-#: The folder itself may hold files of others.
+#: Temporary names of a killed process (`thermojoint.artefacts.files.whole_file`, and Zarr's). The
+#: folder itself may contain files of others.
 _UNFINISHED = (
     ".summary.????????.csv",
     ".summary.????????.parquet",
@@ -52,8 +52,8 @@ def locked(folder: Path) -> Iterator[None]:
     Raises
     ------
     InputError
-        Another process has locked it, it is not a folder, or it contains tables that no batch
-        wrote.
+        Another process has locked it, it is not a folder, or it contains tables that are not from
+        a batch.
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is a file; give a folder")
@@ -91,7 +91,7 @@ def response_path(folder: Path, case: str) -> Path:
 
 
 def write_record(folder: Path, outcome: Outcome) -> Record:
-    """Write and return the record of a case, whose response must be written already."""
+    """Write and return the record of a case, whose response must already be written."""
     record = {
         "id": outcome.id,
         "status": outcome.status,
@@ -105,9 +105,9 @@ def write_record(folder: Path, outcome: Outcome) -> Record:
 
 
 def read_records(folder: Path, study: Study) -> dict[str, Record]:
-    """Return the records of the study's cases that need not run again, by the case's id.
+    """Return the records of the study's cases that need not run again, by case id.
 
-    Cases that stopped for a temporary reason are left out, and so are damaged records.
+    Cases that stopped for a temporary reason and damaged records are left out.
     """
     records = {}
     for case in study.cases:

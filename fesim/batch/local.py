@@ -1,8 +1,8 @@
 """Local workers: one process each, with its own pipe.
 
 Not `concurrent.futures.ProcessPoolExecutor`: there, one killed process breaks the whole pool, and a
-case cannot be assigned to the worker that has its condensation. Here a process that dies loses only
-its own case, and another one replaces it.
+case cannot be assigned to the worker with its condensation. Here a process that dies loses only its
+own case and is replaced.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class LocalCrew:
         return [name for name, worker in self._workers.items() if worker.task is None]
 
     def hand(self, worker: str, task: Task) -> None:
-        """Give an idle worker a case; if it is dead already, `gather` reports it."""
+        """Give an idle worker a case; if it is already dead, `gather` reports it."""
         chosen = self._workers[worker]
         chosen.task = task
         try:
@@ -76,7 +76,7 @@ class LocalCrew:
         return reports
 
     def close(self) -> None:
-        """End every process, whatever it is doing."""
+        """End every process, even if it is busy."""
         for worker in self._workers.values():
             worker.process.terminate()
         for worker in self._workers.values():
@@ -103,7 +103,7 @@ class LocalCrew:
 
 @contextmanager
 def local_crew(count: int) -> Iterator[LocalCrew]:
-    """Give `count` worker processes, ended with the block."""
+    """Provide `count` worker processes, which end with the block."""
     crew = LocalCrew(count)
     try:
         yield crew

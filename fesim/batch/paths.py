@@ -1,4 +1,4 @@
-"""Dotted paths into a case: their list, and replacement of the values at paths."""
+"""Dotted paths into a case: list of paths, and replacement of values at paths."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ def with_values(data: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str,
     Parameters
     ----------
     data : mapping
-        The case as read from TOML; sections left to their defaults may be missing.
+        The case as read from TOML; sections with default values may be missing.
     values : mapping of str to value
-        By path; each path is one of `known_paths`.
+        By path, which is one of `known_paths`.
     """
     changed: Any = data
     for path, value in values.items():
@@ -47,8 +47,8 @@ def with_values(data: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str,
 
 
 def _with_value(data: Any, path: list[str], value: Any) -> Any:  # noqa: ANN401 - any TOML value
-    """A copy of a list or of a section, in which what the path leads through is copied, too."""
-    # The names of joints and surfaces may have dots.
+    """A copy of a list or section, including everything along the path."""
+    # Names of joints and surfaces may contain dots.
     length = next((n for n in range(len(path), 1, -1) if ".".join(path[:n]) in data), 1)
     key, below = ".".join(path[:length]), path[length:]
     if isinstance(data, list):

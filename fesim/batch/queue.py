@@ -1,4 +1,4 @@
-"""Assignment of cases to workers, preferably with a condensation that the worker has."""
+"""Assignment of cases to workers, preferably with a condensation that the worker already has."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from fesim.batch.worker import KEPT, Outcome, Task
 
 
 class Queue:
-    """Cases still to be handed out, by condensation key.
+    """Cases still to be assigned, by condensation key.
 
     A worker stays with its condensation. When its cases are exhausted, it takes the unassigned
     condensation with the most cases; if all are assigned, it joins the one with the most cases
@@ -49,7 +49,7 @@ class Queue:
         self._waiting.setdefault(task.key, deque()).appendleft(task)
 
     def keep(self, workers: Iterable[str]) -> None:
-        """Forget all other workers and their set-ups."""
+        """Remove all other workers and their set-ups."""
         here = set(workers)
         self._at = {worker: keys for worker, keys in self._at.items() if worker in here}
 

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 #: A case that has lost this many workers is abandoned: it is the probable cause.
 MOST_LOSSES = 3
-#: The tables are rewritten after this many seconds, and after this many times the time that writing
-#: them takes: with 100 000 rows that is seconds.
+#: The tables are rewritten after this many seconds, and after this many times the duration of
+#: writing them, which is seconds with 100 000 rows.
 TABLE_INTERVAL, TABLE_SHARE = 10.0, 20.0
 #: Longest wait for reports before a stop is noticed, s.
 TICK = 0.2
@@ -36,11 +36,11 @@ TICK = 0.2
 class Progress:
     """Progress of a batch."""
 
-    #: Cases that an earlier run had finished.
+    #: Number of cases finished in an earlier run.
     found: int
     #: Cases by status: ``done``, ``failed``, ``broken``, including those found.
     counts: dict[str, int]
-    #: Worker to its current case.
+    #: From worker to its current case.
     working: dict[str, str]
     #: Number of workers.
     workers: int
@@ -50,12 +50,12 @@ class Progress:
 class Finished:
     """Result of a batch."""
 
-    #: As written to ``summary.csv`` and ``summary.parquet``.
+    #: As in ``summary.csv`` and ``summary.parquet``.
     summary: pd.DataFrame
-    #: Numbers of cases finished before and run now.
+    #: Numbers of cases finished earlier and in this run.
     found: int
     ran: int
-    #: The batch was stopped early.
+    #: Whether the batch was stopped early.
     stopped: bool
 
 
@@ -83,7 +83,7 @@ def run_batch(
     tell : callable
         Called with a case and one line for each failure, lost worker and damaged response.
     stopped : callable
-        True as soon as no further case is to start; running ones are finished.
+        Returns True once no further case is to start; running ones are finished.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def run_batch(
 
 @contextmanager
 def _named(folder: Path) -> Iterator[None]:
-    """Let an error of the disk that names no file, as those of Zarr, name the folder."""
+    """Add the folder to an error of the disk without a file name, such as those of Zarr."""
     try:
         yield
     except OSError as error:
@@ -122,9 +122,9 @@ class _Keeper:
 
     def __init__(self, study: Study, folder: Path) -> None:
         self.study, self.folder = study, folder
-        #: Of the cases that need not run again, by id.
+        #: Records of the cases that need not run again, by id.
         self.records = on_disk.read_records(folder, study)
-        #: Their responses in the folder are unreadable; they count as not run.
+        #: Cases whose responses in the folder are unreadable, which run again.
         self.damaged: list[StudyCase] = []
         self._dataset = collected.open_dataset(folder / "dataset.zarr", study)
         self._due = monotonic() + TABLE_INTERVAL
@@ -141,7 +141,7 @@ class _Keeper:
             lost = self._status(case) == "done" and stored[case.id] != "done"
             if lost and not path.is_file():
                 # Only its displacement was stored. Unless the dataset has been recreated, it is
-                # there, and a kill came before its status was.
+                # there, and the process was killed before the status was written.
                 if not collected.holds_response(self._dataset, case.id):
                     del self.records[case.id]
             elif unrecorded or lost:
@@ -154,7 +154,7 @@ class _Keeper:
         return str(self.records[case.id]["status"]) if case.id in self.records else "pending"
 
     def _take_in(self, case: StudyCase, path: Path) -> None:
-        """Store a response of the folder in the dataset, and create its record if there is none."""
+        """Store a response from the folder in the dataset, and create its record if missing."""
         try:
             response = read_response(path)
         except InputError:
@@ -179,7 +179,7 @@ class _Keeper:
             self.write_tables()
 
     def write_tables(self) -> pd.DataFrame:
-        """Write the current summary, and the status of cases that the dataset does not have yet."""
+        """Write the current summary, and the status of cases missing in the dataset."""
         begun = monotonic()
         collected.store_status(self._dataset, self._unsaved)
         self._unsaved.clear()

@@ -40,7 +40,7 @@ Keep = Literal["response", "displacement"]
 #: More cases than this in one study are treated as a mistake.
 MOST_CASES = 100_000
 
-#: Sections whose histories are read to check them.
+#: Sections whose histories are read as a check.
 LOADS = {"sources", "heat_input", "ambient", "held_temperatures", "loads", "bolts"}
 
 
@@ -83,7 +83,7 @@ class RangeSection(Section):
 
 
 class LatinHypercubeSection(Section):
-    """``[latin_hypercube]``: random values, spread evenly over every range."""
+    """``[latin_hypercube]``: random values, distributed evenly over every range."""
 
     samples: Annotated[int, Field(ge=1, le=MOST_CASES)]
     seed: Annotated[int, Field(ge=0)]
@@ -144,13 +144,13 @@ class Shape:
 class Study:
     """Every case of a batch, validated."""
 
-    #: Of the study, or of its case.
+    #: Title of the study, or else of its case.
     title: str
     #: Paths of the varied values.
     paths: tuple[str, ...]
-    #: All different.
+    #: Cases, all different.
     cases: tuple[StudyCase, ...]
-    #: Of the responses, by condensation key.
+    #: Shapes of the responses, by condensation key.
     shapes: dict[str, Shape]
     #: Stored result: ``"response"`` or ``"displacement"``.
     keep: Keep = "response"
@@ -167,8 +167,8 @@ def read_study(path: Path) -> Study:
     Raises
     ------
     InputError
-        The study or its case is missing or not TOML, a key or a path is unknown, or a case of it is
-        refused.
+        The study or its case is missing or not TOML, a key or a path is unknown, or one of its
+        cases is refused.
     """
     path = Path(path)
     given = read_settings(StudyFile, path, "study")
@@ -193,14 +193,14 @@ def study_of(
     source : Path
         The case file.
     rows : iterable of dict
-        A value for each of the paths, of each case.
+        Values of each case, one for each path.
     varied : sequence of str
         The paths.
     where : str
-        For error messages.
+        Name of the study in error messages.
     refused : callable, optional
-        Called with the values of a case that is refused, which is then left out, and the reason;
-        default: raise.
+        Called with the values of a refused case, which is then left out, and the reason; default:
+        raise.
 
     Raises
     ------
@@ -250,7 +250,7 @@ def study_of(
 
 
 def varied_paths(given: StudyFile) -> list[str]:
-    """Return the paths a study varies, in the order of the file."""
+    """Return the varied paths of a study, in the order of the file."""
     grids = [section.path for section in given.grid]
     lists = [path for section in given.list_ for path in section.paths]
     cube = given.latin_hypercube
@@ -273,10 +273,10 @@ def combinations(given: StudyFile) -> Iterator[Values]:
 
 
 def latin_hypercube(section: LatinHypercubeSection) -> list[Values]:
-    """Return the samples of a Latin hypercube; the same seed gives the same ones.
+    """Return the samples of a Latin hypercube, reproducible by the seed.
 
-    Each range is cut into as many strips as there are samples, equal in its scale, and each strip
-    has one sample (McKay, Beckman & Conover 1979).
+    Each range is divided into as many strips as there are samples, equal in its scale, with one
+    sample in each (McKay, Beckman & Conover 1979).
     """
     from scipy.stats import qmc
 
@@ -286,7 +286,7 @@ def latin_hypercube(section: LatinHypercubeSection) -> list[Values]:
 
 
 def values_in(ranges: Sequence[RangeSection], unit: NDArray[np.float64]) -> list[Values]:
-    """Return the values of samples (n, ranges) in the unit cube, each in its scale."""
+    """Return the values for samples (n, ranges) in the unit cube, each in its range's scale."""
     low, high = (
         np.array([np.log(end) if span.scale == "log" else end for span, end in ends])
         for ends in (

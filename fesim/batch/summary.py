@@ -16,17 +16,17 @@ if TYPE_CHECKING:
 
 Figures = dict[str, float]
 
-#: A contact element with less than this share of its preload is open. Not zero: the pressure of
-#: rough surfaces decays but never vanishes.
+#: A contact element below this fraction of its preload is open. Not zero: the pressure of rough
+#: surfaces decays but never vanishes.
 OPEN_BELOW = 1e-3
-#: A contact element whose slip changes by more than this in a step, m, slides. Not zero: without
+#: A contact element slides if its slip changes by more than this in a step, m. Not zero: without
 #: friction an element at rest creeps within the tolerance of the gap equations.
 SLIDES_ABOVE = 1e-12
 
-#: What is told of a quantity over time, and its description.
+#: Summary values of a quantity over time, with descriptions.
 KINDS = {"peak": "largest in magnitude, with its sign", "final": "at the end"}
 
-#: Column to its description; the columns of every summary, in this order.
+#: From column to its description; the columns of every summary, in this order.
 FIGURES = {
     **{f"displacement_{axis}_{kind}_um": text for axis in "xyz" for kind, text in KINDS.items()},
     "pressure_min_MPa": "lowest contact pressure of the run",
@@ -48,8 +48,8 @@ FIGURES = {
     "taken_over": "steps iterated because staggered ones alternate",
     "unresolved_steps": "steps whose pressures alternate although no input does",
 }
-#: What is told of a displacement over the stroke of a moving axis: word and unit of the column, and
-#: its description.
+#: Figures of a displacement over the stroke of a moving axis: from word to unit of the column and
+#: description.
 OVER_STROKE = {
     "K0": ("um", "K0: the line over the stroke of {}, at P0"),
     "slope": ("um_per_m", "tan beta: the slope of that line"),
@@ -90,9 +90,9 @@ def is_open(
     Parameters
     ----------
     pressure : ndarray, shape (time, contact)
-        Of a simulated response, Pa.
+        Contact pressures of a simulated response, Pa.
     preload : ndarray, shape (contact,), optional
-        Pa; default the first row, unless the run was continued from a saved state.
+        Preloads, Pa; default the first row, unless the run was continued from a saved state.
     """
     return pressure < OPEN_BELOW * (pressure[0] if preload is None else preload)
 
@@ -103,20 +103,20 @@ def is_sliding(slip: NDArray[np.float64]) -> NDArray[np.bool_]:
     Parameters
     ----------
     slip : ndarray, shape (time, contact, 2)
-        Of a simulated response, m.
+        Slip in a simulated response, m.
 
     Returns
     -------
     ndarray of bool, shape (time - 1, contact)
-        In the step that ends with each sample but the first.
+        For the step that ends with each sample but the first.
     """
     return np.linalg.norm(np.diff(slip, axis=0), axis=2) > SLIDES_ABOVE
 
 
 def preloads(response: AnyResponse) -> NDArray[np.float64]:
-    """Return the preload of every contact element, Pa, from the case that a response carries.
+    """Return the preload of every contact element, Pa, from the case in a response.
 
-    Where there is none it is the reference pressure.
+    For a joint without preload it is the reference pressure.
     """
     joints = json.loads(response.attrs["case"])["joints"]
     each = {
@@ -132,9 +132,9 @@ def largest(values: NDArray[np.float64]) -> float:
 
 
 def _over_strokes(response: AnyResponse) -> Figures:
-    """The figures of every displacement over the stroke of every moving axis, µm and µm/m."""
+    """Figures of every displacement over the stroke of every moving axis, µm and µm/m."""
     asked = response["asked_displacement"].to_numpy()
-    # Each by time, moving axis and axis; only of what was asked about there are several positions.
+    # Each by time, moving axis and axis; only requested displacements have several positions.
     tracks = {
         "K0": response["line_offset"].to_numpy()[:, :, None],
         "slope": response["line_slope"].to_numpy()[:, :, None],
@@ -151,15 +151,15 @@ def _over_strokes(response: AnyResponse) -> Figures:
 
 
 def taken_steps(response: AnyResponse) -> int:
-    """Return the number of steps of the march: of an adaptive one it is not that of the times."""
+    """Return the number of steps of the march, which in an adaptive one differs from the times."""
     taken = int(np.count_nonzero(response["time"].to_numpy() > 0.0))
     return int(response.attrs.get("march_steps", taken))
 
 
 def figures_of(response: AnyResponse) -> Figures:
-    """Return the figures of a simulated response, by the names of `columns`.
+    """Return the figures of a simulated response, with the names of `columns`.
 
-    Those of the contact elements are missing where a structure has none.
+    Those of contact elements are missing if a structure has none.
     """
     figures: Figures = {}
     displacement = MEGA * response["displacement"].to_numpy()

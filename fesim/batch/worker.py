@@ -32,11 +32,11 @@ KEPT = 2
 
 #: Temporary errors, after which a case may be repeated.
 PASSING = (UnreadableError, MemoryError, OSError)
-#: Errors caused by the case itself: repeating it changes nothing.
+#: Errors caused by the case itself, for which repetition is useless.
 LASTING = (InputError, ConvergenceError, ArithmeticError, np.linalg.LinAlgError)
 
-#: A process works on one case at a time, however many threads a Dask worker has: the direct
-#: solver's factors must not be used by two threads.
+#: A process runs one case at a time, even with several threads of a Dask worker: two threads must
+#: not use the factors of the direct solver at once.
 _ONE_AT_A_TIME = Lock()
 
 
@@ -57,9 +57,9 @@ class Task:
 class Outcome:
     """Outcome of a case."""
 
-    #: Of the case.
+    #: Id of the case.
     id: str
-    #: ``"done"``, or ``"failed"`` if running it again would fail again, or ``"broken"`` if it might
+    #: ``"done"``, ``"failed"`` if running it again would fail again, or ``"broken"`` if it might
     #: not: out of memory, a file that cannot be read or has changed, a lost worker.
     status: Literal["done", "failed", "broken"]
     #: One line; empty if it is done.
@@ -73,20 +73,20 @@ class Outcome:
     response: AnyResponse | None = None
     #: The response as a NetCDF file; empty if only its displacement is stored.
     encoded: bytes = b""
-    #: What was said of its structure when that was condensed.
+    #: Warnings about its structure during its condensation.
     warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class _Shared:
-    """A case representing all that share its condensation; compared by the key alone."""
+    """A case representing all that share its condensation; compared by key only."""
 
     key: str
     case: Case = field(compare=False)
 
 
 def run(task: Task) -> Outcome:
-    """Run one case; errors of the case are returned as its outcome."""
+    """Run one case; return its errors as its outcome."""
     begun, condensing = perf_counter(), 0.0
     try:
         with _ONE_AT_A_TIME, np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -127,7 +127,7 @@ def run(task: Task) -> Outcome:
 def _files_as_read(task: Task, case: Case) -> Iterator[None]:
     """Refuse a case whose files have changed since its id was computed, before or after its run.
 
-    Otherwise a file that is edited meanwhile, or an older copy on another machine, would give a
+    Otherwise a file edited in the meantime, or an older copy on another machine, would give a
     result under the id of other input.
     """
     files: list[Path] = []
@@ -163,7 +163,7 @@ def _condensation(shared: _Shared) -> tuple[Setup | MovingSetup, float]:
 
 @lru_cache(maxsize=KEPT)
 def _condensed(shared: _Shared) -> Setup | MovingSetup:
-    """The only place where a batch condenses; a set-up is immutable, so it may be cached."""
+    """The only place where a batch condenses; set-ups are immutable and therefore cached."""
     setup = prepared(shared.case)
     # The mesh file may have changed: the set-up must be the one that the key identifies.
     _compare(shared_key(shared.case), shared.key)
