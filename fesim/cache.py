@@ -1,10 +1,10 @@
 """Disk cache of condensations, keyed by a digest of everything they depend on.
 
 An entry is one file, named after a digest of everything it depends on: the case without loads and
-joint laws, the content of its mesh, this program's source and the numerical libraries' versions.
-Entries therefore never become stale. An entry is written completely or not at all and never
-changed, so that any number of processes may read and write at once. Reading checks it (zip files
-contain checksums); a damaged entry counts as missing.
+joint laws, the content of its mesh, this program's source and the versions of the numerical
+libraries. Entries therefore never become stale. An entry is written completely or not at all and
+never changed, so that any number of processes may read and write at once. It is verified on reading
+(zip files contain checksums); a damaged entry counts as missing.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from thermojoint.artefacts.files import DAMAGED_ARCHIVE, whole_file
 from thermojoint.artefacts.own_folder import user_cache
 from thermojoint.artefacts.source import source_digest
 
-#: Folder of the entries; ``off`` for none. Default: the system's folder for users' caches.
+#: Folder of the entries; ``off`` for none. Default: the system's folder for user caches.
 VARIABLE = "THERMOJOINT_CACHE"
 
-#: A file that a killed process was writing is deleted after this time, s.
+#: Age at which an unfinished file of a killed process is deleted, s.
 ABANDONED = 86_400.0
 
-#: If all entries together are larger, the least recently used ones are deleted, bytes.
+#: Total size of entries above which the least recently used ones are deleted, bytes.
 LIMIT = 10_000_000_000
 
 _LIBRARIES = ("numpy", "scipy", "scikit-fem", "meshio")
@@ -61,7 +61,7 @@ def remembered(
     also : str, optional
         Further dependencies.
     limit : int, optional
-        Of all entries together, bytes.
+        Limit on the total size of entries, bytes.
     """
     if key is None:
         return make()
@@ -85,7 +85,7 @@ def folder() -> Path | None:
 
 
 def load(key: str) -> Arrays | None:
-    """Return what was stored under a key, or None."""
+    """Return the arrays stored under a key, or None."""
     place = folder()
     if place is None:
         return None
@@ -96,7 +96,7 @@ def load(key: str) -> Arrays | None:
     except DAMAGED_ARCHIVE:
         return None
     with suppress(OSError):
-        os.utime(path)  # It is the most recently used one.
+        os.utime(path)  # mark as the most recently used one
     return arrays
 
 

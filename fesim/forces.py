@@ -19,7 +19,7 @@ from thermojoint.artefacts.errors import ConvergenceError
 #: Names of the stresses of a point, and of its principal stresses.
 COMPONENT_NAMES = tuple("".join(DIRECTIONS[i] for i in pair) for pair in COMPONENTS)
 ORDER_NAMES = ("first", "second", "third")
-#: The balance of forces whose sum is below this is relative to it, N.
+#: Sum of forces below which the balance of forces is relative to it, N.
 NO_FORCE = 1e-3
 #: A bolt that pushes by more than this fraction of its initial force has come loose.
 LOOSE = 1e-6
@@ -33,7 +33,7 @@ def outputs_of(setup: Setup, step: Step) -> Array:
     Raises
     ------
     ConvergenceError
-        A bolt would push: it has come loose.
+        A bolt would have to push: it has come loose.
     """
     acting = setup.acting(step)
     pulls = acting[setup.forces.shape[1] - _bolt_count(setup) :]
@@ -50,12 +50,12 @@ def _bolt_count(setup: Setup) -> int:
 
 
 def check_tight(setup: Setup, pulls: Array, time: float) -> None:
-    """Check that no bolt pushes, by their forces (b,), N, at a time, s.
+    """Check the bolt forces (b,), N, at a time, s: bolts cannot push.
 
     Raises
     ------
     ConvergenceError
-        One would: it has come loose.
+        A bolt would have to push: it has come loose.
     """
     if setup.bolts is None or setup.machine.assembly is None:
         return
@@ -78,9 +78,9 @@ def mechanical_values(
     case, setup
         The case and its set-up.
     steps : sequence of Step
-        n of them.
+        The n steps.
     outputs : ndarray, shape (n, b + o)
-        `outputs_of` each.
+        `outputs_of` each step.
     """
     bolts = _bolt_count(setup)
     pulls, outputs = outputs[:, :bolts], outputs[:, bolts:]
@@ -160,11 +160,11 @@ def joint_resultant(joint: PairedJoint, pressure: Array, shear: Array) -> tuple[
     Parameters
     ----------
     joint : PairedJoint
-        With its m contact elements; each acts at its centre.
+        Joint with m contact elements; the force of each acts at its centre.
     pressure : ndarray, shape (n, m)
-        Pa.
+        Contact pressure, Pa.
     shear : ndarray, shape (n, 2, m)
-        Along both tangents, Pa.
+        Shear tractions along both tangents, Pa.
     """
     along = np.einsum("ntm,mtx->nmx", shear, joint.tangents)
     each = joint.area[:, None] * (pressure[..., None] * joint.normal + along)

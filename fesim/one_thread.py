@@ -8,33 +8,33 @@ from functools import cache
 
 from threadpoolctl import ThreadpoolController
 
-#: From so many contact elements on, the matrices of a march do not fit into a processor's cache,
-#: and its products wait for the memory; with fewer, a second thread gains nothing.
+#: Number of contact elements from which on the matrices of a march exceed a processor's cache and
+#: its products are limited by memory; with fewer, a second thread gains nothing.
 MANY = 1_000
 
 
 def threads_of_march(contacts: int) -> AbstractContextManager[None]:
-    """Let a march use one thread, or all of them if it has many contact elements."""
+    """Limit a march to one thread, unless it has many contact elements."""
     return one_thread() if contacts < MANY else nullcontext()
 
 
 def threads_beside_solver(contacts: int) -> AbstractContextManager[None]:
-    """Let OpenBLAS use one thread beside a sparse solver, or all if there are `MANY` elements."""
+    """Limit OpenBLAS to one thread beside a sparse solver, unless there are `MANY` elements."""
     return one_dense_thread() if contacts < MANY else nullcontext()
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Let the libraries of linear algebra use one thread, for a march of small dense products."""
+    """Limit the linear algebra libraries to one thread, for a march of small dense products."""
     with _controller().limit(limits=1):
         yield
 
 
 @contextmanager
 def one_dense_thread() -> Iterator[None]:
-    """Let OpenBLAS, NumPy's library, use one thread; a sparse solver's threads are unchanged.
+    """Limit OpenBLAS, NumPy's library, to one thread; a sparse solver's threads are unchanged.
 
-    Its threads wait actively between two products, and compete with the sparse solver's.
+    Its threads busy-wait between two products, and compete with those of the sparse solver.
     """
     with _controller().select(internal_api="openblas").limit(limits=1):
         yield
@@ -42,5 +42,5 @@ def one_dense_thread() -> Iterator[None]:
 
 @cache
 def _controller() -> ThreadpoolController:
-    """The loaded libraries are looked up once, which takes as long as a short march."""
+    """Cached, as searching for the loaded libraries takes as long as a short march."""
     return ThreadpoolController()

@@ -17,9 +17,9 @@ class Triangles(NamedTuple):
 
     #: Shape (n, 3): corners, m.
     points: Array
-    #: Shape (t, 3): of each triangle.
+    #: Shape (t, 3): indices of the corners of each triangle.
     corners: NDArray[np.int64]
-    #: Outside: the unknown of `Setup.spaces.heat` at each corner. In the joints: the contact
+    #: On the outside: the unknown of `Setup.spaces.heat` at each corner. In the joints: the contact
     #: element of each triangle.
     of: NDArray[np.int64]
 

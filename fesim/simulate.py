@@ -84,7 +84,7 @@ class Simulation(Described):
     arrays : ArrayResponse
         See `thermojoint.artefacts.response`.
     state : State
-        At the end; `simulate` continues from it with identical results.
+        State at the end; `simulate` continues from it with identical results.
     """
 
     arrays: ArrayResponse
@@ -131,7 +131,7 @@ def simulate(
         The case, or its file.
     setup : Setup or MovingSetup, optional
         The condensed structure, for several heat inputs on one structure; default
-        `prepared(case)`. Of a case that differs in heat, loads or duration alone.
+        `prepared(case)`. Its case may differ in heat, loads or duration only.
     start : State, optional
         A saved state to continue from; default the preload, and the case's initial temperatures.
     on_step : callable, optional
@@ -139,13 +139,14 @@ def simulate(
     progress : callable, optional
         Called with (steps done, steps in all).
     accuracy : bool
-        Whether the response says how good its displacement is, for a part of the time of the march;
-        batches and calibrations go without (`fesim.accuracy.estimate`).
+        Whether the response includes the estimated errors of its displacement, which take a
+        fraction of the time of the march; batches and calibrations omit them
+        (`fesim.accuracy.estimate`).
 
     Raises
     ------
     InputError
-        The case does not fit the structure.
+        The case does not match the structure.
     ConvergenceError
         A step did not converge, or a pressure is beyond the range of the joint's law.
     """
@@ -229,7 +230,7 @@ def prepared(case: Case) -> Setup | MovingSetup:
     Raises
     ------
     InputError
-        As `fesim.setup.machine.set_up` and `fesim.axes.setup.set_up_axes`; or a load turns back
+        As `fesim.setup.machine.set_up` and `fesim.axes.setup.set_up_axes`; or a load reverses
         where no step can follow.
     """
     check_turns(case)
@@ -237,14 +238,14 @@ def prepared(case: Case) -> Setup | MovingSetup:
 
 
 def standing(given: Setup | MovingSetup) -> Setup:
-    """Return the setup of a machine, of one with moving axes as it stands at time zero."""
+    """Return the set-up of a machine; with moving axes, that of its position at time zero."""
     return given.setup if isinstance(given, MovingSetup) else given
 
 
 def _marching(
     case: Case, ready: Setup | MovingSetup, inputs: MarchInputs, ends: np.ndarray, first: State
 ) -> Iterator[tuple[Track, Passed | None]]:
-    """Yield the march up to the times of a response; an adaptive one says more of itself."""
+    """Yield the march up to the times of a response; an adaptive one with further results."""
     if isinstance(ready, MovingSetup):
         along, rows = MOVING_COUPLINGS[case.march.coupling], inputs.at(ends)
         for track in along(ready.moving, ready.axes, rows, first):
@@ -265,7 +266,7 @@ def _marching(
 
 
 def _spent(effort: Effort) -> dict[str, float | int]:
-    """Attributes of a response by an adaptive march."""
+    """Attributes of a response from an adaptive march."""
     return {
         "march_steps": effort.steps,
         "rejected_steps": effort.rejected,
@@ -277,7 +278,7 @@ def _spent(effort: Effort) -> dict[str, float | int]:
 
 
 def _unresolved(ready: Setup, track: Track) -> dict[str, float | int]:
-    """Attributes of a response whose steps do not resolve an oscillation; others have none."""
+    """Attributes of a response whose steps do not resolve an oscillation; empty for others."""
     events = track.cuts > 0
     events[1:] |= np.diff(track.parts) > 0
     steps = unresolved(
@@ -290,7 +291,7 @@ def _unresolved(ready: Setup, track: Track) -> dict[str, float | int]:
 
 
 def _good_to(accuracy: Accuracy) -> dict[str, float | str]:
-    """Attributes of a response that say how good its displacement is; the unknown has none."""
+    """Attributes of a response with its estimated errors; unknown ones are left out."""
     parts = {name: getattr(accuracy, name) for name in ("total", "joint", "mesh", "time")}
     by_joint = {name: MEGA * value for name, value in accuracy.by_joint.items()}
     return {
@@ -303,15 +304,15 @@ def _good_to(accuracy: Accuracy) -> dict[str, float | str]:
 class _Course:
     """Contents of a response: a track without its large fields, and the values read from them."""
 
-    #: Its temperatures, frozen tangents and turnings are empty.
+    #: Track with empty temperatures, frozen tangents and turnings.
     track: Track
-    #: Shape (n, probes): K.
+    #: Shape (n, probes): temperatures of the probes, K.
     probes: np.ndarray
     #: Shape (n, o): `outputs_of` each step.
     outputs: np.ndarray
-    #: Shape (n, m): W; of joints whose friction heats.
+    #: Shape (n, m): frictional heat of the joints with slip heating, W.
     friction_heat: np.ndarray
-    #: Displacement probes where moving axes do not stand.
+    #: Displacement probes at other positions of the moving axes.
     mapped: Mapped
 
 
@@ -347,21 +348,21 @@ def _joined(parts: Sequence[_Course]) -> _Course:
 
 
 def case_in(response: xr.Dataset, where: str, otherwise: str) -> Case:
-    """Return the case that a simulated response carries.
+    """Return the case contained in a simulated response.
 
     Parameters
     ----------
     response : xarray.Dataset
-        Simulated or measured.
+        Simulated or measured response.
     where : str
-        For error messages.
+        Name of the response in error messages.
     otherwise : str
         End of the message if there is no case: the consequence, and what to do.
 
     Raises
     ------
     InputError
-        There is none, or it is unusable.
+        There is no case, or it is unusable.
     """
     try:
         data = json.loads(response.attrs["case"])
@@ -371,7 +372,7 @@ def case_in(response: xr.Dataset, where: str, otherwise: str) -> Case:
 
 
 def _check_shared(of: Case, case: Case) -> None:
-    """Refuse a set-up of another case in what the set-up of this one would refuse, or make anew."""
+    """Refuse a set-up of another case if that of this one would be refused or different."""
     if (differing := set_up_differently(of, case)) is not None:
         raise InputError(
             f"{differing}: the structure was set up for a case in which this differs; set it up "
@@ -392,7 +393,7 @@ def _check_forces(case: Case, ready: Setup) -> None:
 
 
 def _judge(ready: Setup, drive: Histories, ends: StepEnds) -> None:
-    """Refuse pressures and forces of bolts at the ends of steps, as at the rows of a response."""
+    """Refuse pressures and bolt forces at the ends of steps, as for the rows of a response."""
     _check_pressures(ready, ends.pressure, ends.times)
     if ready.bolts is None:
         return
@@ -495,7 +496,7 @@ def _response(
     return array_response(values, coords, attrs)
 
 
-# The cases of a study have one structure.
+# The cases of a study have the same structure.
 _covered = lru_cache(maxsize=1)(covered_areas)
 
 
@@ -507,7 +508,7 @@ def _versions() -> str:
 
 
 def _reference_power(case: Case) -> float:
-    """Return the heat of the reference step as the case states it, W; of all sources if several."""
+    """Return the heat of the reference step in the case, W, summed over several sources."""
     if len(case.sources) == 1:
         return next(iter(case.sources.values())).reference_power_W
     return sum(source_power(source) for source in case.sources.values())
@@ -519,7 +520,7 @@ def _heat_input(
     """Return the case's heat input; if sources have their own, the mean weighted by power."""
     own = [source for source in case.sources.values() if source.heat_input is not None]
     if case.heat_input is not None and not own:
-        # Not from the powers: 590 W x 1.5 / 590 W is 1.5 except for rounding.
+        # Not from the powers: 590 W x 1.5 / 590 W is 1.5 up to rounding only.
         if case.march.method == "adaptive":
             return np.where(times > 0.0, inputs.heat(times), 0.0)
         return np.where(times > 0.0, entering_in_steps(inputs.heat, inputs.step, times), 0.0)

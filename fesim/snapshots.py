@@ -1,8 +1,8 @@
 """Field snapshots for ParaView and pyvista: VTU files for each time and a PVD index of them.
 
 Each snapshot has two parts: the structure with temperature, displacement and stress, and, if there
-are joints, their faces with the state of the contact elements. VTU has no units: they are part of
-the names.
+are joints, their faces with the state of the contact elements. VTU has no units, so the names
+include them.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ INDEX = "snapshots.pvd"
 
 
 def snapshot_writer(setup: Setup, folder: Path, times_s: Sequence[float]) -> Callable[[Step], None]:
-    """Return a function that writes the snapshots due at the step it is given.
+    """Return a function that writes the snapshot of a step if it is due.
 
     A step is due if it is the first at or after a requested time. The index lists the snapshots of
     this writer and is rewritten after each of them: a march that is continued from a saved state
@@ -91,8 +91,8 @@ def structure_snapshot(setup: Setup, step: Step) -> meshio.Mesh:
 
     Point data ``temperature_K`` (above the initial ambient), ``displacement_m``, ``von_mises_Pa``
     and ``principal_stress_Pa`` (the largest first); cell data ``body``, the number of the body in
-    the order of ``structure.bodies``. Points are the mesh's nodes, followed by copies of those that
-    bodies share, so that each body has its own stress there: the mean over its cells.
+    the order of ``structure.bodies``. Points are the nodes of the mesh, followed by copies of those
+    shared by bodies, so that each body has its own stress there: the mean over its cells.
     """
     spaces, structure = setup.spaces, setup.structure
     temperature = setup.nodal_temperature(step.state)
@@ -126,13 +126,13 @@ def structure_snapshot(setup: Setup, step: Step) -> meshio.Mesh:
 
 
 def points_of_bodies(structure: Structure) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return points of which no two bodies share one, and the points of each cell.
+    """Return points that are not shared by bodies, and the points of each cell.
 
     Returns
     -------
     tuple of ndarray of int, shapes (points,) and (corners, cells)
-        The node of each point: first every node, then, body by body, those that an earlier body
-        also has; and the points at the corners of each cell.
+        The node of each point: first every node, then, body by body, those that also belong to an
+        earlier body; and the points at the corners of each cell.
     """
     corners = structure.mesh.t.astype(np.int64)
     count = int(corners.max()) + 1
@@ -157,7 +157,7 @@ def point_means(corners: NDArray[np.int64], values: Array) -> Array:
     corners : ndarray of int, shape (corners, cells)
         Points of each cell; every point is in a cell.
     values : ndarray, shape (corners, cells, k)
-        At the corners of each cell.
+        Values at the corners of each cell.
 
     Returns
     -------
