@@ -1,1 +1,1 @@
-"""Structures: labelled meshes with bodies, surfaces, joints and probes, and files of them."""
+"""Structures: labelled meshes with bodies, surfaces, joints and probes, and their files."""

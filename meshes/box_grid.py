@@ -45,7 +45,7 @@ class Refinement:
 def grid_lines(
     breaks: Iterable[float], size: float, finer: Iterable[tuple[float, float, float]] = ()
 ) -> NDArray[np.float64]:
-    """Divide the intervals between `breaks` (m) evenly into pieces of at most `size` (m).
+    """Divide the intervals between `breaks` (m) uniformly into pieces of at most `size` (m).
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def grid_lines(
     Raises
     ------
     InputError
-        More pieces than `LARGEST_GRID`.
+        There are more pieces than `LARGEST_GRID`.
     """
     ranges = list(finer)
     breaks = list(breaks)
@@ -94,7 +94,7 @@ def box_mesh(
     size : float
         Largest element edge, m.
     refinements : sequence of Refinement
-        Boxes with smaller elements; a tensor grid carries their lines through the whole part.
+        Boxes with smaller elements; their grid lines extend through the whole part.
 
     Raises
     ------

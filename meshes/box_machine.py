@@ -1,4 +1,4 @@
-"""Machines of boxes whose bodies stand where the axes that move them are."""
+"""Machines made of boxes, whose bodies are placed according to the positions of the axes."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from meshes.structure import Structure
 class BoxMachine:
     """Boxes, surfaces and axes of a machine; every axis moves along its own coordinate."""
 
-    #: Name to boxes where the axes are at zero, m.
+    #: From name to boxes with the axes at zero, m.
     bodies: Mapping[str, tuple[Box, ...]]
-    #: Body to which of the axes x, y, z move it: 0 or 1 each.
+    #: From body to the motion with each of the axes x, y, z: 0 or 1.
     moved: Mapping[str, tuple[int, int, int]]
-    #: Surface to body, normal (0, 1, 2), and its coordinate where the axes are at zero, m.
+    #: From surface to body, normal (0, 1, 2), and its coordinate with the axes at zero, m.
     faces: Mapping[str, tuple[str, int, float]]
-    #: What pads cover, and what they cover it with.
+    #: Surfaces of guides and pads.
     covered: tuple[str, ...]
 
 
 def meshed(machine: BoxMachine, size: float, at: Sequence[float] = (0.0, 0.0, 0.0)) -> Structure:
-    """Return a machine meshed where its axes stand.
+    """Return a machine meshed at a position of its axes.
 
-    The surface "exterior" has all that guides and pads leave.
+    The surface "exterior" contains everything except guides and pads.
 
     Parameters
     ----------

@@ -2,8 +2,8 @@
 
 Solids keep their names and become bodies, unless others are given. Faces shared by two solids
 become the two sides of a joint, ``BODY1_BODY2.a`` and ``.b``; a face that is only partly covered is
-divided there, so that its rest still convects. The solids are meshed apart: they share no node.
-Faces are named by points on them; those without a name are gathered as ``BODY_outer``.
+divided there, so that its rest still convects. The solids are meshed separately: they share no
+node. Faces are identified by points on them; unnamed ones are collected as ``BODY_outer``.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from thermojoint.artefacts.settings.read import read_settings
 from thermojoint.artefacts.settings.section import Point, Section
 
 SUFFIXES = (".step", ".stp", ".iges", ".igs", ".brep")
-#: Limit on the cells of a part: beyond it Gmsh or the simulator would take more than a day.
+#: Largest number of cells of a part: beyond it Gmsh or the simulator would take more than a day.
 MOST_CELLS = 2e7
-#: A face may be this far from a point that names it, relative to the size of the part.
+#: Largest distance of a face from the point that identifies it, relative to the size of the part.
 NEAR = 1e-4
 #: Faces whose distances from a point differ by less, relative to the size of the part, are one.
 AS_NEAR = 1e-9
@@ -55,11 +55,11 @@ class NamesFile(Section):
 class Names(NamedTuple):
     """Names given to the parts of a CAD file."""
 
-    #: Name to points on its faces, m.
+    #: From name to points on its faces, m.
     surfaces: Mapping[str, Sequence[Point]] = MappingProxyType({})
-    #: Name to a point on its surface, m.
+    #: From name to a point on its surface, m.
     bodies: Mapping[str, Point] = MappingProxyType({})
-    #: Name to its two bodies, that of side ``.a`` first.
+    #: From name to its two bodies, that of side ``.a`` first.
     joints: Mapping[str, tuple[str, str]] = MappingProxyType({})
 
 
@@ -107,7 +107,7 @@ def mesh_cad(
     order : int
         1, or 2 for curved cells.
     names : Names
-        Of faces, bodies and joints.
+        Names of faces, bodies and joints.
 
     Raises
     ------
@@ -140,9 +140,9 @@ class Face(NamedTuple):
     """A face that belongs to no joint."""
 
     body: str
-    #: On it, away from its edges, m.
+    #: Point on it, away from its edges, m.
     point: Point
-    #: m2.
+    #: Area, m2.
     area: float
 
 
@@ -154,7 +154,7 @@ def free_faces(part: Path, size: float) -> tuple[list[Face], list[tuple[str, str
     part : Path
         One of `SUFFIXES`.
     size : float
-        Largest edge of the triangles by which the points are found, m.
+        Largest edge of the triangles that determine the points, m.
 
     Raises
     ------
@@ -178,7 +178,7 @@ def free_faces(part: Path, size: float) -> tuple[list[Face], list[tuple[str, str
 
 
 def _point_on(gmsh: Any, tag: int) -> Point:  # noqa: ANN401
-    """Return the point of a face below the triangle that is nearest to the middle of all."""
+    """Return the point of a face below the triangle nearest to its middle."""
     nodes, at, _ = gmsh.model.mesh.getNodes(2, tag, includeBoundary=True)
     places = dict(zip(nodes.tolist(), at.reshape(-1, 3), strict=True))
     (corners,) = gmsh.model.mesh.getElements(2, tag)[2]
@@ -190,7 +190,7 @@ def _point_on(gmsh: Any, tag: int) -> Point:  # noqa: ANN401
 
 @contextmanager
 def _opened(part: Path, names: Names) -> Iterator[tuple[Any, dict[str, int], dict[str, list[int]]]]:
-    """Open a part in Gmsh: its bodies, and the faces of each side of its joints."""
+    """Open a part in Gmsh; provide its bodies, and the faces of each side of its joints."""
     if part.suffix.lower() not in SUFFIXES:
         raise InputError(
             f"{part}: unknown suffix {part.suffix!r}; give one of {', '.join(SUFFIXES)}"
@@ -212,7 +212,7 @@ def _opened(part: Path, names: Names) -> Iterator[tuple[Any, dict[str, int], dic
 def _check_size(gmsh: Any, part: Path, size: float) -> None:  # noqa: ANN401
     """Refuse an element size that gives more cells than can be simulated.
 
-    Estimated by regular tetrahedra in the volume and regular triangles on the surface.
+    The estimate uses regular tetrahedra in the volume and regular triangles on the surface.
     """
     volume, area = (
         sum(gmsh.model.occ.getMass(*entity) for entity in gmsh.model.getEntities(dimension))
@@ -234,7 +234,7 @@ def _in_one_line(part: Path, task: str, remedy: str) -> Iterator[None]:
         yield
     except (InputError, OSError, MemoryError):
         raise
-    # Gmsh raises nothing more specific.
+    # Gmsh does not raise anything more specific.
     except Exception as error:
         reason = " ".join(str(error).split())
         raise InputError(f"{part}: Gmsh cannot {task} ({reason}); {remedy}") from error
@@ -262,10 +262,10 @@ def _gmsh_session() -> Iterator[Any]:
 
 @contextmanager
 def _broken_pipes_as_errors() -> Iterator[None]:
-    """Undo what Gmsh changes for the whole process when it starts.
+    """Restore the process setting that Gmsh changes when it starts.
 
-    It sets SIGPIPE to its default action: from then on the process would be killed silently when it
-    writes to a connection that its reader has closed, where Python raises `BrokenPipeError`.
+    It sets SIGPIPE to its default action: from then on, writing to a connection closed by its
+    reader would kill the process silently, while Python raises `BrokenPipeError`.
     """
     before = signal.getsignal(signal.SIGPIPE) if hasattr(signal, "SIGPIPE") else None
     try:
@@ -286,7 +286,7 @@ def _plain(label: str) -> str:
 
 
 def _bodies(gmsh: Any, given: Mapping[str, Point]) -> dict[str, int]:  # noqa: ANN401
-    """Names of the solids, those given first; numbered if there is none or it is not unique."""
+    """Names of the solids, given ones first; numbered if missing or not unique."""
     named = {}
     for name, point in given.items():
         solids, _ = gmsh.model.getAdjacencies(2, _faces_at(gmsh, name, point)[0])
@@ -313,7 +313,7 @@ def _joint_sides(
 ) -> dict[str, list[int]]:
     """Divide the solids' faces where they touch; return the faces of each joint side.
 
-    The two sides get separate copies: a common one would glue their meshes together.
+    The two sides are separate copies: a common one would join their meshes.
     """
     occ = gmsh.model.occ
     faces = {body: _faces(gmsh, volume) for body, volume in bodies.items()}
@@ -357,7 +357,7 @@ def _surfaces(
 ) -> dict[str, list[int]]:
     """Faces of every surface.
 
-    Where the two sides of a joint are at a point, that of the body with the other points is meant:
+    If the two sides of a joint are at a point, it refers to that of the body with the other points:
     a guide is the face below the slide and the rest of it.
     """
     body_of = {tag: body for body, volume in bodies.items() for tag in _faces(gmsh, volume)}
@@ -388,7 +388,7 @@ def _surfaces(
 
 
 def _faces_at(gmsh: Any, name: str, point: Point) -> list[int]:  # noqa: ANN401
-    """The nearest face to a point, and those that are as near."""
+    """The nearest face to a point, and those at the same distance."""
     occ = gmsh.model.occ
     at = occ.addPoint(*point)
     box = gmsh.model.getBoundingBox(-1, -1)
@@ -422,7 +422,7 @@ def _shared(gmsh: Any, face: int, other: int) -> list[DimTag]:  # noqa: ANN401
     ):
         return []
     occ = gmsh.model.occ
-    # Use copies: faces of the solids themselves would be bound to the result.
+    # Copies, since faces of the solids themselves would be bound to the result.
     copies = occ.copy([(2, face), (2, other)])
     common, _ = occ.intersect(copies[:1], copies[1:])
     shared = [patch for patch in common if patch[0] == 2]

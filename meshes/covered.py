@@ -18,15 +18,15 @@ class Cover:
 
     #: Shape (n,): covered fraction of the area of each facet; 1 if only rounding is left.
     share: NDArray[np.float64]
-    #: Shape (n,): of each whole facet as a plane one, m2.
+    #: Shape (n,): area of each whole facet as a plane, m2.
     area: NDArray[np.float64]
-    #: Shape (nq,): which of the facets each point lies on.
+    #: Shape (nq,): index of the facet of each point.
     facet: NDArray[np.int64]
-    #: Shape (nq,): the cell behind it.
+    #: Shape (nq,): cell behind it.
     cell: NDArray[np.int64]
-    #: Shape (3, nq): m.
+    #: Shape (3, nq): quadrature points, m.
     points: NDArray[np.float64]
-    #: Shape (nq,): m2.
+    #: Shape (nq,): area weights, m2.
     weights: NDArray[np.float64]
 
 

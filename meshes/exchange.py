@@ -56,7 +56,7 @@ _MSH_END = (
 )
 _ENDS = {".vtu": b"</VTKFile>$", ".msh": _MSH_END}
 _DIMENSIONS = {"body": 3, "surface": 2, "probe": 0}
-#: Cards of Abaqus files that make nodes and cells elsewhere, or move them.
+#: Cards of Abaqus files that create nodes and cells elsewhere, or move them.
 _UNREAD_CARDS = ("INCLUDE", "SYSTEM", "NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY")
 _FACET_CORNERS = {"triangle": 3, "triangle6": 3, "quad": 4, "quad8": 4, "quad9": 4}
 #: Exceptions of meshio's readers for damaged files.
@@ -82,13 +82,13 @@ _DAMAGE = (
 def read_structure(path: Path | str, unit: float = 1.0) -> Structure:
     """Read a structure.
 
-    Cells of second order keep their shape; straight ones are read by their corners. Nodes of no
+    Second-order cells keep their shape; straight ones are read by their corners. Nodes without a
     volume cell are left out.
 
     Parameters
     ----------
     path : Path or str
-        A file with one of the suffixes of `_READERS`; MSH of version 4.1 or 2.2.
+        File with one of the suffixes of `_READERS`; MSH of version 4.1 or 2.2.
     unit : float
         Length of one unit of its coordinates, m.
 
@@ -97,9 +97,9 @@ def read_structure(path: Path | str, unit: float = 1.0) -> Structure:
     UnreadableError
         The file is missing or cannot be opened.
     InputError
-        It is empty, truncated or of another kind; its cells are of several types,
-        folded or without a body; a surface is not on the boundary; a probe is no single point; it
-        is larger than `meshes.volume_cells.LARGEST_EXTENT`.
+        It is empty, truncated or of another kind; its cells are of several types, folded or without
+        a body; a surface is not on the boundary; a probe is not a single point; the structure is
+        larger than `meshes.volume_cells.LARGEST_EXTENT`.
     """
     path = Path(path)
     raw = _read(path)
@@ -132,8 +132,8 @@ def write_structure(structure: Structure, path: Path | str) -> None:
     structure : Structure
         The structure; its ``symmetry_factor`` is not stored.
     path : Path or str
-        ``.vtu``, or ``.msh`` (written in version 2.2, binary: meshio's 4.1 cannot hold a facet of
-        several surfaces).
+        ``.vtu``, or ``.msh`` (written in version 2.2, binary: meshio's 4.1 cannot represent a facet
+        of several surfaces).
 
     Raises
     ------
@@ -194,7 +194,7 @@ def _read(path: Path) -> meshio.Mesh:
     if path.suffix == ".msh":
         _check_groups(path)
     try:
-        # Not meshio.read: it prints, and ends the process, when a reader fails. Warnings of the
+        # Not meshio.read, which prints and ends the process when a reader fails. Warnings of the
         # readers are covered by the checks below and in `volume_mesh`.
         with redirect_stderr(StringIO()), warnings.catch_warnings(action="ignore"):
             return _READERS[path.suffix](str(path))
@@ -206,7 +206,7 @@ def _read(path: Path) -> meshio.Mesh:
 
 
 def _check_groups(path: Path) -> None:
-    """Refuse MSH files with a name on several physical groups: meshio keeps the last of them."""
+    """Refuse MSH files with a name on several physical groups: meshio keeps only the last."""
     groups: dict[str, int] = {}
     with path.open("rb") as file:
         for line in file:
@@ -216,7 +216,7 @@ def _check_groups(path: Path) -> None:
             if given is None:
                 continue
             dimension, name = int(given[1]), given[2].decode(errors="replace")
-            # Names of curves mean nothing here, nor do those of points but probes.
+            # Names of curves are not used, and among those of points only the ones of probes.
             if groups.get(name, 0) >= 2 or (name in groups and name.startswith("probe:")):
                 raise InputError(
                     f"{path}: {name!r} is the name of two physical groups; give each its own"
@@ -228,8 +228,8 @@ def _check_cards(path: Path) -> None:
     """Refuse Abaqus files that meshio silently misreads.
 
     It ends a card at a comment, keeps only the last *NODE card and the last card of an element set,
-    gives sets of *ELEMENT cards to the first of these cards, and cannot join sets to a set. It
-    leaves parts where they were drawn, and out what other cards make.
+    assigns sets of *ELEMENT cards to the first of these cards, and cannot combine sets. It does not
+    move parts to their instances, and ignores what other cards create.
     """
     cards: list[tuple[str, str]] = []
     comment = False
@@ -283,7 +283,7 @@ def _blocks(raw: meshio.Mesh, dimension: int) -> list[int]:
 
 
 def _names(raw: meshio.Mesh, kind: str, path: Path) -> dict[str, Masks]:
-    """Names of a kind, each with a mask over every block of cells of its dimension."""
+    """Names of a kind, each with a mask for every block of cells of its dimension."""
     blocks = _blocks(raw, _DIMENSIONS[kind])
     if path.suffix in (".inp", ".med"):
         masks_by_name = {name: [masks[k] for k in blocks] for name, masks in _sets(raw).items()}
@@ -309,7 +309,7 @@ def _names(raw: meshio.Mesh, kind: str, path: Path) -> dict[str, Masks]:
 
 
 def _sets(raw: meshio.Mesh) -> dict[str, Masks]:
-    """Element sets of Abaqus, or groups of MED, as masks over every block of cells."""
+    """Element sets of Abaqus, or groups of MED, as masks for every block of cells."""
     masks: dict[str, Masks] = {}
 
     def add(name: str, block: int, chosen: NDArray[np.bool_]) -> None:
@@ -357,7 +357,7 @@ def _bodies(raw: meshio.Mesh, path: Path) -> dict[str, NDArray[np.int64]]:
 def _corners(
     raw: meshio.Mesh, masks: Masks, renumber: NDArray[np.int64], mesh: Mesh, where: str
 ) -> NDArray[np.int64]:
-    """Corner nodes of the named facet cells, in the numbers of the mesh, shape (n, 3 or 4)."""
+    """Corner nodes of the named facet cells, in the numbering of the mesh, shape (n, 3 or 4)."""
     count = mesh.facets.shape[0]
     blocks_of_corners = [np.empty((0, count), dtype=np.int64)]
     for k, mask in zip(_blocks(raw, 2), masks, strict=True):
@@ -407,7 +407,7 @@ def _surfaces_with_joint_sides(structure: Structure) -> dict[str, NDArray[np.int
 
 def _check_names(names: list[str]) -> None:
     for name in names:
-        # meshio escapes nothing in XML and MSH, and '@' and ':' are separators.
+        # meshio does not escape names in XML and MSH, and '@' and ':' are separators.
         if not re.fullmatch(r"[A-Za-z0-9_.+-]+", name):
             raise InputError(
                 f"name {name!r} cannot be kept in a mesh file; use letters, digits and _ . + -"
@@ -417,7 +417,7 @@ def _check_names(names: list[str]) -> None:
 def _cells(
     mesh: Mesh, volumes: meshio.CellBlock, facets: NDArray[np.int64], vertices: NDArray[np.int64]
 ) -> Cells:
-    """Volume cells, facet cells and vertex cells, as files have them."""
+    """Volume cells, facet cells and vertex cells, as in files."""
     facet_type = "quad" if mesh.facets.shape[0] == 4 else "triangle"
     return [
         (volumes.type, volumes.data),

@@ -25,7 +25,7 @@ from thermojoint.artefacts.errors import InputError
 POOR = 0.1
 #: Largest distance between facing facets, relative to the structure's size.
 TOUCHING = 1e-4
-#: Most points of a body that are looked for in another one.
+#: Largest number of points of a body that are searched for in another one.
 MOST_POINTS = 200
 #: Largest distance between coinciding corners, relative to the structure's size.
 SAME = 1e-8
@@ -33,7 +33,7 @@ SAME = 1e-8
 
 @dataclass(frozen=True)
 class BodyFacts:
-    """A body: cells, volume (m3), extent along x, y, z (m), and how many loose pieces it has."""
+    """A body: cells, volume (m3), extent along x, y, z (m), and number of separate pieces."""
 
     cells: int
     volume: float
@@ -55,16 +55,16 @@ class SurfaceFacts:
 class JointFacts:
     """A joint."""
 
-    #: Of the sides and of their common part, m2.
+    #: Areas of the sides and of their common part, m2.
     area_a: float
     area_b: float
     overlap: float
-    #: Smallest and largest distance from side a to side b along the normal, m; negative where they
+    #: Smallest and largest distance from side a to side b along the normal, m; negative in an
     #: overlap.
     gap: tuple[float, float]
     #: Largest angle between facing facets, degrees.
     misalignment: float
-    #: Different normals among the contact elements.
+    #: Number of different normals among the contact elements.
     parts: int
     #: Whether the facets of the two sides coincide.
     matching: bool
@@ -79,19 +79,19 @@ class Inspection:
     #: Numbers of nodes and cells.
     nodes: int
     cells: int
-    #: Along x, y and z, m.
+    #: Extent along x, y and z, m.
     extent: tuple[float, float, float]
     #: By name.
     bodies: dict[str, BodyFacts]
     surfaces: dict[str, SurfaceFacts]
     joints: dict[str, JointFacts]
-    #: Position, m, and the body named for a probe.
+    #: Position, m, and body specified for a probe.
     probes: dict[str, tuple[tuple[float, float, float], str | None]]
     #: Quality of the cells: ``worst``, ``1 %`` and ``median``.
     quality: dict[str, float]
     #: Position of the worst cell, m.
     worst_cell: tuple[float, float, float]
-    #: Boundary without any name, m2, and therefore without convection.
+    #: Boundary without a name, m2, and therefore without convection.
     unnamed_area: float
     #: Suspicious features, one line each.
     warnings: tuple[str, ...]
@@ -104,7 +104,7 @@ def inspect(structure: Structure, riding: Collection[str] = ()) -> Inspection:
     ----------
     structure : Structure
     riding : collection of str
-        Joints on an axis: their guides are longer than what they cover where the mesh shows them.
+        Joints on an axis, whose guides extend beyond the part covered in the mesh.
     """
     mesh = structure.mesh
     quality = cell_quality(mesh)
@@ -199,7 +199,7 @@ def pieces(corners: NDArray[np.int64]) -> NDArray[np.int64]:
     cells, nodes = corners.shape[1], int(corners.max()) + 1
     edges = (np.tile(np.arange(cells), len(corners)), cells + corners.ravel())
     graph = coo_array((np.ones(corners.size), edges), shape=(cells + nodes,) * 2)
-    # Cells come first in the graph, so theirs are the first labels.
+    # Cells come first in the graph, so the first labels are theirs.
     return connected_components(graph.tocsr(), directed=False)[1][:cells]
 
 
@@ -285,9 +285,9 @@ def _glue_warnings(structure: Structure) -> list[str]:
 
 
 def overlap_warnings(structure: Structure) -> list[str]:
-    """Return a warning for every two bodies of which one is partly inside the other.
+    """Return a warning for every two bodies that overlap.
 
-    Those of which one has the middle of a cell on its skin there.
+    They do if one contains the middle of a cell on the skin of the other.
     """
     mesh, bodies = structure.mesh, structure.bodies
     corners = {name: mesh.p[:, mesh.t[:, cells]] for name, cells in bodies.items()}
@@ -319,7 +319,7 @@ def overlap_warnings(structure: Structure) -> list[str]:
 def _skin(mesh: Mesh, cells: NDArray[np.int64]) -> tuple[Array, Array]:
     """Middles (n, 3) of the cells on the skin of a body, and triangles (m, 3, 3) of it, m.
 
-    Seen from outside the corners of each triangle are in the same sense.
+    Seen from outside, the corners of all triangles have the same sense.
     """
     facets, count = np.unique(mesh.t2f[:, cells], return_counts=True)
     facets = facets[count == 1]
@@ -335,7 +335,7 @@ def _skin(mesh: Mesh, cells: NDArray[np.int64]) -> tuple[Array, Array]:
 
 
 def _is_inside(point: Array, triangles: Array) -> bool:
-    """Whether a closed surface of triangles is all around a point, by its solid angle.
+    """Whether a closed surface of triangles encloses a point, from its solid angle.
 
     That of a triangle: Van Oosterom & Strackee 1983.
     """
@@ -369,7 +369,7 @@ def _joint_warnings(joints: dict[str, JointFacts]) -> list[str]:
 
 
 def _bare_warnings(structure: Structure, joints: dict[str, JointFacts]) -> list[str]:
-    """Joint sides that extend beyond their joint, and belong to no surface with convection."""
+    """Warn of joint sides that extend beyond their joint, without any surface for convection."""
     sides = {side for pair in structure.joints.values() for side in pair}
     others = [facets for name, facets in structure.surfaces.items() if name not in sides]
     convecting = np.concatenate([np.empty(0, int), *others])
@@ -432,7 +432,7 @@ def facing_warnings(structure: Structure, sides: Sequence[NDArray[np.int64]]) ->
     vectors = outward_areas(mesh, free)
     area = np.linalg.norm(vectors, axis=1)
     normals, centres = vectors / area[:, None], corners.mean(axis=1)
-    # Meshes need not match: a touching facet's centre is within about one facet's size.
+    # Meshes need not match: the centre of a touching facet is within about one facet size.
     pairs = cKDTree(centres).query_pairs(float(np.sqrt(area.max())), output_type="ndarray")
     if not pairs.size:
         return []

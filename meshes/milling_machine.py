@@ -2,7 +2,7 @@
 
 x runs from the column to the table, y up, z across; the machine is symmetric about z = width/2.
 The paper prints the envelope, the contact strips and the wall thickness; the other dimensions are
-our readings (docs/readings.md) and parameters here.
+assumptions (docs/readings.md) and parameters here.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def box_milling_machine(
     half : bool
         Mesh 0 <= z <= width/2 only, with the surface ``symmetry`` at the cut.
     probes : dict of Probe, optional
-        Further named points; ``A`` (spindle nose) and ``B`` (table) are always there.
+        Further named points; ``A`` (spindle nose) and ``B`` (table) are always present.
 
     Returns
     -------
@@ -103,7 +103,7 @@ def box_milling_machine(
     Raises
     ------
     InputError
-        A dimension is not positive or the parts do not fit together.
+        A dimension is not positive, or the parts do not fit together.
     """
     d = dimensions or MillingMachineDimensions()
     _check_dimensions(d)
@@ -174,7 +174,7 @@ def _strips(d: MillingMachineDimensions, depth: float) -> list[Box]:
 
 
 def _near_joint(d: MillingMachineDimensions, depth: float, size: float) -> list[Refinement]:
-    """The strips and the walls on both sides of them."""
+    """Refinements in the strips and the walls on both sides of them."""
     return [
         Refinement(
             Box(

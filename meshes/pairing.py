@@ -25,7 +25,7 @@ from meshes.polygons import Polygon, anticlockwise, clip, quadrature, signed_are
 from meshes.structure import Structure
 from thermojoint.artefacts.errors import InputError
 
-#: A part that leaves its mean plane by more than this fraction of its size is curved.
+#: A part that deviates from its mean plane by more than this fraction of its size is curved.
 FLATNESS = 1e-3
 #: Neighbouring facets whose normals differ by more than this belong to different parts, rad.
 EDGE = np.deg2rad(20.0)
@@ -33,44 +33,44 @@ EDGE = np.deg2rad(20.0)
 FACING = np.deg2rad(60.0)
 #: A curved part with normals farther than this from their mean is divided by its normals, rad.
 ROUND = np.deg2rad(45.0)
-#: The grid excludes what side b does not reach, if that is more than this fraction of side a. Less
-#: is the height of an arc between two meshes of the same round edge.
+#: The grid excludes the part that side b does not reach, if it is more than this fraction of side
+#: a. Less is the height of an arc between two meshes of the same round edge.
 UNREACHED = 0.02
-#: Sides of a rectangle whose lengths differ by less than this share are equal.
+#: Sides of a rectangle whose lengths differ by less than this fraction are equal.
 SQUARE = 1e-9
 #: Overlaps smaller than this fraction of a facet are rounding, not contact.
 SLIVER = 1e-9
-#: A facet may be covered by this fraction more than its area, due to rounding.
+#: A facet may be covered by this fraction in excess of its area, due to rounding.
 EXCESS = 1e-6
-#: Contact elements along the shorter side where none are asked for: n elements in a row resist
-#: rocking by 1 - 1/n^2 of the joint they divide, five by 96 %.
+#: Default number of contact elements along the shorter side: n elements in a row resist rocking by
+#: 1 - 1/n^2 of the undivided joint, five by 96 %.
 ACROSS = 5
-#: And at most so many along the longer side, about as long as they are wide.
+#: Largest default number along the longer side, for elements about as long as they are wide.
 ALONG = 15
 
 
 @dataclass(frozen=True, eq=False)
 class PairedJoint:
-    """Quadrature points of a joint, known on both sides, grouped into contact elements."""
+    """Quadrature points of a joint on both sides, grouped into contact elements."""
 
     #: The joint's name in the structure.
     name: str
-    #: Shapes (m, 3) and (m, 2, 3): of each contact element: unit normal from side a to side b, and
+    #: Shapes (m, 3) and (m, 2, 3), for each contact element: unit normal from side a to side b, and
     #: the directions along and across the joint.
     normal: NDArray[np.float64]
     tangents: NDArray[np.float64]
-    #: Shape (3, nq): the points on each side, m.
+    #: Shape (3, nq): points on each side, m.
     points_a: NDArray[np.float64]
     points_b: NDArray[np.float64]
-    #: Shape (nq,): the cells behind the facets they lie on.
+    #: Shape (nq,): cells behind the facets of the points.
     cells_a: NDArray[np.int64]
     cells_b: NDArray[np.int64]
-    #: Shape (nq,): these facets.
+    #: Shape (nq,): facets of the points.
     facets_a: NDArray[np.int64]
     facets_b: NDArray[np.int64]
     #: Shape (nq,): area weights, m2, on side a.
     weights: NDArray[np.float64]
-    #: Shape (nq,): the same on side b; they differ where the sides are not parallel.
+    #: Shape (nq,): the same on side b; they differ if the sides are not parallel.
     weights_b: NDArray[np.float64]
     #: Shape (nq,): contact element of each point, counted along the joint, part by part.
     element: NDArray[np.int64]
@@ -116,7 +116,7 @@ class _Side:
     area: NDArray[np.float64]
 
     def moved(self, shift: NDArray[np.float64]) -> _Side:
-        """The side moved by a shift (3,), m."""
+        """Return the side moved by a shift (3,), m."""
         return replace(self, corners=self.corners + shift, centre=self.centre + shift)
 
     def lift(self, plane: _Plane, flat: Polygon, facet: int) -> NDArray[np.float64]:
@@ -139,26 +139,26 @@ class _Cell:
 
 
 class _Patch(NamedTuple):
-    """What a contact element covers: quadrature points on both sides, and the pieces."""
+    """Overlap of both sides in a contact element: quadrature points on both sides, and pieces."""
 
-    #: Shapes (nq, 3): m.
+    #: Shapes (nq, 3): quadrature points, m.
     points_a: NDArray[np.float64]
     points_b: NDArray[np.float64]
     #: Shapes (nq,): area weights on each side, m2.
     weights_a: NDArray[np.float64]
     weights_b: NDArray[np.float64]
-    #: Shape (nq, 2): which facet of each side each point lies on.
+    #: Shape (nq, 2): index of the facet of each side on which each point lies.
     owner: NDArray[np.int64]
     #: Shape (corners, 3): overlaps of a facet of each side and the contact element, on side a, m.
     pieces: list[NDArray[np.float64]]
 
 
 class Covered(NamedTuple):
-    """What a contact element covers of side b where side a is elsewhere."""
+    """Part of side b covered by a contact element at another position of side a."""
 
     #: Shape (3, nq): quadrature points on side b, m.
     points: NDArray[np.float64]
-    #: Shape (nq,): the cells behind the facets they lie on, and area weights on side a, m2.
+    #: Shape (nq,): cells behind the facets of the points, and area weights on side a, m2.
     cells: NDArray[np.int64]
     weights: NDArray[np.float64]
     #: Shape (3,): centroid on side a, m.
@@ -167,20 +167,20 @@ class Covered(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Movable:
-    """A paired joint whose side a can be elsewhere, with the contact elements that it has."""
+    """A paired joint whose side a can move, with its contact elements."""
 
-    #: What is meshed.
+    #: Mesh of the structure.
     mesh: Mesh
     #: Its sides, as meshed.
     side_a: _Side
     side_b: _Side
-    #: Of its contact elements, in their order.
+    #: Its contact elements, in their order.
     cells: tuple[_Cell, ...]
 
     def covered(self, element: int, shift: NDArray[np.float64]) -> Covered | None:
-        """Return what a contact element covers with side a moved by a shift (3,), m.
+        """Return the part covered by a contact element with side a moved by a shift (3,), m.
 
-        None where it faces nothing.
+        None if it faces nothing.
         """
         patch = _patch(self.cells[element], self.side_a, self.side_b.moved(-shift))
         if patch is None:
@@ -196,7 +196,7 @@ class Movable:
 def movable_joint(
     structure: Structure, joint: PairedJoint, along: int | None, across: int | None
 ) -> Movable:
-    """Return a joint by `pair_joint`, with the same `along` and `across`, as one that can slide."""
+    """Return a joint from `pair_joint`, with the same `along` and `across`, that can slide."""
     sides = _sides(structure, joint.name)
     every = _contact_cells(structure.mesh, joint.name, sides, along, across)
     by_place = {cell.place: cell for cell in every}
@@ -213,7 +213,7 @@ def pair_joint(
     Parameters
     ----------
     structure : Structure
-        Where the joint lives.
+        Structure with the joint.
     name : str
         The joint.
     along, across : int, optional
@@ -241,7 +241,7 @@ def pair_joint(
             f"joint {name!r}: several layers of side b lie before the same place of side a; make "
             "each pair of faces its own joint"
         )
-    # Grid cells outside an irregular part are empty; the others are numbered without gaps.
+    # Grid cells outside an irregular part are empty; the others are numbered consecutively.
     numbers = np.arange(len(cells))
     element = np.repeat(numbers, [len(patch.weights_a) for patch in patches])
     area = np.bincount(element, weight).astype(float)
@@ -276,7 +276,7 @@ def _sides(structure: Structure, name: str) -> tuple[_Side, _Side]:
 
 
 def _patch(cell: _Cell, side_a: _Side, side_b: _Side) -> _Patch | None:
-    """What a contact element covers; None where it faces nothing."""
+    """Overlap of both sides in a contact element; None if it faces nothing."""
     points_a, points_b, weights_a, weights_b, owners, pieces = [], [], [], [], [], []
     for i, j, overlap in _overlaps(cell, side_a, side_b):
         flat, weight = quadrature(overlap)
@@ -307,7 +307,7 @@ def _side(mesh: Mesh, facets: NDArray[np.int64]) -> _Side:
 
 
 def _overlaps(cell: _Cell, side_a: _Side, side_b: _Side) -> Iterator[tuple[int, int, Polygon]]:
-    """Yield (facet of side a, facet of side b, what they share) in a contact element's plane."""
+    """Yield (facet of side a, facet of side b, their overlap) in a contact element's plane."""
     flat_a = cell.plane.flat(side_a.corners[cell.facets])[..., :2]
     box = np.array([flat_a.min(axis=(0, 1)), flat_a.max(axis=(0, 1))])
     # Side b's facets on the rim of a curved contact element turn farther than side a's.
@@ -333,7 +333,7 @@ def _overlaps(cell: _Cell, side_a: _Side, side_b: _Side) -> Iterator[tuple[int, 
 def _facing(
     plane: _Plane, corners: NDArray[np.float64], side: _Side, angle: float
 ) -> NDArray[np.int64]:
-    """Facets of `side` that face a plane, no farther from it than its `corners` are apart."""
+    """Facets of `side` that face a plane, at a distance of at most the extent of `corners`."""
     normal, reach = plane.frame[2], np.ptp(corners.reshape(-1, 3), axis=0).max()
     near = np.abs((side.centre - plane.origin) @ normal) <= reach
     return np.flatnonzero(near & (side.normal @ normal < -np.cos(angle)))
@@ -380,7 +380,7 @@ def _mean_plane(side: _Side, part: NDArray[np.int64]) -> _Plane:
     basis = np.stack([first, np.cross(normal, first)])
     along = _long_direction((points - origin) @ basis.T) @ basis
     along *= np.sign(along[np.argmax(np.abs(along))])
-    # Rounding would tilt the grid against an axis-parallel joint.
+    # Rounding would tilt the grid of an axis-parallel joint.
     along[np.abs(along) < 1e-9] = 0.0
     along -= (along @ normal) * normal
     along /= np.linalg.norm(along)
@@ -391,8 +391,9 @@ def _long_direction(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Direction of the longer side of the smallest rectangle around plane points (n, 2).
 
     That rectangle has a side along an edge of the convex hull (Freeman & Shapira 1975). Unlike the
-    principal axes, it does not depend on how a rectangular patch is meshed. Of a square, and of all
-    that lie around a disc, it is the side nearest to the first direction, wherever they lie.
+    principal axes, it does not depend on how a rectangular patch is meshed. For a square, or
+    equivalent rectangles around a disc, the side nearest to the first direction is used, at any
+    position of the points.
     """
     hull = points[ConvexHull(points).vertices]
     edges = np.roll(hull, -1, axis=0) - hull
@@ -404,7 +405,7 @@ def _long_direction(points: NDArray[np.float64]) -> NDArray[np.float64]:
     sides = np.concatenate([along, across])
     long = np.concatenate([length, width]) >= (1.0 - SQUARE) * np.tile(longest, 2)
     nearest = sides[np.tile(least, 2) & long]
-    # Of two that are as near as each other, one on either hand, always the same.
+    # Of two equally near ones, one on either side, always the same.
     reached = np.round(np.abs(nearest[:, 0]), 6)
     return nearest[np.lexsort([nearest.prod(axis=1), reached])[-1]]
 
@@ -423,14 +424,14 @@ def _parts(mesh: Mesh, side: _Side) -> list[NDArray[np.int64]]:
 def linked_parts(
     nodes: NDArray[np.int64], alike: Callable[[coo_array], NDArray[np.bool_]]
 ) -> NDArray[np.int32]:
-    """Return the number of the part of each facet, from 0; facets of a part are linked by others.
+    """Return the number of each facet's part, from 0; facets of a part are linked by others.
 
     Parameters
     ----------
     nodes : ndarray of int, shape (k, n)
-        Of each facet.
+        Nodes of each facet.
     alike : callable
-        Pairs of facets that share nodes, a sparse array of how many, to which of them are linked.
+        From pairs of facets with common nodes, a sparse array of their number, to which are linked.
     """
     count = nodes.shape[1]
     facet = np.tile(np.arange(count), nodes.shape[0])
@@ -446,7 +447,7 @@ def _turn(side: _Side, part: NDArray[np.int64]) -> float:
     """Largest angle between the normal of a facet and the mean normal, rad."""
     mean = side.area[part] @ side.normal[part]
     length = np.linalg.norm(mean)
-    # The normals of a closed ring cancel out: what is left is rounding.
+    # The normals of a closed ring cancel out up to rounding.
     if length < 1e-6 * side.area[part].sum():
         return float(np.pi)
     return float(np.arccos(np.clip((side.normal[part] @ mean).min() / length, -1.0, 1.0)))
@@ -480,7 +481,7 @@ def _contact_cells(
 
 
 def _square(rows: int, length: float, width: float) -> int:
-    """Columns that make the elements of a grid about as long as they are wide."""
+    """Number of columns for grid elements about as long as they are wide."""
     return int(np.clip(round(rows * length / width), ACROSS, ALONG))
 
 
@@ -505,9 +506,9 @@ def _reached(plane: _Plane, corners: NDArray[np.float64], other: _Side) -> NDArr
 
 
 def _bisected(side: _Side, part: NDArray[np.int64], count: int) -> Iterator[NDArray[np.int64]]:
-    """Divide facets into `count` groups of about equal area, each as compact as can be.
+    """Divide facets into `count` groups of about equal area, as compact as possible.
 
-    Round parts are divided across their turn first: an element that turns far has no normal.
+    Round parts are first divided across their turn: an element that turns far has no normal.
     """
     if count == 1 or len(part) == 1:
         yield part
@@ -526,7 +527,7 @@ def _bisected(side: _Side, part: NDArray[np.int64], count: int) -> Iterator[NDAr
 
 
 def _along_longest(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Coordinates of points (n, 3) along the direction in which they differ most."""
+    """Coordinates of points (n, 3) along the direction of their largest extent."""
     centred = points - points.mean(axis=0)
     return centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
 

@@ -54,7 +54,7 @@ def clip(subject: Polygon, window: Polygon) -> Polygon:
 def quadrature(corners: Polygon) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Quadrature points (n, 2) and weights (n,) of a convex polygon, weights summing to its area.
 
-    The polygon is cut into a fan of triangles with a rule of degree four on each.
+    The polygon is divided into a fan of triangles with a rule of degree four on each.
     """
     origin = corners[0]
     first, second = corners[1:-1] - origin, corners[2:] - origin

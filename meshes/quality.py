@@ -9,10 +9,10 @@ from thermojoint.artefacts.arrays import Array
 
 
 def cell_quality(mesh: Mesh) -> Array:
-    """Return the quality of every cell by its corners, shape (cells,).
+    """Return the quality of every cell from its corners, shape (cells,).
 
-    Hexahedra: scaled Jacobian, the smallest over the corners of the volume that the three unit
-    edges span. Tetrahedra: three times the radius of the inscribed sphere over that of the
+    Hexahedra: scaled Jacobian, the smallest over the corners of the volume spanned by the three
+    unit edges. Tetrahedra: three times the radius of the inscribed sphere over that of the
     circumscribed one.
     """
     corners = mesh.p[:, mesh.t].transpose(2, 1, 0)
@@ -20,7 +20,7 @@ def cell_quality(mesh: Mesh) -> Array:
 
 
 def cell_volumes(mesh: Mesh) -> Array:
-    """Return the volume of every cell, curvature included, shape (cells,), m3."""
+    """Return the volume of every cell, including curvature, shape (cells,), m3."""
     element = ElementHex0() if mesh.t.shape[0] == 8 else ElementTetP0()
     return np.asarray(CellBasis(mesh, element, intorder=6).dx.sum(axis=1))
 

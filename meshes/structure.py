@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 class Probe:
     """A named point on or in a body."""
 
-    #: x, y, z in m.
+    #: Coordinates x, y, z, m.
     position: tuple[float, float, float]
-    #: The body it belongs to; needed only where two bodies touch.
+    #: Body of the probe; needed only where two bodies touch.
     body: str | None = None
 
 
@@ -32,9 +32,9 @@ class Structure(Described):
     Attributes
     ----------
     mesh : skfem.Mesh
-        Hexahedra or tetrahedra, coordinates in m. Bodies that a joint separates share no node.
+        Hexahedra or tetrahedra, coordinates in m. Bodies separated by a joint share no node.
     bodies : dict of str to ndarray of int
-        Cells of each body; together they are all cells, each once.
+        Cells of each body; every cell belongs to exactly one body.
     surfaces : dict of str to ndarray of int
         Boundary facets of each named surface; surfaces may overlap.
     joints : dict of str to (str, str)
@@ -61,7 +61,7 @@ class Structure(Described):
         }
 
     def __post_init__(self) -> None:
-        """Check that the names and the mesh fit each other."""
+        """Check that the names and the mesh are consistent."""
         _check_mesh(self.mesh)
         _check_bodies(self)
         _check_surfaces(self)
@@ -76,7 +76,7 @@ class Structure(Described):
         name : str
             The body.
         where : str
-            Place that names it, for the error.
+            Place of the name, for the error message.
         """
         if name not in self.bodies:
             raise unknown_name("body", name, self.bodies, where)
@@ -90,7 +90,7 @@ class Structure(Described):
         name : str
             The surface.
         where : str
-            Place that names it, for the error.
+            Place of the name, for the error message.
         """
         if name not in self.surfaces:
             raise unknown_name("surface", name, self.surfaces, where)

@@ -45,5 +45,5 @@ THREE_AXES = BoxMachine(
 
 
 def three_axis_machine(size: float, at: Sequence[float] = (0.0, 0.0, 0.0)) -> Structure:
-    """Return the machine of elements of `size`, m, where its axes x, y and z stand, m."""
+    """Return the machine with elements of `size`, m, at a position of its axes x, y and z, m."""
     return meshed(THREE_AXES, size, at)

@@ -1,8 +1,8 @@
-"""Pads that move along a guide: where their contact elements lie on its surface.
+"""Pads that move along a guide: positions of their contact elements on its surface.
 
-The contact elements of a joint on an axis belong to its side a, the pads. At a position of the
-axis each one covers a station of side b, the guide's surface. Contact elements that cover the same
-place at different positions share a station, also those of different joints on one guide.
+The contact elements of a joint on an axis belong to its side a, the pads. At a position of the axis
+each one covers a station of side b, the guide's surface. Contact elements that cover the same place
+at different positions share a station, also those of different joints on one guide.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 
-#: Normals of the pads may turn towards the axis by this, rad.
+#: Largest angle between the pads' surface and the axis, rad.
 PARALLEL = 1e-3
-#: Places that differ by less than this share of the size of a contact element are equal.
+#: Places that differ by less than this fraction of the size of a contact element are equal.
 SAME = 1e-5
 
 
 @dataclass(frozen=True)
 class Stations:
-    """Places on guides that contact elements cover: n stations, quadrature points on them."""
+    """Places on guides covered by contact elements: n stations, quadrature points on them."""
 
-    #: Shape (3, nq): m.
+    #: Shape (3, nq): quadrature points, m.
     points: Array
-    #: Shape (nq,): the cell of the guide behind each point.
+    #: Shape (nq,): cell of the guide behind each point.
     cells: NDArray[np.int64]
-    #: Shape (nq,): of each point.
+    #: Shape (nq,): station of each point.
     station: NDArray[np.int64]
     #: Shape (nq,): area weights; they add up to one at every station.
     share: Array
@@ -46,15 +46,15 @@ class Stations:
 
 @dataclass(frozen=True)
 class Travel:
-    """What moves along an axis."""
+    """Motion along an axis."""
 
-    #: Its name.
+    #: Name of the axis.
     axis: str
-    #: The bodies that move, those included that are carried along.
+    #: Moving bodies, including those carried along.
     bodies: Sequence[str]
-    #: Joints that ride on the axis to `along` and `across` of `pair_joint`.
+    #: From joints on the axis to `along` and `across` of `pair_joint`.
     divided: dict[str, tuple[int | None, int | None]]
-    #: Shape (k, 3): from where the mesh shows the bodies, m.
+    #: Shape (k, 3): displacements from the positions in the mesh, m.
     shifts: Array
 
 
@@ -64,14 +64,14 @@ def sliding(joint: PairedJoint, direction: Array) -> PairedJoint:
     Parameters
     ----------
     joint : PairedJoint
-        Its side a are the pads.
+        Joint whose side a are the pads.
     direction : ndarray, shape (3,)
         Unit vector.
 
     Raises
     ------
     InputError
-        Its surface is not parallel to the direction.
+        The surface of the joint is not parallel to the direction.
     """
     across = np.cross(joint.normal, direction)
     if float(np.abs(joint.normal @ direction).max()) > PARALLEL:
@@ -86,25 +86,25 @@ def sliding(joint: PairedJoint, direction: Array) -> PairedJoint:
 def stations_of(
     structure: Structure, joints: Sequence[PairedJoint], travels: Sequence[Travel]
 ) -> Stations:
-    """Find the stations that contact elements cover at some positions of each axis.
+    """Find the stations covered by contact elements at some positions of each axis.
 
-    What a contact element covers depends on its own axis alone: the other axes move both of its
-    sides, or none.
+    They depend only on the axis of the contact element: the other axes move both of its sides, or
+    neither.
 
     Parameters
     ----------
     structure : Structure
-        As meshed.
+        Structure as meshed.
     joints : sequence of PairedJoint
         All joints as meshed, in the order of the contact elements.
     travels : sequence of Travel
-        Of each axis.
+        Motion along each axis.
 
     Raises
     ------
     InputError
         Pads leave the guide; side a of a joint does not move or its side b does; or an axis moves
-        one side of a joint that does not ride on it.
+        one side of a joint that is not on it.
     """
     starts = np.cumsum([0, *(joint.area.size for joint in joints)])
     unit = SAME * min(float(np.sqrt(joint.area.min())) for joint in joints)
@@ -132,7 +132,7 @@ def stations_of(
         for row, shift in zip(place, travel.shifts, strict=True):
             for rides in riding:
                 for e, key in enumerate(rides.keys(shift, unit)):
-                    # What is known was found at another position, or by another element.
+                    # Known stations were found at another position, or by another element.
                     row[rides.start + e] = known.setdefault(key, len(known))
                     if row[rides.start + e] == len(found):
                         found.append(_covered(rides, e, shift))
@@ -149,15 +149,15 @@ def stations_of(
 
 @dataclass(frozen=True, eq=False)
 class _Riding:
-    """A joint that rides on an axis."""
+    """A joint on an axis."""
 
-    #: As meshed.
+    #: Joint as meshed.
     joint: PairedJoint
-    #: The same, to be elsewhere.
+    #: The same joint, to be moved.
     movable: Movable
-    #: Number of its first contact element.
+    #: Index of its first contact element.
     start: int
-    #: Its axis and the surface that it rides on.
+    #: Its axis and the surface of its guide.
     guide: tuple[str, str]
 
     @cached_property
@@ -172,13 +172,13 @@ class _Riding:
 
     @cached_property
     def size(self) -> float:
-        """Of the smallest contact element, m."""
+        """Size of the smallest contact element, m."""
         return float(np.sqrt(self.joint.area.min()))
 
     def keys(self, shift: Array, unit: float) -> list[tuple[object, ...]]:
-        """Return what tells the places of its contact elements apart.
+        """Return keys that distinguish the places of its contact elements.
 
-        They are moved by a shift (3,), m, and places that differ by less than `unit`, m, are equal.
+        They are moved by a shift (3,), m; places that differ by less than `unit`, m, are equal.
         """
         marks = np.round((self.marks + np.tile(shift, 3)) / unit)
         normals = np.round(self.joint.normal, 4)
@@ -186,7 +186,7 @@ class _Riding:
 
 
 def _covered(rides: _Riding, e: int, shift: Array) -> Covered:
-    """What a contact element covers with the pads moved by a shift: as much as where meshed."""
+    """Part covered by a contact element with moved pads, of the same extent as in the mesh."""
     joint, now = rides.joint, rides.movable.covered(e, shift)
     if now is None:
         raise _left(joint, shift)

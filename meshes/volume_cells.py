@@ -15,10 +15,10 @@ from thermojoint.artefacts.errors import InputError
 
 #: A structure larger than this (m) is assumed to be in mm.
 LARGEST_EXTENT = 50.0
-#: A cell counts as straight if no mid node lies off the middle by more than this fraction of the
+#: A cell is straight if no mid node deviates from the middle by more than this fraction of the
 #: cell's size.
 STRAIGHTNESS = 1e-6
-#: A cell with less volume than this fraction of its own bounding cube has none.
+#: A cell whose volume is below this fraction of its bounding cube is flat.
 FLATTEST_CELL = 1e-9
 
 _TETRA_EDGES = ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3))
@@ -27,7 +27,7 @@ _HEX_EDGES = (
     *((0, 4), (1, 5), (2, 6), (3, 7)),
 )
 _HEX_FACES = ((0, 4, 7, 3), (1, 2, 6, 5), (0, 1, 5, 4), (3, 7, 6, 2), (0, 3, 2, 1), (4, 5, 6, 7))
-#: Cell type -> (type of its straight cell, corners, and between which corners each further node
+#: Cell type -> (type of its straight cell, corners, and the corners between which each further node
 #: lies, in VTK's order).
 _VOLUMES: dict[str, tuple[str, int, tuple[tuple[int, ...], ...]]] = {
     "tetra": ("tetra", 4, ()),
@@ -39,17 +39,17 @@ _VOLUMES: dict[str, tuple[str, int, tuple[tuple[int, ...], ...]]] = {
 
 
 def volume_mesh(raw: meshio.Mesh, path: Path) -> tuple[Mesh, NDArray[np.int64]]:
-    """Return the mesh, and the number in it of each of the file's corner nodes.
+    """Return the mesh, and the index in it of each corner node of the file.
 
-    Cells of second order keep their curved geometry; if all of them are straight, the mesh becomes
-    one of first order: it has the same shape and costs less.
+    Second-order cells keep their curved geometry; if all of them are straight, the mesh becomes one
+    of first order, which has the same shape and is cheaper.
 
     Returns
     -------
     mesh : skfem.Mesh
-        Hexahedra or tetrahedra, corners first, and no node without a cell.
+        Hexahedra or tetrahedra, corners first, without nodes that belong to no cell.
     renumber : ndarray of int, shape (nodes of the file,)
-        Number of each node in the mesh, -1 where it has none.
+        Index of each node in the mesh, -1 if it is not in it.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def volume_mesh(raw: meshio.Mesh, path: Path) -> tuple[Mesh, NDArray[np.int64]]:
     straight, corners, between = _VOLUMES[types[0]]
     cells = np.concatenate([block.data for block in blocks]).astype(np.int64)
     points = np.asarray(raw.points, dtype=float)
-    # Facets and vertices too: they name surfaces and probes.
+    # Facets and vertices, too: they define surfaces and probes.
     for nodes in [block.data for block in raw.cells if len(block.data)]:
         if nodes.min() < 0 or nodes.max() >= len(points):
             raise InputError(f"{path}: a cell refers to a missing node; export the mesh again")
@@ -109,7 +109,7 @@ def _curved(
     corner: NDArray[np.int64],
     between: tuple[tuple[int, ...], ...],
 ) -> Mesh:
-    """Return the mesh of second order whose mid nodes are where the file has them."""
+    """Return the second-order mesh with the mid nodes of the file."""
     curved = (MeshTet2 if corner.shape[1] == 4 else MeshHex2).from_mesh(mesh)
     places = curved.doflocs.copy()
     at = [points[cells[:, node]] for node in range(corner.shape[1], cells.shape[1])]
@@ -129,7 +129,7 @@ def _curved(
 def _serendipity_middles(
     points: NDArray[np.float64], cells: NDArray[np.int64]
 ) -> list[NDArray[np.float64]]:
-    """Centres of the six faces and of the body of 20-node hexahedra, by their own map."""
+    """Centres of the six faces and of the body of 20-node hexahedra, from their own map."""
     corner, edge = points[cells[:, :8]], points[cells[:, 8:]]
     faces = [
         0.5
@@ -141,7 +141,7 @@ def _serendipity_middles(
 
 
 def _rows_in(table: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Index in `table` of each of `rows`, numbers in any order; -1 where it is not there."""
+    """Index in `table` of each of `rows`, with numbers in any order; -1 if it is missing."""
     both = np.vstack([np.sort(table, axis=1), np.sort(rows, axis=1)])
     _, key = np.unique(both, axis=0, return_inverse=True)
     key = key.ravel()
@@ -151,10 +151,10 @@ def _rows_in(table: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.in
 
 
 def _check_cells(mesh: Mesh, path: Path) -> None:
-    """Raise InputError if a cell has no volume, is folded or is there twice."""
+    """Raise InputError if a cell has no volume, is folded or occurs twice."""
     reference = mesh.elem.refdom.p
     centre = reference.mean(axis=1, keepdims=True)
-    # Not detDF: it raises a bare Exception on a determinant of zero.
+    # Not detDF, which raises a bare Exception for a determinant of zero.
     gradient = mesh.mapping().DF(centre + (reference - centre) / np.sqrt(3.0))
     volume = np.linalg.det(np.moveaxis(gradient, (0, 1), (2, 3)))
     size = np.ptp(mesh.p[:, mesh.t], axis=1).max(axis=0)

@@ -31,12 +31,12 @@ def with_wall(structure: Structure, name: str, faces: str) -> Structure:
     Parameters
     ----------
     structure : Structure
-        Of hexahedra or tetrahedra of first order.
+        Structure of first-order hexahedra or tetrahedra.
     name : str
         Name of the wall's body, and of the surface with all its nodes; `face_of` gives the name of
         the surface that faces the structure.
     faces : str
-        Surface in front of the wall.
+        Surface that the wall faces.
 
     Raises
     ------
