@@ -54,8 +54,8 @@ class Drives(NamedTuple):
     rates: Array
     modes: Array
     rows: Array
-    #: Shape (a, 3): frictional heat replaced by the screw's, J per m of travel; input of its
-    #: surfaces.
+    #: Shape (a, 3): frictional heat not taken up by the screw, J per m of travel; input of
+    #: its surfaces.
     spared: Array
     column: NDArray[np.int64]
     #: Shape (a, 3, r): rows of the temperatures of these surfaces.

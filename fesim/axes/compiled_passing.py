@@ -281,7 +281,7 @@ def _refine(guides: Guides, passed: Passed, conducted: Array, groups: int, again
     total = begin[begin.size - 1]
     before, enough = 0.0, LEFT * largest(passed.warm)
     for i in range(total):
-        # Effect of the heat of the rows; what the factors omit, others' influence, is part of it.
+        # Effect of the heat of the rows; the influence that the factors omit is part of it.
         before = max(before, abs(passed.found[rows[i]] - passed.warm[rows[i]]))
     for iteration in range(MOST):
         _leave(guides, passed, conducted)

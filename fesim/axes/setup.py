@@ -71,7 +71,7 @@ MOST_NUMBERS = 400_000_000
 class MovingSetup:
     """A condensed case with moving axes."""
 
-    #: Set-up of the machine at its position at time zero, not for drawings or factorisations.
+    #: Set-up of the machine at its position at time zero, without fields or other step lengths.
     setup: Setup
     #: The machine at all positions.
     moving: MovingMachine

@@ -36,8 +36,8 @@ SLOW = 0.5
 WORTH = 2.0
 #: Residual of an accepted state, relative to the tolerance, as `fesim.joint.modified_newton`.
 LEFT = 0.01
-#: A residual below this fraction of it is accepted whatever the correction is: if only sliding
-#: friction holds a body, picometres along its path are below rounding.
+#: A residual below this fraction of that is accepted at any correction: if only sliding friction
+#: holds a body, picometres along its path are below rounding.
 SLIDES = 1e-3
 #: No part of the first correction may be left. Named, since literals are compiled separately.
 EXACT = 0.0

@@ -119,8 +119,8 @@ class SourceSection(Section):
     ``reading`` defines ``reference_power_W``: the heat of each of the ``count`` sources of the
     whole machine, or of all of them together. A source without its own ``heat_input`` uses that of
     the case. A ``profile`` distributes the same heat nonuniformly. With ``power_share`` a
-    joint-aware model of the case reads the power of a motor or drive, of which that share becomes
-    heat here.
+    joint-aware model of the case reads the power of a motor or drive; that share of it becomes heat
+    here.
     """
 
     surface: str | None = None

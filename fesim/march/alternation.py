@@ -27,9 +27,9 @@ GAIN = 0.9
 #: Changes of sign in a row that are required if the gain is estimated from the increments.
 STUBBORN = 6
 #: Motion to and fro reverses increments in most steps. A compiled march on axes computes the gain
-#: in one of so many: it changes slowly, and alternating steps persist until then.
+#: in one of this many: it changes slowly, and alternating steps persist until then.
 SOMETIMES = 4
-#: One of so many steps, in which a march also checks whether longer periods decay, by steps with
+#: In one of this many steps the march also checks whether longer periods decay, by steps with
 #: constant inputs and positions.
 SELDOM = 8
 #: Increments below this fraction of the largest one are not used for the gain.

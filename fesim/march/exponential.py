@@ -131,7 +131,7 @@ class ExponentialStep:
         return heat_balance(thermal, mean - change, mean, inputs, ends.flow_at(0.5))
 
     def lacking(self, bend: Array, conducted: Array) -> Array:
-        """Return the error of the unknowns (r + s,) if the joint heat flows are curved in the step.
+        """Return the correction of the unknowns (r + s,) for curved joint heat flows in the step.
 
         Parameters
         ----------
