@@ -214,7 +214,7 @@ def _krylov_basis(
         factor = factors(shift * system.capacity)
         driving = np.hstack([system.drives, shift * system.capacity[:, None] * fields])
         for combined in _samples(driving, sample):
-            # Only the columns that are added to the basis are checked.
+            # Unchecked: only the responses that the basis is compared with are checked.
             block = root * factor.solve(combined)
             directions = _orthonormal(block, basis[:, :rank], cut)
             basis = _added(basis, rank, directions)

@@ -23,7 +23,7 @@ class TemperatureFactor:
 
     @property
     def middle(self) -> float:
-        """Mean of the largest and the smallest value; no value deviates from it by as much as it."""
+        """Mean of the largest and the smallest value; no value deviates by as much as this."""
         return 0.5 * float(self.values.min() + self.values.max())
 
     @cached_property
