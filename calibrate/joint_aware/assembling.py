@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 
 from calibrate.joint_aware.past import Pasts, answer, random_pasts, states_after
 from calibrate.joint_aware.physics_fit import Fit
-from calibrate.joint_aware.sticking import sticking_tangent
+from calibrate.joint_aware.sticking import combinations, tangents_at
 from estimator.joint_aware.filter_design import (
     Noise,
     SteadyFilter,
@@ -20,7 +19,7 @@ from estimator.joint_aware.filter_design import (
 from estimator.joint_aware.observer_model import Band, Calibrated, ObserverModel
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
-from thermojoint.reduced.machine import Modes, ReducedMachine, diagonal_modes, placed
+from thermojoint.reduced.machine import Modes, ReducedMachine, diagonal_modes
 from thermojoint.reduced.parameters import factors_of, with_factors
 from thermojoint.reduced.unknown_heat import with_unknown_heat
 
@@ -116,7 +115,8 @@ def observer_from_rest(
     )
     steady = replace(design, scale=scale)
     others = [fit.discrepancy.displacement, np.zeros((len(machine.axes), walk.size))]
-    everywhere = [np.hstack([own, *others]) for own in _tangents(modes, fitted)]
+    tangents = tangents_at(modes, fitted.laws, _places(modes))
+    everywhere = [np.hstack([own, *others]) for own in tangents]
     moved = everywhere[len(everywhere) // 2]
     nothing = np.zeros((len(machine.axes), fit.discrepancy.rates.size))
     spread = np.sqrt(np.diag(fit.covariance))
@@ -197,23 +197,13 @@ def seen_heat(machine: ReducedMachine, fit: Fit, calibrated: Calibrated, largest
     return heat if told.all() else 0.0
 
 
-def _tangents(modes: Modes, machine: ReducedMachine) -> list[Array]:
-    """Displacement per amplitude, (axes, r), the joints sticking.
+def _places(modes: Modes) -> Array:
+    """Where the steady covariance counts, m, (k, x).
 
     At every aligned position of an axis; of several axes at the combinations of the ends and the
     middle of their strokes.
     """
-    if modes.way is None:
-        return [sticking_tangent(modes, machine.laws)]
-    strokes = [positions.tolist() for positions in modes.way.stations.positions]
-    if len(strokes) > 1:
-        strokes = [[one[0], one[len(one) // 2], one[-1]] for one in strokes]
-    drives = modes.drives
-    assert drives is not None  # with axes
-    return [
-        drives.tangent(lambda place: sticking_tangent(placed(modes, place), machine.laws), at)
-        for at in product(*strokes)
-    ]
+    return combinations([] if modes.way is None else modes.way.stations.positions)
 
 
 def warm_columns(

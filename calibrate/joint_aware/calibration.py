@@ -21,7 +21,7 @@ from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.observer_model import Calibrated, ObserverModel
 from estimator.joint_aware.readings import positions_in, temperatures_in
 from fesim.axes.axis import Axis, place_of
-from fesim.axes.setup import set_up_axes
+from fesim.axes.setup import MovingSetup, set_up_axes
 from fesim.case.schema import Case
 from fesim.setup.machine import set_up
 from fesim.setup.parts import unit_direction
@@ -173,7 +173,17 @@ def machine_of(case: Case, sensors: Sequence[str]) -> ReducedMachine:
     """
     if not case.axes:
         return reduce_machine(case, set_up(case), sensors)
-    ready = set_up_axes(case)
+    return machine_on_axes(case, set_up_axes(case), sensors)
+
+
+def machine_on_axes(case: Case, ready: MovingSetup, sensors: Sequence[str]) -> ReducedMachine:
+    """Return the machine of a case with axes and its set-up, with its `sensors`.
+
+    Raises
+    ------
+    InputError
+        As `reduce_machine` and `drives_on`.
+    """
     axes = tuple(_moving_axis(case, axis) for axis in ready.axes)
     drives, way = drives_on(case, ready), ready.moving.guideway
     guide = Guide(axes, drives, way, place_of(ready.axes, 0.0))

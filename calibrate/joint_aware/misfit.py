@@ -310,7 +310,7 @@ def physics_with(machine: ReducedMachine, factors: dict[str, float]) -> Physics:
     assumption, and so they are recomputed for a changed convection or conduction only. On several
     axes, or with a drive, they assume none (`thermojoint.reduced.axes_march`).
     """
-    other, held = with_factors(machine, factors), _assumed(machine)
+    other, held = with_factors(machine, factors), assumed(machine)
     modes = on_basis(other, *basis_with(machine, factors), held)
     return make_physics(modes, other.joints, held)
 
@@ -327,11 +327,11 @@ def basis_with(machine: ReducedMachine, factors: dict[str, float]) -> tuple[Arra
 
 @lru_cache(maxsize=4)
 def _basis(machine: ReducedMachine, turning: tuple[tuple[str, float], ...]) -> tuple[Array, Array]:
-    return diagonal_basis(with_factors(machine, dict(turning)), _assumed(machine))
+    return diagonal_basis(with_factors(machine, dict(turning)), assumed(machine))
 
 
-def _assumed(machine: ReducedMachine) -> Array:
-    """Conductance times area (m,), W/K, that the modes include."""
+def assumed(machine: ReducedMachine) -> Array:
+    """Return conductance times area (m,), W/K, that the modes of a march include."""
     guide = machine.guide
     free = guide is not None and (len(guide.axes) > 1 or guide.drives.any)
     return np.zeros_like(machine.at_preload) if free else machine.at_preload

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import product
+
 import numpy as np
 
 from fesim.joint.law import NORMAL
 from fesim.march.contact import Laws
 from thermojoint.artefacts.arrays import Array
-from thermojoint.reduced.machine import Modes, contact_of, rest_of
+from thermojoint.reduced.machine import Modes, contact_of, placed, rest_of
 
 #: A contact element sticks if its pressure is more than this part of the reference pressure.
 TOUCHES = 1e-3
@@ -46,3 +49,30 @@ def sticking_tangent(modes: Modes, laws: Laws) -> Array:
         (elastic.area * slope)[:, None] * gaps
     )
     return tangent
+
+
+def combinations(positions: Sequence[Array]) -> Array:
+    """Return places (k, x), m, that stand for the working volume of x axes.
+
+    Parameters
+    ----------
+    positions : sequence of ndarray, shape (p,)
+        Of each axis, ascending, m. All of them count of one axis; of several axes the
+        combinations of the first, the middle and the last.
+    """
+    if len(positions) > 1:
+        positions = [one[[0, len(one) // 2, -1]] for one in positions]
+    return np.array(list(product(*positions)), dtype=np.float64)
+
+
+def tangents_at(modes: Modes, laws: Laws, places: Array) -> list[Array]:
+    """Return `sticking_tangent` at each of some places (k, x), m, of the axes, with their drives.
+
+    A machine without axes has one place, (1, 0).
+    """
+    if (drives := modes.drives) is None:
+        return [sticking_tangent(modes, laws)]
+    return [
+        drives.tangent(lambda place: sticking_tangent(placed(modes, place), laws), tuple(place))
+        for place in places.tolist()
+    ]

@@ -11,7 +11,8 @@ square error of the displacement is
 P+ the covariance after a reading (unknown heat, ambient, flows across the joint, noise), u the
 difference of a plant's sensor readings from the nominal machine, d that of its displacement. The
 criterion is the sum of v over the axes. For a set that detects heat late the first part is large,
-for one at places where the plants differ the second one.
+for one at places where the plants differ the second one. On a machine with moving axes D and d are
+those of several places of its working volume, and v is that of the place where it is largest.
 
 With an unknown start (`plant_family.with_start`) the variance that it leaves after `SETTLED` is
 added: its covariance factor L goes through the same filter, which corrects it as the observer does.
@@ -25,10 +26,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibrate.joint_aware.sticking import sticking_tangent
+from calibrate.joint_aware.sticking import tangents_at
 from calibrate.placement.plant_family import Family, loudest, make_family
 from estimator.joint_aware.estimator import WIDTH
-from estimator.joint_aware.filter_design import Noise, linear_system
+from estimator.joint_aware.filter_design import Noise, linear_system, mean_entry
 from estimator.joint_aware.thresholds import USUAL
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError, InputError, unknown_name
@@ -52,7 +53,8 @@ class Choice:
 
     #: In the order in which they were chosen.
     names: tuple[str, ...]
-    #: Shape (axes,): 1.96 roots of the mean square error of the displacement, m.
+    #: Shape (axes,): 1.96 roots of the mean square error of the displacement, m; of a machine with
+    #: moving axes where it is largest.
     band: Array
 
 
@@ -80,7 +82,7 @@ def place_sensors(
     ----------
     machine : ReducedMachine
         Nominal machine; its sensors are the candidates, its axes the relevant ones. Its
-        `plant_family.fewer_modes` are sufficient.
+        `plant_family.filter_modes` are sufficient.
     count : int
         How many to choose, `kept` ones included.
     kept : sequence of str
@@ -140,8 +142,8 @@ class _Problem:
     """A filter of few modes: x' = F x + w, w of covariance Q, rows of all candidates and ambient.
 
     transition, disturbance (n, n); rows (p + 1, n); variance, lasting (p + 1,): that of a reading,
-    and of errors that last, for the correction of an unknown start; tangent (axes, n); start (n, k)
-    or None.
+    and of errors that last, for the correction of an unknown start; tangent (k axes, n) at k
+    places; start (n, c) or None.
     """
 
     transition: Array
@@ -166,16 +168,17 @@ def _problem(machine: ReducedMachine, family: Family, noise: Noise) -> _Problem:
         noise.heat_walk * machine.power, noise.ambient_walk
     )
     count = modes.rates.size
-    source = np.zeros((system.size, walk.size + len(modes.jump)))
+    entry = mean_entry(modes)
+    source = np.zeros((system.size, walk.size + entry.shape[1]))
     source[count:, : walk.size] = np.diag(walk)
     source[:count, : walk.size] = system.drive * walk
     source[:count, walk.size :] = (
-        noise.joint_flow * math.sqrt(step * machine.step) * system.decay[:, None] * modes.jump.T
+        noise.joint_flow * math.sqrt(step * machine.step) * system.decay[:, None] * entry
     )
     # Scaled by the walks all unknowns are of one size.
     unit = np.concatenate([np.ones(count), walk])
     source = source / unit[:, None]
-    tangent = sticking_tangent(modes, machine.laws)
+    tangent = np.vstack(tangents_at(modes, machine.laws, family.places))
     return _Problem(
         transition=system.matrix * unit / unit[:, None],
         disturbance=source @ source.T,
@@ -237,7 +240,10 @@ def steady_covariance(transition: Array, rows: Array, disturbance: Array, varian
 
 
 def _mean_squares(problem: _Problem, chosen: Sequence[int]) -> Array:
-    """Mean square error of the displacement, m2, shape (axes,), for some candidates."""
+    """Mean square error of the displacement, m2, shape (axes,), for some candidates.
+
+    Along each axis, at the place where it is largest.
+    """
     at = np.append(chosen, len(problem.rows) - 1)
     rows, variance = problem.rows[at], problem.variance[at]
     before = steady_covariance(problem.transition, rows, problem.disturbance, variance)
@@ -259,11 +265,11 @@ def _mean_squares(problem: _Problem, chosen: Sequence[int]) -> Array:
         covariance = rows @ cross + np.diag(variance)
         doubted = covariance + np.diag(problem.lasting[at])
         squares = squares + _left_of_start(problem, rows, gain, doubted)
-    return np.asarray(squares)
+    return np.asarray(squares.reshape(len(problem.family.places), -1).max(axis=0))
 
 
 def _left_of_start(problem: _Problem, rows: Array, gain: Array, doubted: Array) -> Array:
-    """Variance of the displacement that an unknown start leaves after `SETTLED`, m2, (axes,)."""
+    """Variance of the displacement that an unknown start leaves after `SETTLED`, m2, (k axes,)."""
     factor = problem.start
     assert factor is not None
     identity = np.eye(factor.shape[1])

@@ -2,28 +2,36 @@
 
 Parameters are drawn from the posterior after a calibration by steps; each machine has the linear
 discrepancy that gives it the nominal responses to those steps. Sensors are compared over minutes,
-not seconds: marches take long steps on few modes.
+not seconds: marches take long steps on few modes. Axes of a machine that moves go at random.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import qr
 
 from calibrate.joint_aware.assembling import PAST
-from calibrate.joint_aware.misfit import Run, errors, fit_linear, make_problem
+from calibrate.joint_aware.misfit import Run, assumed, errors, fit_linear, make_problem
 from calibrate.joint_aware.past import Pasts, answer, states_after
-from calibrate.joint_aware.physics_fit import fit_physics
-from calibrate.joint_aware.random_heat import random_levels
+from calibrate.joint_aware.physics_fit import SEARCH, fit_physics
+from calibrate.joint_aware.random_heat import random_course, random_levels
+from calibrate.joint_aware.sticking import combinations
 from estimator.joint_aware.filter_design import Noise, compressed
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError, InputError
 from thermojoint.reduced.discrepancy import relaxation_rates, relaxed
-from thermojoint.reduced.machine import ReducedMachine, coupled_in, diagonal_modes
+from thermojoint.reduced.machine import ReducedMachine, conducting, coupled_in, diagonal_modes
 from thermojoint.reduced.parameters import factors_of, with_factors
-from thermojoint.reduced.physics import make_physics, simulate_known
+from thermojoint.reduced.physics import (
+    Physics,
+    displaced_at,
+    make_physics,
+    march_known,
+    simulate_known,
+)
 
 
 @dataclass(frozen=True)
@@ -49,6 +57,8 @@ class Drawing:
     highest: float = 2.0
     #: Random walk of the ambient over the day, K.
     ambient: float = 3.0
+    #: An axis that moves is at another place after this time, s, as in the histories of a band.
+    turns: float = 20.0
 
 
 #: The defaults.
@@ -63,8 +73,10 @@ class Family:
     step: float
     #: Shape (n, p, plants): of every candidate, K.
     readings: Array
-    #: Shape (n, axes, plants): m.
+    #: Shape (n, k axes, plants): at one place after the other, m.
     displacement: Array
+    #: Shape (k, x): places of moving axes at which the displacement counts, m.
+    places: Array = field(default_factory=lambda: np.zeros((1, 0)))
     #: Shape (modes + s + 1, k): covariance factor of an unknown start that counts as well:
     #: amplitudes with the joint held at its preload, heat of the sources, W, and ambient, K
     #: (`with_start`).
@@ -80,7 +92,9 @@ def with_start(family: Family, machine: ReducedMachine, pasts: Pasts) -> Family:
     return replace(family, start=start)
 
 
-def make_family(machine: ReducedMachine, drawing: Drawing = USUAL) -> Family:
+def make_family(
+    machine: ReducedMachine, drawing: Drawing = USUAL, places: Array | None = None
+) -> Family:
     """Draw machines that a calibration cannot distinguish, and march them through one day.
 
     The calibration uses the nominal machine as plant, with the displacement and some sensors. They
@@ -93,21 +107,29 @@ def make_family(machine: ReducedMachine, drawing: Drawing = USUAL) -> Family:
         Nominal; its sensors are the candidates.
     drawing : Drawing
         Size of the family, its calibration and its day.
+    places : ndarray, shape (k, x), optional
+        Of moving axes at which the displacement counts, m. Default: those that the case asks about;
+        of several axes the combinations of the first, middle and last of them.
 
     Raises
     ------
     ConvergenceError
         No plant, or not even the nominal machine, can be marched.
     """
-    rng = np.random.default_rng(drawing.seed)
+    rng, moves = (np.random.default_rng(drawing.seed) for _ in range(2))
     slow = replace(machine, step=drawing.step)
-    runs = [_calibration(slow, level, drawing.calibrated) for level in drawing.levels]
+    if places is None:
+        guide = machine.guide
+        places = combinations(() if guide is None else [axis.asked for axis in guide.axes])
+    runs = [_calibration(moves, slow, level, drawing) for level in drawing.levels]
     temperatures = np.vstack([run.temperature for run in runs])
     at = qr(temperatures, mode="r", pivoting=True)[1][: drawing.seen]
     few = slow.with_sensors([slow.sensor_names[k] for k in at])
-    fit = fit_physics(few, [replace(run, temperature=run.temperature[:, at]) for run in runs])
-    day, states = _day(rng, slow, drawing)
-    nominal, problem = _answers(slow, day), make_problem(slow, runs)
+    seen = [replace(run, temperature=run.temperature[:, at]) for run in runs]
+    # The machine fits its own responses: no search need begin elsewhere.
+    fit = fit_physics(few, seen, search=replace(SEARCH, starts=0))
+    day = _day(rng, moves, slow, drawing)
+    nominal, problem = _everywhere(slow, day, places), make_problem(slow, runs)
     values, turn = np.linalg.eigh(fit.covariance)
     spread = turn * np.sqrt(np.maximum(values, 0.0))
     readings, displacement = [], []
@@ -115,40 +137,79 @@ def make_family(machine: ReducedMachine, drawing: Drawing = USUAL) -> Family:
         coordinates = spread @ drawn
         plant = with_factors(slow, factors_of(fit.parameters, coordinates))
         try:
-            temperature, moved = _answers(plant, day)
+            temperature, moved = _everywhere(plant, day, places)
             beside = fit_linear(problem, *errors(problem, fit.parameters, coordinates)).discrepancy
         except ConvergenceError:
             continue
-        readings.append(temperature + states @ beside.temperature.T - nominal[0])
-        displacement.append(moved + states @ beside.displacement.T - nominal[1])
+        readings.append(temperature + day.states @ beside.temperature.T - nominal[0])
+        more = np.tile(day.states @ beside.displacement.T, len(places))
+        displacement.append(moved + more - nominal[1])
     if not readings:
         raise ConvergenceError("placement: no plant of the family can be marched; check the case")
-    return Family(drawing.step, np.stack(readings, axis=-1), np.stack(displacement, axis=-1))
+    sensed, moved = (np.stack(parts, axis=-1) for parts in (readings, displacement))
+    return Family(drawing.step, sensed, moved, places)
 
 
-def _calibration(machine: ReducedMachine, level: float, length: float) -> Run:
+@dataclass(frozen=True, eq=False)
+class _Day:
+    """Inputs (n, s + 1 + x), ways of the axes (n, x), m, and the relaxed heat (n, s q)."""
+
+    inputs: Array
+    gone: Array
+    states: Array
+
+
+def _course(
+    moves: np.random.Generator, count: int, machine: ReducedMachine, drawing: Drawing
+) -> tuple[Array, Array]:
+    """Random positions after each of n steps, and how far axes have gone in it, m, (n, x) each."""
+    if (guide := machine.guide) is None:
+        return np.zeros((count, 0)), np.zeros((count, 0))
+    turns = math.ceil(machine.step / drawing.turns)
+    course = random_course(moves, turns * count, machine.step / turns, guide.way)
+    gone = np.abs(np.diff(course, axis=0, prepend=[guide.first]))
+    return course[turns - 1 :: turns], gone.reshape(count, turns, -1).sum(axis=1)
+
+
+def _calibration(
+    moves: np.random.Generator, machine: ReducedMachine, level: float, drawing: Drawing
+) -> Run:
     """A step from rest, with the machine's own response."""
-    count = round(length / machine.step)
-    inputs = np.tile(np.append(level * machine.power, 0.0), (count, 1))
+    count = round(drawing.calibrated / machine.step)
+    course, gone = _course(moves, count, machine, drawing)
+    inputs = np.hstack([np.tile(np.append(level * machine.power, 0.0), (count, 1)), course])
     times: Array = machine.step * np.arange(1.0, count + 1.0)
-    return Run(inputs, times, *_answers(machine, inputs), machine.step)
+    answers = simulate_known(_physics(machine), inputs, machine.step, gone)
+    return Run(inputs, times, *answers, machine.step, gone)
 
 
 def _day(
-    rng: np.random.Generator, machine: ReducedMachine, drawing: Drawing
-) -> tuple[Array, Array]:
-    """Inputs (n, s + 1) of a day, and the relaxed heat."""
+    rng: np.random.Generator,
+    moves: np.random.Generator,
+    machine: ReducedMachine,
+    drawing: Drawing,
+) -> _Day:
     heat = random_levels(rng, drawing.duration, machine.step, drawing.highest, machine.power.size)
     walk = np.cumsum(rng.normal(size=len(heat)))
     ambient = drawing.ambient * walk / np.abs(walk).max()
     states = relaxed(heat, relaxation_rates(), machine.step)
-    return np.column_stack([heat * machine.power, ambient]), states
+    course, gone = _course(moves, len(heat), machine, drawing)
+    return _Day(np.column_stack([heat * machine.power, ambient, course]), gone, states)
 
 
-def _answers(machine: ReducedMachine, inputs: Array) -> tuple[Array, Array]:
-    held = machine.at_preload
-    physics = make_physics(diagonal_modes(machine, held), machine.joints, held)
-    return simulate_known(physics, inputs, machine.step)
+def _physics(machine: ReducedMachine) -> Physics:
+    held = assumed(machine)
+    return make_physics(diagonal_modes(machine, held), machine.joints, held)
+
+
+def _everywhere(machine: ReducedMachine, day: _Day, places: Array) -> tuple[Array, Array]:
+    """Sensors (n, p), K, and displacement (n, k axes), m, at places (k, x), m, in a day."""
+    physics = _physics(machine)
+    if machine.guide is None:
+        return simulate_known(physics, day.inputs, machine.step)
+    marched = march_known(physics, day.inputs, machine.step, day.gone)
+    moved = displaced_at(physics, marched, places)
+    return marched.amplitudes @ physics.modes.sensors.T, moved.reshape(len(moved), -1)
 
 
 def loudest(machine: ReducedMachine, step: float) -> list[int]:
@@ -171,9 +232,10 @@ def loudest(machine: ReducedMachine, step: float) -> list[int]:
 def fewer_modes(machine: ReducedMachine, drawing: Drawing = USUAL) -> ReducedMachine:
     """Return a machine with the few modes that its inputs excite at the times of a run.
 
-    They span the fields that every source at its power, the ambient and flows across the joint
-    cause after the times of `PAST`: (M / time + K + H) T = input. The machine's 300 modes resolve
-    seconds everywhere; here minutes are enough, and all surfaces share one film.
+    They span the fields that every source at its power, the ambient, flows across the joint and
+    drives cause after the times of `PAST`: (M / time + K + H) T = input. On axes every pad and
+    every station has a flow of its own, as their friction heats them. The machine's 300 modes
+    resolve seconds everywhere; here minutes are enough, and all surfaces share one film.
 
     Parameters
     ----------
@@ -184,12 +246,34 @@ def fewer_modes(machine: ReducedMachine, drawing: Drawing = USUAL) -> ReducedMac
     """
     if machine.held.names:
         raise InputError("placement: held temperatures are not considered; place without them")
+    guide = machine.guide
+    driven = np.zeros((len(machine.start), 0)) if guide is None else guide.drives.heated
+    return _spanned(machine, np.column_stack([_entering(machine, machine.jump), driven]), drawing)
+
+
+def filter_modes(machine: ReducedMachine, drawing: Drawing = USUAL) -> ReducedMachine:
+    """Return a machine with the modes that a filter needs, of those of `fewer_modes`.
+
+    A filter has no flows of single stations: on axes heat flows between pads and what they are
+    above on average. Without axes the machine is returned.
+    """
+    if (guide := machine.guide) is None:
+        return machine
+    jump = guide.way.stations.everywhere.coefficients @ machine.jump
+    return _spanned(machine, _entering(machine, jump), drawing)
+
+
+def _entering(machine: ReducedMachine, jump: Array) -> Array:
+    """What excites modes (r, n), W: sources, ambient, flows across jumps (m, r) per mode."""
     flow = Noise().joint_flow
-    inputs = np.column_stack(
-        [machine.sources * machine.power, PAST.ambient * machine.ambient, flow * machine.jump.T]
+    return np.column_stack(
+        [machine.sources * machine.power, PAST.ambient * machine.ambient, flow * jump.T]
     )
-    linear = machine.conduction + machine.convection
-    linear = linear + machine.jump.T @ (machine.at_preload[:, None] * machine.jump)
+
+
+def _spanned(machine: ReducedMachine, inputs: Array, drawing: Drawing) -> ReducedMachine:
+    """The machine on what inputs (r, n) excite."""
+    linear = conducting(machine, machine.at_preload)
     fields = [
         np.linalg.solve(machine.capacity / time + linear, inputs)
         for time in (drawing.step, *PAST.lengths)

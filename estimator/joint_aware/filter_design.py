@@ -119,6 +119,16 @@ def linear_system(
     return LinearSystem(decay, drive, np.vstack([sensors, ambient]))
 
 
+def mean_entry(modes: Modes) -> Array:
+    """Return the inputs (r, m) of the modes per W across each contact element.
+
+    On an axis, heat flows between pads and the stations below, averaged over the stroke.
+    """
+    if modes.way is None:
+        return modes.entry
+    return np.asarray(modes.entry @ modes.way.stations.everywhere.coefficients.T)
+
+
 def design_filter(
     system: LinearSystem, modes: Modes, walk: Array, step: float, noise: Noise, unknown: Array
 ) -> tuple[SteadyFilter, Array]:
@@ -150,12 +160,7 @@ def design_filter(
         No solution exists: the readings do not determine the inputs.
     """
     size, dynamic = system.size, system.decay.size
-    # On an axis, heat flows between pads and the stations below, averaged over the stroke.
-    entry = (
-        modes.entry
-        if modes.way is None
-        else modes.entry @ modes.way.stations.everywhere.coefficients.T
-    )
+    entry = mean_entry(modes)
     walks = np.zeros((size, walk.size))
     walks[dynamic:] = np.diag(walk)
     walks[:dynamic] = system.drive * walk

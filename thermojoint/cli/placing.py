@@ -31,7 +31,8 @@ def place(
 
     Candidates are the lattice points of the case's candidates, or its probes if it has none.
     Prints the 95 % band for one sensor, two sensors, and so on; with --warm it includes what an
-    unknown start leaves after 20 min.
+    unknown start leaves after 20 min. Of a machine with moving axes it is the largest of those at
+    the positions that the case asks about.
 
     Example: [bold]thermojoint place machine.toml --count 4 --out sensors.toml[/bold]
 
@@ -43,9 +44,17 @@ def place(
     from thermojoint.artefacts.settings.section import files_of
 
     machine = read_case(case)
+    from calibrate.joint_aware.calibration import machine_on_axes
     from calibrate.joint_aware.past import random_pasts
     from calibrate.placement.joint_aware import place_sensors
-    from calibrate.placement.plant_family import USUAL, fewer_modes, make_family, with_start
+    from calibrate.placement.plant_family import (
+        USUAL,
+        fewer_modes,
+        filter_modes,
+        make_family,
+        with_start,
+    )
+    from fesim.axes.setup import set_up_axes
     from fesim.setup.machine import set_up
     from fesim.setup.structure import candidate_probes
     from thermojoint import console, plausibility
@@ -56,7 +65,8 @@ def place(
     kept = list(dict.fromkeys(keep or []))
     console.warn(plausibility.of_case(machine, str(case)))
     with console.working("setting up"):
-        setup = set_up(machine)
+        ready = set_up_axes(machine) if machine.axes else None
+        setup = ready.setup if ready else set_up(machine)
     lattice = candidate_probes(machine, setup.structure)
     names = list(dict.fromkeys([*kept, *(lattice or setup.probes)]))
     unknown = [name for name in names if name not in setup.probes]
@@ -65,13 +75,19 @@ def place(
             f"--keep {unknown[0]}: neither a probe nor a candidate of {case}; correct the name"
         )
     with console.working("reducing"):
-        reduced = fewer_modes(reduce_machine(machine, setup, names))
+        whole = (
+            machine_on_axes(machine, ready, names)
+            if ready
+            else reduce_machine(machine, setup, names)
+        )
+        reduced = fewer_modes(whole)
+        seen = filter_modes(reduced)
     with console.progress_bars() as report:
         family = make_family(reduced)
         if warm:
-            pasts = random_pasts(USUAL.highest, reduced.power.size)
-            family = with_start(family, reduced, pasts)
-        placement = place_sensors(reduced, count, kept, family, report=report)
+            pasts = random_pasts(USUAL.highest, seen.power.size)
+            family = with_start(family, seen, pasts)
+        placement = place_sensors(seen, count, kept, family, report=report)
     write_text(out, written(placement, machine, setup.probes))
     results.show_placement(console.out(), placement, reduced.axes)
     console.wrote(out)

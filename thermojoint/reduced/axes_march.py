@@ -46,7 +46,7 @@ class ReducedMarch(NamedTuple):
 
 
 class Record(NamedTuple):
-    """n steps; the last four are as in `JointState`, and NaN where they are not recorded."""
+    """n steps; the last four are as in `JointState`."""
 
     #: Shape (n, r).
     amplitudes: Array

@@ -119,6 +119,17 @@ class Passed(NamedTuple):
     drawn: Array
 
 
+class Recorded(NamedTuple):
+    """What a march of n steps leaves, written in place."""
+
+    #: Shape (n, r).
+    amplitudes: Array
+    #: Shape (n, axes): m.
+    displacement: Array
+    #: Shapes (n, ...).
+    joint: JointState
+
+
 class Steps(NamedTuple):
     """Storage of a march."""
 
@@ -373,10 +384,8 @@ def _pass_heat(guide: Guided, passed: Passed, amplitudes: Array) -> None:
 
 
 @compiled
-def march_along(
-    guide: Guided, steps: Steps, inputs: Array, now: Moving, record: tuple[Array, Array]
-) -> int:
-    """March through inputs, into a record of amplitudes (n, r) and displacements (n, axes), m.
+def march_along(guide: Guided, steps: Steps, inputs: Array, now: Moving, record: Recorded) -> int:
+    """March through inputs, into a record.
 
     Parameters
     ----------
@@ -389,7 +398,7 @@ def march_along(
         travel, m.
     now : Moving
         Amplitudes and joints, in place.
-    record : tuple of ndarray, shapes (n, r) and (n, axes)
+    record : Recorded
         After each step.
 
     Returns
@@ -423,6 +432,10 @@ def march_along(
         at = end
         put(amplitudes, now.amplitudes)
         _take(there, kept.work, amplitudes, now.joint, none)
-        put(amplitudes, record[0][n])
-        put(there.displacement, record[1][n])
+        put(amplitudes, record.amplitudes[n])
+        put(there.displacement, record.displacement[n])
+        put(now.joint.gap, record.joint.gap[n])
+        put(now.joint.slip, record.joint.slip[n])
+        put(now.joint.pressure, record.joint.pressure[n])
+        put(now.joint.change, record.joint.change[n])
     return len(inputs)

@@ -537,7 +537,7 @@ def diagonal_modes(machine: ReducedMachine, held: Array | None = None) -> Modes:
 
 def diagonal_basis(machine: ReducedMachine, held: Array | None = None) -> tuple[Array, Array]:
     """Return the rates (k,), 1/s, and the basis (r, k) that `diagonal_modes` turns to."""
-    whole, free = _conducting(machine, held), machine.free
+    whole, free = conducting(machine, held), machine.free
     system, capacity = whole[:free, :free], machine.capacity[:free, :free]
     # The modes of a case are orthonormal already.
     plain = np.array_equal(capacity, np.eye(free))
@@ -552,8 +552,11 @@ def diagonal_basis(machine: ReducedMachine, held: Array | None = None) -> tuple[
     return np.append(kept, np.full(surfaces, FOLLOWS)), turned
 
 
-def _conducting(machine: ReducedMachine, held: Array | None) -> Array:
-    """K + H with the part of the joint that belongs to the modes, W/K, shape (r, r)."""
+def conducting(machine: ReducedMachine, held: Array | None) -> Array:
+    """Return K + H with the part of the joint that belongs to the modes, W/K, shape (r, r).
+
+    `held` is as for `diagonal_modes`; axes are everywhere equally often.
+    """
     conduction = machine.conduction + machine.convection
     if held is None:
         return conduction
@@ -681,7 +684,7 @@ def _drive(
     if not surfaces:
         return np.column_stack([turned.sources, turned.ambient])
     free = rates.size - surfaces
-    drawn = -basis.T @ (_conducting(machine, held)[:, machine.free :])
+    drawn = -basis.T @ (conducting(machine, held)[:, machine.free :])
     drive = np.column_stack([turned.sources, drawn, turned.ambient])
     drive[free:] = 0.0
     drive[free:, machine.power.size : -1] = np.diag(rates[free:])

@@ -42,6 +42,7 @@ from thermojoint.reduced.axis_way import Way, way_between
 from thermojoint.reduced.guided_march import (
     Aligned,
     Guided,
+    Recorded,
     Steps,
     aligned_elasticity,
     guided,
@@ -482,8 +483,7 @@ class Marched(NamedTuple):
     probes: Array
     #: Shape (n, x): positions of the axes at the end of each step, m.
     places: Array
-    #: The joints after each step, (n, ...): pressures alone of a machine without axes; NaN of one
-    #: axis without a drive.
+    #: The joints after each step, (n, ...): pressures alone of a machine without axes.
     joint: JointState
 
 
@@ -498,6 +498,38 @@ def displaced(physics: Physics, marched: Marched) -> Array:
         for *joint, amplitudes, at, probes in steps:
             probes[1:] = seen_from(physics, JointState(*joint), amplitudes, at[1:])
     return np.asarray(drives.displacement(marched.drive, places, every)[:, 0])
+
+
+def displaced_at(physics: Physics, marched: Marched, places: Array) -> Array:
+    """Return the displacement (n, k, axes), m, after the steps of a march at other places.
+
+    As if the axes of a machine stood there, the joints settled anew.
+
+    Parameters
+    ----------
+    physics : Physics
+        The machine.
+    marched : Marched
+        n steps of it.
+    places : ndarray, shape (k, x)
+        m.
+
+    Raises
+    ------
+    ConvergenceError
+        As `settle_joint`.
+    """
+    drives = physics.modes.drives
+    assert drives is not None  # asked for with axes only
+    every = drives.with_zeros(places)
+    flat = every.reshape(-1, places.shape[1])
+    steps = zip(*marched.joint, marched.amplitudes, strict=True)
+    probes = np.array(
+        [seen_from(physics, JointState(*joint), now, flat) for *joint, now in steps]
+    ).reshape(len(marched.amplitudes), *every.shape[:2], -1)
+    drive = np.repeat(marched.drive[:, None], len(places), axis=1)
+    everywhere = np.tile(every, (len(probes), 1, 1, 1))
+    return np.asarray(drives.displacement(drive, everywhere, probes)[:, :, 0])
 
 
 def march_known(
@@ -587,7 +619,8 @@ def _march_moving(physics: Physics, inputs: Array, length: float, gone: Array | 
         part, taken = axes_march.Record(*(one[k:] for one in found)), 0
         if guide is not None:
             moving = Moving(now.amplitudes, joint)
-            taken = march_along(*guide, ways[k:], moving, (part.amplitudes, part.probes))
+            record = Recorded(part.amplitudes, part.probes, JointState(*part[3:]))
+            taken = march_along(*guide, ways[k:], moving, record)
         elif along is not None:
             taken = axes_march.march_along(along, ways[k:], k, (now, joint), part)
         if taken:
