@@ -126,8 +126,8 @@ def make_family(
     at = qr(temperatures, mode="r", pivoting=True)[1][: drawing.seen]
     few = slow.with_sensors([slow.sensor_names[k] for k in at])
     seen = [replace(run, temperature=run.temperature[:, at]) for run in runs]
-    # The machine fits its own responses: no search need begin elsewhere.
-    fit = fit_physics(few, seen, search=replace(SEARCH, starts=0))
+    # The machine fits its own responses: no search need begin elsewhere, nor go on.
+    fit = fit_physics(few, seen, search=replace(SEARCH, starts=0, rounds=1))
     day = _day(rng, moves, slow, drawing)
     nominal, problem = _everywhere(slow, day, places), make_problem(slow, runs)
     values, turn = np.linalg.eigh(fit.covariance)
