@@ -15,7 +15,7 @@ from thermojoint.own_packages import check_not_hidden
 
 check_not_hidden()
 
-#: As in `typing`, which is not loaded here: the command line cannot handle Ctrl-C before this is.
+#: As in `typing`, which is not loaded here: Ctrl-C cannot be handled until this module is loaded.
 TYPE_CHECKING = False
 if TYPE_CHECKING:  # re-exported: each name by itself, others by an assignment
     from calibrate.chain import Calibrated as Calibrated
@@ -200,5 +200,5 @@ if not TYPE_CHECKING:  # a type checker sees the imports above, and refuses any 
 
 
 def __dir__() -> list[str]:
-    """Return what completion offers: the public names."""
+    """Return the public names, for completion."""
     return [*__all__, "__version__"]

@@ -45,7 +45,7 @@ _verbosity = Verbosity.NORMAL
 
 
 def verbosity(quiet: bool, verbose: bool) -> Verbosity:
-    """Return what -q and -v ask for.
+    """Return the verbosity that -q and -v select.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def set_verbosity(wanted: Verbosity) -> None:
 def out(as_json: Path | None = None) -> Console:
     """Return the console for results, as wide as the terminal, or 100 columns in a file.
 
-    It is silent if they go to standard output as JSON, for which `as_json` is ``-``.
+    The console is silent if the results go to standard output as JSON (`as_json` is ``-``).
     """
     silent = _verbosity is Verbosity.QUIET or _is_stream(as_json)
     console = Console(highlight=False, markup=False, quiet=silent)
@@ -77,7 +77,7 @@ def out(as_json: Path | None = None) -> Console:
 
 @contextmanager
 def progress_bars() -> Iterator[Report]:
-    """Give a function of (name, done, total) that shows progress: bars, or lines in a file."""
+    """Give a function of (name, done, total) that shows progress as bars, or as lines in a file."""
     if _verbosity is Verbosity.QUIET:
         yield lambda name, done, total: None
         return
@@ -117,9 +117,9 @@ def _bars() -> Iterator[Report]:
 
 @contextmanager
 def progress_lines(first_s: float = 2.0, every_s: float = 10.0) -> Iterator[Report]:
-    """Give a function as `progress_bars`, for a log file: lines on standard error.
+    """Give a progress function, as `progress_bars`, that writes lines on standard error.
 
-    The first comes after `first_s` seconds, further ones every `every_s` seconds.
+    The first line appears after `first_s` seconds, further ones every `every_s` seconds.
     """
     begun, reached = monotonic(), dict[str, tuple[int, int]]()
     ended = Event()

@@ -76,13 +76,13 @@ def learn(
     ignored : sequence of str
         Columns to ignore.
     like : sequence of LearnedModel
-        Models of machines like this one, or of it before it aged: the log then needs few readings
-        of the displacements, and `max_sensors`, `kind` and `ignored` are theirs.
+        Models of similar machines, or of this machine before it aged: the log then needs few
+        readings of the displacements, and `max_sensors`, `kind` and `ignored` are taken from them.
 
     Raises
     ------
     InputError
-        A column is missing, or the log is not suitable; the message says why.
+        A column is missing, or the log is not suitable; the message gives the reason.
     """
     names = [displacements] if isinstance(displacements, str) else displacements
     if isinstance(data, pd.DataFrame):
@@ -114,10 +114,10 @@ def estimate(
     frame : pandas.DataFrame
         The columns that `thermojoint estimate` reads from a file.
     state : ndarray, optional
-        Initial state; default at rest.
+        Initial state; default: at rest.
     cold : float
-        Ambient at which the machine of that state was cold, K, for a joint-aware model; default:
-        that of the first row. `estimator.states.read_state` has that of a saved state.
+        Ambient temperature at the cold start of that state, K, for a joint-aware model; default:
+        ambient of the first row. `estimator.states.read_state` returns it for a saved state.
 
     Returns
     -------
@@ -146,7 +146,7 @@ def estimate(
 def validate(
     estimator: OpenedEstimator, data: pd.DataFrame | xr.Dataset | Mapping[str, xr.Dataset]
 ) -> pd.DataFrame:
-    """Validate an estimator by displacements that it does not read, free-running from rest.
+    """Validate an estimator, free-running from rest, by displacements that it does not read.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def validate(
     -------
     pandas.DataFrame
         A row for every case and axis: ``case``, ``estimator``, ``axis``, ``peak_total_um``,
-        ``max_abs_error_um``, ``rms_error_um``, and of an estimator with a band ``mean_band_um``,
+        ``max_abs_error_um``, ``rms_error_um``, and for an estimator with a band ``mean_band_um``,
         ``band_cover`` and ``interval_score_um``.
 
     Raises
@@ -192,8 +192,8 @@ def samples(
         ``time_s`` and the names of `reads`, or the same quantities in another unit, e.g.
         ``spindle_rad_s`` for ``spindle_rpm``. Absent names are missing readings.
     cold : float
-        Temperature at which the machine was cold, in the unit of its readings; default: from the
-        first readings.
+        Temperature of the cold machine, in the unit of its readings; default: from the first
+        readings.
 
     Raises
     ------

@@ -49,7 +49,7 @@ class Quantity:
     #: Plausible values.
     low: float
     high: float
-    #: Of the slips that make a value plausible, the one closest to this value is suggested.
+    #: Typical value: of several slips that fit, the one that leads closest to it is suggested.
     typical: float
     #: Units that are commonly used by mistake.
     slips: tuple[Slip, ...] = ()
@@ -118,7 +118,7 @@ CASE = {
     "materials.*.heat_capacity_J_kgK": Quantity(
         "J/(kg K)", 100.0, 5000.0, 500.0, _units({"kJ/(kg K)": 1e3, "cal/(g K)": 4186.8})
     ),
-    # The reference machine has a screw of 2940 GPa, which represents another shape.
+    # The reference machine has a screw of 2940 GPa, which stands for a screw of another shape.
     "materials.*.youngs_modulus_GPa": Quantity(
         "GPa", 0.2, 5000.0, 150.0, _units({"Pa": 1e-9, "MPa": 1e-3, "TPa": 1e3, "psi": 6.894757e-6})
     ),
@@ -217,7 +217,7 @@ def _plausible(value: float, quantity: Quantity) -> bool:
 
 
 def _distance(value: float, typical: float) -> float:
-    """Distance of a value from the typical one: in magnitude where both are non-zero."""
+    """Distance of a value from the typical one: logarithmic where both are non-zero."""
     return abs(math.log(abs(value / typical))) if value and typical else abs(value - typical)
 
 
@@ -227,7 +227,7 @@ def of_case(case: Case, where: str) -> list[str]:
 
 
 def of_cases(cases: Iterable[Case], where: str) -> list[str]:
-    """Return the warnings for several cases, one for each key, history and axis adrift."""
+    """Return the warnings for several cases, one for each key, history and axis without a seat."""
     warnings: dict[str, list[str]] = {}
     histories: dict[tuple[Path, str, Quantity], None] = {}
     for case in cases:
@@ -252,7 +252,7 @@ def of_cases(cases: Iterable[Case], where: str) -> list[str]:
 
 
 def _adrift(case: Case) -> Iterator[str]:
-    """Axes that others carry, whose drives stand nowhere."""
+    """Yield the axes that another axis carries and whose drives have no seat."""
     for name, axis in case.axes.items():
         carried = any(set(axis.bodies) < set(other.bodies) for other in case.axes.values())
         if carried and not any(seats_of(axis)):
@@ -314,7 +314,7 @@ def of_structure(structure: Structure, where: str) -> list[str]:
 
 
 def of_sample(sample: Mapping[str, float], where: str) -> list[str]:
-    """Return a warning for every temperature of a row that is probably in another unit."""
+    """Return a warning for every temperature of a row that probably has another unit."""
     lines = []
     for name, value in sample.items():
         if name == "ambient_degC":
@@ -327,7 +327,7 @@ def of_sample(sample: Mapping[str, float], where: str) -> list[str]:
 
 
 def of_response(response: xr.Dataset, where: str) -> list[str]:
-    """Return a warning for every variable of a measured response probably in another unit.
+    """Return a warning for every variable of a measured response that probably has another unit.
 
     Simulated responses, which contain their case, are not examined.
     """
