@@ -1,4 +1,4 @@
-"""Errors that a user can act on: one line says what is wrong, where, and what to do."""
+"""Errors that a user can act on: one line with the mistake, its place, and the remedy."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class ThermojointError(Exception):
 class InputError(ThermojointError, ValueError):
     """Invalid input, detected before any long computation.
 
-    The message is one line: what is wrong, where, and what to do.
+    The message is one line: the mistake, its place, and the remedy.
     """
 
 
@@ -30,7 +30,7 @@ class ConvergenceError(ThermojointError, ArithmeticError):
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str], where: str) -> InputError:
-    """Return the error for an unknown name of a kind, which suggests the closest known one."""
+    """Return the error for an unknown name of a kind; it suggests the closest known name."""
     names = sorted(known)
     near = get_close_matches(name, names, n=1, cutoff=0.5)
     hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(names) or 'none'}"

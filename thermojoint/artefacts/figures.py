@@ -13,12 +13,12 @@ if TYPE_CHECKING:
 #: Width of a figure of curves in a report, inches: on a page of 400 pixels its smallest text (8 pt)
 #: is 9 pixels high.
 WIDTH = 4.4
-#: Colours of curves; as greys they differ, too.
+#: Colours of curves, which also differ in greyscale.
 SHADES = ("#000000", "#b2341f", "#1f5fa8", "#3c7d3c", "#8a5a00", "#6b4c9a", "#777777")
 
 
 def legend_above(panel: Axes) -> None:
-    """Name the curves of a panel above it: beside it they would take its width."""
+    """Put the legend above a panel: beside it, it would narrow the panel."""
     panel.legend(fontsize=8, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, frameon=False)
 
 
@@ -31,9 +31,9 @@ def stacked_panels(count: int, width: float, height: float) -> tuple[Figure, lis
 
 
 def svg_address(figure: Figure, salt: str) -> str:
-    """Return a figure as SVG in a data address, the same text for the same figure.
+    """Return a figure as an SVG data URL; the same figure gives the same text.
 
-    `salt` makes the names inside differ from those of other figures on the same page.
+    `salt` makes the ids inside differ from those of other figures on the same page.
     """
     import matplotlib as mpl
 

@@ -2,7 +2,7 @@
 
 ::
 
-    results/                      what a reader sees: all old or all new
+    results/                      for readers: all old or all new
       contents.json               list of the files that this program wrote
     .results.x7k2m_3q/            beside it, during a run
       unfinished                  locked by the run; contains the name of the final folder

@@ -41,7 +41,7 @@ def read_json(path: Path | str, kind: JsonKind) -> dict[str, Any]:
     Raises
     ------
     InputError
-        The file is missing, no text, truncated, of another kind or of another version.
+        The file is missing, not text, truncated, of another kind or of another version.
     """
     path = Path(path)
     if not path.is_file():
@@ -54,7 +54,7 @@ def read_json(path: Path | str, kind: JsonKind) -> dict[str, Any]:
 
 
 def parse_json(text: str, kind: JsonKind, where: str) -> dict[str, Any]:
-    """Return the content of the text of a file; see `read_json`."""
+    """Return the content of a file from its text; see `read_json`."""
     try:
         content = json.loads(text)
     except json.JSONDecodeError as error:
@@ -70,7 +70,7 @@ def without_header(content: Any, kind: JsonKind, where: str) -> dict[str, Any]: 
     Raises
     ------
     InputError
-        It is of another kind or of another version.
+        The content is of another kind or of another version.
     """
     if not isinstance(content, dict) or content.get("schema") != kind.schema:
         raise InputError(f"{where}: not a {kind.schema!r} file; give a {kind.name} {kind.made_by}")
@@ -99,7 +99,7 @@ def validated(
         A value is missing, unknown or invalid; the message names its place.
     """
     try:
-        # As JSON, in which lists may become tuples and keys numbers in strict mode.
+        # As JSON: in strict mode only then may lists become tuples, and keys numbers.
         return kind.validate_json(json.dumps(content))
     except ValidationError as error:
         # A missing key may be misspelt: the unknown key is the better message.

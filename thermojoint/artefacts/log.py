@@ -117,13 +117,13 @@ class Log(Described):
 
 
 def runs_in(pieces: Iterable[Log]) -> Iterator[Log]:
-    """Yield pieces each of which belongs to one run, of pieces that may be whole logs."""
+    """Split pieces, which may be whole logs, into pieces of one run each."""
     for piece in pieces:
         yield from piece.runs()
 
 
 def joined(pieces: Iterable[Log]) -> Log:
-    """Return one log of pieces in the order of time; a new run starts where time restarts.
+    """Join pieces in the order of time into one log; a new run starts where time restarts.
 
     Raises
     ------

@@ -29,7 +29,7 @@ class Record:
     form: str = ""
     #: The readings.
     columns: tuple[Column, ...] = ()
-    #: Columns whose names end in no unit, and further clocks.
+    #: Columns whose names do not end in a unit, and further clocks.
     ignored: tuple[str, ...] = ()
     #: Whether times are s since 1970.
     dated: bool = False

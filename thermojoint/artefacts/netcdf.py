@@ -1,7 +1,7 @@
 """NetCDF files of named arrays, written by h5py alone.
 
-xarray writes the same through h5netcdf, which looks up every dimension of every variable again and
-takes longer for that than for the content.
+xarray writes the same file through h5netcdf, whose repeated look-up of every dimension of every
+variable takes longer than writing the content.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-#: What names a dimension without a variable, before its length.
+#: Name of a dimension without a variable, followed by its length.
 _UNNAMED = "This is a netCDF dimension but not a netCDF variable."
-#: A filter before compression makes floats smaller, and lets the fastest level suffice.
+#: With the shuffle filter floats compress better, and the fastest level suffices.
 _PACKED = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 
 
@@ -26,7 +26,7 @@ class Variable(NamedTuple):
     attrs: Mapping[str, Any]
 
     def to_numpy(self) -> np.ndarray:
-        """Return the values, by the name that they have in xarray."""
+        """Return the values; named as in xarray."""
         return self.values
 
 

@@ -20,7 +20,7 @@ _LEAST_ROOM = 1 << 16
 def user_cache() -> Path | None:
     """Return the folder for this user's caches of the program; None for a user without a home."""
     place = user_cache_path("thermojoint", appauthor=False)
-    # Without a known home, "~" remains in the path.
+    # If the home is unknown, "~" remains in the path.
     return place if place.is_absolute() else None
 
 

@@ -1,20 +1,21 @@
-"""What every process of the program does before it loads the libraries.
+"""Preparation of every process of the program before it loads the libraries.
 
-Loading them makes several hundred thousand objects, all of which stay. Python's collector of
-garbage would look through them again and again, for a fifth of the time, and once more when the
-process ends, for a tenth of that of a short one.
+Loading them creates several hundred thousand permanent objects. Python's garbage collector would
+traverse them again and again, for a fifth of the time, and once more when the process ends, for a
+tenth of the duration of a short one.
 
-SciPy asks NumPy for all of its parts, among them the translator from Fortran, which takes as long
-to load as all else that sparse matrices need; its spatial search brings its rotations along. Both
-are loaded when something of them is used: never.
+SciPy imports all parts of NumPy, including f2py (Fortran), which takes as long to load as
+everything else that sparse matrices need; its spatial search imports its rotations. Loading of both
+is deferred to their first use, which never comes.
 
-A thread of OpenBLAS, NumPy's library of linear algebra, waits actively for 20 ms for another
-product before it sleeps, and so it does when it is started. Beside small products that is most of
-its time, and on a busy computer products wait for it; here it sleeps after 20 us.
+A thread of OpenBLAS, NumPy's library of linear algebra, spins for 20 ms in wait of the next product
+before it sleeps, also after its start. With small products it spins most of the time, and on a busy
+computer it delays products; here it sleeps after 20 us.
 
-Where Dask is installed, xarray loads it and its arrays with the first variable, to ask whether it
-is one; that takes as long as xarray itself. No command and none of their child processes makes
-one, and only a batch on a cluster needs Dask at all. A user's own process keeps it.
+Where Dask is installed, xarray loads it and its arrays with the first variable, to check whether
+the variable is a Dask array; that takes as long as xarray itself. No command and none of their
+child processes creates Dask arrays, and only a batch on a cluster needs Dask at all. A user's own
+process keeps it.
 """
 
 from __future__ import annotations
@@ -30,20 +31,20 @@ from types import ModuleType
 from typing import cast
 
 _LATER = ("numpy.f2py", "scipy.spatial.transform")
-#: For OpenBLAS: it waits actively for so many clock cycles, as a power of two.
+#: Clock cycles, as a power of two, for which a thread of OpenBLAS spins before it sleeps.
 _WAITING = ("OPENBLAS_THREAD_TIMEOUT", "16")
 _NAMES = ("dask", "dask.array")
-#: Objects made between two collections, and collections of a generation between two of the next.
+#: Objects created between two collections; collections of a generation per one of the next.
 _COLLECTIONS = (50_000, 20, 20)
 
 
 def prepare_process() -> None:
-    """Collect garbage less often, and let imports of Dask fail: xarray finds no arrays of it then.
+    """Collect garbage less often, and make imports of Dask fail, so that xarray does without it.
 
-    Modules that nothing uses are loaded when something of them is used. Threads of OpenBLAS wait as
-    the user's environment says, or little.
+    Loading of unused modules is deferred to their first use. Threads of OpenBLAS spin for the time
+    that the user's environment sets, else briefly.
 
-    Where xarray is loaded, Dask stays: xarray may have found it already, and would miss it.
+    If xarray is loaded already, Dask stays importable: xarray may rely on it.
     """
     gc.set_threshold(*_COLLECTIONS)
     atexit.register(gc.freeze)
@@ -53,19 +54,19 @@ def prepare_process() -> None:
     if "xarray" in sys.modules:
         return
     for name in _NAMES:
-        # None in place of a module is Python's own way to say that it cannot be imported.
+        # With None in place of a module, Python refuses to import it.
         sys.modules.setdefault(name, cast(ModuleType, None))
 
 
 def let_dask_load() -> None:
-    """Let Dask be imported after all."""
+    """Make Dask importable again."""
     for name in _NAMES:
         if name in sys.modules and sys.modules[name] is None:
             del sys.modules[name]
 
 
 class _Later:
-    """Finder of the modules that are loaded when something of them is used."""
+    """Finder of the modules whose loading is deferred to their first use."""
 
     @staticmethod
     def find_spec(

@@ -71,13 +71,13 @@ def threads_of(count: int) -> int:
 
 
 def begin_child(threads: int) -> None:
-    """Begin a child process: without what it never needs; it ends as soon as its parent has.
+    """Begin a child process, which loads no unused modules and ends as soon as its parent has.
 
-    Its linear algebra uses `threads`, unless ``OMP_NUM_THREADS`` says otherwise.
+    Its linear algebra uses `threads`, unless ``OMP_NUM_THREADS`` is set.
     """
     prepare_process()
     if "OMP_NUM_THREADS" not in os.environ:
-        # For libraries that are still to be loaded, and for those that are.
+        # For libraries not loaded yet, and for loaded ones.
         os.environ["OMP_NUM_THREADS"] = str(threads)
         threadpool_limits(limits=threads)
 

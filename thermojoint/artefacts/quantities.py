@@ -75,11 +75,11 @@ _ENDING = re.compile(
     r"^(?P<base>.*?)(?:_|\s+in\s+|,?\s+|\s*/\s*|\s*[\[(]\s*)"
     rf"(?P<unit>{'|'.join(map(re.escape, _LONGEST_FIRST))})\s*[\])]?$"
 )
-#: The position of an axis; ``x_at_mm`` is that of displacements at stated ones.
+#: The position of an axis; ``x_at_mm`` is the position of displacements given at positions.
 _POSITION = re.compile(r"(?:pos|position|_at)$", re.IGNORECASE)
 #: A displacement at a stated position.
 _FIXED = re.compile(r"^(?P<base>.+)@(?P<at>-?\d+(?:\.\d+)?)(?P<unit>mm|m|um)$")
-#: Words to the unit that is assumed where none is given, as on a machine's own display.
+#: Words to the unit that is assumed where none is given, as on a machine's display.
 _USUAL = re.compile(
     r"^(?:(?P<rpm>drehzahl|spindeldrehzahl)|(?P<degC>temperatur|temperature))\W*\d*$"
 )
@@ -98,12 +98,12 @@ class Column:
 
     @property
     def quantity(self) -> str:
-        """``temperature``, ``length``, ``speed``, ``feed``, ``power`` ...: of `UNITS`."""
+        """``temperature``, ``length``, ``speed``, ``feed``, ``power`` ..., from `UNITS`."""
         return UNITS[self.unit].quantity
 
     @property
     def is_position(self) -> bool:
-        """Whether it is where an axis stands, not a displacement: its name ends in ``pos``."""
+        """Whether this is the position of an axis, by its name, and not a displacement."""
         return self.quantity == "length" and bool(_POSITION.search(self.base))
 
     def to_si(self, values: Array) -> Array:
@@ -118,7 +118,7 @@ class Column:
 
 
 def _plain(text: str) -> str:
-    """Return a text with unique characters for µ, ℃, ⁻¹, narrow blanks and minus signs."""
+    """Return a text with one spelling each of µ, ℃, ⁻¹, narrow blanks and minus signs."""
     return unicodedata.normalize("NFKC", text).replace("\N{MINUS SIGN}", "-")
 
 
@@ -129,7 +129,7 @@ def unit_named(text: str) -> str | None:
 
 
 def column_named(name: str) -> Column | None:
-    """Return the column of a name, or None if the name ends in no known unit."""
+    """Return the column of a name, or None if the name does not end in a known unit."""
     match = _ENDING.match(_plain(name))
     if match is None:
         return None
@@ -155,7 +155,7 @@ def fixed_positions(columns: Iterable[Column], name: str) -> list[tuple[Column, 
 
 
 def column_assumed(name: str) -> Column | None:
-    """Return the usual meaning of a name without unit: ``Drehzahl`` rpm, ``Temperatur 2`` °C."""
+    """Return a column in the usual unit of its name: ``Drehzahl`` rpm, ``Temperatur 2`` °C."""
     match = _USUAL.match(_plain(name).strip().lower())
     if match is None or match.lastgroup is None:
         return None

@@ -4,8 +4,8 @@ One labelled dataset with units in its metadata, stored as NetCDF; the only inpu
 measured response needs `heat_input`, `temperature` and `displacement` only; a simulated one also
 contains the joint and solver statistics.
 
-A march makes plain arrays (`ArrayResponse`), which are checked, summarised and written as they are;
-xarray is imported where its dataset is asked for or a file is read: that takes a fifth of a
+A march makes plain arrays (`ArrayResponse`), which are checked, summarised and written as they are.
+xarray is only imported to build its dataset or to read a file: the import takes a fifth of a
 command's start.
 """
 
@@ -135,9 +135,9 @@ REQUIRED = ("heat_input", "temperature", "displacement")
 class ArrayResponse:
     """A response as plain arrays."""
 
-    #: Coordinates and data by their names.
+    #: Coordinates and data by name.
     variables: Mapping[str, Variable]
-    #: Metadata of the whole.
+    #: Metadata of the response.
     attrs: dict[str, Any]
 
     def __contains__(self, name: object) -> bool:
@@ -156,12 +156,12 @@ class ArrayResponse:
         }
 
     def only(self, name: str) -> ArrayResponse:
-        """Return it with one variable and its coordinates."""
+        """Return the response with one variable and its coordinates."""
         kept = (*(dim for dim in self.variables[name].dims if dim in self), name)
         return replace(self, variables={key: self.variables[key] for key in kept})
 
     def dataset(self) -> xr.Dataset:
-        """Return it as a labelled dataset, which shares the arrays."""
+        """Return the response as a labelled dataset, which shares the arrays."""
         import xarray as xr
 
         parts = {name: tuple(variable) for name, variable in self.variables.items()}
@@ -179,7 +179,7 @@ def check_response(response: xr.Dataset, where: str) -> xr.Dataset:
         time does not increase.
     """
     known = {}
-    # Without data arrays, whose creation takes longer than checking all values.
+    # Without data arrays: creating them takes longer than checking all values.
     for key, variable in response.variables.items():
         name = str(key)
         if name in VARIABLES or name == "time":
@@ -192,7 +192,7 @@ def check_response(response: xr.Dataset, where: str) -> xr.Dataset:
 
 
 def _check_variables(variables: Mapping[str, Variable], where: str) -> None:
-    """Check data and ``time`` as `check_response` says."""
+    """Check data and ``time`` as specified by `check_response`."""
     for name in REQUIRED:
         if name not in variables:
             raise InputError(f"{where}: variable {name!r} is missing; a response needs {REQUIRED}")
@@ -242,7 +242,7 @@ def make_response(
     Parameters
     ----------
     values : dict of ndarray
-        Arrays shaped as `VARIABLES` says, in its units.
+        Arrays in the shapes and units of `VARIABLES`.
     coords : dict
         At least ``time`` (s), ``probe`` (names) and ``axis`` (names).
     attrs : dict, optional
@@ -292,7 +292,7 @@ def response_bytes(response: AnyResponse) -> bytes:
         return netcdf_bytes(response.variables, response.attrs)
     from xarray import conventions
 
-    # What the files of others have besides, such as dates, as xarray itself would store it.
+    # Other content of measured files, such as dates, is stored as xarray itself would.
     encoded, attrs = conventions.encode_dataset_coordinates(response)
     encoded, attrs = conventions.cf_encoder(encoded, attrs)
     variables = {
@@ -308,7 +308,7 @@ def read_response(path: Path | str) -> xr.Dataset:
     Parameters
     ----------
     path : Path or str
-        NetCDF, written by `write_response` or laid out as `VARIABLES` says.
+        NetCDF, written by `write_response` or laid out according to `VARIABLES`.
 
     Raises
     ------

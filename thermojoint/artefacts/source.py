@@ -14,7 +14,7 @@ def source_digest(package: str) -> str:
     Raises
     ------
     ModuleNotFoundError
-        If there is no such package: an empty digest would be valid for every source.
+        There is no such package: an empty digest would be valid for every source.
     """
     digest = hashlib.sha256()
     root = Path(__file__).parents[2]

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 #: Samples on which starts are compared before the full series is used.
 COARSE = 150
-#: A sample may be this far from its place in an even series, relative to the interval.
+#: Largest deviation of a sample from an even series, relative to the interval.
 UNEVEN = 1e-3
 
 
@@ -61,7 +61,7 @@ def even_interval(t: np.ndarray, where: str) -> float:
     Raises
     ------
     InputError
-        A sample is further than `UNEVEN` intervals from its place.
+        A sample deviates by more than `UNEVEN` intervals from an even series.
     """
     interval = float(t[-1] - t[0]) / (t.size - 1)
     first = 0 if t[0] < 0.5 * interval else 1

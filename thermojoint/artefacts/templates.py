@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 def templates_of(*packages: str) -> Environment:
-    """Return the templates in the folders ``templates`` of packages; the first one comes first.
+    """Return the templates in the folders ``templates`` of packages, searched in this order.
 
     Reports extend ``page.html.j2`` beside this module, which needs a ``title`` and the command that
     writes them as ``generator``. An undefined name in a template is an error. Values are escaped in

@@ -41,5 +41,5 @@ def clear_all() -> None:
     while _open:
         try:
             _open.pop()()
-        except Exception:  # the process ends: nobody could handle it
+        except Exception:  # the process ends, so nothing could handle it
             continue

@@ -33,7 +33,7 @@ def refusal(schema: type[BaseModel], error: ValidationError, where: str) -> Inpu
     meant = set(_meant(mistakes))
     lines: dict[Place, str] = {}
     for mistake in mistakes:
-        # Each member of a union reports its own mistake: the first is enough.
+        # Each member of a union reports a mistake of its own: the first is enough.
         if mistake.place not in meant and mistake.place not in lines:
             lines[mistake.place] = _line(mistake, where)
     return (InputError if len(lines) == 1 else InputErrors)("\n".join(lines.values()))

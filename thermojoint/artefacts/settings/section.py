@@ -26,8 +26,8 @@ def _beside(path: Path, info: ValidationInfo) -> Path:
     return (info.context / path).absolute()
 
 
-#: Name of a file, relative to the settings file; made absolute when that is read, because the
-#: working folder may be another one later.
+#: Name of a file, relative to the settings file; made absolute when the settings are read, because
+#: the working folder may change later.
 File = Annotated[Path, Field(strict=False), AfterValidator(_beside)]
 
 

@@ -46,5 +46,5 @@ def as_key(name: str) -> str:
 
 def as_text(value: str) -> str:
     """Return a TOML string, escaped as in JSON but without surrogate pairs."""
-    # JSON allows the last of the control characters as it is.
+    # JSON does not escape the last control character (DEL).
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -59,7 +59,7 @@ _STAMP = re.compile(
 
 
 def clock_word(name: str) -> bool:
-    """Whether a column's name, with or without unit or time zone, means a clock."""
+    """Whether a column's name, with or without unit or time zone, denotes a clock."""
     column = column_named(name.strip())
     if column is not None:
         return column.quantity == "time" and column.base.lower() in _WORDS
@@ -101,7 +101,7 @@ class Clock:
 
 
 class Moment(NamedTuple):
-    """A time, s; `second` is later where the end of summer time repeats a local time."""
+    """A time, s; `second` is the later one where the end of summer time repeats a local time."""
 
     first: float
     second: float
@@ -124,7 +124,7 @@ def clock_of(
 ) -> tuple[Clock | None, str]:
     """Return the clock of a table, and the mistake in a column that is named like one.
 
-    `rows` are the first rows, at least one; `chosen` are the columns that the user calls the clock.
+    `rows` are the first rows, at least one; `chosen` are the columns that the user named as clock.
 
     Notes
     -----
@@ -165,7 +165,7 @@ def _clock_in(index: int, name: str, cells: Sequence[str], decimal: str) -> Cloc
         if first is not None:
             dated = tells_date(scale * first)
             number = Clock((index,), "number", dated)
-            # 1e-3 is no binary fraction: ms are divided.
+            # 1e-3 is not a binary fraction: ms are divided by 1000.
             return replace(number, divisor=1e3) if scale < 1.0 else replace(number, factor=scale)
     if not cells:
         return None
@@ -206,7 +206,7 @@ def _order(parts: Sequence[re.Match[str]]) -> str:
     second = {int(part["b"]) for part in slashed}
     if max(first) > 12:
         return "dmy"
-    # If both are possible, the one in which less time passes: days change before months.
+    # If both are possible, the order in which less time passes: days change before months.
     return "dmy" if max(second) <= 12 and len(first) > len(second) else "mdy"
 
 
@@ -275,7 +275,7 @@ def _seconds(at: datetime, zone: tzinfo | None) -> Moment:
 
 
 def _time_of_day(text: str | re.Match[str]) -> Moment | None:
-    """Return the s since midnight."""
+    """Return the time since midnight, s."""
     match = _STAMP.match(text) if isinstance(text, str) else text
     if match is None or (isinstance(text, str) and (match["a"] or not match["hour"])):
         return None
@@ -308,11 +308,11 @@ def _date(match: re.Match[str], order: str) -> datetime | None:
 def passed(clock: Clock, hands: Hands, at: Moment) -> tuple[Hands, str]:
     """Return the state of a clock at the next row, and a note on a shift, if any.
 
-    A clock that goes back for an unknown reason stays there: the caller refuses it or starts a new
+    A clock set back for an unknown reason is not corrected: the caller refuses it or starts a new
     run.
     """
     time, shift, note = at.first + hands.shift, hands.shift, ""
-    # Where samples are about an hour apart, the end of summer time repeats one.
+    # With samples about an hour apart, the end of summer time repeats a time.
     repeated = time == hands.last and _HOUR <= 1.5 * hands.step < float("inf")
     if time < hands.last or repeated:
         if at.second + shift > hands.last and at.second > at.first:
@@ -330,14 +330,14 @@ def passed(clock: Clock, hands: Hands, at: Moment) -> tuple[Hands, str]:
 
 
 def _goes_on(time: float, hands: Hands) -> bool:
-    """Whether a time (s), of a clock that was set forward, is nearer to the step than before."""
+    """Whether a time (s), corrected for a clock set forward, fits the previous step better."""
     step, half = time - hands.last, 0.5 * _HOUR
     nearer = math.isinf(hands.step) or hands.step < step + half
     return (nearer and 0.0 < step <= min(1.5 * hands.step, half)) or _as_before(time, hands)
 
 
 def _as_before(time: float, hands: Hands) -> bool:
-    """Whether a time (s) comes one step after the previous row, as that did after its own."""
+    """Whether the step from the previous row to a time (s) equals the step before it."""
     return abs(time - hands.last - hands.step) < 0.1 * hands.step
 
 

@@ -23,7 +23,7 @@ _SHOWN = {";": "semicolon", "\t": "tab", ",": "comma", "|": "bar", "  ": "blanks
 _SEP_LINE = re.compile(r'^"?sep=(.)"?\s*$', re.IGNORECASE)
 #: A date or a time of day at the start of a cell.
 _MOMENT = re.compile(r"^\d{1,4}[-./:]\d{1,2}[-./:T ]?")
-#: Common first characters of a row of values; other rows are examined.
+#: First characters common in a row of values; rows with others are examined.
 _DIGITS = frozenset("0123456789")
 #: A comment, as opposed to a spreadsheet's error value.
 _COMMENT = re.compile(r"^\s*#(?!N/A|NA|DIV|VALUE|WERT|REF|BEZUG|NUM|ZAHL|NAME)", re.IGNORECASE)
@@ -44,7 +44,7 @@ class Dialect:
     units: tuple[str, ...]
     #: Number of lines before the first row.
     first: int
-    #: Number of these that are neither header nor units.
+    #: Number of those lines that are neither header nor units.
     skipped: int
 
     @property

@@ -26,7 +26,7 @@ ROWS = 1 << 15
 _KELVIN = (223.0, 400.0)
 #: Limit on thermal displacements, m.
 _LARGEST_LENGTH = 0.05
-#: A clock that returns to its start has restarted if at least this many rows came before.
+#: A clock that returns to its start has restarted if at least this many rows precede.
 _FEWEST = 3
 
 

@@ -74,7 +74,7 @@ def row_of(
 def decimal_in(line: str, layout: Layout) -> str:
     """Return the decimal sign that a line shows; empty if it shows none.
 
-    A file's is found among many rows, but a stream's first row may be that of a machine at rest.
+    A file shows its sign in many rows, but the first row of a stream may be of a machine at rest.
     """
     try:
         return layout.decimal_in([_cells(line, layout) or []])
