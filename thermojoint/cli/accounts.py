@@ -14,9 +14,9 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.cli import arguments
 from thermojoint.live.rights import Role
 
-#: By whom the audit log says that something was done.
+#: Origin of these actions in the audit log.
 _ORIGIN = "command"
-#: Of a token: a century.
+#: Longest life of a token: a century.
 _MOST_DAYS = 36_525.0
 
 
@@ -33,7 +33,7 @@ Machines = Annotated[
         help="Machines of the role: names or patterns like mill-*, with commas; default: all."
     ),
 ]
-#: Of the options above, for whoever is new.
+#: Defaults of the options above for a new user or token.
 _ROLE, _MACHINES = "viewer", "*"
 
 
@@ -48,8 +48,8 @@ def users(
 ) -> None:
     """List, add and remove the users of a service; it may be running.
 
-    A removed user's sessions end at once. A changed user keeps the role and the machines that are
-    not given.
+    A removed user's sessions end at once. A changed user keeps the role and the machines unless
+    they are given.
 
     Example: [bold]thermojoint users service.toml --add anna --machines 'mill-*'[/bold]
     """
@@ -136,12 +136,12 @@ def tokens(
 
 
 def user_name() -> str:
-    """Return who runs a command, as the audit log has it."""
+    """Return the name of the user who runs a command, for the audit log."""
     import getpass
 
     try:
         return getpass.getuser()
-    except (KeyError, OSError):  # a container may run as a number that has no name
+    except (KeyError, OSError):  # a container may run under a user id without a name
         return "unknown"
 
 

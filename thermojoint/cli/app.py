@@ -101,7 +101,7 @@ def _every_command(
     ] = False,
 ) -> None:
     """Options before the command."""
-    # Overflows lead to errors of convergence or finiteness, which are reported in one line.
+    # Overflows lead to errors about convergence or finite values, which are reported in one line.
     for kind in ("overflow", "invalid value", "divide by zero"):
         warnings.filterwarnings("ignore", f"{kind} encountered", RuntimeWarning)
     fonts.find_place()

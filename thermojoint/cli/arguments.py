@@ -22,14 +22,14 @@ from thermojoint.cli.file_kinds import Kind
 if TYPE_CHECKING:
     from estimator import kind as estimators
 
-#: Where the cases of a batch run.
+#: Options for the workers of a batch.
 Workers = Annotated[
     int | None, typer.Option(help="Processes on this machine; default: one for each core.")
 ]
 Scheduler = Annotated[
     str | None, typer.Option(help="Use this Dask cluster instead, e.g. tcp://10.0.0.1:8786.")
 ]
-#: The one option for results as JSON.
+#: The common option for results as JSON.
 Json = Annotated[
     Path | None,
     typer.Option(
@@ -62,7 +62,7 @@ def check_outputs(
     ------
     InputError
         An output is a folder or cannot be written, is an input (by whatever name or link) or
-        another output, exists and is of another kind, or has the ending of one.
+        another output, exists and is of another kind, or has the suffix of another kind.
     """
     taken = [("an input", path) for path in inputs if path is not None and _named(path)]
     for option, (path, kind) in outputs.items():
@@ -184,14 +184,14 @@ def write_json(path: Path | None, content: object) -> None:
 
 
 def only_for(what: str, given: Mapping[str, object]) -> None:
-    """Refuse given options (neither None nor False) that only apply to something else, `what`."""
+    """Refuse given options (neither None nor False), which only apply to `what`."""
     for option, value in given.items():
         if value is not None and value is not False:
             raise InputError(f"{option}: goes with {what}; leave it out")
 
 
 def check_taken(what: str, given: Mapping[str, tuple[object, bool]]) -> None:
-    """Refuse given options (value, whether it is taken) that a kind of model does not take."""
+    """Refuse given options, (value, whether it applies), that do not apply to a kind of model."""
     for option, (value, taken) in given.items():
         if value is not None and value is not False and not taken:
             raise InputError(f"{option}: not for {what}; leave it out")
@@ -202,7 +202,7 @@ def check_pace(
     model: Any,  # noqa: ANN401
     given: Mapping[str, object],
 ) -> None:
-    """Refuse options of the assembly for a model that is assembled already, or not at all."""
+    """Refuse options of the assembly for a model that is already assembled or never needs to be."""
     assembled = kind.assembled(model)
     what = "an assembled estimator" if assembled else kind.name
     taken = {
@@ -218,7 +218,7 @@ def check_same_pace(
     interval: float | None,
     run_length: float | None,
 ) -> None:
-    """Refuse an interval (s) or a run length (min) unlike those of the run that is continued."""
+    """Refuse an interval (s) or a run length (min) other than those of the continued run."""
     if kind.assembled_for is None:
         return
     own_interval, own_length = kind.assembled_for(estimator)
@@ -236,7 +236,7 @@ def reading_noise(given_um: float | None, readings: Path | None) -> float | None
     Raises
     ------
     InputError
-        It is not positive, or there are no readings.
+        The value is not positive, or there are no readings.
     """
     if given_um is None:
         return None

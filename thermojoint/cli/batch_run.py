@@ -50,7 +50,7 @@ def run_cases(
 ) -> run.Finished:
     """Run a study and show its progress.
 
-    `where` names its file in warnings; `recruit` starts workers, given a function that prints.
+    `where` is the name of its file in warnings; `recruit` starts workers, given a print function.
     """
     require("batch", "batch", "zarr", "pyarrow")
     terminal.warn(of_cases((case.case for case in study.cases), where))

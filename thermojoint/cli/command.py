@@ -35,7 +35,7 @@ def command_lines(command: str, width: int) -> list[str]:
     lines = [""]
     for part in re.split(r" (?=-)", command):
         if lines[-1] and len(f"{lines[-1]} {part}") > width:
-            lines[-1] += " \\\\"  # in markup a single one is an escape
+            lines[-1] += " \\\\"  # a single backslash is an escape in markup
             lines.append(f"  {part}")
         else:
             lines[-1] = (

@@ -30,7 +30,7 @@ def compensate(
 
     The settings define axes and signs, resolution, rate, dead band, filter, limit, and the
     behaviour without a usable estimate. Accepts the estimate of any estimator. For an axis with a
-    slope in the settings, and an estimate along an axis, K0, slope and P0.
+    slope in the settings and an estimate along an axis, the output is K0, slope and P0.
 
     Example: [bold]thermojoint compensate estimate.csv --settings offsets.toml --out
     offsets.csv[/bold]

@@ -19,9 +19,9 @@ class Kind:
 
     #: Description for messages.
     name: str
-    #: Returns whether an existing file is of this kind.
+    #: Whether an existing file is of this kind.
     holds: Callable[[Path], bool]
-    #: Required suffix of the name; empty if its writer checks that.
+    #: Required suffix of the name; empty if its writer checks the suffix.
     suffix: str = ""
 
 
@@ -67,7 +67,7 @@ def _is_validation(path: Path) -> bool:
 
 
 def _is_simulated(path: Path) -> bool:
-    """A simulated response, which contains its case; a measured one could not be recovered."""
+    """A simulated response, by the case in it; a measured one could not be recovered."""
     import h5py
 
     with suppress(OSError, KeyError, RuntimeError), h5py.File(path, "r") as file:
@@ -104,7 +104,7 @@ def _csv(first: bytes, last: bytes) -> Callable[[Path], bool]:
 
 
 def _is_of_target(path: Path) -> bool:
-    """Lines for a control, or a table of writes: what `target` writes."""
+    """Output of `target`: lines for a control, or a table of writes."""
     first = _first_line(path)
     return (
         first.endswith(b": temperature compensation by thermojoint")

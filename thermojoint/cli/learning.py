@@ -73,8 +73,8 @@ def learn(  # noqa: PLR0913 - the options of a command
 
     Example: [bold]thermojoint learn log.csv --displacement x_um@y_pos_mm --out model.json[/bold]
 
-    Few readings are enough beside the model of a machine like this one, learned from a log; leave
-    the displacement empty where it was not read.
+    Few readings are enough with the model of a similar machine, learned from a log; leave the
+    displacement empty where it was not read.
 
     Example: [bold]thermojoint learn readings.csv --displacement x_um --like sister.json
     --out model.json[/bold]

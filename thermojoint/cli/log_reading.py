@@ -44,7 +44,7 @@ def renamed_by(column: Sequence[str] | None, mapping: Path | None) -> dict[str, 
 
 
 def over(known: Mapping[str, str], renamed: Mapping[str, str]) -> dict[str, str]:
-    """Return the names that a model gives to columns, overridden by those of the options."""
+    """Return new names of columns from a model, overridden by those of the options."""
     kept = {theirs: ours for theirs, ours in known.items() if ours not in renamed.values()}
     return kept | dict(renamed)
 
@@ -80,8 +80,8 @@ def reported(pieces: Iterable[Log]) -> Iterator[Log]:
 def reported_live(pieces: Iterable[Log]) -> Iterator[Log]:
     """Yield the rows of a stream, and print its layout and new findings as they occur.
 
-    Pauses are reported when they are over, each kind of missing reading at its first occurrence,
-    the duration and the counts at the end.
+    Pauses are reported at their end, each kind of missing reading at its first occurrence, the
+    duration and the counts at the end of the stream.
     """
     from thermojoint import console
     from thermojoint.artefacts.log_record import begun, ended, merged, noticed

@@ -1,7 +1,7 @@
 """Entry point of the command line: errors and signals end in one line on standard error.
 
-A signal cleans up and ends the process at once, without an exception, which a finaliser or a
-library written in C could lose. The handlers are therefore installed before anything else is
+A signal cleans up and ends the process at once, without an exception, which could be lost in a
+finaliser or a library written in C. The handlers are therefore installed before anything else is
 imported.
 """
 

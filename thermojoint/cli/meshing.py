@@ -149,7 +149,7 @@ def inspect(
 
 
 def _with_loose_bodies(inspection: Inspection, case: Case, structure: Structure) -> Inspection:
-    """Add a warning about bodies that the supports and joints of a case do not hold."""
+    """Add a warning about bodies that no support or joint of a case holds."""
     from fesim.setup.constraints import checked_constraints
     from fesim.setup.parts import paired_joints
 

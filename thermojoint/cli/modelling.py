@@ -121,7 +121,7 @@ def calibrate(  # noqa: PLR0913 - the options of a command
     provenance = provenance_of(calibrated, origin)
     write_model(calibrated.model, out, provenance)
     if baselines:
-        # They need two sensors at the joint; a model that has one is not lost with them.
+        # Tables 2 and 3 need two sensors at the joint; a model with one is written nevertheless.
         write_baselines(baselines_of(calibrated, [base, *others.values()]), baselines)
     content = tables_json(calibrated.model, provenance)
     printing.show_tables(console.out(), printed_tables(content, provenance.at_bound))
@@ -214,7 +214,7 @@ def estimate(  # noqa: PLR0913 - the options of a command
     Example: [bold]thermojoint estimate model.json measured.csv --out estimate.csv[/bold]
 
     Readings of a touch probe (columns time_s, x_um, y_um) correct a joint-aware estimate;
-    --ask-above-um adds columns with the next one: its axis, when, how much it narrows the band.
+    --ask-above-um adds columns with the next reading: its axis, its time, how it narrows the band.
 
     Example: [bold]thermojoint estimate model.h5 log.csv --readings probe.csv --out e.csv[/bold]
 
@@ -231,7 +231,7 @@ def estimate(  # noqa: PLR0913 - the options of a command
     from thermojoint.artefacts.response import read_response
     from thermojoint.artefacts.units import MICRO
 
-    # Without the state of --continue, which may be replaced by its successor.
+    # The state of --continue is no input here: its successor may replace it.
     arguments.check_outputs(
         {"--out": (out, file_kinds.ESTIMATE), "--save-state": (save, file_kinds.ESTIMATOR_STATE)},
         [model, temperatures, readings, mapping],
@@ -267,7 +267,7 @@ def estimate(  # noqa: PLR0913 - the options of a command
         arguments.at_work("estimating", temperatures, out),
     ):
         samples: Iterator[Sample]
-        # A run that is continued counts from where it began.
+        # A continued run keeps its own cold temperature.
         cold = Cold(read_state(resume).cold, continued=True) if resume else Cold()
         if pieces is None:
             arguments.only_for("a log", {"--column": column, "--mapping": mapping})
@@ -283,7 +283,7 @@ def estimate(  # noqa: PLR0913 - the options of a command
                 cold,
             )
         if kind.paced:
-            # A run that is continued keeps the coefficients that it started with.
+            # A continued run keeps its initial coefficients.
             alone = options.interval if resume else None
             nominal, samples = measured.nominal_interval(samples, interval, where, alone)
             options = replace(options, interval=nominal)
@@ -303,12 +303,12 @@ def estimate(  # noqa: PLR0913 - the options of a command
                 return ask(estimator, state, limit)
 
         if readings is not None:
-            # Of a learned model along an axis, the position that belongs to a reading is beside it.
+            # For a learned model along an axis, each reading comes with its position.
             names = {channel.name for channel in estimator.channels}
             along = getattr(given, "positions", ())
             places = [name for name in along if f"reading {name}" in names]
             read = read_probe_readings(readings, (*estimator.axes, *places))
-            last = float(state[0])  # of every estimator, the time of the sample before
+            last = float(state[0])  # time of the previous sample, in every estimator
             samples = with_probe_readings(samples, *read, len(places), last)
 
         def keep(state: Array) -> None:

@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
 #: File in the folder of the results.
 PICTURE = "optimisation.png"
-#: A limit does not hold, or the full march cannot tell.
+#: Exit code if a limit does not hold, or the full march fails.
 NOT_HELD = 1
 _MODES = "march.thermal"
-#: The march that checks what was found: all thermal unknowns, heat and contact iterated.
+#: The march that checks the optimum: all thermal unknowns, heat and contact iterated.
 FULL = {
     _MODES: "full",
     "march.coupling": "iterated",
@@ -54,8 +54,8 @@ def optimise(  # noqa: PLR0913 - options of a command
 ) -> None:
     """Find the values of a case that serve a purpose best: a figure to minimise, limits to hold.
 
-    The cases run as a batch does; interrupted in any way, the same command goes on. What it finds
-    is checked by a full march. Exit code 1 if a limit does not hold or that march fails.
+    The cases run as in a batch; after any interruption the same command goes on. The optimum is
+    checked by a full march. Exit code 1 if a limit does not hold or that march fails.
 
     Example: [bold]thermojoint optimise question.toml --out design --json design.json[/bold]
     """
@@ -86,7 +86,7 @@ def optimise(  # noqa: PLR0913 - options of a command
     with _one_crew(workers or os.cpu_count() or 1, scheduler) as recruit:
 
         def run(rows: list[Values]) -> Array:
-            """Run cases beside all before them, so that the tables hold them all."""
+            """Run cases in one study with all earlier ones, so that the tables contain them all."""
             every.extend(rows)
             study = _study(given, every, str(question), refusals)
             if not study.cases:
@@ -130,7 +130,7 @@ def optimise(  # noqa: PLR0913 - options of a command
 
 
 def _own_values(given: DesignFile, case: Case) -> Values:
-    """Values of the case as it is; empty where one is no number of it, or outside its range."""
+    """Return the values of the case as given; empty if one is not a number or out of its range."""
     from thermojoint.sensitivity.parameters import parameters_of
 
     paths = tuple(span.path for span in given.ranges)
@@ -140,9 +140,9 @@ def _own_values(given: DesignFile, case: Case) -> Values:
 
 
 def _finished(given: DesignFile, out: Path, where: str) -> list[Values]:
-    """Values of the cases that an earlier search of the question finished in the folder.
+    """Return the values of the cases that an earlier search of the question finished.
 
-    They are of the study from the first generation on, so that the dataset keeps them all.
+    They belong to the study from the first generation on, so that the dataset keeps them all.
     """
     import pandas as pd
 
@@ -153,7 +153,7 @@ def _finished(given: DesignFile, out: Path, where: str) -> list[Values]:
         table = pd.read_parquet(out / "summary.parquet", columns=paths)
         rows = table.astype(float).to_dict("records")
     except (OSError, ValueError, ImportError):
-        return []  # There is none, or it is of another question.
+        return []  # There is no table, or one of another question.
     study = _study(given, rows, where, {})
     records = read_records(out, study)
     return [case.values for case in study.cases if case.id in records]
@@ -161,7 +161,7 @@ def _finished(given: DesignFile, out: Path, where: str) -> list[Values]:
 
 @contextmanager
 def _one_crew(workers: int, scheduler: str | None) -> Iterator[Callable[[Say], Recruit]]:
-    """Give workers that are started when they are needed first, and ended with the block."""
+    """Give workers that start when they are first needed, and end with the block."""
     from thermojoint.cli.batch_run import crew_of
 
     with ExitStack() as stack:
@@ -190,14 +190,14 @@ def _study(given: DesignFile, rows: list[Values], where: str, refusals: dict[str
 
 
 def _why(refusals: dict[str, str]) -> str:
-    """The first reason for which cases were refused."""
+    """Return the first reason for which cases were refused."""
     return f"; {len(refusals)} are refused: {next(iter(refusals.values()))}" if refusals else ""
 
 
 def _full_march(given: DesignFile, values: Values) -> tuple[Array, str]:
-    """Figures of a case by a march with all thermal unknowns; NaN and the reason if it fails.
+    """Return figures of a case from a march with all thermal unknowns; NaN and why if it fails.
 
-    Machines with axes march on their thermal modes only: theirs is iterated.
+    Machines with axes can only march on their thermal modes; that march is iterated.
     """
     from fesim.batch.paths import with_values
     from fesim.batch.summary import figures_of

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 #: An axis with less than this fraction of the largest band does not move.
 STILL = 1e-6
-#: A further run that leaves more than this part of the uncertainty is not worth its hours.
+#: A further run that leaves more than this fraction of the uncertainty is not worth its hours.
 ENOUGH = 0.8
 
 
@@ -138,12 +138,12 @@ def show_physics(console: Console, report: Mapping[str, Any]) -> None:
 
 
 def further_run_line(further_runs: Sequence[Mapping[str, Any]]) -> str:
-    """Return which further run tells most, and what it gains in a day.
+    """Return the most informative further run, and the uncertainty of a day after it.
 
     Parameters
     ----------
     further_runs : sequence of mapping
-        As `calibrate.joint_aware.report.short_report` has them; the first is none.
+        From `calibrate.joint_aware.report.short_report`; the first stands for no further run.
     """
 
     def deviation(further: Mapping[str, Any]) -> float:
@@ -181,6 +181,6 @@ def _show_displacement(
     table = Table("axis", *numeric("final", "peak"))
     for axis in response["axis"].to_numpy():
         at = (figures[f"displacement_{axis}_{kind}_um"] for kind in ("final", "peak"))
-        # To the nanometre, as the rest is rounding; adding zero removes the sign of -0.
+        # To the nanometre, since further digits are rounding errors; adding zero turns -0 into 0.
         table.add_row(str(axis), *(f"{round(value, 3) + 0.0:.3f}" for value in at))
     titled(console, f"Displacement of {response.attrs['displacement_of']} (µm)", table)

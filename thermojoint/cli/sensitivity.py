@@ -60,7 +60,7 @@ def sensitivity(  # noqa: PLR0913 - options of a command
 
     Of a case: the effect of one percent of each number (of 1 mm of a coordinate), by central
     differences of two sizes. Of a file of ranges: Morris screening or Sobol indices over all of
-    them. The cases run as a batch does; interrupted in any way, the same command goes on.
+    them. The cases run as in a batch; after any interruption the same command goes on.
 
     Example: [bold]thermojoint sensitivity machine.toml --out effects --parameter "joints.*"[/bold]
 
@@ -110,7 +110,7 @@ def sensitivity(  # noqa: PLR0913 - options of a command
 
 
 def _local(given: Path, patterns: tuple[str, ...], run: Run) -> dict[str, Any]:
-    """Vary each number of a case that matches."""
+    """Vary each matching number of a case."""
     from fesim.batch.study import study_of
     from fesim.case.schema import read_case
     from thermojoint.sensitivity import local, results

@@ -11,7 +11,7 @@ from thermojoint.artefacts.errors import InputErrors, unknown_name
 from thermojoint.artefacts.extras import require
 from thermojoint.cli import arguments, file_kinds
 
-#: What the extra `serve` brings.
+#: Packages of the extra `serve`.
 _LIBRARIES = (
     "prometheus_client",
     "asyncua",
@@ -41,7 +41,7 @@ def serve(
     """
     from thermojoint.live.settings import read_service
 
-    # First the file: a mistake in it is reported before the libraries are loaded.
+    # The file first: a mistake in it is reported before the libraries are loaded.
     given = read_service(service)
     require("serve", "serve", *_LIBRARIES)
     if check:
@@ -106,7 +106,7 @@ def rollback(
 ) -> None:
     """Go back to a model that a machine ran with before; a running service follows at once.
 
-    It holds until the model file of the settings changes again.
+    The rollback holds until the model file of the settings changes again.
 
     Example: [bold]thermojoint rollback service.toml mill[/bold]
     """

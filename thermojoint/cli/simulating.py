@@ -61,7 +61,7 @@ def simulate(
     )
 
     given = read_case(case)
-    # Without the state of --continue, which may be replaced by its successor.
+    # The state of --continue is no input here: its successor may replace it.
     arguments.check_outputs(
         {"--out": (out, file_kinds.RESPONSE), "--save-state": (save, file_kinds.MARCH_STATE)},
         [case, *files_of(given)],
@@ -129,8 +129,8 @@ def batch(
 ) -> None:
     """Simulate many cases: grids, lists and Latin hypercubes over the values of a case.
 
-    Responses, one dataset of all of them and a summary table go into the folder. Interrupted in
-    any way, the same command goes on from there. Exit code 1 if a case failed.
+    Responses, one dataset of all of them and a summary table go into the folder. After any
+    interruption the same command goes on from there. Exit code 1 if a case failed.
 
     Example: [bold]thermojoint batch study.toml --out results[/bold]
 

@@ -1,4 +1,4 @@
-"""Commands for controls that the service's offsets are written into."""
+"""Commands for controls that receive the service's offsets."""
 
 from __future__ import annotations
 
@@ -54,10 +54,10 @@ def target(
         Path | None, typer.Option(help="Table of 'compensate': list the writes that it leads to.")
     ] = None,
 ) -> None:
-    """Show what a control (Siemens, Beckhoff) needs and what would be written into it.
+    """Show the parameters of a control (Siemens, Beckhoff) and the values to be written into it.
 
-    Without --offsets it is the list of parameters with which the compensation begins, for the
-    control's commissioning; with it every write, in order, with node, value and unit.
+    Without --offsets: the list of initial parameters of the compensation, for the control's
+    commissioning. With --offsets: every write, in order, with node, value and unit.
 
     Example: [bold]thermojoint target sinumerik.toml --offsets offsets.csv --out writes.csv[/bold]
     """

@@ -154,7 +154,7 @@ def _record(
 
 
 def _each_once(option: str, given: Iterable[tuple[str, Named]]) -> dict[str, Named]:
-    """Return what is given by name; refuse a name that is given twice."""
+    """Return the given values by name; refuse a name that is given twice."""
     found: dict[str, Named] = {}
     for name, value in given:
         if name in found:

@@ -13,7 +13,7 @@ from thermojoint.verification.suite import GROUPS, Result, run
 
 
 def run_all(report: Report) -> list[Result]:
-    """Run every group, reporting how many are done."""
+    """Run every group, reporting the number of finished ones."""
     results: list[Result] = []
     report("verifying", 0, len(GROUPS))
     for result in run(GROUPS):
@@ -23,7 +23,7 @@ def run_all(report: Report) -> list[Result]:
 
 
 def show(console: Console, results: Sequence[Result]) -> None:
-    """Print one table for each group, and how many checks passed."""
+    """Print one table for each group, and the number of passed checks."""
     for result in results:
         table = Table()
         table.add_column("quantity", overflow="fold")
