@@ -36,7 +36,7 @@ class Controller:
     largest: float
     #: Step of the heat, W; 0 for none.
     resolution: float
-    #: Between samples, s.
+    #: Interval of the samples, s.
     interval: float
     #: δ0, m. A setpoint other than zero keeps the heater warm, so that its heat can be reduced.
     setpoint: float = 0.0
@@ -45,7 +45,7 @@ class Controller:
 class ControllerState(NamedTuple):
     """State of the controller between two samples."""
 
-    #: W.
+    #: Integral term, W.
     integral: float
     #: e, m, and the filtered derivative term, m.
     error: float
@@ -64,7 +64,7 @@ def control(
 
     Inputs are the estimated displacement, m, and the estimated disturbing heat, W.
 
-    Anti-windup: at a limit of the heater the integral only changes towards the inside.
+    Anti-windup: at a limit of the heater the integral only changes away from the limit.
     """
     step = controller.interval
     error = controller.sign * (controller.setpoint - displacement)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Length of the step response, s, and points drawn of a curve.
+#: Length of the step response, s, and number of points of a curve.
 _STEP, _POINTS = 7200.0, 1500
 
 

@@ -15,7 +15,7 @@ from thermojoint.compensation.loop.march import Course
 from thermojoint.compensation.loop.run import Closed, Design
 
 SCHEMA, SCHEMA_VERSION = "thermojoint-control", 1
-#: A heater that is at a limit for more than this share of a run is reported.
+#: A heater at its limit for more than this fraction of a run is reported.
 NOTICED = 0.02
 
 
@@ -72,7 +72,7 @@ def _decibel(factor: float) -> float | None:
 def _run(closed: Closed, name: str, run: Course, heated: bool) -> dict[str, Any]:
     heater, course = closed.loop.heater, judged(closed, run)
     aim = setpoints(closed, heated)
-    # Offsets of an axis compensate the setpoint as well.
+    # Offsets of an axis also compensate the setpoint.
     left = np.where(np.isin(closed.axes, closed.followed), 0.0, aim)
     content: dict[str, Any] = {
         "run": name,
@@ -146,7 +146,7 @@ def reached(closed: Closed, run: Course) -> str:
         ),
         (course.heater <= 0.0, "the heater cannot cool"),
     )
-    # Before its first heat the heater was not needed.
+    # The heater was not needed before it first heated.
     begun = int(np.argmax(course.heater > 0.0))
     reasons = []
     for reached_limit, why in limits:

@@ -1,8 +1,8 @@
 """Frequency responses and margins of the loop, linearised near the preload.
 
-Machine and estimator are those of a joint-aware model: modes and relaxations, diagonal, sampled at
-the estimator's own step T. With x' = D x + b u of the machine and the steady filter x+ = F x + K e,
-e = y - H F x, of the estimator (docs/closing-the-loop.md):
+Machine and estimator are taken from a joint-aware model: modes and relaxations, diagonal, sampled
+at the estimator's own step T. With x' = D x + b u for the machine and the steady filter
+x+ = F x + K e, e = y - H F x, for the estimator (docs/closing-the-loop.md):
 
 δ/u = M (z - D)^-1 b,  y/u = H (z - D)^-1 b,  x/y = z N (1 + z H N - H K)^-1,  N = (z - F)^-1 K.
 """
@@ -40,7 +40,7 @@ class Channels:
     #: Columns of the inputs.
     heater: int
     disturbance: int
-    #: Of the displacement.
+    #: Index of the axis of the displacement.
     axis: int
 
 
@@ -58,12 +58,12 @@ class SourceResponse(NamedTuple):
 class Responses:
     """Frequency responses at the estimator's own sampling."""
 
-    #: Shape (f,): 1/s (radians), up to half of the sampling.
+    #: Shape (f,): angular frequencies, 1/s, up to half the sampling frequency.
     frequencies: Array
-    #: Per W of the heater, and of the disturbance.
+    #: Responses per W of the heater, and of the disturbance.
     heater: SourceResponse
     disturbance: SourceResponse
-    #: Shape (f, p + 1): the same per K of each reading: m/K and W/K.
+    #: Shape (f, p + 1): the same per K of each reading, m/K and W/K.
     noise_estimate: Complex
     noise_heat: Complex
     #: T, s.
@@ -94,7 +94,7 @@ def frequencies_of(model: ObserverModel) -> Array:
 
 
 def state_space(model: ObserverModel, source: int, axis: int) -> control.StateSpace:
-    """Return the machine from the heat of a source (W) to the displacement (m), per step."""
+    """Return the discrete-time machine from the heat of a source (W) to the displacement (m)."""
     system = Observer(model).system
     dynamic = system.decay.size
     return python_control().ss(
@@ -156,7 +156,7 @@ def controller_response(
     frequencies : ndarray, shape (f,)
         1/s.
     delay : float
-        Of the estimates on their way, s.
+        Transmission delay of the estimates, s.
     """
     z, step = np.exp(1j * frequencies * controller.interval), controller.interval
     slow, fed = controller.derivative_filter, controller.feed_forward_filter
@@ -180,9 +180,9 @@ def open_loop(responses: Responses, controller: Controller, delay: float) -> Com
 class Margins:
     """Stability margins of a loop."""
 
-    #: Factor on the gain, 1; infinite if there is none.
+    #: Gain margin, a factor; infinite if no gain destabilises the loop.
     gain: float
-    #: rad.
+    #: Phase margin, rad.
     phase: float
     #: Additional delay until instability, s.
     delay: float
@@ -198,7 +198,7 @@ def margins_of(frequencies: Array, loop: Complex) -> Margins:
     frequencies : ndarray, shape (f,)
         1/s; the last is the Nyquist frequency, where a sampled loop is real and may be -1.
     loop : ndarray, shape (f,)
-        Its response.
+        Response of the open loop.
     """
     control = python_control()
     data = control.FrequencyResponseData(loop, frequencies, smooth=True)
@@ -231,7 +231,7 @@ def noise_of_heat(
     delay : float
         s.
     noise : ndarray, shape (p + 1,)
-        Standard deviation of each reading, K, white.
+        Standard deviation of the white noise of each reading, K.
     """
     pid, ahead = controller_response(controller, responses.frequencies, delay)
     open_ = open_loop(responses, controller, delay)

@@ -37,9 +37,9 @@ from thermojoint.compensation.offsets.usable import usable
 class Plant:
     """The compensated machine."""
 
-    #: The heater, if there is one, has no heat input in the case.
+    #: Case in which the heater, if there is one, has no heat input.
     case: Case
-    #: Of the case.
+    #: Setup of the case.
     setup: Setup
 
 
@@ -47,29 +47,29 @@ class Plant:
 class Acting:
     """Actuators of a closed loop."""
 
-    #: None if there is no heater.
+    #: None without a heater.
     controller: Controller | None
     #: Indices of the plant's source, of the estimator's source, and of the estimate's axis.
     heater: int
     disturbance: int
     axis: int
-    #: None if no axis is moved.
+    #: None without axis offsets.
     offsets: Settings | None
-    #: Of the estimates on their way, samples.
+    #: Transmission delay of the estimates, samples.
     delay: int
 
 
 class Course(NamedTuple):
     """Time histories of a run; one row per step of the plant."""
 
-    #: Shape (n,): s.
+    #: Shape (n,): times, s.
     times: Array
-    #: Shape (n, axes): of the machine, and the newest estimate of it, m.
+    #: Shape (n, axes): displacement of the machine, and its newest estimate, m.
     displacement: Array
     estimate: Array
     #: Shape (n, axes): contribution of the axis offsets to the displacement, m.
     moved: Array
-    #: Shape (n,): W.
+    #: Shape (n,): heat of the heater, W.
     heater: Array
     disturbing: Array
 
@@ -86,13 +86,13 @@ def run_loop(plant: Plant, estimator: JointAware, acting: Acting, noise: Array) 
     Parameters
     ----------
     plant : Plant
-        Simulated by `fesim`.
+        Machine, simulated by `fesim`.
     estimator : JointAware
-        Sampled at the step of its model, a multiple of the plant's.
+        Estimator, sampled at the step of its model, a multiple of the plant's step.
     acting : Acting
         Actuators driven by its estimates.
     noise : ndarray, shape (samples, sensors)
-        On every reading, K; as many samples as the run has.
+        Noise of every reading, K, for all samples of the run.
 
     Raises
     ------
@@ -157,7 +157,7 @@ def _at_rest(acting: Acting, axes: int) -> _Act:
 def _act(
     acting: Acting, before: _Act, axes: tuple[str, ...], arrived: Estimate | None, time: float
 ) -> _Act:
-    """Actuation after a sample, with the newest estimate or none yet."""
+    """Actuation after a sample, with the newest estimate, if there is one yet."""
     after = before
     if acting.controller is not None and arrived is not None:
         controlled, heat = control(
@@ -181,8 +181,8 @@ def check_plant(case: Case, estimator: JointAware) -> None:
     Raises
     ------
     InputError
-        The estimator reads more than temperatures, or a probe that the plant does not have; its
-        step is no multiple of the plant's, or these are adaptive.
+        The estimator reads more than temperatures, or a probe that the plant lacks; its step is
+        not a multiple of the plant's, or the plant's steps are adaptive.
     """
     model = estimator.model
     others = [*model.loads, *model.positions, *model.powers]

@@ -43,7 +43,7 @@ class Design:
 
     tuned: Tuned
     responses: Responses
-    #: Delay of the estimates (s) to the margins of the same controller.
+    #: Delay of the estimates (s) to the margins of the same controller with it.
     late: dict[float, Margins]
 
 
@@ -58,11 +58,11 @@ class Closed:
     design : Design or None
         None without a heater.
     free : Course
-        Without heat from the heater, with offsets if there are any.
+        Run without heat from the heater, with offsets if there are any.
     heated : Course or None
-        With the heater; None without one.
+        Run with the heater; None without one.
     late : dict of float to Course
-        With all actuators, for each tested delay (s).
+        Runs with all actuators, for each tested delay (s).
     followed : tuple of str
         Axes that offsets follow.
     """
@@ -226,7 +226,7 @@ def _sample_count(case: Case, estimator: JointAware) -> int:
 
 
 def _check_judged(loop: Loop, case: Case, estimator: JointAware) -> None:
-    """Refuse a run of which nothing counts."""
+    """Refuse a run that ends before the evaluated part begins."""
     step = estimator.model.step
     end = _sample_count(case, estimator) * step
     if end <= 0.0 or 60.0 * loop.plant.judged_from_min > end:
@@ -247,7 +247,7 @@ def _noise(loop: Loop, case: Case, estimator: JointAware) -> Array:
 
 
 def _check_age(settings: Settings | None, loop: Loop, step: float) -> None:
-    """Refuse estimates that are too old when they arrive, or before the next one does."""
+    """Refuse estimates that are too old on arrival, or before the next one arrives."""
     delay = loop.estimator.delay_s
     if settings is None:
         return
@@ -264,7 +264,7 @@ def _check_age(settings: Settings | None, loop: Loop, step: float) -> None:
 
 def _check_axes(settings: Settings | None, estimator: JointAware) -> None:
     if settings is not None:
-        # The machine of a loop stands, and so does that of its model.
+        # In a loop the machine and its model do not move their axes.
         with_slopes(settings, {}, "offsets")
     for name in settings.output.estimated if settings is not None else ():
         if name not in estimator.axes:

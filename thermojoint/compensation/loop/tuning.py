@@ -3,8 +3,8 @@
 At a crossover ω the machine is approximated by an integrator with its gain there, |δ/u| ω, a
 conservative approximation of diffusion. Skogestad's SIMC for an integrator then has the integral
 time 4/ω, the gain that makes |L(jω)| = 1, and no derivative; the feed-forward is low-passed at ω,
-its gain the least squares of both step responses. The crossover is the highest at which all of
-`Requirements` hold.
+and its gain is the least-squares fit of the two step responses. The crossover is the highest at
+which all `Requirements` hold.
 
 Skogestad (2003), Simple analytic rules for model reduction and PID controller tuning, J. Process
 Control 13, 291-309.
@@ -45,14 +45,14 @@ class Requirements:
     gain_margin: float
     #: Smallest phase margin, rad.
     phase_margin: float
-    #: Relative error of the model's gain to be tolerated, either way.
+    #: Tolerated relative error of the model's gain, of either sign.
     gain_error: float
     #: Delay of the estimates, and its possible increase, s.
     delay: float
     delay_error: float
     #: Shape (p + 1,): standard deviation of each reading, K.
     noise: Array
-    #: Largest standard deviation of the heat caused by it, W.
+    #: Largest standard deviation of the heat caused by sensor noise, W.
     most_noise: float
 
 
@@ -62,7 +62,7 @@ class Tuned:
 
     controller: Controller
     nominal: Margins
-    #: Factor, and rad.
+    #: Smallest gain margin, a factor, and phase margin, rad.
     worst_gain: float
     worst_phase: float
     #: Standard deviation of the heat caused by sensor noise, W.
@@ -104,7 +104,7 @@ def tune(responses: Responses, start: Controller, required: Requirements) -> Tun
     Raises
     ------
     InputError
-        No crossover meets them.
+        No crossover meets the requirements.
     """
     low, high = responses.frequencies[0] * 4.0, responses.frequencies[-1] / 3.0
     crossovers = np.geomspace(low, high, round(A_DECADE * np.log10(high / low)))
@@ -112,7 +112,7 @@ def tune(responses: Responses, start: Controller, required: Requirements) -> Tun
         controller = _simc(responses, start, float(crossover))
         noise = noise_of_heat(responses, controller, required.delay, required.noise)
         if not noise <= required.most_noise:
-            continue  # before the margins, which take much longer
+            continue  # before the margins, whose computation takes much longer
         candidate = _checked(responses, controller, required, noise)
         if (
             candidate.worst_gain >= required.gain_margin
@@ -147,7 +147,7 @@ def _simc(responses: Responses, start: Controller, crossover: float) -> Controll
 def _checked(
     responses: Responses, controller: Controller, required: Requirements, noise: float
 ) -> Tuned:
-    """Margins of a controller, whose heat has some noise (W), nominal and under model errors."""
+    """Margins of a controller with given noise of its heat (W), nominal and under model errors."""
     nominal = margins_of(responses.frequencies, open_loop(responses, controller, required.delay))
     late = open_loop(responses, controller, required.delay + required.delay_error)
     worst = [

@@ -1,12 +1,11 @@
 """Handshake with a control: whether it takes over the offsets that it receives.
 
-The control enables the offsets, counts a heartbeat on, and acknowledges the offsets that it has
+The control enables the offsets, increments a heartbeat, and acknowledges the offsets that it has
 taken over. While the handshake is broken the offsets freeze and decay as without a usable
 estimate. A control that was away (disabled, or without a heartbeat) may have held, faded or cleared
-its offsets meanwhile; it continues from those that it acknowledges when it returns.
+its offsets meanwhile; on its return the offsets continue from those that it acknowledges.
 
-For an axis with a slope the slope stands behind the offsets, by the correction that it makes at the
-far end of the stroke, m.
+Arrays contain the offsets, followed by the slopes, as corrections at the far end of the stroke, m.
 """
 
 from __future__ import annotations
@@ -30,22 +29,24 @@ STANDS = "stands"
 class HandshakeSettings:
     """Limits of a handshake."""
 
-    #: A heartbeat that has not changed for longer breaks it, s.
+    #: Longest time without a change of the heartbeat, s.
     oldest: float
-    #: An acknowledged offset may be this far from those sent last, m; infinite: none is needed.
+    #: Largest difference of an acknowledged offset from those sent last, m; infinite: no
+    #: acknowledgement is needed.
     differs: float
-    #: An acknowledgement may lag behind by this time, and differ for so long, s.
+    #: Longest time for which an acknowledgement may lag behind, or differ, s.
     differs_time: float
 
 
 class Answer(NamedTuple):
     """Message of a control, whole or in parts."""
 
-    #: Whether it takes over offsets; None: not said now.
+    #: Whether the control takes over offsets; None: not in this message.
     enabled: bool | None = None
-    #: A counter; any change is a sign of life.
+    #: Counter; any change shows that the control is alive.
     heartbeat: int | None = None
-    #: The offsets that it has taken over, m, shape (channels,); NaN, or empty: not said now.
+    #: Offsets that the control has taken over, m, shape (channels,); NaN, or empty: not in this
+    #: message.
     acknowledged: Sequence[float] = ()
 
 
@@ -53,22 +54,22 @@ class Handshake(NamedTuple):
     """State of a handshake."""
 
     enabled: bool
-    #: The last one; None before the first.
+    #: Last heartbeat; None before the first.
     heartbeat: int | None
-    #: When it changed last, s; -inf for never. A first one may be years old.
+    #: Time of its last change, s; -inf for never: the first heartbeat may be years old.
     beaten: float
-    #: Shape (channels,): m; NaN where the control has not acknowledged since it was away.
+    #: Shape (channels,): m; NaN for channels not acknowledged since the control was away.
     acknowledged: Array
-    #: Time (s) and offsets (m) of what was sent in the last `differs_time`, oldest first.
+    #: Times (s) and offsets (m) sent in the last `differs_time`, oldest first.
     sent: tuple[tuple[float, Array], ...]
-    #: Shape (channels,): range of what was sent since the control last agreed, m.
+    #: Shape (channels,): range of the offsets sent since the control last agreed, m.
     low: Array
     high: Array
-    #: When it did, s.
+    #: Time at which the control last agreed, s.
     agreed: float
-    #: It has been away, and has not returned.
+    #: Whether the control has been away and has not returned.
     away: bool
-    #: `STANDS`, or why it is broken.
+    #: `STANDS`, or the reason why the handshake is broken.
     state: str
 
 
@@ -101,19 +102,19 @@ def answered(handshake: Handshake, answer: Answer, clock: float) -> Handshake:
 
 
 def judged(settings: HandshakeSettings, handshake: Handshake, clock: float) -> Handshake:
-    """Return the handshake at a time (s), with whether it stands.
+    """Return the handshake at a time (s) with its updated state.
 
-    Where a control returns, `continued_from` says from which offsets.
+    When a control returns, `continued_from` gives the offsets to continue from.
 
     Parameters
     ----------
     settings : HandshakeSettings
     handshake : Handshake
     clock : float
-        s; not earlier than before.
+        Time, s; not earlier than in the previous call.
     """
     if clock - handshake.beaten > settings.oldest:
-        # What it acknowledged before does not count when it returns.
+        # Earlier acknowledgements do not count when the control returns.
         unknown = np.full(handshake.low.shape, np.nan)
         return handshake._replace(state=SILENT, away=True, acknowledged=unknown)
     if not handshake.enabled:
@@ -129,9 +130,10 @@ def judged(settings: HandshakeSettings, handshake: Handshake, clock: float) -> H
 def continued_from(
     before: Handshake, after: Handshake, settings: HandshakeSettings
 ) -> Array | None:
-    """Return the offsets (m) of a control that has just returned, or agrees again; None: neither.
+    """Return the offsets (m) in a control that has just returned or agrees again; else None.
 
-    They are those that it acknowledges, within what it was sent since it last agreed, and zero.
+    These are the acknowledged offsets, clipped to the range of zero and all offsets sent since the
+    control last agreed.
 
     Parameters
     ----------
@@ -151,7 +153,7 @@ def sent(
     """Return the handshake after offsets (m) were sent at a time (s)."""
     recent = (*_recent(settings, handshake, clock), (clock, offsets))
     if handshake.state == STANDS and handshake.agreed == clock:
-        # What acts in the control stays among it, however long ago it was sent.
+        # The range includes the offsets in force in the control, however long ago they were sent.
         acts = np.clip(handshake.acknowledged, handshake.low, handshake.high)
         low, high = _range(recent)
         low, high = np.fmin(low, acts), np.fmax(high, acts)
@@ -175,10 +177,11 @@ def _range(recent: Sequence[tuple[float, Array]]) -> tuple[Array, Array]:
 
 
 def _agrees(settings: HandshakeSettings, handshake: Handshake, clock: float) -> bool:
-    """Whether the control has taken over something that it was sent a short time ago.
+    """Whether the control has taken over offsets that were sent a short time ago.
 
-    After it was away: anything that it was sent since it agreed last, or on the way to zero. After
-    it differed: what was sent last. What decays meanwhile would meet any wrong acknowledgement.
+    After an absence of the control, any offset counts that was sent since it last agreed, or
+    between these and zero. After a difference only the last offset sent counts: offsets that decay
+    meanwhile would sooner or later match any wrong acknowledgement.
     """
     if math.isinf(settings.differs):
         return True

@@ -1,4 +1,4 @@
-"""Axis offsets in one control cycle, from an estimate; for axes with a slope their lines.
+"""Axis offsets in one control cycle, from an estimate; for axes with a slope also the slopes.
 
 The target is sign times the estimated displacement after a first-order low-pass, a dead band and a
 limit. The offset approaches it with a limited rate in whole steps of the control's resolution.
@@ -7,12 +7,12 @@ estimates have been usable for some time, so that an intermittent status does no
 and forth.
 
 An axis with a slope is corrected by offset + slope (position - reference). Offset and slope pass
-these stages with limits of their own, which leave the correction within the rate and the largest
-offset at every position of the stroke, whichever of the two is earlier.
+these stages with limits of their own, which keep the correction within the rate and the largest
+offset at every position of the stroke, even while the two move at different times.
 
 A state outlives its settings (`content_of`, `restored`): it is stored in metres by axis name, so
 after a change of the resolution, the limits or the axes each axis continues from the offset that
-the control received last. With another reference the offset is another one, and the line the same.
+the control received last. A new reference changes the offset, but not the line.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from estimator.lines import Lines, lever
 from thermojoint.artefacts.arrays import Array
 
-#: What is kept of a value beside itself.
+#: Further numbers stored with each offset and slope.
 _KEPT = ("frozen", "filtered", "wanted")
 
 
@@ -39,19 +39,19 @@ _KEPT = ("frozen", "filtered", "wanted")
 class Limits:
     """Limits of an offset (m), or of a slope (m/m)."""
 
-    #: Step.
+    #: Step size.
     resolution: float
     #: Largest rate, 1/s.
     rate: float
     #: The target changes only if the estimate has changed by more than this.
     dead_band: float
-    #: Of either sign.
+    #: Largest value of either sign.
     largest: float
 
     @property
     def most_steps(self) -> int:
         """Largest value in whole steps."""
-        # Rounding must not reduce a limit of a whole number of steps.
+        # Rounding errors must not reduce a limit of a whole number of steps.
         return math.floor(self.largest / self.resolution + 1e-9)
 
 
@@ -59,13 +59,13 @@ class Limits:
 class AxisSlope:
     """A slope that an axis of the control takes."""
 
-    #: Of the control.
+    #: Axis of the control.
     axis: str
     #: Position at which the correction is the offset, and the ends of the stroke, m.
     reference: float
     low: float
     high: float
-    #: Of this axis; in place of those of the axes without a slope.
+    #: Limits for this axis, in place of the limits for axes without a slope.
     offset: Limits
     slope: Limits
 
@@ -78,14 +78,14 @@ class AxisSlope:
 class Channels(NamedTuple):
     """Limits of all values that a control receives: the offsets, then the slopes."""
 
-    #: Shape (channels,): which of the travels each one uses.
+    #: Shape (channels,): index of the travel that each channel uses.
     shares: NDArray[np.int64]
-    #: Shape (channels,): steps (m, m/m), dead bands, and most steps.
+    #: Shape (channels,): step sizes (m, m/m), dead bands, and largest numbers of steps.
     resolution: Array
     dead_band: Array
     most: NDArray[np.int64]
-    #: Shape (channels,): correction at the far end of the stroke per value: 1, and for slopes the
-    #: lever, m.
+    #: Shape (channels,): correction at the far end of the stroke per value: 1 for offsets, the
+    #: lever (m) for slopes.
     levers: Array
     #: Shape (travels,): the offsets of all axes without a slope share a travel.
     rates: Array
@@ -98,7 +98,7 @@ class OutputSettings:
 
     #: Axes of the control.
     names: tuple[str, ...]
-    #: Axis of the estimate that each of them follows.
+    #: Axis of the estimate that each axis follows.
     estimated: tuple[str, ...]
     #: 1 or -1: offset per estimated displacement.
     signs: tuple[int, ...]
@@ -121,17 +121,17 @@ class OutputSettings:
     #: Upper limit of a cycle's duration in the rate limit, s, so that offsets do not jump after a
     #: pause.
     longest_cycle: float
-    #: Of the axes that take one, in their order.
+    #: Slopes of the axes that have one, in the order of the axes.
     slopes: tuple[AxisSlope, ...] = ()
 
     @property
     def limits(self) -> Limits:
-        """Of the offsets of axes without a slope."""
+        """Limits of the offsets of axes without a slope."""
         return Limits(self.resolution, self.rate, self.dead_band, self.largest)
 
     @cached_property
     def along(self) -> tuple[int, ...]:
-        """Axes that take a slope, by their place."""
+        """Indices of the axes with a slope."""
         return tuple(self.names.index(one.axis) for one in self.slopes)
 
     @cached_property
@@ -208,7 +208,7 @@ def slopes_of(settings: OutputSettings, state: OutputState) -> Array:
 
 
 def corrections_of(settings: OutputSettings, state: OutputState) -> Array:
-    """Return the offsets, and what each slope makes at the far end, m, shape (channels,)."""
+    """Return the offsets and the corrections by slopes at the far end, m, shape (channels,)."""
     return settings.channels.levers * _values(settings, state.steps)
 
 
@@ -229,11 +229,11 @@ def followed(
     ----------
     settings : OutputSettings
     axes : sequence of str
-        Axes of the estimate; they and `places` include all that `settings` refers to.
+        Axes of the estimate; they and `places` include all names in `settings.estimated`.
     displacement : ndarray, shape (axes,)
-        Estimated, m.
+        Estimated displacement, m.
     lines : Lines, optional
-        Estimated; without them slopes have no target (NaN).
+        Estimated lines; without them slopes have no target (NaN).
     places : mapping of str to float, optional
         Estimated displacements at positions by name (`estimator.lines.name_at`), m.
     """
@@ -257,7 +257,7 @@ def band_along(
 ) -> Array:
     """Return bands (m) that hold at every position of the stroke for the axes with a slope.
 
-    They are not wider than those of offset and slope together.
+    They are not wider than the sum of the bands of offset and slope.
     """
     if not settings.slopes or lines is None:
         return band
@@ -279,7 +279,7 @@ def cycle(
     state : OutputState
         State after the previous cycle; not modified.
     time : float
-        s; later than that of the previous cycle.
+        Time, s; later than the previous cycle.
     target : ndarray, shape (channels,), or None
         Targets of offsets and slopes (`followed`); None or non-finite values without a usable
         estimate.
@@ -302,7 +302,7 @@ def cycle(
         since = time if math.isnan(state.unusable_since) else state.unusable_since
         frozen = state.steps if math.isnan(state.unusable_since) else state.frozen
         left = _left(settings, time - since)
-        # Rounded towards zero, so that a decaying offset never grows, even with a new resolution.
+        # Rounded towards zero: a decaying offset never grows, even with a new resolution.
         goal = np.sign(state.steps) * np.minimum(np.trunc(left * np.abs(frozen)), abs(state.steps))
         filtered = wanted = np.full(len(channels.shares), np.nan)
     allowed, credit = _allowed(channels, state.credit, min(passed, settings.longest_cycle))
@@ -364,9 +364,9 @@ def restored(
     """Return the state under these settings that continues one stored under others.
 
     An axis of the same name starts from its last offset and slope, rounded to the resolution; a new
-    axis, or a new slope, from zero. With another reference the offset is that of the same line
-    there. Filtered values are only used if the same estimate is followed. The elapsed time moves no
-    axis, since a control holds its last value.
+    axis, or a new slope, from zero. With another reference the offset is the value of the same line
+    at that reference. Filtered values are only used if the axis follows the same estimate as
+    before. The elapsed time moves no axis, since a control holds its last value.
 
     Parameters
     ----------
@@ -409,26 +409,26 @@ def restored(
 
 
 def _slope_of(settings: OutputSettings, axis: int) -> list[int]:
-    """Return the channel of the slope of an axis, by its place; none without one."""
+    """Return the channel of the slope of an axis, given by its index; empty without a slope."""
     return [len(settings.names) + j for j, k in enumerate(settings.along) if k == axis]
 
 
 def moved_to(
     settings: OutputSettings, state: OutputState, corrections: Array, time: float
 ) -> OutputState:
-    """Return the state that goes on from what a control has, frozen there at a time.
+    """Return the state that continues from the corrections in the control, frozen at a time.
 
-    It is not what it was sent last; offsets and slopes follow again once estimates have been usable
-    for the time to recover.
+    These differ from the last ones sent. Offsets and slopes follow again once estimates have been
+    usable for the recovery time.
 
     Parameters
     ----------
     settings : OutputSettings
     state : OutputState
     corrections : ndarray, shape (channels,)
-        As `corrections_of` has them, m.
+        In the form of `corrections_of`, m.
     time : float
-        s.
+        Time, s.
     """
     channels = settings.channels
     steps = np.rint(corrections / channels.levers / channels.resolution).astype(np.int64)
@@ -473,7 +473,7 @@ def _beyond_dead_band(settings: OutputSettings, before: Array, filtered: Array) 
 
 
 def _allowed(channels: Channels, credit: Array, passed: float) -> tuple[NDArray[np.int64], Array]:
-    """Number of steps that a value may move in a cycle, and the available travel, by travels.
+    """Steps by which a value may move in a cycle, and the available travel; shape (travels,).
 
     Travel of less than a step is carried over to the next cycle, up to one step, so that within any
     time a value moves by at most the rate times this time plus one step.

@@ -28,11 +28,11 @@ from thermojoint.compensation.offsets.usable import usable
 class Cycle(NamedTuple):
     """Offsets of one cycle."""
 
-    #: s.
+    #: Time, s.
     time: float
     #: Shape (control's axes,): m.
     offsets: Array
-    #: Shape (slopes,): slopes (m/m) and their reference positions (m), of the axes that take them.
+    #: Shape (slopes,): slopes (m/m) and reference positions (m) of the axes with a slope.
     slopes: Array
     references: Array
     #: ``follow``, ``freeze``, or ``decay``; ``wait`` before the first usable estimate.
@@ -64,7 +64,7 @@ def preview(settings: Settings, axes: Sequence[str], rows: Sequence[Row]) -> Ite
     references = np.array([one.reference for one in output.slopes])
     times = np.array([row.time for row in rows])
     state = at_zero(output)
-    # Rounding must not drop the last cycle.
+    # Rounding errors must not drop the last cycle.
     count = math.floor((times[-1] - times[0]) / settings.cycle + 1e-9) + 1
     for index in range(count):
         time = float(times[0] + index * settings.cycle)
@@ -99,11 +99,11 @@ def row_of(settings: Settings, cycle: Cycle) -> list[str]:
         for value, section in zip(cycle.slopes, settings.slopes.values(), strict=True)
     )
     references = (f"{value / MILLI:.9g}" for value in cycle.references)
-    # Fifteen digits, as in the table of estimates: seconds since 1970.
+    # Fifteen digits, as in the table of estimates: times may be seconds since 1970.
     return [f"{cycle.time:.15g}", *offsets, *slopes, *references, cycle.state]
 
 
 def _text(value: float, step: float) -> str:
-    """Return a value with two digits more than its step."""
+    """Return a value as text with two digits more than its step."""
     digits = max(0, -math.floor(math.log10(step) + 1e-9))
     return f"{value:.{digits + 2}f}"

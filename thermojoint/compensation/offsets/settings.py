@@ -19,7 +19,7 @@ from thermojoint.artefacts.units import MICRO, MILLI
 from thermojoint.compensation.offsets.output import AxisSlope, Limits, OutputSettings
 from thermojoint.compensation.offsets.usable import UNUSABLE, Trust, known_reasons
 
-#: More steps than this in the range of an axis or a heater indicate a wrong unit.
+#: A range of an axis or a heater with more steps than this indicates a wrong unit.
 MOST_STEPS = 1e9
 
 
@@ -36,7 +36,7 @@ class SlopeSection(Section):
 class AxisSection(Section):
     """``[axes.NAME]``: the axis of the estimate that an axis of the control follows; the sign.
 
-    With `at_mm`, NAME is a point of a table of the control: what holds if the axis stands there.
+    With `at_mm`, NAME is a point in a table of the control: the offset at that axis position.
     """
 
     follows: str
@@ -52,7 +52,7 @@ class AxisSection(Section):
 
     @property
     def estimated(self) -> str:
-        """Name of what is followed in the estimate."""
+        """Name of the followed displacement in the estimate."""
         return self.follows if self.at_mm is None else name_at(self.follows, self.at_mm)
 
 
@@ -87,8 +87,8 @@ class Settings:
     cycle : float
         Cycle time of the control, s.
     slopes : mapping
-        By axis: what is asked for of its slope. The rules for it are in `output` once the strokes
-        are known (`with_slopes`).
+        By axis: requested settings of its slope. The resulting rules are in `output` once the
+        strokes are known (`with_slopes`).
     """
 
     output: OutputSettings
@@ -148,18 +148,18 @@ def settings_from_data(data: dict[str, Any], where: Path | str) -> Settings:
 
 
 def with_slopes(settings: Settings, strokes: Mapping[str, Stroke], where: str) -> Settings:
-    """Return settings with the rules for the slopes that they ask for.
+    """Return settings with the rules for the slopes that they request.
 
-    Offset and slope of an axis share its rate, its largest offset and its dead band: at the far end
-    of the stroke, at a distance L from P0, what is left of each beside L times that of the slope is
-    the offset's. By the triangle inequality the correction, offset + slope (P - P0), keeps the
-    whole at every position of the stroke.
+    Offset and slope of an axis share its rate, its largest offset and its dead band. With L the
+    distance of the far end of the stroke from P0, the offset's limit is the whole limit less L
+    times the slope's limit. By the triangle inequality the correction, offset + slope (P - P0),
+    keeps the whole limit at every position of the stroke.
 
     Parameters
     ----------
     settings : Settings
     strokes : mapping of str to Stroke
-        Of the displacements that are known along an axis.
+        Strokes of the displacements that are known along an axis.
     where : str
         Name of the settings, for messages.
 
@@ -222,5 +222,5 @@ def _axis_slope(
 
 
 def _shared(given: float | None, whole: float, lever: float) -> float:
-    """Return a limit of a slope (SI) given in millionths; by default half of the whole."""
+    """Return a limit of a slope (SI) given in millionths; by default half of the whole limit."""
     return 0.5 * whole / lever if given is None else MICRO * given

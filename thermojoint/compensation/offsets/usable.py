@@ -31,7 +31,7 @@ class Trust:
 
 
 def usable(trust: Trust, age: float, band: Array, status: str) -> bool:
-    """Whether an estimate may move an axis; one of bad quality never may.
+    """Whether an estimate may move an axis; an estimate of bad quality never may.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def usable(trust: Trust, age: float, band: Array, status: str) -> bool:
     age : float
         Age of the estimate, s.
     band : ndarray, shape (axes,)
-        Half-widths of its bands, m; NaN if unknown.
+        Half-widths of the bands, m; NaN if unknown.
     status : str
         ``ok``, or reasons with the channels concerned: ``sensor-distrusted:T1,T2``.
     """
@@ -47,7 +47,7 @@ def usable(trust: Trust, age: float, band: Array, status: str) -> bool:
 
 
 def reasons_against(trust: Trust, band: Array, status: str) -> list[str]:
-    """Return why a new estimate may move no axis: reasons of its status, ``widest_band_um``.
+    """Return why a new estimate must not move an axis: reasons of its status, ``widest_band_um``.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def reasons_against(trust: Trust, band: Array, status: str) -> list[str]:
 
 
 def limit_without_band(trust: Trust, bands: Array) -> str:
-    """Return a warning of a limit on bands that are all unknown; empty for none.
+    """Return a warning if there is a limit on the band but all bands are unknown; else empty.
 
     Parameters
     ----------
