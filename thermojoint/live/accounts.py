@@ -1,4 +1,4 @@
-"""Who may come in: users by password, programs by token, browsers by their session."""
+"""Authentication: users by password, programs by token, browsers by their session."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from thermojoint.live.settings import Service
 from thermojoint.live.tokens import token_of
 from thermojoint.live.users import Gate, principal_of, read_users
 
-#: A token of the settings is at least this long: nobody guesses so many random characters.
+#: Smallest length of a token of the settings: so many random characters cannot be guessed.
 SHORTEST_TOKEN = 32
 
 
@@ -32,9 +32,9 @@ class Accounts:
     #: `thermojoint.live.access_store`.
     store: sqlite3.Connection
     audit: Audit
-    #: Read again whenever it changes.
+    #: Users' file; read again whenever it changes.
     users_file: Path | None = None
-    #: The token of the settings by its digest.
+    #: Token of the settings, by its digest.
     given: Mapping[str, Principal] = field(default_factory=dict)
     gate: Gate = field(default_factory=lambda: Gate({}))
     _read: int = -1
@@ -59,7 +59,7 @@ class Accounts:
         return None if row is None else self.by_credential(row[0])
 
     def by_credential(self, credential: str) -> Principal | None:
-        """Return the rights that a credential has now; None if it has ended."""
+        """Return the present rights of a credential; None if it has ended."""
         self._refresh()
         for name, user in self.gate.users.items():
             found = principal_of(name, user)
@@ -70,8 +70,8 @@ class Accounts:
     def begin(self, principal: Principal, lasts: float) -> str:
         """Return the ticket of a new session that lasts for a time (s).
 
-        The browser has a random ticket, the store its SHA-256 and the credential that began the
-        session: logging out ends it here.
+        The browser gets a random ticket; the store has its SHA-256 and the credential of the
+        session, so that a log-out ends the session on the server.
         """
         ticket, now = secrets.token_urlsafe(32), time.time()
         session = digest_of(ticket), principal.credential, now + lasts
@@ -87,7 +87,7 @@ class Accounts:
         return self.given.get(digest) or token_of(self.store, digest, time.time())
 
     def _refresh(self) -> None:
-        """Read the users again if their file has changed; a damaged one changes nothing."""
+        """Read the users again if their file has changed; a damaged file changes nothing."""
         if self.users_file is None:
             return
         with suppress(OSError, InputError):
@@ -132,7 +132,7 @@ def checked(token: str) -> str:
     Raises
     ------
     InputError
-        It is too short, or a header cannot carry it.
+        The token is too short, or contains characters that a header cannot.
     """
     if len(token) < SHORTEST_TOKEN or not token.isascii() or len(token.split()) != 1:
         raise InputError(

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-#: Name of a reading that no source has.
+#: Name of a reading that no source delivers.
 NEVER = "\0"
 
 
@@ -14,17 +14,17 @@ NEVER = "\0"
 class Arrival:
     """Readings of one machine at one time."""
 
-    #: Its name.
+    #: Name of the machine.
     machine: str
-    #: By the source's clock, s since 1970.
+    #: Time by the source's clock, s since 1970.
     time: float
-    #: One for each of its readings; None: did not come, NaN: reported as missing.
+    #: One value for each of its readings; None if not delivered, NaN if reported as missing.
     readings: Sequence[float | None]
-    #: When it arrived, s since 1970.
+    #: Time of arrival, s since 1970.
     came: float
     #: Read position of the source after it; None for a source that cannot be read again.
     position: Any = None
-    #: Called once it is stored.
+    #: Called once the arrival is stored.
     kept: Callable[[], None] | None = None
 
 
@@ -34,7 +34,7 @@ class Note:
 
     #: E.g. ``malformed``.
     kind: str
-    #: What happened and where, in one line.
+    #: Description and place of the event, in one line.
     text: str
-    #: The machine that it concerns, if it is one.
+    #: The machine concerned, if it is a single one.
     machine: str | None = None

@@ -1,9 +1,9 @@
 """Backup of a service while it runs, and restore into an empty folder.
 
-A backup is a .tar.gz that only its owner can read: the settings' file, the files that it and the
-files of its targets name, and the folder of the service, with a SHA-256 of each. SQLite copies its
-own stores, so they are whole although the service writes meanwhile. Secrets and keys that the
-settings name are left out.
+A backup is a .tar.gz that only its owner can read: the settings' file, the files named in it and in
+the files of its targets, and the folder of the service, with a SHA-256 of each. The stores are
+copied by SQLite, so they are consistent although the service writes meanwhile. Secrets and keys
+named in the settings are left out.
 """
 
 from __future__ import annotations
@@ -39,18 +39,18 @@ _KIND = JsonKind(
     "thermojoint-backup", 1, "backup", "by 'thermojoint backup'", "take another backup"
 )
 _MANIFEST = "manifest.json"
-#: Not copied: logs that SQLite keeps beside its stores, the lock, rejected certificates.
+#: Not copied: SQLite's logs beside its stores, the lock, rejected certificates.
 _LEFT_OUT = (".sqlite-wal", ".sqlite-shm", "lock")
 _CHUNK = 1 << 20
 
 
 class Named(NamedTuple):
-    """A file or folder that the settings name."""
+    """A file or folder named in the settings."""
 
-    #: Where they name it.
+    #: Place in the settings.
     key: str
     path: Path
-    #: A password, a token or a private key.
+    #: Whether it is a password, a token or a private key.
     secret: bool
 
 
@@ -60,19 +60,19 @@ def back_up(file: Path, out: Path) -> list[str]:
     Parameters
     ----------
     file : Path
-        Of the service (TOML).
+        File of the service (TOML).
     out : Path
         The backup; replaced whole.
 
     Returns
     -------
     list of str
-        Secrets that are left out: where the settings name each, and its path.
+        Omitted secrets: the place of each in the settings, and its path.
 
     Raises
     ------
     InputError
-        The settings are wrong, or a file that they name cannot be read.
+        The settings are invalid, or a file named in them cannot be read.
     """
     service, base = read_service(file), file.resolve().parent
     targets = [one.target for one in service.machines.values() if one.target is not None]
@@ -136,7 +136,7 @@ def restore(archive: Path, folder: Path) -> Path:
 
 
 def _named(section: BaseModel, above: str = "") -> Iterator[Named]:
-    """Yield what settings name, the sources of readings apart."""
+    """Yield the files and folders named in settings, except sources of readings."""
     for name, value in section:
         yield from _named_by(value, f"{above}{name}", isinstance(section, Secret))
 
@@ -152,14 +152,14 @@ def _named_by(value: Any, key: str, secret: bool) -> Iterator[Named]:  # noqa: A
 
 
 def _place(path: Path, base: Path, number: int) -> str:
-    """Return the name in the backup: as beside the settings' file, or in a folder of its own."""
+    """Return the name in the backup: relative to the settings' file, or in a folder of its own."""
     if path.resolve().is_relative_to(base) and path.resolve() != base:
         return path.resolve().relative_to(base).as_posix()
     return f"files/{number}/{path.name}"
 
 
 def _moved(file: Path, name: str, places: dict[Path, str]) -> str:
-    """Return settings as `name` in the backup, with the names that the files have there."""
+    """Return settings, stored as `name`, with the names of the files in the backup."""
     text, base = toml.read_text(file, "settings"), file.resolve().parent
     for raw in set(_strings(toml.parse(text, str(file)))):
         for path, place in places.items():
@@ -178,7 +178,7 @@ def _strings(value: Any) -> Iterator[str]:  # noqa: ANN401
 
 
 def _readable(path: Path, scratch: Path) -> Path:
-    """Return a file to read; of a store of SQLite a copy that is whole, without sessions."""
+    """Return a file to read; for a store of SQLite a consistent copy without sessions."""
     if path.suffix != ".sqlite":
         return path
     copy = scratch / path.name
@@ -189,13 +189,13 @@ def _readable(path: Path, scratch: Path) -> Path:
         if path.name == access_store.NAME:
             target.execute("DELETE FROM sessions")
             target.commit()
-        # The copy is one file.
+        # The copy must be a single file.
         target.execute("PRAGMA journal_mode = DELETE")
     return copy
 
 
 def _add(tar: tarfile.TarFile, path: Path, name: str, digests: dict[str, str]) -> None:
-    """Add a file as it is now; what is appended to it meanwhile is left out."""
+    """Add a file with its present content; data appended meanwhile are left out."""
     with path.open("rb") as file:
         about = tar.gettarinfo(arcname=name, fileobj=file)
         hashing = _Hashing(file)
@@ -217,7 +217,7 @@ class _Hashing:
 
 
 def _read_to_its_end(archive: Path) -> None:
-    """Read a .gz whole: its checksum covers what no digest does, such as the headers of the tar."""
+    """Read a .gz to its end: its checksum also covers data without a digest, e.g. tar headers."""
     with gzip.open(archive) as file:
         while file.read(_CHUNK):
             pass

@@ -136,7 +136,7 @@ def own_certificate(folder: Path, section: HttpServer, now: datetime | None = No
 
 
 def _lasts(path: Path, names: Sequence[x509.GeneralName], now: datetime) -> bool:
-    """Say whether a certificate is for these names and not near its end."""
+    """Return whether a certificate is for these names and not near its end."""
     try:
         certificate = x509.load_pem_x509_certificate(path.read_bytes())
         named = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value

@@ -15,9 +15,9 @@ from thermojoint.live.settings import Service
 
 
 def note_settings(service: Service) -> Iterator[str]:
-    """Yield every setting that is not what it was at the last start, and remember the present ones.
+    """Yield every setting that has changed since the last start, and store the present ones.
 
-    Settings of the offsets count as well. Secrets are not among them, only where they are kept.
+    Settings of the offsets count as well. Secrets are not included, only their locations.
     """
     path = service.folder / "settings.json"
     now = dict(_flat(_content(service)))

@@ -2,7 +2,7 @@
 
 OPC 40001-1 (Machinery): a machine's identification, its components, its building blocks, in the
 Machines folder. OPC 40501-1 (Machine Tools): the machine as a MachineToolType. The node sets are
-those of the OPC Foundation, under its MIT licence, which each of them contains.
+published by the OPC Foundation under its MIT licence, which each of them contains.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from thermojoint.live.settings import CompanionModel, IdentificationSection
 _UA = "http://opcfoundation.org/UA/"
 _NODE_SET = "{http://opcfoundation.org/UA/2011/03/UANodeSet.xsd}"
 _MACHINERY = ("Di", "Machinery")
-#: Node sets of each model, in the order of what they need.
+#: Node sets of each model, in the order of their dependencies.
 _NODE_SETS = {
     "machinery": _MACHINERY,
     "machine-tool": (*_MACHINERY, "IA", "ISA95.JobControl", "Machinery.Jobs", "MachineTool"),
 }
-#: UInt16, Byte, UInt32, UInt64: what an option set may be, instead of an OptionSet.
+#: UInt16, Byte, UInt32, UInt64: types of an option set besides OptionSet.
 _UNSIGNED = {"i=3", "i=5", "i=7", "i=9"}
-#: Nodes of the specifications: Machines, types of an identification and of components.
+#: Node ids in the specifications: Machines, types of an identification and of components.
 _MACHINES, _IDENTIFICATION, _OF_COMPONENT, _COMPONENTS = 1001, 1012, 1005, 1006
 _MACHINE_TOOL, _TOOL_IDENTIFICATION = 13, 11
-#: Properties of an identification by key of its section: name, whether of DI, type.
+#: Properties of an identification by key of its section: name, whether defined by DI, type.
 _TEXT, _STRING = ua.VariantType.LocalizedText, ua.VariantType.String
 _PROPERTIES = {
     "manufacturer": ("Manufacturer", True, _TEXT),
@@ -49,7 +49,7 @@ _PROPERTIES = {
     "location": ("Location", False, _STRING),
     "year_of_construction": ("YearOfConstruction", False, ua.VariantType.UInt16),
 }
-#: What a machine tool must have, and a service beside its control does not know.
+#: Mandatory values of a machine tool that are unknown to a service beside its control.
 _UNKNOWN = (
     "Monitoring.MachineTool.OperationMode",
     "Production.ActiveProgram.Name",
@@ -64,7 +64,7 @@ class Identity(NamedTuple):
     """Identification of a machine, and of the model that estimates its displacement."""
 
     machine: IdentificationSection
-    #: Name of the model's file, and what tells it from others.
+    #: Name of the model's file, and its digest.
     model: str
     digest: str
 
@@ -75,13 +75,13 @@ class Companion:
 
     #: The Machines folder.
     machines: ua.NodeId
-    #: Indices of the namespaces of DI and Machinery, and of the service's own.
+    #: Indices of the namespaces of DI, of Machinery, and of the service.
     devices: int
     machinery: int
     own: int
-    #: Index of that of Machine Tools, if it is loaded.
+    #: Index of the namespace of Machine Tools, if it is loaded.
     machine_tool: int | None
-    #: By machine.
+    #: Identities by machine.
     identities: Mapping[str, Identity]
 
 
@@ -97,7 +97,7 @@ async def load_models(
     own : int
         Index of the service's namespace.
     identities : dict of str to Identity
-        By machine.
+        Identities by machine.
     """
     for name in _NODE_SETS[model]:
         path = files("thermojoint.live") / "nodesets" / f"Opc.Ua.{name}.NodeSet2.xml"
@@ -112,10 +112,10 @@ async def load_models(
 
 
 def without_option_sets(content: bytes) -> bytes:
-    """Return a node set whose unsigned integers of options are plain ones.
+    """Return a node set in which option sets are plain unsigned integers.
 
-    asyncua takes only enumerations and structures with a definition, and then refuses the
-    structures that have such an integer (OutputInfoType of Machinery Jobs).
+    asyncua only accepts definitions of enumerations and structures, and would refuse the structures
+    with such an option set (OutputInfoType of Machinery Jobs).
     """
     root = ElementTree.fromstring(content)
     for one in root.iter(f"{_NODE_SET}UADataType"):
@@ -142,7 +142,7 @@ async def add_machine(server: Server, companion: Companion, machine: str) -> Non
     kind = ua.NodeId(_IDENTIFICATION, machinery)
     items = []
     if tool is not None:
-        # Its mandatory parts only: what is optional would promise values that nobody has.
+        # Mandatory parts only: optional ones would promise values that do not exist.
         await server.get_node(companion.machines).add_object(
             place, shown, ua.NodeId(_MACHINE_TOOL, tool), instantiate_optional=False
         )
@@ -218,7 +218,7 @@ def object_item(
     parent: tuple[ua.NodeId, int],
     kind: ua.NodeId | None = None,
 ) -> ua.AddNodesItem:
-    """Return an object to add below another; the parent comes with the type of the reference."""
+    """Return an object to add below a parent, which is given with the type of the reference."""
     return ua.AddNodesItem(
         RequestedNewNodeId=nodeid,
         BrowseName=name,

@@ -1,4 +1,4 @@
-"""Settings of a service that contradict each other, or the model, without being wrong alone."""
+"""Settings of a service that are valid by themselves but contradict each other or the model."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from thermojoint.live.settings import ServiceFile
 
 
 def contradictions(given: ServiceFile, models: Mapping[str, Served]) -> Iterator[str]:
-    """Yield a warning for each setting that keeps values from ever being good."""
+    """Yield a warning for each setting by which values never stay good."""
     for name, model in models.items():
         if given.watchdog.uncertain_s < model.rule.interval:
             yield (
@@ -37,7 +37,7 @@ def contradictions(given: ServiceFile, models: Mapping[str, Served]) -> Iterator
 
 
 def _band_at_first(model: Served) -> Array:
-    """Return the band of a first sample in which every reading is missing, or is zero, m."""
+    """Return the band of a first sample whose readings are all missing, or all zero, m."""
     count = len(model.estimator.channels)
     for value in (np.nan, 0.0):
         with suppress(ThermojointError):

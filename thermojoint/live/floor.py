@@ -194,7 +194,7 @@ def _sample(
 
 
 def has_reading(served: Served, usable: Iterable[float]) -> bool:
-    """Say whether usable readings (`Intake.usable`) have any that belongs to every sample."""
+    """Return whether usable readings (`Intake.usable`) have any that belongs to every sample."""
     return any(map(math.isfinite, islice(usable, served.rule.wanted)))
 
 

@@ -20,22 +20,22 @@ _LONGEST = 500
 class EventLog:
     """Events on their way to the log and the store."""
 
-    #: Not stored yet.
+    #: Events not stored yet.
     pending: list[Event] = field(default_factory=list)
-    #: By machine and kind.
+    #: Limit by machine and kind.
     limit: LineLimit = field(default_factory=LineLimit)
 
     def say(self, time: float, kind: str, text: str, machine: str | None = None) -> bool:
-        """Log an event, and return True, unless too many of its kind were logged just now.
+        """Log an event and return True, unless too many of its kind were logged recently.
 
         Parameters
         ----------
         time : float
-            s since 1970.
+            Time, s since 1970.
         kind, text : str
-            What happened.
+            Kind and description of the event.
         machine : str, optional
-            Where.
+            Machine concerned.
         """
         before = self.limit.left_out((machine, kind), time)
         if before is None:
@@ -52,7 +52,7 @@ class EventLog:
 
 
 def one_line(text: str, left_out: int) -> str:
-    """Return a text as one line of bounded length, with the number of those left out before."""
+    """Return a text as one line of bounded length, with the number of omitted earlier lines."""
     more = f" (and {left_out} more like it)" if left_out else ""
     return " ".join(text.split())[: _LONGEST - len(more)] + more
 
@@ -88,7 +88,7 @@ def log_to_stderr() -> None:
 
 
 def limited(limit: LineLimit) -> Callable[[logging.LogRecord], bool]:
-    """Return a filter that limits the lines of libraries by the place in which they are written."""
+    """Return a filter that limits the log lines of libraries by their place in the source."""
 
     def passes(record: logging.LogRecord) -> bool:
         if record.name == LOGGER.name:

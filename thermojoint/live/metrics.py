@@ -14,25 +14,25 @@ _SECONDS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 5.0, 30.0
 class Metrics:
     """Counters of one service."""
 
-    #: Of all metrics, for ``/metrics``.
+    #: Registry of all metrics, for ``/metrics``.
     registry: CollectorRegistry
     #: Samples by model; arrivals by verdict; events by kind.
     samples: Counter
     arrivals: Counter
     events: Counter
-    #: From an arrival to its publication; duration of a transaction, s.
+    #: Time from an arrival to its publication; duration of a transaction, s.
     latency: Histogram
     commit: Histogram
     #: Machines by quality.
     quality: Gauge
     #: Time of the offsets of each machine in each mode, s.
     modes: Counter
-    #: Displacement readings asked for, by machine and outcome.
+    #: Requested displacement readings, by machine and outcome.
     next_readings: Counter
     #: Arrivals in the queue; size of the store's write-ahead log, bytes.
     waiting: Gauge
     log_size: Gauge
-    #: 1 if the disk of the store is full; how long the store's own reserve lasts, s.
+    #: 1 if the disk of the store is full; time for which the store's own reserve lasts, s.
     disk_full: Gauge
     reserve: Gauge
 

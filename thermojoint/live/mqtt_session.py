@@ -1,8 +1,8 @@
 """Connection to an MQTT broker with TLS, user and password; extensions of aiomqtt.
 
-aiomqtt acknowledges a message on arrival and makes a task for each. The service acknowledges a
-message when it is stored, and takes a thousand per second. Both need calls of the underlying paho
-client, which are in this module only.
+aiomqtt acknowledges a message on arrival and creates a task for each. The service acknowledges a
+message when it is stored, and processes a thousand per second. Both need calls to the underlying
+paho client, which are confined to this module.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.live.secret import read_secret
 from thermojoint.live.settings import MqttAddress
 
-#: Timeout of a response of the broker, and the interval at which it must be heard, s.
+#: Timeout of a response of the broker, and keep-alive interval, s.
 TIMEOUT_S, KEEPALIVE_S = 10.0, 15
-#: Messages that may wait where nobody takes them as they come.
+#: Number of messages that may wait if they are not handled by a callback.
 _MOST_WAITING = 1000
 
 
@@ -36,7 +36,7 @@ class Address:
     context: ssl.SSLContext | None
     user: str | None
     password: str | None
-    #: The broker keeps messages for this name while it is not connected.
+    #: Client name for which the broker keeps messages while it is not connected.
     client_id: str
 
     def __repr__(self) -> str:
@@ -44,7 +44,7 @@ class Address:
 
 
 def address_of(given: MqttAddress, where: str) -> Address:
-    """Return the address that a section names.
+    """Return the address given by a section.
 
     Raises
     ------
@@ -81,11 +81,12 @@ async def connected(
     ----------
     address : Address
     suffix : str
-        Of the client's name: a reader and a writer are two clients.
+        Suffix of the client's name: a reader and a writer are two clients.
     will : Will, optional
         Message that the broker sends if the connection breaks.
     on_message : callable, optional
-        Called with each message; acknowledge it by `acknowledge`. The broker keeps the session.
+        Called with each message, which it acknowledges by `acknowledge`. The broker keeps the
+        session.
     """
     client = aiomqtt.Client(
         address.host,
@@ -127,7 +128,7 @@ def publish(client: aiomqtt.Client, topic: str, payload: bytes) -> None:
 
 
 def is_behind(client: aiomqtt.Client) -> bool:
-    """Say whether published messages are still waiting for the network."""
+    """Return whether published messages are still waiting for the network."""
     return bool(client._client.want_write())
 
 
@@ -137,7 +138,7 @@ async def lost(client: aiomqtt.Client) -> None:
     Raises
     ------
     MqttError
-        Always, at that moment.
+        Always, when the connection is lost.
     """
     gone = asyncio.shield(client._disconnected)
     while True:
@@ -145,7 +146,7 @@ async def lost(client: aiomqtt.Client) -> None:
             async with asyncio.timeout(2.0 * KEEPALIVE_S):
                 await asyncio.shield(gone)
         except TimeoutError:
-            # A response shows that the broker is there; a timeout is an error.
+            # A response shows that the broker is alive; a timeout is an error.
             await client.unsubscribe("thermojoint/is-anybody-there", timeout=TIMEOUT_S)
             continue
         raise aiomqtt.MqttError("disconnected")

@@ -1,7 +1,7 @@
 """Documents of an MTConnect agent (XML, versions 1.3 to 2.x): devices, observations, errors.
 
-ANSI/MTC1.4 and its later parts, Part 1 (protocol) and Part 2 (devices). A document type is refused:
-no entity is expanded.
+ANSI/MTC1.4 and its later parts, Part 1 (protocol) and Part 2 (devices). Document type declarations
+are refused, so no entity is expanded.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _ROOT = re.compile(r"\{urn:mtconnect\.org:MTConnect(Devices|Streams|Error):(\d+)
 _OLDEST, _NEWEST = (1, 3), (2, 99)
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _UNAVAILABLE = "UNAVAILABLE"
-#: Representations whose observation is one number.
+#: Representations whose observations are single numbers.
 _SINGLE = {None, "VALUE", "DISCRETE"}
 #: Units of observations (Part 2, units of a data item) by the unit of a column.
 _UNITS = {
@@ -44,11 +44,11 @@ class Header(NamedTuple):
 
     #: Changes when the agent starts anew.
     instance: int
-    #: By the agent's clock, s since 1970.
+    #: Time of creation by the agent's clock, s since 1970.
     created: float
-    #: Observations that the agent keeps.
+    #: Capacity of the agent's buffer, observations.
     size: int
-    #: First observation after this document; last one that the agent has. -1 without.
+    #: First observation after this document; last one in the agent. -1 without.
     next: int
     last: int
 
@@ -58,21 +58,21 @@ class Item(NamedTuple):
 
     #: Unique in the agent.
     ident: str
-    #: Empty for none.
+    #: Empty without a unit.
     unit: str
-    #: Its observations are single values.
+    #: Whether its observations are single values.
     single: bool
 
 
 class Devices(NamedTuple):
-    """What an agent has: data items by name and by id, for each device's name and its uuid."""
+    """Devices of an agent, by name and by uuid: their data items by name and by id."""
 
     header: Header
     devices: Mapping[str, Mapping[str, Item]]
 
 
 class Observation(NamedTuple):
-    """One observation; its value is NaN where it is unavailable."""
+    """One observation; the value is NaN if it is unavailable."""
 
     item: str
     sequence: int
@@ -81,7 +81,7 @@ class Observation(NamedTuple):
 
 
 class Streams(NamedTuple):
-    """Observations by their sequence; `faults` says which were none."""
+    """Observations by their sequence; `faults` describes malformed ones."""
 
     header: Header
     observations: tuple[Observation, ...]
@@ -89,7 +89,7 @@ class Streams(NamedTuple):
 
 
 class Refused(NamedTuple):
-    """Codes and texts of an agent's errors."""
+    """Codes and texts of the errors of an agent."""
 
     codes: tuple[str, ...]
     text: str
@@ -97,18 +97,18 @@ class Refused(NamedTuple):
 
 class _NoEntities(ElementTree.TreeBuilder):
     def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
-        """Refuse a document type."""
+        """Refuse a document type declaration."""
         del name, pubid, system
         raise UnusableError("a document with a document type")
 
 
 def document_of(content: bytes, wanted: Container[str] = ()) -> Devices | Streams | Refused:
-    """Return a document, of its observations those of the data items that are wanted.
+    """Parse a document; of its observations only those of the wanted data items are returned.
 
     Raises
     ------
     UnusableError
-        It is none, or of another version.
+        The content is not such a document, or is of another version.
     """
     try:
         parser = ElementTree.XMLParser(target=_NoEntities())
@@ -160,7 +160,7 @@ def _whole(text: str) -> int:
 
 def _devices(root: ElementTree.Element) -> Iterator[tuple[str, dict[str, Item]]]:
     for device in root.iter():
-        # An Agent is a device, too, which says how the agent itself does.
+        # An Agent is also a device, with the state of the agent itself.
         if _local(device) == "Device" and device.get("id"):
             found: dict[str, Item] = {}
             for one in device.iter():
@@ -188,7 +188,7 @@ def _streams(root: ElementTree.Element, header: Header, wanted: Container[str]) 
             sequence, time = _whole(one.get("sequence", "")), seconds_of(one.get("timestamp", ""))
             value = _value("".join(one.itertext()).strip())
         except (ValueError, OverflowError) as error:
-            # It is the newest of its item all the same: the one before it holds no longer.
+            # It still is the newest observation of its item: the previous one is no longer valid.
             faults.append(f"{item}: {str(error)[:100]}")
             sequence, time, value = max(0, header.next - 1), header.created, math.nan
         found.append(Observation(item, sequence, time, value))
@@ -206,12 +206,13 @@ def _value(text: str) -> float:
 
 
 def conversion(item: Item, reading: str) -> Place:
-    """Return how observations of a data item become a reading.
+    """Return the conversion of observations of a data item to a reading.
 
     Raises
     ------
     UnusableError
-        They are no single values, or in a unit that is not of the reading's quantity.
+        The observations are not single values, or their unit is of another quantity than the
+        reading.
     """
     if not item.single:
         raise UnusableError(f"{item.ident} has several values in one observation")

@@ -1,6 +1,6 @@
 """Access control of the OPC UA server: encryption, users, limits.
 
-asyncua's defaults offer unencrypted channels, and accept ``admin`` without a password as an
+By default asyncua offers unencrypted channels, and accepts ``admin`` without a password as an
 administrator. Here nobody is an administrator, and only users of the users' file may log in.
 """
 
@@ -32,13 +32,13 @@ from thermojoint.live.trust_list import TrustList
 _LARGEST = 1 << 20
 
 _CALL = ua.NodeId(ua.ObjectIds.CallRequest_Encoding_DefaultBinary)
-#: What everybody may call: it sends the alarms that are active to a subscription.
+#: Methods that everybody may call: they send the active alarms to a subscription.
 _CALLED = {
     ua.NodeId(ua.ObjectIds.ConditionType_ConditionRefresh),
     ua.NodeId(ua.ObjectIds.ConditionType_ConditionRefresh2),
 }
 _DENIED = ua.StatusCodes.BadUserAccessDenied
-#: The user where nobody is asked to log in: only this computer reaches such a server.
+#: The user of a server without log-in, which only this computer reaches.
 _ANYBODY = Principal("anybody")
 
 
@@ -48,14 +48,14 @@ class Known(User):
 
     #: Rights at that time.
     principal: Principal = _ANYBODY
-    #: Address, as the audit log has it.
+    #: Address, in the form of the audit log.
     origin: str = "opcua"
 
 
 class Rules(SimpleRoleRuleset):
-    """Users who have logged in read, browse, subscribe and write; nobody adds nodes.
+    """Logged-in users may read, browse, subscribe and write; nobody may add nodes.
 
-    Nobody calls anything but the refresh of alarms.
+    The only method that may be called is the refresh of alarms.
     """
 
     def __init__(self) -> None:
@@ -63,7 +63,7 @@ class Rules(SimpleRoleRuleset):
         self._allowed = set(map(ua.NodeId, USER_TYPES)) - {_CALL}
 
     def check_validity(self, user: User | None, action_type_id: ua.NodeId, body: Any) -> bool:  # noqa: ANN401
-        """Say whether a user may ask for something; `Door` then looks at the nodes."""
+        """Return whether a user may make a request; `Door` then checks the nodes."""
         if action_type_id == _CALL and isinstance(user, Known):
             called = struct_from_binary(ua.CallParameters, body.copy()).MethodsToCall
             return all(one.MethodId in _CALLED for one in called)
@@ -72,21 +72,21 @@ class Rules(SimpleRoleRuleset):
 
 @dataclass(eq=False)
 class Door(UserManager):
-    """Asks for name and password and for a trusted certificate, and checks rights on machines."""
+    """Checks user, password and client certificate at a log-in, and rights on machines."""
 
     #: Users, and the audit log.
     accounts: Accounts
     #: False: anybody may read.
     asks: bool
-    #: Of the clients' certificates.
+    #: Trust list for the clients' certificates.
     trust: TrustList
-    #: Receives everybody who is refused.
+    #: Log of refused log-ins.
     log: EventLog
-    #: By machine: the only user who may write its control's side of the handshake.
+    #: Machine to the only user who may write its control's side of the handshake.
     controls: Mapping[str, str]
     #: Names of the machines.
     machines: Collection[str]
-    #: Address of the client that logs in now.
+    #: Address of the client that is logging in.
     peer: str = ""
 
     def get_user(
@@ -96,7 +96,7 @@ class Door(UserManager):
         password: str | bytes | None = None,
         certificate: Any = None,  # noqa: ANN401
     ) -> User | None:
-        """Return the user; None refuses the log-in. The certificate is that of the channel."""
+        """Return the user; None refuses the log-in. `certificate` belongs to the channel."""
         origin, shown = f"opcua {self.peer}".strip(), str(username or "")[:40]
         why = self.trust.refusal(certificate, datetime.now(UTC))
         principal = _ANYBODY
@@ -118,7 +118,7 @@ class Door(UserManager):
         return Known(role=UserRole.User, name=principal.name, principal=principal, origin=origin)
 
     def refusal(self, user: User, node: ua.NodeId, role: Role) -> str:
-        """Return why a user may not read or write a node now; empty if he may."""
+        """Return why a user may not read or write a node now; empty if it is allowed."""
         machine = self.machine_of(node)
         if not isinstance(user, Known) or machine is None:
             return ""
@@ -132,23 +132,23 @@ class Door(UserManager):
         return "the user was removed" if principal is None else principal.refusal(role, machine)
 
     def hides(self, user: User, node: ua.NodeId) -> bool:
-        """Say whether a node belongs to a machine that does not exist for a user."""
+        """Return whether a node belongs to a machine that does not exist for a user."""
         machine = self.machine_of(node)
         return machine is not None and isinstance(user, Known) and not user.principal.sees(machine)
 
     def machine_of(self, node: ua.NodeId) -> str | None:
-        """Return the machine of a node (``NAME`` or ``NAME.Folder.name``); None for all others."""
+        """Return the machine of a node (``NAME`` or ``NAME.Folder.name``); None for other nodes."""
         text = node.Identifier
         name = text.partition(".")[0] if isinstance(text, str) else ""
         return name if name in self.machines else None
 
     def has_ended(self, user: User) -> bool:
-        """Say whether a user was removed or has another password since the log-in."""
+        """Return whether a user was removed, or the password changed, since the log-in."""
         credential = user.principal.credential if isinstance(user, Known) else ""
         return bool(credential) and self.accounts.by_credential(credential) is None
 
     def before_write(self, event: ServerItemCallback, service: object) -> None:
-        """Refuse a request that writes a node without the right to.
+        """Refuse a request to write a node without the right to do so.
 
         Raises
         ------
@@ -168,7 +168,7 @@ class Door(UserManager):
                 raise ServiceError(_DENIED)
 
     def after_write(self, event: ServerItemCallback, service: object) -> None:
-        """Write what the server has done with each value, such as of a node that is not there."""
+        """Audit the result of each written value, which may be of a missing node."""
         if not event.is_external:
             return
         asked = event.request_params.NodesToWrite
@@ -184,7 +184,7 @@ class Door(UserManager):
                 event.response_params[k] = ua.DataValue(StatusCode=ua.StatusCode(_DENIED))
 
     def _audit(self, user: User, node: ua.NodeId, why: str) -> None:
-        """Write one line."""
+        """Write one line of the audit log."""
         who, origin = str(user.name), getattr(user, "origin", "opcua")
         what, machine = f"write {node.Identifier}", self.machine_of(node)
         if why:

@@ -22,7 +22,7 @@ from thermojoint.live.rights import Role
 _SESSION_MS, _FASTEST_MS = 60_000.0, 50.0
 #: Values of one item that may be queued.
 _QUEUE = 100
-#: Largest number of connections that have not logged in: of one address, and in all.
+#: Largest number of connections that have not logged in: per address, and in total.
 _MOST_OF_ONE, _MOST_WAITING = 8, 64
 #: Interval at which the accounts of connected users are checked, s.
 CHECKED_S = 3.0
@@ -38,7 +38,7 @@ def value_of(server: Server, nodeid: ua.NodeId) -> Any:  # noqa: ANN401
 def limit(server: Server, sessions: int, subscriptions: int, items: int) -> None:
     """Limit the resources of a server, before it starts."""
     inner = server.iserver
-    # `limit_callers` counts; what it disconnects is gone a moment later.
+    # `limit_callers` does the counting; connections that it aborts vanish a moment later.
     inner.max_connections = sessions + 4 * _MOST_WAITING
     inner.max_pending_activation_seconds = _LOGIN_S
     inner.max_session_timeout_ms = _SESSION_MS
@@ -50,7 +50,7 @@ def limit(server: Server, sessions: int, subscriptions: int, items: int) -> None
 
 
 class Callers(list[Any]):
-    """Connections of a server; those that have not logged in cannot block those that have."""
+    """Connections of a server; clients that have not logged in cannot block those that have."""
 
     def __init__(self, sessions: int) -> None:
         super().__init__()
@@ -58,7 +58,7 @@ class Callers(list[Any]):
         self.sessions = sessions
 
     def append(self, one: Any) -> None:  # noqa: ANN401
-        """Add a connection; the oldest that has not logged in makes room for it."""
+        """Add a connection; the oldest one that has not logged in is dropped if necessary."""
         waiting = [other for other in self if not _is_in(other)]
         same = [other for other in waiting if _host(other) == _host(one)]
         connection = one.transport.get_extra_info("socket")
@@ -87,7 +87,7 @@ def limit_callers(server: Server, sessions: int) -> None:
 
 
 def subscribers(server: Server) -> Iterator[tuple[User, Any]]:
-    """Yield the subscriptions of everybody who has logged in, with the user."""
+    """Yield the subscriptions of all logged-in users, each with its user."""
     inner = server.iserver
     users = {one.session_id: one.user for one in inner._external_sessions.values()}
     for subscription in list(inner.subscription_service.subscriptions.values()):
@@ -96,12 +96,12 @@ def subscribers(server: Server) -> Iterator[tuple[User, Any]]:
 
 
 async def send_event(subscription: Any, event: Any) -> None:  # noqa: ANN401
-    """Send an event to whoever of a subscription listens at the node that emits it."""
+    """Send an event to the items of a subscription that monitor the emitting node."""
     await subscription.monitored_item_srv.trigger_event(event)
 
 
 class Watched(Protocol):
-    """Whoever checks users and their rights on nodes."""
+    """Interface that checks users and their rights on nodes."""
 
     peer: str
 
@@ -109,11 +109,11 @@ class Watched(Protocol):
         """Return why a user may not read a node; empty if he may."""
 
     def hides(self, user: User, node: ua.NodeId) -> bool:
-        """Say whether a node does not exist for a user."""
+        """Return whether a node does not exist for a user."""
 
 
 async def disconnect_ended(server: Server) -> None:
-    """Disconnect users whose account has ended, for ever; they would go on with what they have."""
+    """Disconnect users whose account has ended, who would keep their sessions; never returns."""
     assert server.bserver is not None
     while True:
         await asyncio.sleep(CHECKED_S)
@@ -123,13 +123,13 @@ async def disconnect_ended(server: Server) -> None:
 
 
 def watch_callers(server: Server, door: Watched) -> None:
-    """Tell a door from where a user logs in, and hide what a user may not see."""
+    """Pass the address of each log-in to a door, and hide nodes that a user may not see."""
     inner = server.iserver
     decrypt, service = inner.decrypt_user_token, inner.subscription_service
     create, begin = service.create_monitored_items, inner.create_session
 
     def decrypt_of(session: Any, token: ua.UserNameIdentityToken) -> tuple[str, str]:  # noqa: ANN401
-        # A session carries the address of its connection as its name.
+        # The name of a session is the address of its connection.
         door.peer = str(session.name[0]) if session.name else ""
         return decrypt(session, token)
 
@@ -205,7 +205,7 @@ def _cap_items(inner: Any, most: int) -> None:  # noqa: ANN401
         **named: Any,  # noqa: ANN401
     ) -> Any:  # noqa: ANN401
         wanted = params.RequestedPublishingInterval
-        # NaN as well becomes the shortest interval.
+        # NaN also becomes the shortest interval.
         params.RequestedPublishingInterval = wanted if wanted >= _FASTEST_MS else _FASTEST_MS
         return await subscribe(params, *rest, **named)
 

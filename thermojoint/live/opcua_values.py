@@ -19,11 +19,11 @@ from thermojoint.live.publication import Layout, Publication
 from thermojoint.live.watchdog import REFUSED, SILENT
 
 _CODES = ua.StatusCodes
-#: Units of details, which are published in micrometres, and of readings, which are not.
+#: Units of details, which are published in micrometres, and of readings in their own units.
 _SHOWN = {"m": "µm", "m/m": "µm/m"}
 _READ = {"um": "µm", "degC": "°C", "degF": "°F", "deg_s": "°/s"}
 
-#: From a publication to a value and its status code.
+#: Function of a publication that returns a value and its status code.
 Value = Callable[[Publication], tuple[Any, int]]
 
 
@@ -31,15 +31,15 @@ Value = Callable[[Publication], tuple[Any, int]]
 class Variable:
     """One variable of a machine."""
 
-    #: ``Displacement``, ``x``; an empty folder for variables beside the folders.
+    #: ``Displacement``, ``x``; the folder is empty for variables outside the folders.
     folder: str
     name: str
-    #: As shown; empty for none.
+    #: Unit as displayed; empty for none.
     unit: str
     kind: ua.VariantType
-    #: From a publication.
+    #: Value from a publication.
     value: Value
-    #: Operators may write it.
+    #: Whether operators may write it.
     writable: bool = False
 
 
@@ -63,9 +63,9 @@ def status_of(publication: Publication) -> int:
 
 
 def offset_status_of(publication: Publication) -> int:
-    """Return the status code of an offset: good only while a usable estimate stands behind it.
+    """Return the status code of an offset: good only while a usable estimate supports it.
 
-    Its value is always the one that the control should apply: it freezes and decays by its rules.
+    The value is always the offset that the control should apply, even while it freezes or decays.
     """
     if publication.offset_mode == Mode.FOLLOW.value:
         return int(_CODES.Good)
@@ -115,9 +115,9 @@ def variables_of(layout: Layout, readings: bool, wanted: int) -> Iterator[Variab
     layout : Layout
         Names of its published values.
     readings : bool
-        Also what it reads.
+        Also yield variables of the readings.
     wanted : int
-        The first so many readings are in every sample; those after them are written by operators.
+        Number of readings, the first ones, in every sample; further ones are written by operators.
     """
     double, text = ua.VariantType.Double, ua.VariantType.String
     for k, name in enumerate(layout.axes):
@@ -147,7 +147,7 @@ def variables_of(layout: Layout, readings: bool, wanted: int) -> Iterator[Variab
 
 
 def unit_of(reading: str) -> str:
-    """Return the unit in the name of a reading as it is shown; empty for none."""
+    """Return the unit in the name of a reading as displayed; empty for none."""
     column = column_named(reading)
     return _READ.get(column.unit, column.unit.replace("_", "/")) if column else ""
 

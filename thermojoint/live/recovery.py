@@ -27,7 +27,7 @@ Era = tuple[int, str, str, str, float]
 
 
 def is_damage(error: sqlite3.Error) -> bool:
-    """Say whether an error of the store lasts until there is another file."""
+    """Return whether an error of the store lasts until there is another file."""
     closed = isinstance(error, sqlite3.ProgrammingError)
     return closed or getattr(error, "sqlite_errorcode", 0) & 0xFF in _DAMAGE
 

@@ -22,23 +22,23 @@ async def serve_file(
     reload: asyncio.Event,
     ready: Callable[[Running], None] = lambda running: None,
 ) -> None:
-    """Serve as a file says, until `stop` is set or every source has ended.
+    """Run the service of a file until `stop` is set or every source has ended.
 
     Parameters
     ----------
     path : Path
-        Of the service (TOML).
+        File of the service (TOML).
     stop : asyncio.Event
     reload : asyncio.Event
-        Set whenever file, models or certificates have changed. If they are wrong, the service
-        goes on with what it has.
+        Set whenever file, models or certificates have changed. If they are invalid, the service
+        continues with the present ones.
     ready : callable
         Called at every start, when all interfaces are open.
 
     Raises
     ------
     InputError
-        Something does not work at the first start.
+        The first start fails.
     """
     service: Service | None = read_service(path)
     while service is not None:
@@ -57,7 +57,7 @@ async def serve_file(
 
 
 async def _reloaded(path: Path, reload: asyncio.Event) -> Service:
-    """Return the service of the file once a reload is asked for and nothing would be refused."""
+    """Return the service of the file once a reload is requested and the file passes its check."""
     while True:
         await reload.wait()
         reload.clear()

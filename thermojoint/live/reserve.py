@@ -1,10 +1,10 @@
-"""Room that a store holds in its own file, for the time in which the disk is full.
+"""Reserve of space in a store's own file, for times when the disk is full.
 
-Overwriting blocks that a file has needs no space. The file has free pages, which SQLite takes
-before it makes the file longer, and rows without content (table ``reserve``), which are deleted
-when the disk is full and the free pages become few. The write-ahead log has its length already and
-is begun anew each second meanwhile. A file beside the store that is deleted instead would give its
-space to whatever fills the disk.
+Overwriting the blocks of a file needs no space. The file has free pages, which SQLite uses before
+it extends the file, and rows without content (table ``reserve``), which are deleted when the disk
+is full and the free pages become few. The write-ahead log already has its full length and is
+restarted every second meanwhile. A separate reserve file, once deleted, would give its space to
+the program that fills the disk.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from typing import NamedTuple
 
-#: Size of a row, bytes: what is added or given up at once.
+#: Size of a row, bytes, by which the reserve grows or shrinks.
 SLICE = 4 << 20
 #: Bytes of a store per byte of its samples: pages are not filled to the last byte.
 OVERHEAD = 1.4
@@ -25,24 +25,24 @@ RESERVE = "CREATE TABLE IF NOT EXISTS reserve (id INTEGER PRIMARY KEY, room BLOB
 
 
 class Room(NamedTuple):
-    """Room for a store."""
+    """Space for a store."""
 
-    #: The disk is full, up to a margin.
+    #: Whether the disk is full, up to a margin.
     full: bool = False
-    #: What the file itself has, bytes.
+    #: Reserve in the file itself, bytes.
     reserve: int = 0
 
 
 def is_full(path: Path) -> bool:
-    """Say whether the disk of a file is full, up to a margin."""
+    """Return whether the disk of a file is full, up to a margin."""
     return _free(path) < _MARGIN
 
 
 def stay_within(store: sqlite3.Connection, log: int) -> None:
-    """Make a connection write as little as it can: a full disk has no room for more.
+    """Make a connection write as little as possible, because the disk may be full.
 
-    What is deleted is not overwritten, no temporary files are written, and the write-ahead log
-    is begun anew from a size (bytes) on, but keeps that length.
+    Deleted content is not overwritten, no temporary files are written, and the write-ahead log is
+    restarted when it reaches a size (bytes), but keeps that length.
     """
     store.execute("PRAGMA secure_delete = OFF")
     store.execute("PRAGMA temp_store = MEMORY")
@@ -51,9 +51,9 @@ def stay_within(store: sqlite3.Connection, log: int) -> None:
 
 
 def lay_in(store: sqlite3.Connection, path: Path, size: int = 2 * SLICE) -> None:
-    """Give a file free pages of a size (bytes) together, and its write-ahead log that length.
+    """Give a file free pages with a total size (bytes), and its write-ahead log that length.
 
-    On a full disk the store has what it had.
+    On a full disk the store stays as it was.
     """
     if not is_full(path):
         row = _grow(store, size)
@@ -61,10 +61,10 @@ def lay_in(store: sqlite3.Connection, path: Path, size: int = 2 * SLICE) -> None
 
 
 def close(store: sqlite3.Connection, path: Path) -> None:
-    """Close a store; on a full disk its write-ahead log stays: there is no room for another."""
+    """Close a store; on a full disk its write-ahead log is kept: there is no room for a new one."""
     with ExitStack() as last:
         if path.exists() and is_full(path):
-            # Whoever is last and may only read deletes nothing.
+            # SQLite does not delete the log if the last connection is read-only.
             uri = f"{path.absolute().as_uri()}?mode=ro"
             reader = last.enter_context(closing(sqlite3.connect(uri, uri=True)))
             with suppress(sqlite3.DatabaseError):
@@ -73,26 +73,26 @@ def close(store: sqlite3.Connection, path: Path) -> None:
 
 
 def tend(store: sqlite3.Connection, path: Path, wanted: float) -> Room:
-    """Move the reserve of a store one slice towards what is wanted, and return the room.
+    """Adjust the reserve of a store by one slice towards the wanted size; return the space.
 
     Parameters
     ----------
     store : Connection
-        The only one that writes.
+        The only connection that writes.
     path : Path
         Its file.
     wanted : float
-        Size of the reserve, bytes; at most half of what the disk has left is taken.
+        Wanted size of the reserve, bytes; at most half of the free space of the disk is used.
 
     Raises
     ------
     sqlite3.OperationalError
-        The reserve is used up, or another program holds the file.
+        The reserve is used up, or another program locks the file.
     """
     full, size = is_full(path), _rows(store)
     if full:
-        # All of the log is in the file afterwards, so that the next commit begins it anew.
-        # It waits for room where the reserve was used up.
+        # Afterwards the whole log is in the file, so that the next commit restarts it. If the
+        # reserve was used up, the log waits for space.
         with suppress(sqlite3.OperationalError):
             store.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
         if _free_pages(store) < SLICE // 2:
@@ -100,14 +100,14 @@ def tend(store: sqlite3.Connection, path: Path, wanted: float) -> Room:
     else:
         if size < min(wanted, (_free(path) + size) / 2.0):
             _grow(store, SLICE)
-        # A row takes the free pages first, and then makes the file longer.
+        # A row uses the free pages first, and then extends the file.
         if _free_pages(store) < SLICE // 2:
             lay_in(store, path, SLICE)
     return Room(full, _rows(store) + _free_pages(store))
 
 
 def _grow(store: sqlite3.Connection, size: int) -> int:
-    """Add a row of a size (bytes), and have its blocks written; return its number."""
+    """Add a row of a size (bytes) and write its blocks to the file; return its number."""
     row = store.execute("INSERT INTO reserve (room) VALUES (zeroblob(?))", (size,)).lastrowid
     store.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
     return int(row or 0)
@@ -127,6 +127,6 @@ def _free_pages(store: sqlite3.Connection) -> int:
 
 
 def _free(path: Path) -> int:
-    """Return what the disk of a file has left, bytes."""
+    """Return the free space on the disk of a file, bytes."""
     disk = os.statvfs(path.parent)
     return disk.f_bavail * disk.f_frsize

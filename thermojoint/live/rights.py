@@ -7,7 +7,7 @@ from fnmatch import fnmatchcase
 from typing import Literal
 
 Role = Literal["viewer", "operator", "engineer"]
-#: A role has the rights of those before it: to read; to write readings; to change models.
+#: Roles: to read; also to write readings; also to change models.
 ROLES: tuple[Role, ...] = ("viewer", "operator", "engineer")
 #: Rights on every machine.
 ALL_MACHINES = ("*",)
@@ -15,15 +15,15 @@ ALL_MACHINES = ("*",)
 
 @dataclass(frozen=True)
 class Principal:
-    """A user or a token that has been recognised."""
+    """An authenticated user or token."""
 
-    #: Of the user or the token, for the audit log.
+    #: Name of the user or the token, for the audit log.
     name: str
     #: One of `ROLES`.
     role: Role = "viewer"
     #: Names or patterns (``mill-*``) of the machines for which the role holds; others are hidden.
     machines: tuple[str, ...] = ALL_MACHINES
-    #: Digest of the password's hash or of the token: a session lives as long as it is in use.
+    #: Digest of the password's hash or of the token: sessions are valid as long as it is in use.
     credential: str = field(default="", repr=False)
 
     @property

@@ -5,8 +5,8 @@ that a source with jitter misses none. A reading belongs to the nearest instant.
 as soon as it has all its readings and no older sample is open, or when a reading arrives that is
 later by half an interval plus the allowed lateness. Readings that have not arrived by then are
 missing, unless their last value is still held. Occasional readings, such as those of a touch probe,
-join the next sample. The result depends on what arrives in which order and on no clock: the same
-stream gives the same samples, whenever it is read.
+join the next sample. The result depends on the arriving readings and their order but not on a
+clock: the same stream gives the same samples whenever it is read.
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-#: Readings of a machine at one time: None for those that did not come, NaN for those that are
-#: reported as missing.
+#: Readings of a machine at one time: None if not delivered, NaN if reported as missing.
 Readings = Sequence[float | None]
 #: Times before 1970 or after 2200 are refused.
 LATEST = 7.3e9
@@ -27,13 +26,13 @@ _PARTS = 16.0
 class Rule(NamedTuple):
     """Rules for assembling samples."""
 
-    #: Between two instants, s.
+    #: Interval of the instants, s.
     interval: float
     #: Allowed delay of a reading, in the source's time, s.
     lateness: float
-    #: How long a value stays valid without a new one, s.
+    #: Time for which a value stays valid without a new one, s.
     hold: float
-    #: The first so many readings complete a sample; those after them are occasional.
+    #: Number of readings, the first ones, that complete a sample; further ones are occasional.
     wanted: int
 
 
@@ -44,36 +43,36 @@ class Waiting(NamedTuple):
     last: float = math.nan
     #: Latest time of a reading, s; -inf before the first.
     newest: float = -math.inf
-    #: (instant, readings) of every sample that is not closed, oldest first.
+    #: (instant, readings) of every open sample, oldest first.
     cells: tuple[tuple[float, tuple[float | None, ...]], ...] = ()
-    #: Time and value of the last of each reading; empty if none is held.
+    #: Time and last value of each reading; empty if none is held.
     held: tuple[tuple[float, float], ...] = ()
-    #: Of the instants beyond the multiples of the interval, s; NaN before the first reading.
+    #: Offset of the instants from multiples of the interval, s; NaN before the first reading.
     phase: float = math.nan
     #: Latest time of an occasional reading, s; -inf before the first.
     probed: float = -math.inf
-    #: Time and readings from the future; they count once another reading confirms them.
+    #: Time and readings from the future, which count once another reading confirms them.
     doubted: tuple[float, tuple[float | None, ...]] | None = None
 
 
 class Arrived(NamedTuple):
     """Result of arriving readings."""
 
-    #: After them.
+    #: State after them.
     waiting: Waiting
-    #: Instant and readings of every sample that was closed, NaN for what is missing.
+    #: Instant and readings of every closed sample; NaN for missing readings.
     samples: list[tuple[float, tuple[float, ...]]]
     #: ``taken``, ``late`` (its sample is closed), ``ahead`` (later than the limit), ``no-time``.
     verdict: str
-    #: Time of a reading from the future that was not confirmed and is left out, s; NaN for none.
+    #: Time of an unconfirmed reading from the future that is dropped, s; NaN for none.
     doubted: float = math.nan
 
 
 def phase_of(rule: Rule, time: float) -> float:
     """Return the phase (s) of instants that begin at a time.
 
-    It is a multiple of a sixteenth of the interval: the difference of two instants is then the
-    interval to the last bit, for which an estimator has its coefficients.
+    It is a multiple of a sixteenth of the interval: the difference of two instants then equals, to
+    the last bit, the interval for which an estimator has its coefficients.
     """
     part = time / rule.interval - math.floor(time / rule.interval)
     return math.floor(_PARTS * part + 0.5) / _PARTS * rule.interval
@@ -91,7 +90,7 @@ def arrived(
     readings: Readings,
     clock: tuple[float, float] = (math.inf, math.inf),
 ) -> Arrived:
-    """Take the readings of one time.
+    """Assign the readings of one time to samples.
 
     A reading from the future closes no sample until a second one confirms its time: a single wrong
     time would otherwise block all readings until then.
@@ -100,13 +99,13 @@ def arrived(
     ----------
     rule : Rule
     waiting : Waiting
-        Before.
+        State before them.
     time : float
-        s since 1970, by the source's clock.
+        Time by the source's clock, s since 1970.
     readings : sequence of float or None
-        One for each reading.
+        One value for each reading.
     clock : (float, float)
-        The present time, and the latest time that is accepted, s.
+        The present time, and the latest accepted time, s.
     """
     now, limit = clock
     if not 0.0 <= time <= LATEST:
@@ -147,7 +146,7 @@ def arrived(
 def _doubted(
     rule: Rule, waiting: Waiting, time: float, readings: Readings, limit: float
 ) -> Arrived:
-    """Set a reading from the future aside, or accept it together with the one before it."""
+    """Set a reading from the future aside, or accept it together with the previous one."""
     before, rest = waiting.doubted, waiting._replace(doubted=None)
     if before is None or time < before[0] - 0.5 * rule.interval:
         return Arrived(waiting._replace(doubted=(time, tuple(readings))), [], "taken")
@@ -161,7 +160,7 @@ def _merged(
     instant: float,
     readings: tuple[float | None, ...],
 ) -> tuple[tuple[float, tuple[float | None, ...]], ...]:
-    """Return the cells with more readings in one of them; of a reading twice the last counts."""
+    """Return the cells with readings added to one; of a repeated reading the last counts."""
     if not cells:
         return ((instant, readings),)
     merged = dict(cells)
@@ -177,13 +176,13 @@ def _merged(
 def _closes(
     rule: Rule, last: float, newest: float, instant: float, values: tuple[float | None, ...]
 ) -> bool:
-    """Say whether the oldest cell is complete, or its readings are overdue."""
+    """Return whether the oldest cell is complete, or its readings are overdue."""
     half = 0.5 * rule.interval
     if newest >= instant + half + rule.lateness:
         return True
     if None in values[: rule.wanted]:
         return False
-    # It is complete, but an older one may still be on its way.
+    # The cell is complete, but readings of an older one may still be in transit.
     return (
         rule.lateness <= 0.0
         or math.isnan(last)
@@ -198,7 +197,7 @@ def _filled(
     instant: float,
     values: tuple[float | None, ...],
 ) -> tuple[tuple[float | None, ...], tuple[tuple[float, float], ...]]:
-    """Return readings completed by held values, and the values held after them."""
+    """Return readings completed by held values, and the values held afterwards."""
     before = held or ((-math.inf, math.nan),) * len(values)
     filled = tuple(
         kept if value is None and k < rule.wanted and instant - since <= rule.hold else value

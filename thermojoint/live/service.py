@@ -32,15 +32,15 @@ from thermojoint.live.served import Served, served_models, single
 from thermojoint.live.settings import Service
 from thermojoint.live.store import Batch, commit, forget, move_log
 
-#: Arrivals that are processed at once; others wait meanwhile.
+#: Number of arrivals that are processed at once; others wait.
 _AT_ONCE = 32
-#: Time in which arrivals are gathered for the next commit, s: commits of one sample cost most.
+#: Time in which arrivals are gathered for the next commit, s: commits of one sample are costly.
 _GATHER_S = 0.01
 #: Interval of checks for silence and of checkpoints, s.
 _WATCH_S = 1.0
 #: Interval at which the store's write-ahead log is moved into its file, s.
 _SHORTEN_S = 10.0
-#: Between two looks at the ends of the certificates, s.
+#: Interval at which the expiry of the certificates is checked, s.
 _ANNOUNCE_S = 86400.0
 #: Delay before the store is tried again, s.
 _AGAIN_S = 1.0
@@ -54,7 +54,7 @@ async def run(
     ready: Callable[[Running], None] = lambda running: None,
     reload: Callable[[], None] = lambda: None,
 ) -> None:
-    """Serve until `stop` is set, or until every source has come to its end.
+    """Serve until `stop` is set, or until every source has ended.
 
     Parameters
     ----------
@@ -62,14 +62,14 @@ async def run(
     stop : asyncio.Event
         Set from outside, e.g. by a signal.
     ready : callable
-        Called when all doors are open.
+        Called when all interfaces are open.
     reload : callable
-        Called when a user has changed what only a new start brings into effect.
+        Called when a user has made a change that needs a restart to take effect.
 
     Raises
     ------
     InputError
-        Something in the file does not work: a model, a certificate, an address that is taken.
+        Something in the file is unusable: a model, a certificate, an address in use.
     """
     log = EventLog()
     service, models = working(pinned(service), log)
@@ -98,7 +98,7 @@ async def run(
         finally:
             tell_systemd("STOPPING=1")
             await cancelled(*sources, ended, watch, *doors)
-            # What has arrived is still processed; an empty block ends the queue.
+            # Earlier arrivals are still processed; an empty block ends the queue.
             if not work.done():
                 await running.arrivals.put([])
             await asyncio.gather(work, return_exceptions=True)
@@ -118,12 +118,12 @@ def note_changes(running: Running) -> None:
         for machine, change in note_deployments(running.service, now):
             audit.accepted("service", "start", change, machine)
     except OSError as error:
-        # It serves nevertheless: a full disk ends no machine.
+        # The service goes on: a full disk must not stop any machine.
         running.floor.log.say(now, "audit", f"changes cannot be written down: {error}")
 
 
 def announce_certificates(running: Running) -> None:
-    """Log the certificates that end soon."""
+    """Log the certificates that expire soon."""
     now = time.time()
     service = running.service
     for line in ending(service.given, service.folder, datetime.fromtimestamp(now, UTC)):
@@ -136,7 +136,7 @@ def working(service: Service, log: EventLog) -> tuple[Service, dict[str, Served]
     Raises
     ------
     InputError, ConvergenceError
-        None of them can.
+        No model can be opened.
     """
     models, refused = served_models(service)
     if not models:
@@ -182,7 +182,7 @@ def _note_failure(
 
 
 async def _process(running: Running) -> None:
-    """Process arrivals, store the results, then publish them; an empty block is the end."""
+    """Process arrivals, store the results, then publish them; an empty block ends the task."""
     floor, queue = running.floor, running.arrivals
     while True:
         blocks = [await queue.get()]
@@ -244,7 +244,7 @@ async def _watch(running: Running) -> None:
 
 
 async def shorten_log(running: Running) -> None:
-    """Move the store's write-ahead log into its file, and state what is left of it."""
+    """Move the store's write-ahead log into its file, and update the metric of its size."""
     path = running.archive.path
     log = path.with_name(path.name + "-wal")
     async with _tending(running):
@@ -254,7 +254,7 @@ async def shorten_log(running: Running) -> None:
 
 @asynccontextmanager
 async def _tending(running: Running) -> AsyncIterator[None]:
-    """Work on the store that can wait; a damaged one is replaced."""
+    """Context for deferrable work on the store; a damaged store is replaced."""
     store = running.store
     try:
         yield
@@ -265,7 +265,7 @@ async def _tending(running: Running) -> AsyncIterator[None]:
 
 
 async def published(running: Running, changed: list[Publication]) -> None:
-    """Publish what silence has changed, after storing the offsets that the controls receive."""
+    """Publish changes caused by silence, after storing the offsets that the controls receive."""
     names = [publication.machine for publication in changed]
     received = floors.received(running.floor, names, time.time())
     if received:
@@ -274,10 +274,10 @@ async def published(running: Running, changed: list[Publication]) -> None:
 
 
 async def _release(running: Running, places: Sequence[Place]) -> None:
-    """Store arrivals that wait for a sample as they are, and acknowledge them."""
+    """Store arrivals that wait for a sample unassembled, and acknowledge them."""
     if not places:
         return
-    # Of all: a busy computer has read some of them less than `STALLED_S` ago.
+    # Counted for all places: a busy computer may have read some less than `STALLED_S` ago.
     waiting = sum(len(place.unkept) for place in running.floor.places.values())
     calls = [call for place in places for call in place.unkept]
     for place in places:
@@ -295,7 +295,7 @@ async def _release(running: Running, places: Sequence[Place]) -> None:
 
 
 async def _checkpoint_some(running: Running, every: float) -> None:
-    """Store the states of some machines, so that each has its turn within a time (s)."""
+    """Store the states of some machines, so that each is stored once within a time (s)."""
     if not running.round:
         running.behind, running.round_from = running.round_from, running.journal_end
         running.round = list(running.floor.places.values())
@@ -317,9 +317,9 @@ async def _checkpoint(running: Running, places: Sequence[Place]) -> None:
 
 
 async def _keep(running: Running, batch: Batch) -> None:
-    """Store a batch; waits while its reserve is used up or another program holds the file.
+    """Store a batch; wait while the store's reserve is used up or another program locks the file.
 
-    Meanwhile nothing new is published, and the controls hold what they received last.
+    Meanwhile nothing new is published, and the controls hold the values received last.
     """
     while True:
         store = running.store
@@ -330,7 +330,7 @@ async def _keep(running: Running, batch: Batch) -> None:
             if is_damage(error):
                 with suppress(sqlite3.DatabaseError):
                     await recover(running, store, error)
-                    # The new store has begun with the states of now.
+                    # The new store already contains the present states.
                     batch = replace(batch, checkpoints=())
                     continue
             log.say(time.time(), "store-waits", f"{running.archive.path}: {error}")
@@ -338,7 +338,7 @@ async def _keep(running: Running, batch: Batch) -> None:
             if running.stop.is_set():
                 return
             await asyncio.sleep(_AGAIN_S)
-            # `_watch` may wait here itself.
+            # `_watch` itself may be waiting here.
             with suppress(sqlite3.DatabaseError):
                 await running.tended()
         else:

@@ -1,6 +1,6 @@
 """Settings file of a service (TOML): machines, models, sources and outputs.
 
-Units are in the names of the keys. It contains no secrets, only their locations.
+Units are in the names of the keys. The file contains no secrets, only their locations.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from thermojoint.artefacts.settings.section import File, NotNegative, Positive, 
 
 Port = Annotated[int, Field(ge=0, le=65535)]
 
-#: A machine's name is part of topics, node ids, addresses of pages and file names.
+#: Form of a machine's name, which is part of topics, node ids, URLs and file names.
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 #: URL of an agent.
 _HTTP = re.compile(r"https?://(\[[0-9A-Fa-f:]+\]|[A-Za-z0-9._-]+)(:\d{1,5})?(/[A-Za-z0-9._~/-]*)?")
@@ -48,7 +48,7 @@ class Secret(Section):
 
 
 class NextReadingSection(Section):
-    """``[models.NAME.next_reading]``: displacement readings are asked for above a band's limit."""
+    """``[models.NAME.next_reading]``: readings are requested when the band exceeds a limit."""
 
     above_um: Positive
     interval_min: NotNegative = 60.0
@@ -69,10 +69,10 @@ class ModelSection(Section):
 
 
 class HandshakeSection(Section):
-    """``[machines.NAME.handshake]``: no offset follows without the word of the control.
+    """``[machines.NAME.handshake]``: offsets only follow while the control confirms them.
 
-    It answers by OPC UA or HTTP, as a user who writes, or by MQTT; or the service reads the answer
-    from the target that it writes.
+    The control answers by OPC UA or HTTP, as a user who may write, or by MQTT; or the service reads
+    the answer from the target that it writes to.
     """
 
     by: Literal["opcua", "mqtt", "http", "target"]
@@ -83,7 +83,7 @@ class HandshakeSection(Section):
 
 
 class IdentificationSection(Section):
-    """``[machines.NAME.identification]``: of the machine, as OPC 40001-1 names it.
+    """``[machines.NAME.identification]``: identification of the machine by OPC 40001-1.
 
     ``{machine}`` in a text is the name of the machine.
     """
@@ -300,10 +300,10 @@ class ServiceFile(Section):
 
 @dataclass(frozen=True)
 class Service:
-    """A service as its file says."""
+    """A service as defined by its file."""
 
     given: ServiceFile
-    #: Every single machine by its name.
+    #: Every single machine (``count`` expanded) by its name.
     machines: Mapping[str, MachineSection]
 
     @property
@@ -363,7 +363,7 @@ def service_from_data(data: dict[str, Any], where: str, base: Path) -> Service:
 
 
 def _check_handshake(at: str, machine: MachineSection, given: ServiceFile) -> None:
-    """A handshake needs offsets, and the door by which the control answers."""
+    """Refuse a handshake without offsets, or without the interface by which the control answers."""
     handshake = machine.handshake
     if (machine.target is not None) != (handshake is not None and handshake.by == "target"):
         raise InputError(f'{at}: by = "target" and the file of a target belong together; give both')
@@ -390,7 +390,7 @@ def _check_handshake(at: str, machine: MachineSection, given: ServiceFile) -> No
 
 
 def _check_identification(at: str, machine: MachineSection, given: ServiceFile) -> None:
-    """A companion specification asks each machine for an identification of its own."""
+    """Refuse machines without an identification of their own if a specification needs it."""
     asked = given.opcua is not None and given.opcua.companion != "none"
     found = machine.identification
     if asked and found is None:
@@ -441,7 +441,7 @@ def _check_pattern(
 
 
 def _check_clients(where: str, given: ServiceFile) -> None:
-    """A broker keeps one client of a name, and a line of standard input goes to one reader."""
+    """Refuse two clients of a broker with one name, and two readers of standard input."""
     fed = {machine.source for machine in given.machines.values()}
     known: dict[tuple[str, int, str], str] = {}
     piped = [
@@ -466,7 +466,7 @@ def _check_clients(where: str, given: ServiceFile) -> None:
 
 
 def _check_topics(where: str, given: ServiceFile, machines: Mapping[str, MachineSection]) -> None:
-    """A message belongs to one machine: to a control, or from it."""
+    """Refuse a topic for the messages of several machines or of their controls."""
     answering = [one for one in machines.values() if one.handshake and one.handshake.by == "mqtt"]
     for key, count in (("topic", len(machines)), ("control_topic", len(answering))):
         if given.mqtt and count > 1 and "{machine}" not in getattr(given.mqtt, key):
@@ -476,7 +476,7 @@ def _check_topics(where: str, given: ServiceFile, machines: Mapping[str, Machine
 
 
 def _check_protected(where: str, given: ServiceFile) -> None:
-    """Refuse interfaces without protection that others can reach."""
+    """Refuse unprotected interfaces that other computers can reach."""
     for name, source in given.sources.items():
         if isinstance(source, MtconnectSource) and source.url.startswith("http:"):
             host = _host_in(source.url)
@@ -500,7 +500,7 @@ def _check_protected(where: str, given: ServiceFile) -> None:
 def check_protected(
     where: str, given: MqttAddress | OpcuaAddress | OpcuaServer | HttpServer
 ) -> None:
-    """Refuse a server without protection that others can reach."""
+    """Refuse an unprotected server that other computers can reach."""
     if given.security != "none":
         return
     if isinstance(given, OpcuaAddress):
@@ -515,7 +515,7 @@ def check_protected(
 
 
 def is_loopback(host: str) -> bool:
-    """Say whether an address stays on this computer."""
+    """Return whether an address stays on this computer."""
     if host == "localhost":
         return True
     try:

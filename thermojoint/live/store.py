@@ -194,7 +194,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def is_held(folder: Path) -> bool:
-    """Say whether a service runs on a folder."""
+    """Return whether a service runs on a folder."""
     if not (folder / _LOCK).exists():
         return False
     try:

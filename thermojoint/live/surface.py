@@ -107,7 +107,7 @@ def surface_of(case: Case, setup: Setup, model: ObserverModel, up: Array) -> Sur
 
 
 def _alike(modes: Modes, model: Modes) -> bool:
-    """Say whether modes have the shapes and rates of a model's modes."""
+    """Return whether modes have the shapes and rates of a model's modes."""
     return (
         modes.rates.shape == model.rates.shape
         and modes.jump.shape == model.jump.shape

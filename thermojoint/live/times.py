@@ -1,4 +1,4 @@
-"""Times from sources: s since 1970, or ISO 8601, which is UTC if it has no zone."""
+"""Times from sources: s since 1970, or ISO 8601, in UTC unless a zone is given."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ def seconds_of(text: str) -> float:
     Raises
     ------
     ValueError
-        It is no time.
+        The text is not a time.
     """
     return since_1970(datetime.fromisoformat(text))
 
 
 def since_1970(moment: datetime) -> float:
-    """Return a moment, which is UTC if it has no zone, as s since 1970."""
+    """Return a moment, in UTC unless a zone is given, as s since 1970."""
     return moment.replace(tzinfo=moment.tzinfo or UTC).timestamp()

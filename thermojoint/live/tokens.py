@@ -13,7 +13,7 @@ from thermojoint.live.access_store import digest_of
 from thermojoint.live.rights import ALL_MACHINES, Principal
 from thermojoint.live.users import checked_rights
 
-#: The time of the last use is written at most once in this time, s.
+#: Shortest interval at which the time of the last use is written, s.
 _USED_S = 60.0
 
 
@@ -23,10 +23,10 @@ class Token:
 
     #: Its name and rights.
     principal: Principal
-    #: s since 1970.
+    #: Times, s since 1970.
     created: float
     expires: float
-    #: When it was used last, to a minute; s since 1970.
+    #: Time of the last use, to a minute; s since 1970.
     used: float | None
 
 
@@ -37,21 +37,21 @@ def add_token(
     span: tuple[float, float],
     machines: Sequence[str] = ALL_MACHINES,
 ) -> str:
-    """Make a token, and return its secret, which is stored nowhere.
+    """Create a token, and return its secret, which is not stored anywhere.
 
     Parameters
     ----------
     store : Connection
     name, role : str
     span : (float, float)
-        When it is made and when it ends, s since 1970.
+        Times of creation and expiry, s since 1970.
     machines : sequence of str
         Names or patterns.
 
     Raises
     ------
     InputError
-        Name, role or machines cannot be used, or there is a token of this name.
+        Name, role or machines are not allowed, or there is already a token of this name.
     """
     known, patterns = checked_rights(name, role, machines)
     secret = f"tj_{secrets.token_urlsafe(32)}"
@@ -66,7 +66,7 @@ def add_token(
 
 
 def revoke_token(store: sqlite3.Connection, name: str) -> None:
-    """Revoke a token; sessions that it began end with it.
+    """Revoke a token; sessions begun with it end as well.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def revoke_token(store: sqlite3.Connection, name: str) -> None:
 
 
 def tokens_in(store: sqlite3.Connection) -> list[Token]:
-    """Return all tokens, also those that have expired."""
+    """Return all tokens, including expired ones."""
     rows = store.execute(
         "SELECT name, role, machines, digest, created, expires, used FROM tokens ORDER BY name"
     )
@@ -96,7 +96,7 @@ def token_of(store: sqlite3.Connection, digest: str, now: float) -> Principal | 
         return None
     token = _token(row)
     if token.used is None or now - token.used > _USED_S:
-        # Whoever cannot write, because the disk is full, lets the token pass nevertheless.
+        # If the disk is full, the token is accepted although its use cannot be written.
         with suppress(sqlite3.OperationalError):
             store.execute("UPDATE tokens SET used = ? WHERE digest = ?", (now, digest))
     return token.principal

@@ -1,4 +1,4 @@
-"""Trust list of the OPC UA server: whose client certificates are accepted, and which were not.
+"""Trust list of the OPC UA server: accepted and rejected client certificates.
 
 The folder holds certificates of clients and of authorities (CA) that issue them, and revocation
 lists (CRL) of these authorities. It is read at every log-in, so a change needs no restart.
@@ -21,7 +21,7 @@ from cryptography.hazmat.primitives import hashes
 from thermojoint.artefacts.errors import InputError
 
 Content = TypeVar("Content")
-#: Rejected certificates that are kept; anybody can send one.
+#: Number of rejected certificates that are kept; anybody can send some.
 _MOST_REJECTED = 100
 
 
@@ -29,9 +29,9 @@ _MOST_REJECTED = 100
 class TrustList:
     """Folders of certificates."""
 
-    #: None: any client whose certificate is valid now, as the password decides.
+    #: None: any client with a currently valid certificate, as the password decides.
     trusted: Path | None
-    #: Where unknown certificates are put, for somebody to move them to `trusted`.
+    #: Folder for unknown certificates, from which an administrator moves them to `trusted`.
     rejected: Path
 
     def refusal(self, certificate: bytes | None, now: datetime) -> str:
@@ -78,7 +78,7 @@ def contents_of(
     Raises
     ------
     InputError
-        There is no such folder, or a file in it is neither.
+        There is no such folder, or a file in it is neither a certificate nor a list.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; make it, and put trusted certificates there")
@@ -88,7 +88,7 @@ def contents_of(
 
 
 def span_of(certificate: x509.Certificate) -> str:
-    """Return the days on which a certificate becomes valid, and ends."""
+    """Return the days on which a certificate becomes valid and expires."""
     return (
         f"{certificate.not_valid_before_utc:%Y-%m-%d} to {certificate.not_valid_after_utc:%Y-%m-%d}"
     )
@@ -122,7 +122,7 @@ def _loaded(
 
 
 def _issued(given: x509.Certificate, authority: x509.Certificate, now: datetime) -> bool:
-    """Say whether a certificate was issued by an authority that is valid now."""
+    """Return whether a certificate was issued by an authority that is currently valid."""
     try:
         rights = authority.extensions.get_extension_for_class(x509.BasicConstraints).value
         given.verify_directly_issued_by(authority)
@@ -136,7 +136,7 @@ def _revokes(
     given: x509.Certificate,
     authorities: Sequence[x509.Certificate],
 ) -> bool:
-    """Say whether a list that an authority has signed names a certificate."""
+    """Return whether a list signed by an authority revokes a certificate."""
     listed = revocations.get_revoked_certificate_by_serial_number(given.serial_number)
     return listed is not None and any(
         revocations.is_signature_valid(one.public_key())  # type: ignore[arg-type]

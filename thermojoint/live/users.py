@@ -1,4 +1,4 @@
-"""Users with roles, machines and hashed passwords, in a file that only its owner can read.
+"""Users with roles, machines and hashed passwords, in a file readable by its owner only.
 
 One line each: ``name:role:machines:scrypt$N$r$p$salt$hash``, machines separated by commas, salt and
 hash in hexadecimal.
@@ -25,7 +25,7 @@ _SHORTEST, _LONGEST = 8, 256
 _NAME = re.compile(r"[A-Za-z0-9._-]{1,64}")
 _MACHINES = re.compile(r"[A-Za-z0-9_*?-]{1,64}(,[A-Za-z0-9_*?-]{1,64})*")
 _HASH = re.compile(r"scrypt\$(\d{4,6})\$(\d{1,2})\$(\d{1,2})\$([0-9a-f]{32})\$([0-9a-f]{64})")
-#: Passwords not known to be right that are checked in this time (s), of all users together.
+#: Number of unverified passwords, of all users together, that are checked in this time (s).
 MOST_TRIALS, TRIALS_S = 20, 60.0
 
 
@@ -35,9 +35,9 @@ class UserLine:
 
     #: One of `thermojoint.live.rights.ROLES`.
     role: Role
-    #: Hashed.
+    #: Hash of the password.
     password: str = field(repr=False)
-    #: Names or patterns.
+    #: Names of machines, or patterns.
     machines: tuple[str, ...] = ALL_MACHINES
 
 
@@ -47,7 +47,7 @@ def checked_rights(name: str, role: str, machines: Sequence[str]) -> tuple[Role,
     Raises
     ------
     InputError
-        The name, the role or a machine's pattern cannot be used.
+        The name, the role or a machine's pattern is not allowed.
     """
     if not _NAME.fullmatch(name):
         raise InputError(f"{name!r}: a user's name is up to 64 letters, digits, ., - and _")
@@ -65,7 +65,7 @@ def read_users(path: Path) -> dict[str, UserLine]:
     Raises
     ------
     InputError
-        It is missing, readable by others, or a line cannot be read.
+        The file is missing or readable by others, or a line is malformed.
     """
     refuse_open_to_others(path, "users")
     users: dict[str, UserLine] = {}
@@ -89,12 +89,12 @@ def read_users(path: Path) -> dict[str, UserLine]:
 
 
 def hashed(password: str) -> str:
-    """Return a password as the file keeps it.
+    """Return the hash of a password in the format of the file.
 
     Raises
     ------
     InputError
-        It is too short or too long.
+        The password is too short or too long.
     """
     if not _SHORTEST <= len(password) <= _LONGEST:
         raise InputError(f"password: give {_SHORTEST} to {_LONGEST} characters")
@@ -108,7 +108,7 @@ def _derived(password: str, salt: bytes, n: int, r: int, p: int) -> bytes:
 
 
 def is_password(password: str, kept: str) -> bool:
-    """Say whether a hash was made of a password."""
+    """Return whether a hash belongs to a password."""
     match = _HASH.fullmatch(kept)
     if match is None or len(password) > _LONGEST:
         return False
@@ -147,7 +147,7 @@ def remove_user(path: Path, name: str) -> None:
 
 
 def _write(path: Path, users: Mapping[str, UserLine]) -> None:
-    """Write the file whole; it is its owner's alone at every moment."""
+    """Write the file whole; only its owner can ever read it."""
     text = "".join(
         f"{name}:{user.role}:{','.join(user.machines)}:{user.password}\n"
         for name, user in users.items()
@@ -185,7 +185,7 @@ class Gate:
         """
         user = self.users.get(name)
         kept = user.password if user else f"scrypt${_N}${_R}${_P}${'0' * 32}${'0' * 64}"
-        # A password that was right costs nothing the next time.
+        # A verified password is not hashed again the next time.
         mark = hmac.digest(self._key, f"{name}\0{password}\0{kept}".encode(), "sha256")
         if user and hmac.compare_digest(self._right.get(name, b""), mark):
             return principal_of(name, user)

@@ -6,19 +6,19 @@ from collections.abc import Sequence
 
 from estimator.quality import Quality
 
-#: Added to a status by the service: no sample for a while; a sample that the estimator refused.
+#: Added to a status by the service: no recent sample; a sample that the estimator refused.
 SILENT, REFUSED = "silent", "refused"
 
 
 def quality_at(age: float, uncertain: float, bad: float) -> Quality:
-    """Return the best quality that a value can have at an age.
+    """Return the best possible quality of a value at an age.
 
     Parameters
     ----------
     age : float
-        Since its sample was taken, s.
+        Time since its sample was taken, s.
     uncertain, bad : float
-        Ages from which it is uncertain or bad, s.
+        Ages from which the value is uncertain or bad, s.
     """
     if age >= bad:
         return Quality.BAD
@@ -26,7 +26,7 @@ def quality_at(age: float, uncertain: float, bad: float) -> Quality:
 
 
 def silenced(status: str, quality: Quality) -> str:
-    """Return a status in words, with `SILENT` unless the quality is good."""
+    """Return a status in words, with `SILENT` added unless the quality is good."""
     words: Sequence[str] = [word for word in status.split() if word not in (SILENT, "ok")]
     if quality is not Quality.GOOD:
         words = [*words, SILENT]

@@ -41,15 +41,15 @@ from thermojoint.live.http.sources import Sources
 from thermojoint.live.http.stream import Counted, Reader, stream
 from thermojoint.live.publication import as_json
 
-#: Rows of the history and events that one request may ask for.
+#: Largest number of rows of the history, and of events, per request.
 MOST_POINTS, MOST_EVENTS = 5000, 1000
 #: Default time span, s.
 USUAL_HISTORY, USUAL_EVENTS = 8 * 3600.0, 7 * 86400.0
 #: Largest body of a log-in, bytes.
 LARGEST_LOGIN = 4096
-#: Displacements that can be entered, um.
+#: Range of displacements that can be entered, um.
 READ_UM = -1e4, 1e4
-#: Requests that read the history at the same time; others wait.
+#: Largest number of requests that read the history at the same time; others wait.
 READERS = 4
 
 
@@ -118,7 +118,7 @@ class Site:
         return HTMLResponse(page("machine", machine=name, former=former))
 
     async def rollback(self, request: Request) -> Response:
-        """Go back to the former model of a machine."""
+        """Roll a machine back to its former model."""
         name = self._machine(request)
         former, why = self.sources.former(name), request.user.refusal("engineer", name)
         if why or former is None:
@@ -129,7 +129,7 @@ class Site:
         return RedirectResponse(f"/machines/{name}", 303)
 
     async def postpone(self, request: Request) -> Response:
-        """Postpone the displacement reading that a machine asks for."""
+        """Postpone the displacement reading requested for a machine."""
         name = self._machine(request)
         if why := request.user.refusal("operator", name):
             raise self._refused(request, 403, "postpone", why)
@@ -138,7 +138,7 @@ class Site:
         return RedirectResponse(f"/machines/{name}", 303)
 
     async def read(self, request: Request) -> Response:
-        """Take displacement readings that an operator enters: ``x_um=-3.1``."""
+        """Receive displacement readings entered by an operator: ``x_um=-3.1``."""
         name = self._machine(request)
         if why := request.user.refusal("operator", name):
             raise self._refused(request, 403, "reading", why)
@@ -154,7 +154,7 @@ class Site:
         return RedirectResponse(f"/machines/{name}", 303)
 
     async def control(self, request: Request) -> Response:
-        """Take what the control of a machine says: the handshake."""
+        """Receive an answer of a machine's control: the handshake."""
         name = self._machine(request)
         if name not in self.sources.controls:
             raise HTTPException(404, f'{name}: no control answers here; set handshake.by = "http"')
@@ -279,7 +279,7 @@ class Site:
         user, most = request.user, given.get("most", 100)
 
         def seen(machine: str | None) -> bool:
-            # Events of the service itself may name any machine.
+            # Events of the service itself may mention any machine.
             return user.sees_all or (machine is not None and user.sees(machine))
 
         async with self._reading:
@@ -302,7 +302,7 @@ class Site:
         return JSONResponse(fields)
 
     async def residuals(self, request: Request) -> Response:
-        """Return reading minus model of the newest sample."""
+        """Return the residuals (reading minus model) of the newest sample."""
         name = self._only_machine(request)
         if name not in self.sources.residuals:
             raise HTTPException(404, f"{name} has an estimator that does not expect readings")
@@ -312,7 +312,7 @@ class Site:
         return JSONResponse({"machine": name, "residuals_K": residuals})
 
     async def handshake(self, request: Request) -> Response:
-        """Return what the control of a machine has said."""
+        """Return the handshake state of a machine's control."""
         name = self._only_machine(request)
         if name not in self.sources.handshakes:
             raise HTTPException(404, f"{name} has no handshake with its control")
@@ -341,13 +341,13 @@ class Site:
         self.streams -= 1
 
     def _refused(self, request: Request, status: int, what: str, why: str) -> HTTPException:
-        """Return the refusal of something that a user tried on a machine, which is audited."""
+        """Return the refusal of a user's attempt on a machine, which is audited."""
         name, who = request.path_params["machine"], request.user.name
         self.door.accounts.audit.refused(who, origin(request.scope), what, why, name)
         return HTTPException(status, why)
 
     def _accept(self, request: Request, what: str) -> None:
-        """Audit what a user does to a machine; what cannot be audited is refused."""
+        """Audit an action of a user on a machine; it is refused if it cannot be audited."""
         name, who = request.path_params["machine"], request.user.name
         try:
             self.door.accounts.audit.accepted(who, origin(request.scope), what, name)
@@ -377,14 +377,14 @@ class Site:
         return [name for name in self.sources.machines if request.user.sees(name)]
 
     def _machine(self, request: Request) -> str:
-        """Return the machine of an address."""
+        """Return the machine of a URL."""
         name, visible = str(request.path_params["machine"]), self._visible(request)
         if name not in visible:
             raise HTTPException(404, str(unknown_name("machine", name[:40], visible, "address")))
         return name
 
     def _only_machine(self, request: Request) -> str:
-        """Return the machine of an address that has no parameters."""
+        """Return the machine of a URL without parameters."""
         name = self._machine(request)
         read_parameters(request.query_params.multi_items(), {})
         return name
@@ -433,6 +433,6 @@ def make_app(sources: Sources, door: Door, most_streams: int) -> Starlette:
         ],
         exception_handlers={InputError: _wrong, HTTPException: _none},
     )
-    # It would redirect to whatever host the request names.
+    # It would redirect to the host named in the request.
     made.router.redirect_slashes = False
     return made

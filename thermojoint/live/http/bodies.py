@@ -26,7 +26,7 @@ def encoded(body: Any) -> bytes:  # noqa: ANN401
 
 
 def summary(publication: Publication) -> dict[str, Any]:
-    """Return the part of a publication that an overview shows, under the same names."""
+    """Return the part of a publication for an overview, with the same names."""
     axes = publication.layout.axes
     return {
         "machine": publication.machine,
@@ -131,7 +131,7 @@ def _named(names: Iterable[str], values: Array) -> dict[str, list[float | None]]
 
 
 def _numbers(values: Array, digits: int) -> list[float | None]:
-    """Return a column, rounded; half a picometre or a tenth of a millikelvin is noise."""
+    """Return a rounded column; half a picometre or a tenth of a millikelvin is noise."""
     return [_rounded(number, digits) for number in values.tolist()]
 
 

@@ -22,7 +22,7 @@ from thermojoint.live.rights import Principal
 LONGEST_ADDRESS, LARGEST_HEAD = 2048, 16384
 #: Largest burst of requests of a client, in seconds of its rate.
 BURST_S = 5.0
-#: Wrong tokens and passwords of one client in a row, and how long each is remembered, s.
+#: Allowed wrong tokens and passwords of one client in a row; time until each is forgotten, s.
 WRONG_TOKENS, FORGOTTEN_S = 10.0, 10.0
 #: No content from other sites, no inline code, no frames. The one hash is that of the empty style
 #: element into which plotly.js inserts its rules.
@@ -48,11 +48,11 @@ class Door:
 
     #: Users, tokens and sessions.
     accounts: Accounts
-    #: Names under which the service is reached.
+    #: Host names of the service.
     hosts: frozenset[str]
-    #: With TLS; the session's cookie is then sent over TLS only.
+    #: Whether TLS is used; the session's cookie is then sent over TLS only.
     secure: bool
-    #: How long a browser stays logged in, s.
+    #: Time for which a browser stays logged in, s.
     session: float
     #: `requests`, `failures`: requests and refused log-ins of each client.
     requests: Buckets
@@ -65,7 +65,7 @@ class Door:
         return "__Host-thermojoint" if self.secure else "thermojoint"
 
     def note_token(self, principal: Principal, scope: Scope) -> None:
-        """Audit a token the first time that it comes from an address."""
+        """Audit a token at its first use from an address."""
         key = (principal.credential, client(scope))
         if key not in self._heard:
             self.accounts.audit.accepted(principal.name, origin(scope), "token")
@@ -80,13 +80,13 @@ def refused(status: int, text: str, **headers: str) -> Response:
 
 
 def too_many(waiting: float) -> Response:
-    """Return the response to a client that asks too often."""
+    """Return the response to a client with too many requests."""
     seconds = str(int(waiting) + 1)
     return refused(429, f"too many requests; ask again in {seconds} s", **{"retry-after": seconds})
 
 
 def client(scope: Scope) -> str:
-    """Return the client that asks."""
+    """Return the client of a request."""
     peer = scope.get("client")
     return client_of(peer[0]) if peer else ""
 
@@ -97,13 +97,13 @@ def ticket_of(scope: Scope, name: str) -> str:
 
 
 def origin(scope: Scope) -> str:
-    """Return where a request comes from, as the audit log has it."""
+    """Return the origin of a request, in the form of the audit log."""
     peer = scope.get("client")
     return f"http {peer[0]}" if peer else "http"
 
 
 def wrong_secret(door: Door, scope: Scope, who: str, what: str) -> Response | None:
-    """Note a wrong password or token; returns the answer if it is one too many."""
+    """Note a wrong password or token; return a response if it is one too many."""
     waiting = door.failures.take(client(scope), time.monotonic())
     why = "too many wrong ones" if waiting > 0.0 else "wrong, revoked or expired"
     door.accounts.audit.refused(who, origin(scope), what, why)
@@ -111,7 +111,7 @@ def wrong_secret(door: Door, scope: Scope, who: str, what: str) -> Response | No
 
 
 def with_headers(send: Send, secure: bool) -> Send:
-    """Return a channel for responses that adds `HEADERS`."""
+    """Return a `send` function that adds `HEADERS` to responses."""
 
     async def sent(message: Message) -> None:
         if message["type"] == "http.response.start":
@@ -127,7 +127,7 @@ def with_headers(send: Send, secure: bool) -> Send:
 
 
 def oversized(scope: Scope, headers: Headers) -> Response | None:
-    """Return the response to a request with too long a head, or a body that it must not have."""
+    """Return the response to a request with too large headers or an unexpected body."""
     if len(scope["raw_path"]) + len(scope["query_string"]) > LONGEST_ADDRESS:
         return refused(414, f"the address has more than {LONGEST_ADDRESS} bytes; shorten it")
     if sum(len(name) + len(value) for name, value in scope["headers"]) > LARGEST_HEAD:
@@ -140,7 +140,7 @@ def oversized(scope: Scope, headers: Headers) -> Response | None:
 
 
 class Gate:
-    """Wraps an application: refuses what must not get in, adds the headers to every response."""
+    """Wrapper of an application: refuses requests, and adds the headers to every response."""
 
     def __init__(self, app: ASGIApp, door: Door) -> None:
         self.app, self.door = app, door
@@ -181,7 +181,7 @@ class Gate:
         return path.startswith("/assets/") and path.rpartition("/")[2] in OPEN
 
     def _unknown(self, scope: Scope, headers: Headers) -> Response | None:
-        """Return the answer to a request without a valid session or token."""
+        """Return the response to a request without a valid session or token."""
         accounts = self.door.accounts
         scheme, _, token = headers.get("authorization", "").partition(" ")
         check = partial(accounts.by_session, ticket_of(scope, self.door.cookie))
@@ -196,7 +196,7 @@ class Gate:
             else:
                 self.door.note_token(principal, scope)
         if principal is not None:
-            # `check` is asked again while a stream lasts.
+            # `check` is called again while a stream lasts.
             scope["user"], scope["check"] = principal, check
             return None
         if scope["method"] in ("GET", "HEAD") and "text/html" in headers.get("accept", ""):

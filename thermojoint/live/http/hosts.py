@@ -1,7 +1,7 @@
 """Host and Origin of a request: only names of this service, only pages of its own.
 
-A page of another site can make a browser send requests here, under a name that it has pointed at
-this address (DNS rebinding) or with this service's cookie.
+A page of another site can make a browser send requests to this service, under a name that it points
+to this address (DNS rebinding) or with this service's cookie.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def hosts_of(section: HttpServer, certificate: Path | None) -> frozenset[str]:
     ----------
     section : HttpServer
     certificate : Path or None
-        Its names are the service's as well; None without TLS.
+        Names in it are also names of the service; None without TLS.
     """
     own = ["localhost", "127.0.0.1", "::1", socket.gethostname(), section.address]
     named = [] if certificate is None else names_in(certificate)
@@ -38,7 +38,7 @@ def misdirected(headers: Headers, scope: Scope, hosts: frozenset[str]) -> tuple[
     ----------
     headers : Headers
     scope : Scope
-        The address at which it arrived is a name as well.
+        The address at which the request arrived also counts as a name.
     hosts : frozenset of str
     """
     own = hosts | {str((scope.get("server") or ("",))[0]).lower()}

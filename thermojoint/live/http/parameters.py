@@ -9,7 +9,7 @@ from typing import Any
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.live.times import seconds_of
 
-#: Reads one value; raises InputError with what to give.
+#: Parses one value; raises InputError with the expected form.
 Reader = Callable[[str], Any]
 
 #: Times are between 1970 and 9999.
@@ -40,7 +40,7 @@ def read_parameters(
 
 
 def moment(text: str) -> float:
-    """Read a time: seconds since 1970, or ISO 8601; without a zone it is UTC."""
+    """Parse a time: seconds since 1970, or ISO 8601, in UTC unless a zone is given."""
     try:
         value = float(text)
     except ValueError:
@@ -56,7 +56,7 @@ def moment(text: str) -> float:
 
 
 def whole_number(low: int, high: int) -> Reader:
-    """Return a reader of whole numbers from `low` to `high`."""
+    """Return a parser for whole numbers from `low` to `high`."""
 
     def read(text: str) -> int:
         value = int(text) if text.isascii() and text.isdigit() and len(text) < 10 else low - 1
@@ -68,7 +68,7 @@ def whole_number(low: int, high: int) -> Reader:
 
 
 def number(low: float, high: float) -> Reader:
-    """Return a reader of numbers from `low` to `high`."""
+    """Return a parser for numbers from `low` to `high`."""
 
     def read(text: str) -> float:
         try:
@@ -83,7 +83,7 @@ def number(low: float, high: float) -> Reader:
 
 
 def one_of(*known: str) -> Reader:
-    """Return a reader of one of some words."""
+    """Return a parser for one of some words."""
 
     def read(text: str) -> str:
         if text not in known:
@@ -94,5 +94,5 @@ def one_of(*known: str) -> Reader:
 
 
 def shown(text: str) -> str:
-    """Return a text from outside, shortened and escaped for one line."""
+    """Return a text from a client, shortened and escaped for one line."""
     return ascii(text if len(text) <= 40 else f"{text[:40]}...")

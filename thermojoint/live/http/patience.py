@@ -1,6 +1,6 @@
-"""uvicorn's protocol and server, with time limits; only this module changes its parts.
+"""uvicorn's protocol and server with time limits; only this module changes parts of uvicorn.
 
-tests/project/test_private_parts.py lists what it relies on; `pyproject.toml` bounds the version.
+tests/project/test_private_parts.py lists the parts used; `pyproject.toml` bounds the version.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class PatientProtocol(H11Protocol):
     _unread: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Begin; the time for the first request runs."""
+        """Begin, and start the timer for the first request."""
         super().connection_made(transport)
         self._await_request()
 
@@ -39,7 +39,7 @@ class PatientProtocol(H11Protocol):
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
-        """Take data; the time for the rest of a request runs."""
+        """Receive data; the timer for the rest of a request runs."""
         super().data_received(data)
         if self.conn.their_state in (h11.IDLE, h11.SEND_BODY):
             self._await_request()
@@ -48,11 +48,11 @@ class PatientProtocol(H11Protocol):
             self._deadline = None
 
     def send_400_response(self, msg: str) -> None:
-        """Refuse data that are not HTTP; the handler of the request before is told to stop."""
+        """Refuse data that are not HTTP; the handler of the previous request is stopped."""
         if self.cycle is not None:
             self.cycle.disconnected = True
             self.cycle.message_event.set()
-        # It fails if a response has begun, or the reader has ended TLS.
+        # This fails if a response has begun, or the reader has ended TLS.
         try:
             super().send_400_response(msg)
         except (h11.LocalProtocolError, RuntimeError):
@@ -64,7 +64,7 @@ class PatientProtocol(H11Protocol):
         self._unread = self._unread or self.loop.call_later(READER_S, self.transport.abort)
 
     def resume_writing(self) -> None:
-        """Note that the reader goes on."""
+        """Note that the reader accepts data again."""
         super().resume_writing()
         if self._unread is not None:
             self._unread.cancel()
@@ -84,7 +84,7 @@ class PatientProtocol(H11Protocol):
 
 
 class Server(uvicorn.Server):
-    """A server among other tasks: it leaves signals to the service, and gets its sockets."""
+    """A server among other tasks: it leaves signals and sockets to the service."""
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:

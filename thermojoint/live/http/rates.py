@@ -6,7 +6,7 @@ import ipaddress
 from collections import OrderedDict
 from dataclasses import dataclass, field
 
-#: Clients that are remembered; the one that was silent longest is forgotten first.
+#: Number of remembered clients; the one that was silent longest is forgotten first.
 MOST_CLIENTS = 4096
 
 
@@ -18,17 +18,17 @@ class Buckets:
     rate: float
     #: Largest number of tokens.
     size: float
-    #: Client to its level and the time of that level, s.
+    #: Client to its level and the time of this level, s.
     levels: OrderedDict[str, tuple[float, float]] = field(default_factory=OrderedDict)
 
     def wait(self, client: str, now: float) -> float:
-        """Return how long a client must wait for a token, s; 0 if there is one."""
+        """Return the time for which a client must wait for a token, s; 0 if there is one."""
         level, since = self.levels.get(client, (self.size, now))
         level = min(self.size, level + self.rate * max(0.0, now - since))
         return max(0.0, (1.0 - level) / self.rate)
 
     def take(self, client: str, now: float) -> float:
-        """Take a token if there is one; return what `wait` returned before."""
+        """Take a token if there is one; return the result of `wait` before that."""
         waiting = self.wait(client, now)
         if waiting > 0.0:
             return waiting

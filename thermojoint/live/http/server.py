@@ -24,7 +24,7 @@ from thermojoint.live.limited_socket import listening
 from thermojoint.live.settings import HttpServer, is_loopback
 from thermojoint.live.tokens import tokens_in
 
-#: Connections at the same time, beside one for each stream; more where one address may have more.
+#: Simultaneous connections besides one per stream; more where one address may have more.
 MOST_CONNECTIONS = 256
 
 
@@ -58,7 +58,7 @@ def make_server(app: Starlette, section: HttpServer, own: Identity | None) -> Se
         log_config=None,
         log_level="error",
         access_log=False,
-        # A client could pretend to be another one each time by the header of a proxy.
+        # With proxy headers a client could pretend to be another one at each request.
         proxy_headers=False,
         server_header=False,
         limit_concurrency=_most_connections(section),
@@ -69,7 +69,7 @@ def make_server(app: Starlette, section: HttpServer, own: Identity | None) -> Se
     )
     try:
         config.load()
-    except OSError as error:  # ssl.SSLError is one
+    except OSError as error:  # includes ssl.SSLError
         raise InputError(
             f"http: certificate {security.get('ssl_certfile')} with key "
             f"{security.get('ssl_keyfile')} cannot be used ({error}); give PEM files that belong "
@@ -80,7 +80,7 @@ def make_server(app: Starlette, section: HttpServer, own: Identity | None) -> Se
 
 @dataclass(frozen=True, eq=False)
 class Opened:
-    """A server that has its address and is ready to run."""
+    """A server with a bound address, ready to run."""
 
     server: Server
     #: Its listening socket.
@@ -95,7 +95,7 @@ class Opened:
 
 
 def open_http(section: HttpServer, sources: Sources, accounts: Accounts, folder: Path) -> Opened:
-    """Read the certificate and take the address.
+    """Read the certificate and bind the address.
 
     Parameters
     ----------
@@ -106,12 +106,12 @@ def open_http(section: HttpServer, sources: Sources, accounts: Accounts, folder:
     accounts : Accounts
         Users, tokens and sessions.
     folder : Path
-        Where the service keeps its own certificate.
+        Folder of the service's own certificate.
 
     Raises
     ------
     InputError
-        Nobody could log in, the certificate cannot be used, or the address cannot be had.
+        Nobody could log in, the certificate cannot be used, or the address cannot be bound.
     """
     secure = section.security == "tls"
     if not secure and not is_loopback(section.address):
@@ -153,7 +153,7 @@ async def serve_http(opened: Opened, stop: asyncio.Event) -> None:
     finally:
         waiting.cancel()
         if opened.server.started:
-            # Cancelled, it leaves its socket to the event loop: at a reload the next server gets
-            # the same descriptor, and nobody would be answered.
+            # A cancelled server leaves its socket to the event loop: at a reload the next server
+            # gets the same descriptor, and no client would be answered.
             await opened.server.shutdown([opened.socket])
         opened.socket.close()

@@ -26,7 +26,7 @@ class About:
     kind: str
     #: Name of the model's file.
     model: str
-    #: When it began to run on this model, s since 1970.
+    #: Time since which it runs on this model, s since 1970.
     since: float
     #: Calibrated ranges of the model.
     valid: tuple[Range, ...] = ()
@@ -51,18 +51,18 @@ class Sources:
     #: Residuals (reading minus model, K) of the machines whose estimator predicts readings; None
     #: before the first sample.
     residuals: Mapping[str, Callable[[], dict[str, float | None] | None]]
-    #: What the controls have said, of the machines that have a handshake.
+    #: Answers of the controls, for the machines with a handshake.
     handshakes: Mapping[str, Callable[[], dict[str, Any]]] = field(default_factory=dict)
     #: Machine to the last model before its present one; None without any.
     former: Callable[[str], Deployment | None] = lambda machine: None
-    #: Makes a machine go back to that model.
+    #: Rolls a machine back to that model.
     roll_back: Callable[[str], object] = lambda machine: None
-    #: The machines whose controls answer here (the handshake): the only user who may, None for any
-    #: that may write, and what takes the answer.
+    #: Machines whose controls answer the handshake by HTTP: the only user who may answer (None: any
+    #: user who may write), and the function that receives the answer.
     controls: Mapping[str, tuple[str | None, Callable[[bytes], None]]] = field(default_factory=dict)
-    #: Postpones the displacement reading that a machine asks for; False if it asks for none.
+    #: Postpones the displacement reading requested for a machine; False if there is no request.
     postpone: Callable[[str], bool] = lambda machine: False
-    #: Takes displacement readings of a machine, name to value, um; False if there is no room now.
+    #: Receives displacement readings of a machine, name to value, um; False if the queue is full.
     read: Callable[[str, Mapping[str, float]], bool] = lambda machine, given: False
-    #: What the health check says of the disk.
+    #: State of the disk for the health check.
     disk: Callable[[], dict[str, str | float]] = dict

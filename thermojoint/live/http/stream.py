@@ -1,7 +1,7 @@
 """Server-sent events with the newest sample of every changed machine.
 
-For a reader only the names of the machines that have changed are stored. A slow reader gets fewer
-events with the newest values; nothing is queued.
+For each reader only the names of changed machines are stored. A slow reader gets fewer events, with
+the newest values; nothing is queued.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from thermojoint.live.http.bodies import encoded
 from thermojoint.live.hub import Hub
 from thermojoint.live.publication import Publication
 
-#: Interval of empty events without news, s: longer silence means that the connection is broken.
+#: Interval of empty events when nothing changes, s: longer silence means a broken connection.
 BEAT_S = 3.0
-#: A stream ends after this time, s; the browser opens it again, and is checked again.
+#: A stream ends after this time, s; the browser opens it again and is authenticated again.
 LONGEST_S = 3600.0
-#: Publications that are encoded before other tasks get the event loop.
+#: Number of publications encoded before other tasks get the event loop.
 AT_ONCE = 64
 
 
 @dataclass(frozen=True)
 class Reader:
-    """Who reads a stream."""
+    """Reader of a stream."""
 
-    #: Those that the reader wants.
+    #: Requested machines.
     machines: frozenset[str]
     #: Shortest time between two events, s.
     every: float
@@ -41,7 +41,7 @@ class Reader:
 async def stream(
     hub: Hub, reader: Reader, body: Callable[[Publication], bytes]
 ) -> AsyncIterator[bytes]:
-    """Yield events: the newest of each machine at once, then what changes, until `LONGEST_S`."""
+    """Yield events until `LONGEST_S`: first the newest of each machine, then changed ones."""
     begun = time.monotonic()
     yield b"retry: 2000\n\n"
     with hub.follow() as follower:

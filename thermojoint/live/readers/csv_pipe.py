@@ -1,9 +1,9 @@
 """Lines of a growing file, a FIFO or standard input, resumed after the last stored sample.
 
-They are read by the rules of every table (docs/tables.md), one row at a time: the first lines give
+They are read by the rules for all tables (docs/tables.md), one row at a time: the first lines give
 the separator, the columns of the time and the readings, and their units. A malformed row is noted
 and skipped. The position in a file is stored, so that nothing is lost or read twice whenever the
-service ends; a pipe has none.
+service ends; a pipe has no position.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ LONGEST_LINE = 65_536
 #: Interval at which a file is checked for new lines, s.
 _LOOK_S = 0.1
 _BLOCK = 1 << 16
-#: Rows passed on at once.
+#: Number of rows passed on at once.
 _ROWS = 256
-#: Malformed lines in place of the first row that are tolerated.
+#: Number of malformed lines tolerated before the first row.
 _PATIENCE = 8
 
 
@@ -50,11 +50,11 @@ class Pipe:
     #: Readings with their units, in the estimator's order, to their names in the header; ``time_s``
     #: for the clock, if the header gives it another name.
     names: Mapping[str, str]
-    #: The first so many must be in the header.
+    #: Number of readings, the first ones, that must be in the header.
     wanted: int
     #: Added to the times of a clock without a date, s.
     starts: float
-    #: Wait for more lines at the end of the file.
+    #: Whether to wait for more lines at the end of the file.
     follow: bool
 
     @property
@@ -70,7 +70,7 @@ _CLOCK = "time_s"
 class Header:
     """Layout of the lines, and the column of each reading; None for a missing one.
 
-    The dialect of its layout has the number of lines before the first row.
+    The dialect in the layout contains the number of lines before the first row.
     """
 
     layout: Layout
@@ -120,9 +120,9 @@ def _header(layout: Layout, pipe: Pipe) -> Header:
 
 
 class _Beginning(NamedTuple):
-    """The first lines of a table, until they give its header."""
+    """The first lines of a table, up to the detection of its header."""
 
-    #: A malformed line is left empty.
+    #: Lines; malformed ones are replaced by empty ones.
     lines: tuple[str, ...] = ()
     #: Number of malformed lines.
     refused: int = 0
@@ -131,7 +131,7 @@ class _Beginning(NamedTuple):
 def _with_line(
     before: _Beginning, line: bytes, pipe: Pipe
 ) -> tuple[_Beginning, Header | Note | None]:
-    """Return the beginning with one more line, and the header or a note, if there is one."""
+    """Return the beginning with one more line, and the header or a note if available."""
     if not before.lines and encoding_of(line) != _ENCODING:
         raise InputError(f"{pipe.path}: text in UTF-16; write it as UTF-8 where it is streamed")
     lines = (*before.lines, _text(line))
@@ -153,19 +153,19 @@ def _text(line: bytes) -> str:
 
 
 def _read_note(pipe: Pipe, header: Header) -> Note:
-    """Return a note of how a stream is read, as every command says it."""
+    """Return a note of how a stream is read, in the words of all commands."""
     layout = header.layout
     record = Record(str(pipe.path), layout.form, layout.columns, layout.ignored, notes=layout.notes)
     return Note("source-read", "; ".join(line.strip() for line in begun(record)), pipe.machine)
 
 
 async def read_pipe(pipe: Pipe, position: Any) -> AsyncIterator[list[Arrival | Note]]:  # noqa: ANN401
-    """Yield the rows, some at a time, from a stored position on.
+    """Yield the rows in blocks, from a stored position on.
 
     Raises
     ------
     InputError
-        The first line names no such columns.
+        The header lacks the required columns.
     """
     if str(pipe.path) == "-" or _is_pipe(pipe.path):
         async for block in _stream(pipe):
@@ -194,7 +194,7 @@ async def _file(pipe: Pipe, position: Any) -> AsyncIterator[list[Arrival | Note]
                 async for block in _whole_lines(pipe, file, position):
                     yield block
             except InputError as error:
-                # The header is wrong: the machine waits for another file, the others go on.
+                # The header is wrong: this machine waits for another file, the others continue.
                 yield [Note("source-refused", str(error), pipe.machine)]
                 if not pipe.follow:
                     raise
@@ -212,7 +212,7 @@ async def _whole_lines(
     file: BinaryIO,
     position: Any,  # noqa: ANN401
 ) -> AsyncIterator[list[Arrival | Note]]:
-    """Yield the rows of a file until it ends, or until another file has its name."""
+    """Yield the rows of a file until it ends, or until another file takes its name."""
     header: Header | None = None
     async for begun_with in _begun(pipe, file):
         if isinstance(begun_with, Note):
@@ -285,14 +285,14 @@ def _placed(
 
 
 def _hands_of(position: Mapping[str, Any]) -> Hands:
-    """State of the clock; the position of one that needs none does not contain it."""
+    """Return the state of the clock in a position, which may lack it if the clock needs none."""
     usual = Hands()
     kept = position.get("clock", usual)
     return Hands(*(old if hand is None else hand for hand, old in zip(kept, usual, strict=True)))
 
 
 def _learned(header: Header, line: bytes) -> Header:
-    """Return the header with the decimal sign that a line shows, if none has shown it before."""
+    """Return the header with the decimal sign shown by a line, unless it is known already."""
     if header.layout.dialect.decimal:
         return header
     return _in_decimal(header, decimal_in(_text(line), header.layout))
@@ -307,12 +307,12 @@ def _sum(first: bytes) -> int:
 
 
 def _after(line: bytes, offset: int) -> dict[str, int]:
-    """Return the position after a line, which tells the file from another with the same header."""
+    """Return the position after a line, which identifies the file among ones with its header."""
     return {"offset": offset, "last": len(line), "crc": crc32(line)}
 
 
 def _goes_on(position: Any, first: bytes, file: BinaryIO) -> bool:  # noqa: ANN401
-    """Say whether a stored position belongs to a file."""
+    """Return whether a stored position belongs to a file."""
     if (
         not isinstance(position, dict)
         or position.get("first") != len(first)
@@ -323,14 +323,15 @@ def _goes_on(position: Any, first: bytes, file: BinaryIO) -> bool:  # noqa: ANN4
     if not len(first) + last <= offset <= os.fstat(file.fileno()).st_size:
         return False
     file.seek(offset - last)
-    # Positions of earlier versions have no line.
+    # Positions of earlier versions have no last line.
     return crc32(file.read(last)) == position.get("crc", 0)
 
 
 async def _begun(pipe: Pipe, file: BinaryIO) -> AsyncIterator[Header | Note]:
     """Yield the header of a file as soon as its first lines give it, and notes of malformed lines.
 
-    It ends without a header if the file has none, or if another file takes its name before.
+    The generator ends without a header if the file has none, or if another file takes its name
+    before.
     """
     beginning = _Beginning()
     while True:
@@ -356,7 +357,7 @@ async def _begun(pipe: Pipe, file: BinaryIO) -> AsyncIterator[Header | Note]:
 
 
 def _replaced(path: Path, file: BinaryIO, read: int) -> bool:
-    """Say whether the name is of another file, or the file is shorter than what was read."""
+    """Return whether another file has the name, or the file is shorter than the part read."""
     held = os.fstat(file.fileno())
     if held.st_size < read:
         return True
@@ -381,7 +382,7 @@ async def _stream(pipe: Pipe) -> AsyncIterator[list[Arrival | Note]]:
         if str(pipe.path) == "-":
             source = os.fdopen(os.dup(sys.stdin.fileno()), "rb", buffering=0)
         else:
-            # Opened without waiting for a writer: the loop waits.
+            # Opened without waiting for a writer; the event loop waits instead.
             handle = os.open(pipe.path, os.O_RDONLY | os.O_NONBLOCK)
             source = os.fdopen(handle, "rb", buffering=0)
         lines = asyncio.StreamReader(limit=2 * LONGEST_LINE, loop=loop)
@@ -420,7 +421,7 @@ async def _stream(pipe: Pipe) -> AsyncIterator[list[Arrival | Note]]:
 
 
 async def _line_of(lines: asyncio.StreamReader) -> bytes | None:
-    """Return the next line; None for one that is too long and skipped."""
+    """Return the next line; None for a line that is too long, which is skipped."""
     try:
         return await lines.readuntil(b"\n")
     except asyncio.IncompleteReadError as error:

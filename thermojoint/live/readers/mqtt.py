@@ -28,7 +28,7 @@ from thermojoint.live.reconnecting import FIRST_S, next_delay
 from thermojoint.live.settings import MqttSource
 from thermojoint.live.times import seconds_of
 
-#: Messages that are passed on at once.
+#: Number of messages that are passed on at once.
 _AT_ONCE = 64
 
 
@@ -36,9 +36,9 @@ _AT_ONCE = 64
 class Topics:
     """Names that a source uses."""
 
-    #: Of a topic; it may have the groups ``machine`` and ``reading``.
+    #: Pattern of a topic, with optional groups ``machine`` and ``reading``.
     pattern: re.Pattern[str]
-    #: Of the subscription.
+    #: Topic filter of the subscription.
     filter: str
     #: Names of each machine's readings in the messages.
     names: Mapping[str, tuple[str, ...]]
@@ -52,18 +52,18 @@ class MqttReader:
 
     address: Address
     topics: Topics
-    #: Messages that may be queued.
+    #: Largest number of queued messages.
     most: int
     _found: deque[Arrival | Note] = field(default_factory=deque)
     _came: asyncio.Event = field(default_factory=asyncio.Event)
 
     @property
     def machines(self) -> Sequence[str]:
-        """Machines that the source feeds."""
+        """Machines of the source."""
         return tuple(self.topics.names)
 
     async def read(self, positions: Mapping[str, Any]) -> AsyncIterator[list[Arrival | Note]]:
-        """Yield messages for ever; reconnects whenever the connection is lost."""
+        """Yield messages until cancelled; reconnect whenever the connection is lost."""
         async with beside(self._stay_connected(), self._came) as heard:
             while True:
                 await heard()
@@ -113,7 +113,7 @@ def _acknowledged(client: Sequence[aiomqtt.Client], message: Any) -> None:  # no
 def item_of(
     topics: Topics, topic: str, payload: bytes, kept: Callable[[], None] | None = None
 ) -> Arrival | Note:
-    """Return the readings of one message, or a note of what is wrong with it."""
+    """Return the readings of one message, or a note of its fault."""
     came = clock.time()
     match = topics.pattern.fullmatch(topic)
     # A topic without a machine's name belongs to the only machine.
@@ -161,7 +161,7 @@ def _readings(
 
 
 def _value(value: Any) -> float:  # noqa: ANN401
-    """Return a reading; null is a missing one."""
+    """Return a reading; null stands for a missing one."""
     if value is None:
         return math.nan
     if isinstance(value, bool) or not isinstance(value, int | float):

@@ -1,8 +1,9 @@
 """Data items of an MTConnect agent, by its stream of observations or by polling.
 
-An agent tells an observation only when a value changes; it holds until the next one, or until it is
-UNAVAILABLE. The readings are therefore what holds at the instants of the machine, by the agent's
-clock. After a disconnection the observations that the agent has kept are read on from the last one.
+An agent reports an observation only when a value changes; the value holds until the next
+observation, or until it is UNAVAILABLE. The readings are therefore the values held at the instants
+of the machine, by the agent's clock. After a disconnection reading continues with the observations
+in the agent's buffer after the last one read.
 """
 
 from __future__ import annotations
@@ -49,15 +50,15 @@ from thermojoint.live.reconnecting import FIRST_S, next_delay, shown
 from thermojoint.live.served import Served
 from thermojoint.live.settings import MtconnectSource
 
-#: Arrivals that are passed on at once.
+#: Number of arrivals that are passed on at once.
 _AT_ONCE = 64
-#: Observations in one document.
+#: Largest number of observations in one document.
 _MOST = 1000
-#: Longest query; beyond it everything is asked for.
+#: Longest query; instead of a longer one all data items are requested.
 _LONGEST = 4000
-#: A longer stretch without any observation or document is a gap, s.
+#: A longer time without any observation or document is a gap, s.
 _GAP_S = 3600.0
-#: Interval of the documents that an agent may be asked for, ms.
+#: Shortest and longest interval of requested documents, ms.
 _SHORTEST_MS, _LONGEST_MS = 10, 10_000
 
 
@@ -66,32 +67,32 @@ class OverrunError(UnusableError):
 
 
 class Fed(NamedTuple):
-    """A machine as its source knows it."""
+    """A machine in its source."""
 
-    #: Name or uuid.
+    #: Name or uuid of the device.
     device: str
     #: Names of the readings, and of their data items.
     readings: tuple[str, ...]
     items: tuple[str, ...]
-    #: The first so many readings hold; those after them are occasional.
+    #: Number of readings, the first ones, whose values are held; further ones are occasional.
     wanted: int
-    #: Between two instants, s.
+    #: Interval of the instants, s.
     interval: float
 
 
 class Held(NamedTuple):
-    """What holds of a machine; its position in the source."""
+    """Held values of a machine, and its position in the source."""
 
-    #: Of the agent.
+    #: Instance id of the agent.
     instance: int
-    #: First observation that is not taken yet.
+    #: First observation that is not processed yet.
     next: int
     #: The next arrival is ``number`` intervals after the start, s since 1970.
     start: float
     number: int
-    #: NaN for what is unavailable, and for occasional readings that did not come.
+    #: Values; NaN for unavailable ones and for occasional readings not delivered.
     values: tuple[float, ...]
-    #: When they were last observed, s since 1970.
+    #: Times of their last observations, s since 1970.
     since: tuple[float, ...]
 
     def due(self, fed: Fed) -> float:
@@ -110,18 +111,18 @@ class MtconnectReader:
     url: str
     address: Address
     fed: Mapping[str, Fed]
-    #: How long a value may stay without a new observation, s.
+    #: Longest time for which a value may stay without a new observation, s.
     unchanged: float
     #: Documents further in the future are refused, s.
     ahead: float
 
     @property
     def machines(self) -> Sequence[str]:
-        """Machines that the source feeds."""
+        """Machines of the source."""
         return tuple(self.fed)
 
     async def read(self, positions: Mapping[str, Any]) -> AsyncIterator[list[Arrival | Note]]:
-        """Yield readings for ever; reconnects whenever the connection is lost."""
+        """Yield readings until cancelled; reconnect whenever the connection is lost."""
         held = {
             machine: found
             for machine, fed in self.fed.items()
@@ -143,7 +144,7 @@ class MtconnectReader:
             delay = next_delay(delay)
 
     async def _connected(self, held: dict[str, Held]) -> AsyncGenerator[list[Arrival | Note], None]:
-        """Yield the readings of one connection; `held` goes on."""
+        """Yield the readings of one connection; `held` is updated."""
         devices = await self._asked("/probe", ())
         if not isinstance(devices, Devices):
             raise UnusableError("the agent tells no devices")
@@ -173,16 +174,16 @@ class MtconnectReader:
     def _blocks(
         self, held: dict[str, Held], places: Places, streams: Streams
     ) -> Iterator[list[Arrival | Note]]:
-        """Yield the arrivals of a document; `held` goes on."""
+        """Yield the arrivals of a document; `held` is updated."""
         created, now = streams.header.created, clock.time()
         for machine, found in observed(streams, places, self.fed).items():
             fed, before = self.fed[machine], held[machine]
             if before.number == 0 and created < before.start:
-                # Nothing has come of these instants yet: they may begin earlier.
+                # No arrival has used these instants yet: they may begin earlier.
                 before = before._replace(start=created)
             due = before.due(fed)
             if created > now + self.ahead or created < due - 2.0 * fed.interval:
-                # The agent's clock was set: the rules of every source refuse its time, and say so.
+                # The agent's clock was set: the common rules refuse this time with a message.
                 held[machine] = taken(fed, before, found, due)
                 yield [arrival_of(machine, fed, held[machine], created, self.unchanged)]
                 continue
@@ -208,7 +209,7 @@ class MtconnectReader:
     async def _documents(
         self, query: str, first: int, places: Places
     ) -> AsyncGenerator[Devices | Streams | Refused, None]:
-        """Yield documents from an observation on: those of a stream, or of one request each."""
+        """Yield documents from an observation on, by a stream or by one request each."""
         seconds = min(fed.interval for fed in self.fed.values())
         interval = round(min(max(1000.0 * seconds, _SHORTEST_MS), _LONGEST_MS))
         silence = TIMEOUT_S + 2e-3 * interval
@@ -229,7 +230,7 @@ class MtconnectReader:
 def places_of(
     fed: Mapping[str, Fed], devices: Devices
 ) -> tuple[dict[str, list[tuple[str, int, Place]]], list[Note]]:
-    """Return where the observations of each data item belong, and notes of what is missing."""
+    """Return the readings that belong to each data item, and notes of missing data items."""
     places: dict[str, list[tuple[str, int, Place]]] = {}
     notes = []
     for machine, one in fed.items():
@@ -279,9 +280,9 @@ def observed(streams: Streams, places: Places, machines: Iterable[str]) -> dict[
 
 
 def begun(fed: Fed, before: Held | None, streams: Streams) -> Held:
-    """Return what holds by a document of all current observations.
+    """Return the held values after a document of all current observations.
 
-    Instants continue those of before, if there are any: the estimator's go on at the same phase.
+    Instants continue earlier ones, if any, because the estimator's instants keep their phase.
     """
     header, count = streams.header, len(fed.readings)
     start, number = header.created, 0
@@ -296,7 +297,7 @@ def begun(fed: Fed, before: Held | None, streams: Streams) -> Held:
 
 
 def taken(fed: Fed, held: Held, streams: Streams, since: float) -> Held:
-    """Return what holds after all observations of a document."""
+    """Return the held values after all observations of a document."""
     for one in streams.observations:
         if one.sequence >= held.next:
             held = _with(held, one, since)
@@ -306,10 +307,10 @@ def taken(fed: Fed, held: Held, streams: Streams, since: float) -> Held:
 
 
 def played(fed: Fed, held: Held, streams: Streams) -> Iterator[tuple[Held, float | None]]:
-    """Yield what holds at each instant of a document, with the instant, and last without one.
+    """Yield the held values with each instant of a document, and finally without an instant.
 
-    Observations count from the first instant at or after their time, by the agent's clock at the
-    latest: those of an adapter whose clock differs count when they come.
+    Observations count from the first instant at or after their time, which is at most the time of
+    the document: with an adapter whose clock is ahead they count on arrival.
     """
     header = streams.header
     for one in streams.observations:
@@ -329,7 +330,7 @@ def played(fed: Fed, held: Held, streams: Streams) -> Iterator[tuple[Held, float
 
 
 def _later(fed: Fed, held: Held, time: float) -> Held:
-    """Return what holds without the instants of a gap before a time."""
+    """Skip the instants of a gap before a time."""
     late = time - held.due(fed)
     if late <= _GAP_S:
         return held
@@ -337,7 +338,7 @@ def _later(fed: Fed, held: Held, time: float) -> Held:
 
 
 def _instant(fed: Fed, held: Held) -> Generator[tuple[Held, float], None, Held]:
-    """Yield one instant; return what holds after it."""
+    """Yield one instant; return the held values after it."""
     after = held._replace(number=held.number + 1)
     yield after, held.due(fed)
     return after._replace(values=_kept(after.values, fed.wanted))
@@ -352,12 +353,12 @@ def _with(held: Held, one: Observation, since: float) -> Held:
 
 
 def _kept(values: tuple[float, ...], wanted: int) -> tuple[float, ...]:
-    """Return the values that hold on: an occasional one counts once."""
+    """Return the values that are held further; an occasional one counts once."""
     return (*values[:wanted], *(math.nan for _ in values[wanted:]))
 
 
 def arrival_of(machine: str, fed: Fed, held: Held, instant: float, unchanged: float) -> Arrival:
-    """Return the readings that hold at an instant."""
+    """Return the arrival of the values held at an instant."""
     readings: list[float | None] = [
         value if instant - since <= unchanged else math.nan
         for value, since in zip(held.values[: fed.wanted], held.since, strict=False)
@@ -373,7 +374,7 @@ def arrival_of(machine: str, fed: Fed, held: Held, instant: float, unchanged: fl
 
 
 def held_of(position: Any, fed: Fed) -> Held | None:  # noqa: ANN401
-    """Return what held at a position; None if it is of another source or of other readings."""
+    """Return the held values of a position; None if it is of another source or other readings."""
     try:
         device, instance, following, due, items = position
         names = tuple(name for name, _, _ in items)

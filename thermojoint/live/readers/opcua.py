@@ -29,14 +29,14 @@ from thermojoint.live.times import since_1970
 
 #: Interval of the requests that check the connection, s.
 _ALIVE_S = 5.0
-#: Arrivals that are passed on at once.
+#: Number of arrivals that are passed on at once.
 _AT_ONCE = 64
 #: Largest number of values of one variable read from a history.
 _MOST_HISTORY = 100_000
-#: Variables in one request.
+#: Number of variables in one request.
 _AT_A_TIME = 500
-#: A server may store its history late: as long as it has not the present value, it is read again
-#: after this time, for so long, s.
+#: A server may store its history late: until the history contains the present value, it is read
+#: again at this interval, s, for at most this time, s.
 _AGAIN_S, _LATE_S = 0.1, 3.0
 #: Largest number of values of one variable that the server queues between two publications.
 _QUEUE = 1000
@@ -51,9 +51,9 @@ class OpcuaReader:
     nodes: Mapping[str, tuple[str, int]]
     #: Readings of each machine.
     counts: Mapping[str, int]
-    #: Values that may be queued.
+    #: Largest number of queued values.
     most: int
-    #: Between two publications of the server.
+    #: Interval of the server's publications.
     publishing_ms: float
     _found: deque[Arrival | Note] = field(default_factory=deque)
     _came: asyncio.Event = field(default_factory=asyncio.Event)
@@ -61,12 +61,12 @@ class OpcuaReader:
 
     @property
     def machines(self) -> Sequence[str]:
-        """Machines that the source feeds."""
+        """Machines of the source."""
         return tuple(self.counts)
 
     async def read(self, positions: Mapping[str, Any]) -> AsyncIterator[list[Arrival | Note]]:
-        """Yield values for ever; reconnects whenever the connection is lost."""
-        # Of each variable: a connection may be lost between those of one instant.
+        """Yield values until cancelled; reconnect whenever the connection is lost."""
+        # Per variable: a connection may be lost between the values of one instant.
         self._newest = {
             (machine, k): float(at)
             for machine, at in positions.items()
@@ -115,7 +115,7 @@ class OpcuaReader:
         stored = await self._stored(client, nodes, places)
         for nodeid, value in sorted(stored, key=lambda item: _time(item[1])):
             self._take(places, nodeid, value)
-        # Then the values that arrived meanwhile.
+        # Then the values that have arrived meanwhile.
         for nodeid, value in missed:
             self._take(places, nodeid, value)
         handler.take = lambda nodeid, value: self._take(places, nodeid, value)
@@ -128,7 +128,7 @@ class OpcuaReader:
         self, client: Client, nodes: Sequence[Node], places: Mapping[ua.NodeId, tuple[str, int]]
     ) -> list[tuple[ua.NodeId, ua.DataValue]]:
         """Return the history of every variable since its last reading, up to its present value."""
-        # Whatever is newer than these comes by the subscription.
+        # Newer values arrive by the subscription.
         present: dict[ua.NodeId, float] = {}
         for k in range(0, len(nodes), _AT_A_TIME):
             some = nodes[k : k + _AT_A_TIME]
@@ -150,14 +150,14 @@ class OpcuaReader:
                         datetime.fromtimestamp(since[node], UTC), None, numvalues=_MOST_HISTORY
                     )
                 except ua.UaStatusCodeError:
-                    continue  # It keeps none.
+                    continue  # The server has no history of it.
                 later = [one for one in values if _time(one) > since[node]]
                 found.setdefault(node.nodeid, []).extend(later)
                 since[node] = max(map(_time, later), default=since[node])
                 if since[node] < present[node.nodeid]:
                     late.append(node)
                     more |= bool(later)
-            # The rest follows, or is stored soon: a response has as many as its server allows.
+            # The rest follows or is stored soon: the server limits the values per response.
             wanted = late if more or clock.monotonic() < end else []
             await asyncio.sleep(_AGAIN_S if wanted and not more else 0.0)
         return [(nodeid, value) for nodeid, values in found.items() for value in values]
@@ -180,7 +180,7 @@ class OpcuaReader:
 
 
 def in_order(items: Iterable[Arrival | Note]) -> list[Arrival | Note]:
-    """Return values in the order of their times, those of one machine and time as one arrival.
+    """Return values in the order of time; values of one machine and time become one arrival.
 
     A server sends all values of one variable, then all of the next.
     """
@@ -211,12 +211,12 @@ class _Handler:
         self.take = lambda nodeid, value: aside.append((nodeid, value))
 
     def datachange_notification(self, node: Node, val: Any, data: Any) -> None:  # noqa: ANN401
-        """Take one value."""
+        """Receive one value."""
         self.take(node.nodeid, data.monitored_item.Value)
 
 
 def _item(node: Node, handle: int) -> ua.MonitoredItemCreateRequest:
-    """Return a request for every sampled value, also if only its time has changed."""
+    """Return a request for every sampled value, even if only its time has changed."""
     return ua.MonitoredItemCreateRequest(
         ItemToMonitor=ua.ReadValueId(NodeId=node.nodeid, AttributeId=ua.AttributeIds.Value),
         MonitoringMode=ua.MonitoringMode.Reporting,
@@ -236,7 +236,7 @@ def _time(value: ua.DataValue) -> float:
 
 
 def item_of(machine: str, k: int, count: int, value: ua.DataValue) -> Arrival | Note:
-    """Return one value as an arrival, or a note of what is wrong with it.
+    """Return one value as an arrival, or a note of its fault.
 
     Parameters
     ----------

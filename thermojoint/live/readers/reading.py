@@ -1,4 +1,4 @@
-"""The readers of a service, by the sources of its file."""
+"""The readers of a service, for the sources in its file."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ class Reader(Protocol):
 
     @property
     def machines(self) -> Sequence[str]:
-        """Which."""
+        """Machines of the reader."""
         ...
 
     def read(self, positions: Mapping[str, Any]) -> AsyncIterator[list[Arrival | Note]]:
-        """Yield what is read, some at a time, from where each machine's source stood."""
+        """Yield arrivals and notes in blocks, from the stored position of each machine's source."""
         ...
 
 
@@ -36,11 +36,11 @@ class CsvReader:
 
     @property
     def machines(self) -> Sequence[str]:
-        """The one."""
+        """The machine of the reader."""
         return (self.pipe.machine,)
 
     def read(self, positions: Mapping[str, Any]) -> AsyncIterator[list[Arrival | Note]]:
-        """Read on."""
+        """Yield arrivals and notes in blocks, from the stored position on."""
         return read_pipe(self.pipe, positions.get(self.pipe.machine))
 
 
@@ -50,7 +50,7 @@ def readers_of(service: Service, models: Mapping[str, Served]) -> list[Reader]:
     Raises
     ------
     InputError
-        A column is of no reading, or a secret or a certificate is unusable.
+        A column belongs to no reading, or a secret or a certificate is unusable.
     """
     readers: list[Reader] = []
     for name, source in service.given.sources.items():
@@ -87,15 +87,15 @@ def readers_of(service: Service, models: Mapping[str, Served]) -> list[Reader]:
 
 
 def called(model: Served, columns: Mapping[str, str], where: str) -> tuple[str, ...]:
-    """Return what a source calls the readings of a model.
+    """Return the names of a model's readings in a source.
 
-    Readings of the displacement are read only where the columns name them: a log that happens to
-    hold the truth is not to correct an estimator which will have none.
+    Displacement readings are only used if the columns name them: a log that happens to contain the
+    displacement must not correct an estimator that will have no such readings in service.
 
     Raises
     ------
     InputError
-        A name is given to something that is no reading.
+        A name is given for something that is not a reading.
     """
     for name in columns:
         if name not in model.intake.names:

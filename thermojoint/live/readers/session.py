@@ -14,12 +14,13 @@ from thermojoint.live.cancelling import cancelled
 async def beside(
     staying: Coroutine[Any, Any, None], came: asyncio.Event
 ) -> AsyncIterator[Callable[[], Awaitable[None]]]:
-    """Run a session in the background; give a function that waits for its next arrival.
+    """Run a session in the background; give a function that waits for the next arrival.
 
     Parameters
     ----------
     staying : coroutine
-        Stays connected and ends only by an error, which the function raises; cancelled at the end.
+        Keeps the connection and ends only by an error, which the function raises; cancelled at the
+        end of the context.
     came : Event
         Set when something has arrived.
     """

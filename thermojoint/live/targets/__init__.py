@@ -1,1 +1,1 @@
-"""Controls that the offsets are written into, in their own language."""
+"""Controls that receive the offsets in their own format."""

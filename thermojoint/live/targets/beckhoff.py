@@ -2,7 +2,8 @@
 
 Units, types and ranges: infosys.beckhoff.com, TF5200 CNC, axis parameters (P-AXIS-00272 to 00274),
 and temperature compensation, CNC objects (TEMPC::offset_0). The TwinCAT OPC UA server shows
-variables of the PLC; the PLC passes them on to these objects. Their names are therefore yours.
+variables of the PLC, which passes them on to these objects. The names of the variables are
+therefore chosen by the user.
 """
 
 from __future__ import annotations

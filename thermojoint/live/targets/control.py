@@ -1,4 +1,4 @@
-"""What a control takes as temperature compensation of an axis: quantities, units, limits, nodes."""
+"""Temperature compensation of an axis in a control: quantities, units, limits, nodes."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from thermojoint.artefacts.errors import InputError
 class Quantity:
     """One quantity of an axis."""
 
-    #: As in the manual of the control.
+    #: Name as in the manual of the control.
     name: str
     unit: str
-    #: One unit in SI: of a length, m; of a slope, m/m.
+    #: The unit in SI: m for a length, m/m for a slope.
     metres: float
-    #: The step of a value that is written, and the largest of either sign, in the unit.
+    #: Step size of a written value, and its largest magnitude, in the unit.
     step: float
     largest: float
-    #: The control has a 32-bit integer, not a double.
+    #: Whether the control stores a 32-bit integer, not a double.
     whole: bool
-    #: Node id by OPC UA; ``{axis}`` is the number of the axis.
+    #: OPC UA node id; ``{axis}`` is the number of the axis.
     node: str
     #: Line of a file for the control; ``{axis}`` and ``{value}``.
     line: str
@@ -33,26 +33,26 @@ class Control:
     """Temperature compensation of a control: value = offset + slope (position - reference)."""
 
     title: str
-    #: What is written.
+    #: Written for every axis.
     offset: Quantity
-    #: What is written for an axis with a slope; of the others it must be 0.
+    #: Written for an axis with a slope; it must be 0 for others.
     slope: Quantity
-    #: The position at which the compensation is the offset: P0 of the slope, or 0.
+    #: Position at which the compensation equals the offset: P0 of the slope, or 0.
     reference: Quantity
-    #: What activates the compensation: 1 by the offset alone.
+    #: Switch of the compensation: 1 for the offset alone.
     switch: Quantity
-    #: And by offset and slope.
+    #: Value of the switch for offset and slope.
     with_slope: float
-    #: What begins a comment in a file for the control.
+    #: Prefix of a comment in a file for the control.
     comment: str
     #: First line of an axis in such a file; ``{axis}``.
     heading: str = ""
-    #: Its last lines.
+    #: Last lines of such a file.
     ending: tuple[str, ...] = ()
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
-        """All of them; those that are only checked come last."""
+        """All quantities; those that are only checked come last."""
         return (self.offset, self.slope, self.reference, self.switch)
 
 
@@ -62,7 +62,7 @@ def in_units(quantity: Quantity, metres: float) -> float:
     Raises
     ------
     InputError
-        It is not finite, or beyond the range of the control.
+        The value is not finite, or beyond the range of the control.
     """
     value = metres / quantity.metres
     if not abs(value) <= quantity.largest:
@@ -74,20 +74,20 @@ def in_units(quantity: Quantity, metres: float) -> float:
 
 
 def next_value(quantity: Quantity, now: float, metres: float, most: float) -> float:
-    """Return what to write next where a control has a value now.
+    """Return the next value to write into a control.
 
     Parameters
     ----------
     quantity : Quantity
     now : float
-        In the control's unit.
+        Present value in the control's unit.
     metres : float
-        Where it should go, m or m/m; raises as `in_units`.
+        Target, m or m/m; raises as `in_units`.
     most : float
         Largest change by one write, m or m/m; at least a step of the control.
     """
     goal = in_units(quantity, metres)
-    # Whole steps: a rounded change would be larger, or none at all.
+    # Whole steps: a rounded change could exceed the limit, or be zero.
     change = quantity.step * steps_in(quantity, most)
     if abs(goal - now) <= most / quantity.metres:
         return goal
@@ -95,10 +95,10 @@ def next_value(quantity: Quantity, now: float, metres: float, most: float) -> fl
 
 
 def steps_in(quantity: Quantity, most: float) -> int:
-    """Return how many whole steps of the control are within a change, m or m/m."""
+    """Return the number of whole steps of the control within a change, m or m/m."""
     return math.floor(most / quantity.metres / quantity.step + 1e-9)
 
 
 def _on_grid(quantity: Quantity, value: float) -> float:
-    # The quotient of two short decimals has the fewest digits.
+    # A quotient of two short decimals gives the value with the fewest digits.
     return round(value / quantity.step) / round(1.0 / quantity.step)

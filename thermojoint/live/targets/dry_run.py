@@ -18,8 +18,8 @@ COLUMNS = ("time_s", "axis", "node", "value", "unit")
 def writes(given: TargetFile, lines: Iterable[str], where: str) -> Iterator[tuple[str, ...]]:
     """Yield the writes for a control whose values begin at 0, as `COLUMNS`.
 
-    There is one every `TargetFile.every_s` from the first row on, of what the row before it says,
-    as long as it changes a value.
+    Writes are `TargetFile.every_s` apart from the first row on, each towards the values of the
+    latest row, as long as a value changes.
 
     Parameters
     ----------
@@ -27,13 +27,13 @@ def writes(given: TargetFile, lines: Iterable[str], where: str) -> Iterator[tupl
     lines : iterable of str
         Offsets as `thermojoint compensate` writes them (CSV).
     where : str
-        Their name in messages.
+        Name of the offsets in messages.
 
     Raises
     ------
     InputError
-        There is no row, a column is missing, times do not increase, a value is no number or beyond
-        the range of the control.
+        There is no row, a column is missing, times do not increase, a value is not a number or is
+        beyond the range of the control.
     """
     every = writes_of(given, given.axes)
     values = dict.fromkeys((write[:2] for write in every), 0.0)
@@ -69,9 +69,9 @@ def writes(given: TargetFile, lines: Iterable[str], where: str) -> Iterator[tupl
 def _lasting(
     rows: Iterable[Mapping[str, str]], every: float, where: str
 ) -> Iterator[tuple[Mapping[str, str], tuple[float, float]]]:
-    """Yield the rows, each with the times (s) from which and until which it holds.
+    """Yield the rows, each with the start and end (s) of its validity.
 
-    The last one holds for one write.
+    The last row is valid for one write.
     """
     held: tuple[Mapping[str, str], float] | None = None
     for row in rows:
@@ -87,7 +87,7 @@ def _lasting(
 
 def _moments(first: float, every: float, times: tuple[float, float]) -> Iterator[float]:
     """Yield the times (s) of the writes between two times, the second one excluded."""
-    # Rounding must neither drop a write nor repeat it.
+    # Rounding errors must neither drop a write nor repeat it.
     index = math.ceil((times[0] - first) / every - 1e-9)
     while (time := first + index * every) < times[1] - 1e-9 * every:
         yield time

@@ -1,4 +1,4 @@
-"""LinuxCNC: the files that make a control drive its axes by the offsets of a machine.
+"""LinuxCNC: the files that make a control apply the offsets of a machine to its axes.
 
 The component (`thermojoint.live.targets.linuxcnc_component`), a HAL file that loads it, and the
 control's ini file with the line that loads the HAL file.
@@ -32,25 +32,25 @@ sets thermojoint-on TRUE
 def files_for(
     service: Service, machine: str, ini: Path, token: Path, url: str | None
 ) -> dict[Path, str]:
-    """Return the content of every file to write, by its name.
+    """Return the contents of the files to write, by name.
 
     Parameters
     ----------
     service : Service
     machine : str
-        Its name.
+        Name of the machine.
     ini : Path
         The control's ini file.
     token : Path
         A token of the service with the role operator, readable by the control's user.
     url : str or None
-        Of the service as the control reaches it; None: as its own file says.
+        URL at which the control reaches the service; None: from the file of the service.
 
     Raises
     ------
     InputError
-        The machine has no offsets or no handshake by HTTP, its axes are not the control's, the
-        control gives offsets no share of its speed, or the HAL file is not this command's.
+        The machine has no offsets or no handshake by HTTP, its axes are not those of the control,
+        the control reserves no speed for offsets, or the HAL file was not written by this command.
     """
     http, output = _settings_of(service, machine)
     text = _text_of(ini, "name the control's ini file")
@@ -97,7 +97,7 @@ def _text_of(path: Path, advice: str) -> str:
 def _hal_text(path: Path, machine: str, loadusr: str) -> str:
     """Return the HAL file with a line that loads the component.
 
-    One that is there keeps what else it says: its signal may be linked to a switch.
+    Other lines of an existing file are kept: its signal may be linked to a switch.
     """
     if not path.exists():
         return _HAL.format(machine=machine, loadusr=loadusr)
@@ -131,14 +131,14 @@ def _settings_of(service: Service, machine: str) -> tuple[HttpServer, Settings]:
 
 
 def _url_of(http: HttpServer) -> str:
-    """Return where a control on the same computer reaches the service."""
+    """Return the URL at which a control on the same computer reaches the service."""
     host = "127.0.0.1" if http.address in ("0.0.0.0", "::") else http.address
     scheme = "https" if http.security == "tls" else "http"
     return f"{scheme}://{f'[{host}]' if ':' in host else host}:{http.port}"
 
 
 def entries_of(text: str) -> Mapping[str, str]:
-    """Return the entries of an ini file, the last of each name, as SECTION.NAME to value."""
+    """Return the entries of an ini file as SECTION.NAME to value, the last one of each name."""
     found, section = {}, ""
     for line in text.splitlines():
         if match := re.fullmatch(r"\s*\[(\w+)\]\s*", line):
@@ -149,8 +149,8 @@ def entries_of(text: str) -> Mapping[str, str]:
 
 
 def _check_axis(axis: str, given: Mapping[str, str], ini: Path) -> None:
-    """Refuse an axis that the control does not have, or does not let offsets move."""
-    # The component acknowledges by the control's own letters.
+    """Refuse an axis that the control lacks, or that offsets cannot move."""
+    # The component acknowledges by the axis letters of the control.
     section = f"AXIS_{axis}"
     if not any(name.startswith(f"{section}.") for name in given):
         raise InputError(f"{ini}: there is no [{section}]; name the axes in the offsets as here")
@@ -163,7 +163,7 @@ def _check_axis(axis: str, given: Mapping[str, str], ini: Path) -> None:
 
 
 def with_hal_file(text: str, ini: Path) -> str:
-    """Return an ini file that loads the HAL file after those that it loads already."""
+    """Return an ini file that loads the HAL file after the ones loaded already."""
     lines = text.splitlines()
     if _LOADS in lines:
         return text

@@ -1,12 +1,12 @@
 #!/usr/bin/python3
 """LinuxCNC: a HAL component that moves axes by the offsets of a thermojoint service.
 
-A file of its own: it runs on the control's system Python and needs only its standard library and
-the module `hal`. A thread reads the service's stream (HTTP, server-sent events), another one tells
-it the offsets that act in the control; the main loop moves ``axis.L.eoffset-counts`` at a limited
-rate. The control accumulates changes of the counts, and
-drops them while the machine is off or not homed, so every step starts from what the control says
-it has been asked for (``axis.L.eoffset-request``). This also lets a restarted component continue.
+A self-contained file: it runs on the control's system Python and needs only its standard library
+and the module `hal`. A thread reads the service's stream (HTTP, server-sent events), another one
+reports the offsets in force in the control; the main loop moves ``axis.L.eoffset-counts`` at a
+limited rate. The control accumulates changes of the counts, and drops them while the machine is off
+or not homed, so every step starts from the request that the control reports
+(``axis.L.eoffset-request``). This also allows a restarted component to continue.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-#: Period of the loop, s, and how long the control may take to accept a step.
+#: Period of the loop, and longest time for the control to accept a step, s.
 PERIOD_S, ACCEPTED_S = 0.05, 1.0
 #: First and longest delay before the stream is opened again, s.
 FIRST_S, LONGEST_S = 0.5, 10.0
-#: Between two answers to the service, s.
+#: Interval of the answers to the service, s.
 ANSWER_S = 1.0
-#: After a control was switched off or not homed, it tells the service so for this long, s.
+#: Time for which the service is notified after a control was switched off or not homed, s.
 AWAY_S = 3.0
 READY = ("motion.motion-enabled", "motion.is-all-homed")
-#: Periods whose travel a late loop makes up for.
+#: Number of periods whose travel a late loop makes up for.
 MOST_PERIODS = 4
 #: Steps of an offset, per µm.
 PER_UM = 10
-#: The component's name in HAL and how its signals begin, and how many names it tries.
+#: Name of the component in HAL and prefix of its signals; number of names to try.
 NAME, MOST_NAMES = "thermojoint", 100
-#: What it reads of an axis: its own counts, what the control has made of them, what acts.
+#: Pins read from an axis: the component's own counts, the control's request, the offset in force.
 WATCHED = ("-counts", "-request", "")
 #: States: following the service; holding, then returning to zero without it.
 FOLLOW, HOLD, RETURN = "follow", "hold", "return"
@@ -50,24 +50,24 @@ FOLLOW, HOLD, RETURN = "follow", "hold", "return"
 class Limits(NamedTuple):
     """Limits of the component."""
 
-    #: µm/s.
+    #: Largest rate, µm/s.
     rate: float
-    #: An offset beyond this is refused, µm.
+    #: Largest accepted offset, µm.
     largest: float
-    #: The service counts as lost after this silence, s; the offsets are then held for so long.
+    #: Silence after which the service counts as lost, s; time for which the offsets are then held.
     silence: float
     hold: float
 
 
 class Word(NamedTuple):
-    """What the service said last: a time (s) and the offset of every axis (µm); None: nothing."""
+    """Last message of the service: time (s), and offset of every axis (µm) or None if it has none."""
 
     at: float
     offsets: Mapping[str, float] | None
 
 
 class Axis(NamedTuple):
-    """State of an axis: counts written last, the request (counts) that they lead to, and when."""
+    """State of an axis: last written counts, expected request (counts), and time of writing (s)."""
 
     counts: int
     expected: int
@@ -75,23 +75,23 @@ class Axis(NamedTuple):
 
 
 def word_of(said: Mapping[str, Any], clock: float, limits: Limits, before: Word) -> Word:
-    """Return the newest word of the service after an event.
+    """Return the newest message of the service after an event.
 
-    While the handshake is broken it has no offsets; it is as old as the last one that had.
+    While the handshake is broken it has no offsets, and the time of the last one with offsets.
 
     Parameters
     ----------
     said : mapping
         Data of the event; without a publication nothing has changed.
     clock : float
-        s.
+        Time, s.
     limits : Limits
     before : Word
 
     Raises
     ------
     ValueError
-        An offset is missing, no number, or beyond the limit.
+        An offset is missing, not a number, or beyond the limit.
     """
     offsets = before.offsets
     for one in said["publications"]:
@@ -105,7 +105,7 @@ def word_of(said: Mapping[str, Any], clock: float, limits: Limits, before: Word)
 
 
 def state_of(on: bool, clock: float, word: Word, limits: Limits) -> str:
-    """Return what the offsets do at a time (s)."""
+    """Return the state of the offsets at a time (s)."""
     silence = clock - word.at
     if on and word.offsets is not None and silence <= limits.silence:
         return FOLLOW
@@ -113,7 +113,7 @@ def state_of(on: bool, clock: float, word: Word, limits: Limits) -> str:
 
 
 def goal_of(state: str, word: Word, letter: str, requested: int) -> int:
-    """Return where an axis should go, counts; one of which the service says nothing stays."""
+    """Return the target of an axis, counts; an axis without an offset from the service stays."""
     offset = (word.offsets or {}).get(letter)
     if state == FOLLOW and offset is not None:
         return round(PER_UM * offset)
@@ -127,9 +127,9 @@ def moved(axis: Axis, request: int, goal: int, allowed: int, clock: float) -> Ax
     ----------
     axis : Axis
     request, goal, allowed : int
-        What the control has been asked for, where it should go, and how far at most, in counts.
+        Request reported by the control, target, and largest step, in counts.
     clock : float
-        s.
+        Time, s.
     """
     if request != axis.expected and clock - axis.since < ACCEPTED_S:
         return axis
@@ -145,11 +145,11 @@ class Connection:
     axes : tuple of str
         Letters of the axes.
     word : Word
-        The newest; changed by `listen`.
+        The newest message; changed by `listen`.
     differs : bool
-        The service does not agree with what acts.
+        Whether the service disagrees with the offsets in force.
     enabled, acting : bool, dict of str to float
-        Whether the control takes part, and the offsets that act in it, µm; told by `answer`.
+        Whether the control enables the offsets, and the offsets in force, µm; sent by `answer`.
     """
 
     def __init__(self, given: argparse.Namespace, limits: Limits, axes: tuple[str, ...]) -> None:
@@ -159,7 +159,7 @@ class Connection:
         self._given = given
 
     def listen(self) -> None:
-        """Read the stream for ever; open it again whenever it ends."""
+        """Read the stream endlessly; open it again whenever it ends."""
         delay = FIRST_S
         while True:
             try:
@@ -172,14 +172,14 @@ class Connection:
                             )
                             self.word = word_of(said, time.monotonic(), self._limits, self.word)
                             delay = FIRST_S
-            except Exception as error:  # whatever it is: the offsets are held, then return
+            except Exception as error:  # after any error the offsets are held, then return to zero
                 print(f"thermojoint: {error}", file=sys.stderr, flush=True)
             self.word = Word(self.word.at, None)
             time.sleep(delay)
             delay = min(2.0 * delay, LONGEST_S)
 
     def answer(self) -> None:
-        """Tell the service the control's side of the handshake, for ever."""
+        """Send the control's side of the handshake to the service, endlessly."""
         beats = 0
         while True:
             time.sleep(ANSWER_S)
@@ -195,7 +195,7 @@ class Connection:
         place = what if body is None else f"machines/{given.machine}/{what}"
         headers = {"Authorization": f"Bearer {token}"}
         request = urllib.request.Request(f"{given.url}/api/{place}", body, headers)
-        # Read anew: the service renews its certificate.
+        # Read each time, because the service renews its certificate.
         context = ssl.create_default_context(cafile=given.ca_file) if given.ca_file else None
         return urllib.request.urlopen(request, timeout=given.silence_s, context=context)
 
@@ -217,7 +217,7 @@ def arguments() -> argparse.Namespace:
 
 
 def lives(pid: int) -> bool:
-    """Say whether a process is there, and not a zombie that its parent has not noticed."""
+    """Return whether a process exists and is not a zombie."""
     try:
         return ") Z" not in Path(f"/proc/{pid}/stat").read_text("utf-8")
     except OSError:
@@ -227,8 +227,8 @@ def lives(pid: int) -> bool:
 def linked(hal: Any, axes: tuple[str, ...]) -> Any:  # noqa: ANN401
     """Return the HAL component, linked to the control.
 
-    HAL keeps the pins of a killed component, and its name. Its successor takes the next name, and
-    the signals, which keep their values meanwhile.
+    HAL keeps the pins and the name of a killed component. Its successor uses the next name, and
+    takes over the signals, which keep their values meanwhile.
     """
     kinds = {"on": hal.HAL_BIT, "following": hal.HAL_BIT, "heartbeat": hal.HAL_U32}
     driven = {"counts": hal.HAL_S32, "enable": hal.HAL_BIT, "clear": hal.HAL_BIT,
@@ -258,7 +258,7 @@ def linked(hal: Any, axes: tuple[str, ...]) -> Any:  # noqa: ANN401
             if "." in pin:
                 hal.connect("axis.{}.eoffset-{}".format(*pin.split(".")), net)
         elif former and pin != "on":
-            # A signal has one writer, and takes the value of the pin that becomes it.
+            # A signal has one writer, and takes the value of the pin that is connected to it.
             component[pin] = hal.get_value(f"{former}.{pin}")
             hal.disconnect(f"{former}.{pin}")
         hal.connect(f"{name}.{pin}", net)
@@ -267,7 +267,7 @@ def linked(hal: Any, axes: tuple[str, ...]) -> Any:  # noqa: ANN401
 
 
 def run(hal: Any, component: Any, service: Connection, limits: Limits, scale: float) -> None:  # noqa: ANN401
-    """Move the axes for ever.
+    """Move the axes endlessly.
 
     Parameters
     ----------
@@ -282,7 +282,7 @@ def run(hal: Any, component: Any, service: Connection, limits: Limits, scale: fl
     clock, away, credit, beats = time.monotonic(), -AWAY_S, 0.0, 0
     while True:
         before, clock = clock, time.monotonic()
-        # A loop that was stopped makes up for a few periods only.
+        # A delayed loop makes up for a few periods only.
         credit += PER_UM * limits.rate * (clock - before)
         credit = min(credit, max(1.0, MOST_PERIODS * PERIOD_S * PER_UM * limits.rate))
         word = service.word
@@ -298,7 +298,7 @@ def run(hal: Any, component: Any, service: Connection, limits: Limits, scale: fl
             enabled = bool(component[f"{letter}.enable"])
             component[f"{letter}.scale"] = scale
             component[f"{letter}.enable"], component[f"{letter}.clear"] = not zero, zero
-            # Counts that change before the control is enabled are lost.
+            # Changes of the counts before the control is enabled are lost.
             if enabled and not zero:
                 goal = goal_of(state, word, letter, requested)
                 axis = moved(axis, requested, goal, int(credit), clock)
@@ -307,8 +307,8 @@ def run(hal: Any, component: Any, service: Connection, limits: Limits, scale: fl
             component[f"{letter}.counts"] = axis.counts
         credit -= farthest
         beats = (beats + 1) % (1 << 31)
-        # A control that is switched off forgets its offset; the service must notice. Where the
-        # service cannot agree with what acts, it continues from there as well.
+        # A control that is switched off loses its offset, which the service must notice. If the
+        # service disagrees with the offsets in force, it continues from them as well.
         if service.differs or not all(hal.get_value(name) for name in READY):
             away = clock
         service.enabled = bool(component["on"]) and clock - away > AWAY_S

@@ -1,4 +1,4 @@
-"""File of a target (TOML): which control, how it is reached, and which of its axes move."""
+"""File of a target (TOML): kind of control, its connection, and the axes that move."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from thermojoint.live.targets.beckhoff import BECKHOFF
 from thermojoint.live.targets.control import Control, Quantity, in_units, steps_in
 from thermojoint.live.targets.sinumerik import SINUMERIK
 
-#: Of a position that is written down in mm, m.
+#: Tolerance for a position given in mm, m.
 _ROUNDING = 1e-9
 CONTROLS: Mapping[str, Control] = {"sinumerik": SINUMERIK, "beckhoff": BECKHOFF}
 
 
 class SlopeSection(Section):
-    """``[slopes.NAME]``: the control takes a slope for this axis; P0 and its stroke there."""
+    """``[slopes.NAME]``: the control takes a slope for this axis, with this P0 and stroke."""
 
     reference_mm: Finite
     stroke_mm: Annotated[tuple[Finite, Finite], Field(strict=False)]
@@ -45,7 +45,7 @@ class Write(NamedTuple):
     """A value that is written into a control."""
 
     quantity: Quantity
-    #: Of the offsets.
+    #: Axis of the offsets.
     axis: str
     #: Largest change by one write, m or m/m.
     most: float
@@ -54,8 +54,8 @@ class Write(NamedTuple):
 class TargetFile(OpcuaAddress):
     """The whole file.
 
-    ``axes`` gives for every axis of the offsets the number of the control's axis, ``nodes`` other
-    node ids than the usual ones, by the name of the quantity.
+    ``axes`` maps every axis of the offsets to the number of the control's axis, ``nodes`` maps
+    names of quantities to node ids that differ from the usual ones.
     """
 
     kind: Literal["sinumerik", "beckhoff"]
@@ -68,7 +68,7 @@ class TargetFile(OpcuaAddress):
 
     @property
     def control(self) -> Control:
-        """What the control takes."""
+        """Temperature compensation of this kind of control."""
         return CONTROLS[self.kind]
 
     def node(self, quantity: Quantity, axis: str) -> str:
@@ -78,9 +78,10 @@ class TargetFile(OpcuaAddress):
 
 
 def writes_of(given: TargetFile, names: Iterable[str]) -> list[Write]:
-    """Return what is written for some axes of the offsets: all offsets, then the slopes.
+    """Return the values written for some axes of the offsets: all offsets, then the slopes.
 
-    One write of each changes the compensation at the far end of the stroke by half the step.
+    For an axis with a slope, one write of either changes the compensation at the far end of the
+    stroke by at most half of the largest step.
     """
     step, control, names = MICRO * given.largest_step_um, given.control, list(names)
     along = [(name, given.slopes[name]) for name in names if name in given.slopes]
@@ -100,7 +101,7 @@ def read_target(path: Path, output: OutputSettings | None = None) -> TargetFile:
     ----------
     path : Path
     output : OutputSettings, optional
-        The offsets: each needs its axis in the control, and writes that keep up with its rate.
+        The offsets: each needs an axis in the control, and writes that keep up with its rate.
 
     Raises
     ------
@@ -143,7 +144,7 @@ def target_from_data(
 
 
 def _check_output(given: TargetFile, path: Path, output: OutputSettings) -> None:
-    """Refuse slopes that only one of control and offsets has, and writes that do not keep up."""
+    """Refuse slopes missing in either the control or the offsets, and writes that lag behind."""
     own = {one.axis: one for one in output.slopes}
     for name in output.names:
         section, slope = given.slopes.get(name), own.get(name)

@@ -2,7 +2,7 @@
 
 Quantities, and the effect of MD32750 and MD32760: Function Manual Extended Functions, K3, 03/2013,
 6FC5397-1BP40-3BA1. Names of nodes: Access MyMachine / OPC UA, Commissioning Manual 10/2015,
-6FC5397-3DP40-5BA3, 4.3.4; it shows channel data only, those of an axis follow its rule.
+6FC5397-3DP40-5BA3, 4.3.4; it shows channel data only, the names of axis data follow the same rule.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
 """Offsets and slopes of a machine written into its control by OPC UA; its side of the handshake.
 
-Every cycle reads what acts in the control and tells the service so. Nothing is written unless the
-file of the target enables it, the handshake stands, and the control still has what was written
-last: a value that somebody else has changed is where the service continues. A single write changes
-a value by no more than its limit. Where the connection is lost, the control keeps the last value.
+Every cycle reads the values in force in the control and reports them to the service. Nothing is
+written unless the file of the target enables it, the handshake stands, and the control still has
+the values written last; from a value changed by somebody else the service continues. A single write
+changes a value by no more than its limit. If the connection is lost, the control keeps the last
+value.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ from thermojoint.live.settings import Service
 from thermojoint.live.targets.control import in_units, next_value
 from thermojoint.live.targets.settings import TargetFile, Write, read_target, writes_of
 
-#: After somebody else has changed a value, or the service cannot agree with it, the control counts
-#: as away for this long, s; on its return the service continues from what it has.
+#: Time for which the control counts as away after somebody else has changed a value, or the service
+#: cannot agree with it, s; on its return the service continues from the values in it.
 AWAY_S = 3.0
 
 
@@ -58,20 +59,20 @@ def target_of(service: Service, machine: str, served: Served) -> tuple[TargetFil
 
 @dataclass(frozen=True, eq=False)
 class Writer:
-    """What writes into one control."""
+    """Writer into one control."""
 
     machine: str
     #: Axes of the offsets.
     names: tuple[str, ...]
     given: TargetFile
-    #: How its server is reached.
+    #: Connection data of its server.
     reached: Reached
     hub: Hub
     floor: Floor
     audit: Audit
 
     async def run(self) -> None:
-        """Write for ever; connect again whenever the connection is lost."""
+        """Write until cancelled; reconnect whenever the connection is lost."""
         delay = FIRST_S
         while True:
             try:
@@ -89,7 +90,7 @@ class Writer:
             delay = next_delay(delay)
 
     async def _check(self, client: Client) -> None:
-        """Refuse a control that compensates otherwise: no value of somebody else is overwritten."""
+        """Refuse a control with another compensation, to overwrite no values of somebody else."""
         control = self.given.control
         for name in self.names:
             wanted = {control.switch: 1.0, control.slope: 0.0, control.reference: 0.0}
@@ -165,7 +166,7 @@ class Writer:
     def _show(
         self, writes: Sequence[Write], found: Sequence[float], goals: Sequence[float]
     ) -> None:
-        """Say what would be written, at the rate of the log."""
+        """Log the writes that would be made, at the limited rate of the log."""
         for (quantity, name, _), now, goal in zip(writes, found, goals, strict=True):
             node = self.given.node(quantity, name)
             self._say("dry-run", f"would write {node} = {goal:g} {quantity.unit}, is {now:g}")

@@ -24,7 +24,7 @@ from thermojoint.live.writers.mqtt_control import attend, beat
 
 #: Pause before the next machine if the network is slow, s.
 _PAUSE_S = 0.01
-#: Machines that are published in a row.
+#: Number of machines published in a row.
 _AT_ONCE = 64
 
 
@@ -36,21 +36,21 @@ async def write_topics(
     controls: Collection[str],
     audit: Audit,
 ) -> None:
-    """Publish new samples of every machine, for ever; the newest of each is retained.
+    """Publish new samples of every machine until cancelled; the newest of each is retained.
 
     Parameters
     ----------
     hub : Hub
     address : Address
-        Of the broker.
+        Address of the broker.
     topics : MqttTopics
         Settings.
     floor : Floor
-        The machines; its log notes connections.
+        The machines; connections are noted in its log.
     controls : collection of str
-        The machines whose controls answer here.
+        The machines whose controls answer by MQTT.
     audit : Audit
-        Records their answers. A broker does not tell who published them.
+        Records their answers, without users: a broker does not identify the publisher.
     """
     log, status_topic = floor.log, topics.status_topic
     delay, where = FIRST_S, f"{address.host}:{address.port}"

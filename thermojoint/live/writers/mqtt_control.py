@@ -1,6 +1,6 @@
 """Messages of a control by MQTT (`thermojoint.live.control_message`), on a topic for each machine.
 
-A retained message is no answer: nobody knows how old it is.
+Retained messages are ignored, since their age is unknown.
 """
 
 from __future__ import annotations
@@ -17,30 +17,30 @@ from thermojoint.live.control_message import answer_of
 from thermojoint.live.floor import Floor, answer
 from thermojoint.live.hub import Hub
 
-#: Between two looks at the service's heartbeat, s.
+#: Interval at which the service's heartbeat is checked, s.
 _BEAT_S = 0.5
-#: No answer is larger, bytes.
+#: Largest answer, bytes.
 _LARGEST = 16_384
 
-#: Records what was written, and on which machine.
+#: Records a written value and its machine.
 Written = Callable[[str, str], None]
 
 
 async def attend(
     client: aiomqtt.Client, pattern: str, floor: Floor, names: Collection[str], written: Written
 ) -> None:
-    """Take what the controls of some machines publish, until the connection is lost.
+    """Receive the messages of some machines' controls until the connection is lost.
 
     Parameters
     ----------
     client : aiomqtt.Client
     pattern : str
-        Of the topics, with ``{machine}`` where the name stands.
+        Pattern of the topics, with ``{machine}`` in place of the name.
     floor : Floor
     names : collection of str
-        Of the machines.
+        Names of the machines.
     written : callable
-        Records what was published, on which machine; an OSError refuses it.
+        Records a message and its machine; an OSError refuses the message.
     """
     machines = {pattern.replace("{machine}", name): name for name in names}
     for topic in machines:
@@ -61,7 +61,7 @@ async def attend(
 
 
 async def beat(client: aiomqtt.Client, topic: str, hub: Hub) -> None:
-    """Publish the service's heartbeat whenever it has changed, until the connection is lost."""
+    """Publish the service's heartbeat at every change, until the connection is lost."""
     sent = -1
     while True:
         if hub.heartbeat != sent:

@@ -1,8 +1,8 @@
 """The service's own OPC UA server: an object for each machine, values with their status codes.
 
-``Objects/Machines/NAME/Monitoring/ThermalDisplacement`` and below it Displacement, Band, Offset,
-Slope, Reference (P0), Detail, Reading and Probe, a variable for each axis or channel. Values are
-made when they are read or subscribed to, so machines without readers cost nothing.
+``Objects/Machines/NAME/Monitoring/ThermalDisplacement`` contains Displacement, Band, Offset, Slope,
+Reference (P0), Detail, Reading and Probe, with a variable for each axis or channel. Values are only
+computed when they are read or subscribed to, so machines without readers cost nothing.
 """
 
 from __future__ import annotations
@@ -53,9 +53,9 @@ _FOLDERS = ("Displacement", "Band", "Offset", "Slope", "Reference", "Detail", "R
 class Nodes:
     """The variables of every machine in a server's address space."""
 
-    #: By machine: (variable, its value attribute).
+    #: Machine to its (variable, value attribute).
     of: Mapping[str, list[tuple[Variable, Any]]]
-    #: Of the machines.
+    #: Alarms of the machines.
     alarms: Alarms
 
 
@@ -67,7 +67,7 @@ async def add_machines(
     given: Callable[[Arrival], object],
     companion: Companion | None = None,
 ) -> dict[str, list[tuple[Variable, Any]]]:
-    """Add the objects of all machines; return their variables, as `Nodes` has them.
+    """Add the objects of all machines; return their variables, in the form of `Nodes.of`.
 
     Parameters
     ----------
@@ -76,9 +76,9 @@ async def add_machines(
     hub : Hub
         With a publication of each machine.
     machines : mapping of str to (Layout, int)
-        Names, and how many readings are of every sample.
+        By name: layout, and number of readings in every sample.
     readings : bool
-        Also what they read.
+        Also add variables of the readings.
     given : callable
         Called with each written reading.
     companion : Companion, optional
@@ -100,7 +100,7 @@ async def add_machines(
         items = [at[1], monitoring[1], place[1]]
         if companion is not None:
             await add_machine(server, companion, machine)
-            # A machine tool has its Monitoring, too.
+            # The type of a machine tool already contains its Monitoring.
             items = items[1:] if companion.machine_tool is None else items[2:]
         variables = list(variables_of(layout, readings, wanted))
         used = {variable.folder for variable in variables}
@@ -163,10 +163,10 @@ def probe_reading(
     ----------
     machine : str
     count, k : int
-        Readings of the machine, and which of them it is.
+        Number of readings of the machine, and index of this one.
     written : DataValue
     now : float
-        s since 1970; used for a value without a time.
+        Present time, s since 1970; used for a value without a time.
     """
     value = written.Value.Value if written.Value else None
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
@@ -216,7 +216,7 @@ def _variable(
 async def _with_unit(
     server: Server, units: dict[str, ua.NodeId], nodeid: ua.NodeId, unit: str, index: int
 ) -> None:
-    """Add the unit to a variable; variables of a unit share the property."""
+    """Add the unit to a variable; variables with the same unit share the property."""
     node = server.get_node(nodeid)
     if unit not in units:
         information = ua.EUInformation(
@@ -234,7 +234,7 @@ async def _with_unit(
 
 
 def _unit_id(code: str) -> int:
-    """Return a UNECE code as OPC UA encodes it (Part 8), as one number; -1 without a code."""
+    """Return a UNECE code as a number, encoded by OPC UA (Part 8); -1 without a code."""
     if not code:
         return -1
     number = 0
@@ -244,7 +244,7 @@ def _unit_id(code: str) -> int:
 
 
 async def tell_subscribers(hub: Hub, nodes: Nodes) -> None:
-    """Send new values to subscribers, for ever."""
+    """Send new values to subscribers until cancelled."""
     with hub.follow() as follower:
         while True:
             for machine in await follower.wait():
@@ -258,7 +258,7 @@ async def tell_subscribers(hub: Hub, nodes: Nodes) -> None:
 
 
 def fresh_server(section: OpcuaServer) -> Server:
-    """Return a server with name and address, not yet open."""
+    """Return a server with name and address that is not open yet."""
     server = Server()
     server.name = "thermojoint"
     server.product_uri = server.manufacturer_name = APPLICATION
@@ -273,11 +273,11 @@ class Entry:
 
     #: Users, and the audit log.
     accounts: Accounts
-    #: Of the service: its certificate, and the certificates of clients that were rejected.
+    #: Folder of the service, with its certificate and rejected client certificates.
     folder: Path
-    #: Receives refused log-ins.
+    #: Log of refused log-ins.
     log: EventLog
-    #: By machine: the only user who may write its control's side of the handshake.
+    #: Machine to the only user who may write its control's side of the handshake.
     controls: Mapping[str, str]
     #: Stored history.
     archive: Archive
@@ -300,12 +300,12 @@ async def open_server(
     hub, machines, given
         As in `add_machines`.
     identities : dict of str to Identity
-        Of the machines, for a companion specification.
+        Identities of the machines, for a companion specification.
 
     Raises
     ------
     InputError
-        There are no users, a file is unusable, or the address is taken.
+        There are no users, a file is unusable, or the address is in use.
     """
     encrypted = section.security == "sign-and-encrypt"
     asks = entry.accounts.users_file is not None

@@ -1,7 +1,7 @@
 """An alarm of the OPC UA server for each machine whose displacement is bad (Part 9).
 
-An OffNormalAlarmType, which nobody acknowledges: it is active as long as the value is bad. It is
-sent to those who listen at the machine or at the Server object, and see the machine.
+An OffNormalAlarmType without acknowledgement: it is active as long as the value is bad. It is sent
+to clients that monitor the events of the machine or of the Server object and may see the machine.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from thermojoint.live.opcua_internals import send_event, subscribers
 from thermojoint.live.opcua_values import status_of
 from thermojoint.live.publication import Publication
 
-#: Of an alarm, 1 to 1000 (Part 5: 667 to 1000 is high).
+#: Severity of an alarm, 1 to 1000 (Part 5: 667 to 1000 is high).
 SEVERITY = 700
 _SERVER = ua.NodeId(ua.ObjectIds.Server)
 _NAME = "ThermalDisplacementBad"
@@ -33,22 +33,22 @@ class Alarms:
     """Alarms of a server."""
 
     server: Server
-    #: Knows who sees a machine.
+    #: Checks which users may see a machine.
     door: Door
-    #: Of the service's namespace.
+    #: Index of the service's namespace.
     index: int
-    #: With all fields of the type.
+    #: Prototype with all fields of the type.
     template: Any
-    #: By machine.
+    #: Active alarms by machine.
     active: dict[str, Any]
-    #: Where everybody's events are listened to: the Server object, the Machines folder.
+    #: Nodes where all events can be monitored: the Server object, the Machines folder.
     above: tuple[ua.NodeId, ...]
 
 
 async def add_alarms(
     server: Server, door: Door, index: int, folders: tuple[ua.NodeId, ...]
 ) -> Alarms:
-    """Let the machines of a server emit events, and its clients ask for those that are active."""
+    """Enable the machines of a server to emit events, and its clients to request active ones."""
     generator = await server.get_event_generator(ua.ObjectIds.OffNormalAlarmType)
     for machine in door.machines:
         node = server.get_node(ua.NodeId(machine, index))
@@ -61,7 +61,7 @@ async def add_alarms(
 
     @uamethod  # type: ignore[untyped-decorator,unused-ignore]
     async def refresh(parent: Any, subscription: int, item: int | None = None) -> Any:  # noqa: ANN401
-        """Send what is active to one subscription: to all of its items."""
+        """Send the active alarms to all items of one subscription."""
         known = {one.data.SubscriptionId for _, one in subscribers(server)}
         if subscription not in known:
             return ua.StatusCode(ua.StatusCodes.BadSubscriptionIdInvalid)
@@ -77,7 +77,7 @@ async def add_alarms(
 
 
 async def tell_alarms(alarms: Alarms, hub: Hub) -> None:
-    """Send an alarm when a value becomes bad, for another reason, or is no longer bad; for ever."""
+    """Send an alarm when a value becomes bad, changes its reason, or recovers; until cancelled."""
     told: dict[str, str] = {}
     with hub.follow() as follower:
         while True:
@@ -105,7 +105,7 @@ async def _send(alarms: Alarms, event: Any, only: int | None = None) -> None:  #
 
 
 def alarm_of(alarms: Alarms, latest: Publication, active: bool) -> Any:  # noqa: ANN401
-    """Return the alarm of a machine as it is now."""
+    """Return the present alarm of a machine."""
     machine, index, now = latest.machine, alarms.index, datetime.now(UTC)
     event = copy.copy(alarms.template)
     states = {
@@ -124,7 +124,7 @@ def alarm_of(alarms: Alarms, latest: Publication, active: bool) -> Any:  # noqa:
         ),
         "Severity": SEVERITY,
         "LastSeverity": SEVERITY,
-        # The condition, which is no node.
+        # The condition, which is not a node.
         "NodeId": ua.NodeId(f"{machine}.{_NAME}", index),
         "ConditionName": _NAME,
         "ConditionClassId": ua.NodeId(ua.ObjectIds.ProcessConditionClassType),

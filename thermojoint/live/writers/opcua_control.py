@@ -1,8 +1,8 @@
 """Values that a control writes by OPC UA: enable, heartbeat, acknowledged offsets (the handshake).
 
-``NAME.Control.Enable``, ``NAME.Control.Heartbeat``, ``NAME.Control.Acknowledged.AXIS`` and, of axes
-with a slope, ``NAME.Control.AcknowledgedSlope.AXIS`` below the machine's ThermalDisplacement; and
-the service's own ``Heartbeat`` beside the machines.
+``NAME.Control.Enable``, ``NAME.Control.Heartbeat``, ``NAME.Control.Acknowledged.AXIS`` and, for
+axes with a slope, ``NAME.Control.AcknowledgedSlope.AXIS`` below the machine's ThermalDisplacement;
+the service's own ``Heartbeat`` is in the folder of the machines.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from thermojoint.live.hub import Hub
 from thermojoint.live.publication import Layout
 from thermojoint.live.writers.opcua import NAMESPACE
 
-#: Between two looks at the service's heartbeat, s.
+#: Interval at which the service's heartbeat is checked, s.
 _BEAT_S = 0.5
 _WRAP = 1 << 32
 
-#: Takes what the control of a machine writes.
+#: Receives a value written by the control of a machine.
 Take = Callable[[str, Answer], None]
 
 
 async def add_controls(server: Server, controls: Mapping[str, Layout], take: Take) -> ua.NodeId:
-    """Add the variables that controls write; return that of the service's heartbeat.
+    """Add the variables that controls write; return the node of the service's heartbeat.
 
     Parameters
     ----------
     server : Server
-        Has the machines already.
+        Contains the machines already.
     controls : mapping of str to Layout
-        By machine: what its control receives.
+        Machine to the layout of the values that its control receives.
     take : callable
     """
     index = await server.get_namespace_index(NAMESPACE)
@@ -68,14 +68,14 @@ def _written_by(
     machine: str, name: str, layout: Layout, take: Take
 ) -> Callable[[Any, ua.DataValue], Awaitable[None]]:
     async def on_write(handle: Any, written: ua.DataValue) -> None:  # noqa: ANN401
-        # A value that is marked as bad arrives as None.
+        # A value marked as bad arrives as None.
         take(machine, answer_of(name, layout, written.Value.Value if written.Value else None))
 
     return on_write
 
 
 def acknowledged(layout: Layout) -> list[str]:
-    """Return the names of what a control acknowledges, in the order of an answer."""
+    """Return the names of the acknowledged values, in the order of an answer."""
     return [
         *(f"Acknowledged.{axis}" for axis in layout.controls),
         *(f"AcknowledgedSlope.{line.axis}" for line in layout.lines),
@@ -83,7 +83,7 @@ def acknowledged(layout: Layout) -> list[str]:
 
 
 def answer_of(name: str, layout: Layout, value: Any) -> Answer:  # noqa: ANN401
-    """Return what a control says by a value of one of its variables; None for a bad one."""
+    """Return a value written by a control as an answer; None for a bad value."""
     if name == "Enable":
         return Answer(enabled=bool(value))
     if name == "Heartbeat":
@@ -94,7 +94,7 @@ def answer_of(name: str, layout: Layout, value: Any) -> Answer:  # noqa: ANN401
 
 
 async def tell_heartbeat(server: Server, node: ua.NodeId, hub: Hub) -> None:
-    """Write the service's heartbeat into its variable, for ever."""
+    """Write the service's heartbeat into its variable until cancelled."""
     while True:
         value = ua.DataValue(ua.Variant(hub.heartbeat % _WRAP, ua.VariantType.UInt32))
         await server.write_attribute_value(node, value)

@@ -16,15 +16,15 @@ from thermojoint.live.archive import MOST_ROWS, Archive
 from thermojoint.live.opcua_values import Variable, data_value
 from thermojoint.live.times import since_1970
 
-#: Values of one variable in a response; the others follow by continuation points.
+#: Number of values of one variable in a response; others follow by continuation points.
 _MOST = 5_000
 _MICROSECOND = 1e-6
-#: A missing time is OPC UA's first day.
+#: OPC UA represents a missing time by its first day.
 _FIRST_YEAR = 1602
 
 
 class ArchiveHistory(HistoryStorageInterface):
-    """Reads the archive; nothing is written to it by OPC UA.
+    """Reads the archive; OPC UA never writes to it.
 
     Parameters
     ----------
@@ -40,10 +40,10 @@ class ArchiveHistory(HistoryStorageInterface):
         self.archive, self.variables = archive, variables
 
     async def init(self) -> None:
-        """Need nothing."""
+        """Do nothing: no initialisation is needed."""
 
     async def stop(self) -> None:
-        """Hold nothing."""
+        """Do nothing: no resource is held."""
 
     async def read_node_history(
         self, node_id: ua.NodeId, start: datetime | None, end: datetime | None, nb_values: int
@@ -58,7 +58,7 @@ class ArchiveHistory(HistoryStorageInterface):
         newest = math.isinf(since) and bool(nb_values)
         backwards = newest or since > until
         since, until = min(since, until), max(since, until)
-        # No page can go on backwards without a start.
+        # Without a start, no further page can be read backwards.
         largest = MOST_ROWS if newest else _MOST
         most = min(nb_values or largest, largest)
         machine, variable = self.variables[node_id]
@@ -68,7 +68,7 @@ class ArchiveHistory(HistoryStorageInterface):
         values = [data_value(variable.kind, *variable.value(one), one) for one in found[:most]]
         if len(found) <= most or most == nb_values or newest:
             return values, None
-        # The next page begins with this sample, whose time may be at no whole microsecond.
+        # The next page begins with this sample, whose time may not be a whole microsecond.
         time = found[most].time + (_MICROSECOND if backwards else -_MICROSECOND)
         return values, datetime.fromtimestamp(time, UTC)
 
@@ -78,13 +78,13 @@ def _seconds(time: datetime | None, otherwise: float) -> float:
 
 
 def is_kept(variable: Variable) -> bool:
-    """Say whether the archive has the values of a variable."""
+    """Return whether the archive has the values of a variable."""
     return bool(variable.folder) or variable.name in ("Status", "Quality", "SampleNumber")
 
 
 def add_history(
     server: Server, archive: Archive, variables: Mapping[ua.NodeId, tuple[str, Variable]]
 ) -> None:
-    """Let the clients of a server read the history of its variables."""
+    """Enable the clients of a server to read the history of its variables."""
     storage: Any = ArchiveHistory(archive, variables)
     server.iserver.history_manager.set_storage(storage)

@@ -1,7 +1,7 @@
 """SHDR adapter: the service's own values for an MTConnect agent.
 
 A line is ``time|item|value|item|value``; the items of a machine begin with ``NAME:``, the agent's
-device. The agent asks ``* PING`` and is answered ``* PONG`` with the heartbeat in ms.
+device. The agent sends ``* PING`` and receives ``* PONG`` with the heartbeat in ms.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from thermojoint.live.publication import Publication
 
 #: A reader that accepts no data for this long is disconnected, s.
 READER_S = 30.0
-#: Heartbeats after which an agent that has asked before counts as gone.
+#: Number of heartbeats without a ping after which an agent that has sent one counts as gone.
 _MISSED = 3.0
-#: Longest line of an agent, bytes; what may wait for a reader in the program, bytes.
+#: Longest line of an agent, bytes; largest buffer of unsent data per reader, bytes.
 _LONGEST, _WAITING = 1024, 65_536
 _MILLI = 1e3
 _LEVELS = {Quality.GOOD: "NORMAL", Quality.UNCERTAIN: "WARNING", Quality.BAD: "FAULT"}
@@ -33,8 +33,8 @@ _NONE = "UNAVAILABLE"
 def lines_of(latest: Publication) -> Iterator[str]:
     """Yield the lines of a publication: displacement and band, offsets, condition.
 
-    Lengths are in mm, as MTConnect has them. What is bad is unavailable; an offset is always the
-    one that the control should apply, and its mode says what stands behind it.
+    Lengths are in mm, as in MTConnect. Bad values are unavailable; an offset is always the one that
+    the control should apply, and its mode shows whether an estimate supports it.
     """
     layout, machine, now = latest.layout, latest.machine, _stamp(latest.published)
     bad = latest.quality is Quality.BAD
@@ -43,7 +43,7 @@ def lines_of(latest: Publication) -> Iterator[str]:
         for name, array in (("displacement", latest.displacement), ("band", latest.band))
         for k, axis in enumerate(layout.axes)
     ]
-    # A value that has become bad became so now, not at the time of its sample.
+    # A value becomes bad at the present time, not at the time of its sample.
     yield _line(now if bad or not math.isfinite(latest.time) else _stamp(latest.time), values)
     if layout.controls:
         offsets = [
@@ -59,7 +59,7 @@ def lines_of(latest: Publication) -> Iterator[str]:
         yield _line(now, [*offsets, (f"{machine}:offset_mode", _word(latest.offset_mode))])
     level = _LEVELS[latest.quality] if latest.number else _NONE
     text = "" if level in ("NORMAL", _NONE) else re.sub(r"[|\r\n]+", " ", latest.status)
-    # Without a native code: of several codes each would be a condition of its own.
+    # Without a native code: each native code would be a condition of its own.
     yield f"{now}|{machine}:thermal_displacement|{level}||||{text}\n"
 
 
@@ -90,7 +90,7 @@ async def serve_agents(hub: Hub, listening: socket.socket, heartbeat: float) -> 
     listening : socket
         Limits the connections.
     heartbeat : float
-        Within which an agent asks again, s.
+        Interval within which an agent must send the next ping, s.
     """
     connected: dict[asyncio.Task[None], asyncio.StreamWriter] = {}
 
@@ -121,7 +121,7 @@ async def serve_agents(hub: Hub, listening: socket.socket, heartbeat: float) -> 
 
 
 async def _tell(hub: Hub, writer: asyncio.StreamWriter) -> None:
-    """Send all values, then those that change, to an agent that takes them."""
+    """Send all values, then changed ones, as long as the agent accepts them."""
     with hub.follow() as follower:
         while True:
             for machine in await follower.wait():
@@ -133,7 +133,7 @@ async def _tell(hub: Hub, writer: asyncio.StreamWriter) -> None:
 async def _answer(
     reader: asyncio.StreamReader, writer: asyncio.StreamWriter, heartbeat: float
 ) -> None:
-    """Answer an agent until it goes, or no longer asks although it has."""
+    """Answer an agent until it disconnects, or stops sending pings after its first one."""
     patience = None
     with suppress(ValueError, TimeoutError):  # a line that is too long
         while True:
