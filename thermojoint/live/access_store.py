@@ -10,11 +10,11 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.live.reserve import RESERVE, is_full, stay_within
 from thermojoint.live.secret import create_private
 
-#: Its name in the folder of a service.
+#: Name of the file in the folder of a service.
 NAME = "access.sqlite"
-#: What it keeps for a full disk, bytes: hundreds of sessions.
+#: Reserve for a full disk, bytes: hundreds of sessions.
 RESERVE_SIZE = 1 << 18
-#: The service waits at most this long for a command that writes, s.
+#: Longest time for which the service waits for a command that writes, s.
 _PATIENCE_S = 0.5
 _TABLES = """
 CREATE TABLE IF NOT EXISTS tokens (
@@ -26,12 +26,12 @@ CREATE TABLE IF NOT EXISTS sessions (
 
 
 def open_access(folder: Path) -> sqlite3.Connection:
-    """Open the store in the folder of a service, or make it; only its owner can read it.
+    """Open or create the store in the folder of a service; only its owner can read it.
 
     Raises
     ------
     InputError
-        It is damaged, or the folder cannot be written to.
+        The store is damaged, or the folder cannot be written to.
     """
     path = folder / NAME
     try:
@@ -54,5 +54,5 @@ def open_access(folder: Path) -> sqlite3.Connection:
 
 
 def digest_of(text: str) -> str:
-    """Return the SHA-256 of a token, which is all that is stored of it."""
+    """Return the SHA-256 of a token, which is stored in its place."""
     return sha256(text.encode("utf-8", "replace")).hexdigest()

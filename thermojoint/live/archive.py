@@ -30,13 +30,13 @@ class History:
     layout: Layout
     #: The samples whose number is a multiple of `every`.
     columns: Columns
-    #: Shape (n,): of the samples.
+    #: Shape (n,): times of the samples.
     numbers: NDArray[np.int64]
-    #: In words.
+    #: Status of each sample in words.
     status: tuple[str, ...]
     #: Times without samples within the span.
     holes: tuple[Hole, ...]
-    #: 1 if nothing was left out.
+    #: Thinning factor; 1 if nothing was left out.
     every: int
 
 
@@ -167,7 +167,7 @@ class Archive:
     ) -> list[Event]:
         """Return events, newest first: of one machine and of the service, or all.
 
-        Of them only those count whose machine is `seen`; None is the service.
+        Only events are returned whose machine is `seen`; None stands for the service.
         """
         with self._reading() as store:
             rows = store.execute(
@@ -179,7 +179,7 @@ class Archive:
             return list(islice(visible, max(1, min(at_most, MOST_ROWS))))
 
     def begun(self, machine: str) -> float:
-        """Return since when a machine runs with its model, s since 1970.
+        """Return the time since which a machine runs with its model, s since 1970.
 
         Raises
         ------
@@ -232,10 +232,10 @@ def _journal(store: sqlite3.Connection, eras: list[int]) -> list[tuple[int, byte
 def _in_order(
     store: sqlite3.Connection, eras: list[int], span: tuple[float, float], newest_first: bool
 ) -> Iterator[tuple[int, Array, str]]:
-    """Yield number, row and status of samples, and some outside the span, in their order."""
+    """Yield number, row and status of samples in order, including some outside the span."""
     step, order = (-1, "DESC") if newest_first else (1, "ASC")
     marks = ",".join("?" * len(eras))
-    # The journal has the newest.
+    # The newest samples are in the journal.
     recent = [
         (number, np.frombuffer(row, dtype="<f8"), status)
         for number, row, status in _journal(store, eras)

@@ -1,10 +1,10 @@
-"""Audit log: who did what from where, and whether it was accepted; one JSON object per line.
+"""Audit log: user, origin, action, and whether it was accepted; one JSON object per line.
 
-Lines are only ever appended. Refused attempts and values that a control writes in every cycle are
-limited like log lines, with the number of those left out, so that nobody can write the log full.
+Lines are only appended. Refused attempts and values that a control writes in every cycle are
+limited like log lines, with the number of omitted lines, so that nobody can flood the log.
 
-While the disk is full, what somebody has done is written into a file that has its size already, and
-moved to the log later; values that a control writes are counted as left out. Nothing stops for it.
+While the disk is full, accepted actions are written into a preallocated file and moved to the log
+later; values written by a control are counted as omitted. The service is not interrupted.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from thermojoint.live.publication import iso_time
 from thermojoint.live.rate_limit import LineLimit
 from thermojoint.live.secret import create_private
 
-#: Its name in the folder of a service.
+#: Name of the file in the folder of a service.
 NAME = "audit.jsonl"
 _LONGEST = 200
-#: Size of the file for a full disk, bytes: some five thousand lines.
+#: Size of the preallocated file, bytes: some five thousand lines.
 _SPARE = 1 << 20
 
 
@@ -34,32 +34,32 @@ _SPARE = 1 << 20
 class Audit:
     """The audit log of a service."""
 
-    #: The file that is written now; earlier ones beside it carry the time of their end.
+    #: The present file; the names of earlier ones beside it contain the time of their end.
     path: Path
-    #: The next file begins when this one is so large, bytes.
+    #: Size at which the next file begins, bytes.
     largest: int = 10_000_000
     #: Earlier files are deleted after this time, s.
     keep: float = 365.0 * 86400.0
     _limit: LineLimit = field(default_factory=LineLimit)
 
     def accepted(self, who: str, origin: str, what: str, machine: str | None = None) -> None:
-        """Write what somebody has done.
+        """Write an accepted action.
 
         Parameters
         ----------
         who : str
-            Name of the user or the token; ``service`` or ``command`` for what nobody asked for by
+            Name of the user or the token; ``service`` or ``command`` for actions not requested by
             an interface.
         origin : str
             Interface and address, e.g. ``http 192.0.2.7``.
         what : str
-            What it was.
+            Action.
         machine : str, optional
 
         Raises
         ------
         OSError
-            The line cannot be written, not even aside; the caller refuses what cannot be audited.
+            The line cannot be written at all; the caller refuses actions that cannot be audited.
         """
         line = _line(who, origin, what, machine, {"outcome": "accepted"})
         try:
@@ -70,14 +70,14 @@ class Audit:
     def written(
         self, who: str, origin: str, what: str, machine: str | None, value: str = ""
     ) -> None:
-        """Write that somebody has written a value; as `accepted`, but limited, whatever it is."""
+        """Write an accepted write of a value; as `accepted`, but rate-limited for any value."""
         entry = who, origin, f"{what}{value}", machine
         self._write((who, what), entry, {"outcome": "accepted"})
 
     def refused(
         self, who: str, origin: str, what: str, why: str, machine: str | None = None
     ) -> None:
-        """Write what somebody tried; parameters as of `accepted`, and why it was refused."""
+        """Write a refused action and its reason `why`; other parameters as for `accepted`."""
         self._write(
             (origin, what), (who, origin, what, machine), {"outcome": "refused", "why": why}
         )
@@ -85,7 +85,7 @@ class Audit:
     def _write(
         self, kind: Hashable, entry: tuple[str, str, str, str | None], outcome: dict[str, str]
     ) -> None:
-        """Write a line that is limited by its kind."""
+        """Write a line, rate-limited by its kind."""
         left_out = self._limit.left_out(kind, time.monotonic())
         if left_out is None:
             return
@@ -95,7 +95,7 @@ class Audit:
             self._limit.leave_out(kind, left_out + 1)
 
     def _append(self, line: bytes) -> None:
-        """Append a line, after those that were put aside."""
+        """Append a line, after those in the preallocated file."""
         earlier = self._aside()
         lines = earlier + line
         if self.path.exists() and self.path.stat().st_size + len(lines) > self.largest:
@@ -112,21 +112,21 @@ class Audit:
         with suppress(OSError):
             create_private(self._spare)
             if earlier or self._spare.stat().st_size < _SPARE:
-                # In place: what a shorter file gives up would be gone on a disk that fills.
+                # In place: space given up by a shorter file could be lost on a disk that fills.
                 with self._spare.open("r+b") as file:
                     file.write(bytes(_SPARE))
 
     @property
     def _spare(self) -> Path:
-        """The file that has its size already."""
+        """The preallocated file."""
         return self.path.with_suffix(".spare")
 
     def _aside(self) -> bytes:
-        """Return the lines in it."""
+        """Return the lines in the preallocated file."""
         return self._spare.read_bytes().rstrip(b"\0") if self._spare.exists() else b""
 
     def _put_aside(self, line: bytes) -> None:
-        """Overwrite a part of it that is free."""
+        """Write a line into the free part of the preallocated file."""
         with self._spare.open("r+b") as file:
             used, size = len(self._aside()), file.seek(0, os.SEEK_END)
             if used + len(line) > size:

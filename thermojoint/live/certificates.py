@@ -1,4 +1,4 @@
-"""Certificates of the service: of an authority by the settings, or its own, made when missing."""
+"""Certificates of the service: from the settings, or its own, created when missing."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from thermojoint.live.trust_list import certificate_in, span_of
 
 #: Application URI of the service in OPC UA.
 APPLICATION = "urn:thermojoint:live"
-#: OPC UA clients are told of a new certificate by hand; browsers accept none that lasts longer.
+#: Validity: a new one must be entered by hand in OPC UA clients; browsers limit its duration.
 OPCUA_LASTS, HTTP_LASTS = timedelta(days=5 * 365), timedelta(days=825)
-#: The service's own certificate for HTTP is made again at a start so long before its end.
+#: The service's own certificate for HTTP is renewed at a start within this time of its expiry.
 RENEWED = timedelta(days=60)
-#: The end of a certificate is announced so long before it.
+#: The expiry of a certificate is announced this time before it.
 ANNOUNCED = timedelta(days=30)
 
 
@@ -33,7 +33,7 @@ ANNOUNCED = timedelta(days=30)
 class Identity:
     """A certificate and its key."""
 
-    #: PEM.
+    #: PEM files.
     certificate: Path
     key: Path
 
@@ -45,29 +45,29 @@ def opcua_identity(section: OpcuaServer, folder: Path) -> Identity:
     ----------
     section : OpcuaServer
     folder : Path
-        Of the service; its own certificate is made there if the settings name none.
+        Folder of the service; its own certificate is created there if the settings name none.
 
     Raises
     ------
     InputError
-        The key is readable by others, or the certificate cannot be read or is not valid now.
+        The key is readable by others, or the certificate cannot be read or is not currently valid.
     """
     return _given(section, "opcua") or own_identity(folder, section.host_names)
 
 
 def http_identity(section: HttpServer, folder: Path) -> Identity:
-    """Return the certificate of the HTTP server; as `opcua_identity`."""
+    """Return the certificate of the HTTP server; see `opcua_identity`."""
     return _given(section, "http") or own_certificate(folder, section)
 
 
 def application_uri(identity: Identity) -> str:
-    """Return the application URI that an OPC UA certificate names; clients compare it."""
+    """Return the application URI in an OPC UA certificate, which clients verify."""
     names = _alternative_names(identity.certificate)
     return next(iter(names.get_values_for_type(x509.UniformResourceIdentifier)), APPLICATION)
 
 
 def names_in(certificate: Path) -> list[str]:
-    """Return the host names and addresses that a certificate names."""
+    """Return the host names and addresses in a certificate."""
     names = _alternative_names(certificate)
     addresses = map(str, names.get_values_for_type(x509.IPAddress))
     return [*names.get_values_for_type(x509.DNSName), *addresses]
@@ -85,17 +85,17 @@ def _given(section: Certified, where: str) -> Identity | None:
     if section.certificate_file is None or section.key_file is None:
         return None
     identity = Identity(section.certificate_file, section.key_file)
-    # A group may read it, as with keys that an administrator gives to several services.
+    # Readable by a group, for keys that an administrator shares between several services.
     return _checked(identity, where, "renew it", 0o007)
 
 
 def own_identity(folder: Path, host_names: Sequence[str]) -> Identity:
-    """Return the service's own certificate for OPC UA; it is made if there is none.
+    """Return the service's own certificate for OPC UA, which is created if there is none.
 
     Parameters
     ----------
     folder : Path
-        Of the service.
+        Folder of the service.
     host_names : sequence of str
         Names and addresses under which clients reach it, for a new certificate.
 
@@ -112,14 +112,14 @@ def own_identity(folder: Path, host_names: Sequence[str]) -> Identity:
 
 
 def own_certificate(folder: Path, section: HttpServer, now: datetime | None = None) -> Identity:
-    """Return the service's own certificate for HTTP; made if missing, or at its end.
+    """Return the service's own certificate for HTTP, which is created if missing or expiring.
 
     Parameters
     ----------
     folder : Path
-        Of the service.
+        Folder of the service.
     section : HttpServer
-        Its address and names; the certificate also names this computer.
+        Address and names of the server; the certificate also names this computer.
     now : datetime, optional
         Default: now.
     """
@@ -136,7 +136,7 @@ def own_certificate(folder: Path, section: HttpServer, now: datetime | None = No
 
 
 def _lasts(path: Path, names: Sequence[x509.GeneralName], now: datetime) -> bool:
-    """Return whether a certificate is for these names and not near its end."""
+    """Return whether a certificate has these names and does not expire soon."""
     try:
         certificate = x509.load_pem_x509_certificate(path.read_bytes())
         named = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
@@ -164,7 +164,7 @@ def _checked(identity: Identity, where: str, remedy: str, others: int) -> Identi
 
 
 def ending(given: ServiceFile, folder: Path, now: datetime) -> Iterator[str]:
-    """Yield one line for each certificate of a service that cannot be read or ends soon."""
+    """Yield one line for each certificate of a service that is unreadable or expires soon."""
     sections = (
         ("opcua", given.opcua, "certificate.pem"),
         ("http", given.http, "http_certificate.pem"),
@@ -191,7 +191,7 @@ def _builder(
     now: datetime,
     lasts: timedelta,
 ) -> x509.CertificateBuilder:
-    """Return what a certificate of the service's own has for both interfaces."""
+    """Return the common part of the service's own certificates for both interfaces."""
     subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "thermojoint")])
     return (
         x509.CertificateBuilder()
@@ -207,7 +207,7 @@ def _builder(
 
 
 def _make_for_opcua(identity: Identity, names: Sequence[x509.GeneralName]) -> None:
-    """Make a certificate as OPC UA, Part 6, asks for it."""
+    """Create a certificate as required by OPC UA, Part 6."""
     key = rsa.generate_private_key(public_exponent=65537, key_size=2048)
     usage = x509.KeyUsage(
         digital_signature=True,
@@ -236,12 +236,12 @@ def _write(
     key: ec.EllipticCurvePrivateKey | rsa.RSAPrivateKey,
     certificate: x509.Certificate,
 ) -> None:
-    """Write a key, which nobody but its owner can read at any moment, and its certificate."""
+    """Write a key, which only its owner can ever read, and its certificate."""
     content = key.private_bytes(
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )
     identity.key.parent.mkdir(parents=True, exist_ok=True)
-    # A key without its certificate is made again; one beside the certificate of another is not.
+    # A key without a certificate is renewed; a key beside another key's certificate would not be.
     identity.certificate.unlink(missing_ok=True)
     identity.key.unlink(missing_ok=True)
     create_private(identity.key)

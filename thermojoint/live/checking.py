@@ -1,4 +1,4 @@
-"""Everything that a start of the service would refuse, without starting it."""
+"""Check of everything that a start of the service would refuse, without starting it."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from thermojoint.live.store import check_store, is_held
 from thermojoint.live.tokens import tokens_in
 from thermojoint.live.trust_list import contents_of
 
-#: What a check looks at in the folder of the service, which it leaves as it is.
+#: Content of the service's folder that a check examines; the folder is not changed.
 _LOOKED_AT = ("models", "certificate.pem", "key.pem", "access.sqlite", "access.sqlite-wal")
 
 
 class Findings(NamedTuple):
     """Results of a check, one line each."""
 
-    #: What a start would refuse.
+    #: Errors that would prevent a start.
     refused: list[str]
-    #: What it would warn of, and certificates that end soon.
+    #: Warnings of a start, and certificates that expire soon.
     warnings: list[str]
 
 
@@ -76,7 +76,7 @@ def _findings(service: Service, folder: Path) -> Findings:
 
 
 def taken_addresses(service: Service) -> list[str]:
-    """Return the addresses that others have taken; none while the service itself runs."""
+    """Return the addresses in use by other programs; none while the service itself runs."""
     file = service.given
     sections = (("opcua", file.opcua), ("http", file.http), ("shdr", file.shdr))
     given = [(name, one.address, one.port) for name, one in sections if one is not None]

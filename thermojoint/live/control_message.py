@@ -1,6 +1,6 @@
 """Message of a control, by MQTT or HTTP: enable, heartbeat, acknowledged offsets (the handshake).
 
-``{"enable": true, "heartbeat": 17, "offsets_um": {"X": -12.3}}``, and of axes with a slope
+``{"enable": true, "heartbeat": 17, "offsets_um": {"X": -12.3}}``, and for axes with a slope
 ``"slopes_um_per_m": {"X": 40.0}``.
 """
 
@@ -16,7 +16,7 @@ from thermojoint.live.publication import Layout
 
 
 class ControlMessage(BaseModel):
-    """Message of a control; further keys are its own."""
+    """Message of a control; further keys are ignored."""
 
     enable: bool
     heartbeat: int
@@ -25,12 +25,12 @@ class ControlMessage(BaseModel):
 
 
 def answer_of(payload: bytes, layout: Layout) -> Answer:
-    """Return what a control says.
+    """Parse the message of a control.
 
     Raises
     ------
     ValidationError
-        It is no answer.
+        The message is not an answer.
     """
     message = ControlMessage.model_validate_json(payload, strict=True)
     said = [message.offsets_um.get(axis) for axis in layout.controls]

@@ -21,7 +21,7 @@ from thermojoint.live.publication import micrometres
 from thermojoint.live.running import Running
 from thermojoint.live.settings import HandshakeSection, HttpServer, OpcuaServer, Service
 
-#: Time for an answer before the service begins anew, s.
+#: Time for the response before the service restarts, s.
 _ANSWER_S = 0.5
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 async def open_doors(running: Running) -> list[Coroutine[Any, Any, None]]:
-    """Open the output interfaces; the coroutines that are returned serve them."""
+    """Open the output interfaces, and return the coroutines that serve them."""
     service, doors = running.service, []
     if service.given.mqtt is not None:
         from thermojoint.live.mqtt_session import address_of
@@ -61,7 +61,7 @@ async def open_doors(running: Running) -> list[Coroutine[Any, Any, None]]:
 
 
 def _writers(running: Running) -> list[Coroutine[Any, Any, None]]:
-    """Return what writes into the controls of the machines that have a target."""
+    """Return the writers into the controls of the machines with a target."""
     from thermojoint.live.targets.writing import Writer, target_of
 
     found, audit = [], running.accounts.audit
@@ -126,7 +126,7 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
 
 
 def _postpone(running: Running, machine: str) -> bool:
-    """Postpone the displacement reading that a machine asks for."""
+    """Postpone the requested displacement reading of a machine."""
     changed = postpone(running.floor, machine, time.time())
     if changed is not None:
         running.hub.publish([changed])
@@ -134,13 +134,13 @@ def _postpone(running: Running, machine: str) -> bool:
 
 
 def _read(running: Running, machine: str, given: Mapping[str, float]) -> bool:
-    """Take displacement readings that were entered just now, um."""
+    """Queue displacement readings entered by an operator, um."""
     names, now = running.floor.places[machine].served.layout.readings, time.time()
     return _queue(running, Arrival(machine, now, [given.get(name) for name in names], now))
 
 
 def _queue(running: Running, arrival: Arrival) -> bool:
-    """Queue a value that was given here; False if the queue is full."""
+    """Queue an arrival from an interface of the service; False if the queue is full."""
     try:
         running.arrivals.put_nowait([arrival])
     except asyncio.QueueFull:
@@ -171,8 +171,8 @@ def _scenes(running: Running) -> dict[str, Scene]:
 def _residuals_of(place: Place) -> dict[str, float | None] | None:
     """Return reading minus prediction of each sensor of a machine, K; None before the first sample.
 
-    A faulty sensor shows here before and after it is left out; what all sensors have in common is
-    the model's error.
+    A faulty sensor is visible here before and after it is excluded; a deviation common to all
+    sensors is the model's error.
     """
     served, machine = place.served, place.machine
     if served.residuals is None or machine.usable.number == 0:
@@ -186,7 +186,7 @@ def _residuals_of(place: Place) -> dict[str, float | None] | None:
 
 
 def _handshake_of(place: Place) -> dict[str, Any]:
-    """Return what the control of a machine has said."""
+    """Return the handshake state of a machine's control."""
     handshake, clock = place.machine.handshake, time.monotonic()
     layout = place.served.layout
     acts, axes = handshake.acknowledged / layout.levers, [one.axis for one in layout.lines]
@@ -240,7 +240,7 @@ def _identities(running: Running) -> dict[str, Identity]:
 
 
 def _handshakes(service: Service, by: str) -> dict[str, HandshakeSection]:
-    """The machines whose controls answer by a door."""
+    """Return the handshakes of the machines whose controls answer by an interface."""
     return {
         name: one.handshake
         for name, one in service.machines.items()
@@ -249,7 +249,7 @@ def _handshakes(service: Service, by: str) -> dict[str, HandshakeSection]:
 
 
 def _read_answer(floor: Floor, machine: str, body: bytes) -> None:
-    """Take an answer as a control sends it; raises ValueError for what is none."""
+    """Receive the message of a control; raise ValueError if it is not an answer."""
     _answer(floor, machine, answer_of(body, floor.places[machine].served.layout))
 
 

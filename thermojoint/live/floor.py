@@ -35,7 +35,7 @@ from thermojoint.live.served import Served
 from thermojoint.live.settings import WatchdogSection
 from thermojoint.live.store import Checkpoint, Hole, Received, Taken
 
-#: Arrivals that have waited so long for a sample are stored as they are, s.
+#: Arrivals that have waited for a sample for this time, s, are stored unassembled.
 STALLED_S = 2.0
 #: A gap longer than this many intervals is a hole in the history.
 _GAP = 1.5
@@ -45,29 +45,29 @@ _GAP = 1.5
 class Place:
     """State of a machine in the service."""
 
-    #: Its model.
+    #: Model of the machine.
     served: Served
-    #: Its number in the store.
+    #: Number of its era in the store.
     era: int
-    #: Its state.
+    #: State of the machine.
     machine: Machine
     #: Read position of its source.
     position: Any
-    #: When its last usable sample was taken, by the service's own clock, s.
+    #: Time of its last usable sample, by the service's own clock, s.
     heard: float
-    #: No sample has come since the service began.
+    #: Whether no sample has arrived since the service started.
     fresh: bool = True
     #: Quality and status as last published.
     reported: tuple[Quality, str] = (Quality.BAD, "no-sample")
-    #: Mode of the offsets then.
+    #: Mode of the offsets as last published.
     mode: str = ""
-    #: Its state when it was last looked at; empty before.
+    #: State of the handshake at the last check; empty before the first.
     handshake: str = ""
     #: Samples since the last checkpoint.
     rows: list[tuple[Any, str]] = field(default_factory=list)
     #: Called once the next sample is stored.
     unkept: list[Callable[[], None]] = field(default_factory=list)
-    #: When the first of them came, by the service's own clock, s.
+    #: Time of arrival of the first of them, by the service's own clock, s.
     waits_since: float = math.inf
 
 
@@ -80,7 +80,7 @@ class Outcome:
     holes: list[Hole] = field(default_factory=list)
     #: The newest of each machine, to be published afterwards.
     publications: dict[str, Publication] = field(default_factory=dict)
-    #: Called afterwards.
+    #: Functions called afterwards.
     kept: list[Callable[[], None]] = field(default_factory=list)
     #: Times of the arrivals of the samples, s since 1970.
     came: list[float] = field(default_factory=list)
@@ -90,10 +90,10 @@ class Outcome:
 class Floor:
     """The machines of a service, with log and metrics."""
 
-    #: By machine.
+    #: Machine to its place.
     places: Mapping[str, Place]
     log: EventLog
-    #: Figures.
+    #: Metrics for Prometheus.
     metrics: Metrics
     #: Readings further in the future are refused, s.
     ahead: float
@@ -109,13 +109,13 @@ def absorb(floor: Floor, arrivals: Iterable[Arrival], now: float, clock: float) 
     Parameters
     ----------
     floor : Floor
-        Its places go on.
+        Its places are updated.
     arrivals : iterable of Arrival
-        In their order.
+        In the order of arrival.
     now : float
-        s since 1970.
+        Present time, s since 1970.
     clock : float
-        The service's own clock, which no one sets, s.
+        Time of the service's own monotonic clock, s.
     """
     outcome = Outcome()
     for arrival in arrivals:
@@ -157,7 +157,7 @@ def _sample(
     times: Times,
     outcome: Outcome,
 ) -> None:
-    """Take one sample of one machine."""
+    """Process one sample of one machine."""
     instant, now = sample[0], times.now
     before = place.machine.latest
     name = place.machine.name
@@ -167,7 +167,7 @@ def _sample(
         floor.log.say(now, "hole", f"{instant - before.time:.3f} s without samples: {why}", name)
     age = age_of(place.served.rule, floor.behind, instant, now)
     if not has_reading(place.served, place.served.intake.usable(sample[1])):
-        # A sample without any reading is silence, whatever its estimate.
+        # A sample without any reading counts as silence, whatever its estimate.
         age = max(age, times.clock - place.heard)
     place.machine, refusal = taken(place.served, place.machine, sample, times, age)
     place.fresh = False
@@ -184,7 +184,7 @@ def _sample(
     outcome.taken.append(Taken(place.era, latest.number, row.tobytes(), latest.status, "{}"))
     published = shown(place.machine)
     if times.clock - place.heard >= floor.watchdog.uncertain_s:
-        # The sample is read late: its estimate is old.
+        # The sample was read late: its estimate is old.
         place.machine, published = silent(
             place.served, place.machine, times.clock - place.heard, times, floor.watchdog
         )
@@ -194,12 +194,12 @@ def _sample(
 
 
 def has_reading(served: Served, usable: Iterable[float]) -> bool:
-    """Return whether usable readings (`Intake.usable`) have any that belongs to every sample."""
+    """Return whether usable readings (`Intake.usable`) include one expected in every sample."""
     return any(map(math.isfinite, islice(usable, served.rule.wanted)))
 
 
 def _asked(floor: Floor, machine: str, before: Request, after: Request, now: float) -> None:
-    """Log and count a displacement reading that is asked for, and how that ends."""
+    """Log and count a request for a displacement reading, and its outcome."""
     if (after.axis, after.since, after.outcome) == (before.axis, before.since, before.outcome):
         return
     floor.log.say(now, "next-reading", after.text, machine)
@@ -207,7 +207,7 @@ def _asked(floor: Floor, machine: str, before: Request, after: Request, now: flo
 
 
 def postpone(floor: Floor, machine: str, now: float) -> Publication | None:
-    """Postpone the reading that a machine asks for; return what is published then, or None."""
+    """Postpone the requested reading of a machine; return its publication, or None if none."""
     place = floor.places[machine]
     before, place.machine = place.machine, postponed(place.served, place.machine)
     if place.machine is before:
@@ -227,19 +227,19 @@ def _refused(floor: Floor, arrival: Arrival, verdict: str, now: float) -> None:
 
 
 def age_of(rule: Rule, behind: float, instant: float, now: float) -> float:
-    """Return the age of a sample taken now, beyond the delay that its source may have, s."""
+    """Return the present age of a sample beyond the allowed delay of its source, s."""
     return max(0.0, now - instant - behind - rule.interval - rule.lateness)
 
 
 def received(floor: Floor, machines: Iterable[str], now: float) -> list[Received]:
-    """Return the values that some controls are about to receive, to be stored before."""
+    """Return the values that some controls are about to receive, to be stored first."""
     places = (floor.places[name] for name in machines)
     messages = (received_of(place.served, place.machine, now) for place in places)
     return [message for message in messages if message is not None]
 
 
 def watch(floor: Floor, now: float, clock: float) -> list[Publication]:
-    """Return the publications that silence has changed: their quality, or their offsets."""
+    """Return the publications whose quality or offsets have changed by silence."""
     changed = []
     limits = floor.watchdog
     for place in floor.places.values():
@@ -271,7 +271,7 @@ def watch(floor: Floor, now: float, clock: float) -> list[Publication]:
         elif not moved:
             continue
         if after is not None and after is before:
-            # Offsets that are published again count as received now: their rate starts from here.
+            # Republished offsets count as received now: their rate is limited from here on.
             place.machine = replace(machine, output=after._replace(time=clock))
         place.reported, place.mode = (latest.quality, latest.status), latest.offset_mode
         changed.append(latest)
@@ -279,7 +279,7 @@ def watch(floor: Floor, now: float, clock: float) -> list[Publication]:
 
 
 def _shake(floor: Floor, place: Place, now: float, clock: float) -> bool:
-    """Look at the handshake of a machine; say whether it has changed since the last look."""
+    """Update the handshake of a machine; return whether it has changed since the last check."""
     served, name = place.served, place.machine.name
     if served.handshake is None:
         return False
@@ -293,14 +293,14 @@ def _shake(floor: Floor, place: Place, now: float, clock: float) -> bool:
 
 
 def answer(floor: Floor, machine: str, given: Answer, clock: float) -> None:
-    """Take what the control of a machine writes, at a time by the service's own clock (s)."""
+    """Receive an answer of a machine's control, at a time of the service's own clock (s)."""
     place = floor.places[machine]
     handshake = answered(place.machine.handshake, given, clock)
     place.machine = replace(place.machine, handshake=handshake)
 
 
 def checkpoint_of(place: Place) -> Checkpoint:
-    """Return the checkpoint of a machine; its samples begin anew after it."""
+    """Return the checkpoint of a machine; its list of samples is empty afterwards."""
     rows = np.array([row for row, _ in place.rows]).reshape(-1, place.served.layout.width)
     status = tuple(status for _, status in place.rows)
     place.rows = []
@@ -315,7 +315,7 @@ def checkpoint_of(place: Place) -> Checkpoint:
 
 
 def whole_checkpoint_of(place: Place) -> Checkpoint:
-    """Return a checkpoint for a store that has nothing of a machine: with one sample at least."""
+    """Return a checkpoint for a store without data of a machine: with at least one sample."""
     latest = place.machine.latest
     if latest.number and not place.rows:
         place.rows = [(as_row(latest), latest.status)]
@@ -359,5 +359,5 @@ def count_modes(floor: Floor, seconds: float) -> None:
 
 
 def unwritten(places: Iterable[Place]) -> Sequence[Place]:
-    """Return the places that have samples since their last checkpoint."""
+    """Return the places with samples since their last checkpoint."""
     return [place for place in places if place.rows]

@@ -1,7 +1,7 @@
-"""Models that machines ran with before, and the way back to them.
+"""Former models of machines, and rollback to them.
 
-The service copies each model file that it starts with, by its fingerprint (SHA-256). A rollback
-pins a machine to a copy until the file of the settings changes again.
+The service copies each model file at its start, by its fingerprint (SHA-256). A rollback pins a
+machine to a copy until the model file of the settings changes again.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.files import whole_file, write_text
 from thermojoint.live.settings import Service
 
-#: Models of a machine that are remembered, with the one that it runs with.
+#: Number of remembered models per machine, including the present one.
 _MOST = 5
-#: Characters of a fingerprint that are shown, and that name the folder of a copy.
+#: Number of displayed characters of a fingerprint, which also name the folder of a copy.
 SHOWN = 12
-#: End of the name of a section that `pinned` adds.
+#: Suffix of the name of a section added by `pinned`.
 _PINNED = re.compile(rf"@[0-9a-f]{{{SHOWN}}}$")
 
 
@@ -34,16 +34,16 @@ class Deployment(NamedTuple):
     fingerprint: str
     #: Name of the file.
     file: str
-    #: s since 1970.
+    #: Time of deployment, s since 1970.
     since: float
 
 
 class Pin(NamedTuple):
     """A rollback."""
 
-    #: Of the model that the machine goes back to.
+    #: Fingerprint of the model that the machine is rolled back to.
     fingerprint: str
-    #: Of the file of the settings; the pin ends when that file changes.
+    #: Fingerprint of the model file of the settings; the pin ends when that file changes.
     instead_of: str
 
 
@@ -60,7 +60,7 @@ def fingerprint_of(path: Path) -> str:
     Raises
     ------
     InputError
-        It cannot be read.
+        The file cannot be read.
     """
     try:
         return sha256(path.read_bytes()).hexdigest()
@@ -69,7 +69,7 @@ def fingerprint_of(path: Path) -> str:
 
 
 def read_record(folder: Path) -> Record:
-    """Return the deployments in the folder of a service; without any before its first start.
+    """Return the deployments in the folder of a service; none before its first start.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def read_record(folder: Path) -> Record:
 
 
 def pinned(service: Service) -> Service:
-    """Return a service whose machines that were rolled back have a section for their former model.
+    """Return a service in which rolled-back machines have a section for their former model.
 
     Raises
     ------
@@ -130,13 +130,13 @@ def note_deployments(service: Service, now: float) -> Iterator[tuple[str, str]]:
     service : Service
         After `pinned`.
     now : float
-        s since 1970.
+        Present time, s since 1970.
 
     Yields
     ------
     machine : str
     change : str
-        From which model to which.
+        The former and the new model.
     """
     record, current = read_record(service.folder), fingerprints(service)
     before = json.dumps(record)
@@ -173,12 +173,12 @@ def former_of(record: Record, folder: Path, machine: str) -> Deployment | None:
 
 
 def roll_back(service: Service, machine: str, to: str | None = None) -> Deployment:
-    """Pin a machine to a former model; it holds from the next start or reload of the service.
+    """Pin a machine to a former model; effective at the next start or reload of the service.
 
     Parameters
     ----------
     service : Service
-        As its file says.
+        Service as defined by its file.
     machine : str
     to : str, optional
         Beginning of the fingerprint; default: the last model before the present one.
@@ -214,7 +214,7 @@ def _place(folder: Path, fingerprint: str, file: str) -> Path:
 
 
 def _copy(record: Record, folder: Path, machine: str, fingerprint: str) -> Path | None:
-    """Return the copy of a model that a machine has run with; None if it is gone."""
+    """Return the copy of a former model of a machine; None if it is gone."""
     for one in record.deployments.get(machine, []):
         place = _place(folder, *one[:2])
         if one.fingerprint == fingerprint and place.exists():
@@ -227,7 +227,7 @@ def _write(folder: Path, record: Record) -> None:
 
 
 def _forget_copies(folder: Path, record: Record) -> None:
-    """Delete the copies that no deployment names."""
+    """Delete the copies that belong to no deployment."""
     known = {one.fingerprint[: 2 * SHOWN] for each in record.deployments.values() for one in each}
     for place in (folder / "models" / "former").iterdir():
         if place.name not in known:

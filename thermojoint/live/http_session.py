@@ -1,4 +1,4 @@
-"""Requests to an HTTP server of others: whole responses, and streams of parts that never end."""
+"""Requests to an external HTTP server: whole responses, and endless streams of parts."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _AT_ONCE = 65_536
 
 
 class UnusableError(ValueError):
-    """A response is none that can be used."""
+    """A response is unusable."""
 
 
 #: Errors that end a connection.
@@ -35,7 +35,7 @@ class Address(NamedTuple):
 
     host: str
     port: int
-    #: What every request begins with.
+    #: Prefix of the path of every request.
     path: str
     #: None: no TLS.
     context: ssl.SSLContext | None
@@ -45,13 +45,13 @@ class Response(NamedTuple):
     """A response whose body is still to be read."""
 
     status: int
-    #: Its Content-Type.
+    #: Headers with its Content-Type.
     kind: Message
     chunks: AsyncIterator[bytes]
 
 
 def address_of(url: str, authority: Path | None, where: str) -> Address:
-    """Return the address in a URL.
+    """Parse the address in a URL.
 
     Raises
     ------
@@ -82,9 +82,9 @@ async def requested(address: Address, target: str, silence: float) -> AsyncItera
     ----------
     address : Address
     target : str
-        Path and query, appended to the address's own path.
+        Path and query, appended to the path of the address.
     silence : float
-        The server may say nothing for this long, s.
+        Longest silence of the server, s.
     """
     async with asyncio.timeout(TIMEOUT_S):
         reader, writer = await asyncio.open_connection(
@@ -135,7 +135,7 @@ async def whole(response: Response) -> bytes:
     Raises
     ------
     UnusableError
-        It is too long.
+        The body is too long.
     """
     body = b""
     async for chunk in response.chunks:
@@ -151,7 +151,7 @@ async def parts_of(response: Response) -> AsyncIterator[bytes]:
     Raises
     ------
     UnusableError
-        It has no boundary, or a part has no length or too long a one.
+        The response has no boundary, or a part has no length or is too long.
     """
     boundary = (response.kind.get_boundary() or "").encode()
     if not boundary:

@@ -1,6 +1,6 @@
 """Newest publication of every machine, and subscriptions to new ones.
 
-A slow subscriber makes nothing grow: it gets the names of the machines that have changed, not every
+A slow subscriber does not fill any queue: it gets the names of changed machines, not every
 publication.
 """
 
@@ -18,12 +18,12 @@ from thermojoint.live.publication import Publication
 class Follower:
     """A subscriber."""
 
-    #: Machines with a publication that has not been fetched.
+    #: Machines with an unfetched publication.
     changed: set[str] = field(default_factory=set)
     _published: asyncio.Event = field(default_factory=asyncio.Event)
 
     async def wait(self) -> set[str]:
-        """Return the machines that have changed since the last call, as soon as there is one."""
+        """Wait for, and return, the machines that have changed since the last call."""
         await self._published.wait()
         self._published.clear()
         changed, self.changed = self.changed, set()
@@ -39,14 +39,14 @@ class Follower:
 class Hub:
     """Newest publications, shared; used only from the service's event loop."""
 
-    #: By machine; read it, publish by `publish`.
+    #: Newest publication of each machine; to be changed by `publish` only.
     newest: dict[str, Publication] = field(default_factory=dict)
-    #: Counts on while the service looks after its machines: `beat`.
+    #: Heartbeat, incremented by `beat` while the service monitors its machines.
     heartbeat: int = 0
     _followers: set[Follower] = field(default_factory=set)
 
     def beat(self) -> None:
-        """Give a sign of life."""
+        """Increment the heartbeat."""
         self.heartbeat += 1
 
     def publish(self, publications: Sequence[Publication]) -> None:
@@ -58,7 +58,7 @@ class Hub:
 
     @contextmanager
     def follow(self) -> Iterator[Follower]:
-        """Give a new subscriber; publications that exist already count as changed."""
+        """Give a new subscriber; existing publications count as changed."""
         follower = Follower()
         if self.newest:
             follower.tell(list(self.newest))

@@ -1,4 +1,4 @@
-"""Listening socket of a server that others reach, with limits."""
+"""Listening socket with limits, for a server that other computers can reach."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class LimitedSocket(socket.socket):
     Attributes
     ----------
     most, most_of_one : int
-        Largest number of connections, of all and of one address.
+        Largest number of connections, in total and per address.
     """
 
     def __init__(self, listening: socket.socket, most: int, most_of_one: int) -> None:
@@ -31,7 +31,7 @@ class LimitedSocket(socket.socket):
         Raises
         ------
         ConnectionAbortedError
-            There are too many, in all or of its address; asyncio goes on with the next.
+            There are too many, in total or from its address; asyncio goes on with the next.
         """
         connection, address = super().accept()
         host = str(address[0])
@@ -51,7 +51,7 @@ def listening(where: str, address: str, port: int, most: int, most_of_one: int) 
     Raises
     ------
     InputError
-        The address cannot be had; `where` names the section.
+        The address cannot be bound; `where` names the section.
     """
     family = socket.AF_INET6 if ":" in address else socket.AF_INET
     try:

@@ -49,12 +49,12 @@ from thermojoint.live.watchdog import REFUSED, quality_at, silenced
 
 
 class Times(NamedTuple):
-    """One moment by two clocks."""
+    """The same moment on two clocks."""
 
-    #: s since 1970, by a clock that may be set.
+    #: s since 1970, by the system clock, which may be set.
     now: float
-    #: The service's own clock, which is never set, s. Offsets move by it, whatever times the
-    #: readings have: their rate counts in the time in which the control receives them.
+    #: The service's own monotonic clock, s. Offsets move by this clock, independently of the times
+    #: of the readings: their rate is limited in the time in which the control receives them.
     clock: float
 
 
@@ -63,21 +63,21 @@ class Machine:
     """State of a machine."""
 
     name: str
-    #: Of its estimator.
+    #: State of its estimator.
     state: Array
     #: Temperature of the cold machine, in the unit of its readings; NaN if not known yet.
     cold: float
-    #: Of its compensation output.
+    #: State of its compensation output.
     output: OutputState | None
-    #: With its control; nothing comes of it where the settings have none.
+    #: Handshake with its control; without effect if the settings have none.
     handshake: Handshake
-    #: Readings that are in no sample yet.
+    #: Readings not assigned to a sample yet.
     waiting: Waiting
     #: The newest publication.
     latest: Publication
     #: The newest publication with an estimate.
     usable: Publication
-    #: The displacement reading that is asked for.
+    #: The requested displacement reading.
     asked: Request = NOTHING_ASKED
 
 
@@ -91,7 +91,7 @@ def at_rest(name: str, served: Served, now: float) -> Machine:
 
 
 def _nothing(name: str, layout: Layout, now: float) -> Publication:
-    """Return the publication of a machine of which nothing is known, at a time (s since 1970)."""
+    """Return the publication of a machine without any data, at a time (s since 1970)."""
     unknown = np.full(len(layout.axes), np.nan)
     return Publication(
         machine=name,
@@ -117,21 +117,21 @@ def taken(
     times: Times,
     age: float,
 ) -> tuple[Machine, str]:
-    """Return a machine after one sample, and why the estimator refused it (empty if it did not).
+    """Return a machine after one sample, and why the estimator refused the sample, or "".
 
     Parameters
     ----------
     served : Served
         Its model.
     machine : Machine
-        Before; `waiting` stays as it is.
+        Machine before the sample; `waiting` is not changed.
     sample : (float, tuple of float)
-        Its instant, s since 1970, and its readings as `served.intake.names`, NaN for what is
-        missing.
+        Its instant, s since 1970, and its readings in the order of `served.intake.names`; NaN for
+        missing ones.
     times : Times
-        When it is published.
+        Time of publication.
     age : float
-        Of the sample then, s.
+        Age of the sample at that time, s.
     """
     (instant, readings), now = sample, times.now
     machine = shaken(served, machine, times.clock)
@@ -142,7 +142,7 @@ def taken(
     try:
         state, estimate = served.estimator.sample(machine.state, instant, values)
     except ThermojointError as error:
-        # The sample is stored, so that it is not read again; the estimate stays as it was.
+        # The sample is stored, so that it is not read again; the estimate does not change.
         machine = _cycled(served, machine, times.clock, None)
         nothing = replace(
             _nothing(machine.name, served.layout, now),
@@ -162,7 +162,7 @@ def taken(
     machine = _cycled(served, machine, times.clock, target)
     asked = machine.asked
     if served.asking is not None:
-        # One that is refused is to be confirmed: the request stands.
+        # A refused reading needs confirmation: the request remains.
         refused = Status.READING_REFUSED in estimate.status
         read = [] if refused else _read_axes(served, given)
         asked = after_sample(served.asking, asked, instant, read, estimate.band, state)
@@ -196,7 +196,7 @@ def _read_axes(served: Served, given: Sequence[float]) -> list[str]:
 
 
 def postponed(served: Served, machine: Machine) -> Machine:
-    """Return a machine whose operator takes no reading now; the estimator asks again later."""
+    """Return a machine with its request for a reading postponed; it is repeated later."""
     if served.asking is None or not machine.asked.axis:
         return machine
     asked = ended(served.asking, machine.asked, machine.latest.time, "postponed")
@@ -205,7 +205,7 @@ def postponed(served: Served, machine: Machine) -> Machine:
 
 
 def with_waiting(machine: Machine, waiting: Waiting) -> Machine:
-    """Return a machine with other waiting readings; far quicker than `dataclasses.replace`."""
+    """Return a machine with other waiting readings; much faster than `dataclasses.replace`."""
     return Machine(
         machine.name,
         machine.state,
@@ -234,8 +234,8 @@ def silent(
 ) -> tuple[Machine, Publication]:
     """Return a machine and its publication some time (s) after its last usable sample.
 
-    The offsets freeze and decay as their settings say; an estimate that is too old moves none, nor
-    does one without the handshake of the control.
+    The offsets freeze and decay according to their settings: neither an estimate that is too old
+    nor one without the control's handshake moves them.
     """
     machine = shaken(served, machine, times.clock)
     if (
@@ -258,9 +258,9 @@ def silent(
 
 
 def shaken(served: Served, machine: Machine, clock: float) -> Machine:
-    """Return a machine whose handshake counts the time until now, by the service's own clock (s).
+    """Return a machine with its handshake updated to a time of the service's own clock (s).
 
-    A control that returns goes on from the offsets that it has.
+    For a control that returns, the offsets continue from the ones in it.
     """
     if served.handshake is None or served.output is None or machine.output is None:
         return machine
@@ -273,13 +273,13 @@ def shaken(served: Served, machine: Machine, clock: float) -> Machine:
 
 
 def held(latest: Publication) -> Publication:
-    """Return a publication for a time in which nothing can be stored: the offsets are held."""
+    """Return a publication for times when nothing can be stored: the offsets are held."""
     mode = "freeze" if latest.offset_mode == "follow" else latest.offset_mode
     return replace(latest, quality=max(latest.quality, Quality.UNCERTAIN), offset_mode=mode)
 
 
 def _cycled(served: Served, machine: Machine, clock: float, target: Array | None) -> Machine:
-    """Return a machine after one cycle of its output; a broken handshake moves it to no target."""
+    """Return a machine after one cycle of its output, without a target if the handshake broke."""
     if served.output is None or machine.output is None:
         return machine
     settings, handshake = served.output.output, machine.handshake
@@ -292,12 +292,12 @@ def _cycled(served: Served, machine: Machine, clock: float, target: Array | None
 
 
 def _handshake(served: Served, machine: Machine) -> str:
-    """Return the state of the handshake; empty where there is none."""
+    """Return the state of the handshake; empty if there is none."""
     return "" if served.handshake is None or served.output is None else machine.handshake.state
 
 
 def _for_control(served: Served, machine: Machine) -> dict[str, Any]:
-    """Return what a publication says of the control: offsets, slopes, their mode, the handshake."""
+    """Return the control's part of a publication: offsets, slopes, their mode, the handshake."""
     handshake = _handshake(served, machine)
     if served.output is None or machine.output is None:
         empty = np.empty(0)
@@ -312,14 +312,14 @@ def _for_control(served: Served, machine: Machine) -> dict[str, Any]:
 
 
 def _corrections(served: Served, output: OutputState | None) -> Array:
-    """Return what a handshake is about: offsets, and slopes by what they make at the far end, m."""
+    """Return the values of a handshake: offsets, and corrections by slopes at the far end, m."""
     if served.output is None or output is None:
         return np.empty(0)
     return corrections_of(served.output.output, output)
 
 
 def _usable(served: Served, age: float, last: Estimate | Publication) -> bool:
-    """Whether what is estimated may move an axis at an age (s)."""
+    """Whether an estimate of an age (s) may move an axis."""
     if served.output is None:
         return False
     band = band_along(served.output.output, served.layout.axes, last.band, _lines(served, last))
@@ -328,7 +328,7 @@ def _usable(served: Served, age: float, last: Estimate | Publication) -> bool:
 
 
 def _followed(served: Served, estimate: Estimate) -> Array | None:
-    """Return what the offsets and slopes are to become."""
+    """Return the targets of the offsets and slopes."""
     if served.output is None:
         return None
     lines = _lines(served, estimate)
@@ -338,24 +338,24 @@ def _followed(served: Served, estimate: Estimate) -> Array | None:
 
 
 def _lines(served: Served, last: Estimate | Publication) -> Lines | None:
-    """Return the lines of an estimate, where the control receives any."""
+    """Return the lines of an estimate, if the control receives any."""
     if not served.layout.lines:
         return None
     return lines_of(served.layout.axes, served.layout.details, last.details)
 
 
 def state_bytes(served: Served, machine: Machine) -> bytes:
-    """Return the estimator's state as it is stored."""
+    """Return the estimator's state in its stored form."""
     return as_bytes(served.digest, np.concatenate(([machine.cold], machine.state)))
 
 
 def rest_of(machine: Machine, position: Any) -> str:  # noqa: ANN401
-    """Return everything else that the next sample depends on, as it is stored: JSON."""
+    """Return everything else that the next sample depends on, in its stored form: JSON."""
     return json.dumps({"at": position, "waiting": machine.waiting, "asked": machine.asked})
 
 
 def received_of(served: Served, machine: Machine, now: float) -> Received | None:
-    """Return the offsets that the control receives, as they are stored; None without offsets."""
+    """Return the offsets that the control receives, in stored form; None without offsets."""
     if served.output is None or machine.output is None:
         return None
     content = content_of(served.output.output, machine.output)
@@ -377,28 +377,28 @@ def restored(
     received: Received | None,
     times: Times,
 ) -> tuple[Machine, Any]:
-    """Return a machine as it was when its last sample was kept, and where its source stood.
+    """Return a machine restored to its last stored sample, and the read position of its source.
 
-    Samples since the last checkpoint run through the estimator again. The offsets go on from what
-    the control received last, whatever model and settings were then.
+    Samples since the last checkpoint run through the estimator again. The offsets continue from the
+    values received last by the control, even under another model or other settings.
 
     Parameters
     ----------
     name : str
     served : Served
     kept : Kept
-        What the store has of it; the axes of the control may have been others.
+        Its stored data, possibly with other axes of the control.
     last : Publication or None
         The sample of the checkpoint.
     received : Received or None
-        What the control received last.
+        The values received last by the control.
     times : Times
-        Now.
+        Present time.
 
     Raises
     ------
     InputError
-        The samples do not lead to what was said of them: another model, or a damaged store.
+        The stored state does not fit the model: another model, or a damaged store.
     """
     machine = replace(at_rest(name, served, times.now), output=None)
     if kept.state is not None and last is not None:
@@ -434,9 +434,9 @@ def restored(
 def _handshake_begun(
     served: Served, output: OutputState | None, received: Received | None, clock: float
 ) -> Handshake:
-    """Return the handshake of a machine that goes on, at a time (s).
+    """Return the handshake of a restored machine, at a time (s).
 
-    The control may still have what it was sent before it last agreed.
+    The control may still have values that it was sent before it last agreed.
     """
     handshake = begun(_corrections(served, output), clock)
     if served.output is None or received is None:
@@ -445,7 +445,7 @@ def _handshake_begun(
     settings = served.output.output
     kept = [axes.get(name, {}) for name in settings.names]
     kept += [axes.get(one.axis, {}).get("slope", {}) for one in settings.slopes]
-    # Axes of other settings have no range.
+    # Axes without stored values have no range.
     ranges = np.array([one.get("sent", [np.nan, np.nan]) for one in kept])
     ranges *= settings.channels.levers[:, None]
     low, high = np.fmin(handshake.low, ranges[:, 0]), np.fmax(handshake.high, ranges[:, 1])
@@ -453,7 +453,7 @@ def _handshake_begun(
 
 
 def _laid_out(last: Publication, layout: Layout) -> Publication:
-    """Return a publication for axes of the control that are others since; they have no offset."""
+    """Return a publication for changed axes of the control, which have no offset."""
     if last.layout == layout:
         return last
     offsets, slopes = np.zeros(len(layout.controls)), np.zeros(len(layout.lines))
@@ -476,10 +476,10 @@ def _waiting(content: list[Any]) -> Waiting:
 def _output(
     served: Served, machine: Machine, received: Received | None, times: Times
 ) -> OutputState | None:
-    """Return the compensation output that goes on from what the control received last.
+    """Return the compensation output that continues from the values received last by the control.
 
-    It follows on only if the machine's last estimate is usable by the settings of now; it freezes
-    and decays as if it had become too old while the service ran.
+    It follows only if the machine's last estimate is usable under the present settings; else it
+    freezes and decays as if the estimate had become too old while the service ran.
     """
     if served.output is None:
         return None
@@ -491,7 +491,7 @@ def _output(
     if not output.used or not math.isnan(output.unusable_since):
         return output
     age = times.now - last.published
-    # One from the future was made before the clock was set back, nobody knows when.
+    # An estimate from the future was made before the clock was set back, at an unknown time.
     if age >= 0.0 and _finite(last.displacement) and _usable(served, age, last):
         return output
     frozen = cycle(settings, output, times.clock, None)

@@ -1,6 +1,6 @@
-"""Displacement readings that a machine's estimator asks for: asked, taken, postponed, withdrawn.
+"""Displacement readings requested by an estimator: asked, taken, postponed, withdrawn.
 
-All times are those of samples, so that a replay asks again at the same samples.
+All times are times of samples, so that a replay requests readings at the same samples.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from thermojoint.artefacts.units import MEGA
 
 @dataclass(frozen=True)
 class Asking:
-    """When readings are asked for."""
+    """Conditions for requesting readings."""
 
     #: Largest half-width of the band, m.
     limit: float
     #: Shortest time between two requests, s.
     interval: float
-    #: State of the estimator to the reading to take, or None.
+    #: Function of the estimator's state that returns the reading to take, or None.
     ask: Callable[[Array], NextReading | None]
 
 
 class Request(NamedTuple):
     """The present request of a machine, or its last one."""
 
-    #: To be read; empty if nothing is asked for.
+    #: Axis to be read; empty without a request.
     axis: str = ""
-    #: When the last request was made, s since 1970.
+    #: Time of the last request, s since 1970.
     since: float = math.nan
-    #: Half-band of the axis then, and what a reading would have left of it, m.
+    #: Half-width of the axis's band at that time, and expected half-width after a reading, m.
     band: float = math.nan
     narrowed: float = math.nan
     #: No request before this time, s since 1970.
@@ -46,7 +46,7 @@ class Request(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The request, or its end, as a sentence."""
+        """The request, or its outcome, as a sentence."""
         if not self.axis:
             return self.outcome
         return (
@@ -56,7 +56,7 @@ class Request(NamedTuple):
 
     @property
     def content(self) -> dict[str, Any] | None:
-        """The request for JSON; None if nothing is asked for."""
+        """The request for JSON; None without a request."""
         if not self.axis:
             return None
         return {
@@ -81,15 +81,15 @@ def after_sample(
     ----------
     asking : Asking
     request : Request
-        Before.
+        Request before the sample.
     instant : float
-        Of the sample, s since 1970.
+        Instant of the sample, s since 1970.
     read : collection of str
-        Axes whose displacement was read in it.
+        Axes whose displacement was read in the sample.
     band : ndarray, shape (axes,)
-        Half-widths after it, m.
+        Half-widths after the sample, m.
     state : ndarray
-        Of the estimator after it.
+        State of the estimator after the sample.
     """
     if request.axis in read:
         return ended(asking, request, instant, "taken")
@@ -106,5 +106,5 @@ def after_sample(
 
 
 def ended(asking: Asking, request: Request, instant: float, outcome: str) -> Request:
-    """Return no request, and none for a while."""
+    """End the request, and suppress further ones for some time."""
     return request._replace(axis="", quiet=instant + asking.interval, outcome=outcome)

@@ -1,4 +1,4 @@
-"""Connection to an OPC UA server of others, with certificates, user and password."""
+"""Connection to an external OPC UA server, with certificates, user and password."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Reached:
 
 
 def reached_of(given: OpcuaAddress, folder: Path, where: str) -> Reached:
-    """Return how a server is reached; `folder` is the service's, with its own certificate.
+    """Return the connection data of a server; `folder` has the service's own certificate.
 
     Raises
     ------

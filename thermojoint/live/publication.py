@@ -18,7 +18,7 @@ from thermojoint.artefacts.units import MEGA, MILLI
 from thermojoint.live.next_reading import Request
 
 NOTHING_ASKED = Request()
-#: Numbers of a row before the arrays: time, published, quality.
+#: Number of values in a row before the arrays: time, published, quality.
 _LEADING = 3
 
 
@@ -26,9 +26,9 @@ class AxisLine(NamedTuple):
     """An axis of the control that receives a line: K0, its offset, and a slope."""
 
     axis: str
-    #: P0, m.
+    #: Reference position P0, m.
     reference: float
-    #: Largest distance from it on the stroke, m.
+    #: Largest distance from P0 on the stroke, m.
     lever: float
 
 
@@ -36,7 +36,7 @@ class AxisLine(NamedTuple):
 class Layout:
     """Names of the published values of a machine; machines of a model share one."""
 
-    #: Of the displacement, without units.
+    #: Axes of the displacement, without units.
     axes: tuple[str, ...]
     #: Axes of the control that receive an offset; empty without a compensation output.
     controls: tuple[str, ...]
@@ -49,12 +49,12 @@ class Layout:
 
     @property
     def levers(self) -> Array:
-        """Correction (m) per value that the control receives: 1, for slopes the lever (m)."""
+        """Correction (m) per received value: 1 for offsets, the lever (m) for slopes."""
         return np.array([1.0] * len(self.controls) + [one.lever for one in self.lines])
 
     @property
     def width(self) -> int:
-        """Numbers in a row of the history."""
+        """Number of values in a row of the history."""
         return (
             _LEADING
             + 2 * len(self.axes)
@@ -69,23 +69,22 @@ class Layout:
 class Publication:
     """Values published for one machine at one instant."""
 
-    #: Its name.
+    #: Name of the machine.
     machine: str
     #: Number of the sample, counted from 1; 0 before the first.
     number: int
-    #: Of the sample by its source, s since 1970 (UTC); NaN before the first.
+    #: Time of the sample by its source, s since 1970 (UTC); NaN before the first.
     time: float
     #: Time of publication, s since 1970 (UTC).
     published: float
-    #: Of displacement, band and offsets.
+    #: Quality of displacement, band and offsets.
     quality: Quality
     #: Names of the following values.
     layout: Layout
     #: Shape (axes,): m; NaN where unknown.
     displacement: Array
     band: Array
-    #: Shape (controls,): offsets that the control receives, m; K0 of an axis that receives a slope
-    #: as well.
+    #: Shape (controls,): offsets that the control receives, m; K0 for an axis with a slope.
     offsets: Array
     #: Shape (details,): in SI.
     details: Array
@@ -99,7 +98,7 @@ class Publication:
     #: State of the handshake with the control
     #: (`thermojoint.compensation.offsets.handshake.Handshake`); empty where there is none.
     handshake: str = ""
-    #: The displacement reading that is asked for; none in the history.
+    #: The requested displacement reading; none in the history.
     asked: Request = NOTHING_ASKED
     #: Shape (lines,): slopes that the control receives, m/m.
     slopes: Array = field(default_factory=lambda: np.empty(0))
@@ -180,7 +179,7 @@ def _lines(layout: Layout, slopes: Array) -> dict[str, Any]:
 def micrometres(names: Iterable[str], values: Array) -> dict[str, float | None]:
     """Return lengths (m) in µm by name, to a tenth of a nanometre; None for unknown ones.
 
-    And slopes (m/m) in µm/m.
+    Slopes (m/m) are likewise returned in µm/m.
     """
     numbers = (MEGA * values).tolist()
     return {

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Hashable
 from dataclasses import dataclass, field
 
-#: This many lines of a kind are written at once, the next after this time, s.
+#: Number of lines of a kind written at once; time until the next one, s.
 AT_ONCE, AGAIN_S = 5, 60.0
-#: Kinds that are remembered; all further ones share the last.
+#: Number of remembered kinds; all further ones share the last.
 _MOST = 20_000
 
 
@@ -15,20 +15,20 @@ _MOST = 20_000
 class LineLimit:
     """Counts of lines by kind."""
 
-    #: Kind to lines written in a row, time of the last one, lines left out since.
+    #: Kind to lines written in a row, time of the last one, lines omitted since.
     seen: dict[Hashable, list[float]] = field(default_factory=dict)
 
     def left_out(self, kind: Hashable, time: float) -> int | None:
-        """Return how many lines of a kind were left out before this one; None: leave it out.
+        """Return the number of omitted lines of a kind before this one; None: omit it as well.
 
         Parameters
         ----------
         kind : hashable
         time : float
-            s, by any clock.
+            Time by any clock, s.
         """
         seen = self._seen(kind)
-        # A clock that was set back counts as a new time.
+        # After the clock was set back, counting starts anew.
         if not 0.0 <= time - seen[1] < AGAIN_S:
             seen[0] = 0.0
         elif seen[0] >= AT_ONCE:
@@ -39,7 +39,7 @@ class LineLimit:
         return before
 
     def leave_out(self, kind: Hashable, count: int) -> None:
-        """Count lines of a kind as left out: they could not be written."""
+        """Count lines of a kind as omitted, because they could not be written."""
         self._seen(kind)[2] += count
 
     def _seen(self, kind: Hashable) -> list[float]:

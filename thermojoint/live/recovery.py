@@ -1,7 +1,7 @@
-"""A store that is damaged, replaced or deleted while a service runs: it goes on in a new file.
+"""Recovery of a store that is damaged, replaced or deleted while a service runs, in a new file.
 
-The estimators and what the controls received last are in memory; what is left of the file is set
-aside. A file that was only deleted, or replaced, is still whole behind its open handle, and is
+The estimators and the values received last by the controls are in memory; the rest of the file is
+set aside. A file that was only deleted or replaced is still complete behind its open handle, and is
 copied.
 """
 
@@ -20,25 +20,25 @@ from thermojoint.live.reserve import lay_in
 from thermojoint.live.running import Running
 from thermojoint.live.store import Batch, commit, identity_of, layout_text, open_store
 
-#: What makes a file unusable; all else (no space, a lock) passes.
+#: Error codes of an unusable file; all others (no space, a lock) are temporary.
 _DAMAGE = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR)
-#: An era as the store has it: number, machine, model, layout, begin.
+#: An era as a row of the store: number, machine, model, layout, begin.
 Era = tuple[int, str, str, str, float]
 
 
 def is_damage(error: sqlite3.Error) -> bool:
-    """Return whether an error of the store lasts until there is another file."""
+    """Return whether an error of the store persists until the file is replaced."""
     closed = isinstance(error, sqlite3.ProgrammingError)
     return closed or getattr(error, "sqlite_errorcode", 0) & 0xFF in _DAMAGE
 
 
 async def recover_if_gone(running: Running) -> None:
-    """Go on in a copy if the store was deleted or replaced.
+    """Continue in a copy if the store was deleted or replaced.
 
     Raises
     ------
     sqlite3.OperationalError
-        There is no space for it; another call tries again.
+        There is no space for the copy; another call tries again.
     """
     present = identity_of(running.archive.path)
     running.identity = running.identity or present
@@ -48,12 +48,12 @@ async def recover_if_gone(running: Running) -> None:
 
 
 async def recover(running: Running, failed: sqlite3.Connection, error: sqlite3.Error) -> None:
-    """Go on in a new store after one has failed; its history is in the file that is set aside.
+    """Continue in a new store after one has failed; its history is in the file set aside.
 
     Raises
     ------
     sqlite3.OperationalError
-        There is no space for it; another call tries again.
+        There is no space for the new store; another call tries again.
     """
     why = f"is damaged ({error}); a new one begins with the states of now"
     await _recover(running, failed, why, None)
@@ -62,7 +62,7 @@ async def recover(running: Running, failed: sqlite3.Connection, error: sqlite3.E
 async def _recover(
     running: Running, failed: sqlite3.Connection, why: str, source: sqlite3.Connection | None
 ) -> None:
-    """Recover to the end, even if the service ends meanwhile."""
+    """Complete the recovery, even if the service ends meanwhile."""
     await asyncio.shield(asyncio.ensure_future(_renew(running, failed, why, source)))
 
 
@@ -86,7 +86,7 @@ async def _renew(
         aside = path.with_name(f"{path.stem}.{round(now)}{path.suffix}")
         running.floor.log.say(now, "store-recovered", f"{path} {why}; what is left of it: {aside}")
         try:
-            # In one go: a commit between the two would be in neither.
+            # In one call: a commit between the two steps would be in neither store.
             await running.kept(
                 lambda store: _put(store, _written(path, source, eras, batch), path, aside)
             )
@@ -104,7 +104,7 @@ async def _renew(
 def _written(
     path: Path, source: sqlite3.Connection | None, eras: Sequence[Era], batch: Batch
 ) -> Path:
-    """Write a new store beside the one that is there."""
+    """Write a new store beside the existing one."""
     new = path.with_name(f"{path.name}.new")
     for suffix in ("", "-wal", "-shm"):
         new.with_name(new.name + suffix).unlink(missing_ok=True)
@@ -125,7 +125,7 @@ def _written(
 
 def _put(store: sqlite3.Connection, new: Path, path: Path, aside: Path) -> None:
     """Set a store aside and put the new one in its place."""
-    # It deletes its log by its name: before there is another of that name.
+    # Closing deletes the log by its name, so it must come before the new store has that name.
     with suppress(sqlite3.Error):
         store.close()
     for suffix in ("", "-wal", "-shm"):

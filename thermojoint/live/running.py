@@ -46,11 +46,11 @@ from thermojoint.live.store import (
 )
 from thermojoint.live.watchdog import REFUSED
 
-#: Blocks of arrivals that may be queued; then the readers wait.
+#: Largest number of queued blocks of arrivals; beyond it the readers wait.
 _MOST_BLOCKS = 2_000
 #: Name of the store in a service's folder.
 _STORE = "history.sqlite"
-#: Samples that are searched for the last one with a reading.
+#: Number of samples searched for the last one with a reading.
 _LOOKED_AT = 5_000
 
 Result = TypeVar("Result")
@@ -58,9 +58,9 @@ Result = TypeVar("Result")
 
 @dataclass(eq=False)
 class Running:
-    """A service that runs."""
+    """A running service."""
 
-    #: Its file.
+    #: The service as defined by its file.
     service: Service
     #: Its machines.
     floor: Floor
@@ -68,34 +68,34 @@ class Running:
     hub: Hub
     #: Stored history.
     archive: Archive
-    #: Figures.
+    #: Metrics for Prometheus.
     metrics: Metrics
-    #: Who may come in.
+    #: Users, tokens and sessions.
     accounts: Accounts
     #: Used in `keeper` only.
     store: sqlite3.Connection
     #: One thread, so that batches are stored in order.
     keeper: ThreadPoolExecutor
-    #: From the readers.
+    #: Queue of arrivals from the readers.
     arrivals: asyncio.Queue[list[Arrival | Note]]
     #: Set when the service is to end.
     stop: asyncio.Event
     #: Last entry of the store's journal.
     journal_end: int = 0
-    #: Of the checkpoints: machines that still wait for theirs, the journal's end when this round
-    #: began, and the part of a machine whose turn it is.
+    #: Round of checkpoints: machines without one yet, the journal's end at the begin of the round,
+    #: and the fraction of a machine that is due.
     round: list[Place] = field(default_factory=list)
     round_from: int = 0
     share: float = 0.0
-    #: Last entry of the journal that every machine has a checkpoint behind.
+    #: Last entry of the journal that is covered by a checkpoint of every machine.
     behind: int = 0
     #: Makes the service read its file again.
     reload: Callable[[], None] = lambda: None
-    #: Tells the store's file from another of its name.
+    #: Identifies the store's file among others of its name.
     identity: tuple[int, ...] | None = None
     #: Held while a store is replaced.
     mending: asyncio.Lock = field(default_factory=asyncio.Lock)
-    #: Of the store, when it was last looked at.
+    #: Space for the store, at the last check.
     room: Room = field(default_factory=Room)
 
     async def kept(self, work: Callable[..., Result], *arguments: object) -> Result:
@@ -105,18 +105,18 @@ class Running:
 
     @property
     def reserve_h(self) -> float:
-        """How long the store's reserve lasts, h."""
+        """Time for which the store's reserve lasts, h."""
         return self.room.reserve / self._per_hour
 
     @property
     def _per_hour(self) -> float:
-        """What the store of the machines grows by in an hour, bytes."""
+        """Growth of the machines' store in an hour, bytes."""
         places = self.floor.places.values()
         rows = sum(8.0 * one.served.layout.width / one.served.rule.interval for one in places)
         return 3600.0 * OVERHEAD * rows
 
     async def tended(self) -> None:
-        """Look after the store's reserve, and say when the disk is full.
+        """Adjust the store's reserve, and log when the disk becomes full or has room again.
 
         Raises
         ------
@@ -185,7 +185,7 @@ def restored_floor(
     given = service.given
     places = _places(service, models, store, log, times)
     floor = Floor(places, log, metrics, given.ahead_s, given.behind_s, given.watchdog)
-    # Silence counts first: no control receives an offset from before it.
+    # Silence is evaluated first, so that no control receives an offset from before it.
     silent = {publication.machine: publication for publication in floors.watch(floor, *times)}
     commit(store, Batch(received=floors.received(floor, places, times.now)))
     return floor, [silent.get(name) or shown(place.machine) for name, place in places.items()]
@@ -218,13 +218,13 @@ def _places(
             if fresh:
                 kept = every[earlier]
         elif fresh and earlier is not None:
-            # Another model: it starts anew, and the source is read on from where it was.
+            # Another model: its estimator starts anew, and the source is read from its position.
             kept = replace(kept, rest=_read_on(every[earlier], model))
         try:
             machine, position = restored(name, model, kept, last, received.get(name), times)
         except InputError as error:
-            # Its estimator starts anew, its offsets continue. So does an era: in the old one the
-            # states of fewer samples would not replace the one that is refused.
+            # Its estimator starts anew, its offsets continue. A new era begins, because in the old
+            # one a state with fewer samples would not replace the refused one.
             log.say(now, "state-refused", str(error), name)
             if kept.era == eras[name]:
                 eras[name] = new_era(store, name, model.digest, model.layout, now)
@@ -248,7 +248,7 @@ def _places(
 
 
 def _heard_last(archive: Archive, model: Served, machine: Machine) -> Publication:
-    """Return the last usable sample with a reading, or of many without one the oldest."""
+    """Return the last usable sample with a reading, or the oldest of many without one."""
     last = machine.usable
     if last.number == 0 or floors.has_reading(model, last.readings.tolist()):
         return last
@@ -260,7 +260,7 @@ def _heard_last(archive: Archive, model: Served, machine: Machine) -> Publicatio
 
 
 def _read_on(kept: Kept, model: Served) -> str:
-    """Return where a source stood; readings that wait for a sample, if the model reads the same."""
+    """Return the position of a source, and waiting readings if the model has the same readings."""
     if kept.layout.readings == model.layout.readings:
         return kept.newest
     return json.dumps({"at": json.loads(kept.newest).get("at")})

@@ -16,7 +16,7 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.units import MEGA
 from thermojoint.live.surface import Surface, pressures, read_surface, temperatures
 
-#: Viewpoint in sizes of the machine; of a joint its distance in front, and height above.
+#: Viewpoint in sizes of the machine; for a joint its distance in front, and its height above.
 EYE = np.array([1.5, 1.5, 0.9])
 FRONT, ABOVE = 2.0, 0.5
 
@@ -26,7 +26,7 @@ class Scene(NamedTuple):
 
     #: Points, triangles and contact elements, ready for JSON.
     shape: dict[str, Any]
-    #: Returns temperatures and pressures of the newest state, ready for JSON; None before any.
+    #: Returns temperatures and pressures of the newest state, ready for JSON; None without any.
     fields: Callable[[], dict[str, Any] | None]
 
 
@@ -36,11 +36,11 @@ def scene_of(path: Path, estimator: Estimator, state: Callable[[], Array]) -> Sc
     Parameters
     ----------
     path : Path
-        Surface of its model, by 'thermojoint scene'.
+        Surface of its model, written by 'thermojoint scene'.
     estimator : Estimator
         Joint-aware.
     state : callable
-        Returns its newest state.
+        Returns the newest state of the estimator.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def scene_of(path: Path, estimator: Estimator, state: Callable[[], Array]) -> Sc
 
 
 def shape_of(surface: Surface) -> dict[str, Any]:
-    """Return the constant part of a scene, turned so that z is up, as in the browser."""
+    """Return the constant part of a scene, rotated so that z is up, as in the browser."""
     turn = upright(surface.up)
     contacts = surface.contact_points @ turn.T
     return {
@@ -82,7 +82,7 @@ def shape_of(surface: Surface) -> dict[str, Any]:
 
 
 def front_of(points: Array, triangles: NDArray[np.int64]) -> Array:
-    """Return the viewpoint that sees most of some triangles, shape (3,); `EYE` if none does."""
+    """Return the viewpoint from which most of some triangles are visible, shape (3,), or `EYE`."""
     first, second, third = (points[triangles[:, k]] for k in range(3))
     areas = np.cross(second - first, third - first)
     normal = areas.sum(axis=0)
@@ -96,7 +96,7 @@ def upright(up: Array) -> Array:
     """Return the rotation by right angles, shape (3, 3), that makes an axis `up` the third one."""
     axis = int(np.argmax(np.abs(up)))
     turn = np.roll(np.eye(3), -(axis + 1), axis=0)
-    # Upside down: the first two axes are swapped, so that it stays a rotation.
+    # Upside down: the first two axes are swapped to keep a proper rotation.
     return turn if up[axis] > 0.0 else np.array([turn[1], turn[0], -turn[2]])
 
 

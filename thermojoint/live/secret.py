@@ -1,4 +1,4 @@
-"""Secrets: read without ever being shown, in files that only their owner can read."""
+"""Secrets: never displayed, in files that only their owner can read."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def read_secret(secret: Secret, where: str) -> str:
     Raises
     ------
     InputError
-        It is missing, or others can read it.
+        The secret is missing, or others can read it.
     """
     if secret.variable is not None:
         value = os.environ.get(secret.variable, "")
@@ -42,7 +42,7 @@ def read_secret(secret: Secret, where: str) -> str:
 def create_private(path: Path) -> None:
     """Create a file that only its owner can read, if it is missing.
 
-    What a command of root creates belongs to the owner of the folder: the service must write it.
+    A file created by root belongs to the owner of the folder, because the service must write it.
     """
     if path.exists():
         return
@@ -58,7 +58,7 @@ def refuse_open_to_others(path: Path, where: str, others: int = 0o077) -> None:
     Raises
     ------
     InputError
-        It is missing, or others can read it or write to it.
+        The file is missing, or others can read it or write to it.
     """
     try:
         mode = stat.S_IMODE(path.stat().st_mode)

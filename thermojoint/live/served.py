@@ -26,7 +26,7 @@ from thermojoint.live.publication import AxisLine, Layout
 from thermojoint.live.samples import Rule
 from thermojoint.live.settings import HandshakeSection, ModelSection, Service
 
-#: Difference that a target may have where its handshake gives none, um.
+#: Default tolerance of the handshake with a target, um.
 TARGET_DIFFERS_UM = 10.0
 
 
@@ -34,34 +34,34 @@ TARGET_DIFFERS_UM = 10.0
 class Served:
     """A model with everything that its machines share."""
 
-    #: Of any kind.
+    #: Estimator of any kind.
     estimator: Estimator
-    #: A state continues with a model of the same digest.
+    #: Digest of the model; a state continues with a model of the same digest.
     digest: str
     #: Name of its file.
     file: str
     #: Readings of its machines.
     intake: Intake
-    #: For which it was calibrated.
+    #: Calibrated ranges.
     ranges: tuple[Range, ...]
     #: (estimator, state, sample) to reading minus model; None for a kind without residuals.
     residuals: Callable[[Any, Array, Array], Array] | None
-    #: How samples are assembled.
+    #: Rule for assembling samples.
     rule: Rule
     #: Names of the published values.
     layout: Layout
-    #: Of the compensation output.
+    #: Settings of the compensation output.
     output: Settings | None
-    #: With the control of a machine: `single`.
+    #: Handshake with the control of a machine, added by `single`.
     handshake: HandshakeSettings | None = None
-    #: When displacement readings are asked for.
+    #: Conditions for requesting displacement readings.
     asking: Asking | None = None
-    #: Details that are displacements at positions of an axis, by name their place.
+    #: Indices of the details that are displacements at axis positions, by name.
     places: Mapping[str, int] = field(default_factory=dict)
 
 
 def served_models(service: Service) -> tuple[dict[str, Served], dict[str, ThermojointError]]:
-    """Return the models of a service that can be opened, and why the others cannot."""
+    """Return the models of a service that can be opened, and the errors of the others."""
     opened: dict[str, Served] = {}
     refused: dict[str, ThermojointError] = {}
     for name, section in service.given.models.items():
@@ -80,12 +80,12 @@ def served(section: ModelSection, kept: Path) -> Served:
     section : ModelSection
         Its section of the service's file.
     kept : Path
-        Folder of the coefficients assembled from it, with which a service continues.
+        Folder of the assembled coefficients, with which a restarted service continues.
 
     Raises
     ------
     InputError
-        A file is unusable, or the model and the settings do not fit.
+        A file is unusable, or the model and the settings do not match.
     ConvergenceError
         The model cannot be assembled at the interval.
     """
@@ -128,13 +128,13 @@ def served(section: ModelSection, kept: Path) -> Served:
 
 
 def lines_in(output: Settings | None) -> tuple[AxisLine, ...]:
-    """Return the lines that a control receives by some settings."""
+    """Return the lines that a control receives under some settings."""
     slopes = () if output is None else output.output.slopes
     return tuple(AxisLine(one.axis, one.reference, one.lever) for one in slopes)
 
 
 def _warm_up(estimator: Estimator, interval: float) -> None:
-    """Compile now, by samples without effect, and not while a machine waits."""
+    """Compile by samples without effect, so that no machine waits for it later."""
     state = estimator.initial_state()
     for k in range(3):
         with suppress(ThermojointError):
@@ -144,7 +144,7 @@ def _warm_up(estimator: Estimator, interval: float) -> None:
 def _asking(
     kind: Kind[Any, Any], estimator: OpenedEstimator, section: ModelSection
 ) -> Asking | None:
-    """Return when displacement readings are asked for; refuses a limit that none can keep."""
+    """Return the conditions for requesting readings; refuse a limit that none can satisfy."""
     given, ask = section.next_reading, kind.next_reading
     if given is None:
         return None
@@ -156,7 +156,7 @@ def _asking(
 
 
 def _check_age(output: Settings, section: ModelSection) -> None:
-    """Refuse an `oldest_s` by which every estimate is too old before the next one."""
+    """Refuse an `oldest_s` with which every estimate is too old before the next one."""
     if output.trust.oldest <= section.interval_s:
         raise InputError(
             f"{section.offsets}: oldest_s {output.trust.oldest:g} is not longer than interval_s "
@@ -180,7 +180,7 @@ def _opened(
     options = Options(section.interval_s, 60.0 * section.run_length_min)
     made_of, fits = f"{kind.fingerprint(model)} {section.reads}", kind.paced
     if kind.assembled(model) and kind.carried:
-        # Its coefficients are in the file, and another one of the same model has others.
+        # The coefficients are in the file; another file of the same model has other ones.
         made_of, fits = f"{kind.carried(started(kind, model, options))!r} {made_of}", False
     if fits:
         made_of = f"{section.interval_s!r} {section.run_length_min!r} {made_of}"
@@ -209,6 +209,6 @@ def handshake_of(section: HandshakeSection | None) -> HandshakeSettings | None:
         return None
     differs = section.differs_um
     if differs is None:
-        # What acts in a target is always known.
+        # The values in force in a target are always known.
         differs = TARGET_DIFFERS_UM if section.by == "target" else math.inf
     return HandshakeSettings(section.heartbeat_s, MICRO * differs, section.differs_s)

@@ -1,7 +1,8 @@
 """Persistent store in one SQLite file (WAL): samples, states, read positions of the sources.
 
-One transaction has the samples of a moment, their estimates, and the read position of each source.
-After a kill a source thus continues after the last stored sample, and no sample counts twice.
+One transaction contains the samples of a moment, their estimates, and the read position of each
+source. After a kill a source thus continues after the last stored sample, and no sample counts
+twice.
 A commit only appends to the ``journal``. A state, which may be a hundred times larger than a
 sample, is stored at intervals (a checkpoint), together with the samples since the last one as one
 chunk of the history. At a start the samples of the journal after the last checkpoint run through
@@ -32,17 +33,17 @@ from thermojoint.live.publication import AxisLine, Layout
 from thermojoint.live.reserve import RESERVE, is_full, stay_within
 
 SCHEMA_VERSION = 2
-#: Locked by the service that holds a folder; it says which process this is.
+#: File locked by the service that uses a folder; it contains the number of its process.
 _LOCK = "lock"
-#: Passes of moving the log: each has less to move.
+#: Number of passes of moving the log: each pass has less to move.
 _PASSES = 2
-#: How long a writer waits for another one, s.
+#: Longest time for which a writer waits for another one, s.
 _PATIENCE_S = 10.0
 #: Size of the write-ahead log from which a commit moves it, bytes.
 _LONGEST_LOG = 64_000_000
-#: Entries of the journal, and chunks of a past era, that are deleted at once.
+#: Number of entries of the journal, and of chunks of a past era, deleted at once.
 MOST_FORGOTTEN, _MOST_CHUNKS = 5_000, 50
-#: Adds what `_chunk` returns; condition of a sample of the journal that is in no chunk yet.
+#: Statement to add a chunk of `_chunk`; condition for a sample of the journal in no chunk yet.
 _ADD_CHUNK = (
     "INSERT INTO chunks (era, first, last, number, count, rows, status) "
     "VALUES (?, ?, ?, ?, ?, ?, ?)"
@@ -79,15 +80,15 @@ CREATE TABLE IF NOT EXISTS received (
 
 
 class Taken(NamedTuple):
-    """A sample that was taken."""
+    """A processed sample."""
 
-    #: Of its machine: `era_of`.
+    #: Era of its machine: `era_of`.
     era: int
     #: Number of the sample, counted from 1.
     number: int
-    #: `thermojoint.live.publication.as_row`.
+    #: Values from `thermojoint.live.publication.as_row`.
     row: bytes
-    #: In words.
+    #: Status in words.
     status: str
     #: Everything else that the next sample depends on, with the read position: JSON.
     rest: str
@@ -97,15 +98,15 @@ class Taken(NamedTuple):
 class Checkpoint:
     """A state, and the samples since the last checkpoint."""
 
-    #: As in `Taken`, of the last sample, and so are `number` and `rest`.
+    #: As in `Taken`, for the last sample; the same for `number` and `rest`.
     era: int
     number: int
-    #: Of the estimator.
+    #: State of the estimator.
     state: bytes
     rest: str
     #: Shape (n, layout.width): the samples since the last checkpoint, n may be 0.
     rows: Array
-    #: Of each.
+    #: Status of each sample.
     status: tuple[str, ...]
 
 
@@ -119,7 +120,7 @@ class Event(NamedTuple):
 
 
 class Hole(NamedTuple):
-    """A time (s since 1970) without samples of a machine, and why."""
+    """A time span (s since 1970) without samples of a machine, and its reason."""
 
     machine: str
     since: float
@@ -128,10 +129,10 @@ class Hole(NamedTuple):
 
 
 class Received(NamedTuple):
-    """Last values received by a control for a machine, whatever its model and settings were."""
+    """Last values received by the control of a machine, under any model and settings."""
 
     machine: str
-    #: When, s since 1970.
+    #: Time of reception, s since 1970.
     at: float
     #: State of the compensation output: JSON.
     content: str
@@ -152,22 +153,22 @@ class Batch:
 class Kept:
     """Stored data of an era."""
 
-    #: Its number.
+    #: Number of the era.
     era: int
     #: Columns of each sample.
     layout: Layout
-    #: Samples at the last checkpoint.
+    #: Number of samples at the last checkpoint.
     number: int
-    #: Of the estimator at the checkpoint; None before the first.
+    #: State of the estimator at the checkpoint; None before the first.
     state: bytes | None
     #: As in `Taken`, at the checkpoint.
     rest: str
-    #: The samples since, in order.
+    #: The samples since the checkpoint, in order.
     later: tuple[Taken, ...]
 
     @property
     def newest(self) -> str:
-        """What the next sample depends on beside the state: `Taken.rest` of the last one."""
+        """Dependencies of the next sample besides the state: `Taken.rest` of the last one."""
         return self.later[-1].rest if self.later else self.rest
 
 
@@ -178,7 +179,7 @@ def locked(folder: Path) -> Iterator[None]:
     Raises
     ------
     InputError
-        Another service holds it.
+        Another service has locked it.
     """
     with (folder / _LOCK).open("a+") as file:
         try:
@@ -218,7 +219,7 @@ def holder(folder: Path) -> int | None:
 
 
 def open_store(path: Path, durable: bool = False) -> sqlite3.Connection:
-    """Open the store, or make it.
+    """Open the store, or create it.
 
     Parameters
     ----------
@@ -231,7 +232,7 @@ def open_store(path: Path, durable: bool = False) -> sqlite3.Connection:
     Raises
     ------
     InputError
-        It is no store, or of another version.
+        The file is not a store, or of another version.
     """
     with _as_store(path):
         store = sqlite3.connect(
@@ -239,7 +240,7 @@ def open_store(path: Path, durable: bool = False) -> sqlite3.Connection:
         )
         store.execute("PRAGMA journal_mode = WAL")
         store.execute(f"PRAGMA synchronous = {'FULL' if durable else 'NORMAL'}")
-        # The service moves the log itself: a commit that does so, from this size on, takes longer.
+        # The service moves the log itself: commits that do so, from this size on, take longer.
         stay_within(store, _LONGEST_LOG)
         store.executescript(_TABLES + RESERVE)
         store.execute(
@@ -251,12 +252,12 @@ def open_store(path: Path, durable: bool = False) -> sqlite3.Connection:
 
 
 def check_store(path: Path) -> None:
-    """Refuse a store that `open_store` would refuse; one that is not there yet is right.
+    """Refuse a store that `open_store` would refuse; a missing store is accepted.
 
     Raises
     ------
     InputError
-        It is no store, or of another version.
+        The file is not a store, or of another version.
     """
     if path.exists():
         with (
@@ -287,7 +288,7 @@ def _check_version(store: sqlite3.Connection, path: Path) -> None:
 
 
 def identity_of(path: Path) -> tuple[int, ...] | None:
-    """Return what tells a store's file and its log from others of their names; None without it."""
+    """Return the inode numbers of a store's file and its log; None if one is missing."""
     try:
         return tuple(path.with_name(path.name + suffix).stat().st_ino for suffix in ("", "-wal"))
     except FileNotFoundError:
@@ -295,7 +296,7 @@ def identity_of(path: Path) -> tuple[int, ...] | None:
 
 
 def era_of(store: sqlite3.Connection, machine: str, model: str, layout: Layout, now: float) -> int:
-    """Return the era of a machine: a new one if its model or layout has changed, or the last.
+    """Return the era of a machine: a new one if its model or layout has changed, else the last.
 
     Parameters
     ----------
@@ -304,9 +305,9 @@ def era_of(store: sqlite3.Connection, machine: str, model: str, layout: Layout, 
     model : str
         Identifies the model.
     layout : Layout
-        What is kept of each sample.
+        Stored values of each sample.
     now : float
-        s since 1970.
+        Present time, s since 1970.
     """
     content = layout_text(layout)
     last = store.execute(
@@ -318,7 +319,7 @@ def era_of(store: sqlite3.Connection, machine: str, model: str, layout: Layout, 
 
 
 def new_era(store: sqlite3.Connection, machine: str, model: str, layout: Layout, now: float) -> int:
-    """Begin another era of a machine, whatever the last one was; parameters as of `era_of`."""
+    """Begin a new era of a machine in any case; parameters as for `era_of`."""
     made = store.execute(
         "INSERT INTO eras (machine, model, layout, begun) VALUES (?, ?, ?, ?)",
         (machine, model, layout_text(layout), now),
@@ -327,9 +328,9 @@ def new_era(store: sqlite3.Connection, machine: str, model: str, layout: Layout,
 
 
 def era_before(store: sqlite3.Connection, era: int) -> tuple[int | None, bool]:
-    """Return the last era before with samples, and whether the estimator's state continues from it.
+    """Return the previous era with samples, and whether the estimator's state continues from it.
 
-    It does if only the axes of the control have changed, on which the state does not depend.
+    The state continues if only the axes of the control have changed, on which it does not depend.
     """
     machine, model, content = store.execute(
         "SELECT machine, model, layout FROM eras WHERE id = ?", (era,)
@@ -385,7 +386,7 @@ def commit(store: sqlite3.Connection, batch: Batch) -> int:
             batch.taken,
         )
         store.executemany(
-            # A state that has waited for a store is no newer than what is there.
+            # A state that waited for a new store does not replace a newer one.
             "INSERT INTO states VALUES (?, ?, ?, ?) ON CONFLICT DO UPDATE SET "
             "number = excluded.number, state = excluded.state, rest = excluded.rest "
             "WHERE excluded.number >= number",
@@ -404,7 +405,7 @@ def commit(store: sqlite3.Connection, batch: Batch) -> int:
         store.executemany(
             "INSERT INTO holes (machine, since, until, why) VALUES (?, ?, ?, ?)", batch.holes
         )
-        # Axes that the settings no longer have keep their last values.
+        # Axes removed from the settings keep their last values.
         store.executemany(
             "INSERT INTO received VALUES (?, ?, ?) ON CONFLICT DO UPDATE SET at = excluded.at, "
             "content = json_patch(content, excluded.content)",
@@ -412,7 +413,7 @@ def commit(store: sqlite3.Connection, batch: Batch) -> int:
         )
         store.execute("COMMIT")
     except BaseException:
-        # A full disk has rolled back already.
+        # On a full disk SQLite has rolled back already.
         if store.in_transaction:
             store.execute("ROLLBACK")
         raise
@@ -447,21 +448,21 @@ def spread(runs: Sequence[tuple[int, str]], count: int) -> list[str]:
 def forget(
     store: sqlite3.Connection, journal_until: int, eras: Iterable[int], oldest: float, now: float
 ) -> None:
-    """Delete what is no longer needed, a little at a time, as commits wait meanwhile.
+    """Delete data no longer needed in small portions, because commits wait meanwhile.
 
     Parameters
     ----------
     store : Connection
     journal_until : int
         Last entry of the journal that is in a checkpoint of every machine; up to `MOST_FORGOTTEN`
-        entries are deleted. What is in no checkpoint, as its machine has another model since a
-        kill or is not served, is kept.
+        entries are deleted. Entries in no checkpoint are kept: their machine has another model
+        since a kill, or is not served.
     eras : iterable of int
         Eras whose history is pruned now.
     oldest : float
-        How long history, holes and events are kept, s.
+        Time for which history, holes and events are kept, s.
     now : float
-        s since 1970.
+        Present time, s since 1970.
     """
     store.execute("BEGIN IMMEDIATE")
     _move_ended(store, journal_until)
@@ -484,7 +485,7 @@ def forget(
 
 
 def _move_ended(store: sqlite3.Connection, until: int) -> None:
-    """Move samples that no checkpoint will have into chunks: another era has a state already."""
+    """Move samples of ended eras into chunks: a later era has a state, so no checkpoint will."""
     ended = store.execute(
         f"SELECT id, era, number, row, status FROM journal WHERE id <= ? AND {IN_NO_CHUNK} AND "
         "EXISTS (SELECT 1 FROM eras AS own JOIN eras AS next ON next.machine = own.machine AND "
@@ -530,7 +531,7 @@ def layout_text(layout: Layout) -> str:
 
 
 def layout_from(text: str) -> Layout:
-    """Return the layout that `layout_text` wrote."""
+    """Return the layout from the JSON of `layout_text`."""
     content = json.loads(text)
     return Layout(
         axes=tuple(content["axes"]),

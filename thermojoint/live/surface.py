@@ -1,9 +1,10 @@
 """Surface of a joint-aware model's machine with temperatures and pressures, for display.
 
-A model has no mesh. A surface file has the part of the mesh that a picture needs: the outer faces,
-the map from the model's amplitudes to the temperature at their corners, and the contact elements:
+A model has no mesh. A surface file contains the part of the mesh that a picture needs: the outer
+faces, the map from the model's amplitudes to the temperature at their corners, and the contact
+elements:
 
-    T = rows a,   rows = (basis of the case at the corners) (turn to the model's modes).
+    T = rows a,   rows = (basis of the case at the corners) (rotation to the model's modes).
 """
 
 from __future__ import annotations
@@ -31,9 +32,9 @@ from thermojoint.reduced.parameters import with_factors
 
 SCHEMA = "thermojoint-surface"
 SCHEMA_VERSION = 1
-#: Relative difference below which rates are equal: their modes may be rotated into each other.
+#: Relative difference below which rates count as equal: their modes may be any rotation.
 ALIKE = 1e-6
-#: Relative difference to which the modes must reproduce the model's sensors and sources.
+#: Relative tolerance to which the modes must reproduce the model's sensors and sources.
 SAME = 1e-5
 _ARRAYS = ("points", "triangles", "rows", "contact_points", "contact_triangles", "contacts", "up")
 
@@ -42,20 +43,20 @@ _ARRAYS = ("points", "triangles", "rows", "contact_points", "contact_triangles",
 class Surface:
     """Data of a picture; n corners, t triangles, r modes."""
 
-    #: Fingerprint of the model it belongs to.
+    #: Fingerprint of its model.
     model: str
-    #: Shape (n, 3): m.
+    #: Shape (n, 3): corners, m.
     points: Array
-    #: Shape (t, 3): corners.
+    #: Shape (t, 3): indices of corners.
     triangles: NDArray[np.int64]
     #: Shape (n, r): temperature at the corners per amplitude, single precision.
     rows: NDArray[np.float32]
-    #: The same of side a of all joints.
+    #: The same for side a of all joints.
     contact_points: Array
     contact_triangles: NDArray[np.int64]
     #: Contact element of each of these triangles.
     contacts: NDArray[np.int64]
-    #: Shape (3,): direction that is up.
+    #: Shape (3,): upward direction.
     up: Array
 
 
@@ -65,13 +66,13 @@ def surface_of(case: Case, setup: Setup, model: ObserverModel, up: Array) -> Sur
     Parameters
     ----------
     case : Case
-        With which the model was calibrated.
+        Case with which the model was calibrated.
     setup : Setup
-        Of this case.
+        Setup of this case.
     model : ObserverModel
-        Joint-aware.
+        Joint-aware model.
     up : ndarray, shape (3,)
-        Direction that is up.
+        Upward direction.
 
     Raises
     ------
@@ -94,7 +95,7 @@ def surface_of(case: Case, setup: Setup, model: ObserverModel, up: Array) -> Sur
         model=fingerprint(model),
         points=outside.points,
         triangles=outside.corners,
-        # Modes of sensors that lag, the last ones, are no temperature of the machine.
+        # The last modes, of sensors with a lag, are not temperatures of the machine.
         rows=np.asarray(
             setup.modes.basis[outside.of] @ turn @ aligned[: rates.size, : rates.size],
             dtype=np.float32,
@@ -107,7 +108,7 @@ def surface_of(case: Case, setup: Setup, model: ObserverModel, up: Array) -> Sur
 
 
 def _alike(modes: Modes, model: Modes) -> bool:
-    """Return whether modes have the shapes and rates of a model's modes."""
+    """Return whether modes have the array shapes and rates of a model's modes."""
     return (
         modes.rates.shape == model.rates.shape
         and modes.jump.shape == model.jump.shape

@@ -1,1 +1,1 @@
-"""The pages that a browser shows: HTML, styles, scripts; plotly.js from the Python package."""
+"""The pages for a browser: HTML, styles, scripts; plotly.js from the Python package."""

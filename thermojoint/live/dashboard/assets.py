@@ -1,7 +1,7 @@
 """Assets of the pages: styles, scripts and plotly.js, in memory, compressed.
 
-Their addresses in the pages contain a digest, so that a browser caches each file exactly as long as
-it stays the same.
+Their URLs in the pages contain a digest, so that a browser caches each file exactly as long as it
+is unchanged.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from hashlib import sha256
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 
-#: Files of the log-in page, which need no log-in.
+#: Files of the log-in page, served without log-in.
 OPEN = ("dashboard.css", "theme.js", "icon.svg")
 _OWN = (*OPEN, "common.js", "overview.js", "machine.js", "charts.js", "scene.js")
 _KINDS = {
@@ -28,18 +28,18 @@ PLOTLY = "plotly.min.js"
 class Asset:
     """One file."""
 
-    #: Its media type.
+    #: Media type.
     kind: str
-    #: As it is, and by gzip.
+    #: Content as it is, and compressed by gzip.
     plain: bytes
     packed: bytes
-    #: The start of its SHA-256.
+    #: Beginning of its SHA-256.
     digest: str
 
 
 @cache
 def asset(name: str) -> Asset | None:
-    """Return a file by its name; None if no file has this name."""
+    """Return a file by its name; None if there is none."""
     if name == PLOTLY:
         file = files("plotly").joinpath("package_data", PLOTLY)
     elif name in _OWN:
@@ -57,7 +57,7 @@ def packed(file: Traversable) -> Asset:
 
 
 def address(name: str) -> str:
-    """Return where a page finds a file: ``/assets/DIGEST/NAME``."""
+    """Return the URL path of a file: ``/assets/DIGEST/NAME``."""
     content = asset(name)
     assert content is not None, name
     return f"/assets/{content.digest}/{name}"

@@ -1,4 +1,4 @@
-"""The pages, filled in."""
+"""The pages, rendered from their templates."""
 
 from __future__ import annotations
 

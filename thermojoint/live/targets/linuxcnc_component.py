@@ -60,7 +60,7 @@ class Limits(NamedTuple):
 
 
 class Word(NamedTuple):
-    """Last message of the service: time (s), and offset of every axis (µm) or None if it has none."""
+    """Last message of the service: its time (s), and offsets by axis (µm) or None without any."""
 
     at: float
     offsets: Mapping[str, float] | None
