@@ -128,8 +128,8 @@ def assemble(
     InputError
         The model's parts do not fit together, a rate is not positive, or an inverse is unstable.
     ConvergenceError
-        An inverse filter has no usable approximation. One that misses the tolerance is used;
-        `Assembly.error` states how far it is off.
+        An inverse filter has no usable approximation. An approximation that misses the tolerance is
+        used; `Assembly.error` states its error.
     """
     table = model.linear
     axes, sensors = tuple(table.deformation), tuple(table.direct)

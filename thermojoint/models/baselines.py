@@ -89,12 +89,12 @@ def write_baselines(baselines: Baselines, path: Path) -> None:
 
 
 def read_baselines(path: Path) -> Baselines:
-    """Read baselines that `write_baselines` wrote.
+    """Read baselines written by `write_baselines`.
 
     Raises
     ------
     InputError
-        The file is missing, truncated, of another kind or version, or its parts do not fit.
+        The file is missing, truncated, of another kind or version, or its parts do not match.
     """
     content = read_json(path, FILE)
     baselines = validated(_BASELINES, content, str(path), FILE.remedy)

@@ -41,7 +41,7 @@ FILE = JsonKind(
 
 #: Name of the mean displacement in the comparison of kinds of models.
 MEAN = "mean"
-#: Name of the given model as it is, with a zero of this log, in the same comparison.
+#: Name of the given model, unchanged but for a zero from this log, in the same comparison.
 SISTER = "sister"
 #: A kind is preferred to the requested one if its error is below this fraction of the other's.
 _BETTER = 0.9
@@ -75,13 +75,13 @@ class Feature:
 
 @dataclass(frozen=True)
 class LearnedSlope:
-    """How a displacement changes with the position of an axis: slope = zero + Σ_f v_f φ_f."""
+    """Change of a displacement with the position of an axis: slope = zero + Σ_f v_f φ_f."""
 
     __pydantic_config__ = STRICT
 
     #: Column of the position, with its unit.
     position: str
-    #: P0, m: there the displacement is that of the channel, K0.
+    #: P0, m, where the displacement equals that of the channel, K0.
     reference: float
     #: Smallest and largest position that was read, m.
     stroke: tuple[float, float]
@@ -95,7 +95,7 @@ class LearnedSlope:
 
 @dataclass(frozen=True)
 class LearnedChannel:
-    """One displacement; with a slope, that at the reference position."""
+    """One displacement; with a slope, the displacement at the reference position."""
 
     __pydantic_config__ = STRICT
 
@@ -113,7 +113,7 @@ class LearnedChannel:
     span: tuple[float, float]
     #: Factor on the band so that it covers the held-out blocks.
     widening: PositiveFloat = 1.0
-    #: If it was read at several positions of an axis.
+    #: Slope, if the displacement was read at several positions of an axis.
     slope: LearnedSlope | None = None
 
 
@@ -132,7 +132,7 @@ class LearnedFrom:
     #: Limitations of the log.
     warnings: tuple[str, ...] = ()
     #: Kind of model to the rms error of each displacement on all held-out blocks, and on the worst
-    #: one, µm; `MEAN` is the mean displacement without a model, `SISTER` a given model as it is.
+    #: one, µm; `MEAN` is the mean displacement without a model, `SISTER` an unchanged given model.
     errors_um: dict[str, tuple[float, ...]] = field(default_factory=dict)
     worst_um: dict[str, tuple[float, ...]] = field(default_factory=dict)
     #: Package to version.
@@ -141,7 +141,7 @@ class LearnedFrom:
     def best(self, own: str) -> str:
         """Return the kind to use: `own` unless another is better on every displacement.
 
-        Compared by the error on the worst held-out block. A kind that is better on some
+        Kinds are compared by the error on the worst held-out block. A kind that is better on some
         displacements only may be so by chance.
         """
         if own not in self.worst_um:
@@ -272,7 +272,7 @@ class LearnedModel(Described):
 
     @cached_property
     def signal_ranges(self) -> Array:
-        """Width of the range of each feature's signal in the log; of a heat, from zero."""
+        """Width of the range of each feature's signal in the log; for a heat, from zero."""
         ends = np.array([self.spans[name] for name in self.columns]).T
         low, high = signals(self.features, self.columns, ends)
         return np.where(self.heats, np.maximum(low, high), high - low)
@@ -348,7 +348,7 @@ def read_learned(path: Path | str) -> LearnedModel:
     Raises
     ------
     InputError
-        The file is missing, truncated, of another kind or version, or its parts do not fit.
+        The file is missing, truncated, of another kind or version, or its parts do not match.
     """
     content = read_json(path, FILE)
     model = validated(_MODEL, content, str(path), FILE.remedy)

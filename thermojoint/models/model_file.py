@@ -22,7 +22,7 @@ from thermojoint.models.sensors import HEAT_SENSORS
 FILE = JsonKind(
     "thermojoint-model", 3, "model", "written by 'thermojoint calibrate'", "calibrate again"
 )
-#: Kind of estimator: the paper's.
+#: Kind of estimator: the one of the paper.
 KIND = "fchs"
 #: Written into every file; heat input and strengths are dimensionless.
 UNITS = {

@@ -15,7 +15,7 @@ from pydantic import ConfigDict, NonNegativeFloat, PositiveFloat
 
 from thermojoint.artefacts.display import Described
 
-#: A file is refused for an unknown key, a number given as text, NaN and infinity.
+#: Unknown keys, numbers given as text, NaN and infinity are refused.
 STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
@@ -104,12 +104,12 @@ class FictitiousSource:
 
     __pydantic_config__ = STRICT
 
-    #: As in `RingModel`; the distances are in `Model.distances`.
+    #: Parameters as in `RingModel`; the distances are in `Model.distances`.
     K: float
     a: PositiveFloat
     alpha: PositiveFloat
     r0: PositiveFloat
-    #: Calibration heat input to the source's step strength q there.
+    #: Calibration heat input to the source's step strength q at this input.
     strengths: dict[float, float]
     #: f_R of its inverse.
     regularisation: Regularisation
@@ -155,8 +155,8 @@ class Model(Described):
         Role ("a", "b", "T1", "T2") to the position in m.
     reference_power_W : float
         Heat at heat input 1, W, as stated in the reference response. A simulated response states
-        the case's value: for one source per source or total, by its ``reading``; for several their
-        sum.
+        the case's value: for a single source the power per source or in total, depending on its
+        ``reading``; for several sources their sum.
     span : Span
         Calibrated ranges.
     leak : float

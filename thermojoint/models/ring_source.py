@@ -93,7 +93,7 @@ def _kernel_slopes(x: np.ndarray, a: float, r: float, r0: float) -> tuple[np.nda
 def _cumulative(
     x: np.ndarray, r: float, r0: float, integrands: Callable[[np.ndarray], tuple[np.ndarray, ...]]
 ) -> list[np.ndarray]:
-    """Return ∫ g(x') dx'/x' from 0 to each x for each g that `integrands` gives.
+    """Return ∫ g(x') dx'/x' from 0 to each x for each g of `integrands`.
 
     Parameters
     ----------

@@ -131,7 +131,7 @@ def roles_in(response: xr.Dataset, model: Model) -> dict[str, str]:
     roles = {}
     for role in (*HEAT_SENSORS, *model.linear.direct):
         if "probe_position" not in response or role not in model.sensors:
-            roles[role] = role  # whether it exists is checked where it is read
+            roles[role] = role  # its existence is checked on reading
             continue
         apart = response["probe_position"].to_numpy() - np.asarray(model.sensors[role])
         distance = np.linalg.norm(apart, axis=1)

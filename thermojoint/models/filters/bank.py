@@ -42,7 +42,7 @@ class Bank:
     slope: np.ndarray
     #: λ of the high-pass s/(s + λ) at the inputs, 1/s; 0 for none.
     leak: float = 0.0
-    #: Largest relative error of the rational approximation that it is; 0 for an exact bank.
+    #: Largest relative error if the bank is a rational approximation; 0 for an exact bank.
     error: float = 0.0
 
     def __post_init__(self) -> None:
@@ -216,7 +216,7 @@ def simple_bank(poles: np.ndarray, gains: np.ndarray) -> Bank:
 
 
 def stacked(banks: list[Bank]) -> Bank:
-    """Return the bank whose outputs are those of `banks`, one below the other, on shared inputs.
+    """Return the bank with the outputs of `banks`, one below the other, on shared inputs.
 
     Leaking banks cannot be combined; combine them first, then add the leak.
     """

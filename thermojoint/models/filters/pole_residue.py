@@ -150,7 +150,7 @@ def _sample(
 def _fit(
     transfer: Transfer, proper: bool, band: tuple[float, float], tolerance: float, what: str
 ) -> PoleResidue:
-    """Raise the number of poles until the weighted error is below `tolerance`; else the best."""
+    """Increase the number of poles until the weighted error is below `tolerance`; else the best."""
     frequencies, values = _sample(transfer, band, what)
     size = np.linalg.norm(values, axis=(1, 2))
     weight = 1.0 / size if proper else np.full(frequencies.size, 1.0 / size.max())
