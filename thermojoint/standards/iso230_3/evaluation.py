@@ -19,12 +19,12 @@ class Evaluation:
     """Result of evaluating a record."""
 
     protocol: Protocol
-    #: Of the test.
+    #: Parameters of the test.
     period: Period
     parameters: tuple[Parameter, ...]
     #: Channel to range over the last 60 min, relative to the first 60 min; empty for ETVE.
     unsettled: dict[str, float]
-    #: Symbol of a parameter to its uncertainty; empty if nothing is said of the instruments.
+    #: Symbol of a parameter to its uncertainty; empty if the instruments are not described.
     uncertainties: Mapping[str, Uncertainty] = field(default_factory=dict)
 
 
@@ -36,7 +36,7 @@ def evaluate(
     Parameters
     ----------
     protocol : Protocol
-        Which test was recorded.
+        The recorded test.
     record : Record
     begin, end : float, optional
         Start and end of the running period, s. Default: from the first to the last motion of the
@@ -45,8 +45,8 @@ def evaluate(
     Raises
     ------
     InputError
-        The record does not cover the test, it is not known which drive tells the running period, or
-        a period is given for ETVE.
+        The record does not cover the test, the drive that defines the running period is ambiguous,
+        or a period is given for ETVE.
     """
     if protocol is Protocol.ETVE:
         if begin is not None or end is not None:
@@ -70,7 +70,7 @@ def _usual(record: Record) -> Period:
 def with_uncertainties(
     evaluation: Evaluation, record: Record, instruments: Instruments
 ) -> Evaluation:
-    """Return an evaluation with the uncertainty of every parameter that instruments measured.
+    """Return an evaluation with the uncertainty of every measured parameter.
 
     Raises
     ------

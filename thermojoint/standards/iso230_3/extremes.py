@@ -14,7 +14,7 @@ from thermojoint.artefacts.errors import InputError
 class Extremes:
     """Extremes of a signal."""
 
-    #: In the signal's unit.
+    #: Values in the signal's unit.
     low: float
     high: float
     #: Their times, s.
@@ -37,7 +37,7 @@ def extremes(times: Array, values: Array, begin: float, end: float, name: str) -
     times : ndarray, shape (n,)
         s, strictly increasing.
     values : ndarray, shape (n,)
-        NaN where nothing was read.
+        NaN for missing readings.
     begin, end : float
         s.
     name : str

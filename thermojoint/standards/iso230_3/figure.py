@@ -27,9 +27,9 @@ SHOWN: dict[Quantity, tuple[float, str, str]] = {
 _STYLES = ("-", "--", "-.", ":")
 #: Time shown before and after the test, relative to its length.
 _BEFORE, _AFTER = 0.1, 0.5
-#: Width of the column of a range, and of all of them at most, relative to the panel.
+#: Width of the column of a range, and largest width of all columns, relative to the panel.
 _COLUMN, _COLUMNS = 0.06, 0.6
-#: Of more ranges than this in a panel, only those over the whole period are drawn.
+#: In a panel with more ranges than this, only those over the whole period are drawn.
 _MOST = 8
 #: Space between a label and its arrow, pt.
 _GAP = 3.5
@@ -38,9 +38,9 @@ _GAP = 3.5
 def figure_of(record: Record, evaluation: Evaluation) -> Figure:
     """Return the figure: a panel for each quantity, one above the other, time in hours.
 
-    Right of the curves an arrow spans the range of each displacement and tilt over each period, or
-    of many only over the whole; its ends are dots on the curves. Upright lines are the ends of the
-    periods.
+    To the right of the curves an arrow spans the range of each displacement and tilt over each
+    period (with many ranges only over the whole one); dots on the curves mark its ends. Vertical
+    lines are the ends of the periods.
     """
     groups: list[tuple[Quantity, Mapping[str, Array]]] = [("displacement", record.displacements)]
     if record.tilts:
@@ -111,7 +111,7 @@ def _mark_ranges(
 ) -> None:
     """Draw an arrow from the lowest to the highest value of a period, each in its own column.
 
-    `columns` is where they begin, and their width, s.
+    `columns` is the start of the columns, and their width, s.
     """
     last, width = columns
     for column, parameter in enumerate(parameters, start=1):

@@ -1,4 +1,4 @@
-"""What is known of the instruments of a test: limits of error, drift, holder, repeated tests."""
+"""Properties of the instruments of a test: limits of error, drift, holder, repeated tests."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from thermojoint.artefacts.units import MICRO, MILLI
 
 @dataclass(frozen=True)
 class Known:
-    """A value in SI, and where it comes from."""
+    """A value in SI, and its origin."""
 
     value: float
     basis: str
@@ -21,13 +21,13 @@ class Known:
 
 @dataclass(frozen=True)
 class Holder:
-    """What carries a probe."""
+    """Holder of a probe."""
 
-    #: By which its temperature moves the probe, m/K: length times expansion.
+    #: Displacement of the probe per temperature of the holder, m/K: length times expansion.
     growth: float
-    #: Range of its temperature in the test, K, or the channel of the record that has it.
+    #: Range of its temperature in the test, K, or the channel of the record with its temperature.
     rise: float | str
-    #: Where this comes from.
+    #: Origin of these values.
     basis: str
 
 
@@ -45,7 +45,7 @@ class Instruments:
     #: Quantity to standard deviation of a parameter over repeated tests, m, rad, K; without it, the
     #: scatter of the readings counts.
     repeat: Mapping[str, Known] = field(default_factory=dict)
-    #: None leaves its expansion out.
+    #: None neglects its expansion.
     holder: Holder | None = None
 
 
@@ -89,7 +89,7 @@ class InstrumentsFile(Section):
 
 
 def read_instruments(path: Path) -> Instruments:
-    """Read the instruments of a test (TOML); what it lacks is assumed as in `Instruments`.
+    """Read the instruments of a test (TOML); missing values are taken from `Instruments`.
 
     Raises
     ------

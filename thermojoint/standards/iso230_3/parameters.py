@@ -33,7 +33,7 @@ class Parameter:
     channel: str
     #: Period of the range.
     period: Period
-    #: Its `range` is the value.
+    #: Extremes; their `range` is the value.
     extremes: Extremes
 
     @property
@@ -96,7 +96,8 @@ def distortion(record: Record, period: Period) -> tuple[Parameter, ...]:
 def unsettled(record: Record, period: Period) -> dict[str, float]:
     """Return the range over the last 60 min relative to that over the first 60 min, by channel.
 
-    Small for a test that has reached a steady state; left out if the first range is zero.
+    The ratio is small for a test that has reached a steady state; omitted if the first range is
+    zero.
     """
     length = min(FIRST, period.length)
     first = Period(period.begin, period.begin + length)

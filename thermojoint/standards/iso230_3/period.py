@@ -31,7 +31,7 @@ def whole(record: Record) -> Period:
 def running(times: Array, drive: Array) -> Period:
     """Return the period from the first to the last motion.
 
-    Stops in between are included: a spectrum of speeds has some.
+    Stops in between, as in a spectrum of speeds, are included.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def asked_for(record: Record, usual: Period, begin: float | None, end: float | N
     Raises
     ------
     InputError
-        It ends before it starts, or lies outside the record.
+        The period ends before it starts, or lies outside the record.
     """
     period = Period(usual.begin if begin is None else begin, usual.end if end is None else end)
     first, last = whole(record)

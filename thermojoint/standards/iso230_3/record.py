@@ -26,8 +26,8 @@ TURNS = {"x": "A", "y": "B", "z": "C"}
 MOST_PROBES = 6
 #: Celsius' zero, K.
 _ICE = 273.15
-#: An axis with less displacement or rotation than this counts as unmoved, m, rad, e.g. across a
-#: plane of symmetry.
+#: An axis with a smaller displacement (m) or rotation (rad) counts as unmoved, e.g. across a plane
+#: of symmetry.
 STILL = 1e-12
 
 
@@ -43,13 +43,13 @@ class Record:
     temperatures: Mapping[str, Array]
     #: Channel to angle, rad, shape (n,); see `with_tilts`.
     tilts: Mapping[str, Array] = field(default_factory=dict)
-    #: Shape (n,): speed or heat input: 0 at standstill.
+    #: Shape (n,): speed or heat input, 0 at standstill.
     drive: Array | None = None
-    #: Columns that may be the drive, where it is not known which.
+    #: Candidate columns for the drive, if it is ambiguous.
     drives: tuple[str, ...] = ()
     #: Time of the first sample, s since 1970; NaN for a clock without a date.
     began: float = math.nan
-    #: Tilt to the distance of the two probes that it is from, m.
+    #: Tilt to the distance of its two probes, m.
     distances: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -125,8 +125,8 @@ def log_record(
     temperatures : list of str, optional
         Columns; default every temperature.
     speed : str, optional
-        Column that is 0 at standstill; default the speed, if there is exactly one. Of several it is
-        not known which.
+        Column that is 0 at standstill; default the speed, if there is exactly one;
+        of several it is ambiguous.
 
     Raises
     ------
@@ -160,7 +160,7 @@ def log_record(
 
 
 def _by_base(log: Log, names: Iterable[str]) -> dict[str, str]:
-    """Return columns by their name without unit, which is that of a channel."""
+    """Return columns by their name without unit, which is the name of a channel."""
     found: dict[str, str] = {}
     for name in names:
         base = log.columns[log.index(name)].base
@@ -192,7 +192,7 @@ def with_second(record: Record, second: Record) -> Record:
     Raises
     ------
     InputError
-        The times differ, also by their dates, or a name exists already.
+        The times or dates differ, or a name exists already.
     """
     same = record.times.shape == second.times.shape and np.allclose(
         record.times, second.times, rtol=1e-9, atol=1e-6

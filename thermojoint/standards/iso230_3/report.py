@@ -53,7 +53,7 @@ def report_html(
 
 
 def bases(rows: Iterable[Mapping[str, Any]]) -> list[tuple[str, str]]:
-    """Return each source of uncertainty of some parameters with what it is based on, once."""
+    """Return each source of uncertainty of some parameters with its basis, once."""
     told = [
         (one["source"], one["basis"])
         for row in rows

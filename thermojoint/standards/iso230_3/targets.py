@@ -1,4 +1,4 @@
-"""Where a response is read: where its axes stand, or at the two targets of the axis that moves."""
+"""Places where a response is read: its axis positions, or the two targets of a moving axis."""
 
 from __future__ import annotations
 
@@ -27,8 +27,9 @@ class Reading(NamedTuple):
 def read_at(response: xr.Dataset) -> list[Reading]:
     """Return the readings of a response.
 
-    While one axis moves, those at its two targets: the lowest and the highest position that its
-    case asks about, each as if the axis stood there. Otherwise those of the response.
+    If one axis moves, these are the readings at its two targets: the lowest and the highest
+    requested position of its case, each as if the axis stood there. Otherwise they are the
+    displacements of the response.
 
     Raises
     ------
@@ -62,9 +63,9 @@ def _values(response: xr.Dataset, name: str) -> Array | None:
 
 
 def driven(response: xr.Dataset) -> Array:
-    """Return what is 0 where nothing runs: heat input, heat of running friction, way of the axes.
+    """Return a signal that is 0 at standstill: sum of heat input, running friction and axis travel.
 
-    An axis that moves to and fro within a step ends it where it was; its friction is told then.
+    An axis that moves to and fro within a step has no net travel; its friction shows the motion.
     """
     drive: Array = np.abs(response["heat_input"].to_numpy().astype(float))
     if "axis_position" not in response:

@@ -1,8 +1,8 @@
 """Uncertainty of a parameter: standard uncertainties, combined, times two, by the GUM.
 
-A parameter is the difference of two readings of one channel. What is known of a reading is a limit
-±a of its error, taken as equally probable within: u = a / √3 (JCGM 100:2008). The errors of the two
-readings count as independent, although what they have in common cancels.
+A parameter is the difference of two readings of one channel. The error of a reading is assumed to
+be uniformly distributed within a known limit ±a: u = a / √3 (JCGM 100:2008). The errors of the two
+readings count as independent, although their common part cancels.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from thermojoint.standards.iso230_3.record import Record
 
 #: Coverage factor: about 95 % for a normal distribution.
 COVERAGE = 2.0
-#: Relative to the largest reading: values that differ by less are the same one.
+#: Values whose difference, relative to the largest reading, is smaller count as equal.
 ROUNDING = 1e-9
 #: Standard deviation of a normal distribution over the median of its absolute value.
 _MEDIAN = 1.4826
@@ -34,9 +34,9 @@ class Contribution:
 
     #: E.g. ``probe``.
     source: str
-    #: Standard uncertainty of the parameter from it, m, rad or K.
+    #: Standard uncertainty of the parameter due to it, m, rad or K.
     standard: float
-    #: Where it comes from.
+    #: Basis of the value.
     basis: str
 
 
@@ -60,7 +60,7 @@ class Uncertainty:
 def uncertainty(
     record: Record, parameter: Parameter, instruments: Instruments
 ) -> Uncertainty | None:
-    """Return the uncertainty of a parameter; None for a tilt that no two probes measured.
+    """Return the uncertainty of a parameter; None for a tilt not measured by two probes.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def uncertainty(
     elif (distance := record.distances.get(parameter.channel)) is None:
         return None
     else:
-        # Two probes of independent errors, and their distance, which scales the tilt.
+        # Two probes with independent errors, and their distance, which scales the tilt.
         own = [
             Contribution(one.source, math.sqrt(2.0) * one.standard / distance, one.basis)
             for one in _probed(record, parameter, instruments)
@@ -94,7 +94,7 @@ def _of_two(limit: float) -> float:
 def _probed(
     record: Record, parameter: Parameter, instruments: Instruments
 ) -> Iterator[Contribution]:
-    """Contributions of one probe, m. Drift and holder are somewhere within their range."""
+    """Contributions of one probe, m; drift and holder are uniformly distributed in their range."""
     yield Contribution("probe", _of_two(instruments.probe.value), instruments.probe.basis)
     drift = instruments.drift
     yield Contribution("drift of the probe", _of_two(0.5 * drift.value), drift.basis)
@@ -130,14 +130,15 @@ def scatter(times: Array, values: Array) -> float:
     """Return the standard deviation of single readings about a smooth course, in their unit.
 
     Each reading is compared with the straight line between its neighbours; the median of the
-    departures does not know a few sudden changes. At least that of the resolution q, q / √12.
+    deviations is insensitive to a few sudden changes. The result is at least q / √12 for a
+    resolution q.
 
     Parameters
     ----------
     times : ndarray, shape (n,)
         s, strictly increasing.
     values : ndarray, shape (n,)
-        NaN where nothing was read.
+        NaN for missing readings.
     """
     read = np.isfinite(values)
     t, v = times[read], values[read]
@@ -147,7 +148,7 @@ def scatter(times: Array, values: Array) -> float:
     departures = v[1:-1] - (1.0 - share) * v[:-2] - share * v[2:]
     single = np.abs(departures) / np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)
     steps = np.diff(np.unique(v))
-    # Tilts of the same difference of readings differ in their last digits.
+    # Tilts from equal differences of readings differ in their last digits.
     steps = steps[steps > ROUNDING * np.abs(v).max()]
     resolution = float(steps.min()) if steps.size else 0.0
     return max(_MEDIAN * float(np.median(single)), resolution / math.sqrt(12.0))
