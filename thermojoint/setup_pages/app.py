@@ -1,4 +1,4 @@
-"""The application: every page of the table is shown by GET and acts by POST."""
+"""The application: GET shows a page of the table, POST performs its action."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from thermojoint.setup_pages.place import SHOWN, ExistsError, Given, Place
 from thermojoint.setup_pages.settings_files import RefusedError
 from thermojoint.setup_pages.uploads import LARGEST_PIECE, take_piece
 
-#: Largest form, bytes, and most values in it.
+#: Largest form, bytes, and largest number of values in it.
 LARGEST_FORM, MOST_VALUES = 1 << 20, 20_000
 #: Files that a browser shows as text.
 _TEXTS = (".csv", ".txt", ".tsv", ".toml", ".json", ".ini", ".former")
@@ -42,11 +42,11 @@ class Page(NamedTuple):
     title: str
     #: ``log`` or ``part``.
     way: str
-    #: From the folder and what was sent: what its template needs.
+    #: Returns the values for its template from the folder and the sent data.
     show: Callable[[Place, Given], dict[str, Any]]
-    #: Acts on what was sent; raises InputError.
+    #: Performs its action with the sent data; raises InputError.
     do: Callable[[Place, Given], None]
-    #: Whether it is done; None: as its record says.
+    #: Whether the step is done; None: according to its record.
     done: Callable[[Place], bool] | None = None
 
 
@@ -113,7 +113,7 @@ def _rendered(place: Place, name: str, **values: Any) -> str:  # noqa: ANN401
         "steps": steps,
         "next": (after[0], PAGES[after[0]].title) if after else None,
         "running": running,
-        # Not a page on which somebody types meanwhile.
+        # Pages on which the user may be typing are not reloaded.
         "reloads": running is not None and (running[0] == name or running[0] not in PAGES),
         "record": record,
         "pictures": [one for one in record.written if one.endswith(".png") and place.has(one)],
@@ -141,7 +141,7 @@ class Site:
         ]
 
     def start(self, request: Request) -> Response:
-        """Return the first page: what the folder holds, and the two ways."""
+        """Return the first page: the files of the folder, and the two ways."""
         place = self.place
         values = {"files": place.all_files(), "models": place.models()}
         return HTMLResponse(_rendered(place, "start", errors={}, ask=(), **values))
@@ -162,7 +162,7 @@ class Site:
         return FileResponse(path, media_type="application/octet-stream", filename=path.name)
 
     async def upload(self, request: Request) -> Response:
-        """Take a piece of a file."""
+        """Receive a piece of a file."""
         body = await body_of(request, LARGEST_PIECE)
         if body is None:
             raise HTTPException(413, "the piece is too large")
@@ -174,12 +174,12 @@ class Site:
         return Response(status_code=204)
 
     def cancel(self, request: Request) -> Response:
-        """Stop what runs."""
+        """Stop the running step."""
         self.place.jobs.cancel()
         return RedirectResponse(f"/{request.path_params['step']}", 303)
 
     async def step(self, request: Request) -> Response:
-        """Show a step, or do what was sent."""
+        """Show a step, or perform its action with the sent data."""
         name = request.path_params["step"]
         if name not in PAGES:
             raise HTTPException(404, "no such page")
@@ -194,7 +194,7 @@ class Site:
         return await anyio.to_thread.run_sync(self._answer, name, given, request.method)
 
     def _answer(self, name: str, given: Given, method: str) -> Response:
-        """Act on what was sent, and show the page: again, where it was refused."""
+        """Perform the action and show the page, again with the sent data if it was refused."""
         errors: Mapping[str, Sequence[str]] = {}
         ask: Sequence[str] = ()
         if method == "POST":
@@ -226,6 +226,6 @@ def make_app(place: Place, key: Key) -> Starlette:
         middleware=[Middleware(Gate, key=key)],
         exception_handlers={ThermojointError: _wrong, HTTPException: _wrong},
     )
-    # It would redirect to whatever host the request names.
+    # It would redirect to the host named in the request.
     made.router.redirect_slashes = False
     return made

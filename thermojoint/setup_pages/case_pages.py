@@ -17,7 +17,7 @@ from thermojoint.setup_pages.settings_files import CASE, form_of, save
 from thermojoint.setup_pages.toml_form import fields_of
 
 FACES, NAMES, MESH = "faces.toml", "names.toml", "part.msh"
-#: Meshes that the steps make.
+#: Meshes created by the steps.
 _OWN = ("faces.msh", MESH)
 _NAME = re.compile(r"[A-Za-z0-9_.+-]{1,64}")
 _DEFORMED = "--show=deformation"
@@ -27,17 +27,17 @@ _SECTIONS = ("bodies_mm", "joints", "surfaces_mm")
 class Named(NamedTuple):
     """A body, a joint or a face of the part."""
 
-    #: Its place in the draft, ``SECTION:NAME``; its name in the form.
+    #: Place in the draft, ``SECTION:NAME``; also the name in the form.
     key: str
-    #: What the draft has: points, or bodies.
+    #: Value in the draft: points, or bodies.
     value: Any
     hint: str
-    #: Given to it; empty for a face that has none.
+    #: Given name; empty for a face without one.
     name: str
 
 
 def _source(place: Place) -> str:
-    """Return the part or mesh that was chosen last; empty without one."""
+    """Return the part or mesh chosen last; empty without one."""
     return next((name for name in place.record("part").read if place.has(name)), "")
 
 
@@ -48,7 +48,7 @@ def _size(place: Place) -> str:
 
 
 def show_part(place: Place, given: Given) -> dict[str, Any]:
-    """Return what the page of the part shows."""
+    """Return the content of the page of the part."""
     parts = place.files(*CAD) + [name for name in place.files(*MESHES) if name not in _OWN]
     return {
         "parts": parts,
@@ -60,7 +60,7 @@ def show_part(place: Place, given: Given) -> dict[str, Any]:
 
 
 def do_part(place: Place, given: Given) -> None:
-    """Number the faces of a part, or look at a mesh."""
+    """Number the faces of a part, or inspect a mesh."""
     part = place.existing(one(given, "part"))
     if Path(part).suffix.lower() not in CAD:
         unit = chosen(given, "unit", [*UNITS], "unit")
@@ -85,7 +85,7 @@ def _is_length(text: str) -> bool:
 
 
 def _named(place: Place, given: Given) -> list[Named]:
-    """Return bodies, joints and faces of the draft, with the names that they have been given."""
+    """Return bodies, joints and faces of the draft, with their given names."""
     if not place.has(FACES):
         return []
     before = toml.parse(place.text(NAMES), NAMES)
@@ -110,7 +110,7 @@ def _named(place: Place, given: Given) -> list[Named]:
 
 
 def show_names(place: Place, given: Given) -> dict[str, Any]:
-    """Return what the page of the names shows."""
+    """Return the content of the page of the names."""
     rows = _named(place, given)
     return {
         "mesh": Path(_source(place)).suffix.lower() in MESHES and _source(place),
@@ -175,12 +175,12 @@ def is_named(place: Place) -> bool:
 
 
 def show_case(place: Place, given: Given) -> dict[str, Any]:
-    """Return what the page of the case shows."""
+    """Return the content of the page of the case."""
     return {"form": form_of(place, CASE, given), "named": is_named(place)}
 
 
 def do_case(place: Place, given: Given) -> None:
-    """Save the case and draw it, or begin it anew."""
+    """Save the case and draw it, or create it anew."""
     if "begin" not in given:
         save(place, given)
         place.run("case", given, ["inspect", CASE, "--out=machine.png"])
@@ -197,13 +197,13 @@ def do_case(place: Place, given: Given) -> None:
 
 
 def show_result(place: Place, given: Given) -> dict[str, Any]:
-    """Return what the page of the result shows."""
+    """Return the content of the page of the result."""
     deformed = [words for words in place.record("result").commands if _DEFORMED in words]
     return {"case": place.has(CASE), "deformed": bool(deformed) or "deformed" in given}
 
 
 def do_result(place: Place, given: Given) -> None:
-    """Simulate the case, and draw its curves and, if that is asked, its deformation."""
+    """Simulate the case, and draw its curves and, if requested, its deformation."""
     place.existing(CASE)
     deformed = ["view", "machine.nc", _DEFORMED, "--out=deformed.png"]
     place.run(

@@ -45,13 +45,13 @@ from thermojoint.setup_pages.toml_form import changed, fields_of
 
 SOURCES = ("csv", "mqtt", "opcua", "mtconnect")
 PLAIN, LINUXCNC = "plain", "linuxcnc"
-#: What applies the offsets, and how the pages call it.
+#: Kind of control to its name on the pages.
 KINDS: Mapping[str, str] = {
     PLAIN: "plain offsets, which a control or PLC reads by HTTP, OPC UA or MQTT",
     LINUXCNC: "LinuxCNC",
     **{kind: control.title for kind, control in CONTROLS.items()},
 }
-#: Writes of a dry run that a page shows.
+#: Number of writes of a dry run shown on a page.
 SHOWN = 500
 _TOKEN, _CNC_TOKEN, _CNC_DAYS = "dashboard.token", "linuxcnc.token", 365.0
 _AXIS = "axis:"
@@ -73,7 +73,7 @@ def _estimated(place: Place) -> tuple[tuple[str, ...], float]:
 
 
 def show_offsets(place: Place, given: Given) -> dict[str, Any]:
-    """Return what the page of the offsets shows."""
+    """Return the content of the page of the offsets."""
     axes = _estimated(place)[0]
     return {"form": form_of(place, OFFSETS, given), "prefix": _AXIS,
             "axes": {axis: one(given, _AXIS + axis, axis.upper() if len(axis) == 1 else "")
@@ -81,7 +81,7 @@ def show_offsets(place: Place, given: Given) -> dict[str, Any]:
 
 
 def do_offsets(place: Place, given: Given) -> None:
-    """Begin the settings of the offsets, or save them and show what they make of the estimate."""
+    """Create the settings of the offsets, or save them and preview the offsets of the estimate."""
     known, interval = _estimated(place)
     if "begin" in given:
         named = {one(given, _AXIS + axis): axis for axis in known if one(given, _AXIS + axis)}
@@ -100,7 +100,7 @@ def _compensate() -> list[str]:
 
 
 def show_control(place: Place, given: Given) -> dict[str, Any]:
-    """Return what the page of the machine and its control shows."""
+    """Return the content of the page of the machine and its control."""
     service = _service(place)
     return {
         "kinds": KINDS,
@@ -115,12 +115,12 @@ def show_control(place: Place, given: Given) -> dict[str, Any]:
 
 
 def is_complete(place: Place) -> bool:
-    """Whether the files of the service are there, with everything that they name."""
+    """Whether the files of the service and everything named in them exist."""
     return _service(place) is not None and not _missing_secrets(place)
 
 
 def do_control(place: Place, given: Given) -> None:
-    """Begin or save the files of the service and of its target, or keep a password."""
+    """Create or save the files of the service and of its target, or store a password."""
     if "secret" in given:
         name = chosen(given, "secret", _missing_secrets(place), "password")
         _keep_secret(place, name, one(given, "value"))
@@ -159,7 +159,7 @@ def _begin(place: Place, given: Given) -> None:
 
 
 def _service(place: Place) -> Service | None:
-    """Return the service of the file; None without one, or while it has mistakes."""
+    """Return the service of the file; None if the file is missing or has mistakes."""
     if not place.has(SERVICE):
         return None
     try:
@@ -173,7 +173,7 @@ def _machine(service: Service) -> str:
 
 
 def _kind(place: Place) -> str:
-    """Return what applies the offsets, as the files say."""
+    """Return the kind of control according to the files."""
     service = _service(place)
     handshake = service.machines[_machine(service)].handshake if service else None
     if handshake is not None and handshake.by == "target" and place.has(TARGET):
@@ -191,7 +191,7 @@ def _secrets(settings: Any) -> Iterator[Secret]:  # noqa: ANN401 - sections, tab
 
 
 def _missing_secrets(place: Place) -> list[str]:
-    """Return the files of secrets in the folder that the settings name, and that are not there."""
+    """Return the missing files of secrets that the settings locate in the folder."""
     service, named = _service(place), []
     if service is not None:
         named += list(_secrets(service.given))
@@ -218,7 +218,7 @@ def _is_enabled(place: Place) -> bool:
 
 
 def _switch(place: Place, on: bool) -> None:
-    """Enable the target, or disable it; a service that runs follows."""
+    """Enable or disable the target; a running service follows."""
     if _is_enabled(place) == on or not place.has(TARGET):
         return
     text = place.text(TARGET)
@@ -232,7 +232,7 @@ def _switch(place: Place, on: bool) -> None:
 
 
 def show_try(place: Place, given: Given) -> dict[str, Any]:
-    """Return what the page of the dry run shows."""
+    """Return the content of the page of the dry run."""
     kind = _kind(place)
     table = "writes.csv" if kind in CONTROLS else "offsets.csv"
     header, rows, count = _table(place, table)
@@ -268,13 +268,13 @@ def _table(place: Place, name: str) -> tuple[list[str], list[list[str]], int]:
 
 
 def is_tried(place: Place) -> bool:
-    """Whether the dry run has ended well; what is enabled has been tried."""
+    """Whether the dry run has succeeded; an enabled target counts as tried."""
     enabled = _kind(place) in CONTROLS and _is_enabled(place)
     return place.is_done("try") or (enabled and place.record("try").code == 0)
 
 
 def do_try(place: Place, given: Given) -> None:
-    """Try without writing; then enable what was tried, or disable it."""
+    """Make a dry run; then enable or disable the tried target."""
     service, kind = read_service(place.path(place.existing(SERVICE))), _kind(place)
     if "disable" in given:
         _switch(place, False)
@@ -312,7 +312,7 @@ def _linuxcnc(place: Place, service: Service, ini: str) -> list[str]:
 
 
 def _make_cnc_token(place: Place, service: Service) -> None:
-    """Make the token by which the control logs in, unless it is there."""
+    """Create the token by which the control logs in, unless it exists."""
     if place.has(_CNC_TOKEN):
         return
     service.folder.mkdir(parents=True, exist_ok=True)
@@ -326,7 +326,7 @@ def _make_cnc_token(place: Place, service: Service) -> None:
 
 
 def show_run(place: Place, given: Given) -> dict[str, Any]:
-    """Return what the page of the running service shows."""
+    """Return the content of the page of the running service."""
     service = _service(place)
     http = service.given.http if service else None
     scheme = "https" if http and http.security == "tls" else "http"
@@ -342,9 +342,9 @@ def show_run(place: Place, given: Given) -> dict[str, Any]:
 
 
 def _process(place: Place, service: Service | None) -> int | None:
-    """Return the process of the service; None where none runs."""
+    """Return the process of the service; None if it is not running."""
     own = place.jobs.detached
-    # A look at the lock could make a service that just starts believe in another one.
+    # Testing the lock could make a starting service detect another one.
     if own is not None and own.poll() is None:
         return own.pid
     return holder(service.folder) if service is not None else None
@@ -356,7 +356,7 @@ def is_running(place: Place) -> bool:
 
 
 def do_run(place: Place, given: Given) -> None:
-    """Start the service, stop it, or let it read its files again."""
+    """Start the service, stop it, or make it read its files again."""
     service = read_service(place.path(place.existing(SERVICE)))
     process = _process(place, service)
     if "start" in given:

@@ -1,4 +1,4 @@
-"""Who may see the pages: the browser that opened the link which the command printed."""
+"""Access to the pages: only for the browser that opened the link printed by the command."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from thermojoint.live.http.hosts import misdirected
 
 @dataclass(eq=False)
 class Key:
-    """The link's token, good for one browser, and the sessions that such links have begun."""
+    """The link's token, valid for one browser, and the sessions begun by such links."""
 
-    #: Names under which the pages are reached.
+    #: Host names of the pages.
     hosts: frozenset[str]
-    #: Cookies do not tell ports apart, so theirs does.
+    #: Part of the cookie's name, since cookies are shared between ports.
     port: int
-    #: Of the next link.
+    #: Token of the next link.
     token: str = field(default_factory=lambda: secrets.token_urlsafe(32))
     sessions: set[str] = field(default_factory=set)
 
@@ -34,7 +34,7 @@ class Key:
 
     @property
     def link(self) -> str:
-        """What the next browser opens."""
+        """Link for the next browser."""
         return f"http://127.0.0.1:{self.port}/?token={self.token}"
 
     def begun(self, token: str) -> Response | None:
@@ -50,7 +50,7 @@ class Key:
 
 
 class Gate:
-    """Wraps the pages: refuses what must not get in, adds the headers to every response."""
+    """Wrapper of the pages: refuses requests, and adds the headers to every response."""
 
     def __init__(self, app: ASGIApp, key: Key) -> None:
         self.app, self.key = app, key

@@ -1,7 +1,7 @@
-"""Commands of the program run one after the other in the background, with their output on record.
+"""Commands of the program, run one after the other in the background, with recorded output.
 
-The record is a text in the folder: the command lines as a person would type them, what they said,
-and the exit code at the end. A step that was interrupted has none.
+The record is a text file in the folder: the command lines as a person would type them, their
+output, and the exit code at the end. The record of an interrupted step has no exit code.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from typing import IO
 
 from thermojoint.artefacts.errors import InputError
 
-#: A command that does not end this long after SIGTERM is killed, s.
+#: Time after SIGTERM until a command is killed, s.
 PATIENCE_S = 5.0
-#: Most characters of a record that are shown.
+#: Largest number of displayed characters of a record.
 MOST_SHOWN = 20_000
 _WRITTEN = re.compile(r"--(?:out|figure|json|draft|case|faces)=(.*)")
 _READ = re.compile(r"--(?:mapping|settings|offsets|names)=(.*)|([^-].*)")
@@ -34,17 +34,17 @@ Command = Sequence[str]
 
 @dataclass(frozen=True)
 class Record:
-    """What is on record of a step."""
+    """Record of a step."""
 
-    #: Without ``thermojoint``.
+    #: Commands without ``thermojoint``.
     commands: tuple[list[str], ...] = ()
-    #: Command lines and what they said, without the exit code.
+    #: Command lines and their output, without the exit code.
     output: str = ""
-    #: Exit code; None while it runs, or where it was interrupted.
+    #: Exit code; None while the step runs, or if it was interrupted.
     code: int | None = None
-    #: When the record was last written, s since 1970.
+    #: Time when the record was last written, s since 1970.
     ended: float = 0.0
-    #: When its commands began; of earlier pages the end, which is known alone.
+    #: Start of its commands; in records of earlier versions their end, since only that is known.
     begun: float = 0.0
 
     @property
@@ -54,7 +54,7 @@ class Record:
 
     @property
     def read(self) -> list[str]:
-        """Names of the files that they read, and did not write themselves."""
+        """Names of the files that the commands read and did not write themselves."""
         return [name for name in _matched(self.commands, _READ) if name not in self.written]
 
 
@@ -65,7 +65,7 @@ def _matched(commands: Sequence[Command], pattern: re.Pattern[str]) -> list[str]
 
 @dataclass(eq=False)
 class _Run:
-    """Commands that run."""
+    """Running commands."""
 
     step: str
     thread: threading.Thread | None = None
@@ -78,22 +78,22 @@ class Jobs:
     """Commands of the steps, one step at a time."""
 
     def __init__(self, folder: Path) -> None:
-        #: Where the commands run, and where their records are.
+        #: Folder in which the commands run, and folder of their records.
         self.folder, self.records = folder, folder / ".thermojoint-setup"
         self._lock = threading.Lock()
         self._run: _Run | None = None
         self._begun: dict[str, float] = {}
-        #: The command that goes on when the pages end.
+        #: The command that continues when the pages end.
         self.detached: subprocess.Popen[bytes] | None = None
 
     @property
     def running(self) -> tuple[str, float] | None:
-        """The step that runs, and for how long, s."""
+        """The running step, and the time since its start, s."""
         run = self._run
         return (run.step, time.monotonic() - run.begun) if run else None
 
     def check_free(self) -> None:
-        """Refuse to begin what needs a command while a step runs; raises InputError."""
+        """Refuse actions that need a command while a step runs; raises InputError."""
         if (run := self._run) is not None:
             raise InputError(f"{run.step}: still runs; wait for it, or cancel it")
 
@@ -115,7 +115,7 @@ class Jobs:
             run.thread.start()
 
     def record(self, step: str) -> Record:
-        """Return what is on record of a step; empty before its first run."""
+        """Return the record of a step; empty before its first run."""
         path = self.records / f"{step}.log"
         try:
             text, ended = path.read_text("utf-8", "replace"), path.stat().st_mtime
@@ -133,17 +133,17 @@ class Jobs:
         return Record(commands, output, int(end[1]) if end else None, ended, begun)
 
     def all_records(self) -> list[Record]:
-        """Return what is on record of every step."""
+        """Return the records of all steps."""
         return [self.record(path.stem) for path in self.records.glob("*.log")]
 
     def detach(self, name: str, words: Command) -> None:
-        """Start a command that goes on when the pages end; what it says is appended to a record."""
+        """Start a command that continues when the pages end; its output is appended to a record."""
         self.records.mkdir(exist_ok=True)
         with (self.records / f"{name}.log").open("ab", buffering=0) as output:
             self.detached = started(words, self.folder, output)
 
     def detached_output(self, name: str) -> str:
-        """Return the last lines that a detached command has said."""
+        """Return the last output lines of a detached command."""
         try:
             with (self.records / f"{name}.log").open("rb") as file:
                 file.seek(max(0, file.seek(0, 2) - MOST_SHOWN))
@@ -152,7 +152,7 @@ class Jobs:
             return ""
 
     def cancel(self) -> None:
-        """Stop what runs; its commands leave no unfinished file."""
+        """Stop the running step; its commands leave no unfinished file."""
         with self._lock:
             run = self._run
             if run is None:
@@ -165,7 +165,7 @@ class Jobs:
                 killer.start()
 
     def close(self) -> None:
-        """Stop what runs, and wait for its end."""
+        """Stop the running step, and wait for its end."""
         run = self._run
         self.cancel()
         if run is not None and run.thread is not None:
@@ -187,14 +187,14 @@ class Jobs:
                 said = "cancelled\n" if run.cancelled else ""
                 record.write(f"{said}exit code {code or int(run.cancelled)}\n".encode())
         finally:
-            # Also where the disk is full: the record then has no exit code.
+            # Even if the disk is full: the record then has no exit code.
             self._run = None
 
 
 def started(words: Command, folder: Path, output: IO[bytes]) -> subprocess.Popen[bytes]:
     """Start a command of the program in a folder.
 
-    A Ctrl-C in the terminal of the pages does not reach it.
+    Ctrl-C in the terminal of the pages does not reach the command.
     """
     return subprocess.Popen(
         [sys.executable, "-m", "thermojoint.cli", *words],

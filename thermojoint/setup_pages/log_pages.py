@@ -1,4 +1,4 @@
-"""From a log to an estimate: what was read, columns named, learned, truth against estimate."""
+"""From a log to an estimate: content, names of columns, learning, measured against estimated."""
 
 from __future__ import annotations
 
@@ -28,25 +28,25 @@ _NAMES = "name:"
 class NamedColumn(NamedTuple):
     """A column of a log."""
 
-    #: Its name in the file, and the new one; empty where it keeps its own.
+    #: Name in the file, and new name; empty if it keeps its own.
     theirs: str
     ours: str
-    #: What it is read as; empty for one that is ignored.
+    #: Meaning of the column; empty if it is ignored.
     quantity: str
 
     @property
     def name(self) -> str:
-        """Its name in commands."""
+        """Name in commands."""
         return self.ours or self.theirs
 
 
 def columns_of(path: Path, renamed: Mapping[str, str]) -> list[NamedColumn]:
-    """Return the columns of a log by its first lines, also of one that is no log yet.
+    """Return the columns of a log from its first lines, even if it is not a valid log yet.
 
     Raises
     ------
     InputError
-        The file is no table.
+        The file is not a table.
     """
     with lines_of(path, "log") as lines:
         dialect = dialect_of(list(islice(lines, HEAD)), str(path), True)
@@ -66,7 +66,7 @@ def columns_of(path: Path, renamed: Mapping[str, str]) -> list[NamedColumn]:
 
 
 def _logs(place: Place) -> list[str]:
-    """Return the logs that were looked at last."""
+    """Return the logs of the last `look`."""
     return [name for name in place.record("log").read if name != MAPPING and place.has(name)]
 
 
@@ -80,7 +80,7 @@ def _columns(place: Place) -> list[NamedColumn]:
 
 
 def show_log(place: Place, given: Given) -> dict[str, Any]:
-    """Return what the page of the log shows."""
+    """Return the content of the page of the log."""
     names = {key.removeprefix(_NAMES): one(given, key) for key in given if key.startswith(_NAMES)}
     return {
         "tables": place.tables(),
@@ -93,7 +93,7 @@ def show_log(place: Place, given: Given) -> dict[str, Any]:
 
 
 def do_log(place: Place, given: Given) -> None:
-    """Name columns, and look at the chosen logs."""
+    """Rename columns, and examine the chosen logs."""
     if "log" in given:
         logs = [place.existing(name) for name in given["log"]]
     else:
@@ -111,7 +111,7 @@ def do_log(place: Place, given: Given) -> None:
 
 
 def _write_mapping(place: Place, columns: dict[str, str], given: Given) -> None:
-    """Write the names of columns; a file that somebody has changed is replaced when allowed."""
+    """Write the names of columns; a file changed by the user is only replaced if allowed."""
     path = place.path(MAPPING)
     before = place.text(MAPPING)
     if before and before != _mapping_text(_renamed(place)) and "replace" not in given:
@@ -129,7 +129,7 @@ def _mapping_text(columns: dict[str, str]) -> str:
 
 
 def show_learn(place: Place, given: Given) -> dict[str, Any]:
-    """Return what the page of learning shows."""
+    """Return the content of the page of learning."""
     words = shlex.join(next(iter(place.record("learn").commands), []))
     columns = _columns(place)
     lengths = [c.name for c in columns if c.quantity == "length" and not _is_position(c.name)]
@@ -175,7 +175,7 @@ def do_learn(place: Place, given: Given) -> None:
 
 
 def show_compare(place: Place, given: Given) -> dict[str, Any]:
-    """Return what the page of truth against estimate shows."""
+    """Return the content of the page of measured against estimated displacement."""
     models, days = place.models(), [*place.tables(), *place.files(*RESPONSES)]
     learned = place.record("learn").read
     before = place.record("compare").read
@@ -190,7 +190,7 @@ def show_compare(place: Place, given: Given) -> dict[str, Any]:
 
 
 def do_compare(place: Place, given: Given) -> None:
-    """Estimate a day, and compare the estimates with its displacements where it has some."""
+    """Estimate a day, and compare the estimates with its measured displacements, if any."""
     model = chosen(given, "model", place.models(), "model")
     day = place.existing(one(given, "day"))
     kind = kind_of_file(place.path(model))
@@ -198,7 +198,7 @@ def do_compare(place: Place, given: Given) -> None:
     if response:
         judged = kind.judge is not None
     else:
-        # A learned model has the names of its own log.
+        # A learned model contains the names of its own log.
         own = kind.renamed(kind.read(place.path(model)))
         if not own and place.has(MAPPING):
             mapping = [f"--mapping={MAPPING}"]

@@ -1,4 +1,4 @@
-"""The folder that the pages work in: which files it holds, and which of them may be written."""
+"""The folder that the pages work in: its files, and which of them may be written."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from thermojoint.artefacts.schema import schema_of
 from thermojoint.live.settings import read_service
 from thermojoint.setup_pages.jobs import Jobs, Record
 
-#: What was sent from a page: name to values.
+#: Data sent from a page: name to values.
 Given = Mapping[str, Sequence[str]]
 
 TABLES = (".csv", ".txt", ".tsv", ".xlsx", ".parquet")
 CAD = (".step", ".stp", ".iges", ".igs", ".brep")
 MESHES = (".msh", ".inp", ".med", ".vtu", ".vtk")
 RESPONSES = (".nc",)
-#: What a set-up can need: logs, models, parts, a control's files and certificates.
+#: Suffixes of accepted files: logs, models, parts, a control's files and certificates.
 TAKEN = (
     *(*TABLES, *CAD, *MESHES, *RESPONSES),
     *(".json", ".h5", ".toml", ".ini", ".der", ".pem", ".crt"),
 )
-#: What the pages show: no secrets, whose names have no ending or another one.
+#: Suffixes of displayed files: no secrets, whose names have another suffix or none.
 SHOWN = (*TAKEN, ".png", ".former")
-#: Of files that the pages take or show: no folder, nothing hidden, nothing like an option.
+#: Names of accepted or displayed files: no folder, no hidden file, nothing like an option.
 _NAME = re.compile(r"[^\W_][\w .,()+-]{0,120}")
 MAPPING = "columns.toml"
 #: Outputs of the steps that are tables, not logs.
@@ -39,7 +39,7 @@ _OWN_TABLES = ("estimate.csv", "offsets.csv", "writes.csv")
 
 
 class ExistsError(InputError):
-    """Files (`names`) would be replaced that the pages did not write; they ask first."""
+    """Files (`names`) that the pages did not write would be replaced; the user is asked first."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self.names = tuple(names)
@@ -51,7 +51,7 @@ class ExistsError(InputError):
 class Place:
     """The folder and the commands that run in it."""
 
-    #: Absolute.
+    #: Absolute path of the folder.
     folder: Path
     jobs: Jobs
 
@@ -61,7 +61,7 @@ class Place:
         Raises
         ------
         InputError
-            The name leads out of the folder, or is hidden.
+            The name leads out of the folder, or the file is hidden.
         """
         path = self.folder / name
         if not _NAME.fullmatch(name) or not path.resolve().is_relative_to(self.folder.resolve()):
@@ -71,17 +71,17 @@ class Place:
         return path
 
     def existing(self, name: str) -> str:
-        """Return the name of a file that is there; raises InputError."""
+        """Return the name of a file if it exists; raises InputError otherwise."""
         if not self.path(name).is_file():
             raise InputError(f"{name}: no such file in {self.folder}; choose one that is there")
         return name
 
     def has(self, name: str) -> bool:
-        """Whether a file is there."""
+        """Whether a file exists."""
         return (self.folder / name).is_file()
 
     def text(self, name: str) -> str:
-        """Return the content of a text file; empty without it."""
+        """Return the content of a text file; empty if it is missing."""
         return self.path(name).read_text("utf-8") if self.has(name) else ""
 
     def all_files(self) -> list[str]:
@@ -98,7 +98,7 @@ class Place:
         return [name for name in self.files(*TABLES) if name not in _OWN_TABLES]
 
     def models(self) -> list[str]:
-        """Return the files of models, of any kind that is installed."""
+        """Return the files of models, of any installed kind."""
         return [name for name in self.files(".json", ".h5") if self._is_model(name)]
 
     def _is_model(self, name: str) -> bool:
@@ -108,19 +108,19 @@ class Place:
             return False
 
     def record(self, step: str) -> Record:
-        """Return what is on record of a step."""
+        """Return the record of a step."""
         return self.jobs.record(step)
 
     def is_done(self, step: str) -> bool:
-        """Whether a step has ended well, and nothing that it read has changed since."""
+        """Whether a step has succeeded, and none of the files that it read has changed since."""
         record = self.record(step)
         made = all(self.has(name) for name in record.written)
         return record.code == 0 and made and not self.changed_since(step)
 
     def changed_since(self, step: str) -> list[str]:
-        """Return the files that a step has read, and that may be others now.
+        """Return the files read by a step that may have changed since.
 
-        Which content was read of a file that has changed while the step ran, nobody knows.
+        Files changed while the step ran are included, since it is unknown which content was read.
         """
         record = self.record(step)
         return [
@@ -130,7 +130,7 @@ class Place:
         ]
 
     def _models_of(self, record: Record) -> list[str]:
-        """Return the files of models that the services name which a step has started or checked."""
+        """Return the files of models used by the services that a step has started or checked."""
         found: list[Path] = []
         for command, *words in record.commands:
             if command == "serve":
@@ -140,12 +140,12 @@ class Place:
         return [path.name if path.parent == self.folder else str(path) for path in found]
 
     def check_replaced(self, names: Sequence[str], given: Given) -> None:
-        """Refuse to replace files that no step wrote, or that were changed after it.
+        """Refuse to replace files that no step wrote, or that were changed afterwards.
 
         Raises
         ------
         ExistsError
-            There are some, and nobody has said that they may be replaced.
+            There are some, and the user has not allowed their replacement.
         """
         written: dict[str, float] = {}
         for record in self.jobs.all_records():
@@ -165,18 +165,18 @@ class Place:
         Raises
         ------
         InputError
-            Another step runs, or files would be replaced that nobody has allowed to be.
+            Another step runs, or files would be replaced without the user's permission.
         """
         self.check_replaced(Record(tuple(map(list, commands))).written, given)
         self.jobs.start(step, *commands)
 
     def begin(self, name: str, text: str, given: Given) -> None:
-        """Write a new file of settings; one that is there is kept as NAME.former, if that is asked.
+        """Write a new file of settings; an existing one is kept as NAME.former, if allowed.
 
         Raises
         ------
         ExistsError
-            It is there, and nobody has said that it may be replaced.
+            The file exists, and the user has not allowed its replacement.
         """
         path = self.path(name)
         if path.exists():
@@ -188,9 +188,9 @@ class Place:
         write_text(path, text)
 
     def set_aside(self, name: str) -> None:
-        """Keep a file under a name of its own, NAME.former with the time between them."""
+        """Rename a file to NAME.TIME.former, to keep it."""
         stamp = time.strftime("%Y%m%d-%H%M%S")
-        # More than one within a second are numbered.
+        # Several files within a second are numbered.
         marks = chain([""], (f"-{number}" for number in count(2)))
         names = (f"{name}.{stamp}{mark}.former" for mark in marks)
         free = next(one for one in names if not self.path(one).exists())
@@ -198,7 +198,7 @@ class Place:
 
 
 def one(given: Given, name: str, usual: str = "") -> str:
-    """Return a value that was sent."""
+    """Return a sent value."""
     values = given.get(name) or [usual]
     return values[0].strip()
 

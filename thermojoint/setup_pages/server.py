@@ -1,4 +1,4 @@
-"""Serving the pages of a folder on this computer, until the command is stopped."""
+"""Server of the pages of a folder on this computer, until the command is stopped."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ def serve_pages(folder: Path, port: int) -> None:
     ----------
     folder : Path
     port : int
-        0: any that is free.
+        0: any free port.
 
     Raises
     ------
     InputError
-        The folder is none, or the port cannot be had.
+        The path is not a folder, or the port cannot be used.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: is no folder; make it first")

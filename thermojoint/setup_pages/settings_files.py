@@ -1,4 +1,4 @@
-"""Files of settings that the pages edit: checked by their own rules before they are written."""
+"""Files of settings edited by the pages, checked by their own rules before they are written."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from thermojoint.setup_pages.place import Given, Place, one
 from thermojoint.setup_pages.toml_form import Field, by_field, changed, fields_of
 
 ESTIMATE = "estimate.csv"
-#: Rows of the estimate that tell its axes.
+#: Number of rows of the estimate from which its axes are read.
 HEAD = 200
 OFFSETS, TARGET, SERVICE, CASE = "offsets.toml", "target.toml", "service.toml", "machine.toml"
-#: Switched on by the page of the dry run alone.
+#: Key that only the page of the dry run changes.
 ENABLE = "enable"
 Data = dict[str, Any]
 
@@ -32,7 +32,7 @@ class RefusedError(InputError):
     """Values of a form are refused."""
 
     def __init__(self, lines: Mapping[str, Sequence[str]]) -> None:
-        #: Name of a field, empty for none, to what is wrong with it.
+        #: Name of a field, empty for none, to its mistakes.
         self.lines = lines
         super().__init__("\n".join(line for one in lines.values() for line in one))
 
@@ -51,7 +51,7 @@ def _output(place: Place) -> OutputSettings | None:
     return settings.output
 
 
-#: What refuses the content of each file.
+#: Function that checks the content of each file.
 _CHECKS: Mapping[str, Callable[[Place, Data], object]] = {
     OFFSETS: lambda place, data: settings_from_data(data, OFFSETS),
     TARGET: lambda place, data: target_from_data(data, place.path(TARGET), _output(place)),
@@ -61,7 +61,7 @@ _CHECKS: Mapping[str, Callable[[Place, Data], object]] = {
 
 
 def form_of(place: Place, name: str, given: Given) -> dict[str, Any] | None:
-    """Return what the form of a file shows, with what was sent for it; None without the file.
+    """Return the content of the form of a file, with sent values; None without the file.
 
     Raises
     ------
@@ -80,14 +80,14 @@ def form_of(place: Place, name: str, given: Given) -> dict[str, Any] | None:
 
 
 def save(place: Place, given: Given) -> str:
-    """Write what was sent for a file of settings, and return its name.
+    """Write the sent values into a file of settings, and return its name.
 
     Raises
     ------
     RefusedError
-        A value is refused; the file stays as it is.
+        A value is refused; the file is not changed.
     InputError
-        The file has changed since the form was shown, or is none of these.
+        The file has changed since the form was shown, or is not one of these files.
     """
     name = one(given, "file")
     if name not in _CHECKS or not place.has(name):

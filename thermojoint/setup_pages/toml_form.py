@@ -1,7 +1,7 @@
 """A file of settings (TOML) as a form: values are fields, the comments beside them their hints.
 
-Lines that are not changed stay as somebody wrote them, with comments and order. A commented line
-``# key = value`` is a field that is left out; ``one of: a, b`` in a hint makes a choice of it.
+Unchanged lines are kept as written, with comments and order. A commented line ``# key = value`` is
+an omitted field; ``one of: a, b`` in a hint makes the field a choice.
 """
 
 from __future__ import annotations
@@ -26,41 +26,41 @@ class Field:
 
     #: Keys from the outside in.
     path: tuple[str, ...]
-    #: As in the file; that of the comment where it is left out.
+    #: Value in the file, or in the comment if the field is omitted.
     value: Any
     hint: str
-    #: Empty where anything may be written.
+    #: Allowed values; empty if any value is allowed.
     choices: tuple[str, ...]
-    #: Not left out.
+    #: Whether the field is not omitted.
     given: bool
-    #: Its index in the file.
+    #: Index of its line in the file.
     line: int
 
     @property
     def name(self) -> str:
-        """As messages name its place."""
+        """Name of the field in messages."""
         return ".".join(self.path)
 
     @property
     def section(self) -> str:
-        """Place of its section."""
+        """Name of its section."""
         return ".".join(self.path[:-1])
 
     @property
     def many(self) -> bool:
-        """Several of the choices."""
+        """Whether several choices may be selected."""
         return bool(self.choices) and isinstance(self.value, list)
 
     @property
     def texts(self) -> list[str]:
-        """What stands in the form: entries of `many`, else one text, empty where it is left out."""
+        """Texts in the form: entries of `many`, else one text, which is empty if omitted."""
         if not self.given:
             return [] if self.many else [""]
         return [str(one) for one in self.value] if self.many else [_shown(self.value)]
 
     @property
     def usual(self) -> str:
-        """What is shown where it is left out."""
+        """Placeholder of an omitted field."""
         return "" if self.given else _shown(self.value)
 
 
@@ -79,7 +79,7 @@ def _as_toml(value: Any) -> str:  # noqa: ANN401
 
 
 def fields_of(text: str) -> list[Field]:
-    """Return the fields of a TOML text; values over several lines are none."""
+    """Return the fields of a TOML text, except values over several lines."""
     return list(_fields(text, tomllib.loads(text)))
 
 
@@ -89,7 +89,7 @@ def _fields(text: str, data: Mapping[str, Any]) -> Iterator[Field]:
     active = {*_leaves(data)}
     for number, line in enumerate(text.splitlines()):
         if line.startswith("["):
-            # Of lists of sections none is a field.
+            # Lists of sections contain no fields.
             section = None if line.startswith("[[") else next(_leaves(_loaded(line)), None)
         elif _OFF_SECTION.match(line):
             section = None
@@ -129,7 +129,7 @@ def _at(data: Mapping[str, Any], path: Sequence[str]) -> Any:  # noqa: ANN401
 
 
 def _value_in(line: str) -> tuple[tuple[tuple[str, ...], Any] | None, str]:
-    """Return keys and value of a line ``key = value  # hint``, and the hint; None without them."""
+    """Return keys and value of a line ``key = value  # hint``, or None, and the hint."""
     if line.lstrip().startswith("[") or "=" not in line:
         return None, ""
     keys, _, rest = line.partition("=")
@@ -143,20 +143,20 @@ def _value_in(line: str) -> tuple[tuple[tuple[str, ...], Any] | None, str]:
 
 
 def changed(text: str, given: Mapping[str, Sequence[str]], fields: Sequence[Field]) -> str:
-    """Return a TOML text with other values; an empty one is left out.
+    """Return a TOML text with new values; fields with empty values are omitted.
 
     Parameters
     ----------
     text : str
     given : mapping
-        Name of a field to what was sent for it; nothing for a field of many choices clears it.
+        Name of a field to its sent texts; none for a field with many choices clears it.
     fields : sequence of Field
-        Those of the text that were in the form.
+        Fields of the text that were in the form.
 
     Raises
     ------
     InputError
-        A value holds a line break.
+        A value contains a line break.
     """
     lines = text.splitlines()
     for field in fields:
@@ -182,13 +182,13 @@ def changed(text: str, given: Mapping[str, Sequence[str]], fields: Sequence[Fiel
 
 
 def _typed(sent: str, before: Any) -> str:  # noqa: ANN401
-    """Return what was sent as TOML; as text, to be refused, where another kind is wanted."""
+    """Return a sent value as TOML; as a string, to be refused later, if it has the wrong type."""
     typed = not isinstance(before, str) and _loaded(f"v = {sent}")
     return sent if typed else as_text(sent)
 
 
 def by_field(lines: Sequence[str], where: str, fields: Sequence[Field]) -> dict[str, list[str]]:
-    """Return the lines of a refusal by the name of the field that they are about; "" for none."""
+    """Return the lines of a refusal by the name of the field concerned; "" for none."""
     names = sorted((field.name for field in fields), key=len, reverse=True)
     found: dict[str, list[str]] = {}
     for line in lines:

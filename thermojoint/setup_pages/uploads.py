@@ -1,4 +1,4 @@
-"""Files that a browser sends, piece by piece, into the folder; whole or not at all."""
+"""Uploads from a browser, piece by piece, into the folder; whole or not at all."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ LARGEST_PIECE, LARGEST_FILE = 1 << 20, 1 << 30
 
 
 def take_piece(place: Place, name: str, piece: bytes, at: str, size: str) -> None:
-    """Append a piece of a file; the last one gives it its name.
+    """Append a piece of a file, which gets its name with the last piece.
 
     Parameters
     ----------
     place : Place
     name : str
-        Of the file; none that is there is replaced.
+        Name of the file; no existing file is replaced.
     piece : bytes
     at, size : str
-        Where it begins, and how large the file will be.
+        Start of the piece, and size of the whole file.
 
     Raises
     ------
     InputError
-        The name, the kind or the size cannot be taken, a file of this name exists, or a piece is
+        The name, the kind or the size is not accepted, a file of this name exists, or a piece is
         missing.
     """
     path = place.path(name)
@@ -50,6 +50,6 @@ def take_piece(place: Place, name: str, piece: bytes, at: str, size: str) -> Non
             raise InputError(f"{name}: a piece is missing; send it again")
         file.write(piece)
     if begin + len(piece) == whole:
-        # A link fails where a file of this name has come about meanwhile.
+        # The link fails if a file of this name has been created meanwhile.
         path.hardlink_to(part)
         part.unlink()
