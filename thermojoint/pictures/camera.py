@@ -22,7 +22,7 @@ _MARGIN = 0.03
 class Camera:
     """A parallel projection."""
 
-    #: From the object towards the eye, any length.
+    #: Direction from the object towards the eye, of any length.
     view: Vector
     #: Upward direction of the picture, as far as compatible with `view`.
     up: Vector
@@ -36,12 +36,12 @@ class Camera:
             right = np.cross(np.eye(3)[np.abs(towards).argmin()], towards)
         right /= np.linalg.norm(right)
         above = np.cross(towards, right)
-        # Seen from above, the little that is left of `up` says on which side up is.
+        # Seen from above, the small remaining component of `up` defines the upward direction.
         side = -1.0 if above @ np.asarray(self.up) < 0.0 else 1.0
         return np.array([side * right, side * above, towards])
 
     def project(self, points: Array) -> Array:
-        """Right, up and towards the eye of `points` (n, 3), m."""
+        """Components of `points` (n, 3) to the right, upwards and towards the eye, m."""
         return np.asarray(points @ self.basis.T)
 
 

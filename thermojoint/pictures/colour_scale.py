@@ -1,7 +1,7 @@
 """Colour scale of a field: bands between round numbers over the whole range.
 
 A machine is hot at its source and nearly cold elsewhere. On an even scale such a field would be a
-single colour with a spot; the bands then follow the sequence 1, 2, 5, 10 instead.
+spot on a single colour; the bands then follow the sequence 1, 2, 5, 10 instead.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _COLOURS = "plasma"
 #: Largest number of even bands.
 _BANDS = 12
-#: A field of which half lies below this fraction of its largest value gets uneven bands.
+#: A field with half of its values below this fraction of the largest gets uneven bands.
 _SKEWED = 0.15
 #: The side of zero with values below this fraction of the largest one is a single band.
 _LITTLE = 0.1
@@ -54,13 +54,13 @@ class ColourScale:
 
     @property
     def norm(self) -> BoundaryNorm:
-        """From value to band."""
+        """Mapping of values to bands."""
         from matplotlib.colors import BoundaryNorm
 
         return BoundaryNorm(self.levels, len(self.levels) - 1, clip=True)
 
     def position(self, values: Array) -> Array:
-        """Place of values on the bar: k at the k-th limit, linear between the limits."""
+        """Position of values on the bar: k at the k-th limit, linear between the limits."""
         return np.interp(values, self.levels, np.arange(len(self.levels)))
 
 
@@ -94,9 +94,9 @@ def _even(low: float, high: float) -> tuple[float, ...]:
 
 
 def _uneven(low: float, high: float) -> tuple[float, ...]:
-    """1, 2, 5 times powers of ten on each side of zero with values; ends with two digits.
+    """1, 2, 5 times powers of ten on each side of zero with values; the ends have two digits.
 
-    One band includes zero: it starts there if there is only one side, else it extends across.
+    One band includes zero: it starts at zero if there is only one side, else it extends across.
     """
     largest = max(abs(low), abs(high))
     powers = np.arange(np.floor(np.log10(largest) - _DECADES), np.ceil(np.log10(largest)) + 1.0)

@@ -33,15 +33,15 @@ _EXAGGERATED = 0.06
 class Fields:
     """Fields of one step."""
 
-    #: s.
+    #: Time, s.
     time: float
     #: Shape (sources,): power of the sources of the whole structure, W.
     heat: Array
-    #: Shape (n,): above the initial ambient, K, at the nodes of `Stage.skin`.
+    #: Shape (n,): temperature above the initial ambient at the nodes of `Stage.skin`, K.
     temperature: Array
-    #: Shape (n, 3): m, at the same nodes.
+    #: Shape (n, 3): displacement of the same nodes, m.
     displacement: Array
-    #: Shape (m,): of the contact elements, Pa.
+    #: Shape (m,): pressure of the contact elements, Pa.
     pressure: Array
 
 
@@ -162,7 +162,7 @@ def pressure_panel(stage: Stage, fields: Fields) -> Panel:
 
 
 def _numbers(centres: Array) -> tuple[Marker, ...]:
-    """Return a number for each place along the joints, none if there are too many to read."""
+    """Return a number for each place along the joints; none if there would be too many to read."""
     _, first = np.unique(places_along(centres), return_index=True)
     if len(first) > LABELLED:
         return ()

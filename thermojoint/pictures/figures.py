@@ -38,7 +38,7 @@ _SHADES = ("#000000", "#b2341f", "#1f5fa8", "#3c7d3c", "#8a5a00", "#6b4c9a", "#1
 _NOISY_WIDTH = 0.4
 #: Formats of figures of curves.
 FORMATS = ("png", "svg", "pdf")
-#: Estimators that are always drawn beside the actual displacement.
+#: Estimators that are always drawn with the actual displacement.
 OWN = ("fchs", "joint-aware")
 #: Largest number of places along a joint that are numbered.
 LABELLED = 12
@@ -47,8 +47,8 @@ LABELLED = 12
 def pressure_figure(response: xr.Dataset) -> Figure:
     """Figure 7: change of the contact pressure along the joint; positive where it grows.
 
-    Contact elements at the same place along the joint are averaged over their area, and numbered
-    from its lower end, as in the paper, which draws compression downwards.
+    Contact elements at the same place along the joint are averaged by area, and numbered from the
+    joint's lower end, as in the paper, which plots compression downwards.
 
     Raises
     ------
@@ -105,7 +105,7 @@ def pressure_along(response: xr.Dataset) -> Array:
 def places_along(position: Array) -> NDArray[np.int64]:
     """Number the contact elements by their place along the joint, from 0.
 
-    Along is the direction in which they spread most.
+    This is the direction of their largest extent.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def estimates_figure(
 ) -> Figure:
     """Actual and estimated displacement of each axis, and the errors below on their own scale.
 
-    FCHS, the joint-aware estimator, and the best of the others in this case are drawn; all of them
+    FCHS, the joint-aware estimator, and the best of the others in this case are drawn; more curves
     would hide each other.
 
     Parameters
@@ -169,8 +169,8 @@ def estimates_figure(
     times : ndarray, shape (k,)
         s.
     errors : mapping
-        Estimator to estimated minus actual displacement, m, shape (k, axes). That of ``none``,
-        which always estimates zero, gives the actual one.
+        Estimator to estimated minus actual displacement, m, shape (k, axes). The actual
+        displacement follows from ``none``, which always estimates zero.
     axes : sequence of str
         Names of the axes.
     case : str
@@ -283,7 +283,7 @@ def _is_noisy(values: Array) -> bool:
 
 
 def _name_ends(axis: Axes, end: float, values: Array, names: list[str]) -> None:
-    """Write names at the ends of curves, without overlaps."""
+    """Write names at the ends of curves without overlaps."""
     order = np.argsort(values)
     apart = 0.035 * float(np.ptp(axis.get_ylim()))
     lowest = -np.inf

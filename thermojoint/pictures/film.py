@@ -44,8 +44,8 @@ def write_film(
     """Write one frame for each scene to `path` (MP4, GIF), whole or not at all.
 
     Camera, window and colour scale are the same for all scenes, which have the same panels and
-    surfaces. `report` is called with (frames done, frames in all). The default height of the
-    panels, pixels, is that of `HEIGHTS`.
+    surfaces. `report` is called with (frames done, frames in total). The default height of the
+    panels, pixels, is taken from `HEIGHTS`.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def write_film(
 
 
 def frames(scenes: Sequence[Scene], height: int) -> Generator[Pixels, None, None]:
-    """Yield the picture of every scene, all of one even size, shape (rows, columns, 3)."""
+    """Yield the picture of every scene, all of the same even size, shape (rows, columns, 3)."""
     film = finished(scenes)
     pictures = rendered([film], height)
     first = next(pictures)

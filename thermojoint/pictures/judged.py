@@ -21,7 +21,7 @@ class Judged(NamedTuple):
 
     #: Run and displacement.
     title: str
-    #: Shape (k,): s; a further run follows the one before it.
+    #: Shape (k,): times, s; a further run follows the previous one.
     times: Array
     #: Shape (k,): m; NaN where unknown.
     truth: Array

@@ -11,7 +11,7 @@ from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.quantities import Column
 from thermojoint.pictures.figures import write_figure
 
-#: Points that a panel shows of a curve.
+#: Number of points of a curve shown in a panel.
 _POINTS = 4000
 _HOUR = 3600.0
 _LABELS = {
@@ -38,7 +38,7 @@ _SHOWN = {
 def write_log_picture(log: Log, path: Path) -> None:
     """Draw every column of a log over the hours since its first sample, as PNG.
 
-    A run whose clock restarts is drawn after the one before it.
+    A run whose clock restarts is drawn after the previous one.
     """
     shown = {column.name: _shown(column) for column in log.columns}
     quantities = [quantity for quantity in _LABELS if quantity in shown.values()]
@@ -61,7 +61,7 @@ def write_log_picture(log: Log, path: Path) -> None:
 
 
 def _shown(column: Column) -> str:
-    """Return in which panel a column is drawn: a stroke would hide all displacements."""
+    """Return the panel of a column; positions have their own: a stroke would hide displacements."""
     return "position" if column.is_position else column.quantity
 
 

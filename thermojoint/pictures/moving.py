@@ -37,14 +37,14 @@ FLAT = 0.2
 
 
 def volume_figure(response: xr.Dataset, case: Case) -> Figure:
-    """Displacement at the points of the volume, as arrows where the axes stand, at the last survey.
+    """Displacement at the points of the working volume at the last survey, as arrows.
 
-    Rotations, if the response has them, are arrows along the axes about which they turn.
+    Rotations, if the response has them, are drawn as arrows along their axes of rotation.
 
     Raises
     ------
     InputError
-        The response ends before the volume is asked about.
+        The response ends before the first survey of the volume.
     """
     from matplotlib.figure import Figure
 
@@ -72,16 +72,16 @@ def volume_figure(response: xr.Dataset, case: Case) -> Figure:
 
 
 def _arrows(axes: Axes3D, places: Array, vectors: Array) -> tuple[Line3DCollection, float]:
-    """Draw vectors (n, 3) at places (n, 3), mm, and their thousandths' sizes as colours.
+    """Draw vectors (n, 3) at places (n, 3), mm, coloured by a thousand times their length.
 
-    Also returned is what the vectors were multiplied by.
+    The scale factor of the arrows is returned as well.
     """
     size, span = np.linalg.norm(vectors, axis=1), np.ptp(places, axis=0)
     factor = _round(LONGEST * span.max() / size.max()) if size.max() > 0.0 else 1.0
     # y is up; with z towards the eye the axes are right-handed.
     order = [0, 2, 1]
     arrows = axes.quiver(*places.T[order], *(factor * vectors).T[order], linewidth=1.6)
-    # The shafts, then one side of all heads, then the other.
+    # Order: the shafts, one side of all heads, the other side.
     arrows.set_array(np.tile(1e3 * size, 3))
     axes.scatter(*places.T[order], color="black", s=6)
     axes.set_box_aspect(np.maximum(span, FLAT * span.max())[order])
@@ -100,7 +100,7 @@ def _round(value: float) -> float:
 def moving_scenes(case: Case, report: Report, count: int, up: Vector) -> list[Scene]:
     """Simulate a case with axes; return scenes of its temperature at `count` times.
 
-    The bodies are where the axes have taken them.
+    The bodies are shown at the positions of their axes.
     """
     report("setting up", 0, 1)
     ready = set_up_axes(case)
@@ -137,7 +137,7 @@ def moving_scenes(case: Case, report: Report, count: int, up: Vector) -> list[Sc
 
 
 def carried_nodes(case: Case, structure: Structure, nodes: NDArray[np.int64]) -> Array:
-    """Return how far each axis takes nodes, per m that it moves, (axes, n, 3)."""
+    """Return the displacement of nodes per m of travel of each axis, shape (axes, n, 3)."""
     ways = []
     for axis in case.axes.values():
         cells = np.concatenate([structure.bodies[name] for name in axis.bodies])

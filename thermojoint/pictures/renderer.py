@@ -1,6 +1,6 @@
 """Rendering of panels: pyvista off-screen in a separate process, or matplotlib polygons.
 
-VTK can terminate the whole process where there is no OpenGL, so it runs in another one
+Without OpenGL, VTK can terminate the whole process, so it runs in another one
 (``python -m thermojoint.pictures.renderer HEIGHT FOLDER ...``), which writes raw pixels to its
 standard output. If fewer pictures than announced arrive, the rest are drawn by `painted`.
 """
@@ -48,15 +48,15 @@ def pixel_size(window: Window, height: int) -> tuple[int, int]:
 
 
 def rendered(films: Sequence[Sequence[Scene]], height: int) -> Iterator[list[Pixels] | None]:
-    """Yield the panels of every scene as pyvista draws them, or None where it cannot.
+    """Yield the panels of every scene drawn by pyvista, or None if it cannot draw them.
 
     Parameters
     ----------
     films : sequence of sequences of Scene
-        `finished` scenes. Those of one film show the same surfaces, moved and recoloured, so one
-        plotter per panel serves them all.
+        `finished` scenes. The scenes of one film show the same surfaces, moved and recoloured, so
+        one plotter per panel suffices.
     height : int
-        Of the panels, pixels.
+        Height of the panels, pixels.
 
     Yields
     ------
@@ -97,7 +97,7 @@ def rendered(films: Sequence[Sequence[Scene]], height: int) -> Iterator[list[Pix
 def _read_panels(
     process: subprocess.Popen[bytes], output: IO[bytes], scene: Scene, height: int
 ) -> list[Pixels] | None:
-    """Pictures of one scene from the renderer's output; None if it ends or hangs before."""
+    """Read the pictures of one scene from the renderer; None if it ends or hangs before."""
     watch = Timer(TIMEOUT_S, process.kill)
     watch.start()
     try:
@@ -122,7 +122,7 @@ def painted(panel: Panel, height: int) -> Pixels:
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set(xlim=window[:2], ylim=window[2:])
     axes.set_axis_off()
-    # Transparent surfaces are painted first: sorted with the others, they would cover them.
+    # Transparent surfaces are painted first: sorted with opaque ones, they would cover these.
     for through in (True, False):
         surfaces = [surface for surface in panel.surfaces if (surface.opacity < 0.5) is through]
         if surfaces:
@@ -199,7 +199,7 @@ class _View:
     def __init__(self, panel: Panel, height: int) -> None:
         import pyvista
 
-        plotter: Any = pyvista.Plotter  # its stubs want literals and itself where neither is needed
+        plotter: Any = pyvista.Plotter  # its type stubs are stricter than necessary
         self.plotter = plotter(off_screen=True, window_size=list(pixel_size(panel.frame, height)))
         self.plotter.set_background("white")
         self.plotter.enable_anti_aliasing("ssaa")
@@ -237,7 +237,7 @@ class _View:
             cmap=scale.colours,
             n_colors=len(scale.levels) - 1,
             interpolate_before_map=True,
-            lighting=False,  # shading would change what the colours mean
+            lighting=False,  # shading would falsify the colours
             show_scalar_bar=False,
         )
 
@@ -252,7 +252,7 @@ class _View:
         if self.shown:
             self.plotter.render()
         else:
-            # Draws as well; without it nothing else does.
+            # This call also renders; nothing else does.
             self.plotter.show(auto_close=False, interactive=False)
             self.shown = True
         return np.ascontiguousarray(self.plotter.screenshot(return_img=True)[:, :, :3])

@@ -32,13 +32,13 @@ _UP_WITHOUT_SUPPORTS: Vector = (0.0, 0.0, 1.0)
 class Surface:
     """Faces to be drawn."""
 
-    #: Shape (n, 3): m.
+    #: Shape (n, 3): points, m.
     points: Array
     #: Shape (m, 3 or 4): corners in order around each face.
     faces: NDArray[np.int64]
-    #: Used where there are no values.
+    #: Colour of faces without values.
     colour: str = BODY_COLOURS[0]
-    #: 0 to 1; at 0 only the edges are drawn.
+    #: Opacity, 0 to 1; at 0 only the edges are drawn.
     opacity: float = 1.0
     #: Shape (n,) or (m,): values for the colour map, at the points or on the faces.
     values: Array | None = None
@@ -70,7 +70,7 @@ class Panel:
     close_to: Array | None = None
     #: Visible window in the plane of projection; set by `finished`.
     window: Window | None = None
-    #: Set by `finished` if there are values.
+    #: Colour scale; set by `finished` if there are values.
     scale: ColourScale | None = None
 
     @property
@@ -83,15 +83,15 @@ class Panel:
 
 @dataclass(frozen=True)
 class Curve:
-    """Displacement over the whole run, beside the fields of one time of it."""
+    """Displacement over the whole run, beside the fields at one time."""
 
-    #: What is displaced.
+    #: Displaced point.
     title: str
-    #: Of the displacement.
+    #: Axes of the displacement.
     axes: tuple[str, ...]
-    #: Shape (k,): s.
+    #: Shape (k,): times, s.
     times: Array
-    #: Shape (k, axes): m.
+    #: Shape (k, axes): displacement, m.
     displacement: Array
     #: Time of the fields, s.
     now: float
@@ -116,7 +116,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class Mirror:
-    """A symmetry plane: the axis (0, 1, 2) it is normal to, and where it lies, m."""
+    """A symmetry plane: the axis (0, 1, 2) normal to it, and its coordinate, m."""
 
     axis: int
     plane: float
@@ -188,8 +188,8 @@ def up_direction(structure: Structure, supports: Iterable[str]) -> Vector:
     """Return the upward axis of a structure, away from its supports.
 
     It is y or z, as in CAD, up or down: whichever is closest to the opposite of the area-weighted
-    outward normal of the supports. Where that lies along x (a beam clamped at its end), where they
-    cancel (held at both ends) or there are none, it is z.
+    outward normal of the supports. If that normal lies along x (a beam clamped at its end), if the
+    normals cancel (held at both ends), or without supports, it is z.
     """
     facets = [structure.surface(name, "supports") for name in supports]
     if not facets:
@@ -236,7 +236,7 @@ def _both_halves(surface: Surface, mirror: Mirror) -> Surface:
     count = len(height)
     on_plane = np.abs(height) <= 1e-9
     outside = ~on_plane[surface.faces].all(axis=1)
-    # A node on the plane is its own image, so that no seam is left there.
+    # A node on the plane is its own image, so that no seam remains.
     image = np.where(on_plane, np.arange(count), count + np.arange(count))
     half = surface.faces[outside]
     values = surface.values

@@ -1,4 +1,4 @@
-"""Picture of a search: how the aim improved, and where in the ranges the cases lie."""
+"""Picture of a search: progress of the aim, and positions of the cases in the ranges."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ _HELD, _BROKEN, _FOUND = "#1f5fa8", "#bbbbbb", "#b2341f"
 def search_figure(
     name: str, aims: Array, held: Flags, values: Mapping[str, Array], found: int
 ) -> Figure:
-    """Return the picture: the aim over each value, the case that was found as a red star.
+    """Return the picture: the aim over each value, the optimum as a red star.
 
     Parameters
     ----------
     name : str
-        Of the aim.
+        Name of the aim.
     aims, held : ndarray, shape (cases,)
         Aim of each case, NaN without a result; whether all limits hold.
     values : mapping of str to ndarray, shape (cases,)
-        Values that were varied, by path.
+        Varied values, by path.
     found : int
-        The case that was found.
+        Index of the optimum.
     """
     figure = empty_grid(len(values), 1, (7.0, 0.6 + 2.2 * len(values)))
     usable = ~np.isnan(aims)

@@ -27,7 +27,7 @@ from thermojoint.pictures.scenes import Curve, Panel, Scene, finished
 #: Height of the panels of a still picture, pixels.
 HEIGHT = 840
 FALLBACK_NOTE = "drawn with matplotlib: pyvista cannot render here"
-#: Of a sheet, inches; a panel is this high whatever its pixels.
+#: Measures of a sheet, inches; the height of a panel does not depend on its pixels.
 _PANEL, _ABOVE, _BELOW, _GAP = 6.0, 0.75, 0.95, 0.2
 _TRIAD = 0.85
 _PAST: dict[str, Any] = {"linewidth": 2.2, "marker": "o", "markevery": [-1]}
@@ -87,9 +87,9 @@ def sheet(scene: Scene, images: Sequence[Pixels] | None, height: int) -> Sheet:
     scene : Scene
         See `scenes.finished`.
     images : sequence of ndarray, optional
-        As `renderer.rendered` yields them.
+        From `renderer.rendered`.
     height : int
-        Of the panels, pixels.
+        Height of the panels, pixels.
     """
     widths = [_PANEL * pixel_size(panel.frame, height)[0] / height for panel in scene.panels]
     lefts = _GAP + np.concatenate([[0.0], np.cumsum(np.add(widths, _GAP))])
@@ -132,7 +132,7 @@ def sheet(scene: Scene, images: Sequence[Pixels] | None, height: int) -> Sheet:
 
 
 def _draw_curve(axes: Axes, curve: Curve) -> tuple[Line2D, ...]:
-    """Draw the whole run thin; return the lines up to now, still empty."""
+    """Draw the whole run with thin lines; return the lines up to the present, still empty."""
     minutes, lines = curve.times / _MINUTE, []
     for k, (name, values) in enumerate(zip(curve.axes, curve.displacement.T, strict=True)):
         axes.plot(minutes, MEGA * values, color=f"C{k}", linewidth=0.8, alpha=0.4)

@@ -79,9 +79,9 @@ def structure_scene(
 
 
 def surfaces_scene(structure: Structure, up: Vector) -> Scene:
-    """Named surfaces in colours of their own with their names, from two opposite sides.
+    """Named surfaces in different colours with their names, from two opposite sides.
 
-    Joints are named where they are; of the other surfaces each side names those that face it.
+    Joints are labelled at their place; each view labels those other surfaces that face it.
     """
     sides = {side: name for name, both in structure.joints.items() for side in both}
     free = [name for name in structure.surfaces if name not in sides]
@@ -108,7 +108,7 @@ def surfaces_scene(structure: Structure, up: Vector) -> Scene:
 
 
 def _seen(structure: Structure, surface: str, view: Vector) -> Vector:
-    """Return the middle of the facet that is nearest to the middle of those that face the eye."""
+    """Return the centre of the facet nearest to the centre of all facets that face the eye."""
     facets = structure.surface(surface)
     facets = facets[outward_areas(structure.mesh, facets) @ np.asarray(view) > 0.0]
     middles = structure.mesh.p[:, structure.mesh.facets[:, facets]].mean(axis=1).T
@@ -126,7 +126,7 @@ def onto(
         middle = 0.5 * (p.min(axis=1) + p.max(axis=1))[mirror.axis]
         main = (1.0 if mirror.plane > middle else -1.0) * np.eye(3)[mirror.axis]
         return facing(main, up, side=-0.64, height=0.36)
-    # Along the shortest horizontal edge of the bounding box: the broad side is visible.
+    # Along the shortest horizontal edge of the bounding box, so that the broad side is visible.
     flat = [k for k in range(3) if not up[k]]
     main = np.eye(3)[min(flat, key=lambda k: float(np.ptp(p[k])))]
     views = [facing(sign * main, up, side=-0.64, height=0.36) for sign in (1.0, -1.0)]

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-#: Quantiles of a fan, from the outermost pair inwards; between a pair the same shade.
+#: Quantiles of a fan, from the outermost pair inwards; each pair bounds one shade.
 PAIRS = ((0.05, 0.95), (0.25, 0.75))
 _SHADES, _LINE, _POINT = ("#c9d8ea", "#8fb0d6"), "#1f3f66", "#1f5fa8"
 #: Side of a panel of pairs, in.
@@ -32,7 +32,7 @@ def fan_figure(minutes: Array, curves: Array, label: str) -> Figure:
     curves : ndarray, shape (cases, times)
         NaN where a case has no value.
     label : str
-        Of the curves, with their unit.
+        Label of the curves, with their unit.
     """
     figure = empty_grid(1, 1, (WIDTH, 3.4))
     (axes,) = figure.axes
@@ -73,9 +73,9 @@ def pair_figure(columns: pd.DataFrame) -> Figure:
 
 
 def map_figure(across: pd.Series, up: pd.Series, height: pd.Series) -> Figure:
-    """Return a figure of the cases as colour over two of their values, with lines of equal height.
+    """Return a figure of the cases as colour over two of their values, with contour lines.
 
-    Lines are drawn where the cases span an area.
+    Lines are only drawn if the cases span an area.
     """
     figure = empty_grid(1, 1, (WIDTH, 3.6))
     (axes,) = figure.axes
@@ -108,5 +108,5 @@ def _span_an_area(across: Array, up: Array) -> bool:
 
 
 def _short(name: str) -> str:
-    """The last two parts of a path, one below the other."""
+    """Return the last two parts of a path, one below the other."""
     return "\n".join(name.split(".")[-2:])

@@ -1,4 +1,4 @@
-"""Page of a finished batch: what varied, what came of it, in figures and pictures."""
+"""Page of a finished batch: varied values and results, as tables and pictures."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from thermojoint.pictures.study_figures import fan_figure, map_figure, pair_figu
 if TYPE_CHECKING:
     import xarray as xr
 
-#: Columns in the picture of all pairs, at most; failed cases that are listed.
+#: Largest numbers of values and figures in the picture of all pairs, and of listed failures.
 MOST_VALUES, MOST_FIGURES, MOST_FAILED = 4, 2, 20
-#: What differs by less is rounding, in the unit of its column.
+#: Smaller differences, in the unit of a column, are rounding errors.
 STILL = 1e-9
 #: Quantiles in the table of figures.
 QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
-#: What is solved, not what the machine does.
+#: Figures of the solver, not of the machine.
 _SOLVER = {"gap_residual_m", "heat_balance", "force_balance", "secant_residual_K", *COUNTS}
 
 
@@ -67,7 +67,7 @@ def study_html(study: Study, summary: pd.DataFrame, dataset: xr.Dataset) -> str:
 def figure_rows(
     done: pd.DataFrame, columns: Mapping[str, str]
 ) -> list[tuple[str, str, list[float]]]:
-    """Return name, meaning and `QUANTILES` of every figure that some case has.
+    """Return name, meaning and `QUANTILES` of every figure present in some case.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def figure_rows(
 
 
 def _varies(done: pd.DataFrame, name: str) -> bool:
-    """Whether a column is there, is numbers in every case, and not always the same."""
+    """Whether a column exists, is numeric in every case, and is not constant."""
     if name not in done or done[name].dtype.kind not in "if":
         return False
     values = done[name].to_numpy(dtype=np.float64)
@@ -94,7 +94,7 @@ def _varies(done: pd.DataFrame, name: str) -> bool:
 
 
 def _described(cases: pd.DataFrame, path: str) -> str:
-    """The values of a path in words: a number, a range of numbers, or how many there are."""
+    """Describe the values of a path: a single value, a range, or the number of different ones."""
     if _varies(cases, path):
         return f"{cases[path].min():.4g} to {cases[path].max():.4g}"
     if cases[path].nunique() == 1:
@@ -113,7 +113,7 @@ def _pictures(
         if np.isfinite(curves).any() and np.nanmax(np.abs(curves)) > STILL:
             title = f"Displacement along {axis}"
             drawn.append((title, fan_figure(minutes, curves, f"{axis} (µm)")))
-    # One of each axis: the peak of a warm-up is its end.
+    # One figure per axis: the peak of a warm-up is its final value.
     judged = ([name for name in figures if "final" in name] or figures)[:MOST_FIGURES]
     if paths and judged:
         pairs = [*strongest(done, paths, judged[0])[:MOST_VALUES], *judged]

@@ -11,7 +11,7 @@ from thermojoint.pictures.figures import empty_grid
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-#: Bars of a panel, at most.
+#: Largest number of bars of a panel.
 MOST = 12
 _RISES, _FALLS = "#b2341f", "#1f5fa8"
 
@@ -24,7 +24,7 @@ class Panel:
     title: str
     #: Label of the effects, with their unit.
     axis: str
-    #: Of the bars, the largest first.
+    #: Names of the bars, the largest first.
     names: Sequence[str]
     #: Lengths of the bars, and of their error bars.
     effects: Sequence[float]

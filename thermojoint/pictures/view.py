@@ -79,13 +79,13 @@ def draw(source: Path, show: Show | None, out: Path, report: Report, up: Up | No
     report : callable
         Progress.
     up : Up, optional
-        Default the direction away from the supports; of curves there is none.
+        Default the direction away from the supports; not for curves.
 
     Raises
     ------
     InputError
-        The source is unusable, `up` is given for curves, fields are requested of a response without
-        its case, there are no joints whose pressure could be shown, or `out` has another format.
+        The source is unusable, `up` is given for curves, fields are requested for a response
+        without its case, there are no joints with a pressure to show, or `out` has another format.
     """
     from_case = source.suffix != ".nc"
     show = show or (Show.structure if from_case else Show.curves)
