@@ -1,7 +1,7 @@
-"""Candidates for the sensors of a machine whose case gives none: nodes of its mesh.
+"""Candidates for the sensors of a machine whose case has none: nodes of its mesh.
 
-Around the strongest source, within its own size, and on both sides of every joint, each thinned to
-points that are as far apart as possible.
+They lie around the strongest source, within the source's size, and on both sides of every joint;
+each set is thinned to points that are as far apart as possible.
 """
 
 from __future__ import annotations
@@ -12,19 +12,19 @@ from fesim.case.schema import Case, ProbeSection
 from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
 
-#: Candidates around the source, and on all joints together.
+#: Number of candidates around the source, and on all joints together.
 EACH = 48
 
 
 def with_candidates(case: Case, structure: Structure) -> Case:
-    """Return a case with probes to choose the sensors from.
+    """Return a case with candidate probes for the sensors.
 
     Parameters
     ----------
     case : Case
-        With a source and a joint.
+        Case with a source and a joint.
     structure : Structure
-        Its structure.
+        Structure of the case.
     """
     mesh = structure.mesh
     owner = np.empty(mesh.nelements, dtype=int)
@@ -58,9 +58,9 @@ def with_candidates(case: Case, structure: Structure) -> Case:
 
 
 def spread(points: Array, count: int) -> list[int]:
-    """Return the numbers of up to `count` distinct points (n, 3), each farthest from those before.
+    """Return the indices of up to `count` distinct points (n, 3), each farthest from earlier ones.
 
-    The first is the one nearest to the centre.
+    The first is the point nearest to the centre.
     """
     distance = np.linalg.norm(points - points.mean(axis=0), axis=1)
     chosen = [int(distance.argmin())]

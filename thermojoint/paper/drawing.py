@@ -1,4 +1,4 @@
-"""Figures of a reproduction: truth against estimate, the paper's Figures 6-11, fields."""
+"""Figures of a reproduction: actual against estimated, the paper's Figures 6-11, fields."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def paper_figures(
 ) -> dict[str, Figure]:
     """Return the paper's Figures 7-11, by file name without its suffix.
 
-    `estimates` are those of FCHS for "step-3.0", "triangle" and "triangle-noise".
+    `estimates` are the estimates of FCHS for "step-3.0", "triangle" and "triangle-noise".
     """
     reference = responses[REFERENCE]
     steep, triangle = responses[EXTRAPOLATION], responses[TRIANGLE]
@@ -143,7 +143,7 @@ def draw_views(folder: Path, structure: Scene, fields: Mapping[str, Scene]) -> l
     """Write the 3-D pictures, a file for each view; return their names."""
     from thermojoint.pictures.stills import write_pictures
 
-    # Side by side they would be too small on a narrow page.
+    # Side by side the views would be too small on a narrow page.
     views = {
         f"{name}{f'-{k}' * (k > 1)}": replace(scene, panels=(panel,))
         for name, scene in ({"figure-06-structure": structure} | dict(fields)).items()
@@ -154,7 +154,7 @@ def draw_views(folder: Path, structure: Scene, fields: Mapping[str, Scene]) -> l
 
 
 def draw_figures(folder: Path, figures: Mapping[str, Figure], views: list[str]) -> list[Picture]:
-    """Write the figures and return all pictures; `views` are there already."""
+    """Write the figures and return all pictures; `views` are already written."""
     for name, figure in figures.items():
         write_figure(figure, folder / f"{name}.png")
     drawn = [*figures, *views]

@@ -36,7 +36,7 @@ VALIDATION: dict[str, HeatInput] = {
 REFERENCE = "step-1.0"
 #: The response of Figure 7, and of the field pictures.
 PRESSURE = "step-2.0"
-#: The responses of Figures 8 and 9, and of 10 and 11; the latter's noise is the estimate's.
+#: The responses of Figures 8 and 9, and of 10 and 11 (the last one with noise for the estimate).
 EXTRAPOLATION, TRIANGLE, NOISY = "step-3.0", "triangle", "triangle-noise"
 #: Longer runs than the paper's (`thermojoint.paper.long_runs`).
 DAY, COOL_DOWN, WARM_START = "day", "cool-down", "warm-start"

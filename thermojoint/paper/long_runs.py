@@ -1,7 +1,7 @@
 """Validation cases beyond the paper: a working day, a cool-down, a warm start.
 
 A day has levels of heat that last for minutes and an ambient that drifts; both are drawn from a
-seed. They are used for validation only, never for calibration.
+seed. The cases are used for validation only, never for calibration.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from thermojoint.paper.inputs import CALIBRATION, COOL_DOWN, DAY, Report, simula
 if TYPE_CHECKING:
     import xarray as xr
 
-#: Ranges of the heat levels of a day, relative to the reference, and of their duration, s.
+#: Ranges of the heat levels of a day, relative to the reference, and of their durations, s.
 LEVELS, LASTS = (0.0, 2.0), (300.0, 2400.0)
 #: Initial ambient, degC, and its largest change, K.
 COLD, DRIFT = 20.0, 3.0
@@ -43,19 +43,19 @@ AMBIENT_EVERY = 600.0
 EDGE = 1e-3
 #: Heat of the cool-down before it is switched off.
 COOLED_FROM = 2.0
-#: Error of the displacement that the steps may leave, um.
+#: Tolerated error of the displacement due to the time steps, um.
 TOLERANCE_UM = 0.01
 
 
 @dataclass(frozen=True)
 class LongRuns:
-    """Durations of the cases, min, and what is spent on them."""
+    """Durations of the cases, min, and computing effort."""
 
     #: Length of the day.
     day: float = 480.0
-    #: From its start to the start on the warm machine.
+    #: Time from its start to the warm start.
     warm: float = 240.0
-    #: Time from there until errors count.
+    #: Time from the warm start until errors count.
     settled: float = 20.0
     #: Length of the cool-down, and of the heating at its beginning.
     cool_down: float = 240.0
@@ -66,9 +66,9 @@ class LongRuns:
     steady: float = 480.0
     #: Effort of the calibration of the observers.
     effort: Effort = USUAL
-    #: Of the placement for FCHS.
+    #: Rule of the placement for FCHS.
     rule: Rule = RULE
-    #: For calibrations and the validation.
+    #: Number of processes for calibrations and the validation.
     processes: int = 2
 
 
@@ -109,8 +109,8 @@ def driven(
     """Write histories to ``folder/NAME-COLUMN.csv`` and return the case that uses them.
 
     `histories` maps ``heat_input``, and ``ambient_degC`` if it changes, to times (s) and values;
-    the length of the run is in min. Steps are chosen by their error, where the case permits;
-    the response keeps its times.
+    the length of the run is in min. Steps are adaptive where the case permits; the response keeps
+    its times.
     """
     files = {column: folder / f"{name}-{column}.csv" for column in histories}
     for column, (times, values) in histories.items():
@@ -129,7 +129,7 @@ def driven(
 
 
 def adaptively(case: Case, every: int = 1) -> Case:
-    """Return a case whose steps are chosen by their error, where it permits that.
+    """Return a case with adaptive steps, where it permits them.
 
     Its response has a row at the end of `every` steps of the case.
     """
@@ -142,7 +142,7 @@ def adaptively(case: Case, every: int = 1) -> Case:
 def simulate_long(
     case: Case, runs: LongRuns, folder: Path, setup: Setup, progress: Report
 ) -> dict[str, xr.Dataset]:
-    """Return the responses ``day`` and ``cool-down`` of a machine that is set up already.
+    """Return the responses ``day`` and ``cool-down`` of a set-up machine.
 
     Their histories are written to `folder`.
     """
@@ -161,7 +161,7 @@ def simulate_steady(
 ) -> dict[str, xr.Dataset]:
     """Return the responses to the calibration's steps until the machine is steady, by name."""
     lasting = case.replace(march={"duration_min": runs.steady})
-    # As many rows as a calibration uses.
+    # Number of rows that a calibration uses.
     every = max(1, -(-step_count(lasting.march) // MOST_SAMPLES))
     lasting = adaptively(lasting, every)
     steps = {f"{name}-steady": heat for name, heat in CALIBRATION.items()}
@@ -173,7 +173,7 @@ def simulate_steady(
 def at_sensors(response: xr.Dataset, roles: Mapping[str, str]) -> xr.Dataset:
     """Return a response with only the sensors as probes, named by their roles.
 
-    Hours of all candidates would need a hundred times the space.
+    A run of hours with all candidates would need a hundred times the space.
     """
     kept = [probes_of(response).index(name) for name in roles.values()]
     return response.isel(probe=kept).assign_coords(probe=list(roles))
@@ -182,8 +182,8 @@ def at_sensors(response: xr.Dataset, roles: Mapping[str, str]) -> xr.Dataset:
 def without_nonlinear(validated: Validated) -> Validated:
     """Return a validation without the peaks of the nonlinear part.
 
-    They are unknown here: no reference response is as long or has a changing ambient, and δ_L
-    calibrated on minutes does not hold for hours.
+    They are unknown for the long runs: no reference response is as long or has a changing ambient,
+    and δ_L calibrated on minutes is not valid for hours.
     """
     rows: list[Row] = [{**row, "peak_nonlinear_um": None} for row in validated.rows]
     return replace(validated, rows=rows)

@@ -35,14 +35,14 @@ from thermojoint.reduced.parameters import ABSOLUTE, shown
 if TYPE_CHECKING:
     import xarray as xr
 
-#: Elements of the model, in elements of the plant.
+#: Element size of the model relative to the plant.
 COARSER = 1.25
 #: Calibration function of each kind of observer.
 KINDS = {"kalman-linear": calibrate_linear_joint, "joint-aware": calibrate_machine}
 
 
 def observer_case(case: Case, sensors: Mapping[str, Probe]) -> Case:
-    """Return the machine of a case with the sensors and on the mesh of its observers.
+    """Return the machine of a case with the sensors and the mesh of its observers.
 
     The milling machine is remeshed with elements `COARSER` times as large; a mesh from a file is
     used unchanged.
@@ -83,10 +83,10 @@ def observers_beside(
 ) -> Callable[[], tuple[list[JointAware], dict[str, str]]]:
     """Calibrate the observers of a machine in the processes of `crew` while the caller continues.
 
-    Returns a function that waits for the observers and returns them, and the reasons for those that
-    cannot be had: the case has a feature that they do not support, or a calibration failed. The
-    models ``joint_aware.h5`` and ``kalman_linear.h5`` and the reports on their parameters
-    (``.json``) are written to `folder`.
+    Returns a function that waits for the observers and returns them, with the reasons for missing
+    ones: the case has a feature that they do not support, or a calibration failed. The models
+    ``joint_aware.h5`` and ``kalman_linear.h5`` and the reports on their parameters (``.json``) are
+    written to `folder`.
     """
     if case.held_temperatures or secant_sections(case) or solid_sections(case):
         reason = "held temperatures and properties that vary have no reduced-order model"

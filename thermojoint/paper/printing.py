@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def show_tables(console: Console, tables: Sequence[PrintedTable]) -> None:
-    """Print Tables 1-3 with the paper's values beside ours, and why they may differ."""
+    """Print Tables 1-3 with the paper's values beside ours, and reasons for differences."""
     from thermojoint.paper.tables import NOTE
 
     for printed in tables:
@@ -55,7 +55,7 @@ _ERRORS = (
 
 
 def show_validation(console: Console, rows: Sequence[Row]) -> None:
-    """Print the errors of estimators of any kind; columns that no row has are left out."""
+    """Print the errors of estimators of any kind; columns without values are left out."""
     from thermojoint.paper.verdict import paper_claim
 
     held = [column for column in _ERRORS if any(column[1] in row for row in rows)]
@@ -113,7 +113,7 @@ def show_blocks(console: Console, rows: Sequence[Row]) -> None:
 
 
 def show_convergence(console: Console, rows: Mapping[str, Convergence]) -> None:
-    """Print the solver's figures of each response, then the thermal model they had."""
+    """Print the solver statistics of each response, then its thermal model."""
     solver = ("steps", "gap residual (m)", "heat balance", "iterations", "most", "cuts")
     table = Table("response", *numeric(*solver))
     for name, row in rows.items():
@@ -127,7 +127,7 @@ def show_convergence(console: Console, rows: Mapping[str, Convergence]) -> None:
             str(row.cuts),
         )
     titled(console, "Solver", table)
-    # Responses of one run mostly share a set-up: its line is printed once.
+    # Responses of one run mostly share a set-up, whose line is printed once.
     for model in dict.fromkeys(row.thermal_model for row in rows.values()):
         console.print(f"Thermal model: {model}.")
 

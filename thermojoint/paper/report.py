@@ -28,7 +28,7 @@ class Picture:
 
     @property
     def source(self) -> str:
-        """The picture itself as a data address."""
+        """The picture as a data URL."""
         suffix = self.path.suffix.lower()
         if suffix not in _TYPES:
             raise InputError(f"{self.path}: a report holds .png and .svg pictures only")
@@ -54,22 +54,22 @@ class ReportData:
     blocks: Sequence[Row] = ()
     #: Response to its solver statistics.
     convergence: Mapping[str, Convergence] = field(default_factory=dict)
-    #: At the heat input of Figure 7.
+    #: Share of the pressure change at the heat input of Figure 7.
     share: PressureShare | None = None
-    #: Estimator that could not be had to the reason.
+    #: Unavailable estimator to the reason.
     left_out: Mapping[str, str] = field(default_factory=dict)
     #: The chosen sensors and the method.
     placement: str = ""
     #: Model to the report of its fit.
     fits: Mapping[str, str] = field(default_factory=dict)
-    #: In order of appearance.
+    #: Pictures in the order of appearance.
     pictures: Sequence[Picture] = ()
-    #: The whole case.
+    #: The whole case as text.
     case: str = ""
 
 
 def report_html(data: ReportData) -> str:
-    """Return the page; all content is escaped, and nothing is loaded from elsewhere."""
+    """Return the page; all content is escaped, and no other files are loaded."""
     environment = templates_of("thermojoint.paper")
     environment.filters["number"] = number
     environment.filters["rounded"] = rounded

@@ -73,13 +73,13 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
     Parameters
     ----------
     case : Case
-        The machine; its heat input is replaced by those of the study. Nothing else may act on it
-        (`calibrate.drivable.check_drivable`). Without named sensors and candidates it gets
-        candidates of its own. A method that cannot be had is left out, with the reason.
+        The machine; its heat input is replaced by the study's inputs. Nothing else may act on it
+        (`calibrate.drivable.check_drivable`). Without named sensors and candidates, candidates are
+        generated. A method that is not applicable is left out, with the reason.
     out : Path
         Folder for ``responses/*.nc``, ``model.json``, ``baselines.json``, ``joint_aware.h5`` and
-        ``kalman_linear.h5`` with their reports (``*.json``), ``tables.json``, the same of the model
-        calibrated until the machine is steady (``*_steady.json``), ``validation.json``,
+        ``kalman_linear.h5`` with their reports (``*.json``), ``tables.json``, the same for the
+        model calibrated until the machine is steady (``*_steady.json``), ``validation.json``,
         ``figures/*.png`` and ``report.html``.
     long : LongRuns, optional
         Durations of the day and the cool-down.
@@ -198,7 +198,7 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
 
 
 def _roles(calibrated: chain.Calibrated | None, reference: xr.Dataset) -> dict[str, str]:
-    """Return role to probe: of the model, or any four around the source and at the joint."""
+    """Return role to probe: from the model, or any four around the source and at the joint."""
     names = probes_of(reference)
     if calibrated is not None and calibrated.placement is not None:
         return calibrated.placement.roles
@@ -213,10 +213,11 @@ def _roles(calibrated: chain.Calibrated | None, reference: xr.Dataset) -> dict[s
 def _beside_calibration(
     case: Case, runs: LongRuns, folder: Path
 ) -> tuple[dict[str, xr.Dataset], dict[str, xr.Dataset] | ThermojointError, dict[str, Scene]]:
-    """Return what does not depend on the choice of sensors.
+    """Return the results that do not depend on the choice of sensors.
 
-    The long responses, those to steps until the machine is steady, or why these cannot be had, and
-    scenes of the fields. The histories of the first are written to `folder`.
+    These are the long responses, the responses to steps until the machine is steady (or the reason
+    why there are none), and scenes of the fields. The histories of the long responses are written
+    to `folder`.
     """
     setup = set_up(case)
     lasting = simulate_long(case, runs, folder / "responses", setup, _silent)
@@ -229,7 +230,7 @@ def _beside_calibration(
 
 
 def _hot(case: Case) -> Case:
-    """Return the case whose fields are shown."""
+    """Return the case for the pictures of the fields."""
     heat = (inputs.CALIBRATION | inputs.VALIDATION)[inputs.PRESSURE]
     return case.model_copy(update={"heat_input": heat})
 
@@ -239,7 +240,7 @@ def _silent(_task: str, _done: int, _all: int) -> None:
 
 
 def _steady(case: Case, steps: Mapping[str, xr.Dataset], folder: Path) -> Model:
-    """Return the model calibrated by steps until the machine is steady, with the same sensors."""
+    """Return the model calibrated from steps until the machine is steady, with the same sensors."""
     _write_responses({f"{name}-steady": response for name, response in steps.items()}, folder)
     calibrated, provenance = _calibrate(case, steps)
     write_model(calibrated.model, folder / "model_steady.json", provenance)
@@ -254,13 +255,13 @@ def _judged(
     beside: judge.Beside,
     observers: Sequence[JointAware],
 ) -> Validated:
-    """Validate every estimator in every case; those without a warm start begin at rest.
+    """Validate every estimator in every case; estimators without a warm start begin at rest.
 
-    `known` are the model, its responses and the long ones.
+    `known` are the model, its responses and the long responses.
     """
     model, responses, lasting = known
     at_rest = [(observer, observer.initial_state()) for observer in observers]
-    # After a warm start a sample takes longest: each observer has a process.
+    # Samples after a warm start take longest, so each observer has a process.
     warm = [[(observer, observer.warm_state())] for observer in observers] or [[]]
     started = {inputs.WARM_START: warm_part(lasting[inputs.DAY], runs)}
     cold = replace(beside, observers=at_rest)
@@ -339,7 +340,7 @@ def _calibrate(
 
 
 def _others(responses: Mapping[str, xr.Dataset]) -> dict[float, xr.Dataset]:
-    """Return the calibration responses beside the reference by their heat inputs."""
+    """Return the calibration responses other than the reference by their heat inputs."""
     return {
         float(responses[name]["heat_input"][-1]): responses[name]
         for name in inputs.CALIBRATION

@@ -34,7 +34,7 @@ class Convergence:
 
     #: Largest residual of the gap equations, m.
     gap_residual: float
-    #: Largest |in - stored - convected|, relative.
+    #: Largest relative heat imbalance, |in - stored - convected|.
     heat_balance: float
     #: Newton iterations in total, and largest number in a step.
     iterations: int
@@ -65,7 +65,7 @@ class Convergence:
 class ElementShare:
     """One contact element: its change of pressure early and at the end, MPa, and their ratio.
 
-    The ratio is None where the final change is near zero.
+    The ratio is None if the final change is near zero.
     """
 
     contact: int
@@ -97,11 +97,11 @@ class SchemeErrors:
     #: The axis is "vector" for the length of the error in all directions together.
     case: str
     axis: str
-    #: Of the linear estimator.
+    #: Error of the linear estimator.
     linear: float
-    #: Of FCHS with Eq. 18 calibrated to steps, as the paper does.
+    #: Error of FCHS with Eq. 18 calibrated to steps, as in the paper.
     steps: float | None
-    #: Of FCHS with Eq. 18 calibrated to estimated strengths, the estimator's default.
+    #: Error of FCHS with Eq. 18 calibrated to estimated strengths, the estimator's default.
     estimated: float
 
 
@@ -155,7 +155,7 @@ def _joint_lines(response: AnyResponse, figures: Mapping[str, float]) -> list[st
 
 
 def unresolved_line(attrs: Mapping[str, Any]) -> str:
-    """Return a line on an oscillation that the steps of a march do not resolve."""
+    """Return a warning about an oscillation that the steps of a march do not resolve."""
     first, last = (attrs[f"unresolved_{end}_s"] for end in ("from", "to"))
     return (
         f"Steps: from {first:g} to {last:g} s pressures rise and fall from step to step though no "
@@ -219,7 +219,7 @@ def drive_lines(response: xr.Dataset) -> list[str]:
 
 
 def accuracy_line(attrs: Mapping[str, Any]) -> str:
-    """Return how good a displacement is, from a response that says so."""
+    """Return a description of a displacement's accuracy, from a response with error estimates."""
     by_joint = json.loads(attrs["error_by_joint_um"])
     parts = []
     for name in ("joint", "mesh", "time"):
@@ -231,7 +231,7 @@ def accuracy_line(attrs: Mapping[str, Any]) -> str:
 
 
 def adaptive_line(attrs: Mapping[str, Any]) -> str:
-    """Return a description of the steps that an adaptive march chose, from a response."""
+    """Return a description of the steps chosen by an adaptive march, from a response."""
     return (
         f"Steps: {attrs['march_steps']} of {attrs['shortest_step_s']:.2g} to "
         f"{attrs['longest_step_s']:.3g} s, {attrs['rejected_steps']} rejected; estimated error "
@@ -299,7 +299,7 @@ def covered_areas(response: AnyResponse) -> dict[str, float]:
 
 
 def pressure_share(response: xr.Dataset, at_s: float = 60.0) -> PressureShare:
-    """Return the fraction of the final change of pressure that is reached at a time, s.
+    """Return the fraction of the final pressure change that is reached at a time, s.
 
     The paper's elements under compression reach 75 % within one minute (section 5.3.2).
 

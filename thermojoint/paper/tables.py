@@ -143,7 +143,7 @@ def tables_json(model: Model, provenance: Provenance) -> dict[str, Any]:
 def printed_tables(
     tables: Mapping[str, Any], at_bound: Mapping[str, Collection[str]] = MappingProxyType({})
 ) -> tuple[PrintedTable, ...]:
-    """Return Tables 1-3 of `tables_json` with the paper's values, where it has them."""
+    """Return Tables 1-3 of `tables_json` with the paper's values, where available."""
     return (
         _table1(tables["table1"], at_bound),
         _table2(tables["table2"], at_bound.get("sources", ())),
@@ -176,7 +176,7 @@ def _table2(table: Mapping[str, Any], bounds: Collection[str]) -> PrintedTable:
         for j, value in enumerate(row)
     }
     blocks.append(_block("Distances source to sensor", distances, {}))
-    # The paper's have no unit, so they cannot be compared with metres.
+    # The paper's distances have no unit, so they cannot be compared with metres.
     printed = tuple(
         Row(f"r {i + 1}{j + 1}", "", None, value)
         for i, row in enumerate(paper_values.TABLE2_DISTANCES)
@@ -223,7 +223,7 @@ def _block(
 
 
 def _of_source(at_bound: Collection[str], index: int) -> list[str]:
-    """Names of one source's parameters, without the number that fits of several sources append."""
+    """Names of one source's parameters, without the number appended in fits of several sources."""
     number = str(index + 1)
     return [name.removesuffix(number) for name in at_bound if name.endswith(number)]
 

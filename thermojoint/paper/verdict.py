@@ -25,7 +25,7 @@ class CaseErrors:
 
     case: str
     axis: str
-    #: In the order of the table's estimators.
+    #: Errors in the order of the table's estimators.
     errors: tuple[float, ...]
     #: Value that the paper reports for its machine.
     paper: float | None
@@ -115,7 +115,7 @@ def _key(row: Row) -> Key:
 
 
 def _against(keys: Sequence[Key], error: dict[Key, float], other: dict[Key, float]) -> str:
-    """Rows with both figures in words, e.g. "triangle x (0.2 against 0.1 µm)"."""
+    """Return rows with both figures as text, e.g. "triangle x (0.2 against 0.1 µm)"."""
     rows = [
         f"{case} {axis} ({error[case, axis]:.3g} against {other[case, axis]:.3g} µm)"
         for case, axis in keys
@@ -124,7 +124,7 @@ def _against(keys: Sequence[Key], error: dict[Key, float], other: dict[Key, floa
 
 
 def _listed(keys: Sequence[Key]) -> str:
-    """Cases with their axes in words, e.g. ": triangle x and y"."""
+    """Return cases with their axes as text, e.g. ": triangle x and y"."""
     axes: dict[str, list[str]] = {}
     for case, axis in keys:
         axes.setdefault(case, []).append(axis)
