@@ -1,1 +1,1 @@
-"""How a simulated machine depends on the values of its case: derivatives, screening, variances."""
+"""Sensitivity of a simulated machine to the values of its case: derivatives, screening, Sobol."""

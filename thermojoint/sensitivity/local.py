@@ -11,7 +11,7 @@ from fesim.batch.study import Values
 from thermojoint.artefacts.arrays import Array
 from thermojoint.sensitivity.parameters import Parameter
 
-#: Changes of a parameter, in its unit change: of the difference, and of the one that checks it.
+#: Changes of a parameter, in its unit change, for the difference and for its check.
 WIDE, NARROW = 2.0, 1.0
 
 
@@ -20,14 +20,14 @@ class Effect:
     """Effect of one parameter on every figure."""
 
     parameter: Parameter
-    #: Shape (figures,): of each figure by the parameter's unit change, in the unit of the figure.
+    #: Shape (figures,): change of each figure by the parameter's unit change, in its own unit.
     change: Array
-    #: Shape (figures,): by how much the effect depends on the size of the change.
+    #: Shape (figures,): dependence of the effect on the size of the change.
     error: Array
 
 
 def rows_of(parameters: Sequence[Parameter]) -> list[Values]:
-    """Return the values of the cases: four for each parameter, the others as they are."""
+    """Return the values of the cases: four for each parameter, with all others unchanged."""
     given = {parameter.path: parameter.value for parameter in parameters}
     return [
         given | {parameter.path: parameter.value + times * parameter.unit_change}
@@ -52,7 +52,7 @@ def effects_of(parameters: Sequence[Parameter], figures: Array) -> list[Effect]:
     parameters : sequence of Parameter
         The parameters.
     figures : ndarray, shape (4 parameters, figures)
-        Results of the cases of `rows_of`; NaN for a case that has none.
+        Results of the cases of `rows_of`; NaN for a case without a result.
     """
     effects = []
     by_parameter = figures.reshape(len(parameters), 4, -1)

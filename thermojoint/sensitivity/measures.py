@@ -1,11 +1,11 @@
-"""Methods of a sensitivity study, and the indices that each of them gives (docs/sensitivity.md)."""
+"""Methods of a sensitivity study, and their indices (docs/sensitivity.md)."""
 
 from __future__ import annotations
 
 from typing import Literal
 
 Method = Literal["morris", "sobol"]
-#: Method to the column that ranks, and the one that says how uncertain it is.
+#: Method to the column for ranking, and the column of its uncertainty.
 MEASURES = {
     "local": ("change", "error"),
     "morris": ("mu_star", "mu_star_conf"),

@@ -11,11 +11,11 @@ from fesim.case.schema import Case, MillingMachineSection
 from meshes.milling_machine import MillingMachineDimensions
 from thermojoint.artefacts.units import MILLI
 
-#: Sections whose numbers describe no machine.
+#: Sections whose numbers do not describe the machine.
 _LEFT_OUT = {"title", "march", "output", "candidates", "displacement", "volume"}
 #: Numbers of a mesh, not of the machine.
 _MESHED = {"structure.element_size_mm", "structure.joint_element_size_mm"}
-#: Numbers of an axis that have no size, place its mesh and stations, or say what is read from it.
+#: Numbers of an axis without a magnitude, for its mesh and stations, or for its outputs.
 _READ = {
     "direction",
     "station_mm",
@@ -34,9 +34,9 @@ class Parameter:
 
     #: Its path in the case file, with dots.
     path: str
-    #: In the unit that the path names.
+    #: Value in the unit of the path.
     value: float
-    #: Change that effects are given for: a hundredth of the value, or 1 mm of a coordinate.
+    #: Change to which effects refer: a hundredth of the value, or 1 mm for a coordinate.
     unit_change: float
 
     @property
@@ -57,7 +57,7 @@ def parameters_of(case: Case, patterns: tuple[str, ...] = ("*",)) -> list[Parame
     }
     if isinstance(case.structure, MillingMachineSection):
         usual = asdict(MillingMachineDimensions())
-        # Zero, as other numbers, and what is taken from others are left out.
+        # Zeros, as of all numbers, and values derived from others (None) are left out.
         dimensions = {name: value / MILLI for name, value in usual.items() if value}
         data["structure"]["dimensions_mm"] = dimensions | case.structure.dimensions_mm
     found = []

@@ -16,13 +16,13 @@ from thermojoint.sensitivity.local import Effect
 from thermojoint.sensitivity.measures import INDICES, MEASURES
 from thermojoint.sensitivity.screening import Design, indices_of
 
-#: A figure that changes by less does not, in µm, K, MPa or as a share.
+#: A figure that changes by less (µm, K, MPa, or a fraction) counts as unchanged.
 STILL = 1e-9
 
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Figures of a batch that say something of the machine, not of the solver.
+#: Figures of a batch that describe the machine, not the solver.
 PHYSICAL = (
     *(name for name in FIGURES if name.startswith("displacement_") and "final" in name),
     "temperature_max_K",
@@ -35,7 +35,7 @@ PHYSICAL = (
 
 
 def check_figures(asked: Sequence[str], known: Sequence[str], where: str) -> None:
-    """Refuse figures that are not known; `where` is what asks for them.
+    """Refuse unknown figures; `where` is the place that requests them.
 
     Raises
     ------
@@ -48,19 +48,19 @@ def check_figures(asked: Sequence[str], known: Sequence[str], where: str) -> Non
 
 
 def physical(columns: Iterable[str]) -> list[str]:
-    """Return what `--figure` may name of the columns of a study: `PHYSICAL`, and lines of axes."""
+    """Return the columns of a study allowed for `--figure`: `PHYSICAL`, and lines of axes."""
     return [*PHYSICAL, *(name for name in columns if name not in FIGURES)]
 
 
 def chosen_figures(summary: pd.DataFrame, asked: Sequence[str]) -> list[str]:
-    """Return the figures to judge: those asked for, or all of `PHYSICAL` that change.
+    """Return the figures to evaluate: the requested ones, or all of `PHYSICAL` that change.
 
-    Those over the stroke of a moving axis only where they are asked for, as there are many.
+    The many figures over the stroke of a moving axis are only included on request.
 
     Raises
     ------
     InputError
-        No case has a result, or none has a figure.
+        No case has a result, or a requested figure has no value.
     """
     wanted = dict.fromkeys((*PHYSICAL, *asked))
     have = [name for name in wanted if name in summary and summary[name].notna().any()]
@@ -83,7 +83,7 @@ def figures_of_rows(
 
 
 def local_results(effects: Sequence[Effect], names: Sequence[str]) -> list[dict[str, Any]]:
-    """Return an entry for each parameter and figure, for every figure the largest effect first."""
+    """Return an entry for each parameter and figure, sorted by effect within each figure."""
     entries = [
         {
             "figure": name,

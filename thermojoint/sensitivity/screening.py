@@ -15,7 +15,7 @@ from thermojoint.sensitivity.measures import INDICES, Method
 
 #: Levels of the grid of Morris's trajectories.
 LEVELS = 4
-#: Shares of the samples whose indices show the convergence.
+#: Fractions of the samples whose indices show the convergence.
 SHARES = (0.25, 0.5, 1.0)
 
 
@@ -28,12 +28,12 @@ class Design:
     ranges: tuple[RangeSection, ...]
     #: Shape (samples, ranges): samples in the unit cube.
     unit: Array
-    #: Of the samples and of the intervals.
+    #: Seed of the samples and of the confidence intervals.
     seed: int
 
     @property
     def block(self) -> int:
-        """Number of samples that belong together: a trajectory, or a base sample and its mixes."""
+        """Number of samples per block: a trajectory, or a base sample and its combinations."""
         return len(self.ranges) + (1 if self.method == "morris" else 2)
 
     @property
@@ -48,7 +48,7 @@ def design_of(ranges: Sequence[RangeSection], method: Method, count: int, seed: 
     Raises
     ------
     InputError
-        The count is too small, or for Sobol's indices no power of two.
+        The count is too small, or for Sobol's indices not a power of two.
     """
     problem = _problem(len(ranges))
     if count < 4:
@@ -67,14 +67,14 @@ def design_of(ranges: Sequence[RangeSection], method: Method, count: int, seed: 
 
 
 def indices_of(design: Design, figure: Array) -> list[dict[str, Any]]:
-    """Return the indices by the first quarter, half and all of the samples.
+    """Return the indices from the first quarter, half and all of the samples.
 
     Parameters
     ----------
     design : Design
         The samples.
     figure : ndarray, shape (samples,)
-        Results of its cases.
+        Results of the cases.
 
     Returns
     -------
@@ -95,7 +95,7 @@ def _indices(design: Design, figure: Array) -> dict[str, Any]:
     if design.method == "morris":
         from SALib.analyze.morris import analyze
 
-        # Per third of the range: a step of Morris's grid is two thirds of it.
+        # Per third of the range: a step of Morris's grid is two thirds of the range.
         result = analyze(
             problem, design.unit[: len(figure)], figure / 3.0, num_levels=LEVELS, seed=design.seed
         )
