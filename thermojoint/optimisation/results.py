@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def sizes_of(names: Sequence[str], figures: Array) -> Array:
-    """Return figures (..., names); displacements, which have a sign, by their magnitude."""
+    """Return figures (..., names), with displacements, which have a sign, as magnitudes."""
     signed = np.array([name.startswith("displacement_") for name in names])
     return np.where(signed, np.abs(figures), figures)
 
@@ -27,9 +27,9 @@ def sizes_of(names: Sequence[str], figures: Array) -> Array:
 def figures_in(
     given: DesignFile, study: Study, rows: Sequence[Values], summary: pd.DataFrame
 ) -> Array:
-    """Return the figures of a question for each row's case, shape (rows, figures), by their size.
+    """Return the figures of a question for each row's case, as magnitudes, shape (rows, figures).
 
-    NaN where there is none.
+    Missing figures are NaN.
 
     Raises
     ------
@@ -44,14 +44,14 @@ def figures_in(
 
 
 def measured(given: DesignFile, figures: Array) -> Array:
-    """Return what is minimised, and the excess over each limit, shape (cases, 1 + limits).
+    """Return the minimised aim, and the excess over each limit, shape (cases, 1 + limits).
 
     Parameters
     ----------
     given : DesignFile
         The question.
     figures : ndarray, shape (cases, 1 + limits)
-        Its figures (`DesignFile.names`), by their size.
+        Its figures (`DesignFile.names`), as magnitudes.
     """
     aim = figures[:, :1] if given.minimise else -figures[:, :1]
     over = [_excess(limit, figures[:, at]) for at, limit in enumerate(given.limits, start=1)]
@@ -59,7 +59,7 @@ def measured(given: DesignFile, figures: Array) -> Array:
 
 
 def _excess(limit: LimitSection, figure: Array) -> Array:
-    """Excess over a limit relative to it, at most zero where it holds."""
+    """Excess over a limit relative to the limit; not positive where the limit holds."""
     ends = (1.0, limit.at_most), (-1.0, limit.at_least)
     over = [sign * (figure - end) / (abs(end) or 1.0) for sign, end in ends if end is not None]
     return np.asarray(np.max(over, axis=0))
@@ -73,7 +73,7 @@ def holds(limit: LimitSection, figure: float) -> bool:
 def entries_of(
     given: DesignFile, found: Array, full: Array, own: Array | None
 ) -> list[dict[str, Any]]:
-    """Return an entry for the aim and for every limit: as found, by a full march, as it is now."""
+    """Return an entry for the aim and every limit: optimum, its full march, and present design."""
     entries = []
     for at, name in enumerate(given.names):
         limit = given.limits[at - 1] if at else None
@@ -107,6 +107,6 @@ def history_of(done: Search) -> list[dict[str, Any]]:
 
 
 def figures_by_name(names: Sequence[str], values: Values, figures: dict[str, float]) -> Array:
-    """Return figures of one case, by their size; a varied value counts as a figure of its own."""
+    """Return figures of one case as magnitudes; a varied value counts as a figure of its own."""
     every = figures | values
     return sizes_of(names, np.array([every.get(name, np.nan) for name in names]))

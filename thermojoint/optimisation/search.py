@@ -1,6 +1,6 @@
 """Search by differential evolution (Storn & Price 1997; scipy), one generation of cases at a time.
 
-Everything follows from the seed: a search that is begun again asks for the same cases.
+Everything is determined by the seed: a restarted search requests the same cases.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from scipy.stats import qmc
 from fesim.batch.study import RangeSection, Values, values_in
 from thermojoint.artefacts.arrays import Array
 
-#: Runs cases; gives their figures, shape (cases, figures), NaN where there is no result.
+#: Runs cases; returns their figures, shape (cases, figures), NaN without a result.
 Run = Callable[[list[Values]], Array]
-#: Turns figures (cases, figures) into aim and excess over each limit, (cases, 1 + limits).
+#: Converts figures (cases, figures) to aim and excess over each limit, (cases, 1 + limits).
 Measure = Callable[[Array], Array]
 Key = tuple[float, ...]
-#: Significant digits of the values: no design needs more.
+#: Significant digits of the values; no design needs more.
 DIGITS = 5
-#: Counts as excess where a case has no result.
+#: Excess of a case without a result.
 HOPELESS = 1e9
 
 
@@ -30,11 +30,11 @@ HOPELESS = 1e9
 class Effort:
     """Length of a search."""
 
-    #: Cases of a generation, 5 or more.
+    #: Number of cases of a generation, 5 or more.
     population: int = 12
-    #: At most; fewer where the whole generation agrees to a hundredth.
+    #: Largest number of generations; fewer if a whole generation agrees to a hundredth.
     generations: int = 15
-    #: Of all that is random.
+    #: Seed of all random numbers.
     seed: int = 1
 
 
@@ -44,17 +44,17 @@ class Search:
 
     #: Values of the cases, in the order of their generations.
     rows: list[Values]
-    #: Shape (cases, figures): as `Run`.
+    #: Shape (cases, figures): result of `Run`.
     figures: Array
-    #: Shape (cases, 1 + limits): as `Measure`.
+    #: Shape (cases, 1 + limits): result of `Measure`.
     measured: Array
-    #: Numbers of cases after each generation.
+    #: Number of cases after each generation.
     sizes: list[int]
 
     def best(self, count: int | None = None) -> int | None:
-        """Return the best of the first `count` cases: of those within all limits the lowest.
+        """Return the best of the first `count` cases: the lowest one within all limits.
 
-        Where none is within them, the one with the least excess; None where none has a result.
+        If none is within the limits, the one with the least excess; None if none has a result.
         """
         measured = self.measured[:count]
         excess = np.maximum(measured[:, 1:], 0.0).sum(axis=1)
@@ -76,11 +76,11 @@ def search(
     ranges : sequence of RangeSection
         Values to choose.
     run, measure : callable
-        As `Run` and `Measure`; each case is run once.
+        See `Run` and `Measure`; each case is run once.
     effort : Effort
-        Length.
+        Length of the search.
     first : sequence of dict
-        Cases that are run beside the first generation.
+        Cases that are run with the first generation.
     """
     figures: dict[Key, Array] = {}
     rows: list[Values] = []
@@ -98,12 +98,12 @@ def search(
         return measure(np.array([figures[_key(values)] for values in asked]))
 
     def aim(unit: Array) -> Array:
-        # None where no case of a generation is within the limits.
+        # Empty if no case of a generation is within the limits.
         found = measured(unit)[:, 0] if unit.size else np.empty(0)
         return np.where(np.isnan(found), np.inf, found)
 
     def excess(unit: Array) -> Array:
-        # scipy tries a single point, too.
+        # scipy also passes a single point.
         found = measured(unit.reshape(len(ranges), -1))[:, 1:].T
         return np.where(np.isnan(found), HOPELESS, found).reshape(-1, *unit.shape[1:])
 
@@ -126,7 +126,7 @@ def search(
 
 
 def _rounded(ranges: Sequence[RangeSection], values: Values) -> Values:
-    """Values with `DIGITS` digits, or at the end of a range that these would pass."""
+    """Round values to `DIGITS` digits, limited to their ranges."""
     return {
         span.path: min(max(float(f"{values[span.path]:.{DIGITS}g}"), span.low), span.high)
         for span in ranges

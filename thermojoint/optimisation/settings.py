@@ -46,17 +46,17 @@ class DesignFile(RangesFile):
 
     @property
     def aim(self) -> str:
-        """Figure, or path of a value, that is minimised or maximised."""
+        """Figure, or path of a value, to be minimised or maximised."""
         return self.minimise or self.maximise or ""
 
     @property
     def names(self) -> list[str]:
-        """Columns that are judged: the aim, then those of the limits."""
+        """Evaluated columns: the aim, then those of the limits."""
         return [self.aim, *(limit.figure for limit in self.limits)]
 
 
 def check_names(given: DesignFile, moving_axes: Iterable[str], where: str) -> None:
-    """Refuse names that are neither figures nor values that are varied.
+    """Refuse names that are neither figures nor varied values.
 
     Parameters
     ----------
