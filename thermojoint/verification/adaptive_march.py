@@ -1,9 +1,9 @@
 """Adaptive steps, heat that comes and goes inside a step, and the choice of units.
 
 A rod that is heated at one end from rest follows a Fourier series; in an adiabatic block a pulse
-leaves its energy over the heat capacity, wherever the steps lie; growth rates of Barber's rod are
-those of `thermojoint.verification.rod`; and a case with lengths, stresses and heat in other units
-has the same digits.
+raises the temperature by its energy over the heat capacity, wherever the steps lie; growth rates of
+Barber's rod are those of `thermojoint.verification.rod`; and a case with lengths, stresses and heat
+in other units gives the same digits.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ from thermojoint.verification.thermal_bar import (
     bar_case,
 )
 
-#: Openings of Barber's rod: a mode that grows on this side of a stability limit, two that decay.
+#: Openings of Barber's rod: with a growing mode near a stability limit, and two with decaying ones.
 OPENINGS = (-1e-6, -4e-6, -8e-6)
 #: Perturbation of the rod's end, K.
 PERTURBED = 4e-3
-#: Those of a case that states none.
+#: Default tolerances of a case.
 USUAL = Tolerance(1e-6 * TOLERANCE_UM, TOLERANCE_K)
 RATE = Quantity("growth rate", "1/s", 1e-3, "characteristic equation")
 #: Heat flux into the rod's end, W/m2; energy of the pulse, J.
@@ -63,7 +63,7 @@ UNITS = (1e-3, 1e6, 1e2)
 
 
 def checks() -> Iterator[Check]:
-    """All of them."""
+    """Check all of them."""
     for opening in OPENINGS:
         yield growth_check(opening)
     with temporary_folder() as folder:
@@ -87,7 +87,7 @@ def growth_check(opening: float) -> Check:
     drive = Histories(np.zeros(1), case.inputs[None])
     end = int(np.argmax(np.where(on_rod, built.x, -np.inf)))
     found = []
-    # Two signs, as the rod is not linear.
+    # Both signs, since the rod is not linear.
     for size in (PERTURBED, -PERTURBED):
         perturbed = size * np.exp(-3.0 * max(np.sign(rate), 0.0)) * mode
         field = steady.temperature + project_start(built.heat, modes, perturbed)
@@ -101,7 +101,7 @@ def growth_check(opening: float) -> Check:
 
 
 def _on_modes(built: Rods, mode: Array, step: float) -> tuple[CondensedMachine, ThermalModes]:
-    """Barber's rod on modes that hold a perturbation of its shape; and these modes."""
+    """Return Barber's rod on modes that include a perturbation's shape, and these modes."""
     outputs = outputs_of(built.elastic, csr_array((0, built.x.size)))
     modes = thermal_modes(built.heat, built.operators, outputs, 1.0, start=mode)
     thermal = project_heat(built.heat, built.operators, step, modes)
@@ -133,7 +133,7 @@ def heated_checks(folder: Path) -> Iterator[Check]:
 
 
 def pulse_checks(folder: Path) -> Iterator[Check]:
-    """Compare the temperature that a pulse leaves with its energy by the heat capacity."""
+    """Compare the temperature after a pulse with the pulse's energy over the heat capacity."""
     (folder / "pulse.csv").write_text("time_s,heat_input\n0,0\n65,0\n65.001,1\n85,1\n85.001,0\n")
     rise = ENERGY / (DENSITY * CAPACITY * LENGTH * WIDTH**2)
     for method in ("fixed", "adaptive"):

@@ -1,4 +1,4 @@
-"""A column that carries a ram, and a table: against the machine meshed where its axes stand."""
+"""A column that carries a ram, and a table: against the machine meshed at the axis positions."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from thermojoint.verification.structures import IRON, material_section
 
 #: Mesh size, and length of a contact element, m.
 SIZE = 0.1
-#: Where the mesh shows the axes, and where they stand, last between stations, m.
+#: Axis positions in the mesh; compared positions, the last one between stations, m.
 SHOWN = (0.0, 0.0, 0.0)
 STANDS = ((0.2, 0.3, -0.1), (-0.3, -0.2, 0.2))
 BETWEEN = (0.13, -0.07, 0.11)
-#: Ways of the axes in the expansion, s and mm: they stand, move alone and together.
+#: Motions of the axes in the expansion, s and mm: they rest, move alone and together.
 WAYS = {
     "x": [(0, -300), (300, 250), (600, 250)],
     "y": [(0, 150), (200, 150), (500, -220)],
@@ -40,9 +40,9 @@ AXES: dict[str, tuple[str, str, list[str], list[float]]] = {
     "y": ("ram_back", "column_front", ["ram"], [-300.0, 300.0]),
     "z": ("table_foot", "bed_top", ["table"], [-100.0, 200.0]),
 }
-#: Pads of a joint, m2, and all bodies, m3.
+#: Area of a joint's pads, m2, and volume of all bodies, m3.
 AREA, VOLUME = 0.04, 0.048 + 0.032 + 0.008 + 0.004
-#: Faces that springs hold along their normals in the expansion.
+#: Faces held by springs along their normals in the expansion.
 HELD = {
     "column_side": 0,
     "column_back": 2,
@@ -55,7 +55,7 @@ FIELDS = (("displacement", "µm", 1e6), ("temperature", "K", 1.0), ("pressure", 
 
 
 def checks() -> Iterator[Check]:
-    """The machine on its axes."""
+    """Check the machine on its axes."""
     with temporary_folder() as folder:
         for at in STANDS:
             yield from _position_checks(folder, at)
@@ -65,9 +65,9 @@ def checks() -> Iterator[Check]:
 
 
 def chain_data(folder: Path, shown: tuple[float, float, float]) -> dict[str, Any]:
-    """Return a case with the machine as it is meshed where its axes stand, m; without axes.
+    """Return a case with the machine meshed at the given axis positions, m; without axes.
 
-    Springs hold the bodies along and across their guides, in which nothing rubs.
+    Springs hold the bodies along and across their guides, which are frictionless.
     """
     name = f"chain{'_'.join(f'{1e3 * at:g}' for at in shown)}.vtu"
     write_structure(three_axis_machine(SIZE, shown), folder / name)
@@ -113,7 +113,7 @@ def chain_data(folder: Path, shown: tuple[float, float, float]) -> dict[str, Any
 
 
 def on_axes(data: dict[str, Any], courses: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """Let the machine of a case, meshed at zero, ride on its axes: a position or a file of each."""
+    """Put the machine of a case, meshed at zero, on its axes: a position or a file for each."""
     axes = {
         name: courses[name]
         | {
@@ -134,7 +134,7 @@ def _marched(folder: Path, data: dict[str, Any]) -> xr.Dataset:
 
 
 def _position_checks(folder: Path, at: tuple[float, float, float]) -> Iterator[Check]:
-    """The chain where its axes stand against the machine meshed there."""
+    """The chain at axis positions against the machine meshed at them."""
     standing = {name: {"position_mm": 1e3 * one} for name, one in zip(AXES, at, strict=True)}
     riding = _marched(folder, on_axes(chain_data(folder, SHOWN), standing))
     meshed = _marched(folder, chain_data(folder, at))
@@ -151,9 +151,9 @@ def _position_checks(folder: Path, at: tuple[float, float, float]) -> Iterator[C
 
 
 def _rigid_check(folder: Path) -> Check:
-    """Largest gap that a rigid motion of the whole machine opens, aligned or between stations.
+    """Largest gap due to a rigid motion of the whole machine, aligned or between stations.
 
-    Each body is displaced by a + w x (x + s), s being where the axes have taken it.
+    Each body is displaced by a + w x (x + s), where s is its travel by the axes.
     """
     standing = {name: {"position_mm": 0.0} for name in AXES}
     case = case_from_data(on_axes(chain_data(folder, SHOWN), standing), "chain", folder)
@@ -180,12 +180,12 @@ def _rigid_check(folder: Path) -> Check:
 
 
 def _expansion_checks(folder: Path) -> Iterator[Check]:
-    """Evenly warm bodies that expand freely: no pressure changes, wherever the axes move."""
+    """Uniformly warm bodies that expand freely: no pressure changes, wherever the axes move."""
     data = chain_data(folder, SHOWN)
     del data["sources"], data["heat_input"], data["convection_W_m2K"]
     data["supports"] = {
         "symmetry": {"bed_foot": "y", "bed_left": "x", "bed_back": "z"},
-        # Faces that stay plane: held along their normals alone.
+        # Faces that stay plane: held only along their normals.
         "springs": {
             face: {"stiffness_N_um": [100.0 * (k == normal) for k in range(3)]}
             for face, normal in HELD.items()
@@ -213,7 +213,7 @@ def _expansion_checks(folder: Path) -> Iterator[Check]:
 
 
 def _energy_checks(folder: Path) -> Iterator[Check]:
-    """Friction alone heats insulated bodies: the heat is mu F way, and all of it stays."""
+    """Friction alone heats insulated bodies: the heat, mu F times the travel, is conserved."""
     data = chain_data(folder, SHOWN)
     data["convection_W_m2K"] = {}
     data["heat_input"]["level"] = 0.0
@@ -230,7 +230,7 @@ def _energy_checks(folder: Path) -> Iterator[Check]:
 def friction_heat_checks(
     name: str, response: xr.Dataset, heat: float, compared: Quantity
 ) -> Iterator[Check]:
-    """Insulated bodies of iron that friction has heated by so much, J/m3, and their energy."""
+    """Insulated bodies of iron heated by friction with `heat`, J/m3, and their energy balance."""
     reference = heat / (IRON.density * IRON.heat_capacity)
     last = response["temperature"][-1]
     yield compared.check(

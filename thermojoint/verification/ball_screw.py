@@ -4,8 +4,8 @@ A fin of length L with heat Q at one end has, once steady, with m^2 = 4 h/(k d),
 
     T(x) = Q cosh(m (L - x))/(k A m sinh(m L)),
 
-and a source Q that moves along an endless fin at speed v, a distance z behind the point, with
-s^2 = (v/(2 a))^2 + m^2 (Rosenthal; Jaeger, Proc. R. Soc. N.S.W. 76, 1942)
+and with a source Q that moves along an infinite fin at speed v, at a distance z behind the point,
+with s^2 = (v/(2 a))^2 + m^2 (Rosenthal; Jaeger, Proc. R. Soc. N.S.W. 76, 1942)
 
     T(z) = Q/(2 k A s) exp(-v z/(2 a) - s |z|).
 """
@@ -67,9 +67,9 @@ DECAY = math.sqrt(4.0 * FILM / (STEEL.conductivity * DIAMETER))
 #: Stiffness of the screw and of its bearings, N/m; its stretch, m.
 SCREW_STIFFNESS, NEAR, FAR = STEEL.youngs_modulus * AREA / LENGTH, 4e8, 6e8
 STRETCH, RISE = 30e-6, 2.0
-#: Position of an axis at which errors are compared, m; until steady, s.
+#: Position of an axis at which errors are compared, m; time to the steady state, s.
 PLACE, STEADY = 0.45, 1e8
-#: A screw without heat; its ends are missing.
+#: A screw without heat; keys of its ends are missing.
 SECTION = {
     "bearings": "fixed-free",
     "nut_length_mm": 80.0,
@@ -78,7 +78,7 @@ SECTION = {
     "material": "steel",
     "film_W_m2K": FILM,
 }
-#: A screw that gives heat to the slide and to both ends of the guide, and none to the air.
+#: A screw that transfers heat to the slide and to both ends of the guide, but not to the air.
 HEATING = {
     "bearings": "fixed-supported",
     "film_W_m2K": 0.0,
@@ -96,7 +96,7 @@ ELONGATION = Quantity("positioning error", "µm", 1e-9)
 
 
 def checks() -> Iterator[Check]:
-    """Ball screws and scales."""
+    """Check ball screws and scales."""
     yield from _even_checks()
     yield from _tension_checks()
     yield from _fin_checks()
@@ -109,7 +109,7 @@ def checks() -> Iterator[Check]:
 
 
 def screw_with(**keys: object) -> Screw:
-    """Return a fixed-free screw with a film and without heat; keys of its section change it."""
+    """Return a fixed-free screw with a film and without heat, modified by keys of its section."""
     ends = {"fixed_bearing_mm": 1e3 * START, "far_end_mm": 1e3 * (START + LENGTH)}
     return screw_of(BallScrewSection.model_validate(SECTION | ends | keys), STEEL)
 
@@ -135,13 +135,13 @@ def error_at(screw: Screw, temperature: Array, position: float = PLACE) -> float
 
 
 def _standing(screw: Screw, ambient: float, time: float = STEADY, count: int = 1) -> Array:
-    """Temperatures after a time in which the axis stands, K."""
+    """Temperatures after a time with the axis at rest, K."""
     still = step_history(PLACE)
     return steps_of(screw, still, time / count, count, ambient)[-1].temperature
 
 
 def _even_checks() -> Iterator[Check]:
-    """A screw that the air warms evenly, in the three bearings."""
+    """A screw warmed uniformly by the air, with the three bearing arrangements."""
     warm = 10.0 * (1.0 - math.exp(-1.0))
     free = 1e6 * STEEL.expansion * warm
     below = PLACE - START
@@ -161,7 +161,7 @@ def _even_checks() -> Iterator[Check]:
 
 
 def _tension_checks() -> Iterator[Check]:
-    """A stretched screw between two fixed bearings, evenly warm: stiff, compliant, slack."""
+    """A stretched screw between two fixed bearings, uniformly warm: stiff, compliant, slack."""
     grown = STEEL.expansion * RISE * LENGTH
     held = {"bearings": "fixed-fixed", "stretch_um": 1e6 * STRETCH}
     elastic = held | {
@@ -219,7 +219,7 @@ def _fin_checks() -> Iterator[Check]:
     )
     keys = {"bearings": "fixed-supported", "film_W_m2K": 0.0, "bearing_conductance_W_K": sink}
     screw = screw_with(motor_heat_W=heat, **keys)
-    # What goes to the far bearing passes the whole screw, in which T is linear.
+    # The heat to the far bearing passes through the whole screw, in which T is linear.
     far = (heat / sink + warm) / (2.0 / sink + LENGTH / along)
     mean = far / sink + far * (LENGTH - 0.5 * below) / along
     still = screw.along(np.full(2, PLACE))
@@ -238,7 +238,7 @@ def _fin_checks() -> Iterator[Check]:
 
 
 def _nut_checks() -> Iterator[Check]:
-    """A nut that goes to and fro, and one that moves on."""
+    """A nut that moves to and fro, and one that moves in one direction."""
     ends, period, torque = (0.1, 0.5), 10.0, 2.0
     turns = np.arange(0.0, 15.0 * LASTING, 0.5 * period)
     there = np.where(np.arange(turns.size) % 2, ends[1], ends[0])
@@ -256,7 +256,7 @@ def _nut_checks() -> Iterator[Check]:
 
 
 def _fin_under_nut(ends: tuple[float, float], to: float) -> float:
-    """Integral of T from 0 to a place, per W of a nut of 80 mm that passes between two places."""
+    """Integral of T from 0 to a place, per W of an 80 mm nut that moves between two places."""
     half = 0.04
     low, high = (end - START for end in ends)
 
@@ -265,7 +265,7 @@ def _fin_under_nut(ends: tuple[float, float], to: float) -> float:
         return max(covered, 0.0) / (2.0 * half * (high - low))
 
     def grown(x: float) -> float:
-        """Integral of the temperature from 0 to `to` by 1 W at x."""
+        """Integral of the temperature from 0 to `to` due to 1 W at x."""
         near, far = min(x, to), max(x, to)
         m = DECAY
         whole = math.cosh(m * (LENGTH - x)) * math.sinh(m * near)
@@ -279,7 +279,7 @@ def _fin_under_nut(ends: tuple[float, float], to: float) -> float:
 
 
 def _moving_source_check() -> Check:
-    """Highest temperature of a long screw while the nut goes on and on."""
+    """Highest temperature of a long screw while the nut moves steadily in one direction."""
     speed, length, torque, step = 2e-4, 4.0, 20.0, 10.0
     screw = screw_with(
         far_end_mm=1e3 * (START + length), nut_torque_Nm=torque, nut_length_mm=80.0, cells=500
@@ -310,12 +310,12 @@ def _moving_source_check() -> Check:
 
 
 def _rotation_check() -> Check:
-    """A screw in warm air that turns in one half of each step: the film is stronger meanwhile."""
+    """A screw in warm air that turns in one half of each step, with a stronger film meanwhile."""
     added, rpm, share = 60.0, 1000.0, 0.4
     keys = {"added_W_m2K": added, "rotation_rpm": rpm, "exponent": 0.7}
     screw = screw_with(rotating_film=keys)
     step, count = 30.0, 20
-    # 0.01 m a turn, for half a step; back in the next one.
+    # 0.01 m per turn, for half a step; back in the next one.
     way = 0.01 * share * rpm / 60.0 * 0.5 * step
     times = 0.5 * step * np.arange(2 * count + 1, dtype=np.float64)
     places = way * np.repeat(np.arange(count + 1, dtype=np.float64) % 2.0, 2)[1:]
@@ -330,7 +330,7 @@ def _rotation_check() -> Check:
 
 
 def _lead_check() -> Check:
-    """Twice the lead under twice the torque is the same heat, and an error that has no lead."""
+    """Twice the lead at twice the torque gives the same heat, and the error is the same."""
     course = History(np.array([0.0, 40.0, 80.0]), np.array([0.1, 0.6, 0.2]))
     found = []
     for times in (1.0, 2.0):
@@ -343,7 +343,7 @@ def _lead_check() -> Check:
 
 
 def _scale_check() -> Check:
-    """A scale beside something that warms by 5 K, evenly, within one time constant."""
+    """A scale beside a body that warms by 5 K, linearly in time, within one time constant."""
     section = ScaleSection(expansion_1_K=8e-6, fixed_mm=-50.0, head_mm=120.0, lag_s=900.0)
     made = scale_of(section)
     drive = Drive(None, made, None, 0, None, NO_SURFACES, NO_SEATS)
@@ -357,7 +357,7 @@ def _scale_check() -> Check:
 
 
 def _machine_checks(folder: Path) -> Iterator[Check]:
-    """A slide on a screw: its displacement less that of the slide alone is the screw's."""
+    """A slide on a screw: its displacement less that of the slide alone is due to the screw."""
     data = slide_data(folder, SHOWN)
     data["materials"]["steel"] = material_section(STEEL)
     keys = {
@@ -397,7 +397,7 @@ def _machine_checks(folder: Path) -> Iterator[Check]:
 
 
 def _seat_checks(folder: Path, data: dict[str, Any], course: str) -> Iterator[Check]:
-    """Seats that the guide moves, against their displacement when that is what is recorded."""
+    """Seats moved by the guide, against their displacement recorded in another run."""
     stroke = (0.0, 1e3 * (GUIDE - SLIDE))
     seats = {"near": [100.0, -20.0, 0.0], "far": [320.0, -20.0, 0.0]}
     probes = {name: {"position_mm": at, "body": "guide"} for name, at in seats.items()}

@@ -28,7 +28,7 @@ from thermojoint.artefacts.files import temporary_folder
 from thermojoint.verification.check import Check, Quantity
 from thermojoint.verification.loaded import AREA, DENSITY, GRAVITY, HALF, WEIGHT, column_case, joint
 
-#: On the top of the column: the force, N.
+#: Force on the top of the column, N.
 FORCE = (600.0, 0.0, -8000.0)
 PRELOAD = 2e6
 #: The ring: inner and outer radius, thickness, m; pressure, Pa; Poisson's ratio; the probe's
@@ -41,7 +41,7 @@ STRESS = Quantity("stress", "MPa", source="Lame, equilibrium")
 
 
 def checks() -> Iterator[Check]:
-    """Forces and stresses in columns and a ring."""
+    """Check forces and stresses in columns and a ring."""
     with temporary_folder() as folder:
         yield from _column_checks(folder)
         yield from _ring_checks(folder)

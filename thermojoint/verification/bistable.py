@@ -161,7 +161,7 @@ def found_near(still: Setup, case: Case, conductance: float) -> State:
 
 
 def checks() -> Iterator[Check]:
-    """Three steady states; the march reaches two of them and leaves the third."""
+    """Check three steady states, of which the march reaches two and leaves the third."""
     with temporary_folder() as folder:
         write_structure(rod(), folder / "rod.vtu")
         yield from _checks(folder)

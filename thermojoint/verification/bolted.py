@@ -23,13 +23,13 @@ from thermojoint.artefacts.files import temporary_folder
 from thermojoint.verification.check import Check, Quantity
 from thermojoint.verification.loaded import AREA, HALF, MODULUS, column_case, joint, separation
 
-#: Force after tightening and one that parts the joint, N; rise of the temperature, K.
+#: Force after tightening and force that separates the joint, N; rise of the temperature, K.
 FORCE, PARTING, RISE = 20e3, 6e3, 40.0
 #: The bolt: diameter and length, m, modulus, Pa; expansions of bolt and sleeve, 1/K.
 DIAMETER, LENGTH, BOLT_MODULUS = 0.016, 2.0 * HALF, 206e9
 BOLT_EXPANSION, SLEEVE_EXPANSION = 12e-6, 23e-6
 STIFFNESS = BOLT_MODULUS * 0.25 * np.pi * DIAMETER**2 / LENGTH
-#: Of the column, as a spring.
+#: Stiffness of the column as a spring, N/m.
 COLUMN = MODULUS * AREA / LENGTH
 BY_DIAGRAM = Quantity("force", "N", source="joint diagram")
 
@@ -43,7 +43,7 @@ BOLT: dict[str, Any] = {
 
 
 def checks() -> Iterator[Check]:
-    """Forces of bolts and contact pressures."""
+    """Check forces of bolts and contact pressures."""
     with temporary_folder() as folder:
         yield from _diagram_checks(folder)
         yield from _sleeve_checks(folder)
@@ -58,7 +58,7 @@ def bolted(folder: Path, split: bool, changes: dict[str, Any]) -> dict[str, Any]
 
 
 def _diagram_checks(folder: Path) -> Iterator[Check]:
-    """Two bars with a joint that only the bolt presses; a force that separates them."""
+    """Two bars whose joint is pressed only by the bolt, and a force that separates them."""
     (folder / "parting.csv").write_text("time_s,factor\n0,0\n20,0\n60,1\n")
     force = {"surface": "top", "force_N": [0.0, 0.0, PARTING], "file": "parting.csv"}
     at = 1e-6 * FORCE / AREA

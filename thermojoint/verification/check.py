@@ -32,8 +32,8 @@ class Check:
     tolerance: float
     #: Source of the reference.
     source: str
-    #: Default |computed - reference| / scale. Given if it is the error of a whole field or history,
-    #: of which `reference` and `computed` are representative values.
+    #: Default |computed - reference| / scale. Given for the error of a whole field or history, of
+    #: which `reference` and `computed` are representative values.
     relative_error: float = math.nan
     #: Scale of the relative error; default |reference|, required if that is zero.
     scale: float = math.nan
@@ -81,7 +81,7 @@ class Quantity:
         Parameters
         ----------
         case : str
-            What was computed; with a colon of its own the check is called "CASE, QUANTITY".
+            Name of the computed case; if it contains a colon, the check is called "CASE, QUANTITY".
         reference, computed, scale, relative_error
             As in `Check`.
         """

@@ -3,7 +3,7 @@
 Steel and aluminium press on each other between a hot wall and a cold one; the conductance of their
 joint grows with the pressure. A warmer aluminium rod expands and raises the pressure, and with it
 its own heat supply; the steel rod, which then cools, lowers the pressure, later but finally by
-more, as its alpha L^2/k is larger. The only steady state can therefore be unstable (Barber and
+more, since its alpha L^2/k is larger. The only steady state can therefore be unstable (Barber and
 Zhang, 1988): with a sufficiently cold wall the pressure oscillates permanently. Both cases are
 simulated.
 
@@ -44,7 +44,7 @@ COEFFICIENT = 3e-9
 PRELOAD = 9.5e6
 #: Conductance = CONDUCTANCE (p / 1 MPa)^2, W/(m2 K).
 CONDUCTANCE = 200.0
-#: Final temperatures of the walls, K, and the time constant of the approach, s.
+#: Final temperatures of the walls, K, and time constant of their approach, s.
 HOT, RAMP = 100.0, 200.0
 COLD = {"settling": -20.0, "oscillating": -36.0}
 #: Times of comparison, s.
@@ -153,7 +153,7 @@ def joint_law() -> JointLaw:
 
 
 def marched(built: Rods, cold: float, step: float) -> Array:
-    """Return the same by the march with a time step (s)."""
+    """Return the same from the march with a time step (s)."""
     at_joint = np.abs(built.x - LENGTHS[0]) < 1e-9
     second = np.arange(built.x.size) >= built.second
     sides = [at_joint & ~second, at_joint & second]
@@ -170,13 +170,13 @@ def marched(built: Rods, cold: float, step: float) -> Array:
 
 
 def extrapolated(built: Rods, name: str) -> Array:
-    """Extrapolate marches with three time steps, each half of the one before, to order 3."""
+    """Extrapolate marches with three time steps, each half the previous one, to order 3."""
     coarse, middle, fine = (marched(built, COLD[name], step) for step in STEPS[name])
     return (4.0 * (2.0 * fine - middle) - (2.0 * middle - coarse)) / 3.0
 
 
 def checks() -> Iterator[Check]:
-    """Both sides of the joint and its pressure, at the time of the largest difference."""
+    """Check both sides of the joint and its pressure at the time of the largest difference."""
     built = rods(MATERIALS, LENGTHS, ELEMENTS, joint_law(), ["x0", "x1"])
     for name, cold in COLD.items():
         expected, values = reference(cold), extrapolated(built, name)

@@ -1,10 +1,11 @@
 """Friction: a pressed block moved back and forth and in a circle.
 
-Two bodies are so stiff that only the joint between them deforms; the far face of one is fixed, that
-of the other is driven. Force and work are those of a spring k_t A in series with a slider mu P.
+Two bodies are so stiff that only the joint between them deforms; the far face of one is fixed, the
+far face of the other is driven. Force and work are those of a spring k_t A in series with a slider
+mu P.
 
 From a case file, a force F pushes one half of an insulated column to and fro on the other, against
-a spring k. It slides by (F - mu P)/k - mu p/k_t to each side, and its work becomes heat.
+a spring k. The half slides by (F - mu P)/k - mu p/k_t to each side, and the work becomes heat.
 """
 
 from __future__ import annotations
@@ -39,13 +40,13 @@ from thermojoint.verification.structures import IRON, SECTION, bars
 #: Largest gap residual, m: far below the march's, so that only the law is compared.
 RESIDUAL = 1e-18
 TOLERANCE = 1e-8
-#: Push on the column, N; spring against it, N/m; strokes from one side to the other, s each.
+#: Push on the column, N; opposing spring, N/m; number of strokes and duration of each, s.
 PUSH, AGAINST, STROKES, STROKE = 4000.0, 5e6, 20, 120.0
-#: Its modulus, Pa, whose share of the slip is 9e-6; the time in which it becomes evenly warm, s.
+#: Modulus of the column, Pa (9e-6 of the slip); time to a uniform temperature, s.
 STIFF, EVEN = 1e15, 12000.0
 
 COEFFICIENT = 0.3
-#: The bodies' share of the compliance is below 1e-9: k_t times their length over their modulus.
+#: The bodies' fraction of the compliance, k_t times length over modulus, is below 1e-9.
 RIGID = replace(IRON, youngs_modulus=1e22, expansion=0.0)
 STIFFNESS = 1e12
 PRELOAD = 1.0e6
@@ -103,7 +104,7 @@ def pressed(
 
 
 def checks() -> Iterator[Check]:
-    """The block at each pressure, and round its circle."""
+    """Check the block at each pressure, and on its circle."""
     for pressure in PRESSURES:
         yield from block_checks(pressure)
     yield circle_check()
@@ -114,7 +115,7 @@ def checks() -> Iterator[Check]:
 class Drive:
     """Force on the driver of the block."""
 
-    #: Shape (steps, 2): along the two tangents of the joint, N.
+    #: Shape (steps, 2): force along the two tangents of the joint, N.
     force: Array
     #: Shape (steps, m): shear times slip of each contact element, J.
     dissipated: Array
@@ -123,8 +124,8 @@ class Drive:
 def drive_block(path: Array) -> Drive:
     """Move the block along `path`, shape (steps, 3): opening and tangential displacements, m.
 
-    Moving the driven face by U moves the block rigidly, which strains nothing but the reference
-    springs: in the gap equations this is the thermal gap (1 - C A k) U.
+    Moving the driven face by U moves the block rigidly, which strains only the reference springs:
+    in the gap equations this is the thermal gap (1 - C A k) U.
     """
     law = replace(law_at(PRELOAD), friction=Friction(COEFFICIENT, STIFFNESS))
     bodies = {"left": RIGID, "right": RIGID}
@@ -147,7 +148,7 @@ def approach(pressure: float) -> float:
 
 
 def block_checks(pressure: float) -> Iterator[Check]:
-    """A push to one side and two full cycles.
+    """Check a push to one side and two full cycles.
 
     Quantities with reference zero are relative to mu P, or to the work of a cycle.
     """
@@ -187,10 +188,10 @@ def block_checks(pressure: float) -> Iterator[Check]:
 
 
 def circle_check() -> Check:
-    """The block led round a circle: the slider follows like a trailer on a taut elastic rope.
+    """The block moved in a circle: the slider follows like a trailer on a taut elastic rope.
 
     The rope, mu p / k_t long, is tangent to the slider's own circle, of radius r with
-    r^2 + (mu p / k_t)^2 = R^2. So one round costs 2 pi r mu P.
+    r^2 + (mu p / k_t)^2 = R^2. The work of one round is thus 2 pi r mu P.
     """
     length = COEFFICIENT * PRELOAD / STIFFNESS
     radius = 2.0 * length
@@ -210,7 +211,7 @@ def circle_check() -> Check:
 
 
 def heat_checks() -> Iterator[Check]:
-    """Heat of friction in the halves of a column, and the temperature it leaves."""
+    """Heat of friction in the halves of a column, and the final temperature."""
     turns = 0.5 * STROKE + STROKE * np.arange(STROKES + 1)
     factors = (-1.0) ** np.arange(STROKES + 1)
     history = np.column_stack([[0.0, *turns, EVEN], [0.0, *factors, factors[-1]]])

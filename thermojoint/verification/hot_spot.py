@@ -94,7 +94,7 @@ def _both_halves(
 
 
 def _glued(parts: list[MeshHex]) -> MeshHex:
-    """Join blocks at the nodes that they have in common; from radii and layers to m."""
+    """Join blocks at their common nodes; convert radii and layers to m."""
     points = np.hstack([part.p for part in parts])
     shifts = np.cumsum([0, *(part.p.shape[1] for part in parts)])
     corners = np.hstack([part.t + shift for part, shift in zip(parts, shifts, strict=False)])

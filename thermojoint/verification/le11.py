@@ -26,9 +26,9 @@ from thermojoint.verification.check import Check, Quantity
 
 #: Axial stress at A, Pa.
 STRESS = -105e6
-#: Elements through the wall, around the quarter, and along each of the four parts of the section.
+#: Elements through the wall, around the quarter, and along each of the section's four parts.
 COARSE, FINE = (4, 5, 3), (6, 6, 4)
-#: Ends of the parts on the outside: the sphere's, the taper's middle and end, the top (r, z), m.
+#: Ends (r, z) of the outer parts: end of the sphere, middle and end of the taper, top, m.
 _TAPER = ((1.4 * np.cos(np.pi / 6), 0.7), (1.1062, 1.045), (1.0, 1.39), (1.0, 1.79))
 _NECK = np.sqrt(0.5)
 
@@ -113,7 +113,7 @@ def case_of(folder: Path, mesh: str) -> Case:
 
 
 def checks() -> Iterator[Check]:
-    """The axial stress at A on two meshes."""
+    """Check the axial stress at A on two meshes."""
     with temporary_folder() as folder:
         for name, counts in (("coarse", COARSE), ("fine", FINE)):
             write_structure(quarter(*counts), folder / f"{name}.vtu")

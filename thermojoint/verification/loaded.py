@@ -25,7 +25,7 @@ from thermojoint.verification.check import Check, Quantity
 from thermojoint.verification.structures import box_grid, box_surfaces, facing_sides
 from thermojoint.verification.thermal_bar import METAL
 
-#: Half of the column, and its width, m.
+#: Half the length of the column, and its width, m.
 HALF, WIDTH = 0.2, 0.05
 AREA = WIDTH**2
 MODULUS, DENSITY, GRAVITY = 104e9, 7200.0, 9.81
@@ -104,7 +104,7 @@ def separation(pressure: float) -> float:
 
 
 def checks() -> Iterator[Check]:
-    """Displacements and pressures under weight and force."""
+    """Check displacements and pressures under weight and force."""
     with temporary_folder() as folder:
         yield from _weight_checks(folder)
         yield from _force_checks(folder)

@@ -8,11 +8,11 @@ Theoretical orders (h is the element size):
 - temperature of first order: 2;
 - displacement of second order: 3, its stress: 2;
 - displacement under a thermal strain: 2. The temperature is of first order, its error of order h^2
-  does not change sign within an element, and so the displacement inherits the order 2;
+  does not change sign within an element, and thus the displacement inherits the order 2;
 - implicit Euler: 1 in the time step.
 
 Meshes are refined by halving a smoothly bent grid. Serendipity elements lose an order on meshes
-that stay distorted however fine they are (Arnold, Boffi & Falk, Math. Comp. 71, 2002).
+that remain distorted under refinement (Arnold, Boffi & Falk, Math. Comp. 71, 2002).
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ from thermojoint.verification.structures import ELEMENTS, IRON, bent, block, box
 #: Elements along each edge of the cube, from coarse to fine.
 HEAT_MESHES = (4, 8, 16)
 ELASTIC_MESHES = (4, 6, 8)
-#: Time steps to the time at which errors are compared.
+#: Numbers of time steps to the time at which errors are compared.
 TIME_STEPS = (50, 100, 200)
-#: An observed order may differ from theory by this much.
+#: Largest deviation of an observed order from theory.
 WITHIN = 0.1
-#: Quadrature of the errors: exact for polynomials of this degree.
+#: Degree of polynomials for which the quadrature of the errors is exact.
 FINE = 7
 
 
@@ -77,7 +77,7 @@ DISPLACEMENT = Wave(np.array([1.0e-5, -0.6e-5, 0.8e-5]), np.array([1.3, 1.8, -1.
 
 
 def checks() -> Iterator[Check]:
-    """Orders of the elements and of the time scheme."""
+    """Check the orders of the elements and of the time scheme."""
     for kind, (low, high) in ELEMENTS.items():
         errors = [heat_error(bent_cube(kind, count)) for count in HEAT_MESHES]
         yield _order(f"heat, {low}", "order of the temperature", HEAT_MESHES, errors, 2.0)
@@ -152,7 +152,7 @@ def elastic_errors(structure: Structure, rise: float) -> tuple[float, float]:
     fine = CellBasis(structure.mesh, spaces.elastic.elem, intorder=FINE)
     x = np.asarray(fine.global_coordinates())
     k, d = DISPLACEMENT.number, DISPLACEMENT.amplitude
-    # -div(lambda tr e I + 2 mu e) of d sin(k.x), and what the thermal stress adds.
+    # -div(lambda tr e I + 2 mu e) of d sin(k.x), and the contribution of the thermal stress.
     force = np.multiply.outer(
         (lam + mu) * (k @ d) * k + mu * (k @ k) * d, DISPLACEMENT.value(x)[0] / d[0]
     )
@@ -201,7 +201,8 @@ def _relative_l2(weights: Array, error: Array, exact: Array) -> float:
 def time_errors(counts: Sequence[int]) -> list[float]:
     """Relative errors at time 1 of a mode that decays like exp(-t), for each number of steps.
 
-    The mode is an eigenvector of the discrete heat equation, so that only the time step errs.
+    The mode is an eigenvector of the discrete heat equation, so that only the time step has an
+    error.
     """
     structure = block(box_grid("hexahedra", (6, 1, 1), (0.1, 0.02, 0.02)))
     basis = make_spaces(structure.mesh).heat

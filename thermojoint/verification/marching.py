@@ -41,11 +41,11 @@ from thermojoint.verification.plain_march import PlainStep, plain_march
 from thermojoint.verification.series import law_at
 from thermojoint.verification.structures import IRON, LEFT, SECTION, STEEL, bars
 
-#: Largest gap residual, m: far below the march's, so that only the method matters.
+#: Largest gap residual, m: far below the march's, so that only the methods are compared.
 RESIDUAL = 1e-17
 TOLERANCE = 1e-9
 
-#: Number of coupled steps; heat (W) over the step number; rise of the ambient per step, K.
+#: Number of coupled steps; heat (W) against step number; rise of the ambient per step, K.
 COUNT = 5
 HISTORY = np.array([[0.0, 3.0, 4.0], [0.0, 2000.0, -4000.0]])
 WARMING = 0.2
@@ -79,7 +79,7 @@ class Assembled:
     thermometer: csr_array
     #: The machine to be simulated.
     machine: CondensedMachine
-    #: Displacements from its results.
+    #: Computes displacements from its results.
     field: DisplacementField
 
 
@@ -87,15 +87,15 @@ class Assembled:
 class Model:
     """A structure with one joint, before the assembly."""
 
-    #: As `fesim.solid.heat.heat_operators` takes them.
+    #: Arguments of `fesim.solid.heat.heat_operators`.
     structure: Structure
     joint: PairedJoint
     materials: dict[str, Material]
     loads: ThermalLoads
-    #: As `fesim.solid.elasticity.elastic_operators` takes them.
+    #: Arguments of `fesim.solid.elasticity.elastic_operators`.
     fixed: list[str]
     rollers: dict[str, str]
-    #: Of displacement and temperature.
+    #: Probes of displacement and temperature.
     probe: Probe
 
 
@@ -153,7 +153,7 @@ def coarse_machine(law: JointLaw, step: float) -> Assembled:
 
 
 def condensed_checks() -> Iterator[Check]:
-    """Condensed and plain march side by side, then the reduced one of the largest structure."""
+    """Compare condensed and plain march, then the reduced march of the largest structure."""
     law = replace(law_at(4.41e6), friction=Friction(0.1, 1e12))
     for kind in ("hexahedra", "tetrahedra"):
         made = heated_bars(kind, law, 4.0)
@@ -173,7 +173,7 @@ def plain_steps(made: Assembled) -> list[PlainStep]:
 
 
 def modes_of(made: Assembled) -> ThermalModes:
-    """Return the modes that a case of this structure would use."""
+    """Return the modes used by a case of this structure."""
     machine = made.machine
     step = machine.thermal.step
     outputs = outputs_of(machine.contact.elastic, made.thermometer)
@@ -189,7 +189,7 @@ def reduced_machine(made: Assembled, modes: ThermalModes) -> CondensedMachine:
 
 
 def driven(made: Assembled) -> Inputs:
-    """Return heat and ambient over time, s."""
+    """Return heat and ambient as functions of time, s."""
 
     def inputs(time: float) -> Array:
         steps = time / made.machine.thermal.step
@@ -257,5 +257,5 @@ def end_of(made: Assembled, step: float, advance: Advance) -> tuple[Array, Array
 
 
 def order(name: str, quantity: str, errors: list[float]) -> Check:
-    """Check an order of one by the last two errors; each belongs to half the step before."""
+    """Check an order of one by the last two errors, each for half the previous step."""
     return order_of(quantity).check(name, 1.0, np.log2(errors[-2] / errors[-1]))

@@ -1,4 +1,4 @@
-"""A slide on a guide: against the structure meshed there, and against closed forms."""
+"""A slide on a guide: against the structure meshed at its position, and against closed forms."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ from thermojoint.verification.structures import IRON, box_surfaces, facing_sides
 
 #: Guide along x and slide on it: lengths, depth of the guide, height of the slide, width, m.
 GUIDE, SLIDE, DEPTH, HEIGHT, WIDTH = 0.4, 0.08, 0.04, 0.04, 0.04
-#: Mesh size and length of a contact element, m; where the mesh shows the slide.
+#: Mesh size, length of a contact element, and position of the slide in the mesh, m.
 SIZE, ELEMENT, SHOWN = 0.02, 0.02, 0.12
-#: Aligned positions of the slide; a position, and stations with the lower end of a stroke for which
-#: it lies halfway between two of them, m.
+#: Aligned positions of the slide; a position, and station lengths with the lower end of a stroke
+#: for which the position lies halfway between two stations, m.
 ALIGNED = (0.0, 0.08, 0.16, 0.24, 0.32)
 OFF, BETWEEN = 0.2, ((0.08, 0.0), (0.04, 0.02))
 PRELOAD, RUNNING, RISE = 2e6, 0.1, 20.0
 
 
 def checks() -> Iterator[Check]:
-    """Slides on guides, and a machine with three axes."""
+    """Check slides on guides, and a machine with three axes."""
     with temporary_folder() as folder:
         yield from _position_checks(folder)
         yield from _expansion_checks(folder)
@@ -51,7 +51,7 @@ def slide_on_guide(lines: tuple[Array, Array, Array], slide: tuple[Array, Array]
     lines : tuple of ndarray
         Grid of the guide along x, y and z, m.
     slide : tuple of ndarray
-        Grid of the slide along x and y; along z it is that of the guide.
+        Grid of the slide along x and y; along z it equals the guide's.
     """
     mesh, bodies = put_side_by_side(
         [MeshHex.init_tensor(*lines), MeshHex.init_tensor(*slide, lines[2])]
@@ -70,7 +70,7 @@ def slide_on_guide(lines: tuple[Array, Array, Array], slide: tuple[Array, Array]
 
 
 def slide_data(folder: Path, shown: float) -> dict[str, Any]:
-    """Return a case with the slide where the mesh shows it, without an axis."""
+    """Return a case with the slide at its position in the mesh, without an axis."""
     lines = tuple(
         np.linspace(low, high, round((high - low) / SIZE) + 1)
         for low, high in ((0.0, GUIDE), (-DEPTH, 0.0), (0.0, WIDTH))
@@ -111,14 +111,14 @@ def slide_case(mesh: str, joints: dict[str, Any]) -> dict[str, Any]:
 
 
 def slide_joint(**keys: object) -> dict[str, Any]:
-    """Return the section of the joint between slide and guide, with more keys."""
+    """Return the section of the joint between slide and guide, with additional keys."""
     surface = {"roughness_um": 1.25, "asperity_slope": 0.14, "hardness_GPa": 1.961}
     sides = {"side_a": "pads", "side_b": "way", "preload_MPa": 1e-6 * PRELOAD}
     return surface | sides | {"friction_coefficient": 0.0} | keys
 
 
 def on_axis(data: dict[str, Any], stroke: tuple[float, float], **axis: object) -> dict[str, Any]:
-    """Let the slide of a case ride on an axis; lengths in mm."""
+    """Put the slide of a case on an axis; lengths in mm."""
     joint = data["joints"]["joint"] | {"axis": "x"}
     given = {
         "bodies": ["slide"],
@@ -144,7 +144,7 @@ def write_course(folder: Path, times: Array, places: Array) -> str:
 
 
 def _position_checks(folder: Path) -> Iterator[Check]:
-    """The slide at positions of its axis against the structure meshed there."""
+    """The slide at positions of its axis against the structure meshed at them."""
     stroke = (0.0, 1e3 * (GUIDE - SLIDE))
     data = slide_data(folder, SHOWN)
 
@@ -164,7 +164,7 @@ def _position_checks(folder: Path) -> Iterator[Check]:
 
 
 def _order(folder: Path, data: dict[str, Any]) -> Check:
-    """Compliance of the joint half a station off, against stations that are aligned there."""
+    """Compliance of the joint half a station off, against stations aligned at the position."""
 
     def compliance(station: float, low: float) -> Array:
         stroke = (1e3 * low, 1e3 * (GUIDE - SLIDE - low))
@@ -200,7 +200,7 @@ def _error(meshed: xr.Dataset, riding: xr.Dataset, name: str) -> float:
 
 
 def _expansion_checks(folder: Path) -> Iterator[Check]:
-    """Evenly warm bodies that expand freely: no pressure changes, wherever the slide moves."""
+    """Uniformly warm bodies that expand freely: no pressure changes, wherever the slide moves."""
     times, places = np.array([0.0, 100.0, 160.0, 300.0]), np.array([0.0, 0.25, 0.25, 0.07])
     data = slide_data(folder, SHOWN)
     del data["sources"], data["heat_input"], data["convection_W_m2K"]
@@ -229,7 +229,7 @@ def _expansion_checks(folder: Path) -> Iterator[Check]:
 
 
 def _energy_checks(folder: Path) -> Iterator[Check]:
-    """Friction alone heats insulated bodies: they end at mu F way over their heat capacity."""
+    """Friction alone heats insulated bodies: final rise mu F times travel over heat capacity."""
     times = np.array([0.0, 250.0, 400.0, 700.0])
     places = np.array([0.0, 0.3, 0.03, 0.21])
     data = slide_data(folder, SHOWN)
@@ -254,7 +254,7 @@ def _energy_checks(folder: Path) -> Iterator[Check]:
 
 
 def _oscillation_checks(folder: Path) -> Iterator[Check]:
-    """To and fro in half a second: steps that resolve it against steps of a whole period."""
+    """Oscillation with a short period: steps that resolve it against steps of a whole period."""
     period, end = 0.5, 60.0
     turns = np.arange(0.0, end + 0.5 * period, 0.5 * period)
     places = np.where(np.arange(turns.size) % 2, 0.2, 0.12)

@@ -1,7 +1,7 @@
 """A band of heat that moves along a guide: on a half-space and on a plate, against closed forms.
 
-A band of half-width b that moves at speed v on an insulated half-space and gives it a heat flux q
-has, once steady, the temperature (Jaeger, Proc. R. Soc. N.S.W. 76, 1942)
+A band of half-width b that moves at speed v on an insulated half-space and supplies a heat flux q
+causes, in the steady state, the temperature (Jaeger, Proc. R. Soc. N.S.W. 76, 1942)
 
     T(x) = q/(pi k) int_-b^b exp(-v (x - x')/(2 a)) K0(v |x - x'|/(2 a)) dx'
 
@@ -12,7 +12,7 @@ with a film h below, by the modes cos(beta_n z/d) of its depth, beta tan(beta) =
 
     s_n^2 = (v/(2 a))^2 + (beta_n/d)^2,    m_n = 1/2 + sin(2 beta_n)/(4 beta_n)
 
-(for the half-space it is the same integral over all depths).
+(for the half-space the sum becomes an integral over all depths).
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ from thermojoint.verification.structures import IRON
 
 #: Width of the band and of the guide, m.
 BAND, WIDE = 0.02, 0.1
-#: Film where the heat is to leave, far from the band, W/m2K.
+#: Film through which the heat leaves, far from the band, W/m2K.
 COLD = 1e4
 #: Thickness of the plate, m, and the film below it, W/m2K.
 PLATE, FILM = 0.01, 2000.0
-#: Depths of the plate that are summed.
+#: Number of modes of the plate's depth in the sum.
 MODES = 400
-#: Parts of a contact element that the band passes in a step; steps are extrapolated to zero.
+#: Steps in which the band passes a contact element; step sizes are extrapolated to zero.
 PARTS = (2.0, 4.0)
 _JAEGER = Quantity("temperature", "K", 1e-2, "Jaeger, closed form")
 _MODES = Quantity("temperature", "K", 1e-2, "modes of the depth, closed form")
@@ -60,24 +60,24 @@ DIFFUSIVITY = IRON.conductivity / (IRON.density * IRON.heat_capacity)
 
 @dataclass(frozen=True)
 class Run:
-    """How a band of some Peclet number is marched; lengths in m."""
+    """Settings of the march for a band of some Peclet number; lengths in m."""
 
-    #: v b/(2 a).
+    #: Peclet number, v b/(2 a).
     peclet: float
-    #: Length of a contact element and of the mesh along the way.
+    #: Length of a contact element and mesh size along the travel.
     along: float
-    #: Of the band, until it is steady.
+    #: Travel of the band until the steady state.
     way: float
-    #: Of guide that is left before and behind the way.
+    #: Length of the guide before and behind the travel.
     margin: float
-    #: Uppermost layer, number of layers and their growth; of a plate they are scaled to its depth.
+    #: Uppermost layer, number of layers and their growth; for a plate scaled to its depth.
     first: float
     layers: int
     growth: float
 
     @property
     def name(self) -> str:
-        """In the name of its check."""
+        """Part of the name of its check."""
         return f"Peclet {self.peclet:g}"
 
     @property
@@ -88,7 +88,7 @@ class Run:
 
     @property
     def speed(self) -> float:
-        """Of the band, m/s."""
+        """Speed of the band, m/s."""
         return 2.0 * DIFFUSIVITY * self.peclet / (0.5 * BAND)
 
     @property
@@ -97,7 +97,7 @@ class Run:
         return 0.5 * RUNNING * PRELOAD * self.speed
 
 
-#: A slower band has a longer way and deeper heat; the film below a plate shortens its way.
+#: A slower band needs a longer travel and deeper layers; the film below a plate shortens it.
 ON_HALF_SPACE = (
     Run(0.1, 0.004, 0.6, 0.15, 0.002, 17, 1.28),
     Run(1.0, 0.0025, 0.12, 0.04, 0.0006, 16, 1.28),
@@ -111,7 +111,7 @@ ON_PLATE = (
 
 
 def checks() -> Iterator[Check]:
-    """Bands on a half-space and on a plate."""
+    """Check bands on a half-space and on a plate."""
     with temporary_folder() as folder:
         for run in ON_HALF_SPACE:
             largest = _largest_marched(folder, run, run.depths, COLD)
@@ -138,7 +138,7 @@ def _largest_marched(folder: Path, run: Run, depths: Array, film: float) -> floa
     data = slide_case("band.vtu", {"joint": joint | {"running_friction_coefficient": RUNNING}})
     data["materials"]["iron"]["expansion_1_K"] = 0.0
     data["heat_input"]["level"] = 0.0
-    # Without a film above a reduced model has to resolve how an insulated slide heats up.
+    # Without a film above it, a reduced model would have to resolve the heating of the slide.
     data["convection_W_m2K"] = {"y0": film, "y1": COLD}
     data["supports"]["symmetry"] = {"z0": "z"}
     point = began + run.way - 2.0 * run.along
@@ -158,7 +158,7 @@ def _largest_marched(folder: Path, run: Run, depths: Array, film: float) -> floa
 
 
 def _graded(first: float, length: float) -> Array:
-    """Points of a margin from its far end to the way, finest there, m."""
+    """Points of a margin from its far end to the travel, finest at the travel, m."""
     steps = [first]
     while sum(steps) < length:
         steps.append(1.3 * steps[-1])
@@ -197,7 +197,7 @@ def plate_temperature(speed: float, flux: float) -> float:
 
 
 def _largest(part: Callable[[float], float]) -> float:
-    """Largest value under the band of the integral over it of what a line gives so far ahead."""
+    """Largest value under the band of the integral of a line source's effect over the band."""
 
     def below(x: float) -> float:
         ends = (x - 0.5 * BAND, 0.0, x + 0.5 * BAND)

@@ -6,8 +6,8 @@ under forces P_i at a_i is that of Timoshenko,
     theta' = M/(E I),    w' = -theta + Q/(kappa G A),    M = M_0 + Q_0 x - sum_i P_i <x - a_i>,
 
 with M_0 and Q_0 from theta = w = 0 at the far end and kappa = 5/6 for a rectangle. The forces are
-those of the contact elements, as the slide spreads its load. Poisson's ratio of the guide is 0:
-otherwise one that is as wide as deep is no beam near its clamps (1 % stiffer here).
+those of the contact elements, because the slide distributes its load. Poisson's ratio of the guide
+is 0: otherwise a guide as wide as deep does not behave as a beam near its clamps (1 % stiffer).
 """
 
 from __future__ import annotations
@@ -36,18 +36,18 @@ from thermojoint.verification.structures import IRON, material_section
 #: Beam, slide and their width, m; mesh and contact elements along them, layers of the beam.
 LENGTH, DEPTH, SLIDE, HEIGHT, WIDTH = 0.6, 0.02, 0.06, 0.04, 0.02
 SIZE, LAYERS = 0.02, 2
-#: How much warmer the bodies are, K; only the slide grows. Spring above it, N/um.
+#: Temperature rise of the bodies, K; only the slide expands. Spring above it, N/um.
 RISE, SPRING = 20.0, 0.5
 #: Shear coefficient kappa.
 SHEAR = 5.0 / 6.0
-#: Where the deflection is measured, m, in the middle of the depth; ends of the stroke, m.
+#: Point of measurement of the deflection, m, at half depth; ends of the stroke, m.
 AT, STROKE = 0.3, (0.06, 0.48)
-#: Way of the slide, s and m: it stands, turns back and passes the middle.
+#: Motion of the slide, s and m: it rests, turns back and passes the middle.
 WAY = ((0.0, 0.06), (420.0, 0.48), (480.0, 0.48), (760.0, 0.2))
 
 
 def checks() -> Iterator[Check]:
-    """The deflection at a point of the beam while the load moves along it."""
+    """Check the deflection at a point of the beam while the load moves along it."""
     with temporary_folder() as folder:
         response = marched(folder, _data(folder))
     pressure = response["pressure"].to_numpy() - PRELOAD
@@ -105,7 +105,7 @@ def deflection(x: float, load_at: float) -> float:
     shearing = SHEAR * WIDTH * DEPTH * IRON.youngs_modulus / 2.0
 
     def rows(at: float) -> tuple[Array, Array]:
-        """Rotation and deflection at a place, by M_0, Q_0 and the load of 1."""
+        """Rotation and deflection at a place due to M_0, Q_0 and a unit load."""
         past = max(at - load_at, 0.0)
         theta = np.array([at, at**2 / 2.0, -(past**2) / 2.0]) / bending
         bent = np.array([at**2 / 2.0, at**3 / 6.0, -(past**3) / 6.0]) / bending

@@ -29,7 +29,7 @@ NO_JOINT = np.zeros(1)
 
 
 def checks() -> Iterator[Check]:
-    """Both benchmarks, on a sufficiently fine mesh and time step."""
+    """Check both benchmarks, with a sufficiently fine mesh and time step."""
     bar = Quantity("temperature at 0.08 m after 32 s", "degC", 5e-3, "NAFEMS T3")
     yield bar.check("NAFEMS T3", 36.60, bar_temperature(elements=80, step=0.05))
     plate = Quantity("temperature at (0.6 m, 0.2 m)", "degC", 5e-3, "NAFEMS T4")
@@ -80,5 +80,5 @@ def alone(heat: HeatOperators, step: float) -> ThermalCondensation:
 
 
 def _conductor(conductivity: float, density: float, heat_capacity: float) -> Material:
-    """Return a material of which only the thermal properties are used."""
+    """Return a material for thermal use only."""
     return Material(conductivity, density, heat_capacity, 1e9, 0.3, 0.0)

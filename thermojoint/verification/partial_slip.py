@@ -25,9 +25,9 @@ from thermojoint.verification.structures import IRON, box_grid, two_bars
 LENGTH, THICKNESS, WIDTH = 0.3, 1e-3, 0.02
 #: k_t, Pa/m; mu; p, Pa.
 STIFFNESS, COEFFICIENT, PRESSURE = 1e10, 0.3, 1.0e6
-#: Elements and contact elements along it.
+#: Elements and contact elements along the strip.
 CELLS, CONTACTS = 120, 240
-#: Temperature it is heated to, K, and steps there.
+#: Final temperature of the heating, K, and number of steps to it.
 RISE, STEPS = 80.0, 10
 
 
@@ -35,8 +35,8 @@ RISE, STEPS = 80.0, 10
 class PartialSlip:
     """Closed form of the strip, held at y = 0, free at y = L and heated uniformly.
 
-    Stuck up to y = a: u = s sinh(beta y) / sinh(beta a), beta^2 = k_t / (E t). Beyond, the shear is
-    k_t s; the strain is continuous at a, which determines a.
+    It sticks up to y = a: u = s sinh(beta y) / sinh(beta a), beta^2 = k_t / (E t). Beyond, the
+    shear is k_t s; a follows from the continuity of the strain at a.
     """
 
     #: s, displacement at which the joint slips, m.
@@ -76,7 +76,7 @@ class PartialSlip:
 
 
 def checks() -> Iterator[Check]:
-    """The strip at its highest temperature and after it has cooled."""
+    """Check the strip at its highest temperature and after cooling."""
     iron = replace(IRON, poisson_ratio=0.0)
     base = replace(iron, youngs_modulus=1e6 * IRON.youngs_modulus, expansion=0.0)
     law = replace(law_at(PRESSURE), friction=Friction(COEFFICIENT, STIFFNESS))
@@ -121,7 +121,7 @@ def checks() -> Iterator[Check]:
         slip_zone = slides.sum() * LENGTH / CONTACTS
         for quantity, unit, reference, computed, tolerance in (
             ("slip at the free end", "m", slip, state.traction.slip[0, -1], 1e-4),
-            # To whole contact elements: one is 0.4 % of the strip.
+            # Resolved to whole contact elements: one is 0.4 % of the strip.
             ("length of the slip zone", "m", LENGTH - stuck, slip_zone, 1e-2),
         ):
             compared = Quantity(quantity, unit, tolerance)

@@ -32,7 +32,7 @@ from thermojoint.verification.structures import (
 )
 
 TOLERANCE = 1e-9
-#: Share of the spacing by which nodes inside are moved.
+#: Largest displacement of inner nodes, relative to the spacing.
 SHAKE = 0.2
 UNITS = {"temperature": "K", "displacement": "m", "stress": "Pa", "contact pressure": "Pa"}
 
@@ -115,7 +115,7 @@ def contact_checks() -> Iterator[Check]:
         count = len(operators.area)
         hot = np.full(spaces.heat.N, rise)
         zero = np.zeros((3, count))
-        # Far below the march's tolerance: the joint turns 1e-16 m into 1e-10 of the pressure.
+        # Far below the march's tolerance: 1e-16 m change the pressure of the joint by 1e-10.
         contact = ContactProblem(condensed, [(law, count)], 1e-16)
         settled = contact.settle(condensed.thermal_gap @ hot, zero[1:], zero)
         name = f"contact patch test, non-matching {kind}"
@@ -124,7 +124,7 @@ def contact_checks() -> Iterator[Check]:
         yield worst(name, "contact pressure", found, np.full_like(found, pressure), source)
         remainder = settled.traction.value.ravel() + condensed.reference * settled.gap.ravel()
         moved = field.solve(hot, remainder)
-        # The field is that of the pressure above the preload.
+        # The field belongs to the pressure above the preload.
         along = np.zeros((3, 3))
         along[0, 0] = law.preload - pressure
         yield worst(
@@ -137,7 +137,7 @@ def contact_checks() -> Iterator[Check]:
 
 
 def wall_pressure(rise: float, law: JointLaw) -> float:
-    """Pressure, Pa: g + alpha dT L = (p(g) - p0) L / E, as walls hold the ends of both bars."""
+    """Pressure, Pa: g + alpha dT L = (p(g) - p0) L / E, since walls hold the ends of both bars."""
     length = LEFT + RIGHT
 
     def misfit(opening: float) -> float:

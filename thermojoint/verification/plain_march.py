@@ -1,7 +1,7 @@
 """Staggered time stepping without condensation: full matrices, factorised in every step.
 
-It only shares operators and joint laws with the simulator: the unknowns are all temperatures and
-displacements, and Newton's method is applied to the forces.
+This march shares only operators and joint laws with the simulator: the unknowns are all
+temperatures and displacements, and Newton's method is applied to the forces.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
 
 MAX_ITERATIONS, SHORTEST_STEP = 60, 2.0**-10
-#: The last step of Newton's method is smaller than this, m: micrometres are compared, and a solve
-#: leaves 1e-17 of them by rounding.
+#: Upper limit of the last step of Newton's method, m: micrometres are compared, and a solve has a
+#: rounding error of 1e-17 of them.
 SETTLED = 1e-15
 
 
@@ -32,10 +32,10 @@ SETTLED = 1e-15
 class PlainStep:
     """One step of `plain_march`."""
 
-    #: At every unknown, K and m.
+    #: Values of all unknowns, K and m.
     temperature: Array
     displacement: Array
-    #: Shapes (m,) and (2, m): of the contact elements, Pa and m.
+    #: Shapes (m,) and (2, m): values of the contact elements, Pa and m.
     pressure: Array
     slip: Array
 
@@ -98,6 +98,6 @@ def plain_march(
 
 
 def _solve(matrix: csr_array, load: Array) -> Array:
-    """Solve, for a matrix of symmetric pattern."""
+    """Solve a system whose matrix has a symmetric pattern."""
     factor = splu(csc_array(matrix), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
     return np.asarray(factor.solve(load), dtype=np.float64)

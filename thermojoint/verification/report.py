@@ -41,7 +41,7 @@ said otherwise.
 def results_data(results: Sequence[Result]) -> dict[str, list[dict[str, str | float | None]]]:
     """Return the content of ``verify --json``: {"cases": [...]}, one entry for each check.
 
-    A number that is not finite (its check fails) becomes None: JSON knows only finite ones.
+    A number that is not finite (its check fails) becomes None: JSON allows only finite ones.
     """
     checks = [check for result in results for check in result.checks]
     return {"cases": [{name: _plain(getattr(check, name)) for name in _FIELDS} for check in checks]}

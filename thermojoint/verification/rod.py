@@ -1,16 +1,16 @@
 """Barber's thermoelastic rod: growth rates of perturbations, and a rod with three steady states.
 
 A rod 0 < x < L, built in and kept at 0 at x = 0, presses at x = L through a joint on a wall kept at
-T2. Nothing strains it sideways (nu = 0), so it is one-dimensional. Barber, Dundurs and Comninou
-(J. Appl. Mech. 47, 1980) ask when its steady state T = T_L x/L, T_L = T2 Bi/(1 + Bi), Bi = h L/k,
-is stable:
+T2. It has no lateral strain (nu = 0), so it is one-dimensional. Barber, Dundurs and Comninou
+(J. Appl. Mech. 47, 1980) examine when its steady state T = T_L x/L, T_L = T2 Bi/(1 + Bi),
+Bi = h L/k, is stable:
 
 - The joint passes -k T'(L) = h(p) (T_L - T2).
 - Rod, joint and wall, L_w long, are springs in series: the opening of the joint since the preload
   is g = -alpha integral(T) + (p - p0) (L/E + L_w/E_w). For small changes, with s = -dp/dg, the
   pressure rises by E* alpha integral(T)/L with 1/E* = 1/E + L_w/(E_w L) + 1/(s L).
 - A change exp(a t) sinh(z x/L), a = kappa z^2/L^2, satisfies the heat equation and the condition
-  at x = 0. The pressure it makes is E* alpha (cosh z - 1)/z. In the linearised joint,
+  at x = 0. It causes the pressure E* alpha (cosh z - 1)/z. In the linearised joint,
   -k z cosh(z)/L = h sinh z + h'(p) (T_L - T2) E* alpha (cosh z - 1)/z, which is
 
       z cosh z + Bi sinh z + b (cosh z - 1)/z = 0,   b = h'(p) E* alpha L (T_L - T2)/k.
@@ -44,7 +44,7 @@ FOREVER = 1e15
 LENGTH, WALL_LENGTH = 0.1, 0.02
 ROD = replace(IRON, poisson_ratio=0.0)
 WALL = replace(STEEL, poisson_ratio=0.0, expansion=0.0)
-#: Displacement of the rod's and the wall's end per pressure, m/Pa.
+#: Displacement of the ends of rod and wall per pressure, m/Pa.
 BACKING = LENGTH / ROD.youngs_modulus + WALL_LENGTH / WALL.youngs_modulus
 DIFFUSIVITY = ROD.conductivity / (ROD.density * ROD.heat_capacity)
 #: Time in which heat diffuses along the rod, s.
@@ -62,7 +62,7 @@ STATES = ("open", "middle", "closed")
 LONG, SETTLED = 0.05, 16.0
 #: Approximate change of a mode in one step.
 GROWTH = 0.1
-#: Steps of the march away from a steady state, and how many of them pass before its rate is
+#: Number of steps of the march away from a steady state, and number of steps before the rate is
 #: measured.
 STEPS, WAITING = 20, 10
 #: Perturbation of the rod's end at the end of the measurement, K: small beside the 1 K by which the
@@ -70,7 +70,7 @@ STEPS, WAITING = 20, 10
 PERTURBATION = 2e-3
 
 RATE = Quantity("growth rate", "1/s", 1e-2, "characteristic equation")
-#: Pressure of a steady state: by continuation, and where a march comes to rest.
+#: Pressure of a steady state, by continuation and as the final state of a march.
 BALANCED = Quantity("contact pressure", "MPa", 1e-6, "balance of the rod")
 MARCHED = replace(BALANCED, tolerance=1e-4)
 
@@ -85,7 +85,7 @@ class Case:
 
     @property
     def inputs(self) -> Array:
-        """Of the march: the ambient, x = 0, and both sides of the wall, K."""
+        """Inputs of the march: the ambient, x = 0, and both sides of the wall, K."""
         return np.array([0.0, 0.0, self.wall, self.wall])
 
     def pressure(self, opening: float) -> float:
@@ -98,14 +98,14 @@ class Case:
         return conductance * LENGTH / ROD.conductivity
 
     def misfit(self, opening: float) -> float:
-        """Opening minus that of the steady state at its pressure, m."""
+        """Opening minus the opening of the steady state at the same pressure, m."""
         pressure = self.pressure(opening)
         biot = self.biot(pressure)
         growth = 0.5 * ROD.expansion * LENGTH * self.wall * biot / (1.0 + biot)
         return opening + growth - (pressure - self.law.preload) * BACKING
 
     def built(self) -> Rods:
-        """Return the rod and its wall, which has the temperature T2 throughout."""
+        """Return the rod and its wall, which has a uniform temperature T2."""
         held = ["x0", "joint.b", "x1"]
         return rods((ROD, WALL), (LENGTH, WALL_LENGTH), (ELEMENTS, 1), self.law, held)
 
@@ -175,7 +175,7 @@ def response(still: CondensedMachine, case: Case, pressure: float) -> State:
 
 
 def excess(still: CondensedMachine, case: Case, pressure: float) -> float:
-    """Pressure of the `response` relative to that given, as a logarithm."""
+    """Logarithm of the pressure of the `response` relative to the given pressure."""
     return float(np.log(response(still, case, pressure).pressure[0] / pressure))
 
 
@@ -191,7 +191,7 @@ def continued(still: CondensedMachine, case: Case) -> list[State]:
 
 
 def steady_near(still: CondensedMachine, case: Case, opening: float) -> State:
-    """Steady state of the machine near that of the balance at an opening (m)."""
+    """Steady state of the machine near the balanced state at an opening (m)."""
     pressure = case.pressure(opening)
     ends = (0.99 * pressure, 1.01 * pressure)
     return response(still, case, brentq(lambda p: excess(still, case, p), *ends, rtol=1e-13))
@@ -238,7 +238,7 @@ def settled(machine: CondensedMachine, case: Case, start: State) -> float:
 
 
 def checks() -> Iterator[Check]:
-    """Growth rates on both sides of the stability limits, and the bistable rod."""
+    """Check growth rates on both sides of the stability limits, and the bistable rod."""
     law = joint_law()
     built = Case(law, BISTABLE).built()
     still = built.machine(FOREVER)

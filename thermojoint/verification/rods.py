@@ -26,9 +26,9 @@ from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
 from thermojoint.verification.structures import box_grid, two_bars
 
-#: Width and depth of a rod, m. Without lateral contraction they do not matter.
+#: Width and depth of a rod, m; without influence, as there is no lateral contraction.
 SECTION = (0.1, 0.1)
-#: Nothing moves along the joint.
+#: No motion along the joint.
 NO_FRICTION = Friction(0.0, 1e12)
 
 
@@ -36,9 +36,9 @@ NO_FRICTION = Friction(0.0, 1e12)
 class Rods:
     """Two rods in line along x, ready to be condensed for any time step."""
 
-    #: Heat in both rods; the inputs are the ambient and the held surfaces.
+    #: Heat conduction in both rods; the inputs are the ambient and the held surfaces.
     heat: HeatOperators
-    #: Their joint: one contact element.
+    #: Joint of the rods: one contact element.
     operators: JointOperators
     #: Both rods between walls.
     elastic: ElasticCondensation

@@ -70,7 +70,7 @@ def steady_machine(structure: Structure) -> CondensedMachine:
     return CondensedMachine(thermal, ContactProblem(condensed, laws))
 
 
-#: Keys of joints with a conductance other than Eq. 11, and the conductance, W/(m2 K).
+#: Keys of joints with a conductance other than Eq. 11, and their conductance, W/(m2 K).
 _OPEN = {"preload_MPa": 0.0, "reference_pressure_MPa": 1.0, "initial_opening_um": 30.0}
 AIR, JUMP, WARM, EMISSIVITIES = 0.026, 0.4e-6, 60.0, (0.3, 0.8)
 OTHER_LAWS: dict[str, tuple[dict[str, Any], float]] = {
@@ -101,13 +101,13 @@ OTHER_LAWS: dict[str, tuple[dict[str, Any], float]] = {
 }
 
 
-#: Radiation that is not linearised, above an ambient of 300 °C, at which it counts.
+#: Radiation that is not linearised, at an ambient of 300 °C, where it is significant.
 AMBIENT = 300.0
 BLACK = {"emissivity_a": 1.0, "emissivity_b": 1.0, "ambient_degC": AMBIENT}
 
 
 def radiated() -> float:
-    """Return h of black surfaces between the bars from the heat that passes them, W/(m2 K)."""
+    """Return h of black surfaces between the bars from the heat flow through them, W/(m2 K)."""
 
     def drop(flux: float) -> float:
         return HOT - COLD - flux * (LEFT / IRON.conductivity + RIGHT / STEEL.conductivity)
@@ -121,7 +121,7 @@ def radiated() -> float:
 
 
 def other_checks() -> Iterator[Check]:
-    """Heat flow through the two bars with conductances other than Eq. 11."""
+    """Check the heat flow through the two bars with conductances other than Eq. 11."""
     cold = steady_machine(bars("hexahedra", (3, 3, 2), (4, 3, 2)))
     surface: dict[str, Any] = {
         "along": 3,
@@ -144,7 +144,7 @@ def other_checks() -> Iterator[Check]:
 
 
 def checks() -> Iterator[Check]:
-    """Heat flow through the two bars on every mesh at every pressure."""
+    """Check the heat flow through the two bars on every mesh at every pressure."""
     for mesh, (kind, left, right) in MESHES.items():
         cold = steady_machine(bars(kind, left, right))
         for pressure in PRESSURES:

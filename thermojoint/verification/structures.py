@@ -43,7 +43,7 @@ def material_section(material: Material) -> dict[str, float]:
     }
 
 
-#: Cells of verification cases, and their elements for temperature and displacement.
+#: Cell types of verification cases, and their elements for temperature and displacement.
 KINDS: dict[str, type[Mesh]] = {"hexahedra": MeshHex, "tetrahedra": MeshTet}
 ELEMENTS = {"hexahedra": ("Hex1", "HexS2"), "tetrahedra": ("TetP1", "TetP2")}
 

@@ -40,12 +40,12 @@ class Group:
 
     #: Heading in the table and on the docs page.
     title: str
-    #: Gives the checks.
+    #: Function that yields the checks.
     run: Callable[[], Iterable[Check]]
 
 
 def patch_tests() -> Iterator[Check]:
-    """All patch tests."""
+    """Yield all patch tests."""
     yield from patch.heat_checks()
     yield from patch.elastic_checks()
     yield from patch.contact_checks()
@@ -84,7 +84,7 @@ GROUPS: tuple[Group, ...] = (
 class Result:
     """Result of a group."""
 
-    #: Group that was run.
+    #: The group.
     group: Group
     #: Checks of the group.
     checks: tuple[Check, ...]
@@ -110,7 +110,7 @@ def run(groups: Sequence[Group] = GROUPS) -> Iterator[Result]:
 
 
 def broken_off(group: Group, error: Exception) -> Check:
-    """Return the check that fails because its group has raised an error."""
+    """Return the failed check of a group that has raised an error."""
     return Check(
         name=f"{group.title}: broken off",
         quantity="broken off",

@@ -20,7 +20,7 @@ has p - a^2 = E0 (1 + b T) (alpha T + g/L).
 A bar that loses no heat warms by E = C (T + b T^2/2).
 
 Two bars between ends held at 0 and T1 face each other across enclosed air: the heat flux is
-T1/(L1/k + 1/h + 1/h + L2/k), and the air has the mean of both faces.
+T1/(L1/k + 1/h + 1/h + L2/k), and the air has the mean temperature of both faces.
 """
 
 from __future__ import annotations
@@ -53,20 +53,20 @@ from thermojoint.verification.thermal_bar import (
     run,
 )
 
-#: Slope of the factors, 1/K, and their last temperature, K: a change by half.
+#: Slope of the factors, 1/K, and their last temperature, K: a change by one half.
 SLOPE, HOT = 5e-3, 100.0
 RISING = {"rise_K": [0.0, HOT], "factor": [1.0, 1.0 + SLOPE * HOT]}
 FALLING = {"rise_K": [0.0, HOT], "factor": [1.0, 1.0 - SLOPE * HOT]}
 EMISSIVITY, AMBIENT = 0.8, 20.0
 #: Heat supplied, W, and convection coefficient, W/(m2 K).
 POWER, FILM = 2.0, 40.0
-#: Length of the bar that cools as a whole, m.
+#: Length of the bar that cools uniformly, m.
 SHORT = 0.001
 TEMPERATURE = Quantity("temperature", "K", 1e-6)
 
 
 def checks() -> Iterator[Check]:
-    """All checks."""
+    """Yield all checks."""
     with temporary_folder() as folder:
         yield from _conducting(folder)
         yield from _radiating(folder)
@@ -154,7 +154,7 @@ def _softening(folder: Path) -> Iterator[Check]:
 
 
 def _pressing(folder: Path, name: str, metal: dict[str, Any], soft: float) -> Check:
-    """Pressure of a warm bar, of a modulus in Pa, that a wall holds through a joint."""
+    """Pressure of a warm bar with a modulus in Pa, held by a wall through a joint."""
     coefficient, preload = 2e-9, 1e6
     pressing: dict[str, Any] = {
         "initial_temperature": {"rise_K": 60.0},

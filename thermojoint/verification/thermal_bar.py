@@ -59,5 +59,5 @@ def bar_case(
 
 
 def run(data: dict[str, Any], folder: Path) -> xr.Dataset:
-    """Simulate the case of some data."""
+    """Simulate the case given by its data."""
     return simulate(case_from_data(data, "case", folder), accuracy=False).response

@@ -63,7 +63,7 @@ def pressed_pressure(rise: float) -> float:
 
 
 def checks() -> Iterator[Check]:
-    """All four."""
+    """Check all four problems."""
     with temporary_folder() as folder:
         yield from _decaying_wave(folder)
         yield from _warm_start(folder)
