@@ -122,10 +122,7 @@ def learn_and_judge(
     pieces, still, moving = sorted_out(pieces, displacements, rules.thinning)
     table = in_one_order(thinned(pieces, (), rules.thinning))
     if not displacements:
-        length = next(
-            (one.name for one in table.columns if one.quantity == "length" and not one.is_position),
-            "x_um",
-        )
+        length = next((one.name for one in table.columns if one.is_displacement), "x_um")
         raise InputError(f"log: name what to learn, e.g. --displacement {length}")
     cleaned = _cleaned(table, still, ignored, rules)
     own: list[tuple[Cleaned, Along | None]] = [(cleaned, None)] if still else []

@@ -77,6 +77,8 @@ _ENDING = re.compile(
 )
 #: The position of an axis; ``x_at_mm`` is the position of displacements given at positions.
 _POSITION = re.compile(r"(?:pos|position|_at)$", re.IGNORECASE)
+#: The way of an axis, there and back; ``slideway_um`` is a displacement.
+_WAY = re.compile(r"_way$", re.IGNORECASE)
 #: A displacement at a stated position.
 _FIXED = re.compile(r"^(?P<base>.+)@(?P<at>-?\d+(?:\.\d+)?)(?P<unit>mm|m|um)$")
 #: Words to the unit that is assumed where none is given, as on a machine's display.
@@ -105,6 +107,12 @@ class Column:
     def is_position(self) -> bool:
         """Whether this is the position of an axis, by its name, and not a displacement."""
         return self.quantity == "length" and bool(_POSITION.search(self.base))
+
+    @property
+    def is_displacement(self) -> bool:
+        """Whether it is a length, but not where an axis stands nor its way (``y_way_mm``)."""
+        of_axis = self.is_position or _WAY.search(self.base)
+        return self.quantity == "length" and not of_axis
 
     def to_si(self, values: Array) -> Array:
         """Return values in the column's unit as SI values, of the same shape."""

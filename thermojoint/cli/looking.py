@@ -57,7 +57,7 @@ def suggested(log: Log, logs: Iterable[Path], column: Iterable[str], mapping: Pa
     names = [part for text in column for part in ("--column", text)]
     names += ["--mapping", str(mapping)] if mapping else []
     positions = [column.name for column in log.columns if column.is_position]
-    lengths = [name for name in log.of("length") if name not in positions]
+    lengths = [column.name for column in log.columns if column.is_displacement]
     if lengths and (log.of("temperature") or log.of("speed") or log.of("power")):
         along = "".join(f"@{name}" for name in positions) if len(positions) == 1 else ""
         learned = [part for name in lengths for part in ("--displacement", name + along)]

@@ -18,6 +18,7 @@ _LABELS = {
     "temperature": "temperature (°C)",
     "length": "displacement (µm)",
     "position": "position (mm)",
+    "way": "way (m)",
     "speed": "speed (rpm)",
     "feed": "feed (mm/s)",
     "power": "power (W)",
@@ -61,8 +62,10 @@ def write_log_picture(log: Log, path: Path) -> None:
 
 
 def _shown(column: Column) -> str:
-    """Return the panel of a column; positions have their own: a stroke would hide displacements."""
-    return "position" if column.is_position else column.quantity
+    """Return the panel of a column: a stroke or a way would hide displacements."""
+    if column.quantity != "length" or column.is_displacement:
+        return column.quantity
+    return "position" if column.is_position else "way"
 
 
 def _hours(log: Log) -> np.ndarray:

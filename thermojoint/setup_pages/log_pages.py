@@ -132,7 +132,7 @@ def show_learn(place: Place, given: Given) -> dict[str, Any]:
     """Return the content of the page of learning."""
     words = shlex.join(next(iter(place.record("learn").commands), []))
     columns = _columns(place)
-    lengths = [c.name for c in columns if c.quantity == "length" and not _is_position(c.name)]
+    lengths = [c.name for c in columns if _is_displacement(c.name)]
     before = [name for name in lengths if f"--displacement={name}" in words]
     return {
         "logs": _logs(place),
@@ -146,9 +146,9 @@ def show_learn(place: Place, given: Given) -> dict[str, Any]:
     }
 
 
-def _is_position(name: str) -> bool:
-    column = column_named(name)
-    return column is not None and column.is_position
+def _is_displacement(name: str) -> bool:
+    column = column_named(name) or column_assumed(name)
+    return column is not None and column.is_displacement
 
 
 def do_learn(place: Place, given: Given) -> None:

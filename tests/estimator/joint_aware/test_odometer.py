@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from exported import SANITISED, as_in_python, needs_gcc, selftest, written
+from in_process import run
 from matiec import needs_matiec, selftest_by_both
 from moving_knee import SCREW, STEEL, moving
 from observed import estimates, observer
@@ -141,6 +142,20 @@ def test_a_run_of_a_log_has_the_way_that_the_control_counts(moved, tmp_path):
     unread = replace(log, columns=columns[:4] + columns[5:], values=np.delete(values, 4, axis=1))
     with pytest.raises(InputError, match="y_way"):
         runs_of(unread, case, ["x_um"])
+
+
+def test_the_command_takes_a_log_with_an_odometer(counting, samples, tmp_path):
+    """It counts 12 m, which no displacement is."""
+    write_observer(counting.model, tmp_path / "model.h5")
+    rows = samples.copy()
+    rows[:, 4:] *= 1e3
+    head = "time_s,bearing_K,guide_K,ambient_K,y_pos_mm,y_way_mm"
+    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header=head, comments="")
+    given = tmp_path / "model.h5", tmp_path / "log.csv", "--out", tmp_path / "e.csv"
+    assert run("estimate", *given) == 0
+    read = np.genfromtxt(tmp_path / "e.csv", delimiter=",", names=True, dtype=None, encoding=None)
+    last = estimates(counting, samples.tolist())[1][-1]
+    assert read["x_um"][-1] == pytest.approx(1e6 * last.displacement[0], abs=1e-3)
 
 
 @pytest.mark.parametrize("unread", [np.nan, -1.0, 1e12, np.inf])

@@ -53,7 +53,7 @@ def test_a_look_suggests_the_position_of_a_displacement_along_an_axis(command, t
     assert "next: thermojoint learn log.csv --displacement x_um@y_pos_mm --out model.json" in out
 
 
-def test_positions_have_a_panel_of_their_own(command, tmp_path, monkeypatch):
+def test_positions_and_odometers_have_panels_of_their_own(command, tmp_path, monkeypatch):
     """A stroke of 600 mm beside a displacement of 7 µm left of it a straight line."""
     drawn = []
 
@@ -61,15 +61,18 @@ def test_positions_have_a_panel_of_their_own(command, tmp_path, monkeypatch):
         drawn.append(figure)
 
     monkeypatch.setattr("thermojoint.pictures.log.write_figure", keep)
-    rows = "".join(f"{60 * t},{20 + 0.1 * t},{t % 7},{t % 5 * 150}\n" for t in range(200))
-    (tmp_path / "log.csv").write_text("time_s,T1_degC,x_um,y_pos_mm\n" + rows)
-    assert command("look", "log.csv", "--out", "log.png")[0] == 0
+    rows = "".join(f"{60 * t},{20 + 0.1 * t},{t % 7},{t % 5 * 150},{t * 100}\n" for t in range(200))
+    (tmp_path / "log.csv").write_text("time_s,T1_degC,x_um,y_pos_mm,y_way_mm\n" + rows)
+    code, out, _ = command("look", "log.csv", "--out", "log.png")
+    assert code == 0
+    assert "learn log.csv --displacement x_um@y_pos_mm --out" in out
     tops = {
         panel.get_ylabel(): max(line.get_ydata().max() for line in panel.get_lines())
         for panel in drawn[0].axes
     }
     assert tops["displacement (µm)"] == pytest.approx(6.0)
     assert tops["position (mm)"] == pytest.approx(600.0)
+    assert tops["way (m)"] == pytest.approx(19.9)
 
 
 def test_a_look_at_no_log_ends_in_one_line_that_shows_the_value(command, tmp_path):

@@ -212,10 +212,10 @@ def _check_unit(where: str, column: Column, values: Array) -> None:
             f"{where}: {column.name} is about {middle:.0f}, kelvin and not °C; rename "
             f"it: --column '{column.name}={column.base}_K'"
         )
-    far = column.quantity == "length" and not column.is_position
-    if far and abs(float(column.to_si(np.array(middle)))) > _LARGEST_LENGTH:
+    far = abs(float(column.to_si(np.array(middle)))) > _LARGEST_LENGTH
+    if far and column.is_displacement:
         raise InputError(
             f"{where}: {column.name} is about {middle:g}: more than "
             f"{1e3 * _LARGEST_LENGTH:.0f} mm is not a thermal displacement; rename it with its "
-            "unit, and a position like y_pos_mm"
+            "unit, a position like y_pos_mm, and an odometer like y_way_mm"
         )

@@ -136,7 +136,7 @@ def log_record(
     """
     if len(log.starts) > 1:
         raise InputError("log: time restarts within it; give the file of one test")
-    moved = [one.name for one in log.columns if one.quantity == "length" and not one.is_position]
+    moved = [one.name for one in log.columns if one.is_displacement]
     wanted = _by_base(log, moved) if displacements is None else displacements
     if not wanted:
         raise InputError("log: no displacement; rename its column to end in _um, _mm or _m")
