@@ -23,6 +23,7 @@ from fesim.axes.setup import turned_within
 from fesim.batch.study import Study, plain
 from fesim.case.schema import first_step_at, secant_sections
 from fesim.forces import COMPONENT_NAMES, ORDER_NAMES
+from fesim.setup.loads import source_names
 from fesim.setup.outputs import support_names
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import VARIABLES
@@ -96,7 +97,7 @@ def dimension_labels(study: Study) -> dict[str, Labels]:
         asked |= {"component": np.array(COMPONENT_NAMES), "order": np.array(ORDER_NAMES)}
     return {
         "time": np.unique(np.concatenate([_times(length, step) for length, step in _runs(study)])),
-        "source": _union(case.case.sources for case in study.cases),
+        "source": _union(map(source_names, cases)),
         "probe": _union(shape.probes for shape in shapes),
         "axis": np.array(["x", "y", "z"]),
         "space": np.array(["x", "y", "z"]),

@@ -13,12 +13,14 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
+import moving_knee
 import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
 import zarr
 from batch_cases import grid, levels, study_in, tally, write_study
+from nested_toml import as_toml
 from repository import ROOT
 from small_disk import mounted
 
@@ -253,6 +255,21 @@ def test_an_error_of_the_disk_that_names_no_file_names_the_folder(tmp_path, monk
     with pytest.raises(OSError, match="No space left on device") as said:
         run_batch(study_in(tmp_path, levels(1)), tmp_path / "out", here())
     assert said.value.filename == str(tmp_path / "out")
+
+
+def test_the_dataset_has_the_heat_of_screws(tmp_path):
+    """Surfaces that it warms are sources of a response which its case does not list."""
+    data = moving_knee.coarse_data()
+    data["axes"]["y"]["ball_screw"] = moving_knee.SCREW | {
+        "bearing_surface": "rear",
+        "bearing_conductance_W_K": 3.0,
+    }
+    data["materials"]["steel"] = moving_knee.STEEL
+    (tmp_path / "machine.toml").write_text(as_toml(data))
+    (tmp_path / "study.toml").write_text(f'case = "machine.toml"\n{levels(1)}')
+    run_batch(read_study(tmp_path / "study.toml"), tmp_path / "out", here())
+    (stored,) = opened(tmp_path / "out")["source_power"].sel(source="y bearing")
+    assert stored.max() > 0.0
 
 
 def test_after_kill_9_the_rest_runs_and_nothing_runs_again(tmp_path):
