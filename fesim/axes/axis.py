@@ -56,9 +56,11 @@ def gone_along(positions: Array) -> Array:
 
 def gone(axis: Axis, times: Array) -> Array:
     """Return the travel of an axis, to and fro, from time zero to times (n,), s, in m."""
-    turns = axis.course.times
-    every = np.union1d(np.append(times, 0.0), turns[(turns > 0.0) & (turns < times.max())])
-    return np.asarray(gone_along(axis.course(every))[np.searchsorted(every, times)])
+    # From knot to knot, whatever the times are: a continued march has the same bits.
+    knots = np.append(0.0, axis.course.times[axis.course.times > 0.0])
+    last = np.searchsorted(knots, times, side="right") - 1
+    stands = axis.course(knots)
+    return np.asarray(gone_along(stands)[last] + np.abs(axis.course(times) - stands[last]))
 
 
 def cold_drives(axes: Sequence[Axis]) -> Array:

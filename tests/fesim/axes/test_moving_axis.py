@@ -6,7 +6,9 @@ from in_process import run
 from moving_knee import PATH, coarse, coarse_data, meshed_at, moving, standing_at
 
 from fesim.axes import setup as axes_setup
+from fesim.axes.axis import Axis, gone
 from fesim.axes.setup import course_of, set_up_axes
+from fesim.case.history import History
 from fesim.case.schema import case_from_data
 from fesim.march.state_file import load_state, save_state
 from fesim.setup.machine import set_up
@@ -114,6 +116,17 @@ def test_a_continued_march_is_the_uninterrupted_one(case, setup, response, tmp_p
     for name in ("displacement", "temperature", "pressure", "slip", "asked_displacement"):
         whole = response[name].sel(time=rest["time"])
         assert np.array_equal(rest[name], whole), name
+
+
+def test_the_way_at_a_time_has_the_same_bits_whatever_the_other_times_are():
+    rng = np.random.default_rng(4)
+    course = History(np.sort(rng.uniform(-10.0, 300.0, 80)), rng.uniform(-0.1, 0.2, 80))
+    axis = Axis("y", course, np.zeros(1), 0.0, None, np.zeros(3))
+    times = 10.0 * np.arange(40.0)
+    whole = gone(axis, times)
+    assert all(np.array_equal(gone(axis, times[k:]), whole[k:]) for k in range(40))
+    finely = np.abs(np.diff(course(np.union1d(times, np.clip(course.times, 0.0, None)))))
+    assert whole[-1] == pytest.approx(finely.sum(), rel=1e-12)
 
 
 def test_without_heat_nothing_moves_wherever_it_stands(tmp_path):
