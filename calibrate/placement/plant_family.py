@@ -8,6 +8,7 @@ not seconds: marches take long steps on few modes. Axes of a machine that moves 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -63,6 +64,8 @@ class Drawing:
 
 #: The defaults.
 USUAL = Drawing()
+#: A sensor is near a source if it responds at least this fraction of the most responsive candidate.
+NEARBY = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,11 +225,42 @@ def loudest(machine: ReducedMachine, step: float) -> list[int]:
     step : float
         Duration of the heat, s.
     """
-    modes = diagonal_modes(machine, machine.at_preload)
-    soon = answer(modes.rates, step, 0.0)[:, None] * modes.drive[:, : machine.power.size]
-    answers = np.abs(modes.sensors @ (soon * machine.power))
+    answers = _soon(machine, step)
     share = answers / np.maximum(answers.sum(axis=1, keepdims=True), np.finfo(float).tiny)
     return [int(np.argmax(column)) for column in (answers * share).T]
+
+
+def unseen_sources(machine: ReducedMachine, chosen: Sequence[str], step: float) -> dict[str, str]:
+    """Return the sources without a chosen sensor nearby, each with its `loudest` candidate.
+
+    None of the chosen sensors reaches a tenth (`NEARBY`) of the candidate's response, so every
+    change of that heat is noticed late.
+
+    Parameters
+    ----------
+    machine : ReducedMachine
+        Its sensors are the candidates.
+    chosen : sequence of str
+        Names of some of them.
+    step : float
+        Duration of the heat, s.
+    """
+    answers, names = _soon(machine, step), machine.sensor_names
+    best = answers[[names.index(name) for name in chosen]].max(axis=0)
+    return {
+        source: names[candidate]
+        for k, (source, candidate) in enumerate(
+            zip(machine.source_names, loudest(machine, step), strict=True)
+        )
+        if best[k] < NEARBY * answers[candidate, k]
+    }
+
+
+def _soon(machine: ReducedMachine, step: float) -> Array:
+    """Magnitude of every candidate's response to every source at its power, K, (p, s)."""
+    modes = diagonal_modes(machine, machine.at_preload)
+    soon = answer(modes.rates, step, 0.0)[:, None] * modes.drive[:, : machine.power.size]
+    return np.abs(modes.sensors @ (soon * machine.power))
 
 
 def fewer_modes(machine: ReducedMachine, drawing: Drawing = USUAL) -> ReducedMachine:

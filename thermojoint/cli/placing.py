@@ -52,6 +52,7 @@ def place(
         fewer_modes,
         filter_modes,
         make_family,
+        unseen_sources,
         with_start,
     )
     from fesim.axes.setup import set_up_axes
@@ -90,6 +91,11 @@ def place(
         placement = place_sensors(seen, count, kept, family, report=report)
     write_text(out, written(placement, machine, setup.probes))
     results.show_placement(console.out(), placement, reduced.axes)
+    console.warn(
+        f"no chosen sensor is near source {source!r}, so that every change of its heat is noticed "
+        f"late; place one there, e.g. by --keep {candidate}"
+        for source, candidate in unseen_sources(seen, placement.chosen.names, USUAL.step).items()
+    )
     console.wrote(out)
 
 

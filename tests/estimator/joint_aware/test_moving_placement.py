@@ -106,6 +106,13 @@ def test_a_set_for_the_whole_stroke_is_better_over_it_than_one_for_its_end(machi
     assert (elsewhere.band >= there.band * (1.0 - 1e-9)).all()
 
 
+def test_a_source_without_a_sensor_nearby_is_named_with_the_candidate_that_is(machine):
+    seen = plant_family.filter_modes(machine)
+    (source,) = seen.source_names
+    assert plant_family.unseen_sources(seen, ["t"], STEP) == {source: "bearing"}
+    assert plant_family.unseen_sources(seen, ["t", "bearing"], STEP) == {}
+
+
 def test_the_command_places_sensors_on_a_machine_that_moves(data, tmp_path, monkeypatch):
     monkeypatch.setattr(
         plant_family, "make_family", partial(plant_family.make_family, drawing=SMALL)
