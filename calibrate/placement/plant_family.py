@@ -155,7 +155,7 @@ def make_family(
 
 @dataclass(frozen=True, eq=False)
 class _Day:
-    """Inputs (n, s + 1 + x), ways of the axes (n, x), m, and the relaxed heat (n, s q)."""
+    """Inputs (n, s + 1 + x), travel of the axes (n, x), m, and the relaxed heat (n, s q)."""
 
     inputs: Array
     gone: Array
@@ -165,7 +165,7 @@ class _Day:
 def _course(
     moves: np.random.Generator, count: int, machine: ReducedMachine, drawing: Drawing
 ) -> tuple[Array, Array]:
-    """Random positions after each of n steps, and how far axes have gone in it, m, (n, x) each."""
+    """Random positions of the axes after each of n steps, and their travel in it, m, (n, x)."""
     if (guide := machine.guide) is None:
         return np.zeros((count, 0)), np.zeros((count, 0))
     turns = math.ceil(machine.step / drawing.turns)
@@ -225,7 +225,10 @@ def loudest(machine: ReducedMachine, step: float) -> list[int]:
     step : float
         Duration of the heat, s.
     """
-    answers = _soon(machine, step)
+    return _loudest(_soon(machine, step))
+
+
+def _loudest(answers: Array) -> list[int]:
     share = answers / np.maximum(answers.sum(axis=1, keepdims=True), np.finfo(float).tiny)
     return [int(np.argmax(column)) for column in (answers * share).T]
 
@@ -250,7 +253,7 @@ def unseen_sources(machine: ReducedMachine, chosen: Sequence[str], step: float) 
     return {
         source: names[candidate]
         for k, (source, candidate) in enumerate(
-            zip(machine.source_names, loudest(machine, step), strict=True)
+            zip(machine.source_names, _loudest(answers), strict=True)
         )
         if best[k] < NEARBY * answers[candidate, k]
     }
@@ -286,10 +289,10 @@ def fewer_modes(machine: ReducedMachine, drawing: Drawing = USUAL) -> ReducedMac
 
 
 def filter_modes(machine: ReducedMachine, drawing: Drawing = USUAL) -> ReducedMachine:
-    """Return a machine with the modes that a filter needs, of those of `fewer_modes`.
+    """Return a machine with the modes that a filter needs, out of those of `fewer_modes`.
 
-    A filter has no flows of single stations: on axes heat flows between pads and what they are
-    above on average. Without axes the machine is returned.
+    A filter does not model flows at single stations: on axes, heat flows between the pads and the
+    stations below, averaged over the stroke. A machine without axes is returned as it is.
     """
     if (guide := machine.guide) is None:
         return machine
@@ -298,7 +301,7 @@ def filter_modes(machine: ReducedMachine, drawing: Drawing = USUAL) -> ReducedMa
 
 
 def _entering(machine: ReducedMachine, jump: Array) -> Array:
-    """What excites modes (r, n), W: sources, ambient, flows across jumps (m, r) per mode."""
+    """Inputs (r, n) of the modes, W: sources, ambient, flows across the jumps (m, r)."""
     flow = Noise().joint_flow
     return np.column_stack(
         [machine.sources * machine.power, PAST.ambient * machine.ambient, flow * jump.T]
@@ -306,7 +309,7 @@ def _entering(machine: ReducedMachine, jump: Array) -> Array:
 
 
 def _spanned(machine: ReducedMachine, inputs: Array, drawing: Drawing) -> ReducedMachine:
-    """The machine on what inputs (r, n) excite."""
+    """The machine on the modes that inputs (r, n) excite."""
     linear = conducting(machine, machine.at_preload)
     fields = [
         np.linalg.solve(machine.capacity / time + linear, inputs)

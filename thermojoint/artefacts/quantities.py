@@ -110,7 +110,7 @@ class Column:
 
     @property
     def is_displacement(self) -> bool:
-        """Whether it is a length, but not where an axis stands nor its way (``y_way_mm``)."""
+        """Whether this is a length, but neither a position nor the travel of an axis."""
         of_axis = self.is_position or _WAY.search(self.base)
         return self.quantity == "length" and not of_axis
 

@@ -120,7 +120,7 @@ class Passed(NamedTuple):
 
 
 class Recorded(NamedTuple):
-    """What a march of n steps leaves, written in place."""
+    """Results of a march of n steps, written in place."""
 
     #: Shape (n, r).
     amplitudes: Array

@@ -555,7 +555,7 @@ def diagonal_basis(machine: ReducedMachine, held: Array | None = None) -> tuple[
 def conducting(machine: ReducedMachine, held: Array | None) -> Array:
     """Return K + H with the part of the joint that belongs to the modes, W/K, shape (r, r).
 
-    `held` is as for `diagonal_modes`; axes are everywhere equally often.
+    `held` is as for `diagonal_modes`; axes are equally often at every position.
     """
     conduction = machine.conduction + machine.convection
     if held is None:
