@@ -47,6 +47,8 @@ from thermojoint.reduced.physics import heat_step
 
 #: Half-width of the 95 % interval, in standard deviations.
 WIDTH = 1.96
+#: Share by which travel that odometers have not reported may widen a band: as `Observer.unsettled`.
+WIDENED = math.sqrt(2.0) - 1.0
 
 #: Most samples processed at once; those after the first unusual one are processed again.
 AT_ONCE = 1000
@@ -704,7 +706,9 @@ class JointAware(Described):
         missing += tuple(channel.name for channel, gone in unread if gone)
         status = self._beyond(time - float(after.begun), inputs, readings, taken.believed)
         usual, left = self._variances(parts, after.model_error, factor)
+        untold, settled = self._of_untold_ways(after), WIDTH * np.sqrt(usual)
         unsettled = self.observer.unsettled(left, usual, taken.often)
+        unsettled |= bool((untold > WIDENED * settled).any())
         for holds, flag in (
             (missing, Status.READING_MISSING),
             (distrusted, Status.SENSOR_DISTRUSTED),
@@ -715,8 +719,7 @@ class JointAware(Described):
             if holds:
                 status |= flag
         known = self._known(taken, parts)
-        band = np.asarray(WIDTH * np.sqrt(usual + left)) + self._undecided(after)
-        band += self._of_untold_ways(after)
+        band = np.asarray(WIDTH * np.sqrt(usual + left)) + self._undecided(after) + untold
         moved, line = taken.displacement + known, np.empty(0)
         if self.model.moving_axes:
             moved, line = self._lines(taken, known, band)

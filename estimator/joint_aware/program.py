@@ -32,7 +32,7 @@ from estimator.export.program import (
 from estimator.interface import Status
 from estimator.joint_aware import guided_program
 from estimator.joint_aware.absence import Absence, doubled, left_by
-from estimator.joint_aware.estimator import WIDTH, JointAware
+from estimator.joint_aware.estimator import WIDENED, WIDTH, JointAware
 from estimator.joint_aware.guided_program import Placed, kernel_of
 from estimator.joint_aware.model_file import fingerprint
 from estimator.joint_aware.observer import ANSWER
@@ -154,6 +154,7 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             "tolerance": tolerance,
             "erfc": _erfc(kernel, precision),
             "width": WIDTH,
+            "widened": WIDENED * WIDTH,
             "most_heat": (1.0 + SLACK) * model.calibrated.heat,
             "least_heat": -SLACK * model.calibrated.heat,
             "counted": model.counted,

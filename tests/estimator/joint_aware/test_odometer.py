@@ -226,14 +226,18 @@ def swinging(estimator, away, speed, anew):
 def test_the_band_has_the_way_that_an_odometer_has_not_told(counting, away, speed, anew):
     """The axis goes on as before, or stands; then the odometer tells it, or was set anew."""
     rows, without = swinging(counting, away, speed, anew)
+    every = [estimates(counting, each.tolist())[1] for each in (rows, without)]
     whole, found = (
         [here(counting.axes, counting.details, one)[0], np.array([each.band for each in one])]
-        for one in (estimates(counting, each.tolist())[1] for each in (rows, without))
+        for one in every
     )
+    unsettled = np.array([Status.UNSETTLED in one.status for one in every[1]])
     missed, band = np.abs(found[0] - whole[0]), found[1]
     for phase in (slice(60, 60 + away), slice(60 + away, 120 + away), slice(120 + away, None)):
         assert (missed[phase] <= band[phase]).mean() >= 0.95
     assert (band[:60] == whole[1][:60]).all()
+    assert not unsettled[:60].any()
+    assert unsettled[60:][(band > 2.0 * whole[1])[60:].any(axis=1)].all()
     if speed == 0.0:
         assert (band[-1] < 0.5 * band[59 + away]).all()
     else:
@@ -320,6 +324,12 @@ def test_its_programs_know_the_odometer(counting, samples, tmp_path):
     bands = np.array([one.band for one in there])
     assert np.array([list(one.band) for one in got]) == pytest.approx(bands, rel=1e-9)
     assert (bands[12] > bands[9]).all()
+    python, unsettled = (
+        np.array([bool(one.status & Status.UNSETTLED) for one in each]) for each in (there, got)
+    )
+    assert (python == unsettled).all()
+    assert python[12]
+    assert not python[9]
     # A screw that grows by 45 mm, as none does, to a few millionths.
     rows = quick(samples, 2.0, slice(30, 38)).tolist()
     as_in_python(program, counting, rows, tmp_path / "quick", 1e-7)
