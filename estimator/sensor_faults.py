@@ -8,11 +8,11 @@ Start at `judge_sample`: it judges a sample before it is used. A channel is dist
   the model;
 - contradicted: its innovation, given the other channels, is larger than expected.
 
-The first three are detected by `look`, channel by channel; the last by `_contradicted`, the worst
-channel first. A channel is trusted again after `Thresholds.clear` without a fault; one that was
-contradicted must have approached the model by more than the model can have approached it, and stay
-there for `Thresholds.agreed`. If most channels contradict the model, the model's state is wrong
-(`Verdict.lost`): then all are trusted.
+The first three are detected by `update_watch`, channel by channel; the last by `_contradicted`, the
+worst channel first. A channel is trusted again after `Thresholds.clear` without a fault; one that
+was contradicted must have approached the model by more than the model can have approached it, and
+stay there for `Thresholds.agreed`. If most channels contradict the model, the model's state is
+wrong (`Verdict.lost`): then all are trusted.
 
 Verified by tests/estimator/test_sensor_faults.py, one rule at a time and without a machine, and by
 ``python -m benchmarks.sensor_faults`` on the reference machine (docs/faulty-sensors.md).
@@ -81,11 +81,11 @@ class Thresholds(NamedTuple):
     #: A channel that never changed is also stuck if this many others reverse in this fraction of
     #: their changes, as noise does, and it would usually have changed.
     witnesses: float = 2.0
-    turning: float = 0.25
+    reversing: float = 0.25
     #: Assumed step of a display that has not shown any yet, K.
     unknown_step: float = 0.25
     #: Initial repetition rate of a channel, and the samples over which it is learned.
-    habit: float = 0.5
+    repeat_rate: float = 0.5
     learnt: float = 50.0
     #: Changes below this are ignored, K.
     rounding: float = 1e-9
@@ -140,7 +140,7 @@ class Watch(NamedTuple):
     #: Number of repetitions since.
     repeats: Array
     #: Fraction of its readings that repeat the previous one.
-    habit: Array
+    repeat_rate: Array
     #: Smallest change so far, K.
     finest: Array
     #: Mean distance of its changes from multiples of that, relative to it: 0 for a coarse display.
@@ -148,7 +148,7 @@ class Watch(NamedTuple):
     #: Its last change, K.
     rise: Array
     #: Fraction of its changes that reverse: none for a smooth signal, two thirds for pure noise.
-    turned: Array
+    reversal_rate: Array
     #: Its error when the model contradicted it, K; negative once it has jumped back.
     off: Array
     #: Mean of its innovations over the last ten minutes, each at most `gate` times the model error,
@@ -164,7 +164,7 @@ class Watch(NamedTuple):
         return np.concatenate([self.lasting, self.longer, self.longest])
 
 
-def fresh(channels: int, rules: Thresholds) -> Watch:
+def new_watch(channels: int, rules: Thresholds) -> Watch:
     """Return a watch without any memory."""
     nothing, unknown = np.zeros(channels), np.full(channels, np.nan)
     return Watch(
@@ -175,11 +175,11 @@ def fresh(channels: int, rules: Thresholds) -> Watch:
         changed=unknown,
         expected=unknown,
         repeats=nothing,
-        habit=np.full(channels, rules.habit),
+        repeat_rate=np.full(channels, rules.repeat_rate),
         finest=unknown,
         grain=nothing,
         rise=unknown,
-        turned=nothing,
+        reversal_rate=nothing,
         off=unknown,
         lasting=nothing,
         longer=nothing,
@@ -191,7 +191,7 @@ class Verdict(NamedTuple):
     """Verdict on the readings of a sample."""
 
     #: Shape (n,): readings to be used.
-    believed: Flags
+    accepted: Flags
     #: Most channels contradict the model: its state is wrong.
     lost: bool
     #: Memory for the next sample.
@@ -205,19 +205,19 @@ def judge_sample(
     time, readings, predicted = sample
     present = np.isfinite(readings)
     seen = Watch(*np.array(watch))
-    odd, near = np.empty_like(present), np.empty_like(present)
-    look(seen, sample, channels, rules, odd, near)
+    invalid, near = np.empty_like(present), np.empty_like(present)
+    update_watch(seen, sample, channels, rules, invalid, near)
     doubted = watch.distrusted > 0.0
-    credible = present & ~odd
+    credible = present & ~invalid
     contradicted = _contradicted(sample, explain, credible & ~doubted, rules)
-    if not (odd.any() or doubted.any() or contradicted.any()):
+    if not (invalid.any() or doubted.any() or contradicted.any()):
         return Verdict(present, False, seen)
     first = not np.isfinite(watch.read).any()
-    lost = bool(contradicted.any()) and mostly(contradicted | doubted, credible, first)
+    lost = bool(contradicted.any()) and majority_doubtful(contradicted | doubted, credible, first)
     if lost:
-        faulty, doubted = odd, doubted & ~credible
+        faulty, doubted = invalid, doubted & ~credible
     else:
-        faulty = odd | contradicted | (doubted & present & ~near)
+        faulty = invalid | contradicted | (doubted & present & ~near)
     fault = np.where(faulty, time, seen.fault)
     wait = np.where(np.isfinite(seen.off), rules.agreed, rules.clear)
     distrusted = faulty | (doubted & (~present | (time - fault < wait)))
@@ -234,7 +234,7 @@ def model_error(predicted: Array, rules: Thresholds) -> Array:
 
 
 @compiled
-def certainly_alike(innovation: Array, rules: Thresholds) -> bool:
+def certainly_consistent(innovation: Array, rules: Thresholds) -> bool:
     """Whether innovations are so small, K, that none is a contradiction for any covariance.
 
     No statistic of a contradiction or a jump exceeds |innovation| / `model_error`.
@@ -248,7 +248,9 @@ def _stuck(watch: Watch, channel: int, sample: Sample, noise: float, rules: Thre
     repeats, finest = watch.repeats[channel], watch.finest[channel]
     if repeats < rules.repeats or sample.time - watch.changed[channel] < rules.stuck:
         return False
-    unlike = repeats * math.log(max(watch.habit[channel], 1e-300)) < math.log(rules.improbable)
+    unlike = repeats * math.log(max(watch.repeat_rate[channel], 1e-300)) < math.log(
+        rules.improbable
+    )
     if unlike and (finest < noise or watch.grain[channel] > rules.grain):
         return True
     step = max(finest, noise) if finest >= 0.0 else max(rules.unknown_step, noise)
@@ -260,25 +262,25 @@ def _silent(watch: Watch, channel: int, thermometers: int, rules: Thresholds) ->
     """Whether a channel has never changed although others have noise."""
     if channel >= thermometers or watch.finest[channel] >= 0.0:
         return False
-    witnesses, habit = 0, 0.0
+    witnesses, repeat_rate = 0, 0.0
     for k in range(thermometers):
-        if k == channel or watch.distrusted[k] > 0.0 or watch.turned[k] < rules.turning:
+        if k == channel or watch.distrusted[k] > 0.0 or watch.reversal_rate[k] < rules.reversing:
             continue
         witnesses += 1
-        habit = max(habit, watch.habit[k])
-    likelihood = watch.repeats[channel] * math.log(max(habit, 1e-300))
+        repeat_rate = max(repeat_rate, watch.repeat_rate[k])
+    likelihood = watch.repeats[channel] * math.log(max(repeat_rate, 1e-300))
     return witnesses >= rules.witnesses and likelihood < math.log(rules.improbable)
 
 
 @compiled
-def look(
-    watch: Watch, sample: Sample, channels: Channels, rules: Thresholds, odd: Flags, near: Flags
+def update_watch(
+    watch: Watch, sample: Sample, channels: Channels, rules: Thresholds, invalid: Flags, near: Flags
 ) -> None:
-    """Update the watch by a sample, and set `odd` if faulty, `near` if near the model, in place."""
+    """Update the watch by a sample, in place; set `invalid` if faulty, `near` if near the model."""
     time, readings, predicted = sample.time, sample.readings, sample.predicted
     for k in range(readings.size):
         reading, expected = readings[k], predicted[k]
-        odd[k] = near[k] = False
+        invalid[k] = near[k] = False
         if not np.isfinite(reading):
             continue
         imperfect = rules.model_error + rules.model_share * abs(expected)
@@ -288,9 +290,9 @@ def look(
         near[k] = abs(reading - expected) <= limit
         change, since = abs(reading - watch.last[k]), time - watch.read[k]
         # Comparisons with unknown values, NaN, find no fault.
-        odd[k] = reading < channels.low[k] or reading > channels.high[k]
-        odd[k] = odd[k] or change > rules.rate * since + rules.jump
-        if watch.distrusted[k] == 0.0 and since > 0.0 and not odd[k]:
+        invalid[k] = reading < channels.low[k] or reading > channels.high[k]
+        invalid[k] = invalid[k] or change > rules.rate * since + rules.jump
+        if watch.distrusted[k] == 0.0 and since > 0.0 and not invalid[k]:
             most = rules.gate * imperfect
             innovation = min(max(reading - expected, -most), most)
             watch.lasting[k] += since / (since + rules.lasts) * (innovation - watch.lasting[k])
@@ -300,12 +302,12 @@ def look(
         watch.read[k] = time
         if change <= rules.rounding:
             watch.repeats[k] += 1.0
-            odd[k] = odd[k] or _stuck(watch, k, sample, channels.noise[k], rules)
-            odd[k] = odd[k] or _silent(watch, k, channels.thermometers, rules)
+            invalid[k] = invalid[k] or _stuck(watch, k, sample, channels.noise[k], rules)
+            invalid[k] = invalid[k] or _silent(watch, k, channels.thermometers, rules)
             continue
         run = watch.repeats[k] + 1.0
         kept = (1.0 - 1.0 / rules.learnt) ** run
-        watch.habit[k] = kept * watch.habit[k] + (1.0 - kept) * watch.repeats[k] / run
+        watch.repeat_rate[k] = kept * watch.repeat_rate[k] + (1.0 - kept) * watch.repeats[k] / run
         rise, before = reading - watch.last[k], watch.rise[k]
         if change >= rules.jumped_back * abs(watch.off[k]):
             watch.off[k] = -abs(watch.off[k])
@@ -314,7 +316,9 @@ def look(
         if not change >= 0.0:
             continue
         watch.rise[k] = rise
-        watch.turned[k] += ((1.0 if rise * before < 0.0 else 0.0) - watch.turned[k]) / rules.seen
+        watch.reversal_rate[k] += (
+            (1.0 if rise * before < 0.0 else 0.0) - watch.reversal_rate[k]
+        ) / rules.seen
         finest = watch.finest[k]
         if finest >= 0.0:
             ratio = max(change, finest) / min(change, finest)
@@ -327,7 +331,7 @@ def _contradicted(sample: Sample, explain: Explain, trusted: Flags, rules: Thres
     innovation = sample.readings - sample.predicted
     contradicted = np.zeros_like(trusted)
     at = np.flatnonzero(trusted)
-    if certainly_alike(innovation[at], rules):
+    if certainly_consistent(innovation[at], rules):
         return contradicted
     imperfect = model_error(sample.predicted, rules)
     while at.size:
@@ -345,7 +349,7 @@ def _contradicted(sample: Sample, explain: Explain, trusted: Flags, rules: Thres
     return contradicted
 
 
-def mostly(doubtful: Flags, credible: Flags, first: bool) -> bool:
+def majority_doubtful(doubtful: Flags, credible: Flags, first: bool) -> bool:
     """Whether more than half of the channels, and more than one, are doubtful.
 
     At the first sample more than one is enough: a wrong initial state is then more likely than two

@@ -45,7 +45,7 @@ DIRECTIONS = 12
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class Results:
     """Signals of an observer in a run, or in a part of it."""
 
     #: Shape (n, s q): relaxations of the heat.
@@ -57,9 +57,9 @@ class Shown:
     #: Factor on its errors in the sum of squares.
     weight: float = 1.0
 
-    def part(self, at: slice) -> Shown:
+    def part(self, at: slice) -> Results:
         """Return a part of it."""
-        return Shown(self.relaxed[at], self.means[at], self.errors[at], self.weight)
+        return Results(self.relaxed[at], self.means[at], self.errors[at], self.weight)
 
 
 class _Told(NamedTuple):
@@ -77,19 +77,19 @@ def is_day(run: Run) -> bool:
     return run.length * len(run.inputs) > LONGEST
 
 
-def shown_in(model: ObserverModel, run: Run) -> Shown:
+def shown_in(model: ObserverModel, run: Run) -> Results:
     """Return the signals of an observer in a run, as means over `MEAN`."""
     samples = samples_of(run, len(model.sources) + len(model.surfaces))
-    shown = JointAware(replace(model, power_shares={})).shown(samples)
-    each = shown.relaxed, shown.means, shown.displacement - run.displacement
+    results = JointAware(replace(model, power_shares={})).results(samples)
+    each = results.relaxed, results.means, results.displacement - run.displacement
     ends = np.arange(MEAN, run.times[-1] + MEAN, MEAN)
     relaxed, means, errors = (means_in(values, run.times, ends)[0] for values in each)
     weight = SHORT if run.length * len(run.inputs) <= SLOW else 1.0
-    return Shown(relaxed, means, errors, weight)
+    return Results(relaxed, means, errors, weight)
 
 
 def with_days(
-    model: ObserverModel, days: Sequence[Shown], others: Sequence[Shown]
+    model: ObserverModel, days: Sequence[Results], others: Sequence[Results]
 ) -> tuple[ObserverModel, float]:
     """Return a model with corrections learned from recorded days.
 
@@ -100,9 +100,9 @@ def with_days(
     ----------
     model : ObserverModel
         Of the observer that gave the signals.
-    days : sequence of Shown
+    days : sequence of Results
         At least one.
-    others : sequence of Shown
+    others : sequence of Results
         The other runs, which the corrections must not contradict.
     """
     every, parts = [*others, *days], list(days) if len(days) > 1 else _halves(days[0])
@@ -124,7 +124,7 @@ def with_days(
     return replace(known, band=band), float(squares.mean())
 
 
-def _halves(day: Shown) -> list[Shown]:
+def _halves(day: Results) -> list[Results]:
     middle = len(day.errors) // 2
     return [day.part(slice(middle)), day.part(slice(middle, None))]
 
@@ -136,11 +136,11 @@ def _slow(model: ObserverModel) -> NDArray[np.int64]:
     return np.flatnonzero(slow)
 
 
-def _features(model: ObserverModel, shown: Shown) -> Array:
-    return np.hstack([shown.relaxed[:, _slow(model)], shown.means])
+def _features(model: ObserverModel, results: Results) -> Array:
+    return np.hstack([results.relaxed[:, _slow(model)], results.means])
 
 
-def _told(model: ObserverModel, runs: Sequence[Shown]) -> list[_Told]:
+def _told(model: ObserverModel, runs: Sequence[Results]) -> list[_Told]:
     """Coefficients of the features by runs, axis by axis."""
     features = np.vstack([run.weight * _features(model, run) for run in runs])
     errors = np.vstack([run.weight * run.errors for run in runs])
@@ -177,7 +177,9 @@ def _regressed(features: Array, error: Array) -> _Told:
     return _Told(mean, covariance, variance)
 
 
-def _knowing(model: ObserverModel, found: Sequence[_Told], runs: Sequence[Shown]) -> ObserverModel:
+def _knowing(
+    model: ObserverModel, found: Sequence[_Told], runs: Sequence[Results]
+) -> ObserverModel:
     """The model with coefficients by `runs`, and their uncertainty and residual in its band."""
     slow, band = _slow(model), model.band
     gains = np.array([one.mean for one in found])
@@ -217,14 +219,14 @@ def _directions(covariance: Array, features: Array) -> Array:
     return np.asarray((factor @ turned.T).T[:DIRECTIONS])
 
 
-def _left(model: ObserverModel, known: ObserverModel, shown: Shown) -> Array:
+def _left(model: ObserverModel, known: ObserverModel, results: Results) -> Array:
     """Errors (n, axes), m, of a corrected model, `known`, in a part of a run with `model`."""
     gain = known.discrepancy.displacement - model.discrepancy.displacement
-    corrected = shown.relaxed @ gain.T + Observer(known).meant(shown.means)
-    return np.asarray(shown.errors + corrected)
+    corrected = results.relaxed @ gain.T + Observer(known).displacement_by(results.means)
+    return np.asarray(results.errors + corrected)
 
 
-def _expected(model: ObserverModel, shown: Shown) -> Array:
+def _expected(model: ObserverModel, results: Results) -> Array:
     """Variance (n, axes), m2, of the band of a model in a part of a run."""
-    parts = Observer(model).model_error(shown.relaxed, KNOWN, shown.means)
+    parts = Observer(model).model_error(results.relaxed, KNOWN, results.means)
     return np.asarray(model.band.steady + np.square(parts).sum(axis=-1))

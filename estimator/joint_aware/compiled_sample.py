@@ -14,7 +14,7 @@ import numpy as np
 
 from estimator.joint_aware.displacement_readings import ModelError
 from estimator.joint_aware.observer_state import UNKNOWN, ObserverState
-from estimator.sensor_faults import Channels, Sample, Thresholds, certainly_alike, look
+from estimator.sensor_faults import Channels, Sample, Thresholds, certainly_consistent, update_watch
 from fesim.jit import compiled, compiled_part
 from fesim.joint.in_place import add, put
 from fesim.joint.linear_system import solve
@@ -33,7 +33,7 @@ from thermojoint.artefacts.arrays import Array, Flags
 
 
 class Possible(NamedTuple):
-    """Data to explain innovations by changes of heat (`trust.possible_heat`)."""
+    """Data to explain innovations by changes of heat (`innovation_gate.possible_heat`)."""
 
     #: Shape (p + 1, s): readings per W of a change since the sample before, K/W.
     onset: Array
@@ -69,7 +69,7 @@ class Filter(NamedTuple):
     forgetting: Array
 
 
-class Shown(NamedTuple):
+class Results(NamedTuple):
     """Results of n samples, written in place."""
 
     #: Shape (n, axes): displacement, m, before corrections by innovations and readings of it.
@@ -80,9 +80,9 @@ class Shown(NamedTuple):
     means: Array
 
 
-def shown_by(count: int, sizes: tuple[int, int, int]) -> Shown:
+def empty_results(count: int, sizes: tuple[int, int, int]) -> Results:
     """Return storage for `count` samples; `sizes` are the numbers of values per sample."""
-    return Shown(*(np.empty((count, size)) for size in sizes))
+    return Results(*(np.empty((count, size)) for size in sizes))
 
 
 class SampleWork(NamedTuple):
@@ -92,10 +92,10 @@ class SampleWork(NamedTuple):
     joint: JointWork
     predicted: Array
     innovation: Array
-    odd: Flags
+    invalid: Flags
     near: Flags
     discrepancy: Array
-    #: Shapes (s,), (p + 1,), (p + 1,) and (p + 1, p + 1): of `_alike`.
+    #: Shapes (s,), (p + 1,), (p + 1,) and (p + 1, p + 1): of `_consistent`.
     heat_change: Array
     rest: Array
     unit: Array
@@ -131,15 +131,15 @@ def place_of(own: Filter, heat: HeatStep, joint: JointKernel) -> Place:
 
 
 @compiled
-def usual_samples(
+def ordinary_samples(
     place: Place,
     state: ObserverState,
     times: Array,
     length: float,
     readings: Array,
-    shown: Shown,
+    results: Results,
 ) -> int:
-    """Process ordinary samples into `state` and `shown`, in place.
+    """Process ordinary samples into `state` and `results`, in place.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ def usual_samples(
         s.
     readings : ndarray, shape (n, p + 1)
         K.
-    shown : Shown
+    results : Results
         Of n samples.
 
     Returns
@@ -163,25 +163,27 @@ def usual_samples(
         `state` is invalid.
     """
     judging = state.pending.channel[()]
-    if state.memory[()] == UNKNOWN or judging == judging:
+    if state.slip_knowledge[()] == UNKNOWN or judging == judging:
         return 0
     for more in state.covariance_factor.flat:
         if more != 0.0:
             return 0
     modes, channels = place.heat.decay.size, readings.shape[1]
-    relaxed = state.linear[modes : modes + shown.relaxed.shape[1]]
+    relaxed = state.linear[modes : modes + results.relaxed.shape[1]]
     for k in range(times.size):
-        if not _usual(place, state, times[k], length, readings[k], shown.displacement[k]):
+        if not _process_ordinary(
+            place, state, times[k], length, readings[k], results.displacement[k]
+        ):
             return k
-        put(relaxed, shown.relaxed[k])
-        put(state.watch.lasting, shown.means[k, :channels])
-        put(state.watch.longer, shown.means[k, channels : 2 * channels])
-        put(state.watch.longest, shown.means[k, 2 * channels :])
+        put(relaxed, results.relaxed[k])
+        put(state.watch.lasting, results.means[k, :channels])
+        put(state.watch.longer, results.means[k, channels : 2 * channels])
+        put(state.watch.longest, results.means[k, 2 * channels :])
     return times.size
 
 
 @compiled_part
-def _usual(
+def _process_ordinary(
     place: Place,
     state: ObserverState,
     time: float,
@@ -205,18 +207,18 @@ def _usual(
             kept = own.relaxing[s, q]
             k = s * rates + q
             relaxed[k] = kept * relaxed[k] + (1.0 - kept) * inputs[s] / own.power[s]
-    predicted, innovation, odd, near = work.predicted, work.innovation, work.odd, work.near
+    predicted, innovation, invalid, near = work.predicted, work.innovation, work.invalid, work.near
     np.dot(own.rows, linear, predicted)
     for c in range(channels):
         innovation[c] = readings[c] - predicted[c]
     if not (
-        certainly_alike(innovation, own.rules)
-        or _alike(own.possible, own.rules, work, inputs[:sources])
+        certainly_consistent(innovation, own.rules)
+        or _consistent(own.possible, own.rules, work, inputs[:sources])
     ):
         return False
     sample = Sample(time, readings, predicted)
-    look(state.watch, sample, own.channels, own.rules, odd, near)
-    if odd.any():
+    update_watch(state.watch, sample, own.channels, own.rules, invalid, near)
+    if invalid.any():
         return False
     for k in range(size):
         for c in range(channels):
@@ -232,7 +234,7 @@ def _usual(
 
 
 @compiled_part
-def _alike(possible: Possible, rules: Thresholds, work: SampleWork, heat: Array) -> bool:
+def _consistent(possible: Possible, rules: Thresholds, work: SampleWork, heat: Array) -> bool:
     """Whether no innovation is a contradiction or a jump by `sensor_faults` and `trust`.
 
     Also False where the best-fitting change of heat is not possible: then bounds apply, which is

@@ -12,11 +12,19 @@ import numpy as np
 
 from estimator import lines, sensor_faults
 from estimator.interface import READING_NOISE, Channel, Estimate, Status
-from estimator.joint_aware import absence, compiled_sample, displacement_readings, fault_isolation
+from estimator.joint_aware import compiled_sample, displacement_readings, dropouts, fault_isolation
+from estimator.joint_aware.compiled_sample import Results, empty_results
 from estimator.joint_aware.displacement_readings import (
     DisplacementProbe,
     ModelError,
     mean_of,
+)
+from estimator.joint_aware.innovation_gate import (
+    GatedSample,
+    channels_of,
+    gate_readings,
+    possible_heat,
+    possible_readings,
 )
 from estimator.joint_aware.observer import Moment, Observer
 from estimator.joint_aware.observer_model import SCHEMA, Kind, ObserverModel
@@ -29,13 +37,6 @@ from estimator.joint_aware.observer_state import (
     unpacked,
 )
 from estimator.joint_aware.thresholds import USUAL, Thresholds
-from estimator.joint_aware.trust import (
-    Trusted,
-    channels_of,
-    possible_heat,
-    possible_readings,
-    trusted,
-)
 from estimator.span import SLACK
 from fesim.axes.line import line_over
 from fesim.march.kernel import owned
@@ -67,14 +68,14 @@ class Read(NamedTuple):
     #: Shape (l + x,): factors of the loads, and positions, m.
     factors: Array
     #: Shape (c,): odometers, m.
-    gone: Array
+    odometers: Array
     #: Shape (t,): powers, W.
     powers: Array
     #: Shape (axes,): displacements, m.
     displacements: Array
 
 
-class Taken(NamedTuple):
+class Processed(NamedTuple):
     """Result of processing a sample."""
 
     #: State after the sample.
@@ -82,11 +83,11 @@ class Taken(NamedTuple):
     #: Shape (axes,): before corrections by innovations and displacement readings, m.
     displacement: Array
     #: Knowledge of the joint's slips before the sample.
-    memory: float
+    slip_knowledge: float
     #: Shape (n, k): covariance factor in addition to the steady covariance, after the readings.
     covariance_factor: Array
     #: Shape (p + 1,): readings that were used.
-    believed: sensor_faults.Flags
+    accepted: sensor_faults.Flags
     #: Whether a displacement reading was refused.
     refused: bool
     #: Sampling interval in steps of the model.
@@ -256,7 +257,7 @@ class JointAware(Described):
         rises = temperatures - ambient
         impossible = (rises < low[:-1]) | (rises > high[:-1])
         read = np.isfinite(rises)
-        return math.nan if sensor_faults.mostly(impossible, read, False) else ambient
+        return math.nan if sensor_faults.majority_doubtful(impossible, read, False) else ambient
 
     def initial_state(self) -> Array:
         """Return the state of a machine at rest, before any sample."""
@@ -266,29 +267,29 @@ class JointAware(Described):
         """Return the state of a machine with an unknown past, before any sample."""
         return self._state(self.observer.unknown_start, UNKNOWN)
 
-    def _state(self, factor: Array, memory: float) -> Array:
+    def _state(self, factor: Array, slip_knowledge: float) -> Array:
         unseen, modes, size = np.array(np.nan), self.model.modes, self.observer.system.size
         start = np.zeros(size)
         start[size - self.model.first.size - 1 : -1] = self.model.first
-        if memory == KNOWN:
+        if slip_knowledge == KNOWN:
             start[: modes.start.size] = modes.start
         return ObserverState(
             time=unseen,
             begun=unseen,
-            memory=np.array(memory),
+            slip_knowledge=np.array(slip_knowledge),
             linear=start,
             loads=modes.factors,
             **self.observer.physics.at_rest()._asdict(),
             covariance_factor=factor,
             errors=np.zeros(len(self.observer.rows)),
             drive=self._cold_drives,
-            gone=np.full(len(self.model.ways), np.nan),
-            told=np.zeros(len(self.model.powers)),
-            watch=sensor_faults.fresh(len(self.observer.system.rows), self.thresholds.faults),
+            odometer=np.full(len(self.model.ways), np.nan),
+            power_heat=np.zeros(len(self.model.powers)),
+            watch=sensor_faults.new_watch(len(self.observer.system.rows), self.thresholds.faults),
             model_error=self._nothing_read,
             pending=fault_isolation.none(size),
             steps=np.array(0.0),
-            unheard=np.zeros(len(self.model.ways)),
+            odometer_age=np.zeros(len(self.model.ways)),
             away=np.zeros(2 * len(self.model.ways)),
             back=np.zeros(2 * len(self.model.ways)),
         ).flat()
@@ -300,7 +301,7 @@ class JointAware(Described):
 
     @cached_property
     def _compiled(self) -> compiled_sample.Place | None:
-        """Data for usual samples in compiled code; None where it does not apply."""
+        """Data for ordinary samples in compiled code; None where it does not apply."""
         model, observer = self.model, self.observer
         kernel = observer.physics.kernel
         if kernel is None:
@@ -310,7 +311,7 @@ class JointAware(Described):
             relaxing=np.tile(relaxing, (model.power.size, 1)),
             power=model.power,
             rows=np.ascontiguousarray(observer.system.rows),
-            gain=np.ascontiguousarray(observer.usual_gain),
+            gain=np.ascontiguousarray(observer.steady_gain),
             discrepancy=np.ascontiguousarray(model.discrepancy.displacement),
             channels=self._readable,
             rules=self.thresholds.faults,
@@ -346,48 +347,50 @@ class JointAware(Described):
         ConvergenceError
             No equilibrium of the joint is found at these temperatures.
         """
-        flat, taken, read = self._processed(state, time, values)
-        return flat, self._estimate(taken, time, read)
+        flat, processed, read = self._process(state, time, values)
+        return flat, self._estimate(processed, time, read)
 
-    def _processed(
+    def _process(
         self, state: Array, time: float, values: Sequence[float]
-    ) -> tuple[Array, Taken, Read]:
+    ) -> tuple[Array, Processed, Read]:
         """State after a sample, the result of processing it, and its values."""
         read = self.separated(values)
         readings, factors, odometers, powers, probed = read
         if powers.size:
-            state = self._told(state, powers)
+            state = self._with_powers(state, powers)
         flat = state.copy()
         after = unpacked(flat, self.parts)
         moment = self._moment(float(after.time), time)
         # A missing factor keeps its last value.
         now = after.loads[: factors.size]
         now[:] = np.where(np.isnan(factors), now, factors)
-        counted, unread = after.gone.copy(), np.isnan(odometers)
-        after.gone[:] = np.where(unread, counted, odometers)
-        since = after.unheard + moment.length * moment.steps
-        after.unheard[:] = np.where(unread, since, 0.0)
+        counted, unread = after.odometer.copy(), np.isnan(odometers)
+        after.odometer[:] = np.where(unread, counted, odometers)
+        since = after.odometer_age + moment.length * moment.steps
+        after.odometer_age[:] = np.where(unread, since, 0.0)
         if unread.any():
-            after.gone[unread] += self._passed(state, after.loads)[unread]
-        taken = self._usual(after, moment, readings, probed)
-        if taken is None:
-            before = unpacked(state, self.parts)._replace(gone=after.gone, unheard=after.unheard)
-            told = self._possible_ways(after.gone - counted, since)
-            gone = self._gone(np.where(told & ~unread, after.gone - counted, 0.0))
-            before = self._set_anew(before, ~unread & ~told)
-            moment = replace(moment, loads=after.loads, gone=gone)
-            taken = self._taken(before, moment, readings, probed)
-            flat = taken.after.flat()
+            after.odometer[unread] += self._least_travel(state, after.loads)[unread]
+        processed = self._process_ordinary(after, moment, readings, probed)
+        if processed is None:
+            before = unpacked(state, self.parts)
+            before = before._replace(odometer=after.odometer, odometer_age=after.odometer_age)
+            travel = after.odometer - counted
+            plausible = self._plausible_travel(travel, since)
+            travelled = self._travel_of_every_axis(np.where(plausible & ~unread, travel, 0.0))
+            before = self._after_reset(before, ~unread & ~plausible)
+            moment = replace(moment, loads=after.loads, travelled=travelled)
+            processed = self._process_any(before, moment, readings, probed)
+            flat = processed.after.flat()
         if np.isnan(powers).any():
-            self._found_without(np.isnan(powers), state, flat)
-        return flat, taken, read
+            self._attribute_to_missing_powers(np.isnan(powers), state, flat)
+        return flat, processed, read
 
-    def _passed(self, before: Array, loads: Array) -> Array:
+    def _least_travel(self, before: Array, loads: Array) -> Array:
         """Least travel of axes with odometers since a state, (c,), m, from their positions."""
         least = self._place(loads) - self._place(unpacked(before, self.parts).loads)
         return np.abs(least)[list(self.model.counted)]
 
-    def _possible_ways(self, counted: Array, since: Array) -> Flags:
+    def _plausible_travel(self, counted: Array, since: Array) -> Flags:
         """Whether axes can have travelled the distance by odometers, m, in `since` s, all (c,).
 
         A distance that no axis can travel means a reset odometer: then only positions count.
@@ -395,13 +398,13 @@ class JointAware(Described):
         with np.errstate(invalid="ignore"):
             return np.asarray((counted >= 0.0) & (counted <= self.thresholds.fastest * since))
 
-    def _gone(self, counted: Array) -> Array:
+    def _travel_of_every_axis(self, counted: Array) -> Array:
         """Travel of every axis, (x,), m, from that of the axes with odometers, (c,)."""
         gone = np.zeros(len(self.model.moving_axes))
         gone[list(self.model.counted)] = counted
         return gone
 
-    def _set_anew(self, before: ObserverState, anew: Flags) -> ObserverState:
+    def _after_reset(self, before: ObserverState, anew: Flags) -> ObserverState:
         """State after a reset of odometers (c,), which will never report missed travel."""
         (telling, never), (back, since) = np.split(before.away, 2), np.split(before.back, 2)
         lost = anew & (telling > 0.0)
@@ -411,31 +414,34 @@ class JointAware(Described):
         )
 
     @cached_property
-    def untold(self) -> absence.Absence | None:
+    def unreported_travel(self) -> dropouts.Dropouts | None:
         """Uncertainty due to unreported travel, m; None without odometers or known speeds."""
         known = self.model.ways and self.model.calibrated.speeds
-        return absence.untold(self.observer) if known else None
+        return dropouts.unreported_travel(self.observer) if known else None
 
-    def _untold(self, before: ObserverState, elapsed: float, whole: bool) -> tuple[Array, Array]:
+    def _dropout_times(
+        self, before: ObserverState, elapsed: float, whole: bool
+    ) -> tuple[Array, Array]:
         """How long odometers were missing, and are back with all readings present, (2 c,), s."""
-        unread = np.append(before.unheard > 0.0, np.zeros(before.unheard.size, dtype=bool))
+        age = before.odometer_age
+        unread = np.append(age > 0.0, np.zeros(age.size, dtype=bool))
         away = before.away + elapsed * unread
-        if not away.any() or self.untold is None:
+        if not away.any() or self.unreported_travel is None:
             return np.zeros_like(away), np.zeros_like(away)
         back = np.where(unread, 0.0, before.back + elapsed * whole)
-        counts = back <= self.untold.back[-1] * self.model.step * (1.0 + absence.SLACK)
+        counts = back <= self.unreported_travel.back[-1] * self.model.step * (1.0 + dropouts.SLACK)
         return away * counts, back * counts
 
-    def _of_untold_ways(self, after: ObserverState) -> Array:
+    def _due_to_unreported_travel(self, after: ObserverState) -> Array:
         """Half-width (axes,) due to travel that odometers have not reported, m."""
         step, pairs = self.model.step, zip(after.away, after.back, strict=True)
         every = np.zeros(len(self.axes))
         for k, (away, back) in enumerate(pairs):
-            if away > 0.0 and self.untold is not None:
-                every += self.untold.of(k, float(away) / step, float(back) / step)
+            if away > 0.0 and self.unreported_travel is not None:
+                every += self.unreported_travel.of(k, float(away) / step, float(back) / step)
         return every
 
-    def _told(self, state: Array, powers: Array) -> Array:
+    def _with_powers(self, state: Array, powers: Array) -> Array:
         """The state with its heat changed by the powers (t,), W, since the previous sample.
 
         The thermometers correct it as usual, for errors of a share and for heat that is not part of
@@ -447,14 +453,14 @@ class JointAware(Described):
             if np.isnan(powers[k]):
                 continue
             heat, at = share * powers[k], self.model.sources.index(source)
-            change = heat - own.told[k]
+            change = heat - own.power_heat[k]
             own.linear[dynamic + at] += change
             if np.isfinite(own.pending.channel):
                 own.pending.linear[dynamic + at] += change
-            own.told[k] = heat
+            own.power_heat[k] = heat
         return flat
 
-    def _found_without(self, unread: Flags, before: Array, flat: Array) -> None:
+    def _attribute_to_missing_powers(self, unread: Flags, before: Array, flat: Array) -> None:
         """Attribute heat found by thermometers in a sample to missing powers (t,), in place.
 
         It would be counted twice otherwise when a power is read again.
@@ -462,7 +468,7 @@ class JointAware(Described):
         after, dynamic = unpacked(flat, self.parts), self.observer.system.decay.size
         found = after.linear - unpacked(before, self.parts).linear
         at = [dynamic + self.model.sources.index(source) for source in self.model.power_shares]
-        after.told[unread] += found[at][unread]
+        after.power_heat[unread] += found[at][unread]
 
     @cached_property
     def most_power(self) -> Array:
@@ -487,10 +493,10 @@ class JointAware(Described):
         InputError, ConvergenceError
             As `sample`.
         """
-        shown = self.shown(samples)
-        return shown.displacement + self.observer.meant(shown.means)
+        results = self.results(samples)
+        return results.displacement + self.observer.displacement_by(results.means)
 
-    def shown(self, samples: Array) -> compiled_sample.Shown:
+    def results(self, samples: Array) -> Results:
         """Return the results of a run from rest without displacement readings.
 
         Parameters
@@ -503,12 +509,12 @@ class JointAware(Described):
         InputError, ConvergenceError
             As `sample`.
         """
-        shown = compiled_sample.shown_by(len(samples), self._sizes)
+        results = empty_results(len(samples), self._sizes)
         for at, _, found in self._stretches(samples, self.initial_state()):
-            now = found if isinstance(found, compiled_sample.Shown) else self._shown_by(found[0])
-            for whole, part in zip(shown, now, strict=True):
+            now = found if isinstance(found, Results) else self._results_of(found[0])
+            for whole, part in zip(results, now, strict=True):
                 whole[at] = part
-        return shown
+        return results
 
     @property
     def _sizes(self) -> tuple[int, int, int]:
@@ -516,17 +522,17 @@ class JointAware(Described):
         relaxations = self.observer.system.decay.size - self.model.modes.rates.size
         return len(self.axes), relaxations, 3 * len(self.observer.system.rows)
 
-    def _shown_by(self, taken: Taken) -> compiled_sample.Shown:
+    def _results_of(self, processed: Processed) -> Results:
         """Results of a sample that was processed alone."""
         count, dynamic = self.model.modes.rates.size, self.observer.system.decay.size
-        relaxed, means = taken.after.linear[count:dynamic], taken.after.watch.means
-        return compiled_sample.Shown(taken.displacement, relaxed, means)
+        relaxed, means = processed.after.linear[count:dynamic], processed.after.watch.means
+        return Results(processed.displacement, relaxed, means)
 
     def whole_run(self, samples: Array, state: Array) -> tuple[Array, Array]:
         """Return displacements and half-widths of their bands in a run, (n, axes), m.
 
-        They equal those of `estimator.interface.follow` up to rounding; usual samples are processed
-        many at a time.
+        They equal those of `estimator.interface.follow` up to rounding; ordinary samples are
+        processed many at a time.
 
         Parameters
         ----------
@@ -542,34 +548,34 @@ class JointAware(Described):
         """
         moved, bands = np.empty((2, len(samples), len(self.axes)))
         for at, after, found in self._stretches(samples, state):
-            if isinstance(found, compiled_sample.Shown):
-                moved[at] = found.displacement + self.observer.meant(found.means)
+            if isinstance(found, Results):
+                moved[at] = found.displacement + self.observer.displacement_by(found.means)
                 bands[at] = self._bands(after, found)
             else:
-                taken, read = found
-                estimate = self._estimate(taken, float(samples[at.start, 0]), read)
+                processed, read = found
+                estimate = self._estimate(processed, float(samples[at.start, 0]), read)
                 moved[at], bands[at] = estimate.displacement, estimate.band
         return moved, bands
 
     def _stretches(
         self, samples: Array, state: Array
-    ) -> Iterator[tuple[slice, Array, compiled_sample.Shown | tuple[Taken, Read]]]:
+    ) -> Iterator[tuple[slice, Array, Results | tuple[Processed, Read]]]:
         """Yield the indices of samples, the state after them, and their results.
 
-        Consecutive usual samples are one stretch; any other sample is processed alone.
+        Consecutive ordinary samples are one stretch; any other sample is processed alone.
         """
         readings, k = self._readings_of(samples, state), 0
         while k < len(samples):
             time, *values = samples[k].tolist()
-            state, taken, read = self._processed(state, time, values)
-            yield slice(k, k + 1), state, (taken, read)
+            state, processed, read = self._process(state, time, values)
+            yield slice(k, k + 1), state, (processed, read)
             k += 1
             # Where a start or a gap still has an effect, no sample is usual.
-            unsettled = taken.covariance_factor.any()
+            unsettled = processed.covariance_factor.any()
             if readings is not None and not unsettled and k < len(samples):
-                state, shown = self._run(state, samples[k:, 0], readings[k:])
-                at = slice(k, k + len(shown.displacement))
-                yield at, state, shown
+                state, results = self._run(state, samples[k:, 0], readings[k:])
+                at = slice(k, k + len(results.displacement))
+                yield at, state, results
                 k = at.stop
 
     def _readings_of(self, samples: Array, state: Array) -> Array | None:
@@ -585,83 +591,88 @@ class JointAware(Described):
             return None
         return np.asarray(samples[:, 1:] - np.append(self.model.offset, 0.0))
 
-    def _run(
-        self, state: Array, times: Array, readings: Array
-    ) -> tuple[Array, compiled_sample.Shown]:
+    def _run(self, state: Array, times: Array, readings: Array) -> tuple[Array, Results]:
         """State before the first unusual one of samples (n,), and the results of those before."""
         assert self._compiled is not None
         count = min(len(times), AT_ONCE)
         while True:
-            after, shown = state.copy(), compiled_sample.shown_by(count, self._sizes)
-            now = times[:count].copy(), self.model.step, readings[:count], shown
+            after, results = state.copy(), empty_results(count, self._sizes)
+            now = times[:count].copy(), self.model.step, readings[:count], results
             own = unpacked(after, self.parts)
-            usual = compiled_sample.usual_samples(self._compiled, own, *now)
+            usual = compiled_sample.ordinary_samples(self._compiled, own, *now)
             if usual == count:
                 if count:
                     own.steps[()] = 1.0
-                return after, shown
-            # The first unusual sample has made the state invalid.
+                return after, results
+            # The first other sample has made the state invalid.
             count = usual
 
-    def _bands(self, state: Array, shown: compiled_sample.Shown) -> Array:
-        """Half-widths of the bands (n, axes), m, of usual samples; `state` is after the last."""
+    def _bands(self, state: Array, results: Results) -> Array:
+        """Half-widths of the bands (n, axes), m, of ordinary samples; `state` is after the last."""
         last = unpacked(state, self.parts)
-        parts = self.observer.model_error(shown.relaxed, float(last.memory), shown.means)
+        parts = self.observer.model_error(
+            results.relaxed, float(last.slip_knowledge), results.means
+        )
         return self.half_band(parts, last.model_error, last.covariance_factor)
 
-    def _known(self, taken: Taken, parts: Array) -> Array:
+    def _known(self, processed: Processed, parts: Array) -> Array:
         """Model error estimated from innovations and displacement readings, (axes,), m."""
-        after = taken.after
+        after = processed.after
         by_readings = parts @ mean_of(after.model_error)
-        return np.asarray(by_readings + self.observer.meant(after.watch.means))
+        return np.asarray(by_readings + self.observer.displacement_by(after.watch.means))
 
-    def _error_parts(self, taken: Taken) -> Array:
+    def _error_parts(self, processed: Processed) -> Array:
         """The model error per part (`Observer.model_error`)."""
-        shown, since = self._shown_by(taken), float(taken.after.time - taken.after.begun)
-        return self.observer.model_error(shown.relaxed, taken.memory, shown.means, since)
+        results, after = self._results_of(processed), processed.after
+        known, since = processed.slip_knowledge, float(after.time - after.begun)
+        return self.observer.model_error(results.relaxed, known, results.means, since)
 
-    def _usual(
+    def _process_ordinary(
         self, state: ObserverState, moment: Moment, readings: Array, probed: Array
-    ) -> Taken | None:
-        """Process a usual sample in compiled code, in place; None if it is unusual."""
+    ) -> Processed | None:
+        """Process an ordinary sample in compiled code, in place; None if it is not one."""
         if self._compiled is None or moment.steps != 1 or moment.length != self.model.step:
             return None
         if not np.isnan(probed).all():
             return None
-        shown, times = compiled_sample.shown_by(1, self._sizes), np.array([moment.time])
-        if not compiled_sample.usual_samples(
-            self._compiled, state, times, moment.length, readings[None], shown
+        results, times = empty_results(1, self._sizes), np.array([moment.time])
+        if not compiled_sample.ordinary_samples(
+            self._compiled, state, times, moment.length, readings[None], results
         ):
             return None
         state.steps[()] = 1.0
-        memory, everything = float(state.memory), np.ones(readings.size, dtype=bool)
-        moved = shown.displacement[0]
-        return Taken(state, moved, memory, state.covariance_factor, everything, False, 1)
+        slip_knowledge, everything = float(state.slip_knowledge), np.ones(readings.size, dtype=bool)
+        moved = results.displacement[0]
+        return Processed(
+            state, moved, slip_knowledge, state.covariance_factor, everything, False, 1
+        )
 
-    def _taken(
+    def _process_any(
         self,
         before: ObserverState,
         moment: Moment,
         readings: Array,
         probed: Array,
-    ) -> Taken:
+    ) -> Processed:
         """Process any sample."""
         loads = moment.loads
         expected = self.observer.expected(before, moment)
-        used = trusted(self.observer, before, expected, moment, readings, self._readable)
+        used = gate_readings(self.observer, before, expected, moment, readings, self._readable)
         (linear, errors), factor = self._corrected(used, moment, readings)
         expected = used.expected
         settled = self.observer.read(expected, linear, loads)
         elapsed = moment.length * moment.steps
         begun = before.begun if moment.steps else np.array(moment.time)
-        away, back = self._untold(before, elapsed, bool(used.believed.all()))
+        away, back = self._dropout_times(before, elapsed, bool(used.accepted.all()))
         known = displacement_readings.later(before.model_error, elapsed, self.forgetting)
         refused = False
         if np.isfinite(probed).any():
             means = used.watch.means
             since = moment.time - float(begun)
-            parts = self.observer.model_error(settled.relaxed, expected.memory, means, since)
-            apart = probed - settled.displacement - self.observer.meant(means)
+            parts = self.observer.model_error(
+                settled.relaxed, expected.slip_knowledge, means, since
+            )
+            apart = probed - settled.displacement - self.observer.displacement_by(means)
             correction = self._corrected_by_probe(apart, parts, factor, known)
             size, factor = linear.size, correction.covariance_factor
             linear, errors = linear + correction.state[:size], errors + correction.state[size:]
@@ -670,59 +681,63 @@ class JointAware(Described):
         after = ObserverState(
             time=np.array(moment.time),
             begun=begun,
-            memory=np.array(self.observer.remembered(expected.memory, factor)),
+            slip_knowledge=np.array(
+                self.observer.slip_knowledge_after(expected.slip_knowledge, factor)
+            ),
             linear=linear,
             loads=loads,
             **settled.joint._asdict(),
             covariance_factor=factor,
             errors=errors,
             drive=expected.drive,
-            gone=before.gone,
-            told=before.told,
+            odometer=before.odometer,
+            power_heat=before.power_heat,
             watch=used.watch,
             model_error=known,
             pending=used.pending,
             steps=np.array(float(moment.steps)),
-            unheard=before.unheard,
+            odometer_age=before.odometer_age,
             away=away,
             back=back,
         )
         moved = settled.displacement
         # One long interval is a gap; two in a row are the sampling interval.
         often = min(moment.steps, int(before.steps) or moment.steps)
-        return Taken(after, moved, expected.memory, factor, used.believed, refused, often)
+        return Processed(
+            after, moved, expected.slip_knowledge, factor, used.accepted, refused, often
+        )
 
-    def _estimate(self, taken: Taken, time: float, read: Read) -> Estimate:
+    def _estimate(self, processed: Processed, time: float, read: Read) -> Estimate:
         """The estimate after a sample."""
         readings = read.temperatures
-        others = np.concatenate([read.factors, read.gone, read.powers])
-        after, factor = taken.after, taken.covariance_factor
-        parts = self._error_parts(taken)
+        others = np.concatenate([read.factors, read.odometers, read.powers])
+        after, factor = processed.after, processed.covariance_factor
+        parts = self._error_parts(processed)
         inputs = after.linear[self.observer.system.decay.size :]
         pressure = after.pressure if after.pressure.size else np.array([np.nan])
-        missing, distrusted = self._left_out(readings, taken.believed)
+        missing, distrusted = self._left_out(readings, processed.accepted)
         given = self.channels[readings.size :][: others.size]
         unread = zip(given, np.isnan(others), strict=True)
         missing += tuple(channel.name for channel, gone in unread if gone)
-        status = self._beyond(time - float(after.begun), inputs, readings, taken.believed)
+        status = self._beyond(time - float(after.begun), inputs, readings, processed.accepted)
         usual, left = self._variances(parts, after.model_error, factor)
-        untold, settled = self._of_untold_ways(after), WIDTH * np.sqrt(usual)
-        unsettled = self.observer.unsettled(left, usual, taken.often)
-        unsettled |= bool((untold > WIDENED * settled).any())
+        travel, settled = self._due_to_unreported_travel(after), WIDTH * np.sqrt(usual)
+        unsettled = self.observer.unsettled(left, usual, processed.often)
+        unsettled |= bool((travel > WIDENED * settled).any())
         for holds, flag in (
             (missing, Status.READING_MISSING),
             (distrusted, Status.SENSOR_DISTRUSTED),
-            (taken.refused, Status.READING_REFUSED),
+            (processed.refused, Status.READING_REFUSED),
             (unsettled, Status.UNSETTLED),
             ((missing or distrusted) and self._lost(after, time), Status.READINGS_LOST),
         ):
             if holds:
                 status |= flag
-        known = self._known(taken, parts)
-        band = np.asarray(WIDTH * np.sqrt(usual + left)) + self._undecided(after) + untold
-        moved, line = taken.displacement + known, np.empty(0)
+        known = self._known(processed, parts)
+        band = np.asarray(WIDTH * np.sqrt(usual + left)) + self._undecided(after) + travel
+        moved, line = processed.displacement + known, np.empty(0)
         if self.model.moving_axes:
-            moved, line = self._lines(taken, known, band)
+            moved, line = self._lines(processed, known, band)
         return Estimate(
             time=time,
             displacement=moved,
@@ -733,18 +748,18 @@ class JointAware(Described):
             distrusted=distrusted,
         )
 
-    def _lines(self, taken: Taken, known: Array, band: Array) -> tuple[Array, Array]:
+    def _lines(self, processed: Processed, known: Array, band: Array) -> tuple[Array, Array]:
         """Displacement (axes,) and details of lines; `known` is the estimated model error, m.
 
         The displacement is K0 where a control is given the line, else that at the present position.
         The band (axes,) holds at every position, and so bounds the error of a slope by its ends.
         """
-        asked = self._asked(taken, known)
+        asked = self._asked(processed, known)
         along = [
             line_over(axis.asked, own, axis.reference)
             for axis, own in zip(self.model.moving_axes, asked, strict=True)
         ]
-        here, details = taken.displacement + known, list[float]()
+        here, details = processed.displacement + known, list[float]()
         moved = here.copy()
         for axis, stroke in self.model.strokes.items():
             c, k = self.axes.index(axis), self.model.sloped[axis]
@@ -756,14 +771,14 @@ class JointAware(Described):
             details += np.stack(each, axis=1).ravel().tolist()
         return moved, np.array(details)
 
-    def _asked(self, taken: Taken, known: Array) -> list[Array]:
+    def _asked(self, processed: Processed, known: Array) -> list[Array]:
         """Displacements (k, axes), m, along each moving axis, the others at their positions."""
-        after, moving, places = taken.after, self.model.moving_axes, list[Array]()
+        after, moving, places = processed.after, self.model.moving_axes, list[Array]()
         for k, axis in enumerate(moving):
             places.append(np.tile(self._place(after.loads), (axis.asked.size, 1)))
             places[k][:, k] = axis.asked
         every = np.vstack(places)
-        asked = known + self.observer.seen_from(after, taken.memory, every)
+        asked = known + self.observer.seen_from(after, processed.slip_knowledge, every)
         ends = np.cumsum([axis.asked.size for axis in moving])[:-1]
         return np.split(asked, ends)
 
@@ -831,12 +846,14 @@ class JointAware(Described):
         return Moment(time, self.model.step if near else length, steps)
 
     def _corrected(
-        self, used: Trusted, moment: Moment, readings: Array
+        self, used: GatedSample, moment: Moment, readings: Array
     ) -> tuple[tuple[Array, Array], Array]:
         """The linear state, the errors, and their covariance factor after the used readings."""
-        at, expected, size = np.flatnonzero(used.believed), used.expected, self.observer.system.size
+        at, expected, size = np.flatnonzero(used.accepted), used.expected, self.observer.system.size
         length = moment.length if moment.steps else self.model.step
-        gain, factor = self.observer.gain(at, expected.covariance_factor, length, expected.memory)
+        gain, factor = self.observer.gain(
+            at, expected.covariance_factor, length, expected.slip_knowledge
+        )
         moved = gain @ (readings - self.observer.readings(expected))[at]
         return (expected.linear + moved[:size], expected.errors + moved[size:]), factor
 
@@ -849,15 +866,15 @@ class JointAware(Described):
             innovation, self.probe, self.model.band, parts, factor, known
         )
 
-    def _left_out(self, readings: Array, believed: sensor_faults.Flags) -> tuple[Names, Names]:
+    def _left_out(self, readings: Array, accepted: sensor_faults.Flags) -> tuple[Names, Names]:
         """Missing channels, and channels that are present but excluded."""
-        if believed.all():
+        if accepted.all():
             return (), ()
         names = [channel.name for channel in self.channels[: readings.size]]
         empty = np.isnan(readings)
         return (
             tuple(name for name, gone in zip(names, empty, strict=True) if gone),
-            tuple(name for name, bad in zip(names, ~empty & ~believed, strict=True) if bad),
+            tuple(name for name, bad in zip(names, ~empty & ~accepted, strict=True) if bad),
         )
 
     def half_band(self, parts: Array, known: ModelError, factor: Array) -> Array:
@@ -894,7 +911,7 @@ class JointAware(Described):
         return np.abs(self.model.band.tangent @ (after.linear - after.pending.linear))
 
     def _beyond(
-        self, elapsed: float, inputs: Array, readings: Array, believed: sensor_faults.Flags
+        self, elapsed: float, inputs: Array, readings: Array, accepted: sensor_faults.Flags
     ) -> Status:
         """Status bits for values outside the calibrated range."""
         known, status = self.model.calibrated, Status.OK
@@ -904,6 +921,6 @@ class JointAware(Described):
         if heat.max() > (1.0 + SLACK) * known.heat or heat.min() < -SLACK * known.heat:
             status |= Status.BEYOND_HEAT
         low, high = self.calibrated_readings
-        if (believed & ((readings < low) | (readings > high))).any():
+        if (accepted & ((readings < low) | (readings > high))).any():
             status |= Status.BEYOND_TEMPERATURE
         return status

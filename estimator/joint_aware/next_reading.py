@@ -67,8 +67,8 @@ def bands_around(estimator: JointAware, state: Array, due: float) -> tuple[Array
     kept = np.exp(-rates * due)
     relaxed = kept * relaxed + (1.0 - kept) * heat[:, None]
     since = float(now.time - now.begun) + due
-    memory, means = float(now.memory), now.watch.means
-    parts = estimator.observer.model_error(relaxed.ravel(), memory, means, since)
+    slips, means = float(now.slip_knowledge), now.watch.means
+    parts = estimator.observer.model_error(relaxed.ravel(), slips, means, since)
     known, factor = later(now.model_error, due, estimator.forgetting), now.covariance_factor
     after = []
     for innovation in np.where(np.eye(len(estimator.axes), dtype=bool), 0.0, np.nan):

@@ -57,7 +57,7 @@ class Moment:
     loads: Array = field(default_factory=lambda: np.zeros(0))
     #: Shape (x,): travel of the axes since the previous sample by their odometers, m; empty without
     #: any.
-    gone: Array = field(default_factory=lambda: np.zeros(0))
+    travelled: Array = field(default_factory=lambda: np.zeros(0))
 
 
 class Expected(NamedTuple):
@@ -68,7 +68,7 @@ class Expected(NamedTuple):
     drive: Array
     covariance_factor: Array
     errors: Array
-    memory: float
+    slip_knowledge: float
 
 
 class Settled(NamedTuple):
@@ -100,7 +100,7 @@ class Observer:
         return linear_system(model.modes, model.discrepancy, model.power, model.step)
 
     @cached_property
-    def both(self) -> SteadyFilter:
+    def augmented(self) -> SteadyFilter:
         """The steady filter of the linear state (n,) and the errors of the readings (p + 1,)."""
         return with_errors(self.model.filter)
 
@@ -129,18 +129,18 @@ class Observer:
         return np.zeros_like(self.unknown_start)
 
     @cached_property
-    def usual_gain_of_both(self) -> Array:
+    def augmented_gain(self) -> Array:
         """Gain of all readings with the steady covariance, shape (n + p + 1, p + 1)."""
         everything = np.arange(len(self.rows))
-        return correct(self.both, self.rows, everything, self.known_start, 1.0)[0]
+        return correct(self.augmented, self.rows, everything, self.known_start, 1.0)[0]
 
     @property
-    def usual_gain(self) -> Array:
+    def steady_gain(self) -> Array:
         """The same of the linear state, shape (n, p + 1)."""
-        return self.usual_gain_of_both[: self.system.size]
+        return self.augmented_gain[: self.system.size]
 
     @cached_property
-    def onset(self) -> Array:
+    def step_response(self) -> Array:
         """Readings 1, 2 ... steps after a step of 1 W at each source, K, shape (k, p + 1, s)."""
         columns = np.zeros((self.system.size, self.model.power.size))
         columns[self.system.decay.size :][: self.model.power.size] = np.eye(self.model.power.size)
@@ -151,7 +151,7 @@ class Observer:
         return np.array(readings)
 
     @cached_property
-    def _found(self) -> Array:
+    def _step_innovations(self) -> Array:
         """Innovations while the filter finds heat of 1 W at each source, K, shape (k, p + 1, s)."""
         unknown = np.zeros((self.system.size, self.model.power.size))
         unknown[self.system.decay.size :][: self.model.power.size] = np.eye(self.model.power.size)
@@ -159,32 +159,33 @@ class Observer:
         for _ in range(ANSWER):
             unknown = self.system.advance(unknown)
             innovations.append(self.system.rows @ unknown)
-            unknown = unknown - self.usual_gain @ innovations[-1]
+            unknown = unknown - self.steady_gain @ innovations[-1]
         return np.array(innovations)
 
     @cached_property
-    def _largest(self) -> NDArray[np.int64]:
+    def _peak_sample(self) -> NDArray[np.int64]:
         """Sample of the largest of these innovations, shape (s,)."""
-        return np.asarray(np.abs(self._found).max(axis=1).argmax(axis=0))
+        return np.asarray(np.abs(self._step_innovations).max(axis=1).argmax(axis=0))
 
     @cached_property
-    def sudden(self) -> Array:
+    def peak_innovation(self) -> Array:
         """Largest innovations after a step of 1 W at each source, K, shape (p + 1, s).
 
         For a sensor that responds to the source at once that is the first one. Where it lags, the
         filter finds the heat step by step, and the innovations grow meanwhile.
         """
-        return np.asarray(self._found[self._largest, :, np.arange(self._largest.size)].T)
+        peak, source = self._peak_sample, np.arange(self._peak_sample.size)
+        return np.asarray(self._step_innovations[peak, :, source].T)
 
     @cached_property
-    def answers(self) -> Array:
+    def dominant_response(self) -> Array:
         """Step response of every reading to its dominant source, K/W, shape (p + 1, k).
 
         It begins where the innovations are largest: a jump is hardly noticed before.
         """
-        best = np.abs(self.onset[-1]).argmax(axis=1)
-        after = np.minimum(np.arange(ANSWER) + self._largest[best, None], ANSWER - 1)
-        return np.asarray(self.onset[after, np.arange(best.size)[:, None], best[:, None]])
+        best = np.abs(self.step_response[-1]).argmax(axis=1)
+        after = np.minimum(np.arange(ANSWER) + self._peak_sample[best, None], ANSWER - 1)
+        return np.asarray(self.step_response[after, np.arange(best.size)[:, None], best[:, None]])
 
     def expected(self, before: ObserverState, moment: Moment) -> Expected:
         """Prediction for a sample.
@@ -192,19 +193,20 @@ class Observer:
         Loads keep their previous values until the sample; axes move uniformly meanwhile.
         """
         length, steps, loads = moment.length, moment.steps, moment.loads
-        gone = moment.gone / max(steps, 1)
+        gone = moment.travelled / max(steps, 1)
         linear, joint, drive = before.linear, before.joint, before.drive
-        factor, memory, last = before.covariance_factor, float(before.memory), before.loads
+        factor, last = before.covariance_factor, before.loads
+        slip_knowledge = float(before.slip_knowledge)
         for k in range(steps):
             now = self._meanwhile(before.loads, loads, (k + 1) / steps)
             way = way_of(self.model.modes, last, now, gone.tolist())
             linear, drive = self.later((linear, drive), joint, length, way)
-            last, factor = now, self.onward(factor, length)
+            last, factor = now, self.propagated(factor, length)
             if k + 1 < steps:
-                joint, _ = self._settled(joint, linear, memory, now)
-                factor = self._forgetting(factor, length)
+                joint, _ = self._settled(joint, linear, slip_knowledge, now)
+                factor = self._without_readings(factor, length)
         errors = self.lasting_on(moment.length * steps) * before.errors * factor.any()
-        return Expected(linear, joint, drive, factor, errors, memory)
+        return Expected(linear, joint, drive, factor, errors, slip_knowledge)
 
     def lasting_on(self, elapsed: float) -> float:
         """Decay factor of the readings' errors at a start over some time (s)."""
@@ -252,16 +254,16 @@ class Observer:
         return after, drive
 
     def gain(
-        self, present: NDArray[np.int64], factor: Array, length: float, memory: float
+        self, present: NDArray[np.int64], factor: Array, length: float, slip_knowledge: float
     ) -> tuple[Array, Array]:
         """Gain (n + p + 1, q) of the present readings, and the covariance factor after them."""
         weight = max(1.0, self.model.step / length)
         if present.size == len(self.rows) and weight == 1.0 and not factor.any():
-            return self.usual_gain_of_both, factor
+            return self.augmented_gain, factor
         known, unknown = self.thresholds.doubt_of_heat, self.thresholds.doubt_of_past
-        doubt = known if memory == KNOWN else unknown
-        gain, after = correct(self.both, self.rows, present, factor, weight, doubt)
-        return gain, compressed(after, self.both.scale, factor.shape[1])
+        doubt = known if slip_knowledge == KNOWN else unknown
+        gain, after = correct(self.augmented, self.rows, present, factor, weight, doubt)
+        return gain, compressed(after, self.augmented.scale, factor.shape[1])
 
     def readings(self, expected: Expected) -> Array:
         """Return the readings that are expected, K, shape (p + 1,)."""
@@ -273,15 +275,15 @@ class Observer:
         own = np.diag(self.model.filter.noise)
         return np.asarray(self.model.filter.innovation + own + seen @ seen.T)
 
-    def _forgetting(self, factor: Array, length: float) -> Array:
+    def _without_readings(self, factor: Array, length: float) -> Array:
         """Covariance factor after a sample without any reading, a step of some length (s) long."""
-        _, after = correct(self.both, self.rows, np.arange(0), factor, 1.0)
-        after = compressed(after, self.both.scale, factor.shape[1])
+        _, after = correct(self.augmented, self.rows, np.arange(0), factor, 1.0)
+        after = compressed(after, self.augmented.scale, factor.shape[1])
         walks = max(length / self.model.step - 1.0, 0.0) ** 0.5 * self.model.filter.walk
         if walks.any():
             more, inputs = np.zeros((len(after), walks.size)), self.system.decay.size
             more[inputs : inputs + walks.size] = np.diag(walks)
-            after = compressed(np.hstack([after, more]), self.both.scale, factor.shape[1])
+            after = compressed(np.hstack([after, more]), self.augmented.scale, factor.shape[1])
         return after
 
     def advance(self, columns: Array, length: float) -> Array:
@@ -291,7 +293,7 @@ class Observer:
             system = linear_system(model.modes, model.discrepancy, model.power, length)
         return np.vstack([system.advance(columns[:size]), self.lasting_on(length) * columns[size:]])
 
-    def onward(self, factor: Array, length: float) -> Array:
+    def propagated(self, factor: Array, length: float) -> Array:
         """Covariance factor a step of some length (s) later; zero once it is negligible."""
         if not factor.any():
             return factor
@@ -326,9 +328,9 @@ class Observer:
             for _ in range(MOST_SAMPLES if steps > 1 else 0):
                 before = moved
                 for k in range(steps):
-                    factor = self.onward(factor, self.model.step)
+                    factor = self.propagated(factor, self.model.step)
                     if k + 1 < steps:
-                        factor = self._forgetting(factor, self.model.step)
+                        factor = self._without_readings(factor, self.model.step)
                 _, factor = self.gain(every, factor, self.model.step, KNOWN)
                 moved = np.square(self.model.band.tangent @ factor[: self.system.size]).sum(axis=1)
                 if np.allclose(moved, before, rtol=0.005, atol=0.0):
@@ -342,37 +344,37 @@ class Observer:
         return {}
 
     def _settled(
-        self, joint: JointState, linear: Array, memory: float, loads: Array
+        self, joint: JointState, linear: Array, slip_knowledge: float, loads: Array
     ) -> tuple[JointState, Array]:
         """The joint and the displacement probes at the present temperatures.
 
         As long as the temperatures are uncertain, the joint is loaded from rest each time: a path
         through temperatures that never occurred would leave slips that never occurred.
         """
-        if memory == UNKNOWN:
+        if slip_knowledge == UNKNOWN:
             joint = joint._replace(slip=self.physics.rest.slip)
         return settle_joint(self.physics, joint, linear[: self.model.modes.rates.size], loads)
 
-    def remembered(self, memory: float, factor: Array) -> float:
+    def slip_knowledge_after(self, slip_knowledge: float, factor: Array) -> float:
         """Knowledge of the slips after a sample."""
         uncertain = np.square(self.model.band.tangent @ factor[: self.system.size]).sum(axis=1)
         known = uncertain.max() <= self.thresholds.followable**2
-        return FOLLOWED if memory == UNKNOWN and known else memory
+        return FOLLOWED if slip_knowledge == UNKNOWN and known else slip_knowledge
 
     def read(self, expected: Expected, linear: Array, loads: Array) -> Settled:
         """The joint in equilibrium at the corrected linear state, and the displacement."""
         count = self.model.modes.rates.size
-        joint, probes = self._settled(expected.joint, linear, expected.memory, loads)
+        joint, probes = self._settled(expected.joint, linear, expected.slip_knowledge, loads)
         now = Driving(linear[:count], expected.drive)
         moved = positioned(self.physics, now, joint, loads, probes)
         relaxed = linear[count : self.system.decay.size]
         return Settled(joint, relaxed, moved + self.model.discrepancy.displacement @ relaxed)
 
-    def seen_from(self, state: ObserverState, memory: float, places: Array) -> Array:
+    def seen_from(self, state: ObserverState, slip_knowledge: float, places: Array) -> Array:
         """Return the displacement (n, axes), m, if the axes stood at places (n, x), m."""
         linear, joint, drives = state.linear, state.joint, self.model.modes.drives
         assert drives is not None  # asked for with axes only
-        if memory == UNKNOWN:
+        if slip_knowledge == UNKNOWN:
             joint = joint._replace(slip=self.physics.rest.slip)
         count, axes = self.model.modes.rates.size, places.shape[1]
         stands = state.loads[state.loads.size - axes :]
@@ -382,7 +384,7 @@ class Observer:
         moved = drives.displacement(state.drive, every, probes)
         return np.asarray(moved + self.model.discrepancy.displacement @ relaxed)
 
-    def meant(self, means: Array) -> Array:
+    def displacement_by(self, means: Array) -> Array:
         """Return the displacement (..., axes), m, for mean innovations (..., 3 (p + 1)), K.
 
         The relation is that of the recorded days of the calibration, within their range.
@@ -391,7 +393,7 @@ class Observer:
         return np.asarray(band.within(means) @ band.told.T)
 
     def model_error(
-        self, relaxed: Array, memory: float, means: Array, since: float = math.inf
+        self, relaxed: Array, slip_knowledge: float, means: Array, since: float = math.inf
     ) -> Array:
         """Displacement per part of the model error, m, shape (..., axes, d + axes).
 
@@ -402,7 +404,7 @@ class Observer:
         ----------
         relaxed : ndarray, shape (..., s q)
             Heat relaxed at each rate, relative to the reference.
-        memory : float
+        slip_knowledge : float
             Knowledge of the joint's slips.
         means : ndarray, shape (..., 3 (p + 1))
             Mean innovations (`Watch.means`), K.
@@ -416,7 +418,7 @@ class Observer:
         features = features[..., None, :, None]
         drawn = (band.open @ features)[..., 0] / math.sqrt(band.open.shape[1])
         rest = band.constant + square / sources @ band.square.T
-        if memory != KNOWN:
+        if slip_knowledge != KNOWN:
             rest = rest + band.history + self.model.cold_drives(since)
         axes, draws, shared = rest.shape[-1], drawn.shape[-1], sum(band.shared)
         reading, meaning = band.surprising

@@ -30,7 +30,7 @@ class ObserverState(NamedTuple):
     #: Shape (): of the first sample, s; NaN before it.
     begun: Array
     #: Shape (): knowledge of the joint's slips: `KNOWN`, `UNKNOWN` or `FOLLOWED`.
-    memory: Array
+    slip_knowledge: Array
     #: Shape (n,): amplitudes, relaxations, heat of the sources (W), held surfaces and ambient (K):
     #: `filter_design`.
     linear: Array
@@ -48,9 +48,9 @@ class ObserverState(NamedTuple):
     #: Shape (d,): temperatures of the axes' drives, K.
     drive: Array
     #: Shape (c,): last readings of the odometers, m; NaN before.
-    gone: Array
+    odometer: Array
     #: Shape (t,): heat according to the last readings of the powers, W.
-    told: Array
+    power_heat: Array
     #: Memory of every channel.
     watch: Watch
     #: Model error estimated from displacement readings.
@@ -60,7 +60,7 @@ class ObserverState(NamedTuple):
     #: Shape (): steps between the last two samples; 0 before.
     steps: Array
     #: Shape (c,): time since the last reading of each odometer, s.
-    unheard: Array
+    odometer_age: Array
     #: Shape (2 c,): how long odometers were missing, s, while that has an effect, and for how long
     #: they and all readings are back; of those that report the missed travel, then of reset ones.
     away: Array
@@ -73,9 +73,9 @@ class ObserverState(NamedTuple):
 
     def flat(self) -> Array:
         """Return the whole state as one array."""
-        *own, watch, error, pending, steps, unheard, away, back = self
+        *own, watch, error, pending, steps, odometer_age, away, back = self
         parts = (*own, *watch, *error[:_FIRST], *pending, *error[_FIRST:], steps)
-        parts = (*parts, unheard, away, back)
+        parts = (*parts, odometer_age, away, back)
         return np.concatenate([np.ravel(part) for part in parts])
 
 
@@ -124,7 +124,7 @@ def layout(
         {
             "time": (),
             "begun": (),
-            "memory": (),
+            "slip_knowledge": (),
             "linear": (states,),
             "loads": (loads,),
             "gap": (3, contacts),
@@ -134,8 +134,8 @@ def layout(
             "covariance_factor": (states + channels, columns),
             "errors": (channels,),
             "drive": (drive,),
-            "gone": (odometers,),
-            "told": (powers,),
+            "odometer": (odometers,),
+            "power_heat": (powers,),
             "watch": (len(Watch._fields), channels),
             **{f"model_error.{name}": error.mean.shape for name in ModelError._fields[:_FIRST]},
             **{f"pending.{name}": () for name in PendingJump._fields[:-1]},
@@ -144,7 +144,7 @@ def layout(
             "model_error.shared": error.shared.shape,
             "model_error.refused": error.refused.shape,
             "steps": (),
-            "unheard": (odometers,),
+            "odometer_age": (odometers,),
             "away": (2 * odometers,),
             "back": (2 * odometers,),
         }

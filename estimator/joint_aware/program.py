@@ -31,14 +31,14 @@ from estimator.export.program import (
 )
 from estimator.interface import Status
 from estimator.joint_aware import guided_program
-from estimator.joint_aware.absence import Absence, doubled, left_by
+from estimator.joint_aware.dropouts import Dropouts, doubled, left_by_dropouts
 from estimator.joint_aware.estimator import WIDENED, WIDTH, JointAware
 from estimator.joint_aware.guided_program import Placed, kernel_of
+from estimator.joint_aware.innovation_gate import channels_of, heat_unknown
 from estimator.joint_aware.model_file import fingerprint
 from estimator.joint_aware.observer import ANSWER
 from estimator.joint_aware.observer_model import Band
 from estimator.joint_aware.observer_state import KNOWN
-from estimator.joint_aware.trust import channels_of, heat_unknown
 from estimator.span import SETTLING, SLACK
 from fesim.march.compiled_step import JointKernel
 from thermojoint.artefacts.arrays import Array
@@ -112,7 +112,7 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
     start = _start(estimator)
     slowest = 1.0 / float(model.modes.rates.min())
     counted = 2 * len(model.ways) + (moving if model.ways else 0)
-    ways = estimator.untold
+    ways = estimator.unreported_travel
     own = way.state + counted + len(model.powers) + (0 if ways is None else 2 * len(ways.left))
     looked_up = (2 + axes) * (count + 1 + (0 if ways is None else len(ways.left)))
     judged = _judging(estimator, linear, contacts)
@@ -250,7 +250,7 @@ def _tables(
     band = model.band
     gains, absence = _without(estimator)
     power = model.power
-    most = estimator.thresholds.onset * model.calibrated.heat * power
+    most = estimator.thresholds.heat_jump * model.calibrated.heat * power
     return [
         Table("loss", "What a mode loses in a step.", loss),
         Table("drive", "Modes per W of each source and K of the ambient.", known),
@@ -271,10 +271,12 @@ def _tables(
         Table("tangent_of", "Displacement per state, m.", band.tangent),
         Table("noise", "Of the thermometers, K.", readable.noise),
         Table("spread", "Variance of an innovation, K2, likewise.", start.spread),
-        Table("onset", "Largest innovations after 1 W, K.", observer.sudden),
-        Table("answers", "... of the source that is seen best, later, K.", observer.answers),
+        Table("onset", "Largest innovations after 1 W, K.", observer.peak_innovation),
+        Table(
+            "answers", "... of the source that is seen best, later, K.", observer.dominant_response
+        ),
         Table("most", "Heat that may be switched on, W.", most),
-        Table("slack", "Tolerance of that, W.", estimator.thresholds.onset_slack * most),
+        Table("slack", "Tolerance of that, W.", estimator.thresholds.heat_jump_slack * most),
         Table("offset", "What every sensor reads too much, K.", np.append(model.offset, 0.0)),
         Table("calibrated", "Readings that were calibrated, K.", np.stack(calibrated, 1)),
         Table("possible", "Readings that can be, K.", np.stack([readable.low, readable.high], 1)),
@@ -287,12 +289,16 @@ def _tables(
         Table("surprise", "... per square of an innovation that lasts, m2/K2.", band.surprise),
         Table("open_band", "Error of machines not told apart, m.", band.open),
         *(_days_told(band) if band.seen.size else ()),
-        *(() if estimator.untold is None else _untold(estimator.untold)),
+        *(
+            ()
+            if estimator.unreported_travel is None
+            else _unreported_travel(estimator.unreported_travel)
+        ),
         Table("tolerance", "Of the gap equations, m.", np.array(tolerance)),
     ]
 
 
-def _untold(ways: Absence) -> tuple[Table, Table, Table]:
+def _unreported_travel(ways: Dropouts) -> tuple[Table, Table, Table]:
     return (
         Table("away_way", "Samples without an odometer, at most.", ways.away),
         Table("back_way", "Samples since then, at least; 0 before.", ways.back),
@@ -356,7 +362,7 @@ def _start(estimator: JointAware) -> _Start:
     """
     observer, model, limits = estimator.observer, estimator.model, estimator.thresholds
     own, rows, band = model.filter, observer.rows, model.band
-    usual = observer.usual_gain_of_both
+    usual = observer.augmented_gain
     tangent = np.hstack([band.tangent, np.zeros((len(band.tangent), len(rows)))])
     steady = own.innovation + np.diag(own.noise)
     doubted = steady + limits.doubt_of_past**2 * np.diag(own.lasting)
@@ -400,7 +406,7 @@ def _start(estimator: JointAware) -> _Start:
 
 
 @lru_cache(maxsize=8)
-def _without(estimator: JointAware) -> tuple[Array, Absence]:
+def _without(estimator: JointAware) -> tuple[Array, Dropouts]:
     """Gains without each reading, (p + 1, n, p + 1), and uncertainty by absences of each and all.
 
     The observer is run with a reading missing for `WITHOUT_ONE`, with all for `WITHOUT_ALL`.
@@ -411,20 +417,20 @@ def _without(estimator: JointAware) -> tuple[Array, Absence]:
     factors, away = [], doubled(math.ceil(WITHOUT_ALL / model.step))
     for left_out in (*every, every):
         present = np.delete(every, left_out)
-        believed = np.isin(every, present)
-        factor = heat_unknown(observer, observer.known_start, ~believed, believed)
+        accepted = np.isin(every, present)
+        factor = heat_unknown(observer, observer.known_start, ~accepted, accepted)
         reached = dict[int, Array]()
         duration = WITHOUT_ONE if present.size else WITHOUT_ALL
         samples = math.ceil(duration / model.step)
         for k in range(1, samples + 1):
             gain, after = observer.gain(present, factor, model.step, KNOWN)
-            factor = observer.onward(after, model.step)
+            factor = observer.propagated(after, model.step)
             if k in away or k == samples:
                 reached[k] = after[: observer.system.size]
         if present.size:
             gains[left_out][:, present] = gain[: observer.system.size]
         factors.append([reached[min(one, samples)] for one in away])
-    return gains, left_by(observer, away, factors)
+    return gains, left_by_dropouts(observer, away, factors)
 
 
 def _duty_cycle(estimator: JointAware) -> Iterator[tuple[float, ...]]:

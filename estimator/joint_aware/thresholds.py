@@ -28,8 +28,8 @@ class Thresholds:
     thermometer: float = 0.05
     #: Admissible jumps of the heat: up to this multiple of the largest calibrated heat, with a
     #: tolerance relative to it on either side.
-    onset: float = 1.5
-    onset_slack: float = 0.05
+    heat_jump: float = 1.5
+    heat_jump_slack: float = 0.05
     #: A power equivalent to more than this multiple of the largest calibrated heat is not used.
     power: float = 5.0
     #: An odometer beyond this, m, or below zero is not used; no axis is faster than this, m/s: an

@@ -1,11 +1,11 @@
-"""Which readings are not believed: channels judged by themselves, without any machine."""
+"""Which readings are not accepted: channels judged by themselves, without any machine."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.sensor_faults import Channels, Sample, Thresholds, fresh, judge_sample
+from estimator.sensor_faults import Channels, Sample, Thresholds, judge_sample, new_watch
 
 CHANNELS = Channels(np.full(4, 0.03), np.full(4, -60.0), np.full(4, 200.0), 4)
 RULES = Thresholds()
@@ -19,7 +19,7 @@ def nothing_explained(innovation, _):
 
 def followed(rows, predicted, step=STEP):
     """The verdict on every row of readings, with what the model says beside it."""
-    watch, found = fresh(4, RULES), []
+    watch, found = new_watch(4, RULES), []
     for k, (row, said) in enumerate(zip(rows, predicted, strict=True)):
         verdict = judge_sample(
             watch, Sample(step * k, row, said), nothing_explained, CHANNELS, RULES
@@ -36,12 +36,12 @@ def healthy(count=100, seed=0):
     return said + 0.03 * rng.normal(size=said.shape), said
 
 
-def believed(found):
-    return np.array([one.believed for one in found])
+def accepted(found):
+    return np.array([one.accepted for one in found])
 
 
 def test_healthy_channels_are_all_believed():
-    assert believed(followed(*healthy())).all()
+    assert accepted(followed(*healthy())).all()
 
 
 @pytest.mark.parametrize(
@@ -58,7 +58,7 @@ def test_healthy_channels_are_all_believed():
 def test_a_channel_that_lies_is_left_out_alone_and_soon(change, within):
     rows, said = healthy()
     rows[50:, 1] = change(rows[50:, 1])
-    found = believed(followed(rows, said))
+    found = accepted(followed(rows, said))
     assert not found[50 + within :, 1].any()
     assert found[:, [0, 2, 3]].all()
 
@@ -66,7 +66,7 @@ def test_a_channel_that_lies_is_left_out_alone_and_soon(change, within):
 def test_a_channel_comes_back_some_time_after_its_last_fault():
     rows, said = healthy()
     rows[40, 2] += 30.0
-    found = believed(followed(rows, said))
+    found = accepted(followed(rows, said))
     away = round(RULES.clear / STEP)
     # The way back is as hasty as the way out.
     assert not found[40 : 41 + away, 2].any()
@@ -77,13 +77,13 @@ def test_a_channel_that_is_off_stays_out_where_the_model_without_it_wanders_towa
     rows, said = healthy(400)
     rows[50:, 0] += 5.0
     said[50:, 0] += np.minimum(np.linspace(0.0, 7.0, 350), 2.0)
-    found = believed(followed(rows, said))
+    found = accepted(followed(rows, said))
     assert not found[50:, 0].any()
     assert found[:, 1:].all()
     # Jumped back, it need not be nearer than any other.
     rows[150:, 0] -= 5.5
     said[150:, 0] -= said[150, 0] - rows[150, 0] - 0.8
-    found = believed(followed(rows, said))
+    found = accepted(followed(rows, said))
     assert found[150 + round(RULES.agreed / STEP) + 1 :, 0].all()
 
 
@@ -93,13 +93,13 @@ def test_a_jump_of_the_heat_does_not_clear_a_channel_that_is_off():
     # The heat falls: the reading with it, the model without the reading four minutes later.
     rows[100:, 0] -= 4.8
     said[220:, 0] -= 4.8
-    assert not believed(followed(rows, said))[50:, 0].any()
+    assert not accepted(followed(rows, said))[50:, 0].any()
 
 
 def test_an_empty_channel_is_not_believed_and_shows_no_fault():
     rows, said = healthy()
     rows[30:60, 3] = np.nan
-    found = believed(followed(rows, said))
+    found = accepted(followed(rows, said))
     assert not found[30:60, 3].any()
     assert found[60:].all()
 
@@ -107,14 +107,14 @@ def test_an_empty_channel_is_not_believed_and_shows_no_fault():
 def test_a_coarse_display_that_repeats_itself_is_not_stuck():
     rows, said = healthy(300)
     coarse = np.round(rows / 0.5) * 0.5
-    assert believed(followed(coarse, said)).all()
+    assert accepted(followed(coarse, said)).all()
 
 
 def test_a_coarse_display_that_stands_still_is_left_out_once_the_model_has_moved_on():
     rows, said = healthy(300)
     coarse = np.round(rows / 0.5) * 0.5
     coarse[100:, 0] = coarse[100, 0]
-    assert not believed(followed(coarse, said))[150:, 0].any()
+    assert not accepted(followed(coarse, said))[150:, 0].any()
 
 
 def at_rest(seed=0, count=60):
@@ -128,7 +128,7 @@ def at_rest(seed=0, count=60):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_channel_that_is_stuck_from_before_the_start_has_no_noise_where_others_have(seed):
-    found = believed(followed(*at_rest(seed)))
+    found = accepted(followed(*at_rest(seed)))
     assert not found[30:, 2].any()
     assert found[:, [0, 1, 3]].all()
 
@@ -136,14 +136,14 @@ def test_a_channel_that_is_stuck_from_before_the_start_has_no_noise_where_others
 def test_a_channel_that_heat_has_not_reached_is_believed_where_nothing_has_noise():
     _, said = healthy()
     said[:, 2] = 0.0
-    assert believed(followed(said, said)).all()
+    assert accepted(followed(said, said)).all()
 
 
 def test_where_most_contradict_it_is_the_model_that_is_lost():
     rows, said = healthy()
     found = followed(rows + 8.0, said)
     assert found[0].lost
-    assert found[0].believed.all()
+    assert found[0].accepted.all()
     one = rows.copy()
     one[:, 0] += 8.0
     assert not followed(one, said)[0].lost
@@ -159,7 +159,7 @@ def test_an_error_that_lasts_is_remembered_and_one_that_passes_is_forgotten():
     after, gone, distrusted, own = last.watch.lasting
     assert after == pytest.approx(0.5 * (1.0 - np.exp(-3.0)), rel=0.01)
     assert abs(gone) < 0.02 * after
-    assert not last.believed[2]
+    assert not last.accepted[2]
     assert abs(distrusted) < 0.02 * after
     assert abs(own) < 1e-12
 
@@ -177,9 +177,9 @@ def test_what_a_change_of_the_heat_explains_is_no_fault():
     watch = followed(rows[:1], said[:1])[0].watch
     sample = Sample(STEP, rows[1], said[1])
     verdict = judge_sample(watch, sample, heat, CHANNELS, RULES)
-    assert verdict.believed.all()
+    assert verdict.accepted.all()
     verdict = judge_sample(watch, sample, nothing_explained, CHANNELS, RULES)
-    assert not verdict.believed[0]
+    assert not verdict.accepted[0]
 
 
 @given(st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4))
@@ -187,8 +187,8 @@ def test_no_small_innovation_is_a_fault(departures):
     """Whatever the covariance says of itself: a model is not perfect."""
     small = RULES.gate * RULES.model_error / 2.0 * np.array(departures)
     sample = Sample(0.0, small, np.zeros(4))
-    verdict = judge_sample(fresh(4, RULES), sample, nothing_explained, CHANNELS, RULES)
-    assert verdict.believed.all()
+    verdict = judge_sample(new_watch(4, RULES), sample, nothing_explained, CHANNELS, RULES)
+    assert verdict.accepted.all()
 
 
 @given(
@@ -201,6 +201,6 @@ def test_no_small_innovation_is_a_fault(departures):
 def test_whatever_comes_a_verdict_is_given_and_the_watch_stays_sound(rows):
     said = np.zeros((len(rows), 4))
     for row, verdict in zip(rows, followed(np.array(rows), said), strict=True):
-        assert not (verdict.believed & np.isnan(row)).any()
+        assert not (verdict.accepted & np.isnan(row)).any()
         assert np.isin(verdict.watch.distrusted, (0.0, 1.0)).all()
-        assert ((verdict.watch.habit >= 0.0) & (verdict.watch.habit <= 1.0)).all()
+        assert ((verdict.watch.repeat_rate >= 0.0) & (verdict.watch.repeat_rate <= 1.0)).all()

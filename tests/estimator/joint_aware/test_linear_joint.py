@@ -14,7 +14,7 @@ from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.model_file import read_observer, write_observer
 from estimator.joint_aware.readings import samples_in
 from estimator.judging import judge
-from estimator.sensor_faults import certainly_alike
+from estimator.sensor_faults import certainly_consistent
 from fesim.case.schema import case_from_data
 from fesim.case.thermal_sections import StepInput
 from fesim.setup.machine import set_up
@@ -124,7 +124,7 @@ def test_readings_that_its_joint_does_not_explain_are_taken_in_machine_code_as_w
     class Counting(JointAware):
         def _usual(self, state, moment, readings, touched):
             predicted = self.observer.system.rows @ state.linear
-            far.append(not certainly_alike(readings - predicted, self.thresholds.faults))
+            far.append(not certainly_consistent(readings - predicted, self.thresholds.faults))
             taken.append(super()._usual(state, moment, readings, touched))
             return taken[-1]
 

@@ -256,7 +256,7 @@ def test_a_model_without_speeds_has_the_band_that_it_had(counting, samples):
 
 def test_a_state_from_before_odometers_could_be_away_goes_on(counting, samples):
     state, _ = estimates(counting, samples[:40].tolist())
-    begins = next(at.start for name, at, _ in counting.parts.parts if name == "unheard")
+    begins = next(at.start for name, at, _ in counting.parts.parts if name == "odometer_age")
     old = completed(state[:begins], counting.initial_state())
     np.testing.assert_array_equal(old, state)
 

@@ -140,7 +140,7 @@ def test_days_without_errors_change_nothing(spread, calibrated):
 def test_no_more_is_taken_from_innovations_than_days_show(calibrated):
     model = calibrated[1].model
     observer, seen = JointAware(model).observer, model.band.seen
-    assert np.array_equal(observer.meant(3.0 * seen), observer.meant(seen))
+    assert np.array_equal(observer.displacement_by(3.0 * seen), observer.displacement_by(seen))
     quiet, far = np.zeros((1, len(model.sources) * model.discrepancy.rates.size)), 3.0 * seen
     (inside,), (outside,) = (
         np.square(observer.model_error(quiet, 0.0, means[None])).sum(axis=-1)

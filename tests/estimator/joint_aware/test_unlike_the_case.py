@@ -114,8 +114,8 @@ def test_a_step_of_heat_is_no_fault_of_a_sensor_that_lags(machine):
     known = Calibrated(300.0, 2.0, dict.fromkeys(SENSORS, (0.0, 60.0)))
     model = make_observer(small, fit, known, Noise(sensor=0.2))
     observer = JointAware(model)
-    onset, answer = observer.observer.onset[:, 0, 0], observer.observer.answers[0]
-    assert observer.observer.sudden[0, 0] > 2.0 * onset[0]
+    onset, answer = observer.observer.step_response[:, 0, 0], observer.observer.dominant_response[0]
+    assert observer.observer.peak_innovation[0, 0] > 2.0 * onset[0]
     # Where it is noticed, most of the sensor's own delay is over: it grows by less from there.
     assert answer[0] in onset
     assert answer[6] / answer[0] < 0.5 * onset[6] / onset[0]

@@ -1,6 +1,6 @@
 """Innovation gate: which readings the observer uses, and its covariance without the others.
 
-Start at `trusted`, which judges a sample in three steps:
+Start at `gate_readings`, which judges a sample in three steps:
 
 1. A pending jump is followed for another sample (`_followed`, `fault_isolation`).
 2. The channels are judged (`sensor_faults.judge_sample`); an admissible jump of the heat is no
@@ -10,7 +10,7 @@ Start at `trusted`, which judges a sample in three steps:
    unknown: it may have changed at the same moment (`heat_unknown`). A jump of a channel that is
    used becomes a pending jump.
 
-A usual sample, on which none of this has an effect, is processed in compiled code
+An ordinary sample, on which none of this has an effect, is processed in compiled code
 (`compiled_sample`). Verified by tests/estimator/joint_aware/test_faulty_readings.py: every fault in
 every sensor of a machine.
 """
@@ -34,11 +34,11 @@ from thermojoint.artefacts.arrays import Array, Flags
 
 
 @dataclass(frozen=True, eq=False)
-class Trusted:
+class GatedSample:
     """Usable readings of a sample."""
 
     #: Shape (p + 1,): readings to be used.
-    believed: Flags
+    accepted: Flags
     #: Memory of every channel, after the sample.
     watch: Watch
     #: Pending jump after the sample.
@@ -47,14 +47,14 @@ class Trusted:
     expected: Expected
 
 
-def trusted(
+def gate_readings(
     observer: Observer,
     before: ObserverState,
     expected: Expected,
     moment: Moment,
     readings: Array,
     channels: Channels,
-) -> Trusted:
+) -> GatedSample:
     """Return the usable readings of a sample.
 
     Parameters
@@ -85,7 +85,7 @@ def trusted(
     lost = expected._replace(
         covariance_factor=observer.unknown_start,
         errors=np.zeros_like(expected.errors),
-        memory=UNKNOWN,
+        slip_knowledge=UNKNOWN,
     )
     for attempt in (expected, lost):
         verdict = judge_sample(
@@ -100,12 +100,12 @@ def trusted(
     if np.isfinite(open_.channel) and verdict.watch.distrusted[int(open_.channel)]:
         attempt = attempt._replace(linear=open_.linear)
         open_ = fault_isolation.none(expected.linear.size)
-    newly = _believed_before(before) & ~verdict.believed
+    newly = _accepted_before(before) & ~verdict.accepted
     if newly.any():
-        factor = heat_unknown(observer, attempt.covariance_factor, newly, verdict.believed)
+        factor = heat_unknown(observer, attempt.covariance_factor, newly, verdict.accepted)
         attempt = attempt._replace(covariance_factor=factor)
     predicted = observer.readings(attempt)
-    innovation = np.where(verdict.believed, readings - predicted, 0.0)
+    innovation = np.where(verdict.accepted, readings - predicted, 0.0)
     imperfect = model_error(predicted, rules)
     jumps = bool((np.abs(innovation) > rules.gate * imperfect).any())
     if jumps and not np.isfinite(open_.channel):
@@ -115,7 +115,7 @@ def trusted(
         open_ = fault_isolation.pending_jump(
             attempt.linear, innovation, limit, moment.time, elapsed
         )
-    return Trusted(verdict.believed, verdict.watch, open_, attempt)
+    return GatedSample(verdict.accepted, verdict.watch, open_, attempt)
 
 
 def channels_of(observer: Observer, limits: tuple[Array, Array]) -> Channels:
@@ -155,12 +155,12 @@ def _followed(
     elapsed = moment.time - float(known.since)
     due = elapsed >= rules.decided and known.samples >= rules.samples
     expected = fault_isolation.growth(
-        known, elapsed, observer.answers[channel], observer.model.step
+        known, elapsed, observer.dominant_response[channel], observer.model.step
     )
     return known, fault_isolation.judged(known, departure, limit, bool(due), expected)
 
 
-def _believed_before(before: ObserverState) -> Flags:
+def _accepted_before(before: ObserverState) -> Flags:
     """Channels of the previous sample; all of them before the first sample."""
     read = np.isnan(before.time) | (before.watch.read == before.time)
     return np.asarray((before.watch.distrusted == 0.0) & read)
@@ -175,7 +175,7 @@ def _distrusting(watch: Watch, channel: int, time: float, off: float) -> Watch:
     return watch._replace(**arrays)
 
 
-def heat_unknown(observer: Observer, factor: Array, newly: Flags, believed: Flags) -> Array:
+def heat_unknown(observer: Observer, factor: Array, newly: Flags, accepted: Flags) -> Array:
     """Return the covariance factor with unknown heat of sources that excluded channels saw best.
 
     Parameters
@@ -184,12 +184,12 @@ def heat_unknown(observer: Observer, factor: Array, newly: Flags, believed: Flag
         Observer of the machine.
     factor : ndarray, shape (n + p + 1, k)
         Before.
-    newly, believed : ndarray of bool, shape (p + 1,)
+    newly, accepted : ndarray of bool, shape (p + 1,)
         Channels that are excluded from now on, and those that are used.
     """
     power = observer.model.power
-    answers = np.abs(observer.sudden)
-    lost = answers[newly].max(axis=0) > answers[believed].max(axis=0, initial=0.0)
+    answers = np.abs(observer.peak_innovation)
+    lost = answers[newly].max(axis=0) > answers[accepted].max(axis=0, initial=0.0)
     if not lost.any():
         return factor
     unknown = np.zeros((observer.rows.shape[1], power.size))
@@ -197,7 +197,7 @@ def heat_unknown(observer: Observer, factor: Array, newly: Flags, believed: Flag
         np.where(lost, observer.model.calibrated.heat * power, 0.0)
     )
     more = np.hstack([factor, unknown])
-    return compressed(more, observer.both.scale, factor.shape[1])
+    return compressed(more, observer.augmented.scale, factor.shape[1])
 
 
 def _unexplained(
@@ -209,7 +209,7 @@ def _unexplained(
 ) -> tuple[Array, Array]:
     """Part of the innovations that no possible change of heat explains: `sensor_faults.Explain`."""
     covariance = observer.innovation_covariance(expected.covariance_factor)
-    if expected.memory == UNKNOWN:
+    if expected.slip_knowledge == UNKNOWN:
         # The state is still a guess: it may result from lasting errors of the readings alone.
         covariance = covariance + np.diag(observer.model.filter.lasting)
     power = observer.model.power
@@ -230,8 +230,8 @@ def possible_heat(observer: Observer, steps: int) -> tuple[Array, Array, Array]:
         Largest heat of each source, and tolerance beyond it or below zero, W.
     """
     known, model = observer.thresholds, observer.model
-    most = known.onset * model.calibrated.heat * model.power
+    most = known.heat_jump * model.calibrated.heat * model.power
     # A source may have been on for one step before the first sample.
-    onset = observer.onset[min(max(steps, 1), len(observer.onset)) - 1]
-    slower = np.abs(observer.sudden).max(axis=0) > np.abs(onset).max(axis=0)
-    return np.where(slower, observer.sudden, onset), most, known.onset_slack * most
+    onset = observer.step_response[min(max(steps, 1), len(observer.step_response)) - 1]
+    slower = np.abs(observer.peak_innovation).max(axis=0) > np.abs(onset).max(axis=0)
+    return np.where(slower, observer.peak_innovation, onset), most, known.heat_jump_slack * most

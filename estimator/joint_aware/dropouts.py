@@ -28,7 +28,7 @@ AWAY, NEGLIGIBLE = 8.0 * 3600.0, 0.01
 NONLINEAR = 2.0
 
 
-class Absence(NamedTuple):
+class Dropouts(NamedTuple):
     """Uncertainty that absences leave, by their length and by the time since they ended."""
 
     #: Shape (d,): lengths of absences in samples; the last one also stands for longer ones.
@@ -61,7 +61,9 @@ def _powers(matrix: Array) -> Iterator[tuple[int, Array]]:
         count, matrix = 2 * count, matrix @ matrix
 
 
-def left_by(observer: Observer, away: Sequence[int], factors: Sequence[Sequence[Array]]) -> Absence:
+def left_by_dropouts(
+    observer: Observer, away: Sequence[int], factors: Sequence[Sequence[Array]]
+) -> Dropouts:
     """Return the variance of the displacement that absences leave, m2.
 
     Parameters
@@ -76,7 +78,7 @@ def left_by(observer: Observer, away: Sequence[int], factors: Sequence[Sequence[
     system, tangent = observer.system, observer.model.band.tangent
     joined = np.concatenate([one for case in factors for one in case], axis=1)
     ends = np.cumsum([one.shape[1] for case in factors for one in case])[:-1]
-    kept = np.eye(system.size) - observer.usual_gain @ system.rows
+    kept = np.eye(system.size) - observer.steady_gain @ system.rows
     least = observer.thresholds.forgotten * observer.model.band.steady
     back, left = list[int](), list[Array]()
     for count, power in _powers(kept @ system.matrix):
@@ -89,10 +91,10 @@ def left_by(observer: Observer, away: Sequence[int], factors: Sequence[Sequence[
     # Never less than after the next shorter absence, or than later on.
     every[:, 1:] = np.maximum(every[:, 1:], every[:, :-1])
     every = np.maximum.accumulate(every[:, :, ::-1], axis=2)[:, :, ::-1]
-    return Absence(np.array(away, dtype=float), np.array(back, dtype=float), every)
+    return Dropouts(np.array(away, dtype=float), np.array(back, dtype=float), every)
 
 
-def untold(observer: Observer) -> Absence:
+def unreported_travel(observer: Observer) -> Dropouts:
     """Return the half-width due to travel that odometers have not reported, m.
 
     While an odometer is missing, its axis may have moved at the speed of its fastest minute of the
@@ -108,10 +110,10 @@ def untold(observer: Observer) -> Absence:
     march, places = _march(observer), _ends_and_middle(observer)
     size, step = observer.system.size, observer.model.step
     kept = np.eye(len(march))
-    kept[:size, :size] -= observer.usual_gain @ observer.system.rows
+    kept[:size, :size] -= observer.steady_gain @ observer.system.rows
     once, rows = kept @ march, _rows(observer)
     each = [
-        np.stack([_way_heat(observer, place, axis) for place in places], axis=1)
+        np.stack([_heat_of_travel(observer, place, axis) for place in places], axis=1)
         for axis in observer.model.counted
     ]
     heat = kept @ np.concatenate(each, axis=1)
@@ -135,7 +137,7 @@ def untold(observer: Observer) -> Absence:
     every = every.max(axis=(3, 6)).transpose(1, 4, 2, 0, 3)
     every = NONLINEAR * every.reshape(2 * len(each), len(away), len(back), axes)
     every = np.maximum.accumulate(every[:, :, ::-1], axis=2)[:, :, ::-1]
-    return Absence(np.array(away, dtype=float), np.array(back, dtype=float), every)
+    return Dropouts(np.array(away, dtype=float), np.array(back, dtype=float), every)
 
 
 def _ends_and_middle(observer: Observer) -> list[Place]:
@@ -168,7 +170,7 @@ def _march(observer: Observer) -> Array:
     return np.stack([_later(observer, cold + one, place, still) - first for one in units], axis=1)
 
 
-def _way_heat(observer: Observer, place: Place, axis: int) -> Array:
+def _heat_of_travel(observer: Observer, place: Place, axis: int) -> Array:
     """Change of linear state and drives by the fastest travel of an axis in a step, (n + d,)."""
     cold, gone = _cold(observer), np.zeros(len(place))
     still = _later(observer, cold, place, tuple(gone.tolist()))
