@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from estimator.interface import Estimate, Estimator, follow
+from estimator.interface import Estimator, follow
 from estimator.lines import here
 from estimator.noise import with_noise
 from estimator.rows import Row, figures_of
-from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import columns_of
 from thermojoint.artefacts.units import MEGA
@@ -72,7 +71,7 @@ def judge_responses(
     for name, response in responses.items():
         seen = samples(conditions.noisy(response, sensors(response)))
         for estimator in estimators:
-            rows += judge(conditions.named(name), response, estimator, seen)[0]
+            rows += judge(conditions.named(name), response, estimator, seen)
     return {"rows": rows}
 
 
@@ -81,10 +80,8 @@ def judge(
     response: xr.Dataset,
     estimator: Estimator,
     samples: Iterable[Sequence[float]],
-    state: Array | None = None,
-    settled_s: float = 0.0,
-) -> tuple[list[dict[str, str | float]], list[Estimate]]:
-    """Run an estimator and judge it by the displacement of a response.
+) -> list[dict[str, str | float]]:
+    """Run an estimator from rest and judge it by the displacement of a response.
 
     Parameters
     ----------
@@ -96,35 +93,25 @@ def judge(
         Of any kind.
     samples : iterable of sequences
         Time (s) and the channels, of every sample of the response.
-    state : ndarray, optional
-        Initial state; default at rest.
-    settled_s : float
-        The rows count samples from this time after the first one, s.
 
     Returns
     -------
-    rows : list of dict
+    list of dict
         For each axis: case, estimator, axis, peak_total_um, and `estimator.rows.figures_of`.
-    estimates : list of Estimate
-        The whole run.
 
     Raises
     ------
     InputError
         The response lacks an axis.
     """
-    start = estimator.initial_state() if state is None else state
-    run = [estimate for _, estimate in follow(estimator, samples, start)]
-    times = response["time"].to_numpy()
-    counted = times >= times[0] + settled_s
-    actual = columns_of(response, "displacement", estimator.axes)[counted]
-    moved, bands = here(estimator.axes, estimator.details, run)
-    error, band = moved[counted] - actual, bands[counted]
+    run = [estimate for _, estimate in follow(estimator, samples, estimator.initial_state())]
+    actual = columns_of(response, "displacement", estimator.axes)
+    moved, band = here(estimator.axes, estimator.details, run)
     known = None if np.isnan(band).all() else band
-    figures = {"peak_total_um": np.abs(actual).max(axis=0) * MEGA} | figures_of(error, known)
-    rows: list[dict[str, str | float]] = [
+    figures = figures_of(moved - actual, known)
+    peaks = {"peak_total_um": np.abs(actual).max(axis=0) * MEGA}
+    return [
         {"case": case, "estimator": estimator.kind, "axis": axis}
-        | {name: float(values[k]) for name, values in figures.items()}
+        | {name: float(values[k]) for name, values in (peaks | figures).items()}
         for k, axis in enumerate(estimator.axes)
     ]
-    return rows, run

@@ -175,7 +175,7 @@ def validate(
     rows: list[dict[str, str | float]] = []
     for name, response in cases.items():
         samples = kind.response(estimator.model, response)
-        rows += judge(name, response, estimator, samples)[0]
+        rows += judge(name, response, estimator, samples)
     return pd.DataFrame(rows)
 
 

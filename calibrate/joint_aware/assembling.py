@@ -103,7 +103,7 @@ def observer_from_rest(
     )
     design, after = design_filter(system, modes, walk, machine.step, noise, unknown)
     # Amplitudes are in one unit: the norm of a field is that of its heat content.
-    hour = np.linalg.norm(modes.drive[:, 0] * machine.power[0] * answer(modes.rates, 3600.0, 0.0))
+    hour = np.linalg.norm(modes.drive[:, 0] * machine.power[0] * answer(modes.rates, 3600.0))
     relaxations = system.decay.size - modes.rates.size
     scale = np.concatenate(
         [

@@ -110,7 +110,7 @@ def states_after(modes: Modes, rates: Array, power: Array, walk: Array, pasts: P
     inputs = np.zeros((len(pasts.ambient), count, walk.size))
     inputs[..., :sources] = pasts.heat * power
     inputs[..., sources:] = pasts.ambient[..., None] * (walk[sources:] > 0.0)
-    grown = answer(modes.rates, pasts.step, 0.0)
+    grown = answer(modes.rates, pasts.step)
     decay, relaxing = np.exp(-modes.rates * pasts.step), np.exp(-rates * pasts.step)
     amplitudes = np.zeros((count, modes.rates.size))
     relaxed = np.zeros((count, sources, rates.size))
@@ -120,9 +120,8 @@ def states_after(modes: Modes, rates: Array, power: Array, walk: Array, pasts: P
     return np.hstack([amplitudes, relaxed.reshape(count, -1), inputs[-1]]).T
 
 
-def answer(rates: Array, lasted: float, ago: float) -> Array:
-    """Return (1 - exp(-rate lasted)) exp(-rate ago) / rate, s: heating that ended `ago`."""
+def answer(rates: Array, lasted: float) -> Array:
+    """Return (1 - exp(-rate lasted)) / rate, s: the response of modes to heat that `lasted`, s."""
     slow = rates * lasted < 1e-9
     safe = np.where(slow, 1.0, rates)
-    grown = np.where(slow, lasted, -np.expm1(-safe * lasted) / safe)
-    return np.asarray(grown * np.exp(-rates * ago))
+    return np.where(slow, lasted, -np.expm1(-safe * lasted) / safe)

@@ -234,13 +234,12 @@ def rank_joint_sensors(
     others: Mapping[float, xr.Dataset],
     candidates: list[str],
     count: int = 2,
-    rule: Rule = RULE,
 ) -> Iterator[JointSensors]:
     """Yield sets of `count` sensors T1, T2 ... in the order of the rule, best first.
 
     Parameters
     ----------
-    reference, others, candidates, rule
+    reference, others, candidates
         As in `choose_heat_pair`; the displacement along every axis of the reference counts.
     count : int
         Number of sensors, and of fictitious sources.
@@ -266,19 +265,19 @@ def rank_joint_sensors(
         raise InputError(
             "placement: the displacement is proportional to the heat input; no joint acts on it"
         )
-    counts = power > rule.faint_axis**2 * power.max()
+    counts = power > RULE.faint_axis**2 * power.max()
     gram = features.T @ features
     drive = features.T @ target
     wide = len(UNCERTAIN)
-    ridge = len(target) * rule.deviation_uncertainty**2 * np.eye(count * wide)
+    ridge = len(target) * RULE.deviation_uncertainty**2 * np.eye(count * wide)
     extent = np.ptp(at, axis=0)
-    apart = (1.0 - 1e-9) * rule.apart * extent.max()
+    apart = (1.0 - 1e-9) * RULE.apart * extent.max()
     order: list[tuple[bool, float, tuple[int, ...]]] = []
     for chosen in combinations(range(len(candidates)), count):
         own_at = at[list(chosen)]
         if any(np.linalg.norm(x - y) < apart for x, y in combinations(own_at, 2)):
             continue
-        faint = bool(signals[list(chosen)].min() < rule.deviation_uncertainty)
+        faint = bool(signals[list(chosen)].min() < RULE.deviation_uncertainty)
         own = np.concatenate([np.arange(wide * i, wide * (i + 1)) for i in chosen])
         inner = gram[np.ix_(own, own)]
         weights = np.linalg.solve(inner + ridge, drive[own])

@@ -73,7 +73,6 @@ def place_sensors(
     count: int,
     kept: Sequence[str] = (),
     family: Family | None = None,
-    noise: Noise | None = None,
     report: Report | None = None,
 ) -> Placement:
     """Choose sensors among the candidates of a machine.
@@ -89,8 +88,6 @@ def place_sensors(
         Candidates chosen in any case: existing sensors.
     family : Family, optional
         Default `make_family` of the machine.
-    noise : Noise, optional
-        Assumed noise.
     report : callable, optional
         Called with (what, done, total).
 
@@ -104,7 +101,7 @@ def place_sensors(
     names = list(machine.sensor_names)
     _check(machine, count, kept)
     family = family or make_family(machine)
-    problem = _problem(machine, family, noise or Noise())
+    problem = _problem(machine, family)
     done, tell = 0, report or (lambda *_: None)
     chosen = [names.index(name) for name in kept]
     # With fewer sensors than sources no filter exists: start with one close to each.
@@ -156,8 +153,8 @@ class _Problem:
     family: Family
 
 
-def _problem(machine: ReducedMachine, family: Family, noise: Noise) -> _Problem:
-    held, step = machine.at_preload, family.step
+def _problem(machine: ReducedMachine, family: Family) -> _Problem:
+    noise, held, step = Noise(), machine.at_preload, family.step
     modes = diagonal_modes(machine, held)
     nothing = Discrepancy(
         np.zeros(0), np.zeros((len(modes.sensors), 0)), np.zeros((len(machine.axes), 0))

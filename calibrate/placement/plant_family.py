@@ -95,14 +95,13 @@ def with_start(family: Family, machine: ReducedMachine, pasts: Pasts) -> Family:
     return replace(family, start=start)
 
 
-def make_family(
-    machine: ReducedMachine, drawing: Drawing = USUAL, places: Array | None = None
-) -> Family:
+def make_family(machine: ReducedMachine, drawing: Drawing = USUAL) -> Family:
     """Draw machines that a calibration cannot distinguish, and march them through one day.
 
     The calibration uses the nominal machine as plant, with the displacement and some sensors. They
     are where the temperatures differ most (pivots of a QR factorisation), since the final choice is
-    not yet known.
+    not yet known. The displacement counts at the places of moving axes that the case asks about; of
+    several axes at the combinations of the first, middle and last of them.
 
     Parameters
     ----------
@@ -110,9 +109,6 @@ def make_family(
         Nominal; its sensors are the candidates.
     drawing : Drawing
         Size of the family, its calibration and its day.
-    places : ndarray, shape (k, x), optional
-        Of moving axes at which the displacement counts, m. Default: those that the case asks about;
-        of several axes the combinations of the first, middle and last of them.
 
     Raises
     ------
@@ -121,9 +117,8 @@ def make_family(
     """
     rng, moves = (np.random.default_rng(drawing.seed) for _ in range(2))
     slow = replace(machine, step=drawing.step)
-    if places is None:
-        guide = machine.guide
-        places = combinations(() if guide is None else [axis.asked for axis in guide.axes])
+    guide = machine.guide
+    places = combinations(() if guide is None else [axis.asked for axis in guide.axes])
     runs = [_calibration(moves, slow, level, drawing) for level in drawing.levels]
     temperatures = np.vstack([run.temperature for run in runs])
     at = qr(temperatures, mode="r", pivoting=True)[1][: drawing.seen]
@@ -262,7 +257,7 @@ def unseen_sources(machine: ReducedMachine, chosen: Sequence[str], step: float) 
 def _soon(machine: ReducedMachine, step: float) -> Array:
     """Magnitude of every candidate's response to every source at its power, K, (p, s)."""
     modes = diagonal_modes(machine, machine.at_preload)
-    soon = answer(modes.rates, step, 0.0)[:, None] * modes.drive[:, : machine.power.size]
+    soon = answer(modes.rates, step)[:, None] * modes.drive[:, : machine.power.size]
     return np.abs(modes.sensors @ (soon * machine.power))
 
 
@@ -288,7 +283,7 @@ def fewer_modes(machine: ReducedMachine, drawing: Drawing = USUAL) -> ReducedMac
     return _spanned(machine, np.column_stack([_entering(machine, machine.jump), driven]), drawing)
 
 
-def filter_modes(machine: ReducedMachine, drawing: Drawing = USUAL) -> ReducedMachine:
+def filter_modes(machine: ReducedMachine) -> ReducedMachine:
     """Return a machine with the modes that a filter needs, out of those of `fewer_modes`.
 
     A filter does not model flows at single stations: on axes, heat flows between the pads and the
@@ -297,7 +292,7 @@ def filter_modes(machine: ReducedMachine, drawing: Drawing = USUAL) -> ReducedMa
     if (guide := machine.guide) is None:
         return machine
     jump = guide.way.stations.everywhere.coefficients @ machine.jump
-    return _spanned(machine, _entering(machine, jump), drawing)
+    return _spanned(machine, _entering(machine, jump), USUAL)
 
 
 def _entering(machine: ReducedMachine, jump: Array) -> Array:
