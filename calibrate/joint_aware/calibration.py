@@ -19,7 +19,7 @@ from calibrate.joint_aware.readings import heat_in, run_in, ways_of
 from calibrate.joint_aware.recorded_days import is_day, shown_in, with_days
 from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.observer_model import Calibrated, ObserverModel
-from estimator.joint_aware.readings import positions_in, temperatures_in
+from estimator.joint_aware.readings import recorded, temperatures_in
 from fesim.axes.axis import Axis, place_of
 from fesim.axes.setup import MovingSetup, set_up_axes
 from fesim.case.schema import Case
@@ -359,7 +359,8 @@ def calibrated_range(machine: ReducedMachine, responses: Mapping[str, xr.Dataset
 def _fastest(response: xr.Dataset, machine: ReducedMachine) -> Array:
     """Speed of each moving axis in its fastest minute of a run, (x,), m/s."""
     times = response["time"].to_numpy().astype(float)
-    ways = ways_of(response, machine, positions_in(response, machine.axis_names))
+    positions = recorded(response, "axis_position", machine.axis_names)
+    ways = ways_of(response, machine, positions)
     lasts = min(MINUTE, float(times[-1] - times[0]))
     ends = np.maximum(times, times[0] + lasts)
     found = [

@@ -9,13 +9,7 @@ import numpy as np
 import xarray as xr
 
 from calibrate.joint_aware.misfit import Run, physics_with
-from estimator.joint_aware.readings import (
-    ambient_in,
-    loads_in,
-    positions_in,
-    temperatures_in,
-    ways_in,
-)
+from estimator.joint_aware.readings import ambient_in, recorded, temperatures_in
 from fesim.axes.axis import gone_along
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
@@ -88,8 +82,8 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     powers = _means_in_steps(times, heat_in(response, machine), grid)
     ambient = np.interp(grid, times, ambient_in(response))
     held = held_in(response, machine)[at]
-    loads = loads_in(response, machine.load_names)
-    positions = positions_in(response, machine.axis_names)
+    loads = recorded(response, "load_factor", machine.load_names)
+    positions = recorded(response, "axis_position", machine.axis_names)
     _warn_of_turns(positions, machine, where)
     factors = [np.interp(grid, times, column) for column in (*loads.T, *positions.T)]
     displacement = columns_of(response, "displacement", machine.axes)
@@ -150,7 +144,7 @@ def ways_of(response: xr.Dataset, machine: ReducedMachine, positions: Array) -> 
     """
     ways = gone_along(positions)
     if "axis_way" in response and positions.shape[1]:
-        counted = ways_in(response, machine.axis_names)
+        counted = recorded(response, "axis_way", machine.axis_names)
         steps = np.diff(counted, axis=0, prepend=counted[:1])
         # An odometer that reports less than the change of position was reset.
         ways = np.cumsum(np.maximum(steps, np.diff(ways, axis=0, prepend=0.0)), axis=0)

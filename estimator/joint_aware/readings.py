@@ -43,41 +43,17 @@ def temperatures_in(response: xr.Dataset, sensors: Sequence[str]) -> Array:
     return np.hstack([np.zeros((response.sizes["time"], 0)), *columns])
 
 
-def loads_in(response: xr.Dataset, loads: Sequence[str]) -> Array:
-    """Return the factors of some loads, shape (n, v).
+def recorded(response: xr.Dataset, variable: str, names: Sequence[str]) -> Array:
+    """Return columns of a recorded variable, (n, k), which may be absent if no names are given.
 
-    Raises
-    ------
-    InputError
-        A load is missing.
-    """
-    return _recorded(response, "load_factor", loads)
-
-
-def positions_in(response: xr.Dataset, axes: Sequence[str]) -> Array:
-    """Return the positions of some moving axes, m, shape (n, x).
+    Such as ``load_factor`` of loads, ``axis_position`` of moving axes and ``axis_way``, the
+    distance that these have travelled, to and fro, m.
 
     Raises
     ------
     InputError
         One is missing.
     """
-    return _recorded(response, "axis_position", axes)
-
-
-def ways_in(response: xr.Dataset, axes: Sequence[str]) -> Array:
-    """Return the distance that some moving axes have travelled, to and fro, m, shape (n, c).
-
-    Raises
-    ------
-    InputError
-        One is missing.
-    """
-    return _recorded(response, "axis_way", axes)
-
-
-def _recorded(response: xr.Dataset, variable: str, names: Sequence[str]) -> Array:
-    """Columns of a recorded variable, (n, k), which may be absent if no names are given."""
     if not names:
         return np.zeros((response.sizes["time"], 0))
     if variable not in response:
@@ -113,8 +89,15 @@ def samples_in(
     InputError
         A probe, a load, a position, a way of the `counted` axes or a source is missing.
     """
-    sensed, given = temperatures_in(response, sensors), loads_in(response, loads)
-    others = positions_in(response, axes), ways_in(response, counted), powers_in(response, shares)
-    values = np.column_stack([sensed, ambient_in(response), given, *others])
+    values = np.column_stack(
+        [
+            temperatures_in(response, sensors),
+            ambient_in(response),
+            recorded(response, "load_factor", loads),
+            recorded(response, "axis_position", axes),
+            recorded(response, "axis_way", counted),
+            powers_in(response, shares),
+        ]
+    )
     for time, row in zip(response["time"].to_numpy(), values, strict=True):
         yield (float(time), *map(float, row))
