@@ -16,8 +16,8 @@ from estimator.joint_aware.log import log_samples
 from estimator.joint_aware.model_file import fingerprint, read_observer
 from estimator.joint_aware.next_reading import narrowest_band, next_reading
 from estimator.joint_aware.observer_model import ObserverModel
+from estimator.joint_aware.observer_state import unpacked
 from estimator.joint_aware.readings import samples_in
-from estimator.joint_aware.residuals import residuals
 from estimator.kind import Cold, Kind, OnFirst, Options, Sample, followed
 from estimator.measured import announced
 from estimator.ranges import Range, calibrated_ranges
@@ -116,9 +116,12 @@ def _ranges(model: ObserverModel) -> tuple[Range, ...]:
 
 
 def _residuals(estimator: JointAwareEstimator, state: Array, values: Array) -> Array:
+    """Reading minus model for every sensor, used or excluded."""
     if isinstance(estimator, AgeingJointAware):
         raise InputError("residuals: not while the machine's parameters are learnt")
-    return residuals(estimator, state, values)
+    thermal = estimator.separated(values.tolist()).temperatures
+    linear = unpacked(state, estimator.parts).linear
+    return np.asarray(thermal - estimator.observer.system.rows @ linear)
 
 
 def _next_reading(estimator: JointAwareEstimator, state: Array, limit: float) -> NextReading | None:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from observed import SENSORS, estimates, observed_data, observer, run, step
 
+from estimator.joint_aware.kind import KIND
 from estimator.joint_aware.observer_state import unpacked
 from estimator.joint_aware.readings import samples_in
-from estimator.joint_aware.residuals import residuals
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from thermojoint.artefacts.errors import InputError
@@ -158,6 +158,6 @@ def test_the_reading_of_a_sensor_that_lies_stands_out_by_what_it_lies(estimator,
         sample[at] += 5.0
     state, found = estimates(estimator, samples)
     assert found[-1].distrusted == ("T1",)
-    differ = residuals(estimator, state, np.array(samples[-1][1:]))
+    differ = KIND.residuals(estimator, state, np.array(samples[-1][1:]))
     assert differ[at - 1] == pytest.approx(5.0, abs=0.5)
     assert np.abs(np.delete(differ, at - 1)).max() < 0.5
