@@ -32,8 +32,7 @@ class Cleaned:
 
     def at(self, name: str) -> Array:
         """Return a column, SI, shape (k,)."""
-        names = [column.name for column in self.table.columns]
-        return np.asarray(self.table.values[:, names.index(name)])
+        return np.asarray(self.table.values[:, self.table.names.index(name)])
 
 
 def clean(table: Table, displacements: tuple[str, ...], rules: Cleaning) -> Cleaned:
@@ -45,8 +44,7 @@ def clean(table: Table, displacements: tuple[str, ...], rules: Cleaning) -> Clea
         The log is too short, nothing warms the machine, no sensor is usable, or a displacement is
         constant, mostly missing, or jumps.
     """
-    names = [column.name for column in table.columns]
-    length = longest_run(table, read_time(table))
+    names, length = table.names, longest_run(table, read_time(table))
     if length < rules.shortest:
         raise InputError(
             f"log: {length / 3600.0:.1f} h long; to learn from, give "
@@ -120,10 +118,7 @@ def _without_pauses(steps: Array, interval: float) -> Array:
 
 def longest_run(table: Table, times: Array) -> float:
     """Return how long the longest run of a log is, s, by the times (k,) of its rows."""
-    ends = [*table.starts[1:], len(times)]
-    return max(
-        float(times[end - 1] - times[first]) for first, end in zip(table.starts, ends, strict=True)
-    )
+    return max(float(np.ptp(times[run])) for run in table.runs())
 
 
 def _drives(table: Table, rules: Cleaning) -> tuple[list[str], list[str]]:
@@ -150,10 +145,9 @@ def _drives(table: Table, rules: Cleaning) -> tuple[list[str], list[str]]:
 
 def _changes_of(table: Table, drives: list[str], rules: Cleaning) -> Flags:
     """Return whether a drive changes at a row or next to it, or a gap ends there, shape (k,)."""
-    names = [column.name for column in table.columns]
     changing = np.zeros(len(table.times), dtype=bool)
     for name in drives:
-        values = np.abs(table.values[:, names.index(name)])
+        values = np.abs(table.values[:, table.names.index(name)])
         least = rules.stepped * np.nanmax(values)
         step = np.abs(np.diff(values, prepend=values[0])) > least
         changing |= np.convolve(step, np.ones(1 + 2 * rules.beside), mode="same") > 0.0
@@ -263,10 +257,8 @@ def _bridged(table: Table, kept: list[int]) -> Array:
     import pandas as pd
 
     values = table.values.copy()
-    ends = [*table.starts[1:], len(table.times)]
-    for first, end in zip(table.starts, ends, strict=True):
-        part = pd.DataFrame(values[first:end, kept]).ffill().bfill()
-        values[first:end, kept] = part.to_numpy()
+    for run in table.runs():
+        values[run, kept] = pd.DataFrame(values[run, kept]).ffill().bfill().to_numpy()
     middle = np.nanmedian(values[:, kept], axis=0)
     values[:, kept] = np.where(np.isnan(values[:, kept]), middle, values[:, kept])
     return values

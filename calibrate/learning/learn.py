@@ -10,6 +10,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from scipy.optimize import nnls
 
 from calibrate.learning import baselines
@@ -188,12 +189,8 @@ def _beside(parts: Sequence[HeldOut]) -> HeldOut:
 
 
 def _diagonal(parts: Sequence[Array]) -> Array:
-    whole = np.full(np.sum([part.shape for part in parts], axis=0), np.nan)
-    row = column = 0
-    for part in parts:
-        whole[row : row + part.shape[0], column : column + part.shape[1]] = part
-        row, column = row + part.shape[0], column + part.shape[1]
-    return whole
+    there = block_diag(*(np.ones(part.shape, dtype=bool) for part in parts))
+    return np.where(there, block_diag(*parts), np.nan)
 
 
 def _together(models: Sequence[LearnedModel], cleaned: Cleaned) -> LearnedModel:
@@ -554,12 +551,11 @@ def learned_from(
 def end_of(cleaned: Cleaned, features: tuple[Feature, ...]) -> LogEnd:
     """Return the state of the model at the end of the run that was given last."""
     table = cleaned.table
-    names = [column.name for column in table.columns]
     last = table.runs()[table.last]
     run = table.times[last], table.values[last]
     columns = dict.fromkeys(feature.column for feature in features)
     return LogEnd(
         float(run[0][-1]),
         tuple(float(cleaned.at(name)[last][-1]) for name in columns),
-        tuple(map(float, features_of(features, names, run)[-1])),
+        tuple(map(float, features_of(features, table.names, run)[-1])),
     )

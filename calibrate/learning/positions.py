@@ -50,7 +50,7 @@ class Along:
 
     def read(self, table: Table) -> Array:
         """Return the position of every reading, m, shape (k, displacements); NaN without one."""
-        names = [column.name for column in table.columns]
+        names = table.names
         values = table.values[:, [names.index(name) for name in self.displacements]]
         at = [
             table.values[:, names.index(one)]
@@ -106,12 +106,11 @@ def _along(log: Log, name: str) -> Along | None:
                 raise InputError(
                     f"{name}: {column.name} is no length; name a column in um, mm or m"
                 )
-        sides = _SIDES
         return Along(
             measured.name,
             position.name,
-            tuple(_side(measured, side, position).name for side in sides),
-            tuple(_side(position, side, measured).name for side in sides),
+            tuple(_side(measured, side, position).name for side in _SIDES),
+            tuple(_side(position, side, measured).name for side in _SIDES),
         )
     fixed = fixed_positions(log.columns, name)
     if not fixed:

@@ -108,24 +108,20 @@ def design(
     the variations within each are used. Along an axis there is a row for every reading, and the
     inputs are the features, the lever, and the features times the lever.
     """
-    table = cleaned.table
-    names = [column.name for column in table.columns]
-    size = sizes(features, rules)
+    table, names, size = cleaned.table, cleaned.table.names, sizes(features, rules)
     wanted = along.displacements if along else cleaned.displacements
     at = [names.index(name) for name in wanted]
-    levers = along.levers(cleaned.table) if along else np.zeros((len(table.times), 0))
-    ends = [*table.starts[1:], len(table.times)]
+    levers = along.levers(table) if along else np.zeros((len(table.times), 0))
     rows, inputs, outputs = [], [], []
-    for first, end in zip(table.starts, ends, strict=True):
-        run = table.times[first:end], table.values[first:end]
-        values = size[: len(features)] * features_of(features, names, run)
-        measured = MEGA * table.values[first:end][:, at]
-        known = known_rows(cleaned, slice(first, end), rules)
+    for run in table.runs():
+        values = size * features_of(features, names, (table.times[run], table.values[run]))
+        measured = MEGA * table.values[run, at]
+        known = known_rows(cleaned, run, rules)
         if along:
-            read = np.isfinite(measured + levers[first:end]) & known[:, None]
+            read = np.isfinite(measured + levers[run]) & known[:, None]
             # In the order of time, several readings of one row side by side.
             full, column = np.nonzero(read)
-            lever = levers[first:end][full, column][:, None]
+            lever = levers[run][full, column][:, None]
             measured = measured[full, column][:, None]
             values = np.hstack((values[full], rules.slope_gain * lever, lever * values[full]))
         else:
@@ -133,7 +129,7 @@ def design(
             values, measured = values[full], measured[full]
         if not full.size:
             continue
-        rows.append(first + full)
+        rows.append(run.start + full)
         inputs.append(values)
         outputs.append(measured)
     if not inputs:

@@ -41,6 +41,11 @@ class Table:
     #: Index of the run that was given last.
     last: int = -1
 
+    @property
+    def names(self) -> list[str]:
+        """Names of the columns."""
+        return [column.name for column in self.columns]
+
     def runs(self) -> list[slice]:
         """Return the rows of each run."""
         return [slice(*ends) for ends in pairwise([*self.starts, len(self.times)])]
@@ -187,7 +192,7 @@ def _coarser(
     """Return rows over intervals twice as long, run by run."""
     means: list[tuple[float, Array]] = []
     begins: list[int] = []
-    for first, end in zip(starts, [*starts[1:], len(rows)], strict=True):
+    for first, end in pairwise([*starts, len(rows)]):
         begins.append(len(means))
         times = np.array([time for time, _ in rows[first:end]])
         values = np.array([own for _, own in rows[first:end]])

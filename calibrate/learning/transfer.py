@@ -238,16 +238,12 @@ def _readings(cleaned: Cleaned, sister: LearnedModel, name: str, rules: Rules) -
 
     Each run has its own zero, so that only the variations within each are used.
     """
-    table = cleaned.table
-    names = [column.name for column in table.columns]
-    parts = []
-    for number, (first, end) in enumerate(pairwise([*table.starts, len(table.times)])):
-        run = slice(first, end)
-        features = features_of(sister.features, names, (table.times[run], table.values[run]))
-        read = cleaned.at(name)[run]
+    table, parts = cleaned.table, []
+    for number, run in enumerate(table.runs()):
+        times, read = table.times[run], cleaned.at(name)[run]
+        features = features_of(sister.features, table.names, (times, table.values[run]))
         kept = np.isfinite(read) & known_rows(cleaned, run, rules.features)
-        whole = Readings(table.times[run], np.full(end - first, number), features, read)
-        parts.append(whole.at(kept))
+        parts.append(Readings(times, np.full(times.size, number), features, read).at(kept))
     count, most = sum(len(part.times) for part in parts), rules.transfer.most
     if count < rules.transfer.fewest:
         raise InputError(
