@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from importlib.metadata import version
 
-from estimator.export.program import Precision, Program, checked_name, program
+from estimator.export.program import Precision, Program, checked_name
+from estimator.export.recorded import check_answerable, even, recorded
 from estimator.kind import OpenedEstimator
 from estimator.registry import kind_of
 from thermojoint.artefacts.errors import InputError
@@ -47,4 +49,24 @@ def export_program(
     if kind.program is None:
         raise InputError(f"export: {kind.name} has no program; run it with 'thermojoint estimate'")
     contents = kind.program(estimator, numbers, interval)
-    return program(contents, numbers, name, samples, origin)
+    interface = contents.interface
+    if samples is None:
+        samples, origin = contents.duty(), contents.origin
+    if not interface.timed:
+        samples = even(samples, interface.interval, origin)
+    kept = recorded(contents.estimator, contents.lines, samples, interface.interval, origin)
+    check_answerable(kept, [one for one in interface.statuses if one not in interface.approximate])
+    return Program(
+        name,
+        interface,
+        numbers,
+        contents.values,
+        kept,
+        constants=numbers.size * contents.constants,
+        state=numbers.size * contents.state,
+        usual=contents.usual,
+        worst=contents.worst,
+        labels=contents.labels,
+        version=version("thermojoint"),
+        relative=contents.relative,
+    )

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from estimator.export.program import Precision, Program, rounded
-from estimator.export.templating import rendered
 from thermojoint.artefacts.folders import write_folder
 from thermojoint.artefacts.templates import templates_of
 
@@ -25,7 +24,7 @@ def c_files(program: Program) -> dict[str, str]:
     kind = program.interface.kind
     real, f = _TYPES[program.precision]
     endings = {".h": f"{kind}.h.j2", ".c": f"{kind}.c.j2", "_selftest.c": "selftest.c.j2"}
-    return rendered(program, environment(program.precision), endings, real=real, f=f)
+    return program.rendered(environment(program.precision), endings, real=real, f=f)
 
 
 def write_c(program: Program, folder: Path | str) -> list[Path]:
@@ -87,15 +86,8 @@ def _braces(array: np.ndarray, precision: Precision | None) -> str:
 def environment(precision: Precision) -> Environment:
     """The templates, with ``| c`` for a number, ``| table`` for an array, ``| wide`` in double."""
     templates = templates_of("estimator.export")
-
-    def c(value: float) -> str:
-        return literal(value, precision)
-
-    def as_table(values: Any) -> str:  # noqa: ANN401
-        return table(values, precision)
-
-    templates.filters["c"] = c
-    templates.filters["table"] = as_table
+    templates.filters["c"] = lambda value: literal(value, precision)
+    templates.filters["table"] = lambda values: table(values, precision)
     templates.filters["integers"] = lambda values: _braces(np.asarray(values), None)
     templates.filters["wide"] = lambda values: table(values, Precision.DOUBLE)
     templates.filters["double"] = lambda value: literal(value, Precision.DOUBLE)

@@ -6,17 +6,19 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, field
 from enum import StrEnum
-from importlib.metadata import version
 from operator import add
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.export.recorded import Recorded, check_answerable, even, recorded
+from estimator.export.recorded import Recorded
 from estimator.interface import Estimate, Estimator, Status
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 #: Tolerance of the self-test: in double precision relative to the largest displacement, unless a
 #: kind has its own, in single precision in m.
@@ -244,56 +246,24 @@ class Program:
             **self.values,
         }
 
+    def rendered(
+        self, templates: Environment, endings: Mapping[str, str], **words: str
+    ) -> dict[str, str]:
+        """Return the text of its files by their names.
 
-def program(
-    contents: Contents,
-    precision: Precision,
-    name: str,
-    samples: Iterable[Sequence[float]] | None,
-    origin: str,
-) -> Program:
-    """Return the program for an estimator's contents.
-
-    Parameters
-    ----------
-    contents : Contents
-        From the estimator's kind.
-    precision : Precision
-        Of all numbers.
-    name : str
-        Prefix of every symbol.
-    samples : iterable of sequences, optional
-        Time, s, and readings for the self-test; default: a duty cycle.
-    origin : str
-        Where they come from.
-
-    Raises
-    ------
-    InputError
-        The name is invalid, or a sample is one that the program cannot process.
-    """
-    checked_name(name)
-    interface = contents.interface
-    if samples is None:
-        samples, origin = contents.duty(), contents.origin
-    if not interface.timed:
-        samples = even(samples, interface.interval, origin)
-    kept = recorded(contents.estimator, contents.lines, samples, interface.interval, origin)
-    check_answerable(kept, [one for one in interface.statuses if one not in interface.approximate])
-    return Program(
-        name,
-        interface,
-        precision,
-        contents.values,
-        kept,
-        constants=precision.size * contents.constants,
-        state=precision.size * contents.state,
-        usual=contents.usual,
-        worst=contents.worst,
-        labels=contents.labels,
-        version=version("thermojoint"),
-        relative=contents.relative,
-    )
+        Parameters
+        ----------
+        templates : Environment
+            With the filters of a language.
+        endings : mapping of str to str
+            Ending of a file's name to its template.
+        words : str
+            Template values beside those of the program.
+        """
+        return {
+            f"{self.name}{ending}": templates.get_template(template).render(**self.common, **words)
+            for ending, template in endings.items()
+        }
 
 
 def rounded(value: float, precision: Precision) -> float:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from estimator.export.program import Precision, Program, rounded
-from estimator.export.templating import rendered
 from thermojoint.artefacts.folders import write_folder
 from thermojoint.artefacts.templates import templates_of
 
@@ -30,7 +29,7 @@ def st_files(program: Program) -> dict[str, str]:
     """Return the text of NAME.st and NAME_selftest.st by file name."""
     endings = {".st": f"{program.interface.kind}.st.j2", "_selftest.st": "selftest.st.j2"}
     templates = _environment(program.precision)
-    files = rendered(program, templates, endings, real=_TYPES[program.precision])
+    files = program.rendered(templates, endings, real=_TYPES[program.precision])
     return {name: without_single_passes(text) for name, text in files.items()}
 
 
@@ -125,15 +124,8 @@ def numbers_in(values: ArrayLike) -> int:
 def _environment(precision: Precision) -> Environment:
     """The templates, with ``| r`` for a number, ``| initial`` and ``| wide`` for an array."""
     templates = templates_of("estimator.export")
-
-    def r(value: float) -> str:
-        return literal(value, precision)
-
-    def as_initial(values: Any) -> str:  # noqa: ANN401
-        return initial(values, precision)
-
-    templates.filters["r"] = r
-    templates.filters["initial"] = as_initial
+    templates.filters["r"] = lambda value: literal(value, precision)
+    templates.filters["initial"] = lambda values: initial(values, precision)
     templates.filters["wide"] = lambda values: initial(values, Precision.DOUBLE)
     templates.filters["exact"] = lambda value: decimal(value, Precision.DOUBLE)
     templates.filters["words"] = words
