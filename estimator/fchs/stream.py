@@ -21,7 +21,6 @@ matrix with (state, measured values). The state is a plain array; there is no ot
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -116,29 +115,6 @@ def step(
     )
 
 
-def stream(
-    assembly: Assembly, samples: Iterable[Sequence[float]], state: np.ndarray
-) -> Iterator[tuple[np.ndarray, Signals]]:
-    """Yield (state, signals) for each of `samples`: (time, ΔT, T1, T2, ...).
-
-    Raises
-    ------
-    InputError
-        As `step`, with the number of the sample (from 0); or the state belongs to another assembly.
-    """
-    if np.shape(state) != (assembly.n_state,):
-        raise InputError(
-            f"state of shape {np.shape(state)}, expected {(assembly.n_state,)}; it belongs to "
-            "another estimator"
-        )
-    for index, sample in enumerate(samples):
-        try:
-            state, estimate = step(assembly, state, *sample)
-        except InputError as error:
-            raise InputError(f"sample {index}: {error}") from error
-        yield state, estimate
-
-
 def run(
     assembly: Assembly,
     times: np.ndarray,
@@ -168,7 +144,8 @@ def run(
     Raises
     ------
     InputError
-        As `stream`; or the shapes do not agree, or there are no samples.
+        As `step`, with the number of the sample (from 0); or the shapes do not agree, there are no
+        samples, or the state belongs to another assembly.
     """
     shapes = np.shape(times), np.shape(delta_T), np.shape(temperatures)
     count = len(times)
@@ -181,9 +158,19 @@ def run(
     state = initial_state(assembly) if state is None else state
     if not len(table):
         raise InputError("no samples; give at least one")
-    collected = list(stream(assembly, table.tolist(), state))
-    columns = zip(*(estimate for _, estimate in collected), strict=True)
-    return Signals(*(np.array(column) for column in columns)), collected[-1][0]
+    if np.shape(state) != (assembly.n_state,):
+        raise InputError(
+            f"state of shape {np.shape(state)}, expected {(assembly.n_state,)}; it belongs to "
+            "another estimator"
+        )
+    found: list[Signals] = []
+    for index, sample in enumerate(table.tolist()):
+        try:
+            state, signals = step(assembly, state, *sample)
+        except InputError as error:
+            raise InputError(f"sample {index}: {error}") from error
+        found.append(signals)
+    return Signals(*(np.array(column) for column in zip(*found, strict=True))), state
 
 
 @lru_cache(maxsize=64)
