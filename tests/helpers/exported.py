@@ -108,11 +108,13 @@ def co_simulated(found, path, standard, rows):
 
 
 def selftest(folder, name, *flags):
+    """Compile a program and its self-test and run it, which passes; gives its figures."""
     sources = [f"{name}.c", f"{name}_selftest.c"]
     subprocess.run(["gcc", *STRICT, *flags, *sources, "-lm", "-o", "t"], cwd=folder, check=True)
     done = subprocess.run(["./t"], cwd=folder, check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
     figures = re.findall(r"^([a-z ]+?) (-?[\d.e+-]+)", done.stdout, re.M)
-    return done, {key: float(value) for key, value in figures}
+    return {key: float(value) for key, value in figures}
 
 
 #: Numbers that count what is done with them: prepended to a program that is compiled as C++.

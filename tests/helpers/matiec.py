@@ -53,7 +53,6 @@ def selftest_by_both(program, folder):
     """Run the self-test of a function block as it is read here and by matiec; gives its figures."""
     pytest.importorskip("tree_sitter_iec61131_3_st", reason="needs tree-sitter-iec61131-3-st")
     files = st_files(program)
-    done, figures = run_structured_text(files, "m", folder)
-    assert done.returncode == 0, done.stdout + done.stderr
+    figures = run_structured_text(files, "m", folder)
     assert figures["agrees"] == selftest_by_matiec(files, "m", folder)["agrees"] == 1
     return figures

@@ -80,8 +80,7 @@ def test_the_self_test_agrees_with_every_warning_and_sanitiser(
     """In double precision on samples with which the joint slides and opens."""
     own = samples if precision is Precision.DOUBLE else None
     found = export_program(estimator, precision, "m", own)
-    done, figures = selftest(written(found, tmp_path), "m", "-O1", *SANITISED)
-    assert done.returncode == 0, done.stdout + done.stderr
+    figures = selftest(written(found, tmp_path), "m", "-O1", *SANITISED)
     assert figures["state"] == found.state
     assert figures["largest displacement"] > 50e-6
     assert figures["own status words"] == 0
@@ -341,8 +340,7 @@ def test_names_that_c_does_not_have_are_made_fit_and_no_comment_is_ended(
 
     strange = renamed("spindle-front", "b 1", 'T"1', "T<2>*/")
     found = export_program(strange, Precision.DOUBLE, "m", samples[:5], "my */ log.csv")
-    done, _ = selftest(written(found, tmp_path), "m", "-O0")
-    assert done.returncode == 0
+    selftest(written(found, tmp_path), "m", "-O0")
     assert [one.name for one in found.interface.inputs[:2]] == ["spindle_front", "b_1"]
     with pytest.raises(InputError, match="not distinct"):
         export_program(renamed("T-1", "T 1", "b", "s"), Precision.DOUBLE, "m", samples[:5])
@@ -403,8 +401,7 @@ def test_the_command_exports_a_joint_aware_model_with_a_log(estimator, samples, 
     arguments = ["export", names[0], "--out", names[1], "--samples", names[2], "--name", "m"]
     app(arguments, standalone_mode=False)
     assert "Newton" in capsys.readouterr().out
-    done, figures = selftest(Path(names[1]), "m", "-O1")
-    assert done.returncode == 0, done.stdout
+    figures = selftest(Path(names[1]), "m", "-O1")
     assert figures["samples"] == 60
 
 

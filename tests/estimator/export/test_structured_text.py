@@ -34,8 +34,7 @@ DT = 20.0
 
 def agrees(program, folder, flags=FLAGS):
     """Run the self-test; it must agree as closely as it is meant to."""
-    done, figures = run(st_files(program), program.name, folder, flags)
-    assert done.returncode == 0, done.stdout + done.stderr
+    figures = run(st_files(program), program.name, folder, flags)
     assert figures["samples"] == program.samples
     assert figures["differing"] == 0
     double = program.precision is Precision.DOUBLE
@@ -266,8 +265,7 @@ def test_the_command_writes_a_folder_that_runs(fchs, tmp_path, capsys):
     assert "multiplications" in capsys.readouterr().out
     files = {one.name: one.read_text("utf-8") for one in Path(names[1]).glob("*.st")}
     assert set(files) == {"Spindle_2.st", "Spindle_2_selftest.st"}
-    done, figures = run(files, "Spindle_2", tmp_path / "run")
-    assert done.returncode == 0
+    figures = run(files, "Spindle_2", tmp_path / "run")
     assert figures["samples"] > 500
 
 

@@ -387,8 +387,7 @@ def test_its_program_follows_the_axis_with_every_warning_and_sanitiser(
 ):
     found = export_program(estimator, precision, "m", samples)
     checked = SANITISED if precision is Precision.DOUBLE else []
-    done, figures = selftest(written(found, tmp_path), "m", "-O1", *checked)
-    assert done.returncode == 0, done.stdout + done.stderr
+    figures = selftest(written(found, tmp_path), "m", "-O1", *checked)
     assert figures["state"] == found.state
     assert figures["largest displacement"] > 20e-6
 

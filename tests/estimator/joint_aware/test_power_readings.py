@@ -151,8 +151,7 @@ def program(told, response):
 
 @needs_gcc
 def test_its_program_knows_the_power(program, tmp_path):
-    done, figures = selftest(written(program, tmp_path), "m", "-O1", *SANITISED)
-    assert done.returncode == 0, done.stdout + done.stderr
+    figures = selftest(written(program, tmp_path), "m", "-O1", *SANITISED)
     assert figures["largest displacement"] > 20e-6
     assert figures["state"] == program.state
 

@@ -203,7 +203,6 @@ def test_its_program_follows_all_axes_with_their_drives(estimator, samples, tmp_
     found = export_program(estimator, Precision.DOUBLE, "m", samples[:80])
     names = [one.name for one in found.interface.outputs]
     assert {"here_z", "slope_y", "along_K0_x_z"} <= set(names)
-    done, figures = selftest(written(found, tmp_path), "m", "-O1", *SANITISED)
-    assert done.returncode == 0, done.stdout + done.stderr
+    figures = selftest(written(found, tmp_path), "m", "-O1", *SANITISED)
     assert figures["own status words"] == 0
     assert figures["largest displacement"] > 5e-6

@@ -111,6 +111,5 @@ def test_its_program_follows_it_too(spread, fit, known, tmp_path):
     model = make_observer(spread, fit, known, Noise(unknown_heat=20.0))
     samples, _ = warmed(spread)
     found = export_program(JointAware(model), Precision.DOUBLE, "m", samples.tolist())
-    done, figures = selftest(written(found, tmp_path), "m", "-O1")
-    assert done.returncode == 0, done.stdout + done.stderr
+    figures = selftest(written(found, tmp_path), "m", "-O1")
     assert figures["status words that differ"] == 0
