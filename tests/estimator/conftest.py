@@ -29,6 +29,12 @@ def machine(data, setup):
 
 
 @pytest.fixture(scope="session")
+def small(machine):
+    """The machine with the two axes along which it moves."""
+    return along(machine, ["x", "y"])
+
+
+@pytest.fixture(scope="session")
 def estimator(data, setup, machine):
     return observer_of(machine, {"step 2": run(data, setup, step(2.0))})
 

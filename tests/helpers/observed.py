@@ -72,6 +72,16 @@ def estimates(estimator, samples, state=None):
     return found[-1][0], [estimate for _, estimate in found]
 
 
+def assert_goes_on(estimator, samples):
+    """A run that is continued from its state is the uninterrupted one."""
+    _, whole = estimates(estimator, samples)
+    state, _ = estimates(estimator, samples[:40])
+    _, rest = estimates(estimator, samples[40:], state)
+    for one, other in zip(whole[40:], rest, strict=True):
+        assert np.array_equal(one.displacement, other.displacement)
+        assert np.array_equal(one.details, other.details)
+
+
 def errors(estimator, response, found):
     actual = response["displacement"].sel(axis=list(estimator.axes)).to_numpy()
     return np.array([estimate.displacement for estimate in found]) - actual
@@ -94,6 +104,13 @@ def heated_through(machine, names):
         power=np.append(machine.power, np.ones(len(names))),
         source_names=(*machine.source_names, *names),
     )
+
+
+def that_is_surprised(estimator, surprise=1e-12):
+    """An observer with a band that is wider where innovations last, m2/K2 of each reading."""
+    band = estimator.model.band
+    wide = replace(band, surprise=np.full(band.surprise.shape, surprise))
+    return JointAware(replace(estimator.model, band=wide))
 
 
 def that_knows_days(estimator):

@@ -28,6 +28,7 @@ from observed import (
     faulty,
     run,
     step,
+    that_is_surprised,
     that_knows_days,
 )
 
@@ -110,19 +111,10 @@ def test_a_joint_that_slides_to_and_fro_is_followed(
     )
 
 
-@pytest.fixture(scope="module")
-def surprised(estimator):
-    """The estimator with a band that is wider where innovations last."""
-    band = estimator.model.band
-    surprise = np.full(band.surprise.shape, 1e-12)
-    wide = replace(band, surprise=surprise)
-    return JointAware(replace(estimator.model, band=wide))
-
-
 @pytest.mark.long
 @needs_gcc
-def test_innovations_that_last_widen_the_band_as_in_python(surprised, samples, expected, tmp_path):
-    rows = np.array(samples)
+def test_innovations_that_last_widen_the_band_as_in_python(estimator, samples, expected, tmp_path):
+    surprised, rows = that_is_surprised(estimator), np.array(samples)
     rows[:, 1:3] += 0.4
     there = [one.band for _, one in follow(surprised, rows.tolist(), surprised.initial_state())]
     estimates = compiled(export_program(surprised, Precision.DOUBLE, "m"), tmp_path)

@@ -11,7 +11,7 @@ import structured_text
 from exported import PRECISIONS, compiled, needs_gcc, with_no_step
 from machine_logs import machine_log
 from matiec import needs_matiec, selftest_by_matiec
-from observed import estimates, faulty, that_knows_days
+from observed import estimates, faulty, that_is_surprised, that_knows_days
 from structured_text import FLAGS, Translator, parsed, run
 
 from estimator.columns import samples_of
@@ -21,7 +21,6 @@ from estimator.exporting import export_program
 from estimator.fchs.estimator import Fchs
 from estimator.interface import Status, follow
 from estimator.joint_aware import program as joint_aware
-from estimator.joint_aware.estimator import JointAware
 from estimator.measured import response_samples
 from thermojoint.cli.app import app
 from thermojoint.models.assembly import assemble
@@ -72,10 +71,7 @@ def test_a_joint_aware_estimator_is_the_same(estimator, precision, tmp_path):
 
 @pytest.mark.long
 def test_innovations_that_last_widen_the_band_as_in_python(estimator, tmp_path):
-    band = estimator.model.band
-    surprise = np.full(band.surprise.shape, 1e-12)
-    wide = replace(band, surprise=surprise)
-    wider = JointAware(replace(estimator.model, band=wide))
+    wider = that_is_surprised(estimator)
     duty = np.array(list(joint_aware.contents(wider, Precision.DOUBLE).duty())[:200])
     duty[:, 1:3] += 0.4
     agrees(export_program(wider, Precision.DOUBLE, "machine", duty.tolist()), tmp_path)

@@ -10,6 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from calibrate.joint_aware.assembling import make_observer
+from calibrate.joint_aware.misfit import physics_with
 from calibrate.joint_aware.physics_fit import Run, fit_physics
 from estimator.interface import Status, follow
 from estimator.joint_aware.ageing import AgeingJointAware
@@ -24,9 +25,9 @@ from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from thermojoint.artefacts.errors import InputError
 from thermojoint.cli.app import app
-from thermojoint.reduced.machine import along, diagonal_modes, reduce_machine
+from thermojoint.reduced.machine import along, reduce_machine
 from thermojoint.reduced.parameters import with_factors
-from thermojoint.reduced.physics import make_physics, simulate_known
+from thermojoint.reduced.physics import simulate_known
 
 SENSORS = ("s", "b", "T1", "T2")
 STEP = 30.0
@@ -43,9 +44,7 @@ def machine(coarse_data):
 
 
 def answers(machine, inputs):
-    held = machine.at_preload
-    physics = make_physics(diagonal_modes(machine, held), machine.joints, held)
-    return simulate_known(physics, inputs, STEP)
+    return simulate_known(physics_with(machine, {}), inputs, STEP)
 
 
 @pytest.fixture(scope="module")

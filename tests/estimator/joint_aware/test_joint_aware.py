@@ -76,8 +76,7 @@ def test_machine_code_marches_as_the_plain_step(machine, law):
     given = {"normal_law": law} if law == "back-burdekin" else {"conductance": {"law": law}}
     section = JointSection.model_validate(section.model_dump() | given)
     other = replace(machine, joints=tuple(replace(one, section=section) for one in machine.joints))
-    held = other.at_preload
-    physics = make_physics(diagonal_modes(other, held), other.joints, held)
+    physics = physics_with(other, {})
     # Settled as closely under either law: a softer one is else settled to parts of its own gaps.
     physics = replace(physics, contact=replace(physics.contact, gap_tolerance=1e-13))
     assert (physics.kernel is None) == (law == "cmy-exact")
@@ -380,10 +379,7 @@ def test_a_heat_beyond_the_calibration_is_said(data, setup, estimator):
 @pytest.fixture(scope="module")
 def plant(data, setup, machine):
     """Calibration runs of a machine with another friction and heat than the case says."""
-    other = with_factors(machine, TRUE)
-    held = other.at_preload
-    physics = make_physics(diagonal_modes(other, held), other.joints, held)
-    runs = []
+    physics, runs = physics_with(machine, TRUE), []
     for level in (1.0, 3.0):
         seen = run_in(run(data, setup, step(level)), machine, "step")
         inputs = seen.inputs[:150]
@@ -397,12 +393,22 @@ TRUE = {"friction": 0.75, "heat": 1.05}
 
 
 @pytest.fixture(scope="module")
-def fit(machine, plant):
-    return fit_physics(along(machine, ["x", "y"]), plant, list(TRUE))
+def fit(small, plant):
+    return fit_physics(small, plant, list(TRUE))
 
 
-def test_the_fit_leaves_less_than_the_case_does_and_knows_what_it_knows(machine, plant, fit):
-    before = fit_physics(along(machine, ["x", "y"]), plant, [])
+@pytest.fixture(scope="module")
+def known():
+    return Calibrated(300.0, 3.0, dict.fromkeys(SENSORS, (0.0, 50.0)))
+
+
+@pytest.fixture(scope="module")
+def model(small, fit, known):
+    return make_observer(small, fit, known)
+
+
+def test_the_fit_leaves_less_than_the_case_does_and_knows_what_it_knows(small, plant, fit):
+    before = fit_physics(small, plant, [])
     assert fit.residual_displacement.max() < 0.7 * before.residual_displacement.max()
     for one, value, spread in zip(
         fit.parameters, fit.coordinates, np.sqrt(np.diag(fit.covariance)), strict=True
@@ -426,8 +432,7 @@ def gradient(machine, runs, fit, coordinates):
     return np.array([cost(at + one) - cost(at - one) for one in sides]) / (2.0 * step)
 
 
-def test_a_search_by_coarse_marches_comes_to_the_minimum_of_the_machine_s_own(machine, plant, fit):
-    small = along(machine, ["x", "y"])
+def test_a_search_by_coarse_marches_comes_to_the_minimum_of_the_machine_s_own(small, plant, fit):
     begin = gradient(small, plant, fit, np.zeros(2))
     end = gradient(small, plant, fit, fit.coordinates)
     assert np.abs(end).max() < 0.01 * np.abs(begin).max()
@@ -450,7 +455,7 @@ def test_slopes_that_are_moved_explain_every_step_and_are_those_of_a_linear_mach
     np.testing.assert_array_equal(still.each, slopes.each)
 
 
-def test_offsets_and_noise_of_the_sensors_are_found(machine, plant, fit):
+def test_offsets_and_noise_of_the_sensors_are_found(small, plant, fit):
     offset, noise = np.array([0.2, -0.15, 0.1, -0.2]), 0.02
     rng = np.random.default_rng(0)
     runs = [
@@ -460,7 +465,6 @@ def test_offsets_and_noise_of_the_sensors_are_found(machine, plant, fit):
         )
         for one in plant
     ]
-    small = along(machine, ["x", "y"])
     found = fit_physics(small, runs, list(TRUE), Search(starts=0))
     assert found.offset == pytest.approx(offset, abs=0.05)
     assert found.noise == pytest.approx(np.full(4, noise), rel=0.5)
@@ -478,8 +482,8 @@ def test_an_offset_costs_nothing_once_it_is_known(estimator, response):
         assert one.displacement == pytest.approx(other.displacement, abs=1e-9 * MICRO)
 
 
-def test_a_profile_has_its_minimum_at_the_fit(machine, plant, fit):
-    for one in profiles(along(machine, ["x", "y"]), plant, fit):
+def test_a_profile_has_its_minimum_at_the_fit(small, plant, fit):
+    for one in profiles(small, plant, fit):
         assert np.argmin(one.cost) == 2
         # A search ends before its last digit: a standard deviation costs a half.
         assert one.cost[2] == pytest.approx(0.0, abs=1e-6)
@@ -488,8 +492,8 @@ def test_a_profile_has_its_minimum_at_the_fit(machine, plant, fit):
         assert one.cost[[1, 3]] == pytest.approx([0.5, 0.5], rel=0.5)
 
 
-def test_a_further_run_leaves_less_unknown(machine, plant, fit):
-    none, *others = further_runs(along(machine, ["x", "y"]), plant, fit)
+def test_a_further_run_leaves_less_unknown(small, plant, fit):
+    none, *others = further_runs(small, plant, fit)
     assert none.name == "none"
     assert none.deviation == pytest.approx(np.sqrt(np.diag(fit.covariance)), rel=1e-6)
     for one in others:
@@ -498,10 +502,7 @@ def test_a_further_run_leaves_less_unknown(machine, plant, fit):
         assert one.deviation.min() < 0.9 * none.deviation.min()
 
 
-def test_the_whole_report_is_plain_numbers(machine, plant, fit):
-    small = along(machine, ["x", "y"])
-    known = Calibrated(300.0, 3.0, dict.fromkeys(SENSORS, (0.0, 50.0)))
-    model = make_observer(small, fit, known)
+def test_the_whole_report_is_plain_numbers(small, plant, fit, model):
     told = json.loads(json.dumps(whole_report(JointAwareCalibration(model, fit, small, plant))))
     assert set(told["offsets_K"]) == set(SENSORS)
     assert set(told["prediction_only"]) <= set(TRUE)
@@ -509,12 +510,8 @@ def test_the_whole_report_is_plain_numbers(machine, plant, fit):
     assert set(told["condensation"]["reuse_one"]) == set(TRUE)
 
 
-def test_the_band_holds_what_only_the_prior_decides_in_full(machine, plant, fit):
+def test_the_band_holds_what_only_the_prior_decides_in_full(small, plant, fit, model):
     """Data count more in the band than in the fit; what they do not tell is not known better."""
-    small = along(machine, ["x", "y"])
-    known = Calibrated(300.0, 3.0, dict.fromkeys(SENSORS, (0.0, 50.0)))
-    model = make_observer(small, fit, known)
-
     untold = replace(fit, jacobian=np.zeros_like(fit.jacobian))
     drawings = (Drawing(draws=2, duration=900.0, assumed=assumed) for assumed in (1.0, 2.0))
     wide, wider = (
@@ -524,20 +521,15 @@ def test_the_band_holds_what_only_the_prior_decides_in_full(machine, plant, fit)
     assert wider == pytest.approx(wide, rel=0.1)
 
 
-def test_what_the_calibration_leaves_open_widens_the_band_with_the_heat(machine, plant, fit):
-    small = along(machine, ["x", "y"])
-    known = Calibrated(300.0, 3.0, dict.fromkeys(SENSORS, (0.0, 50.0)))
-    model = make_observer(small, fit, known)
+def test_what_the_calibration_leaves_open_widens_the_band_with_the_heat(small, plant, fit, model):
     band = open_band(small, plant, fit, model, drawing=Drawing(draws=2, duration=2400.0))
     assert np.all(band.square >= 0.0)
     assert band.open.shape == (2, 2, 2 * fit.discrepancy.displacement.shape[1])
     assert np.all(np.abs(band.open).max(axis=(1, 2)) > 0.0)
 
 
-def test_a_machine_unlike_its_case_is_known_less_the_longer_it_is_warm(machine, plant, fit):
+def test_a_machine_unlike_its_case_is_known_less_the_longer_it_is_warm(small, plant, fit, known):
     """No run lasts for as long as that; a machine of the family needs no such allowance."""
-    small = along(machine, ["x", "y"])
-    known = Calibrated(300.0, 3.0, dict.fromkeys(SENSORS, (0.0, 50.0)))
     like, unlike = (
         unlike_its_case(
             on_longer_steps(small, plant, known, replace(fit, doubt=doubt), None, Drawing())
@@ -552,11 +544,11 @@ def test_a_machine_unlike_its_case_is_known_less_the_longer_it_is_warm(machine, 
     assert np.sqrt(unlike[:, -1]) == pytest.approx(0.169 * size, rel=0.01)
 
 
-def test_a_band_is_not_checked_on_slow_errors_of_which_the_other_runs_cannot_tell(machine):
+def test_a_band_is_not_checked_on_slow_errors_of_which_the_other_runs_cannot_tell(machine, small):
     """Those of a machine unlike its case, in a run that is several times as long as all others."""
     inputs = np.tile(np.append(machine.power, 0.0), (120, 1))
     sensed, moved = simulate_known(physics_with(machine, {}), inputs, 20.0)
-    small, times = along(machine, ["x", "y"]), 20.0 * np.arange(1.0, 121.0)
+    times = 20.0 * np.arange(1.0, 121.0)
     long, short = (Run(inputs[:n], times[:n], sensed[:n], moved[:n, :2], 20.0) for n in (120, 30))
     fit = fit_physics(small, [long, short], ["heat"], Search(starts=0))
     known = Calibrated(2400.0, 1.0, dict.fromkeys(SENSORS, (0.0, 50.0)))
@@ -614,11 +606,8 @@ def test_one_step_more_of_the_runs_does_not_change_the_band(machine):
     assert added(61) == pytest.approx(added(60), rel=0.05)
 
 
-def test_a_run_that_the_others_do_not_predict_widens_the_band(machine, plant, fit):
+def test_a_run_that_the_others_do_not_predict_widens_the_band(machine, small, plant, fit, model):
     """A machine of the family keeps its band; one that no parameter explains does not."""
-    small = along(machine, ["x", "y"])
-    known = Calibrated(300.0, 3.0, dict.fromkeys(SENSORS, (0.0, 50.0)))
-    model = make_observer(small, fit, known)
     drawing = Drawing(draws=2, duration=900.0)
     physics = physics_with(machine, TRUE)
     whole = []

@@ -19,8 +19,8 @@ from fesim.simulate import simulate
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.quantities import column_named
-from thermojoint.reduced.machine import diagonal_modes, reduce_machine
-from thermojoint.reduced.physics import at_start, make_physics, simulate_known
+from thermojoint.reduced.machine import reduce_machine
+from thermojoint.reduced.physics import at_start, simulate_known
 from thermojoint.verification.loaded import STANDING, WEIGHT, column_case, joint
 
 PRESSED = joint(preload_MPa=2.0)
@@ -93,8 +93,7 @@ def followed(request, tmp_path_factory):
 
 def test_the_reduced_machine_marches_as_the_simulator(followed):
     machine, response = followed
-    held = machine.at_preload
-    physics = make_physics(diagonal_modes(machine, held), machine.joints, held)
+    physics = physics_with(machine, {})
     run = run_in(response, machine, "run")
     sensed, moved = simulate_known(physics, run.inputs, machine.step)
     warm, bent = at_start(physics)

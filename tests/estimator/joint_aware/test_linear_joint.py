@@ -10,6 +10,7 @@ from general_rule import assert_general_rule
 from short_runs import QUICK
 
 from calibrate.joint_aware.linear_joint import calibrate_linear_joint, with_linear_joint
+from calibrate.joint_aware.misfit import physics_with
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.model_file import read_observer, write_observer
 from estimator.joint_aware.readings import samples_in
@@ -21,8 +22,8 @@ from fesim.setup.machine import set_up
 from fesim.simulate import simulate
 from thermojoint.artefacts.errors import InputError
 from thermojoint.paper.observers import fitted_text
-from thermojoint.reduced.machine import along, diagonal_modes, reduce_machine
-from thermojoint.reduced.physics import make_physics, simulate_known
+from thermojoint.reduced.machine import along, reduce_machine
+from thermojoint.reduced.physics import simulate_known
 
 
 @pytest.fixture(scope="module")
@@ -58,8 +59,7 @@ def run_at(case, setup, level):
 
 
 def marched(machine, level):
-    held = machine.at_preload
-    physics = make_physics(diagonal_modes(machine, held), machine.joints, held)
+    physics = physics_with(machine, {})
     inputs = np.tile(np.append(level * machine.power, 0.0), (60, 1))
     return np.hstack(simulate_known(physics, inputs, machine.step)) / level
 

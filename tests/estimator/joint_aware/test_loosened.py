@@ -107,9 +107,8 @@ def test_a_machine_on_feet_is_found(machine, loosening):
         assert abs(np.log(again.parameters[at].factor(again.coordinates[at]) / give)) < spread
 
 
-def test_a_machine_that_is_its_case_is_not_fitted_again(machine):
+def test_a_machine_that_is_its_case_is_not_fitted_again(small):
     """One that is not keeps its first fit where feet do not explain it."""
-    small = along(machine, ["x", "y"])
     runs = runs_of(small, {"heat": 1.05})
     fit = fit_physics(small, runs, ["heat"], QUICK)
     assert fit.doubt == 1.0

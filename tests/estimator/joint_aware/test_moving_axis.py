@@ -23,7 +23,7 @@ from exported import (
 from in_process import run
 from matiec import needs_matiec, selftest_by_both
 from moving_knee import moving
-from observed import estimates, observer
+from observed import assert_goes_on, estimates, observer
 
 from calibrate.joint_aware.calibration import Effort, calibrate_joint_aware, machine_of
 from calibrate.joint_aware.linear_joint import with_linear_joint
@@ -167,12 +167,7 @@ def test_thermometers_tell_the_displacement_wherever_the_axis_stands(estimator, 
 
 
 def test_a_continued_run_is_the_uninterrupted_one(estimator, samples):
-    _, whole = estimates(estimator, samples)
-    state, _ = estimates(estimator, samples[:40])
-    _, rest = estimates(estimator, samples[40:], state)
-    for one, other in zip(whole[40:], rest, strict=True):
-        assert np.array_equal(one.displacement, other.displacement)
-        assert np.array_equal(one.details, other.details)
+    assert_goes_on(estimator, samples)
 
 
 def test_a_broken_thermometer_is_left_out_while_the_axis_moves(estimator, response, samples):

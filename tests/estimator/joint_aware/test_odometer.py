@@ -9,7 +9,7 @@ from exported import SANITISED, as_in_python, needs_gcc, selftest, written
 from in_process import run
 from matiec import needs_matiec, selftest_by_both
 from moving_knee import SCREW, STEEL, moving
-from observed import estimates, observer
+from observed import assert_goes_on, estimates, observer
 
 from calibrate.joint_aware.calibration import machine_of
 from calibrate.joint_aware.measured_runs import runs_of
@@ -299,14 +299,7 @@ def test_file_log_and_service_know_the_odometer(counting, samples, tmp_path):
     assert intake.names[3:5] == ("y_pos_mm", "y_way_mm")
     given, _ = intake.convert([1.0, 2.0, 0.5, 100.0, 7000.0, np.nan, np.nan], 0.0)
     assert given[:5] == pytest.approx([1.0, 2.0, 0.5, 0.1, 7.0])
-    # A run goes on from its state.
-    _, whole = estimates(found, samples.tolist())
-    state, _ = estimates(found, samples[:40].tolist())
-    _, rest = estimates(found, samples[40:].tolist(), state)
-    assert all(
-        np.array_equal(one.displacement, other.displacement)
-        for one, other in zip(whole[40:], rest, strict=True)
-    )
+    assert_goes_on(found, samples.tolist())
 
 
 @needs_gcc

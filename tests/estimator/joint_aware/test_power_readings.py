@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from exported import SANITISED, as_in_python, needs_gcc, selftest, written
 from matiec import needs_matiec, selftest_by_both
-from observed import errors, estimates, observer, run, step
+from observed import assert_goes_on, errors, estimates, observer, run, step
 
 from calibrate.joint_aware.calibration import Effort, calibrate_joint_aware
 from calibrate.joint_aware.open_band import Drawing
@@ -114,14 +114,7 @@ def test_nor_in_its_program(told, program, switched_off_unseen, tmp_path):
 
 
 def test_a_run_goes_on_from_its_state(told, response):
-    rows = samples(response, told)
-    _, whole = estimates(told, rows)
-    state, _ = estimates(told, rows[:40])
-    _, rest = estimates(told, rows[40:], state)
-    assert all(
-        np.array_equal(one.displacement, other.displacement)
-        for one, other in zip(whole[40:], rest, strict=True)
-    )
+    assert_goes_on(told, samples(response, told))
 
 
 def test_a_calibration_gives_its_model_the_shares_of_the_case(data, stepped):

@@ -13,6 +13,7 @@ from nested_toml import as_toml
 from scipy.linalg import solve_discrete_are
 from typer.testing import CliRunner
 
+from calibrate.joint_aware.misfit import physics_with
 from calibrate.placement import joint_aware as placement
 from calibrate.placement import plant_family
 from fesim.case.schema import case_from_data
@@ -20,8 +21,8 @@ from fesim.setup.machine import set_up
 from fesim.setup.structure import candidate_probes
 from thermojoint.artefacts.errors import ConvergenceError, InputError
 from thermojoint.cli.app import app
-from thermojoint.reduced.machine import diagonal_modes, reduce_machine
-from thermojoint.reduced.physics import make_physics, simulate_known
+from thermojoint.reduced.machine import reduce_machine
+from thermojoint.reduced.physics import simulate_known
 
 BOXES = [
     {"body": "column", "low_mm": [550.0, 400.0, 0.0], "high_mm": [550.0, 800.0, 200.0]},
@@ -59,9 +60,7 @@ def test_few_modes_answer_a_slow_heating_as_all_of_them(whole, machine):
     inputs = np.tile(np.append(machine.power, 1.0), (60, 1))
     answers = []
     for one in (whole, machine):
-        held = one.at_preload
-        physics = make_physics(diagonal_modes(one, held), one.joints, held)
-        answers.append(simulate_known(physics, inputs, plant_family.USUAL.step))
+        answers.append(simulate_known(physics_with(one, {}), inputs, plant_family.USUAL.step))
     for every, few in zip(*answers, strict=True):
         assert few == pytest.approx(every, abs=0.01 * np.abs(every).max())
 
@@ -118,8 +117,7 @@ def test_a_plant_like_the_model_leaves_what_the_heat_walks_between_two_readings(
         displacement=np.zeros_like(family.displacement),
     )
     chosen = placement.place_sensors(machine, 1, family=alike).chosen.names[0]
-    held = machine.at_preload
-    physics = make_physics(diagonal_modes(machine, held), machine.joints, held)
+    physics = physics_with(machine, {})
     soon, _ = simulate_known(physics, np.array([[*machine.power, 0.0]]), plant_family.USUAL.step)
     ranks = np.argsort(-soon[0])[:3]
     assert chosen in [machine.sensor_names[k] for k in ranks]

@@ -14,7 +14,7 @@ from estimator.interface import Status, follow
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.observer_model import Calibrated
-from thermojoint.reduced.machine import NEAR, along
+from thermojoint.reduced.machine import NEAR
 from thermojoint.reduced.parameters import lag_name
 from thermojoint.reduced.physics import simulate_known
 
@@ -71,8 +71,7 @@ def runs_of(machine, factors, stretched=1.0):
     return runs
 
 
-def test_a_calibration_finds_lags_and_takes_no_sensor_for_slow_that_is_not(machine):
-    small = along(machine, ["x", "y"])
+def test_a_calibration_finds_lags_and_takes_no_sensor_for_slow_that_is_not(small):
     fitted = ["heat", *map(lag_name, SENSORS)]
     fit = fit_physics(small, runs_of(small, {lag_name("s"): 20.0}), fitted, Search(starts=0))
     found = dict(zip(fitted, fit.coordinates, strict=True))
@@ -81,9 +80,8 @@ def test_a_calibration_finds_lags_and_takes_no_sensor_for_slow_that_is_not(machi
     assert all(found[lag_name(sensor)] == 0.0 for sensor in SENSORS[1:])
 
 
-def test_errors_that_no_parameter_explains_leave_more_unknown(machine):
+def test_errors_that_no_parameter_explains_leave_more_unknown(small):
     """A machine of the family is fitted as ever; one beyond it has a wider posterior."""
-    small = along(machine, ["x", "y"])
     own, other = (
         fit_physics(small, runs_of(small, {"heat": 1.05}, stretched), ["heat"], Search(starts=0))
         for stretched in (1.0, 1.3)
@@ -95,9 +93,9 @@ def test_errors_that_no_parameter_explains_leave_more_unknown(machine):
     assert other.covariance[0, 0] > own.covariance[0, 0]
 
 
-def test_noisy_sensors_do_not_make_a_machine_unlike_its_case(machine):
+def test_noisy_sensors_do_not_make_a_machine_unlike_its_case(small):
     """Their noise leaves several times what is assumed of errors that last for a run."""
-    small, rng = along(machine, ["x", "y"]), np.random.default_rng(1)
+    rng = np.random.default_rng(1)
     runs = [
         replace(run, temperature=run.temperature + rng.normal(0.0, 0.06, run.temperature.shape))
         for run in runs_of(small, {"heat": 1.05})
@@ -107,9 +105,9 @@ def test_noisy_sensors_do_not_make_a_machine_unlike_its_case(machine):
     assert fit.residuals @ fit.residuals > 2.0 * len(runs) * (len(SENSORS) + 2)
 
 
-def test_a_step_of_heat_is_no_fault_of_a_sensor_that_lags(machine):
+def test_a_step_of_heat_is_no_fault_of_a_sensor_that_lags(small):
     """The heat is found over many steps, in which the reading departs from its prediction."""
-    small, factors = along(machine, ["x", "y"]), {lag_name("s"): 60.0}
+    factors = {lag_name("s"): 60.0}
     fit = fit_physics(small, runs_of(small, factors), [lag_name("s")], Search(starts=0))
     known = Calibrated(300.0, 2.0, dict.fromkeys(SENSORS, (0.0, 60.0)))
     model = make_observer(small, fit, known, Noise(sensor=0.2))
@@ -129,11 +127,11 @@ def test_a_step_of_heat_is_no_fault_of_a_sensor_that_lags(machine):
     assert np.abs(errors[-1]).max() < 0.05 * np.abs(moved[-1]).max()
 
 
-def test_sensors_that_contradict_the_model_for_hours_widen_the_band(estimator, machine):
+def test_sensors_that_contradict_the_model_for_hours_widen_the_band(estimator, machine, small):
     """A machine with another film: its temperatures stay away from the model's."""
     inputs = np.zeros((3600, 2))
     inputs[:, 0] = machine.power[0]
-    small, times = along(machine, ["x", "y"]), STEP * np.arange(1, 3601)
+    times = STEP * np.arange(1, 3601)
     marched = [simulate_known(physics_with(small, {"film": film}), inputs, STEP) for film in (1, 5)]
     known = Run(inputs, times, *marched[0], STEP)
     assert not surprise_of([known], doubt=1.0).any()
