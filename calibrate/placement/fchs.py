@@ -34,7 +34,7 @@ from calibrate.linear import fit_ring
 from thermojoint.artefacts import steps
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError, ThermojointError
-from thermojoint.artefacts.response import axes_of, probes_of
+from thermojoint.artefacts.response import axes_of, columns_of, probes_of
 from thermojoint.models.assembly import deformation_bank
 from thermojoint.models.filters.bank import Bank, respond_to_line, respond_to_steps, stacked
 from thermojoint.models.filters.inverse import inverse_bank
@@ -176,8 +176,11 @@ def choose_heat_pair(
     t = steps.times(reference)
     interval = float(np.median(np.diff(t)))
     unit = steps.step_level(reference, "reference response")
-    unit_responses = _temperatures(reference, candidates) / unit
-    scaled = [_temperatures(response, candidates) / level for level, response in others.items()]
+    unit_responses = columns_of(reference, "temperature", candidates) / unit
+    scaled = [
+        columns_of(response, "temperature", candidates) / level
+        for level, response in others.items()
+    ]
     responses = np.stack([unit_responses, *scaled], axis=-1)
     levels = np.abs([unit, *others])
     linear = stacked([deformation_bank(model) for model in deformation.values()])
@@ -253,10 +256,10 @@ def rank_joint_sensors(
     axes = axes_of(reference)
     at = _positions(reference, candidates)
     unit = steps.step_level(reference, "reference response")
-    base = _temperatures(reference, candidates) / unit
-    moved = _displacements(reference, axes) / unit
-    deviations = [_temperatures(r, candidates) - q * base for q, r in others.items()]
-    targets = [_displacements(r, axes) - q * moved for q, r in others.items()]
+    base = columns_of(reference, "temperature", candidates) / unit
+    moved = columns_of(reference, "displacement", axes) / unit
+    deviations = [columns_of(r, "temperature", candidates) - q * base for q, r in others.items()]
+    targets = [columns_of(r, "displacement", axes) - q * moved for q, r in others.items()]
     signals = np.max([np.abs(d).max(axis=0) for d in deviations], axis=0)
     features = np.concatenate([_filtered(d, t) for d in deviations])
     target = np.concatenate(targets)
@@ -359,14 +362,6 @@ def _filtered(deviations: Array, t: Array) -> Array:
         pole = np.exp(-interval / (share * length))
         columns.append(lfilter([1.0 - pole], [1.0, -pole], deviations, axis=0))
     return np.stack(columns, axis=-1).reshape(len(deviations), -1)
-
-
-def _temperatures(response: xr.Dataset, probes: list[str]) -> Array:
-    return np.asarray(response["temperature"].sel(probe=probes).to_numpy())
-
-
-def _displacements(response: xr.Dataset, axes: list[str]) -> Array:
-    return np.asarray(response["displacement"].sel(axis=axes).to_numpy())
 
 
 def _positions(response: xr.Dataset, probes: list[str]) -> Array:
