@@ -17,7 +17,6 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from fesim.case.history import Histories
-from fesim.case.schema import case_from_data
 from fesim.march.adaptive import march_adaptively
 from fesim.march.contact import ContactProblem
 from fesim.march.machine import CondensedMachine, State
@@ -31,7 +30,7 @@ from fesim.march.reduced import (
 )
 from fesim.march.step_control import Tolerance
 from fesim.march.track import joined
-from fesim.simulate import TOLERANCE_K, TOLERANCE_UM, simulate
+from fesim.simulate import TOLERANCE_K, TOLERANCE_UM
 from meshes.exchange import write_structure
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.files import temporary_folder
@@ -39,6 +38,7 @@ from thermojoint.verification import rod
 from thermojoint.verification.check import Check, Quantity
 from thermojoint.verification.loaded import PRELOAD, ROUGHNESS, column, column_case, joint
 from thermojoint.verification.rods import Rods
+from thermojoint.verification.structures import marched
 from thermojoint.verification.thermal_bar import (
     CAPACITY,
     CONDUCTIVITY,
@@ -119,8 +119,7 @@ def heated_checks(folder: Path) -> Iterator[Check]:
         "supports": {"symmetry": sides},
         "march": {"step_s": 100.0, "duration_min": 400.0 / 60.0, "method": "adaptive"},
     }
-    data = bar_case(folder, changes, (40, 1, 1))
-    response = simulate(case_from_data(data, "case", folder), accuracy=False).response
+    response = marched(folder, bar_case(folder, changes, (40, 1, 1)))
     waves = (np.arange(400) + 0.5) * np.pi / LENGTH
     parts = 2.0 * FLUX / (CONDUCTIVITY * LENGTH) * (-1.0) ** np.arange(400) / waves**3
     diffusivity = CONDUCTIVITY / (DENSITY * CAPACITY)
@@ -142,8 +141,7 @@ def pulse_checks(folder: Path) -> Iterator[Check]:
             "heat_input": {"kind": "sampled", "file": "pulse.csv"},
             "march": {"step_s": 60.0, "duration_min": 4.0, "method": method},
         }
-        data = bar_case(folder, changes, (2, 1, 1))
-        response = simulate(case_from_data(data, "case", folder), accuracy=False).response
+        response = marched(folder, bar_case(folder, changes, (2, 1, 1)))
         name = f"{method} steps, pulse of 20 s between knots of 60 s"
         warmed = float(response["temperature"][-1, 0])
         yield Quantity("temperature", "K", 1e-6, "energy").check(name, rise, warmed)
@@ -172,7 +170,7 @@ def unit_checks(folder: Path) -> Iterator[Check]:
         data["probes"]["P"]["position_mm"] = [10.0 * long, 10.0 * long, 100.0 * long]
         probes = {"top": replace(structure.probes["top"], position=(x, y, z))}
         write_structure(replace(structure, mesh=mesh, probes=probes), folder / "column1.vtu")
-        response = simulate(case_from_data(data, "column", folder), accuracy=False).response
+        response = marched(folder, data)
         pressed = float(response["pressure"][-1].mean()) / stiff
         return float(np.abs(response["displacement"][-1]).max()) / long, pressed
 

@@ -14,12 +14,11 @@ from fesim.axes.setup import operators_of
 from fesim.case.schema import case_from_data
 from fesim.setup.discretised import discretised
 from fesim.setup.parts import make_parts
-from fesim.simulate import simulate
 from meshes.exchange import write_structure
 from meshes.three_axes import three_axis_machine
 from thermojoint.artefacts.files import temporary_folder
 from thermojoint.verification.check import Check, Quantity
-from thermojoint.verification.structures import IRON, material_section
+from thermojoint.verification.structures import IRON, marched, material_section
 
 #: Mesh size, and length of a contact element, m.
 SIZE = 0.1
@@ -129,15 +128,11 @@ def on_axes(data: dict[str, Any], courses: dict[str, dict[str, Any]]) -> dict[st
     return data | {"axes": axes, "joints": joints}
 
 
-def _marched(folder: Path, data: dict[str, Any]) -> xr.Dataset:
-    return simulate(case_from_data(data, "chain", folder), accuracy=False).response
-
-
 def _position_checks(folder: Path, at: tuple[float, float, float]) -> Iterator[Check]:
     """The chain at axis positions against the machine meshed at them."""
     standing = {name: {"position_mm": 1e3 * one} for name, one in zip(AXES, at, strict=True)}
-    riding = _marched(folder, on_axes(chain_data(folder, SHOWN), standing))
-    meshed = _marched(folder, chain_data(folder, at))
+    riding = marched(folder, on_axes(chain_data(folder, SHOWN), standing))
+    meshed = marched(folder, chain_data(folder, at))
     where = ", ".join(f"{name} {1e3 * one:g}" for name, one in zip(AXES, at, strict=True))
     for name, unit, factor in FIELDS:
         reference, found = (factor * one[name].to_numpy() for one in (meshed, riding))
@@ -192,7 +187,7 @@ def _expansion_checks(folder: Path) -> Iterator[Check]:
         },
     }
     data["initial_temperature"] = {"rise_K": RISE}
-    response = _marched(folder, on_axes(data, _courses(folder)))
+    response = marched(folder, on_axes(data, _courses(folder)))
     change = float(np.abs(response["pressure"] - PRELOAD).max()) / PRELOAD
     yield Quantity("pressure", "MPa", 1e-6).check(
         "three axes, free expansion",
@@ -220,7 +215,7 @@ def _energy_checks(folder: Path) -> Iterator[Check]:
     data["march"] = {"step_s": 600.0, "duration_min": 2400.0}
     for joint in data["joints"].values():
         joint["running_friction_coefficient"] = RUNNING
-    response = _marched(folder, on_axes(data, _courses(folder)))
+    response = marched(folder, on_axes(data, _courses(folder)))
     way = sum(1e-3 * float(np.abs(np.diff(rows, axis=0)[:, 1]).sum()) for rows in WAYS.values())
     heat = RUNNING * PRELOAD * AREA * way
     compared = Quantity("temperature", "K", 1e-2, "mu F way, the pressures as at the start")

@@ -42,12 +42,11 @@ from thermojoint.verification.moving_axis import (
     GUIDE,
     SHOWN,
     SLIDE,
-    marched,
     on_axis,
     slide_data,
     write_course,
 )
-from thermojoint.verification.structures import material_section
+from thermojoint.verification.structures import marched, material_section
 
 STEEL = Material(
     conductivity=50.0,

@@ -27,6 +27,7 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.files import temporary_folder
 from thermojoint.verification.check import Check, Quantity
 from thermojoint.verification.loaded import AREA, DENSITY, GRAVITY, HALF, WEIGHT, column_case, joint
+from thermojoint.verification.structures import marched
 
 #: Force on the top of the column, N.
 FORCE = (600.0, 0.0, -8000.0)
@@ -54,7 +55,7 @@ def _column_checks(folder: Path) -> Iterator[Check]:
         "loads": {"push": {"surface": "top", "force_N": list(FORCE)}, **WEIGHT},
         "output": {"forces": True},
     }
-    last = _march(folder, column_case(folder, True, changes))
+    last = marched(folder, column_case(folder, True, changes)).isel(time=-1)
     half = DENSITY * GRAVITY * HALF * AREA
     foot = last["reaction"].sel(support="foot")
     for axis, reference in (("x", -FORCE[0]), ("z", -FORCE[2] + 2.0 * half)):
@@ -75,7 +76,8 @@ def _column_checks(folder: Path) -> Iterator[Check]:
         "loads": {"push": {"surface": "top", "pressure_MPa": 5.0}},
         "output": {"stress_probes": ["P"]},
     }
-    point = _march(folder, column_case(folder, False, pressed)).sel(stress_probe="P")
+    response = marched(folder, column_case(folder, False, pressed))
+    point = response.isel(time=-1).sel(stress_probe="P")
     yield STRESS.check("forces, column, along its axis", -5.0, _mpa(point["stress"][2]))
     yield STRESS.check("forces, column, von Mises", 5.0, _mpa(point["von_mises"]))
 
@@ -150,10 +152,6 @@ def quarter_ring() -> Structure:
         name: facets[np.abs(at[axis] - place) < 1e-9] for name, (axis, place) in names.items()
     }
     return Structure(mesh, {"ring": np.arange(mesh.nelements)}, surfaces)
-
-
-def _march(folder: Path, data: dict[str, object]) -> xr.Dataset:
-    return simulate(case_from_data(data, "bearing", folder), accuracy=False).response.isel(time=-1)
 
 
 def _mpa(stress: xr.DataArray | Array | float) -> float:

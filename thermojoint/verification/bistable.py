@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import xarray as xr
 from scipy.optimize import brentq
 from scipy.special import erfc, erfcinv
 
@@ -179,19 +180,17 @@ def _checks(folder: Path) -> Iterator[Check]:
         if name != "open":
             pressed = 1e-6 * float(state.pressure[0])
             yield PRESSURE.check(f"{TITLE}, {name} state", 1e-6 * pressure, pressed)
+
+    def course(thermal: str = "full", end: float | None = None) -> xr.DataArray:
+        case = case_of(folder, thermal=thermal, end=end)
+        return simulate(case, accuracy=False).response["temperature"]
+
     for thermal in ("full", "reduced"):
-        cold = simulate(case_of(folder, thermal=thermal), accuracy=False).response["temperature"]
-        yield END.check(f"{TITLE}, cold rod, {thermal}", expected[0][2], cold[-1].item())
+        last = course(thermal)[-1].item()
+        yield END.check(f"{TITLE}, cold rod, {thermal}", expected[0][2], last)
     middle = expected[1][2]
-    kept = (
-        simulate(case_of(folder, end=middle), accuracy=False)
-        .response["temperature"]
-        .sel(time=600.0)
-        .item()
-    )
+    kept = course(end=middle).sel(time=600.0).item()
     yield END.check(f"{TITLE}, middle state, kept for ten minutes", middle, kept)
     for way, factor, end in (("down", 0.99, expected[0][2]), ("up", 1.01, expected[2][2])):
-        left = simulate(case_of(folder, end=factor * middle), accuracy=False).response[
-            "temperature"
-        ]
-        yield END.check(f"{TITLE}, middle state left {way}wards", end, left[-1].item())
+        left = course(end=factor * middle)[-1].item()
+        yield END.check(f"{TITLE}, middle state left {way}wards", end, left)

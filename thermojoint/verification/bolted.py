@@ -17,11 +17,10 @@ import numpy as np
 import xarray as xr
 from scipy.optimize import brentq
 
-from fesim.case.schema import case_from_data
-from fesim.simulate import simulate
 from thermojoint.artefacts.files import temporary_folder
 from thermojoint.verification.check import Check, Quantity
 from thermojoint.verification.loaded import AREA, HALF, MODULUS, column_case, joint, separation
+from thermojoint.verification.structures import marched
 
 #: Force after tightening and force that separates the joint, N; rise of the temperature, K.
 FORCE, PARTING, RISE = 20e3, 6e3, 40.0
@@ -64,7 +63,7 @@ def _diagram_checks(folder: Path) -> Iterator[Check]:
     at = 1e-6 * FORCE / AREA
     pressed = joint(preload_MPa=0.0, initial_opening_um=0.0, reference_pressure_MPa=at)
     data = bolted(folder, True, {"joints": {"joint": pressed}, "loads": {"part": force}})
-    response = simulate(case_from_data(data, "bolted", folder), accuracy=False).response
+    response = marched(folder, data)
     rest, last = response.isel(time=0), response.isel(time=-1)
     equilibrium = replace(BY_DIAGRAM, source="equilibrium")
     yield equilibrium.check("bolts, joint, after tightening", FORCE, _contact(rest))
@@ -81,7 +80,7 @@ def _diagram_checks(folder: Path) -> Iterator[Check]:
     yield BY_DIAGRAM.check("bolts, joint, parted by a force", pull - PARTING, _contact(last))
     # Without the joint: a column in one piece.
     whole = bolted(folder, False, {"loads": {"part": force}})
-    end = simulate(case_from_data(whole, "bolted", folder), accuracy=False).response.isel(time=-1)
+    end = marched(folder, whole).isel(time=-1)
     share = STIFFNESS / (STIFFNESS + COLUMN)
     computed = float(end["bolt_force"][0]) - FORCE
     name = "bolts, bolt on one bar, change by a force"
@@ -94,7 +93,7 @@ def _sleeve_checks(folder: Path) -> Iterator[Check]:
     data = bolted(folder, False, {"held_temperatures": warm})
     data["materials"]["iron"] |= {"expansion_1_K": SLEEVE_EXPANSION}
     data["march"] = {"step_s": 3600.0, "duration_min": 600.0, "thermal": "full"}
-    last = simulate(case_from_data(data, "bolted", folder), accuracy=False).response.isel(time=-1)
+    last = marched(folder, data).isel(time=-1)
     grown = (SLEEVE_EXPANSION - BOLT_EXPANSION) * LENGTH * RISE
     reference = FORCE + grown / (1.0 / STIFFNESS + 1.0 / COLUMN)
     name = "bolts, bolt through a warm sleeve"

@@ -15,14 +15,12 @@ from typing import Any
 import numpy as np
 from scipy.special import erfcinv
 
-from fesim.case.schema import case_from_data
-from fesim.simulate import simulate
 from meshes.box_grid import put_side_by_side
 from meshes.exchange import write_structure
 from meshes.structure import Probe, Structure
 from thermojoint.artefacts.files import temporary_folder
 from thermojoint.verification.check import Check, Quantity
-from thermojoint.verification.structures import box_grid, box_surfaces, facing_sides
+from thermojoint.verification.structures import box_grid, box_surfaces, facing_sides, marched
 from thermojoint.verification.thermal_bar import METAL
 
 #: Half the length of the column, and its width, m.
@@ -113,21 +111,20 @@ def checks() -> Iterator[Check]:
 def _weight_checks(folder: Path) -> Iterator[Check]:
     height = 2.0 * HALF
     sunk = -DENSITY * GRAVITY * height**2 / (2.0 * MODULUS)
-    held = simulate(case_from_data(column_case(folder, False, {"loads": WEIGHT}), "column", folder))
-    top = float(held.response["displacement"].sel(axis="z")[-1])
+    held = marched(folder, column_case(folder, False, {"loads": WEIGHT}))
+    top = float(held["displacement"].sel(axis="z")[-1])
     displacement = Quantity("displacement", "m")
     yield displacement.check("loads, column under its weight: top", sunk, top)
-    standing = simulate(case_from_data(column_case(folder, False, STANDING), "column", folder))
+    standing = marched(folder, column_case(folder, False, STANDING))
     pressure = DENSITY * GRAVITY * height
     # The approach of a joint without preload starts where its surfaces touch.
     approach = separation(pressure) - separation(1e-6 * HARDNESS)
     fallen = STANDING["joints"]["feet"] | {"initial_opening_um": 1e6 * FALL}
     data = column_case(folder, False, STANDING | {"joints": {"feet": fallen}})
-    dropped = simulate(case_from_data(data, "column", folder), accuracy=False).response
-    top = float(dropped["displacement"].sel(axis="z")[0])
+    top = float(marched(folder, data)["displacement"].sel(axis="z")[0])
     name = "loads, column above its joint: top at time zero"
     yield displacement.check(name, sunk + approach - FALL, top)
-    last = standing.response.isel(time=-1)
+    last = standing.isel(time=-1)
     name = "loads, column on a joint without preload"
     top = float(last["displacement"].sel(axis="z"))
     yield displacement.check(f"{name}: top", sunk + approach, top)
@@ -143,7 +140,7 @@ def _force_checks(folder: Path) -> Iterator[Check]:
     force = {"surface": "top", "force_N": [0.0, 0.0, FORCE], "file": "cutting.csv"}
     changes = {"joints": {"joint": joint(preload_MPa=1e-6 * PRELOAD)}, "loads": {"cut": force}}
     data = column_case(folder, True, changes)
-    response = simulate(case_from_data(data, "column", folder), accuracy=False).response
+    response = marched(folder, data)
     for time, factor in zip(TIMES[1:], (0.5, 1.0), strict=True):
         pressure = PRELOAD - factor * FORCE / AREA
         approach = separation(pressure) - separation(PRELOAD)

@@ -12,7 +12,6 @@ from skfem import MeshHex
 
 from fesim.axes.setup import set_up_axes
 from fesim.case.schema import case_from_data
-from fesim.simulate import simulate
 from meshes.box_grid import put_side_by_side
 from meshes.exchange import write_structure
 from meshes.structure import Structure
@@ -20,7 +19,13 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.files import temporary_folder
 from thermojoint.verification import axis_chain
 from thermojoint.verification.check import Check, Quantity
-from thermojoint.verification.structures import IRON, box_surfaces, facing_sides, material_section
+from thermojoint.verification.structures import (
+    IRON,
+    box_surfaces,
+    facing_sides,
+    marched,
+    material_section,
+)
 
 #: Guide along x and slide on it: lengths, depth of the guide, height of the slide, width, m.
 GUIDE, SLIDE, DEPTH, HEIGHT, WIDTH = 0.4, 0.08, 0.04, 0.04, 0.04
@@ -129,11 +134,6 @@ def on_axis(data: dict[str, Any], stroke: tuple[float, float], **axis: object) -
         "asked_mm": list(stroke),
     }
     return data | {"joints": {"joint": joint}, "axes": {"x": given | axis}}
-
-
-def marched(folder: Path, data: dict[str, Any]) -> xr.Dataset:
-    """Return the response of a case whose files are in a folder."""
-    return simulate(case_from_data(data, "slide", folder), accuracy=False).response
 
 
 def write_course(folder: Path, times: Array, places: Array) -> str:

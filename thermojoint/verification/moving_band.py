@@ -34,14 +34,13 @@ from thermojoint.verification.check import Check, Quantity
 from thermojoint.verification.moving_axis import (
     PRELOAD,
     RUNNING,
-    marched,
     on_axis,
     slide_case,
     slide_joint,
     slide_on_guide,
     write_course,
 )
-from thermojoint.verification.structures import IRON
+from thermojoint.verification.structures import IRON, marched
 
 #: Width of the band and of the guide, m.
 BAND, WIDE = 0.02, 0.1

@@ -24,14 +24,13 @@ from thermojoint.artefacts.files import temporary_folder
 from thermojoint.verification.check import Check, Quantity
 from thermojoint.verification.moving_axis import (
     PRELOAD,
-    marched,
     on_axis,
     slide_case,
     slide_joint,
     slide_on_guide,
     write_course,
 )
-from thermojoint.verification.structures import IRON, material_section
+from thermojoint.verification.structures import IRON, marched, material_section
 
 #: Beam, slide and their width, m; mesh and contact elements along them, layers of the beam.
 LENGTH, DEPTH, SLIDE, HEIGHT, WIDTH = 0.6, 0.02, 0.06, 0.04, 0.02

@@ -1,13 +1,18 @@
-"""Structures of verification cases: blocks and pairs of bars."""
+"""Structures of verification cases, blocks and pairs of bars, and the march of a case."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 from skfem import Mesh, MeshHex, MeshTet
 
+from fesim.case.schema import case_from_data
+from fesim.simulate import simulate
 from fesim.solid.materials import Material
 from meshes.box_grid import put_side_by_side
 from meshes.structure import Structure
@@ -41,6 +46,11 @@ def material_section(material: Material) -> dict[str, float]:
         "poisson_ratio": material.poisson_ratio,
         "expansion_1_K": material.expansion,
     }
+
+
+def marched(folder: Path, data: dict[str, Any]) -> xr.Dataset:
+    """Return the response of a case, given by its data, whose files are in a folder."""
+    return simulate(case_from_data(data, "case", folder), accuracy=False).response
 
 
 #: Cell types of verification cases, and their elements for temperature and displacement.

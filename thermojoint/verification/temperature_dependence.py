@@ -40,7 +40,7 @@ from meshes.exchange import write_structure
 from meshes.structure import Probe, Structure
 from thermojoint.artefacts.files import temporary_folder
 from thermojoint.verification.check import Check, Quantity
-from thermojoint.verification.structures import box_grid
+from thermojoint.verification.structures import box_grid, marched
 from thermojoint.verification.thermal_bar import (
     CAPACITY,
     CONDUCTIVITY,
@@ -50,7 +50,6 @@ from thermojoint.verification.thermal_bar import (
     METAL,
     WIDTH,
     bar_case,
-    run,
 )
 
 #: Slope of the factors, 1/K, and their last temperature, K: a change by one half.
@@ -80,7 +79,7 @@ def checks() -> Iterator[Check]:
 def _conducting(folder: Path) -> Iterator[Check]:
     held = {"held_temperatures": {"x0": {"rise_K": 0.0}, "x1": {"rise_K": HOT}}}
     for name, factor, slope in (("rising", RISING, SLOPE), ("falling", FALLING, -SLOPE)):
-        response = run(bar_case(folder, held, metal={"conductivity_factor": factor}), folder)
+        response = marched(folder, bar_case(folder, held, metal={"conductivity_factor": factor}))
         middle = response["temperature"][-1].sel(probe="middle").item()
         half = 0.5 * (HOT + 0.5 * slope * HOT**2)
         expected = (np.sqrt(1.0 + 2.0 * slope * half) - 1.0) / slope
@@ -101,7 +100,7 @@ def _radiating(folder: Path) -> Iterator[Check]:
     film = {"convection_W_m2K": {"x1": FILM}, "convection_factor": {"x1": RISING}}
     warm = (np.sqrt(1.0 + 4.0 * SLOPE * flux / FILM) - 1.0) / (2.0 * SLOPE)
     for name, lost, expected in (("radiation", black, hot), ("film", film, warm)):
-        response = run(bar_case(folder, driven | lost), folder)
+        response = marched(folder, bar_case(folder, driven | lost))
         end = response["temperature"][-1].sel(probe="end").item()
         yield TEMPERATURE.check(f"temperature dependence, {name}: surface", expected, end)
         yield _settled(name, response)
@@ -112,7 +111,7 @@ def _growing(folder: Path) -> Iterator[Check]:
         "initial_temperature": {"rise_K": 60.0},
         "march": {"step_s": 1.0, "duration_min": 0.1, "thermal": "full"},
     }
-    response = run(bar_case(folder, warm, metal={"expansion_factor": RISING}), folder)
+    response = marched(folder, bar_case(folder, warm, metal={"expansion_factor": RISING}))
     expected = EXPANSION * LENGTH * (60.0 + 0.5 * SLOPE * 60.0**2)
     for name, row in (("start", 0), ("end", -1)):
         computed = response["displacement"][row].sel(axis="x").item()
@@ -130,7 +129,7 @@ def _softening(folder: Path) -> Iterator[Check]:
             "supports": {"symmetry": {f"{axis}{end}": axis for axis in "xyz" for end in "01"}},
             "displacement": {"point": "middle"},
         }
-        response = run(bar_case(folder, held, metal=metal), folder)
+        response = marched(folder, bar_case(folder, held, metal=metal))
         whole, half = np.log1p(slope * HOT), np.log1p(0.5 * slope * HOT)
         # The stress times L/(E0 b T1).
         pressed = -0.5 * EXPANSION * HOT * LENGTH / whole
@@ -143,7 +142,7 @@ def _softening(folder: Path) -> Iterator[Check]:
             "loads": {"pull": {"surface": "x1", "force_N": [4e4, 0.0, 0.0]}},
             "march": {"step_s": 1.0, "duration_min": 0.05, "thermal": "full"},
         }
-        response = run(bar_case(folder, pulled, metal=metal), folder)
+        response = marched(folder, bar_case(folder, pulled, metal=metal))
         soft = modulus * (1.0 + 60.0 * slope)
         expected = LENGTH * (60.0 * EXPANSION + 4e4 / (WIDTH**2 * soft))
         for when, row in (("start", 0), ("end", -1)):
@@ -178,7 +177,7 @@ def _pressing(folder: Path, name: str, metal: dict[str, Any], soft: float) -> Ch
         },
         "march": {"step_s": 1.0, "duration_min": 0.05, "thermal": "full"},
     }
-    response = run(bar_case(folder, pressing, metal=metal), folder)
+    response = marched(folder, bar_case(folder, pressing, metal=metal))
 
     def left(gap: float) -> float:
         pressure = (np.sqrt(preload) - gap / coefficient) ** 2
@@ -201,7 +200,7 @@ def _cooling(folder: Path) -> Iterator[Check]:
         "march": {"step_s": step, "duration_min": step * count / 60.0, "thermal": "full"},
     }
     size = SHORT, WIDTH, WIDTH
-    response = run(bar_case(folder, changes, (1, 1, 1), size), folder)
+    response = marched(folder, bar_case(folder, changes, (1, 1, 1), size))
     computed = response["temperature"][-1].sel(probe="end").item()
     left = HOT / (1.0 + SLOPE * HOT) * np.exp(-rate * float(response["time"][-1]))
     expected = left / (1.0 - SLOPE * left)
@@ -217,7 +216,7 @@ def _storing(folder: Path) -> Iterator[Check]:
     }
     rise = 30.0 * POWER * 120.0 / (DENSITY * CAPACITY * LENGTH * WIDTH**2)
     for name, factor, slope in (("rising", RISING, SLOPE), ("falling", FALLING, -SLOPE)):
-        response = run(bar_case(folder, heated, metal={"heat_capacity_factor": factor}), folder)
+        response = marched(folder, bar_case(folder, heated, metal={"heat_capacity_factor": factor}))
         expected = (np.sqrt(1.0 + 2.0 * slope * rise) - 1.0) / slope
         title = f"temperature dependence, {name} heat capacity: end"
         yield TEMPERATURE.check(
@@ -261,7 +260,7 @@ def _enclosing(folder: Path) -> Iterator[Check]:
         },
     )
     data["probes"] = {"left": {"position_mm": [1e3 * LENGTH, 10.0, 10.0], "body": "left"}}
-    response = run(data, folder)
+    response = marched(folder, data)
     flux = HOT / (1.5 * LENGTH / CONDUCTIVITY + 2.0 / FILM)
     computed = response["temperature"][-1, 0].item()
     expected = flux * LENGTH / CONDUCTIVITY

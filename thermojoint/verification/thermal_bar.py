@@ -5,10 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import xarray as xr
-
-from fesim.case.schema import case_from_data
-from fesim.simulate import simulate
 from meshes.exchange import write_structure
 from thermojoint.verification.structures import block, box_grid
 
@@ -56,8 +52,3 @@ def bar_case(
         },
     }
     return data | changes
-
-
-def run(data: dict[str, Any], folder: Path) -> xr.Dataset:
-    """Simulate the case given by its data."""
-    return simulate(case_from_data(data, "case", folder), accuracy=False).response

@@ -31,6 +31,7 @@ from thermojoint.verification.loaded import (
     joint,
     separation,
 )
+from thermojoint.verification.structures import marched
 from thermojoint.verification.thermal_bar import (
     CAPACITY,
     CONDUCTIVITY,
@@ -39,7 +40,6 @@ from thermojoint.verification.thermal_bar import (
     LENGTH,
     WIDTH,
     bar_case,
-    run,
 )
 
 WAVE = 10.0
@@ -79,7 +79,7 @@ def _decaying_wave(folder: Path) -> Iterator[Check]:
             "initial_temperature": {"expression_K": f"{WAVE} * cos(pi * x_mm / {1e3 * LENGTH})"},
             "march": {"step_s": step, "duration_min": step * count / 60.0, "thermal": thermal},
         }
-        response = run(bar_case(folder, changes, (40, 1, 1)), folder)
+        response = marched(folder, bar_case(folder, changes, (40, 1, 1)))
         computed = response["temperature"].sel(probe="start").to_numpy()
         name = f"thermal fields, wave left alone, {thermal}"
         yield Quantity("temperature", "K", 1e-9).check(f"{name}: start", WAVE, computed[0])
@@ -99,7 +99,7 @@ def _warm_start(folder: Path) -> Iterator[Check]:
     )
     for thermal in ("full", "reduced"):
         data["march"] |= {"thermal": thermal}
-        pressure = run(data, folder)["pressure"].to_numpy()
+        pressure = marched(folder, data)["pressure"].to_numpy()
         expected = pressed_pressure(WARM)
         for name, row in (("start", 0), ("end", -1)):
             title = f"thermal fields, warm bars between walls, {thermal}: {name}"
@@ -114,7 +114,7 @@ def _uneven_source(folder: Path) -> Check:
         "heat_input": {"kind": "step", "level": 1.0},
         "held_temperatures": {"x0": {"rise_K": 0.0}},
     }
-    computed = run(bar_case(folder, changes), folder)["temperature"][-1].sel(probe="end").item()
+    computed = marched(folder, bar_case(folder, changes))["temperature"][-1].sel(probe="end").item()
     expected = 2.0 * POWER * LENGTH / (3.0 * WIDTH**2 * CONDUCTIVITY)
     compared = Quantity("temperature", "K", 1e-6)
     return compared.check("thermal fields, heat in proportion to x: end", expected, computed)
@@ -130,7 +130,7 @@ def _uneven_edge(folder: Path) -> Check:
         "march": {"step_s": FOREVER, "duration_min": FOREVER / 60.0, "thermal": "full"},
     }
     plate = bar_case(folder, changes, (32, 32, 1), (SIDE, SIDE, 0.01))
-    computed = run(plate, folder)["temperature"][-1].sel(probe="middle").item()
+    computed = marched(folder, plate)["temperature"][-1].sel(probe="middle").item()
     expected = 100.0 / (2.0 * np.cosh(0.5 * np.pi))
     compared = Quantity("temperature", "K", 5e-3)
     return compared.check("thermal fields, edge held at a sine: middle", expected, computed)

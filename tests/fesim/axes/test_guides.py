@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from thermojoint.verification.moving_axis import marched, on_axis, slide_data, write_course
+from thermojoint.verification.moving_axis import on_axis, slide_data, write_course
+from thermojoint.verification.structures import marched
 
 STROKE = (0.0, 320.0)
 #: Of rollers, in grease: across they hold.

@@ -22,7 +22,8 @@ from meshes.exchange import write_structure
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import read_response, write_response
 from thermojoint.paper.summary import result_lines
-from thermojoint.verification.thermal_bar import METAL, bar_case, run
+from thermojoint.verification.structures import marched
+from thermojoint.verification.thermal_bar import METAL, bar_case
 
 REFERENCE = ROOT / "thermojoint" / "cases" / "reference.toml"
 POINTS = np.array([[0.0, 0.1, 0.2], [0.0, 0.05, -0.1], [0.3, 0.0, 0.1]])
@@ -360,14 +361,14 @@ def heated(folder, profile, **where):
 @pytest.mark.parametrize("where", [{"body": "block"}, {"surface": "z1"}])
 def test_a_profile_moves_heat_and_keeps_the_power(tmp_path, where):
     (tmp_path / "weights.csv").write_text("x_mm,factor\n0,0\n100,100\n")
-    by_formula = run(heated(tmp_path, {"expression": "x_mm"}, **where), tmp_path)
-    by_table = run(heated(tmp_path, {"file": "weights.csv"}, **where), tmp_path)
+    by_formula = marched(tmp_path, heated(tmp_path, {"expression": "x_mm"}, **where))
+    by_table = marched(tmp_path, heated(tmp_path, {"file": "weights.csv"}, **where))
     even = heated(tmp_path, {"expression": "7"}, **where)
     plain = heated(tmp_path, {"expression": "7"}, **where)
     del plain["sources"]["heat"]["profile"]
     np.testing.assert_allclose(by_formula["temperature"], by_table["temperature"], rtol=1e-9)
     np.testing.assert_allclose(
-        run(even, tmp_path)["temperature"], run(plain, tmp_path)["temperature"], rtol=1e-9
+        marched(tmp_path, even)["temperature"], marched(tmp_path, plain)["temperature"], rtol=1e-9
     )
     last = by_formula["temperature"][-1]
     assert last.sel(probe="end") > last.sel(probe="middle") > last.sel(probe="start")
@@ -387,7 +388,7 @@ def test_a_profile_moves_heat_and_keeps_the_power(tmp_path, where):
 )
 def test_a_profile_that_is_none_is_one_line(tmp_path, profile, message):
     with pytest.raises(InputError, match=message) as refused:
-        run(heated(tmp_path, profile), tmp_path)
+        marched(tmp_path, heated(tmp_path, profile))
     assert "\n" not in str(refused.value)
 
 
@@ -413,7 +414,7 @@ def test_a_held_profile_follows_its_history_in_both_models(tmp_path):
         march = {"step_s": 10.0, "duration_min": 1.0, "thermal": thermal}
         data = bar_case(tmp_path, {"held_temperatures": held, "march": march}, (8, 2, 2))
         data["probes"] |= {f"y{y:g}": {"position_mm": [0.0, y, 10.0]} for y in (0.0, 10.0, 20.0)}
-        found.append(run(data, tmp_path)["temperature"])
+        found.append(marched(tmp_path, data)["temperature"])
     full, reduced = found
     on_edge = full[-1].sel(probe=["y0", "y10", "y20"]).to_numpy()
     np.testing.assert_allclose(on_edge, [15.0, 30.0, 45.0], rtol=1e-12)

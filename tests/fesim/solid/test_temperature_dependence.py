@@ -22,8 +22,9 @@ from fesim.solid.temperature_factor import TemperatureFactor, thermal_growth
 from meshes.exchange import write_structure
 from thermojoint.artefacts.errors import ConvergenceError, InputError
 from thermojoint.paper.observers import observers_beside
+from thermojoint.verification.structures import marched
 from thermojoint.verification.temperature_dependence import FALLING, RISING
-from thermojoint.verification.thermal_bar import FOREVER, METAL, bar_case, run
+from thermojoint.verification.thermal_bar import FOREVER, METAL, bar_case
 
 EXAMPLE = ROOT / "examples" / "warm_machine" / "machine.toml"
 FLAT = {"rise_K": [0.0], "factor": [1.0]}
@@ -61,10 +62,10 @@ def driven(folder, **changes):
 
 
 def test_factors_of_one_are_the_constant_march(tmp_path):
-    plain = run(driven(tmp_path), tmp_path)
+    plain = marched(tmp_path, driven(tmp_path))
     data = driven(tmp_path, convection_factor={"x1": FLAT})
     data["materials"]["metal"] |= {"conductivity_factor": FLAT, "expansion_factor": FLAT}
-    same = run(data, tmp_path)
+    same = marched(tmp_path, data)
     np.testing.assert_allclose(same["temperature"], plain["temperature"], rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(same["displacement"], plain["displacement"], rtol=1e-9, atol=1e-14)
     assert "secant_residual" not in plain
@@ -179,7 +180,7 @@ def test_radiation_follows_the_ambient(tmp_path):
         "radiation": {name: {"emissivity": 1.0, "ambient_degC": 20.0} for name in ("x1", "y1")},
         "march": {"step_s": FOREVER, "duration_min": FOREVER / 60.0, "thermal": "full"},
     }
-    found = run(driven(tmp_path, **still), tmp_path)
+    found = marched(tmp_path, driven(tmp_path, **still))
     np.testing.assert_allclose(found["temperature"][-1], 30.0, rtol=1e-9)
 
 
@@ -209,7 +210,7 @@ def test_an_unsettled_secant_step_is_one_line(tmp_path):
 )
 def test_a_slip_about_what_depends_on_temperature_is_one_line(tmp_path, changes, message):
     with pytest.raises(InputError, match=message) as refused:
-        run(driven(tmp_path, **changes), tmp_path)
+        marched(tmp_path, driven(tmp_path, **changes))
     assert "\n" not in str(refused.value)
 
 
