@@ -41,6 +41,7 @@ from fesim.march.compiled_step import (
 from fesim.march.contact import Laws
 from fesim.march.kernel import new_kept, owned
 from thermojoint.artefacts.arrays import Array
+from thermojoint.reduced.axes_march import Record
 
 
 class Aligned(NamedTuple):
@@ -117,17 +118,6 @@ class Passed(NamedTuple):
     system: Array
     #: Shape (r,): amplitudes due to heat of the rows.
     drawn: Array
-
-
-class Recorded(NamedTuple):
-    """Results of a march of n steps, written in place."""
-
-    #: Shape (n, r).
-    amplitudes: Array
-    #: Shape (n, axes): m.
-    displacement: Array
-    #: Shapes (n, ...).
-    joint: JointState
 
 
 class Steps(NamedTuple):
@@ -384,7 +374,7 @@ def _pass_heat(guide: Guided, passed: Passed, amplitudes: Array) -> None:
 
 
 @compiled
-def march_along(guide: Guided, steps: Steps, inputs: Array, now: Moving, record: Recorded) -> int:
+def march_along(guide: Guided, steps: Steps, inputs: Array, now: Moving, record: Record) -> int:
     """March through inputs, into a record.
 
     Parameters
@@ -398,8 +388,8 @@ def march_along(guide: Guided, steps: Steps, inputs: Array, now: Moving, record:
         travel, m.
     now : Moving
         Amplitudes and joints, in place.
-    record : Recorded
-        After each step.
+    record : Record
+        After each step; its temperatures of drives are not written.
 
     Returns
     -------
@@ -433,9 +423,9 @@ def march_along(guide: Guided, steps: Steps, inputs: Array, now: Moving, record:
         put(amplitudes, now.amplitudes)
         _take(there, kept.work, amplitudes, now.joint, none)
         put(amplitudes, record.amplitudes[n])
-        put(there.displacement, record.displacement[n])
-        put(now.joint.gap, record.joint.gap[n])
-        put(now.joint.slip, record.joint.slip[n])
-        put(now.joint.pressure, record.joint.pressure[n])
-        put(now.joint.change, record.joint.change[n])
+        put(there.displacement, record.probes[n])
+        put(now.joint.gap, record.gap[n])
+        put(now.joint.slip, record.slip[n])
+        put(now.joint.pressure, record.pressure[n])
+        put(now.joint.change, record.change[n])
     return len(inputs)

@@ -479,6 +479,27 @@ class Modes:
     way: Guideway | None = None
     drives: AxisDrives | None = None
 
+    def with_more(
+        self, rates: Array, rows: Callable[[Array], Array], columns: Callable[[Array], Array]
+    ) -> Modes:
+        """Return the modes with others of some rates, 1/s, that begin at zero.
+
+        `rows` (..., r) and `columns` (r, ...) transform what is per mode.
+        """
+        return replace(
+            self,
+            rates=np.append(self.rates, rates),
+            drive=columns(self.drive),
+            jump=rows(self.jump),
+            entry=columns(self.entry),
+            mean=rows(self.mean),
+            sensors=rows(self.sensors),
+            start=np.append(self.start, np.zeros(rates.size)),
+            elastic=self.elastic.turned(rows),
+            way=None if self.way is None else self.way.turned(rows),
+            drives=None if self.drives is None else self.drives.turned(rows, columns),
+        )
+
 
 def placed(modes: Modes, at: Place) -> Modes:
     """Return the modes of a machine whose axes are fixed at positions, m."""
@@ -651,8 +672,6 @@ def lagging(modes: Modes, lags: Array) -> Modes:
         lag = lag * np.where(near, 1.0 + 2.0 * NEAR, 1.0)[:, None]
     seen = modes.sensors[slow]
     followed = seen / (1.0 - lag * modes.rates)
-    sensors = np.pad(modes.sensors, ((0, 0), (0, slow.size)))
-    sensors[slow] = np.hstack([followed, np.eye(slow.size)])
 
     def none(rows: Array) -> Array:
         return np.pad(rows, ((0, 0), (0, slow.size)))
@@ -660,20 +679,11 @@ def lagging(modes: Modes, lags: Array) -> Modes:
     def driven(columns: Array) -> Array:
         return np.vstack([columns, -followed @ columns])
 
-    drives = modes.drives
-    return replace(
-        modes,
-        rates=np.append(modes.rates, 1.0 / lag),
-        drive=driven(modes.drive),
-        jump=none(modes.jump),
-        entry=driven(modes.entry),
-        mean=none(modes.mean),
-        sensors=sensors,
-        start=np.append(modes.start, (seen - followed) @ modes.start),
-        elastic=modes.elastic.turned(none),
-        way=None if modes.way is None else modes.way.turned(none),
-        drives=None if drives is None else drives.turned(none, driven),
-    )
+    sensors = none(modes.sensors)
+    sensors[slow] = np.hstack([followed, np.eye(slow.size)])
+    start = np.append(modes.start, (seen - followed) @ modes.start)
+    found = modes.with_more(1.0 / lag[:, 0], none, driven)
+    return replace(found, sensors=sensors, start=start)
 
 
 def _drive(

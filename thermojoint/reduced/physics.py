@@ -42,7 +42,6 @@ from thermojoint.reduced.axis_way import Way, way_between
 from thermojoint.reduced.guided_march import (
     Aligned,
     Guided,
-    Recorded,
     Steps,
     aligned_elasticity,
     guided,
@@ -619,8 +618,7 @@ def _march_moving(physics: Physics, inputs: Array, length: float, gone: Array | 
         part, taken = axes_march.Record(*(one[k:] for one in found)), 0
         if guide is not None:
             moving = Moving(now.amplitudes, joint)
-            record = Recorded(part.amplitudes, part.probes, JointState(*part[3:]))
-            taken = march_along(*guide, ways[k:], moving, record)
+            taken = march_along(*guide, ways[k:], moving, part)
         elif along is not None:
             taken = axes_march.march_along(along, ways[k:], k, (now, joint), part)
         if taken:

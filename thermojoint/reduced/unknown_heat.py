@@ -64,20 +64,9 @@ def with_unknown_heat(
 
     kept, keeps = 1.0 / (1.0 + machine.step * modes.rates), 1.0 / (1.0 + machine.step * rate)
     added = np.vstack([-shares * kept[:, None] / keeps, np.eye(faces)])
-    found = replace(
-        modes,
-        rates=np.append(modes.rates, np.full(faces, rate)),
-        drive=driven(np.delete(modes.drive, own, axis=1)),
-        jump=rows(modes.jump),
-        entry=driven(modes.entry),
-        mean=rows(modes.mean),
-        sensors=rows(modes.sensors),
-        start=np.append(modes.start, np.zeros(faces)),
-        elastic=modes.elastic.turned(rows),
-        film=driven(rows(modes.film)),
-        way=None if modes.way is None else modes.way.turned(rows),
-        drives=None if modes.drives is None else modes.drives.turned(rows, driven),
-    )
+    known_only = replace(modes, drive=np.delete(modes.drive, own, axis=1))
+    found = known_only.with_more(np.full(faces, rate), rows, driven)
+    found = replace(found, film=driven(rows(modes.film)))
     return found, added * size * np.sqrt(1.0 - keeps**2)
 
 
