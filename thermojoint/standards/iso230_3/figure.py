@@ -10,9 +10,9 @@ import numpy as np
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.figures import SHADES, WIDTH, legend_above, stacked_panels
 from thermojoint.standards.iso230_3.evaluation import Evaluation
-from thermojoint.standards.iso230_3.parameters import FIRST, Parameter, Quantity
+from thermojoint.standards.iso230_3.parameters import FIRST, Parameter
 from thermojoint.standards.iso230_3.protocol import Protocol
-from thermojoint.standards.iso230_3.record import Record
+from thermojoint.standards.iso230_3.record import Quantity, Record
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -42,11 +42,11 @@ def figure_of(record: Record, evaluation: Evaluation) -> Figure:
     period (with many ranges only over the whole one); dots on the curves mark its ends. Vertical
     lines are the ends of the periods.
     """
-    groups: list[tuple[Quantity, Mapping[str, Array]]] = [("displacement", record.displacements)]
-    if record.tilts:
-        groups.append(("tilt", record.tilts))
-    if record.temperatures:
-        groups.append(("temperature", record.temperatures))
+    groups = {
+        quantity: channels
+        for quantity, channels in record.channels.items()
+        if channels or quantity == "displacement"
+    }
     figure, panels = stacked_panels(len(groups), WIDTH, 0.5 + 3.0 * len(groups))
     first, last = _shown(record, evaluation)
     inside = (record.times >= first) & (record.times <= last)
@@ -54,7 +54,7 @@ def figure_of(record: Record, evaluation: Evaluation) -> Figure:
     columns = max(map(len, marked.values())) + 0.5 * bool(any(marked.values()))
     taken = min(_COLUMN * columns, _COLUMNS)
     column = (last - first) * taken / (1.0 - taken) / max(columns, 1.0)
-    for panel, (quantity, channels) in zip(panels, groups, strict=True):
+    for panel, (quantity, channels) in zip(panels, groups.items(), strict=True):
         shown = {name: values[inside] for name, values in channels.items()}
         _draw(panel, record.times[inside], quantity, shown)
         _mark_periods(panel, evaluation)

@@ -5,20 +5,17 @@ Every parameter is a range, highest minus lowest value, and does not depend on a
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Literal
 
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.standards.iso230_3.extremes import Extremes, extremes
 from thermojoint.standards.iso230_3.period import Period, whole
-from thermojoint.standards.iso230_3.record import Record
+from thermojoint.standards.iso230_3.record import Quantity, Record
 
 #: Duration of the first part of a test with motion, which is evaluated separately, s.
 FIRST = 3600.0
-
-Quantity = Literal["displacement", "tilt", "temperature"]
 
 
 @dataclass(frozen=True)
@@ -48,18 +45,7 @@ def environment(record: Record) -> tuple[Parameter, ...]:
     ETVE(c) is the range over the whole record of a machine at standstill; ΔT(c) the range of a
     temperature over the same time.
     """
-    period = whole(record)
-    return tuple(
-        _parameter(
-            record,
-            f"{'ΔT' if quantity == 'temperature' else 'ETVE'}({channel})",
-            quantity,
-            channel,
-            values,
-            period,
-        )
-        for quantity, channel, values in _channels(record)
-    )
+    return _parameters(record, "ETVE", {"": whole(record)})
 
 
 def distortion(record: Record, period: Period) -> tuple[Parameter, ...]:
@@ -79,18 +65,7 @@ def distortion(record: Record, period: Period) -> tuple[Parameter, ...]:
             "60 min, so let it run for longer"
         )
     first = Period(period.begin, min(period.begin + FIRST, period.end))
-    return tuple(
-        _parameter(
-            record,
-            f"{'ΔT' if quantity == 'temperature' else 'd'}({channel}){mark}",
-            quantity,
-            channel,
-            values,
-            over,
-        )
-        for quantity, channel, values in _channels(record)
-        for mark, over in (("60", first), ("t", period))
-    )
+    return _parameters(record, "d", {"60": first, "t": period})
 
 
 def unsettled(record: Record, period: Period) -> dict[str, float]:
@@ -114,16 +89,21 @@ def unsettled(record: Record, period: Period) -> dict[str, float]:
 
 
 def _channels(record: Record) -> Iterator[tuple[Quantity, str, Array]]:
-    for channel, values in record.displacements.items():
-        yield "displacement", channel, values
-    for channel, values in record.tilts.items():
-        yield "tilt", channel, values
-    for channel, values in record.temperatures.items():
-        yield "temperature", channel, values
+    for quantity, channels in record.channels.items():
+        for channel, values in channels.items():
+            yield quantity, channel, values
 
 
-def _parameter(
-    record: Record, symbol: str, quantity: Quantity, channel: str, values: Array, period: Period
-) -> Parameter:
-    extreme = extremes(record.times, values, period.begin, period.end, channel)
-    return Parameter(symbol, quantity, channel, period, extreme)
+def _parameters(record: Record, name: str, periods: Mapping[str, Period]) -> tuple[Parameter, ...]:
+    """Ranges of every channel; `periods` by the ends of their symbols; a temperature's is ΔT."""
+    return tuple(
+        Parameter(
+            f"{'ΔT' if quantity == 'temperature' else name}({channel}){mark}",
+            quantity,
+            channel,
+            period,
+            extremes(record.times, values, *period, channel),
+        )
+        for quantity, channel, values in _channels(record)
+        for mark, period in periods.items()
+    )

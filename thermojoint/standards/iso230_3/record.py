@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from thermojoint.standards.iso230_3.targets import driven, read_at
 if TYPE_CHECKING:
     import xarray as xr
 
+Quantity = Literal["displacement", "tilt", "temperature"]
 #: Names of rotations about the axes of a response.
 TURNS = {"x": "A", "y": "B", "z": "C"}
 #: Largest number of temperatures taken from a response by default: it may have hundreds of
@@ -51,6 +52,15 @@ class Record:
     began: float = math.nan
     #: Tilt to the distance of its two probes, m.
     distances: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def channels(self) -> dict[Quantity, Mapping[str, Array]]:
+        """The channels of every quantity."""
+        return {
+            "displacement": self.displacements,
+            "tilt": self.tilts,
+            "temperature": self.temperatures,
+        }
 
 
 def response_record(

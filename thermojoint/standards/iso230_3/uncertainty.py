@@ -113,12 +113,8 @@ def _probed(
 def _repeated(record: Record, parameter: Parameter, instruments: Instruments) -> Contribution:
     if (known := instruments.repeat.get(parameter.quantity)) is not None:
         return Contribution("repeat", known.value, known.basis)
-    channels = {
-        "displacement": record.displacements,
-        "tilt": record.tilts,
-        "temperature": record.temperatures,
-    }[parameter.quantity]
-    scattered = scatter(record.times, channels[parameter.channel])
+    values = record.channels[parameter.quantity][parameter.channel]
+    scattered = scatter(record.times, values)
     return Contribution(
         "repeat",
         math.sqrt(2.0) * scattered,
