@@ -11,8 +11,13 @@ from estimator.joint_aware.observer_model import ObserverModel
 from thermojoint.artefacts.figures import SHADES, WIDTH, legend_above, stacked_panels
 from thermojoint.artefacts.units import MICRO
 from thermojoint.compensation.loop.judging import runs_of
-from thermojoint.compensation.loop.linear import channels_of, disturbed, open_loop, state_space
-from thermojoint.compensation.loop.python_control import python_control
+from thermojoint.compensation.loop.linear import (
+    channels_of,
+    disturbed,
+    open_loop,
+    python_control,
+    state_space,
+)
 from thermojoint.compensation.loop.run import Closed, Design
 
 if TYPE_CHECKING:

@@ -10,6 +10,7 @@ x+ = F x + K e, e = y - H F x, for the estimator (docs/closing-the-loop.md):
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import ModuleType
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -20,8 +21,8 @@ from estimator.joint_aware.observer import Observer
 from estimator.joint_aware.observer_model import ObserverModel
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import unknown_name
+from thermojoint.artefacts.extras import require
 from thermojoint.compensation.loop.controller import Controller
-from thermojoint.compensation.loop.python_control import python_control
 
 if TYPE_CHECKING:
     import control
@@ -68,6 +69,20 @@ class Responses:
     noise_heat: Complex
     #: T, s.
     step: float
+
+
+def python_control() -> ModuleType:
+    """Return python-control, an optional dependency.
+
+    Raises
+    ------
+    InputError
+        It is not installed.
+    """
+    require("heater: its transfer functions", "control", "control")
+    import control
+
+    return control
 
 
 def channels_of(model: ObserverModel, heater: str, disturbance: str, axis: str) -> Channels:
