@@ -16,8 +16,7 @@ import numpy as np
 
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
-from thermojoint.artefacts.files import write_text
-from thermojoint.artefacts.json_file import JsonKind, read_json
+from thermojoint.artefacts.json_file import JsonKind, read_json, write_json
 
 FILE = JsonKind(
     "thermojoint-estimator-state",
@@ -64,7 +63,7 @@ def write_state(saved: SavedState, path: Path | str) -> None:
         "state": [None if math.isnan(value) else value for value in saved.values.tolist()],
     } | ({} if math.isnan(saved.cold) else {"cold_K": saved.cold})
     content = FILE.header | body | {"checksum": _checksum(body)}
-    write_text(Path(path), json.dumps(content, allow_nan=False) + "\n")
+    write_json(path, content, indent=None)
 
 
 def read_state(path: Path | str) -> SavedState:

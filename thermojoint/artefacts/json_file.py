@@ -1,4 +1,4 @@
-"""JSON files with a schema and a version: reading and validation."""
+"""JSON files with a schema and a version: reading, validation and writing."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 from pydantic import TypeAdapter, ValidationError
 
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.files import write_text
 
 T = TypeVar("T")
 
@@ -33,6 +34,17 @@ class JsonKind:
     def header(self) -> dict[str, Any]:
         """The first two entries of a file."""
         return {"schema": self.schema, "schema_version": self.version}
+
+
+def write_json(path: Path | str, content: object, indent: int | None = 2) -> None:
+    """Write content as JSON, whole or not at all.
+
+    Raises
+    ------
+    ValueError
+        A number is not finite.
+    """
+    write_text(Path(path), json.dumps(content, indent=indent, allow_nan=False) + "\n")
 
 
 def read_json(path: Path | str, kind: JsonKind) -> dict[str, Any]:

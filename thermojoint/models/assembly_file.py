@@ -16,8 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
-from thermojoint.artefacts.files import write_text
-from thermojoint.artefacts.json_file import JsonKind, read_json, without_header
+from thermojoint.artefacts.json_file import JsonKind, read_json, without_header, write_json
 from thermojoint.models.assembly import Assembly
 from thermojoint.models.filters.bank import Bank
 from thermojoint.models.parameters import Model
@@ -47,7 +46,7 @@ def write_assembly(assembly: Assembly, path: Path | str) -> None:
     path : Path or str
         JSON to write.
     """
-    write_text(Path(path), json.dumps(as_content(assembly), indent=1, allow_nan=False) + "\n")
+    write_json(path, as_content(assembly), indent=1)
 
 
 def read_assembly(path: Path | str) -> Assembly:

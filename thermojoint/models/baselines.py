@@ -7,7 +7,6 @@ has a constant term: a machine at rest has no displacement. `calibrate.baselines
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,8 +16,7 @@ from pydantic import PositiveFloat, TypeAdapter
 
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
-from thermojoint.artefacts.files import write_text
-from thermojoint.artefacts.json_file import JsonKind, read_json, validated
+from thermojoint.artefacts.json_file import JsonKind, read_json, validated, write_json
 from thermojoint.models.parameters import STRICT, Span
 from thermojoint.models.sensors import ROLES
 
@@ -84,8 +82,7 @@ _BASELINES: TypeAdapter[Baselines] = TypeAdapter(Baselines)
 
 def write_baselines(baselines: Baselines, path: Path) -> None:
     """Write baselines to `path` (JSON), whole or not at all."""
-    content = FILE.header | _BASELINES.dump_python(baselines, mode="json")
-    write_text(Path(path), json.dumps(content, indent=2, allow_nan=False) + "\n")
+    write_json(path, FILE.header | _BASELINES.dump_python(baselines, mode="json"))
 
 
 def read_baselines(path: Path) -> Baselines:

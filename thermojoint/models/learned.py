@@ -24,8 +24,7 @@ from pydantic import NonNegativeFloat, PositiveFloat, TypeAdapter
 from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import InputError
-from thermojoint.artefacts.files import write_text
-from thermojoint.artefacts.json_file import JsonKind, read_json, validated
+from thermojoint.artefacts.json_file import JsonKind, read_json, validated, write_json
 from thermojoint.artefacts.quantities import column_named
 from thermojoint.models.filters.relaxations import relax_all
 from thermojoint.models.parameters import STRICT
@@ -331,10 +330,9 @@ def write_learned(model: LearnedModel, path: Path | str) -> None:
     """
     content = FILE.header | _MODEL.dump_python(model, mode="json")
     try:
-        text = json.dumps(content, indent=1, allow_nan=False)
+        write_json(path, content, indent=1)
     except ValueError as error:
         raise InputError(f"{path}: the model has a value that is not finite") from error
-    write_text(Path(path), text + "\n")
 
 
 def read_learned(path: Path | str) -> LearnedModel:

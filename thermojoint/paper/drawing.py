@@ -16,6 +16,7 @@ from estimator.noise import joint_noise
 from estimator.superposition import superposed
 from fesim.case.schema import Case
 from fesim.setup.machine import Setup
+from thermojoint.console import Report
 from thermojoint.models.parameters import Model
 from thermojoint.models.sensors import roles_in
 from thermojoint.paper.inputs import (
@@ -25,7 +26,6 @@ from thermojoint.paper.inputs import (
     PRESSURE,
     REFERENCE,
     TRIANGLE,
-    Report,
 )
 from thermojoint.paper.report import Picture
 from thermojoint.pictures.figures import (

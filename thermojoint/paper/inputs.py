@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -15,12 +15,12 @@ from fesim.case.thermal_sections import StepInput, TriangleInput
 from fesim.setup.machine import Setup, set_up
 from fesim.simulate import simulate
 from thermojoint.artefacts.errors import InputError
+from thermojoint.console import Report
 
 if TYPE_CHECKING:
     import xarray as xr
 
 HeatInput = StepInput | TriangleInput
-Report = Callable[[str, int, int], None]
 
 CALIBRATION: dict[str, HeatInput] = {
     "step-0.5": StepInput(kind="step", level=0.5),

@@ -28,7 +28,8 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.response import probes_of
-from thermojoint.paper.inputs import CALIBRATION, COOL_DOWN, DAY, Report, simulate_inputs
+from thermojoint.console import Report
+from thermojoint.paper.inputs import CALIBRATION, COOL_DOWN, DAY, simulate_inputs
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -6,7 +6,6 @@ every other estimator.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from pathlib import Path
@@ -28,7 +27,7 @@ from fesim.one_thread import one_thread
 from fesim.setup.machine import set_up
 from meshes.structure import Probe
 from thermojoint.artefacts.errors import ThermojointError
-from thermojoint.artefacts.files import write_text
+from thermojoint.artefacts.json_file import write_json
 from thermojoint.reduced.machine import reduce_machine
 from thermojoint.reduced.parameters import ABSOLUTE, shown
 
@@ -124,8 +123,7 @@ def _calibrated(
         calibrated = KINDS[kind](machine, responses, effort=effort)
     path = folder / f"{kind.replace('-', '_')}.h5"
     write_observer(calibrated.model, path)
-    text = json.dumps(report(calibrated.fit), indent=2, allow_nan=False)
-    write_text(path.with_suffix(".json"), text + "\n")
+    write_json(path.with_suffix(".json"), report(calibrated.fit))
     return path
 
 

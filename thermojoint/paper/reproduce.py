@@ -28,6 +28,7 @@ from thermojoint import console
 from thermojoint.artefacts.errors import ThermojointError
 from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.folders import whole_folder
+from thermojoint.artefacts.json_file import write_json
 from thermojoint.artefacts.processes import process_pool
 from thermojoint.artefacts.response import probes_of, write_response
 from thermojoint.models.baselines import Baselines, write_baselines
@@ -144,7 +145,7 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
         tables: dict[str, Any] | None = None
         if calibrated is not None and provenance is not None:
             tables = tables_json(calibrated.model, provenance)
-            _write_json(folder / "tables.json", tables)
+            write_json(folder / "tables.json", tables)
         lasting = {
             name: _kept(at_sensors(response, roles), folder, out)
             for name, response in lasting.items()
@@ -163,7 +164,7 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
         beside = judge.Beside(baselines, steady)
         validated = _judged(crew, (model, responses, lasting), runs, beside, observers)
         figures_of_run = validated.figures() | {"left_out": left_out}
-        _write_json(folder / "validation.json", figures_of_run)
+        write_json(folder / "validation.json", figures_of_run)
         report("validating", 1, 1)
 
         report("drawing", 0, 1)
@@ -244,7 +245,7 @@ def _steady(case: Case, steps: Mapping[str, xr.Dataset], folder: Path) -> Model:
     _write_responses({f"{name}-steady": response for name, response in steps.items()}, folder)
     calibrated, provenance = _calibrate(case, steps)
     write_model(calibrated.model, folder / "model_steady.json", provenance)
-    _write_json(folder / "tables_steady.json", tables_json(calibrated.model, provenance))
+    write_json(folder / "tables_steady.json", tables_json(calibrated.model, provenance))
     return calibrated.model
 
 
@@ -357,7 +358,3 @@ def _kept(response: xr.Dataset, folder: Path, out: Path) -> xr.Dataset:
 def _write_responses(responses: Mapping[str, xr.Dataset], folder: Path) -> None:
     for name, response in responses.items():
         write_response(response, folder / "responses" / f"{name}.nc")
-
-
-def _write_json(path: Path, content: Mapping[str, object] | Sequence[object]) -> None:
-    write_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")

@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.units import MEGA
-from thermojoint.pictures.figures import write_figure
+from thermojoint.pictures.figures import empty_grid, write_figure
 
 _HOUR = 3600.0
 
@@ -31,8 +30,8 @@ class Judged(NamedTuple):
 
 def write_judged(panels: Sequence[Judged], path: Path) -> None:
     """Draw measured and estimated displacements, whole or not at all."""
-    figure = Figure(figsize=(9.0, 0.6 + 2.4 * len(panels)), layout="constrained")
-    axes = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
+    figure = empty_grid(len(panels), 1, (9.0, 0.6 + 2.4 * len(panels)))
+    axes = figure.axes
     for axis, panel in zip(axes, panels, strict=True):
         steps = np.diff(panel.times, prepend=panel.times[0])
         hours = np.maximum(steps, 0.0).cumsum() / _HOUR
