@@ -1,4 +1,4 @@
-"""Faces of a mesh as polygons, for pictures."""
+"""Faces of a mesh: as polygons, for pictures, and by their nodes."""
 
 from __future__ import annotations
 
@@ -25,3 +25,13 @@ def triangles_of(faces: NDArray[np.int64]) -> NDArray[np.int64]:
     """
     fans = [faces[:, [0, k, k + 1]] for k in range(1, faces.shape[1] - 1)]
     return np.stack(fans, axis=1).reshape(-1, 3)
+
+
+def rows_in(table: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Index in `table` of each of `rows`, with numbers in any order; -1 if it is missing."""
+    both = np.vstack([np.sort(table, axis=1), np.sort(rows, axis=1)])
+    _, key = np.unique(both, axis=0, return_inverse=True)
+    key = key.ravel()
+    place = np.full(key.max() + 1, -1)
+    place[key[: len(table)]] = np.arange(len(table))
+    return place[key[len(table) :]]

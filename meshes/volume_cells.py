@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from skfem import Mesh, MeshHex, MeshHex2, MeshTet, MeshTet2
 from skfem.io.meshio import from_meshio
 
+from meshes.faces import rows_in
 from thermojoint.artefacts.errors import InputError
 
 #: A structure larger than this (m) is assumed to be in mm.
@@ -122,7 +123,7 @@ def _curved(
             places[:, curved.dofs.interior_dofs[0]] = position.T
         else:
             table, numbers = groups[len(ends)]
-            places[:, numbers[0, _rows_in(table.T, corner[:, ends])]] = position.T
+            places[:, numbers[0, rows_in(table.T, corner[:, ends])]] = position.T
     return replace(curved, doflocs=places)
 
 
@@ -138,16 +139,6 @@ def _serendipity_middles(
         for face in _HEX_FACES
     ]
     return [*faces, 0.25 * (edge.sum(axis=1) - corner.sum(axis=1))]
-
-
-def _rows_in(table: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Index in `table` of each of `rows`, with numbers in any order; -1 if it is missing."""
-    both = np.vstack([np.sort(table, axis=1), np.sort(rows, axis=1)])
-    _, key = np.unique(both, axis=0, return_inverse=True)
-    key = key.ravel()
-    place = np.full(key.max() + 1, -1)
-    place[key[: len(table)]] = np.arange(len(table))
-    return place[key[len(table) :]]
 
 
 def _check_cells(mesh: Mesh, path: Path) -> None:
@@ -185,7 +176,7 @@ def boundary_facets(mesh: Mesh, corners: NDArray[np.int64], where: str) -> NDArr
     InputError
         A facet belongs to no cell or to two.
     """
-    facets = np.unique(_rows_in(mesh.facets.T, corners))
+    facets = np.unique(rows_in(mesh.facets.T, corners))
     if facets.size and facets[0] < 0:
         raise InputError(f"{where} has facets that do not belong to the volume cells; mesh again")
     if not np.isin(facets, mesh.boundary_facets()).all():

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem import Mesh, MeshHex, MeshHex2, MeshTet, MeshTet2
 
+from meshes.faces import rows_in
 from meshes.pairing import cyclic_order, facet_corners, outward_areas
 from meshes.structure import Structure
 from thermojoint.artefacts.errors import InputError
@@ -59,10 +60,9 @@ def with_wall(structure: Structure, name: str, faces: str) -> Structure:
     at = facet_corners(mesh, facets).mean(axis=1)
     size = float(np.ptp(mesh.p, axis=1).max())
     near = np.abs(centres[:, None] - at[None]).max(axis=2).min(axis=1) < 1e-9 * size
-    surfaces = {
-        other: _numbers(whole, mesh.facets[:, old]) for other, old in structure.surfaces.items()
-    }
-    surfaces |= {name: _numbers(whole, corners), face_of(name): _numbers(whole, corners[:, near])}
+    nodes = {other: mesh.facets[:, old] for other, old in structure.surfaces.items()}
+    nodes |= {name: corners, face_of(name): corners[:, near]}
+    surfaces = {other: rows_in(whole.facets.T, own.T) for other, own in nodes.items()}
     cells = np.arange(mesh.nelements, whole.nelements)
     return replace(
         structure, mesh=whole, bodies=structure.bodies | {name: cells}, surfaces=surfaces
@@ -94,14 +94,3 @@ def _layer(mesh: Mesh, facets: NDArray[np.int64]) -> Mesh:
         cell[number[x, y, 0]] = around[k]
         cell[number[x, y, 1]] = around[k] + nodes.size
     return MeshHex(points, cell)
-
-
-def _numbers(mesh: Mesh, corners: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the facets of a mesh that have given corners (3 or 4, n)."""
-    known = np.sort(mesh.facets, axis=0)
-    both = np.hstack([known, np.sort(corners, axis=0)])
-    _, label = np.unique(both, axis=1, return_inverse=True)
-    label = label.ravel()
-    facet = np.empty(label.max() + 1, dtype=np.int64)
-    facet[label[: known.shape[1]]] = np.arange(known.shape[1])
-    return facet[label[known.shape[1] :]]
