@@ -399,6 +399,14 @@ def test_a_heater_that_is_too_weak_is_said_to_be(folder):
     assert "gives no more than 500 W" in " ".join(done.output.split())
 
 
+def refused(path):
+    """What the command said of a mistake, in one line."""
+    done = CliRunner().invoke(app, ["control", str(path)])
+    assert isinstance(done.exception, InputError)
+    assert "\n" not in str(done.exception)
+    return str(done.exception)
+
+
 def test_sources_that_are_driven_apart_calibrate_by_the_power_of_each(data, setup):
     driven = copy.deepcopy(data)
     driven["sources"]["heater"]["heat_input"] = {"kind": "step", "level": 2.0}
@@ -425,10 +433,7 @@ def test_sources_that_are_driven_apart_calibrate_by_the_power_of_each(data, setu
 def test_a_mistake_in_a_loop_is_one_line(folder, old, new, told):
     path = folder / "loop.toml"
     path.write_text(path.read_text("utf-8").replace(old, new, 1), "utf-8")
-    done = CliRunner().invoke(app, ["control", str(path)])
-    assert isinstance(done.exception, InputError)
-    assert told in str(done.exception)
-    assert "\n" not in str(done.exception)
+    assert told in refused(path)
 
 
 @pytest.mark.parametrize(
@@ -450,9 +455,7 @@ def test_what_does_not_fit_is_refused_before_the_plant_is_set_up(
         (folder / file).write_text(text.replace(old, new), "utf-8")
     else:
         write_observer(replace(estimator.model, power_shares={"bearings": 0.3}), folder / file)
-    done = CliRunner().invoke(app, ["control", str(folder / "loop.toml")])
-    assert isinstance(done.exception, InputError)
-    assert told in str(done.exception)
+    assert told in refused(folder / "loop.toml")
 
 
 @pytest.mark.parametrize(
@@ -468,9 +471,7 @@ def test_estimates_that_offsets_would_not_follow_are_refused(folder, delay, olde
     text = re.sub(r"\[heater\].*", "", path.read_text("utf-8"), flags=re.DOTALL)
     path.write_text(text.replace("delay_s = 0.0", f"delay_s = {delay}"), "utf-8")
     offsets.write_text(f"oldest_s = {oldest}\n{offsets.read_text('utf-8')}", "utf-8")
-    done = CliRunner().invoke(app, ["control", str(path)])
-    assert isinstance(done.exception, InputError)
-    assert told in str(done.exception)
+    assert told in refused(path)
 
 
 @pytest.mark.parametrize(
@@ -483,9 +484,7 @@ def test_a_run_of_which_nothing_counts_is_refused(folder, monkeypatch, lines):
     (folder / "machine.toml").write_text(text.replace('"step_s" = 2.0', '"step_s" = 1.0'))
     text = (folder / "loop.toml").read_text("utf-8")
     (folder / "loop.toml").write_text(text.replace("duration_min = 2.0", lines))
-    done = CliRunner().invoke(app, ["control", str(folder / "loop.toml")])
-    assert isinstance(done.exception, InputError)
-    assert "nothing of it counts" in str(done.exception)
+    assert "nothing of it counts" in refused(folder / "loop.toml")
 
 
 def test_a_loop_in_which_nothing_acts_is_refused():

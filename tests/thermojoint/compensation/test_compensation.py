@@ -413,10 +413,11 @@ def compensated(files, *more):
 
 
 def refused(files, estimate):
-    """What the command said of a mistake; it has written nothing."""
+    """What the command said of a mistake, in one line; it has written nothing."""
     done, out = compensate(files, estimate)
     assert isinstance(done.exception, InputError)
     assert not out.exists()
+    assert "\n" not in str(done.exception)
     return str(done.exception)
 
 
@@ -565,9 +566,7 @@ def test_a_column_that_is_named_like_a_position_is_ignored():
 def test_a_position_that_the_estimate_does_not_have_is_refused_in_one_line(files, old, new, told):
     (files / "estimate.csv").write_text(placed_text(8, -32), "utf-8")
     (files / "offsets.toml").write_text(TABLE.replace(old, new), "utf-8")
-    error = refused(files, files / "estimate.csv")
-    assert told in error
-    assert "\n" not in error
+    assert told in refused(files, files / "estimate.csv")
 
 
 def test_without_a_slope_in_the_settings_the_offset_is_k0(files):
@@ -592,9 +591,7 @@ def test_without_a_slope_in_the_settings_the_offset_is_k0(files):
 def test_a_slope_that_cannot_be_is_refused_in_one_line(files, old, new, told):
     (files / "estimate.csv").write_text(along_text([60.0] * 3), "utf-8")
     (files / "offsets.toml").write_text(ALONG.replace(old, new), "utf-8")
-    error = refused(files, files / "estimate.csv")
-    assert told in error
-    assert "\n" not in error
+    assert told in refused(files, files / "estimate.csv")
 
 
 def test_a_clock_that_begins_before_zero_makes_the_same_offsets():
