@@ -324,7 +324,7 @@ def test_an_axis_that_the_heater_holds_at_its_setpoint_has_nothing_left(folder, 
     path.write_text(text, "utf-8")
     moved = MICRO * np.array([[20.0, 3.0], [19.0, 4.0]])
     still, times = np.zeros((2, 2)), np.array([2.0, 4.0])
-    run = Course(times, moved, moved, still, np.ones(2), np.ones(2))
+    run = Course(times, moved, moved, still, np.ones(2))
     followed = read_settings(folder / "offsets.toml").output.estimated
     closed = Closed(read_loop(path), ("x", "y"), None, run, run, {}, followed)
     axes = as_content(closed)["runs"][1]["axes"]
@@ -334,8 +334,8 @@ def test_an_axis_that_the_heater_holds_at_its_setpoint_has_nothing_left(folder, 
 
 
 def test_every_tried_delay_is_drawn(folder):
-    still, one = np.zeros((2, 2)), np.ones(2)
-    run = Course(np.array([2.0, 4.0]), still, still, still, one, one)
+    still = np.zeros((2, 2))
+    run = Course(np.array([2.0, 4.0]), still, still, still, np.ones(2))
     late = {10.0 * k: run for k in range(1, 9)}
     closed = Closed(read_loop(folder / "loop.toml"), ("x", "y"), None, run, run, late)
     for panel, runs in zip(runs_figure(closed).axes, (10, 10, 10, 10, 9), strict=True):

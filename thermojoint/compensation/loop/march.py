@@ -71,7 +71,6 @@ class Course(NamedTuple):
     moved: Array
     #: Shape (n,): heat of the heater, W.
     heater: Array
-    disturbing: Array
 
     @property
     def residual(self) -> Array:
@@ -109,7 +108,6 @@ def run_loop(plant: Plant, estimator: JointAware, acting: Acting, noise: Array) 
     rows = plant.setup.probe_rows[at]
     sensors = np.asarray(rows if isinstance(rows, np.ndarray) else rows.toarray())
     axes = [DIRECTIONS.index(axis) for axis in estimator.axes]
-    disturbances = [k for k in range(layout.sources) if k != acting.heater]
     state, observed = initial_state(machine), estimator.initial_state()
     act, take = _at_rest(acting, len(axes)), COUPLINGS[plant.case.march.coupling](machine)
     sent: list[Estimate] = []
@@ -134,7 +132,6 @@ def run_loop(plant: Plant, estimator: JointAware, acting: Acting, noise: Array) 
                     *estimate.displacement,
                     *act.moved,
                     act.heat,
-                    step.inputs[disturbances].sum(),
                 )
             )
     return _course(np.array(found), len(axes))
@@ -239,5 +236,5 @@ def _driven(inputs: Inputs, times: Sequence[float], heater: int, heat: float) ->
 
 def _course(rows: Array, axes: int) -> Course:
     ends = np.cumsum([1, axes, axes, axes])
-    times, displacement, estimate, moved, rest = np.split(rows, ends, axis=1)
-    return Course(times[:, 0], displacement, estimate, moved, rest[:, 0], rest[:, 1])
+    times, displacement, estimate, moved, heater = np.split(rows, ends, axis=1)
+    return Course(times[:, 0], displacement, estimate, moved, heater[:, 0])
