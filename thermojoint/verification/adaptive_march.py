@@ -38,7 +38,7 @@ from thermojoint.verification import rod
 from thermojoint.verification.check import Check, Quantity
 from thermojoint.verification.loaded import PRELOAD, ROUGHNESS, column, column_case, joint
 from thermojoint.verification.rods import Rods
-from thermojoint.verification.structures import marched
+from thermojoint.verification.structures import FOREVER, marched
 from thermojoint.verification.thermal_bar import (
     CAPACITY,
     CONDUCTIVITY,
@@ -80,7 +80,7 @@ def growth_check(opening: float) -> Check:
     rate = rod.rate_of(root)
     on_rod = np.arange(built.x.size) < built.second
     mode = np.where(on_rod, (np.sinh(root * built.x / rod.LENGTH) / np.sinh(root)).real, 0.0)
-    still, _ = _on_modes(built, mode, rod.FOREVER)
+    still, _ = _on_modes(built, mode, FOREVER)
     steady = rod.steady_near(still, case, opening)
     machine, modes = _on_modes(built, mode, 1.0)
     times = np.array([1.0, 3.0]) / abs(rate)

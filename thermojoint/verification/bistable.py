@@ -31,8 +31,7 @@ from meshes.exchange import write_structure
 from meshes.structure import Probe, Structure
 from thermojoint.artefacts.files import temporary_folder
 from thermojoint.verification.check import Check, Quantity
-from thermojoint.verification.rod import FOREVER
-from thermojoint.verification.structures import box_grid, box_surfaces
+from thermojoint.verification.structures import FOREVER, box_grid, box_surfaces
 
 #: Length and width of the rod, m.
 LENGTH, WIDTH = 0.1, 0.02

@@ -22,9 +22,8 @@ from fesim.solid.materials import Material
 from fesim.solid.spaces import make_spaces, probe_rows
 from meshes.structure import Probe
 from thermojoint.verification.check import Check, Quantity
-from thermojoint.verification.structures import block, box_grid
+from thermojoint.verification.structures import FOREVER, block, box_grid
 
-FOREVER = 1e15
 NO_JOINT = np.zeros(1)
 
 

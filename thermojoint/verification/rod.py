@@ -36,10 +36,7 @@ from fesim.march.stepping import iterated, march, staggered
 from thermojoint.artefacts.arrays import Array
 from thermojoint.verification.check import Check, Quantity
 from thermojoint.verification.rods import NO_FRICTION, Rods, rods
-from thermojoint.verification.structures import IRON, STEEL
-
-#: An implicit Euler step of this length reaches the steady state, s.
-FOREVER = 1e15
+from thermojoint.verification.structures import FOREVER, IRON, STEEL
 
 LENGTH, WALL_LENGTH = 0.1, 0.02
 ROD = replace(IRON, poisson_ratio=0.0)

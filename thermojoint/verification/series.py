@@ -29,15 +29,21 @@ from fesim.solid.heat import ThermalLoads, heat_operators
 from meshes.structure import Structure
 from thermojoint.verification.check import Check, Quantity
 from thermojoint.verification.rods import between_rollers
-from thermojoint.verification.structures import IRON, LEFT, RIGHT, SECTION, STEEL, bars
+from thermojoint.verification.structures import (
+    FOREVER,
+    IRON,
+    LEFT,
+    RIGHT,
+    SECTION,
+    STEEL,
+    bars,
+)
 
 #: Temperatures of the ends, K.
 HOT, COLD = 100.0, 20.0
 #: Pressures of the joint, Pa.
 PRESSURES = (0.1e6, 1.0e6, 4.41e6, 40.0e6)
 ROUGHNESS, SLOPE, HARDNESS = 1.25e-6, 0.14, 1.961e9
-#: An implicit Euler step of this length reaches the steady state, s.
-FOREVER = 1e15
 
 MESHES = {
     "matching hexahedra": ("hexahedra", (3, 3, 2), (4, 3, 2)),

@@ -53,6 +53,9 @@ def marched(folder: Path, data: dict[str, Any]) -> xr.Dataset:
     return simulate(case_from_data(data, "case", folder), accuracy=False).response
 
 
+#: An implicit Euler step of this length reaches the steady state, s.
+FOREVER = 1e15
+
 #: Cell types of verification cases, and their elements for temperature and displacement.
 KINDS: dict[str, type[Mesh]] = {"hexahedra": MeshHex, "tetrahedra": MeshTet}
 ELEMENTS = {"hexahedra": ("Hex1", "HexS2"), "tetrahedra": ("TetP1", "TetP2")}
