@@ -68,15 +68,13 @@ def read_log(paths: Sequence[Path], renamed: Mapping[str, str] | None = None) ->
     return joined(log_pieces(paths, renamed))
 
 
-def log_pieces(
-    paths: Sequence[Path], renamed: Mapping[str, str] | None = None, rows: int = ROWS
-) -> Iterator[Log]:
-    """Yield the samples of files in pieces of at most `rows`; see `read_log`.
+def log_pieces(paths: Sequence[Path], renamed: Mapping[str, str] | None = None) -> Iterator[Log]:
+    """Yield the samples of files in pieces of at most `ROWS`; see `read_log`.
 
     Files with the same content are read once.
     """
     for path, note in _in_order(paths, renamed):
-        for k, piece in enumerate(_pieces_in_file(path, renamed, rows)):
+        for k, piece in enumerate(_pieces_in_file(path, renamed, ROWS)):
             notes = (note,) if note and not k else ()
             records = tuple(
                 replace(record, notes=(*record.notes, *notes)) for record in piece.records

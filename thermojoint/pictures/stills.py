@@ -56,9 +56,7 @@ class Sheet:
                 line.set_data(scene.curve.times[past] / _MINUTE, MEGA * values[past])
 
 
-def write_pictures(
-    pictures: Mapping[Path, Scene], pyvista: bool = True, height: int = HEIGHT
-) -> dict[Path, str]:
+def write_pictures(pictures: Mapping[Path, Scene], height: int = HEIGHT) -> dict[Path, str]:
     """Write each scene to its PNG file, with pyvista if possible; panels `height` pixels high.
 
     The result maps each file to its renderer: "pyvista" or "matplotlib".
@@ -71,9 +69,8 @@ def write_pictures(
     for path in pictures:
         check_png(path)
     films = [finished([scene]) for scene in pictures.values()]
-    drawn = rendered(films, height) if pyvista else (None for _ in films)
     used = {}
-    for path, (scene,), images in zip(pictures, films, drawn, strict=True):
+    for path, (scene,), images in zip(pictures, films, rendered(films, height), strict=True):
         write_figure(sheet(scene, images, height).figure, path, dpi=height / _PANEL)
         used[path] = "matplotlib" if images is None else "pyvista"
     return used

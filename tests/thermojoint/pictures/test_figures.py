@@ -193,13 +193,16 @@ def test_a_point_that_does_not_exist_cannot_be_marked():
         probe_position(structure, "C")
 
 
-def test_fields_are_drawn_even_where_nothing_has_happened_yet(coarse_case, coarse_setup, tmp_path):
+def test_fields_are_drawn_even_where_nothing_has_happened_yet(
+    coarse_case, coarse_setup, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(sys, "executable", "/bin/false")
     rest = at_rest(coarse_setup.machine)
     files = {
         tmp_path / f"{show}.png": field_scene(show, coarse_case, coarse_setup, rest)
         for show in FIELDS
     }
-    used = pictures.write_pictures(files, pyvista=False, height=120)
+    used = pictures.write_pictures(files, height=120)
     assert set(used.values()) == {"matplotlib"}
     assert all(path.read_bytes().startswith(PNG) for path in files)
 
