@@ -334,6 +334,12 @@ def test_a_slow_rate_still_arrives():
     assert np.diff(moves) == pytest.approx(10.0, abs=1.0)
 
 
+def test_the_largest_rate_is_no_limit():
+    """It allows more steps than an integer counts."""
+    state = run(replace(PLAIN, rate=1e294), [(1.0, 5e-5)] * 3)[-1]
+    assert offsets_of(PLAIN, state) / MICRO == pytest.approx([50.0])
+
+
 def test_the_filter_is_a_first_order_one():
     filtered = replace(PLAIN, filter_time=50.0)
     states = run(filtered, [(1.0, np.zeros(1)), *[(1.0, np.array([100.0 * MICRO]))] * 50])

@@ -33,6 +33,8 @@ from thermojoint.artefacts.arrays import Array
 
 #: Further numbers stored with each offset and slope.
 _KEPT = ("frozen", "filtered", "wanted")
+#: More steps than any value has; a rate that allows more would exceed the range of integers.
+_ALL_STEPS = 1e15
 
 
 @dataclass(frozen=True)
@@ -480,4 +482,5 @@ def _allowed(channels: Channels, credit: Array, passed: float) -> tuple[NDArray[
     """
     travel = channels.rates * passed
     credit = np.minimum(credit + travel, np.maximum(travel, channels.steps))
-    return np.floor(credit / channels.steps + 1e-9).astype(np.int64), credit
+    steps = np.minimum(np.floor(credit / channels.steps + 1e-9), _ALL_STEPS)
+    return steps.astype(np.int64), credit
