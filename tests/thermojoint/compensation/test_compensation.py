@@ -591,6 +591,7 @@ def test_without_a_slope_in_the_settings_the_offset_is_k0(files):
         ("_per_m = 1.0", "_per_m = 1.0\nrate_um_per_m_s = 7.0", "300 mm from P0 it is all of rate"),
         ("_per_m = 1.0", "_per_m = 1.0\nlargest_um_per_m = 1700", "is all of largest_um 500"),
         ("_per_m = 1.0", "_per_m = 900.0", "is not 1 to 1e+09 steps"),
+        ("_per_m = 1.0", "_per_m = 5e-324", "is not 1 to 1e+09 steps"),
         ("_per_m = 1.0", "_per_m = 1.0\nreference_mm = 9e9", "is not 1 to 1e+09 steps"),
     ],
 )  # fmt: skip
@@ -629,6 +630,10 @@ def test_an_old_estimate_is_no_estimate():
         ("cycle_s = 1.0", 'cycle_s = 1.0\nunusable = ["unsetled"]', "'unsettled'"),
         ("resolution_um = 0.1", "resolution_um = 1e6", "largest_um"),
         ("resolution_um = 0.1", "resolution_um = 1e-300", "largest_um"),
+        ("resolution_um = 0.1", "resolution_um = 1e-320\nlargest_um = 1e-319", "largest_um"),
+        ("sign = 1", "sign = true", "axes.Z.sign"),
+        ("cycle_s = 1.0", "cycle_s = 1e-12", "cycle_s 1e-12: more than"),
+        ("cycle_s = 1.0", "cycle_s = 5e-324", "more than 1e.09 cycles in the 62 s"),
         ("cycle_s = 1.0", "cycle_s 1.0", "TOML"),
     ],
 )

@@ -10,7 +10,7 @@ import numpy as np
 
 from estimator.estimate_table import Row, strokes_of
 from thermojoint.artefacts.arrays import Array
-from thermojoint.artefacts.errors import unknown_name
+from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.units import MICRO, MILLI
 from thermojoint.compensation.offsets.output import (
     at_zero,
@@ -23,6 +23,9 @@ from thermojoint.compensation.offsets.output import (
 )
 from thermojoint.compensation.offsets.settings import Settings, with_slopes
 from thermojoint.compensation.offsets.usable import usable
+
+#: More cycles than this, tens of gigabytes of rows, indicate a wrong unit.
+MOST_CYCLES = 1e9
 
 
 class Cycle(NamedTuple):
@@ -54,7 +57,8 @@ def preview(settings: Settings, axes: Sequence[str], rows: Sequence[Row]) -> Ite
     Raises
     ------
     InputError
-        The estimate lacks an axis, a position or a slope that is followed.
+        The estimate lacks an axis, a position or a slope that is followed, or the cycles are too
+        many to write.
     """
     known = (*axes, *rows[0].places)
     for name in settings.output.estimated:
@@ -65,7 +69,13 @@ def preview(settings: Settings, axes: Sequence[str], rows: Sequence[Row]) -> Ite
     times = np.array([row.time for row in rows])
     state = at_zero(output)
     # Rounding errors must not drop the last cycle.
-    count = math.floor((times[-1] - times[0]) / settings.cycle + 1e-9) + 1
+    cycles = float(times[-1] - times[0]) / settings.cycle + 1e-9
+    if cycles > MOST_CYCLES:
+        raise InputError(
+            f"cycle_s {settings.cycle:g}: more than {MOST_CYCLES:.0e} cycles in the "
+            f"{times[-1] - times[0]:g} s of the estimates; make it longer"
+        )
+    count = math.floor(cycles) + 1
     for index in range(count):
         time = float(times[0] + index * settings.cycle)
         at = time + 1e-12 * abs(time)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from estimator.lines import Stroke, lever, name_at
 from thermojoint.artefacts.errors import InputError, unknown_name
@@ -43,6 +43,14 @@ class AxisSection(Section):
     at_mm: Finite | None = None
     sign: Literal[-1, 1] = -1
     slope: SlopeSection | None = None
+
+    @field_validator("sign", mode="before")
+    @classmethod
+    def _number(cls, sign: Any) -> Any:  # noqa: ANN401 - what the file contains
+        # It equals 1, and would be the sign with the displacement.
+        if sign is True:
+            raise ValueError("input should be -1 or 1")
+        return sign
 
     @model_validator(mode="after")
     def _one_position(self) -> Self:
@@ -120,7 +128,7 @@ def settings_from_data(data: dict[str, Any], where: Path | str) -> Settings:
     for reason in given.unusable:
         if reason not in known:
             raise unknown_name("reason", reason, known, f"{where}: unusable")
-    if not 1.0 <= given.largest_um / given.resolution_um <= MOST_STEPS:
+    if not _countable(MICRO * given.largest_um, MICRO * given.resolution_um):
         raise InputError(
             f"{where}: largest_um {given.largest_um:g} is not 1 to {MOST_STEPS:.0e} steps of "
             f"resolution_um {given.resolution_um:g}; change one of them"
@@ -213,12 +221,18 @@ def _axis_slope(
             f"{at}.largest_um_per_m {slope.largest / MICRO:g}: {at_end} it is all of largest_um "
             f"{whole.largest / MICRO:g}; make it smaller"
         )
-    if not 1.0 <= slope.largest / slope.resolution <= MOST_STEPS:
+    if not _countable(slope.largest, slope.resolution):
         raise InputError(
             f"{at}.largest_um_per_m {slope.largest / MICRO:g} is not 1 to {MOST_STEPS:.0e} steps "
             f"of resolution_um_per_m {slope.resolution / MICRO:g}; change one of them"
         )
     return AxisSlope(axis, reference, stroke.low, stroke.high, offset, slope)
+
+
+def _countable(largest: float, resolution: float) -> bool:
+    """Whether a range in SI has at least one step of its resolution, and not too many."""
+    # The smallest numbers of a file are zero in SI.
+    return 0.0 < resolution <= largest <= MOST_STEPS * resolution
 
 
 def _shared(given: float | None, whole: float, lever: float) -> float:
