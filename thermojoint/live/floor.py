@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from typing import Any
@@ -25,7 +25,6 @@ from thermojoint.live.machine import (
     silent,
     state_bytes,
     taken,
-    with_waiting,
 )
 from thermojoint.live.metrics import Metrics
 from thermojoint.live.next_reading import Request
@@ -135,7 +134,7 @@ def absorb(floor: Floor, arrivals: Iterable[Arrival], now: float, clock: float) 
             continue
         if not math.isnan(step.doubted):
             _refused(floor, replace(arrival, time=step.doubted), "ahead", now)
-        place.machine = with_waiting(place.machine, step.waiting)
+        place.machine = place.machine._replace(waiting=step.waiting)
         if arrival.kept:
             place.waits_since = place.waits_since if place.unkept else clock
             place.unkept.append(arrival.kept)
@@ -272,7 +271,7 @@ def watch(floor: Floor, now: float, clock: float) -> list[Publication]:
             continue
         if after is not None and after is before:
             # Republished offsets count as received now: their rate is limited from here on.
-            place.machine = replace(machine, output=after._replace(time=clock))
+            place.machine = machine._replace(output=after._replace(time=clock))
         place.reported, place.mode = (latest.quality, latest.status), latest.offset_mode
         changed.append(latest)
     return changed
@@ -296,7 +295,7 @@ def answer(floor: Floor, machine: str, given: Answer, clock: float) -> None:
     """Receive an answer of a machine's control, at a time of the service's own clock (s)."""
     place = floor.places[machine]
     handshake = answered(place.machine.handshake, given, clock)
-    place.machine = replace(place.machine, handshake=handshake)
+    place.machine = place.machine._replace(handshake=handshake)
 
 
 def checkpoint_of(place: Place) -> Checkpoint:
@@ -356,8 +355,3 @@ def count_modes(floor: Floor, seconds: float) -> None:
     for name, place in floor.places.items():
         if place.mode:
             floor.metrics.modes.labels(name, place.mode).inc(seconds)
-
-
-def unwritten(places: Iterable[Place]) -> Sequence[Place]:
-    """Return the places with samples since their last checkpoint."""
-    return [place for place in places if place.rows]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -58,8 +58,7 @@ class Times(NamedTuple):
     clock: float
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Machine:
+class Machine(NamedTuple):
     """State of a machine."""
 
     name: str
@@ -154,11 +153,9 @@ def taken(
             asked=machine.asked,
             **_for_control(served, machine),
         )
-        return replace(machine, cold=cold, latest=nothing), str(error)
+        return machine._replace(cold=cold, latest=nothing), str(error)
     words, reached = estimate.words, estimate.displacement
-    target = None
-    if _finite(reached) and _usable(served, age, estimate):
-        target = _followed(served, estimate)
+    target = _followed(served, estimate) if _usable(served, age, estimate) else None
     machine = _cycled(served, machine, times.clock, target)
     asked = machine.asked
     if served.asking is not None:
@@ -181,10 +178,8 @@ def taken(
         asked=asked,
         **_for_control(served, machine),
     )
-    output, handshake = machine.output, machine.handshake
-    return Machine(
-        machine.name, state, cold, output, handshake, machine.waiting, latest, latest, asked
-    ), ""
+    machine = machine._replace(state=state, cold=cold, latest=latest, usable=latest, asked=asked)
+    return machine, ""
 
 
 def _read_axes(served: Served, given: Sequence[float]) -> list[str]:
@@ -201,22 +196,7 @@ def postponed(served: Served, machine: Machine) -> Machine:
         return machine
     asked = ended(served.asking, machine.asked, machine.latest.time, "postponed")
     latest = replace(machine.latest, asked=asked)
-    return replace(machine, asked=asked, latest=latest)
-
-
-def with_waiting(machine: Machine, waiting: Waiting) -> Machine:
-    """Return a machine with other waiting readings; much faster than `dataclasses.replace`."""
-    return Machine(
-        machine.name,
-        machine.state,
-        machine.cold,
-        machine.output,
-        machine.handshake,
-        waiting,
-        machine.latest,
-        machine.usable,
-        machine.asked,
-    )
+    return machine._replace(asked=asked, latest=latest)
 
 
 def shown(machine: Machine) -> Publication:
@@ -269,7 +249,7 @@ def shaken(served: Served, machine: Machine, clock: float) -> Machine:
     if acts is not None:
         output = moved_to(served.output.output, output, acts, clock)
         handshake = sent(served.handshake, handshake, _corrections(served, output), clock)
-    return replace(machine, output=output, handshake=handshake)
+    return machine._replace(output=output, handshake=handshake)
 
 
 def held(latest: Publication) -> Publication:
@@ -288,7 +268,7 @@ def _cycled(served: Served, machine: Machine, clock: float, target: Array | None
     output = cycle(settings, machine.output, clock, target)
     if served.handshake is not None:
         handshake = sent(served.handshake, handshake, _corrections(served, output), clock)
-    return replace(machine, output=output, handshake=handshake)
+    return machine._replace(output=output, handshake=handshake)
 
 
 def _handshake(served: Served, machine: Machine) -> str:
@@ -320,7 +300,7 @@ def _corrections(served: Served, output: OutputState | None) -> Array:
 
 def _usable(served: Served, age: float, last: Estimate | Publication) -> bool:
     """Whether an estimate of an age (s) may move an axis."""
-    if served.output is None:
+    if served.output is None or not np.isfinite(last.displacement).all():
         return False
     band = band_along(served.output.output, served.layout.axes, last.band, _lines(served, last))
     words = last.status if isinstance(last, Publication) else last.words
@@ -400,14 +380,13 @@ def restored(
     InputError
         The stored state does not fit the model: another model, or a damaged store.
     """
-    machine = replace(at_rest(name, served, times.now), output=None)
+    machine = at_rest(name, served, times.now)._replace(output=None)
     if kept.state is not None and last is not None:
         numbers = from_bytes(kept.state, served.digest, name)
         state = completed(numbers[1:], machine.state)
         if state.size != machine.state.size:
             raise InputError(f"{name}: the state that is kept is damaged; give another folder")
-        machine = replace(
-            machine,
+        machine = machine._replace(
             cold=float(numbers[0]),
             state=state,
             latest=_laid_out(last, served.layout),
@@ -420,15 +399,14 @@ def restored(
     rest = json.loads(kept.newest)
     output = _output(served, machine, received, times)
     handshake = _handshake_begun(served, output, received, times.clock)
-    machine = replace(
-        machine,
+    machine = machine._replace(
         output=output,
         handshake=handshake,
         waiting=_waiting(rest["waiting"]) if "waiting" in rest else Waiting(),
         asked=Request(*rest.get("asked", ())) if served.asking else NOTHING_ASKED,
     )
     latest = replace(machine.latest, asked=machine.asked, **_for_control(served, machine))
-    return replace(machine, latest=latest), rest.get("at")
+    return machine._replace(latest=latest), rest.get("at")
 
 
 def _handshake_begun(
@@ -492,11 +470,7 @@ def _output(
         return output
     age = times.now - last.published
     # An estimate from the future was made before the clock was set back, at an unknown time.
-    if age >= 0.0 and _finite(last.displacement) and _usable(served, age, last):
+    if age >= 0.0 and _usable(served, age, last):
         return output
     frozen = cycle(settings, output, times.clock, None)
     return frozen._replace(unusable_since=times.clock - max(0.0, silence - trust.oldest))
-
-
-def _finite(values: Array) -> bool:
-    return bool(np.isfinite(values).all())

@@ -11,7 +11,7 @@ import asyncio
 import sqlite3
 import time
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 
 from thermojoint.artefacts.errors import InputError
@@ -44,7 +44,7 @@ async def recover_if_gone(running: Running) -> None:
     running.identity = running.identity or present
     if present != running.identity:
         why = "was deleted or replaced; its content is in a new one"
-        await _recover(running, running.store, why, running.store)
+        await asyncio.shield(_renew(running, running.store, why, running.store))
 
 
 async def recover(running: Running, failed: sqlite3.Connection, error: sqlite3.Error) -> None:
@@ -56,19 +56,13 @@ async def recover(running: Running, failed: sqlite3.Connection, error: sqlite3.E
         There is no space for the new store; another call tries again.
     """
     why = f"is damaged ({error}); a new one begins with the states of now"
-    await _recover(running, failed, why, None)
-
-
-async def _recover(
-    running: Running, failed: sqlite3.Connection, why: str, source: sqlite3.Connection | None
-) -> None:
-    """Complete the recovery, even if the service ends meanwhile."""
-    await asyncio.shield(asyncio.ensure_future(_renew(running, failed, why, source)))
+    await asyncio.shield(_renew(running, failed, why, None))
 
 
 async def _renew(
     running: Running, failed: sqlite3.Connection, why: str, source: sqlite3.Connection | None
 ) -> None:
+    """Continue in a new store; shielded, so that it is completed if the service ends meanwhile."""
     async with running.mending:
         if running.store is not failed:
             return
@@ -109,17 +103,11 @@ def _written(
     for suffix in ("", "-wal", "-shm"):
         new.with_name(new.name + suffix).unlink(missing_ok=True)
     if source is not None:
-        target = sqlite3.connect(new)
-        try:
+        with closing(sqlite3.connect(new)) as target:
             source.backup(target)
-        finally:
-            target.close()
-    target = open_store(new)
-    try:
+    with closing(open_store(new)) as target:
         target.executemany("INSERT OR IGNORE INTO eras VALUES (?, ?, ?, ?, ?)", eras)
         commit(target, batch)
-    finally:
-        target.close()
     return new
 
 

@@ -310,7 +310,7 @@ async def _checkpoint_some(running: Running, every: float) -> None:
 
 
 async def _checkpoint(running: Running, places: Sequence[Place]) -> None:
-    checkpoints = [floors.checkpoint_of(place) for place in floors.unwritten(places)]
+    checkpoints = [floors.checkpoint_of(place) for place in places if place.rows]
     events = running.floor.log.fetched()
     if checkpoints or events:
         await _keep(running, Batch(checkpoints=checkpoints, events=events))
