@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
@@ -65,19 +66,10 @@ class Archive:
             ).fetchone()
             recent = _journal(store, eras)
             every = max(1, -(-(total + len(recent)) // at_most))
-            parts = [
-                _thinned(number, np.frombuffer(rows, dtype="<f8").reshape(count, -1), words, every)
-                for number, count, rows, words in (
-                    (number, count, rows, spread(json.loads(status), count))
-                    for number, count, rows, status in store.execute(
-                        "SELECT number, count, rows, status FROM chunks "
-                        f"WHERE {within} ORDER BY first",
-                        (*eras, until, since),
-                    )
-                )
-            ]
+            chunks = _chunks(store, eras, (since, until))
+            parts = [_thinned(*chunk, every) for chunk in chunks]
             parts += [
-                (np.array([number]), np.frombuffer(row, dtype="<f8")[None, :], [status])
+                (np.array([number]), row[None, :], [status])
                 for number, row, status in recent
                 if number % every == 0
             ]
@@ -130,13 +122,8 @@ class Archive:
         InputError
             No such machine.
         """
-        with self._reading() as store:
-            eras, layout = _eras(store, machine)
-            recent = _journal(store, eras[-1:])
-            if recent:
-                number, row, status = recent[-1]
-                return from_row(machine, number, layout, np.frombuffer(row, dtype="<f8"), status)
-        return self.checkpointed(machine, eras[-1])
+        newest = self.samples(machine, (-math.inf, math.inf), 1, newest_first=True)
+        return newest[0] if newest else None
 
     def checkpointed(self, machine: str, era: int) -> Publication | None:
         """Return the last sample of an era in a checkpoint; None before the first."""
@@ -219,37 +206,41 @@ def _eras(store: sqlite3.Connection, machine: str) -> tuple[list[int], Layout]:
     return [era for era, layout in eras if layout == last], layout_from(last)
 
 
-def _journal(store: sqlite3.Connection, eras: list[int]) -> list[tuple[int, bytes, str]]:
-    """Return the samples that are in no chunk yet."""
+def _journal(store: sqlite3.Connection, eras: list[int]) -> list[tuple[int, Array, str]]:
+    """Return number, row and status of the samples that are in no chunk yet."""
     marks = ",".join("?" * len(eras))
-    return store.execute(
+    found = store.execute(
         f"SELECT number, row, status FROM journal WHERE era IN ({marks}) AND {IN_NO_CHUNK} "
         "ORDER BY id",
         eras,
-    ).fetchall()
+    )
+    return [(number, np.frombuffer(row, dtype="<f8"), status) for number, row, status in found]
 
 
-def _in_order(
-    store: sqlite3.Connection, eras: list[int], span: tuple[float, float], newest_first: bool
-) -> Iterator[tuple[int, Array, str]]:
-    """Yield number, row and status of samples in order, including some outside the span."""
-    step, order = (-1, "DESC") if newest_first else (1, "ASC")
+def _chunks(
+    store: sqlite3.Connection, eras: list[int], span: tuple[float, float], order: str = "ASC"
+) -> Iterator[tuple[int, Array, list[str]]]:
+    """Yield first number, rows and status of each row of the chunks that reach into a span."""
     marks = ",".join("?" * len(eras))
-    # The newest samples are in the journal.
-    recent = [
-        (number, np.frombuffer(row, dtype="<f8"), status)
-        for number, row, status in _journal(store, eras)
-    ]
-    if newest_first:
-        yield from reversed(recent)
     for number, count, rows, status in store.execute(
         f"SELECT number, count, rows, status FROM chunks WHERE era IN ({marks}) "
         f"AND first <= ? AND last >= ? ORDER BY first {order}",
         (*eras, span[1], span[0]),
     ):
         table = np.frombuffer(rows, dtype="<f8").reshape(count, -1)
-        words = spread(json.loads(status), count)
-        yield from ((number + k, table[k], words[k]) for k in range(count)[::step])
+        yield number, table, spread(json.loads(status), count)
+
+
+def _in_order(
+    store: sqlite3.Connection, eras: list[int], span: tuple[float, float], newest_first: bool
+) -> Iterator[tuple[int, Array, str]]:
+    """Yield number, row and status of samples in order, including some outside the span."""
+    recent = _journal(store, eras)  # the newest samples
+    if newest_first:
+        yield from reversed(recent)
+    step, order = (-1, "DESC") if newest_first else (1, "ASC")
+    for first, rows, words in _chunks(store, eras, span, order):
+        yield from ((first + k, rows[k], words[k]) for k in range(len(rows))[::step])
     if not newest_first:
         yield from recent
 

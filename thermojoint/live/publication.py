@@ -53,16 +53,15 @@ class Layout:
         return np.array([1.0] * len(self.controls) + [one.lever for one in self.lines])
 
     @property
+    def sizes(self) -> tuple[int, ...]:
+        """Sizes of the arrays in a row of the history, in the order of `Columns`."""
+        named = (self.axes, self.axes, self.controls, self.lines, self.details, self.readings)
+        return tuple(map(len, named))
+
+    @property
     def width(self) -> int:
         """Number of values in a row of the history."""
-        return (
-            _LEADING
-            + 2 * len(self.axes)
-            + len(self.controls)
-            + len(self.lines)
-            + len(self.details)
-            + len(self.readings)
-        )
+        return _LEADING + sum(self.sizes)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -231,15 +230,8 @@ class Columns:
 
 def columns_of(layout: Layout, rows: Array) -> Columns:
     """Split rows of the history, shape (n, layout.width), by quantity."""
-    sizes = (
-        *(len(layout.axes),) * 2,
-        len(layout.controls),
-        len(layout.lines),
-        len(layout.details),
-        len(layout.readings),
-    )
-    parts = np.split(rows[:, _LEADING:], np.cumsum(sizes)[:-1], axis=1)
-    return Columns(rows[:, 0], rows[:, 1], rows[:, 2], *parts)
+    parts = np.split(rows[:, _LEADING:], np.cumsum(layout.sizes)[:-1], axis=1)
+    return Columns(*rows[:, :_LEADING].T, *parts)
 
 
 def from_row(
