@@ -39,13 +39,7 @@ class Identity:
 
 
 def opcua_identity(section: OpcuaServer, folder: Path) -> Identity:
-    """Return the certificate of the OPC UA server.
-
-    Parameters
-    ----------
-    section : OpcuaServer
-    folder : Path
-        Folder of the service; its own certificate is created there if the settings name none.
+    """Return the certificate of the OPC UA server; `own_identity` if the settings name none.
 
     Raises
     ------
@@ -92,12 +86,7 @@ def _given(section: Certified, where: str) -> Identity | None:
 def own_identity(folder: Path, host_names: Sequence[str]) -> Identity:
     """Return the service's own certificate for OPC UA, which is created if there is none.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the service.
-    host_names : sequence of str
-        Names and addresses under which clients reach it, for a new certificate.
+    A new one names this computer, and the names and addresses under which clients reach it.
 
     Raises
     ------
@@ -114,14 +103,7 @@ def own_identity(folder: Path, host_names: Sequence[str]) -> Identity:
 def own_certificate(folder: Path, section: HttpServer, now: datetime | None = None) -> Identity:
     """Return the service's own certificate for HTTP, which is created if missing or expiring.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the service.
-    section : HttpServer
-        Address and names of the server; the certificate also names this computer.
-    now : datetime, optional
-        Default: now.
+    It names this computer, and address and names of the section.
     """
     identity = Identity(folder / "http_certificate.pem", folder / "http_key.pem")
     now = now or datetime.now(UTC)
@@ -138,9 +120,8 @@ def own_certificate(folder: Path, section: HttpServer, now: datetime | None = No
 def _lasts(path: Path, names: Sequence[x509.GeneralName], now: datetime) -> bool:
     """Return whether a certificate has these names and does not expire soon."""
     try:
-        certificate = x509.load_pem_x509_certificate(path.read_bytes())
-        named = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-    except (OSError, ValueError, x509.ExtensionNotFound):
+        certificate, named = certificate_in(path), _alternative_names(path)
+    except ValueError:
         return False
     return certificate.not_valid_after_utc - RENEWED > now and set(names) <= set(named)
 

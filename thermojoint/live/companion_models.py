@@ -32,23 +32,9 @@ _UNSIGNED = {"i=3", "i=5", "i=7", "i=9"}
 #: Node ids in the specifications: Machines, types of an identification and of components.
 _MACHINES, _IDENTIFICATION, _OF_COMPONENT, _COMPONENTS = 1001, 1012, 1005, 1006
 _MACHINE_TOOL, _TOOL_IDENTIFICATION = 13, 11
-#: Properties of an identification by key of its section: name, whether defined by DI, type.
-_TEXT, _STRING = ua.VariantType.LocalizedText, ua.VariantType.String
-_PROPERTIES = {
-    "manufacturer": ("Manufacturer", True, _TEXT),
-    "serial_number": ("SerialNumber", True, _STRING),
-    "product_instance_uri": ("ProductInstanceUri", True, _STRING),
-    "manufacturer_uri": ("ManufacturerUri", True, _STRING),
-    "model": ("Model", True, _TEXT),
-    "product_code": ("ProductCode", True, _STRING),
-    "hardware_revision": ("HardwareRevision", True, _STRING),
-    "software_revision": ("SoftwareRevision", True, _STRING),
-    "device_class": ("DeviceClass", True, _STRING),
-    "asset_id": ("AssetId", True, _STRING),
-    "component_name": ("ComponentName", True, _TEXT),
-    "location": ("Location", False, _STRING),
-    "year_of_construction": ("YearOfConstruction", False, ua.VariantType.UInt16),
-}
+#: Properties of an identification that are localized, and those that DI does not define.
+_LOCALIZED = {"Manufacturer", "Model", "ComponentName"}
+_OF_MACHINERY = {"Location", "YearOfConstruction"}
 #: Mandatory values of a machine tool that are unknown to a service beside its control.
 _UNKNOWN = (
     "Monitoring.MachineTool.OperationMode",
@@ -90,14 +76,7 @@ async def load_models(
 ) -> Companion:
     """Load the node sets of a model into a server that is initialised, but not started.
 
-    Parameters
-    ----------
-    server : Server
-    model : {'machinery', 'machine-tool'}
-    own : int
-        Index of the service's namespace.
-    identities : dict of str to Identity
-        Identities by machine.
+    `own` is the index of the service's namespace; `identities` are by machine.
     """
     for name in _NODE_SETS[model]:
         path = files("thermojoint.live") / "nodesets" / f"Opc.Ua.{name}.NodeSet2.xml"
@@ -190,10 +169,13 @@ def _identified(
     name = ua.QualifiedName("Identification", companion.devices)
     yield object_item(place, name, (ua.NodeId(of, companion.own), ua.ObjectIds.HasAddIn), kind)
     for key, value in given.items():
-        named, of_devices, variant = _PROPERTIES[key]
-        value = value.replace("{machine}", machine) if isinstance(value, str) else value
-        value = ua.LocalizedText(value) if variant is _TEXT else value
-        index = companion.devices if of_devices else companion.machinery
+        named = key.title().replace("_", "")
+        variant = ua.VariantType.UInt16
+        if isinstance(value, str):
+            variant, value = ua.VariantType.String, value.replace("{machine}", machine)
+        if named in _LOCALIZED:
+            variant, value = ua.VariantType.LocalizedText, ua.LocalizedText(value)
+        index = companion.machinery if named in _OF_MACHINERY else companion.devices
         yield ua.AddNodesItem(
             RequestedNewNodeId=ua.NodeId(f"{of}.Identification.{named}", companion.own),
             BrowseName=ua.QualifiedName(named, index),

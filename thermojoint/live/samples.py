@@ -17,6 +17,8 @@ from typing import NamedTuple
 
 #: Readings of a machine at one time: None if not delivered, NaN if reported as missing.
 Readings = Sequence[float | None]
+#: Instant and readings of an open sample.
+Cell = tuple[float, tuple[float | None, ...]]
 #: Times before 1970 or after 2200 are refused.
 LATEST = 7.3e9
 #: The phase of the instants is rounded to this part of an interval.
@@ -43,8 +45,8 @@ class Waiting(NamedTuple):
     last: float = math.nan
     #: Latest time of a reading, s; -inf before the first.
     newest: float = -math.inf
-    #: (instant, readings) of every open sample, oldest first.
-    cells: tuple[tuple[float, tuple[float | None, ...]], ...] = ()
+    #: Open samples, oldest first.
+    cells: tuple[Cell, ...] = ()
     #: Time and last value of each reading; empty if none is held.
     held: tuple[tuple[float, float], ...] = ()
     #: Offset of the instants from multiples of the interval, s; NaN before the first reading.
@@ -52,7 +54,7 @@ class Waiting(NamedTuple):
     #: Latest time of an occasional reading, s; -inf before the first.
     probed: float = -math.inf
     #: Time and readings from the future, which count once another reading confirms them.
-    doubted: tuple[float, tuple[float | None, ...]] | None = None
+    doubted: Cell | None = None
 
 
 class Arrived(NamedTuple):
@@ -115,10 +117,8 @@ def arrived(
     if time > max(now, waiting.newest) + 2.0 * rule.interval + rule.lateness:
         return _doubted(rule, waiting, time, readings, limit)
     if waiting.doubted is not None:
-        doubted, _ = waiting.doubted
-        return arrived(rule, waiting._replace(doubted=None), time, readings, clock)._replace(
-            doubted=doubted
-        )
+        step = arrived(rule, waiting._replace(doubted=None), time, readings, clock)
+        return step._replace(doubted=waiting.doubted[0])
     phase = phase_of(rule, time) if math.isnan(waiting.phase) else waiting.phase
     instant = instant_of(rule, phase, time)
     probed = waiting.probed
@@ -156,20 +156,12 @@ def _doubted(
 
 
 def _merged(
-    cells: tuple[tuple[float, tuple[float | None, ...]], ...],
-    instant: float,
-    readings: tuple[float | None, ...],
-) -> tuple[tuple[float, tuple[float | None, ...]], ...]:
+    cells: tuple[Cell, ...], instant: float, readings: tuple[float | None, ...]
+) -> tuple[Cell, ...]:
     """Return the cells with readings added to one; of a repeated reading the last counts."""
-    if not cells:
-        return ((instant, readings),)
     merged = dict(cells)
-    before = merged.get(instant)
-    merged[instant] = (
-        readings
-        if before is None
-        else tuple(b if a is None else a for a, b in zip(readings, before, strict=True))
-    )
+    before = merged.get(instant, readings)
+    merged[instant] = tuple(b if a is None else a for a, b in zip(readings, before, strict=True))
     return tuple(sorted(merged.items()))
 
 

@@ -182,6 +182,10 @@ Source = Annotated[
 ]
 
 
+#: Key that locates the readings of a machine, by the kind of its source.
+_LOCATING = {"csv": "path", "mqtt": "topic", "opcua": "node", "mtconnect": "device"}
+
+
 class WatchdogSection(Section):
     """``[watchdog]``: times without a sample after which a value is uncertain, then bad."""
 
@@ -414,22 +418,12 @@ def _single(sections: Mapping[str, MachineSection]) -> list[tuple[str, MachineSe
     ]
 
 
-def pattern_of(source: Source) -> tuple[str, str]:
-    """Return the key that locates a machine's readings, and its value."""
-    if isinstance(source, MtconnectSource):
-        return "device", source.device
-    if isinstance(source, CsvSource):
-        return "path", str(source.path)
-    if isinstance(source, MqttSource):
-        return "topic", source.topic
-    return "node", source.node
-
-
 def _check_pattern(
     where: str, source: Source, name: str, machines: Mapping[str, MachineSection]
 ) -> None:
     fed = [machine for machine, section in machines.items() if section.source == name]
-    key, pattern = pattern_of(source)
+    key = _LOCATING[source.kind]
+    pattern = str(getattr(source, key))
     if len(fed) > 1 and "{machine}" not in pattern:
         raise InputError(
             f"{where}.{key}: feeds {len(fed)} machines; write {{machine}} in place of their names"
