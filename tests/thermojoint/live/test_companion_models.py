@@ -1,6 +1,7 @@
 """Companion specifications: a client of theirs finds machines, identifications and components."""
 
 import asyncio
+import contextlib
 
 import pytest
 from asyncua import Client, ua
@@ -29,15 +30,22 @@ def file_of(model, companion, **machine):
     }
 
 
-def found_by_a_client(data, base, look):
-    async def live():
-        async with (
-            serving(data, base),
-            Client(f"opc.tcp://127.0.0.1:{data['opcua']['port']}/thermojoint") as client,
-        ):
-            return await look(client)
+@pytest.fixture(scope="module", params=["machinery", "machine-tool"])
+def seen(request, model, tmp_path_factory):
+    """What a client of two machines finds that looks at them by a specification."""
+    base = tmp_path_factory.mktemp(request.param)
+    data = file_of(model, request.param, identification=IDENTIFICATION, count=2)
+    with asyncio.Runner() as runner:
+        stack = contextlib.AsyncExitStack()
+        runner.run(stack.enter_async_context(serving(data, base)))
+        yield lambda look: runner.run(found_by_a_client(data, look))
+        runner.run(stack.aclose())
 
-    return asyncio.run(live())
+
+async def found_by_a_client(data, look):
+    url = f"opc.tcp://127.0.0.1:{data['opcua']['port']}/thermojoint"
+    async with Client(url) as client:
+        return await look(client)
 
 
 async def children_of(node):
@@ -53,8 +61,7 @@ async def machines_of(client):
     return await children_of(client.get_node(ua.NodeId(1001, index)))
 
 
-@pytest.mark.parametrize("companion", ["machinery", "machine-tool"])
-def test_a_machine_is_found_and_identified_as_the_specification_says(model, companion, tmp_path):
+def test_a_machine_is_found_and_identified_as_the_specification_says(seen, request):
     async def look(client):
         index = await namespaces_of(client)
         machines = await machines_of(client)
@@ -79,13 +86,11 @@ def test_a_machine_is_found_and_identified_as_the_specification_says(model, comp
         ]
         return found | {"path": names}
 
-    data = file_of(model, companion, identification=IDENTIFICATION, count=2)
-    found = found_by_a_client(data, tmp_path, look)
+    found = seen(look)
     assert found["machines"] == {"mill-1", "mill-2"}
     assert {"Identification", "Components"} <= found["blocks"]
-    tool = companion == "machine-tool"
-    kind = "MachineToolIdentificationType" if tool else "MachineIdentificationType"
-    assert found["type"].Name == kind
+    tool = "Tool" if request.node.callspec.params["seen"] == "machine-tool" else ""
+    assert found["type"].Name == f"Machine{tool}IdentificationType"
     assert found["machine"] == {
         "Manufacturer": ua.LocalizedText("Maschinenfabrik Beispiel"),
         "SerialNumber": "4711-mill-2",
@@ -101,15 +106,16 @@ def test_a_machine_is_found_and_identified_as_the_specification_says(model, comp
     ]
 
 
-def test_a_machine_tool_says_nothing_of_what_the_service_does_not_know(model, tmp_path):
+@pytest.mark.parametrize("seen", ["machine-tool"], indirect=True)
+def test_a_machine_tool_says_nothing_of_what_the_service_does_not_know(seen):
     async def look(client):
         index = await namespaces_of(client)
-        mill = (await machines_of(client))["mill"]
+        mill = (await machines_of(client))["mill-1"]
         kind = client.get_node(await mill.read_type_definition())
         # What asyncua alone refuses: a structure with an option set that is an unsigned integer.
         output = client.get_node(ua.NodeId(3012, index[f"{UA}Machinery/Jobs/"]))
-        mode = client.get_node("ns=2;s=mill.Monitoring.MachineTool.OperationMode")
-        program = client.get_node("ns=2;s=mill.Production.ActiveProgram.Name")
+        mode = client.get_node("ns=2;s=mill-1.Monitoring.MachineTool.OperationMode")
+        program = client.get_node("ns=2;s=mill-1.Production.ActiveProgram.Name")
         codes = [
             (await node.read_data_value(raise_on_bad_status=False)).StatusCode.name
             for node in (mode, program)
@@ -117,14 +123,14 @@ def test_a_machine_tool_says_nothing_of_what_the_service_does_not_know(model, tm
         names = [(await one.read_browse_name()).to_string() for one in (kind, output)]
         return names, codes, index
 
-    data = file_of(model, "machine-tool", identification=IDENTIFICATION)
-    names, codes, index = found_by_a_client(data, tmp_path, look)
+    names, codes, index = seen(look)
     tool, jobs = index[f"{UA}MachineTool/"], index[f"{UA}Machinery/Jobs/"]
     assert names == [f"{tool}:MachineToolType", f"{jobs}:OutputInformationDataType"]
     assert codes == ["BadNotConnected"] * 2
 
 
-def test_a_client_of_the_machines_folder_hears_of_a_machine_without_readings(model, tmp_path):
+@pytest.mark.parametrize("seen", ["machinery"], indirect=True)
+def test_a_client_of_the_machines_folder_hears_of_a_machine_without_readings(seen):
     class Heard(list):
         def event_notification(self, event):
             self.append(event)
@@ -140,12 +146,11 @@ def test_a_client_of_the_machines_folder_hears_of_a_machine_without_readings(mod
         await until(lambda: heard)
         return [(one.SourceName, one.Message.Text) for one in heard]
 
-    data = file_of(model, "machinery", identification=IDENTIFICATION)
-    said = "the displacement of mill is bad: no-sample"
-    assert ("mill", said) in found_by_a_client(data, tmp_path, look)
+    assert ("mill-1", "the displacement of mill-1 is bad: no-sample") in seen(look)
 
 
-def test_nobody_writes_the_nodes_of_a_specification(model, tmp_path):
+@pytest.mark.parametrize("seen", ["machinery"], indirect=True)
+def test_nobody_writes_the_nodes_of_a_specification(seen):
     """Some of them are writable by their node sets, such as the location of a machine's type."""
 
     async def look(client):
@@ -153,12 +158,17 @@ def test_nobody_writes_the_nodes_of_a_specification(model, tmp_path):
         with pytest.raises(ua.UaError):
             await client.get_node(ua.NodeId(6029, index)).write_value("here")
 
-    found_by_a_client(file_of(model, "machinery", identification=IDENTIFICATION), tmp_path, look)
+    seen(look)
 
 
 def test_a_server_without_a_specification_loads_none(model, tmp_path):
-    names = found_by_a_client(file_of(model, "none"), tmp_path, namespaces_of)
-    assert len(names) == 3
+    data = file_of(model, "none")
+
+    async def live():
+        async with serving(data, tmp_path):
+            return await found_by_a_client(data, namespaces_of)
+
+    assert len(asyncio.run(live())) == 3
 
 
 @pytest.mark.parametrize(
