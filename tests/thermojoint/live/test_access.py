@@ -37,6 +37,18 @@ from thermojoint.live.users import add_user, read_users, remove_user
 from thermojoint.live.writers.opcua import Entry, open_server, serve_nodes
 
 WEEK = 7 * 86400.0
+SERVICE = """
+folder = "state"
+users = "users"
+[models.m]
+file = "m"
+[machines.mill]
+model = "m"
+source = "s"
+[sources.s]
+kind = "csv"
+path = "-"
+"""
 
 
 @pytest.fixture(scope="module")
@@ -229,15 +241,20 @@ def test_a_value_that_is_written_in_every_cycle_is_audited_with_its_count(tmp_pa
     assert lines == [f"write ns=2;s=Z = {k}" for k in range(AT_ONCE)]
 
 
-def test_the_commands_list_make_and_end_users_and_tokens(tmp_path):
-    (tmp_path / "service.toml").write_text(
-        'folder = "state"\nusers = "users"\n[models.m]\nfile = "m"\n'
-        '[machines.mill]\nmodel = "m"\nsource = "s"\n[sources.s]\nkind = "csv"\npath = "-"\n'
-    )
+@pytest.fixture
+def called(tmp_path):
+    """Run a command on the file of a service."""
+    (tmp_path / "service.toml").write_text(SERVICE)
 
-    def said(command, *more, **given):
-        called = [command, str(tmp_path / "service.toml"), *more]
-        done = CliRunner().invoke(app, called, **given)
+    def run(command, *more, **given):
+        return CliRunner().invoke(app, [command, str(tmp_path / "service.toml"), *more], **given)
+
+    return run
+
+
+def test_the_commands_list_make_and_end_users_and_tokens(called, tmp_path):
+    def said(*words, **given):
+        done = called(*words, **given)
         assert done.exit_code == 0, done.output
         return done.output
 
@@ -272,26 +289,16 @@ def test_the_commands_list_make_and_end_users_and_tokens(tmp_path):
         ("tokens", "--days", "30"),
     ],
 )
-def test_rights_without_anybody_who_gets_them_are_refused(tmp_path, command, option, value):
-    file = tmp_path / "service.toml"
-    file.write_text(
-        'folder = "state"\nusers = "users"\n[models.m]\nfile = "m"\n'
-        '[machines.mill]\nmodel = "m"\nsource = "s"\n[sources.s]\nkind = "csv"\npath = "-"\n'
-    )
-    done = CliRunner().invoke(app, [command, str(file), option, value])
+def test_rights_without_anybody_who_gets_them_are_refused(called, command, option, value):
+    done = called(command, option, value)
     assert str(done.exception) == f"{option}: goes with --add; leave it out"
 
 
 @pytest.mark.parametrize("days", ["1e9", "inf"])
-def test_a_token_that_no_calendar_has_the_end_of_is_refused(tmp_path, days):
-    file = tmp_path / "service.toml"
-    file.write_text(
-        'folder = "state"\n[models.m]\nfile = "m"\n[machines.mill]\nmodel = "m"\nsource = "s"\n'
-        '[sources.s]\nkind = "csv"\npath = "-"\n'
-    )
-    done = CliRunner().invoke(app, ["tokens", str(file), "--add", "logger", "--days", days])
+def test_a_token_that_no_calendar_has_the_end_of_is_refused(called, days):
+    done = called("tokens", "--add", "logger", "--days", days)
     assert "--days" in str(done.exception)
-    listed = CliRunner().invoke(app, ["tokens", str(file)])
+    listed = called("tokens")
     assert (listed.exit_code, listed.output) == (0, "")
 
 

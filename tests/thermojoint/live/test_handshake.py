@@ -106,25 +106,30 @@ def test_a_control_that_returns_goes_on_from_what_it_has(has, begins):
     assert continued_from(back, judged(LIMITS, back, 3.0), LIMITS) is None
 
 
+def begun_with(**given):
+    """A sequence with a handshake, whose offsets follow and decay at once.
+
+    Each publication is held against what the control received last.
+    """
+    at_once = dict.fromkeys(("dead_band_um", "filter_s", "freeze_s", "recover_s"), 0.0)
+    usual = {"resolution_um": 0.1, "rate_um_s": 0.05, "oldest_s": 3.0, "decay_s": 5.0}
+    found = offset_invariant.Offsets()
+    found.begin(offset_invariant.settings_of(at_once | usual | given, two=False), shakes=True)
+    return found
+
+
 def test_a_control_that_holds_an_old_offset_within_the_tolerance_goes_on_from_it():
     """It was disconnected for a moment, unnoticed, while the offset moved on."""
-    at_once = dict.fromkeys(("dead_band_um", "filter_s", "freeze_s", "recover_s"), 0.0)
-    given = at_once | {"resolution_um": 0.1, "rate_um_s": 0.05, "oldest_s": 3.0, "decay_s": 5.0}
-    found = offset_invariant.Offsets()
-    found.begin(offset_invariant.settings_of(given, two=False), shakes=True)
+    found = begun_with()
     found.control_returns(linked=False, clears=False, count=8, value=1.0)
     found.control_returns(linked=False, clears=False, count=3, value=0.0)
-    # Each publication is held against what it received last.
     found.control_returns(linked=True, clears=False, count=3, value=0.0)
     found.teardown()
 
 
 def test_a_killed_service_knows_what_a_control_may_still_have():
     """The control holds -0.2 um, unnoticed; the offset has moved to zero when the service ends."""
-    at_once = dict.fromkeys(("dead_band_um", "filter_s", "freeze_s", "recover_s"), 0.0)
-    given = at_once | {"resolution_um": 0.1, "rate_um_s": 0.05, "oldest_s": 3.0, "decay_s": 5.0}
-    found = offset_invariant.Offsets()
-    found.begin(offset_invariant.settings_of(given | {"largest_um": 10.0}, two=False), shakes=True)
+    found = begun_with(largest_um=10.0)
     found.control_leaves(clears=True, enabled=False, linked=False)
     found.control_returns(clears=True, count=3, linked=True, value=0.95)
     found.control_returns(clears=False, count=3, linked=False, value=215.9)
@@ -137,21 +142,9 @@ def test_a_killed_service_knows_what_a_control_may_still_have():
 
 def test_an_offset_that_decays_does_not_meet_a_wrong_acknowledgement():
     """A control acknowledges 50 um too much: as much as it was sent some seconds before."""
-    at_once = dict.fromkeys(("dead_band_um", "freeze_s", "recover_s"), 0.0)
-    given = at_once | {
-        "resolution_um": 0.1,
-        "rate_um_s": 20.0,
-        "filter_s": 10.0,
-        "largest_um": 100.0,
-    }
-    found = offset_invariant.Offsets()
-    found.begin(
-        offset_invariant.settings_of(given | {"oldest_s": 3.0, "decay_s": 5.0}, two=False),
-        shakes=True,
-    )
+    found = begun_with(rate_um_s=20.0, filter_s=10.0, largest_um=100.0)
     found.control_returns(linked=False, clears=False, count=8, value=-161.0)
     found.control_lies(lie=50e-6)
-    # Each publication is held against what it received last.
     found.samples(count=10, value=0.0, slope=0.0, kind=offset_invariant.SOUND)
     found.teardown()
 
