@@ -71,7 +71,7 @@ def free_port() -> int:
 
 def command(*words: str | Path) -> list[str]:
     """Return the line of a command of the program."""
-    return [sys.executable, "-m", "thermojoint.cli", *map(str, words)]
+    return [sys.executable, "-m", "thermojoint", *map(str, words)]
 
 
 def learn(model: Path, *displacements: str) -> None:

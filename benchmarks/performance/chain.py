@@ -22,7 +22,7 @@ def rows() -> Iterator[Row]:
         folder = Path(name)
 
         def reproduce() -> None:
-            command = [sys.executable, "-m", "thermojoint.cli", "reproduce"]
+            command = [sys.executable, "-m", "thermojoint", "reproduce"]
             done = subprocess.run(
                 [*command, "--out", str(folder / "results")],
                 capture_output=True,

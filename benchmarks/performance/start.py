@@ -34,7 +34,7 @@ def rows(repeats: int = REPEATS) -> Iterator[Row]:
     """Yield start-version, -help, -simulate, -marched and -memory."""
     with TemporaryDirectory() as name:
         for row, (arguments, what) in COMMANDS.items():
-            command = partial(_run, ["-m", "thermojoint.cli", *arguments], Path(name))
+            command = partial(_run, ["-m", "thermojoint", *arguments], Path(name))
             numpy = partial(_run, ["-c", "import numpy"], Path(name))
             command()  # its modules are compiled and in the page cache
             yield Row(
@@ -48,7 +48,7 @@ def rows(repeats: int = REPEATS) -> Iterator[Row]:
 
 def marched_rows(folder: Path, repeats: int) -> Iterator[Row]:
     """Yield start-marched and start-memory: a whole process that simulates a short case."""
-    words = ["-m", "thermojoint.cli", "simulate", str(SHORT), "--out", "short.nc"]
+    words = ["-m", "thermojoint", "simulate", str(SHORT), "--out", "short.nc"]
     note = (
         "thermojoint simulate of examples/two_rods whole, machine code and condensation kept; "
         f"other: the target; median of {repeats}"

@@ -45,7 +45,7 @@ def test_every_command_of_the_page_works_and_a_kill_changes_nothing(tmp_path):
     def shell(command, **options):
         command = command.replace("8080", str(port))
         # The program of these tests, wherever another one is installed.
-        command = re.sub(r"^thermojoint ", "python -m thermojoint.cli ", command)
+        command = re.sub(r"^thermojoint ", "python -m thermojoint ", command)
         return subprocess.Popen(
             f"exec {command}" if options else command, shell=True, cwd=folder, env=environment,
             stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,

@@ -109,7 +109,7 @@ def test_a_case_runs_and_is_drawn_without_a_home(tmp_path, temporary):
     environment = without_home(tmp_path, temporary)
     kept = Path(compiled_gap.newton_work._cache.cache_path).parent
     environment |= {"NUMBA_CACHE_DIR": str(kept)}
-    command = ["-m", "thermojoint.cli"]
+    command = ["-m", "thermojoint"]
     simulate = [*command, "simulate", "case.toml", "--out", "out.nc"]
     assert run(simulate, environment, cwd=tmp_path).stderr.endswith("wrote out.nc\n")
     view = [*command, "view", "out.nc", "--out", "out.svg"]

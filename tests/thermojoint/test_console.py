@@ -29,7 +29,7 @@ def as_before():
 
 def run(*arguments, **variables):
     return subprocess.run(
-        [sys.executable, "-m", "thermojoint.cli", *arguments],
+        [sys.executable, "-m", "thermojoint", *arguments],
         capture_output=True,
         text=True,
         check=False,

@@ -87,7 +87,3 @@ def _ignore() -> None:
 
 def _line(message: str) -> str:
     return f"thermojoint: {' '.join(message.split())}\n"
-
-
-if __name__ == "__main__":
-    main()

@@ -197,7 +197,7 @@ def started(words: Command, folder: Path, output: IO[bytes]) -> subprocess.Popen
     Ctrl-C in the terminal of the pages does not reach the command.
     """
     return subprocess.Popen(
-        [sys.executable, "-m", "thermojoint.cli", *words],
+        [sys.executable, "-m", "thermojoint", *words],
         cwd=folder,
         env=environ | {"PYTHONUNBUFFERED": "1"},
         stdin=subprocess.DEVNULL,

@@ -99,7 +99,7 @@ def gone(process_id, within=20.0):
 @contextmanager
 def started(study, out, cases, workers):
     """The command in a process of its own, once it has finished some cases."""
-    command = [sys.executable, "-m", "thermojoint.cli", "batch", study, "--out", out]
+    command = [sys.executable, "-m", "thermojoint", "batch", study, "--out", out]
     with subprocess.Popen(
         [*map(str, command), "--workers", str(workers)],
         stderr=subprocess.PIPE,

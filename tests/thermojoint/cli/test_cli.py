@@ -169,7 +169,7 @@ def test_every_mistake_of_a_case_is_told_at_once_a_line_each(files_at_hand, comm
 def test_a_mistake_ends_the_real_process_without_a_traceback(files_at_hand, tmp_path):
     done = subprocess.run(
         [
-            *(sys.executable, "-m", "thermojoint.cli", "simulate"),
+            *(sys.executable, "-m", "thermojoint", "simulate"),
             *(files_at_hand / "unknown-key.toml", "--out", tmp_path / "out.nc"),
         ],
         capture_output=True,
@@ -440,7 +440,7 @@ def test_a_logger_stopped_by_a_signal_leaves_its_state(files_at_hand, tmp_path):
     state = tmp_path / "state.json"
     arguments = ["estimate", files_at_hand / "model.json", "-", "--out", "-", "--interval-s", "2"]
     with subprocess.Popen(
-        [sys.executable, "-m", "thermojoint.cli", *arguments, "--save-state", state],
+        [sys.executable, "-m", "thermojoint", *arguments, "--save-state", state],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -460,7 +460,7 @@ def test_a_logger_stopped_by_a_signal_leaves_its_state(files_at_hand, tmp_path):
 def test_an_interrupted_estimate_leaves_no_file(files_at_hand, tmp_path):
     arguments = ["estimate", files_at_hand / "model.json", "-", "--out", tmp_path / "out.csv"]
     with subprocess.Popen(
-        [sys.executable, "-m", "thermojoint.cli", *arguments], stdin=subprocess.PIPE
+        [sys.executable, "-m", "thermojoint", *arguments], stdin=subprocess.PIPE
     ) as running:
         running.stdin.write(b"time_s,delta_T_K,T1_K,T2_K\n0,0,0,0\n2,0,0,0\n4,0,0,0\n")
         running.stdin.flush()

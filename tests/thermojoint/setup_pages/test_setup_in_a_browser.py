@@ -4,7 +4,6 @@ import asyncio
 import contextlib
 import os
 import re
-import shutil
 import signal
 import socket
 import subprocess
@@ -13,6 +12,7 @@ import threading
 import time
 import tomllib
 
+import browser
 import httpx
 import pytest
 from machine_logs import as_csv, machine_log
@@ -21,37 +21,24 @@ from repository import ROOT
 
 from thermojoint.artefacts.response import read_response
 
-playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-#: Nothing to the outside, software in place of a graphics card.
-FLAGS = (
-    "--no-sandbox --disable-gpu --no-first-run --disable-background-networking "
-    "--disable-component-update --disable-sync"
-)
 PHONE, DESKTOP = {"width": 400, "height": 844}, {"width": 1200, "height": 800}
 #: Long, since machine code may have to be compiled on a machine that many share.
 WAIT_MS = 240_000
 INTERVAL = 300.0
 
-pytestmark = [
-    pytest.mark.long,
-    pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium to look with"),
-]
+pytestmark = [pytest.mark.long, browser.needs_chromium]
 
 
 @pytest.fixture(scope="module")
 def chromium():
-    with playwright.sync_playwright() as started:
-        browser = started.chromium.launch(executable_path=CHROMIUM, args=FLAGS.split())
-        yield browser
-        browser.close()
+    with browser.chromium() as started:
+        yield started
 
 
 @pytest.fixture
 def pages(chromium, tmp_path):
     """The pages of a folder as the command serves them, opened; every one fits its window."""
-    command = [sys.executable, "-m", "thermojoint.cli", "setup", str(tmp_path)]
+    command = [sys.executable, "-m", "thermojoint", "setup", str(tmp_path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         link = re.search(r"http://\S+", process.stdout.readline())[0]
         context = chromium.new_context(viewport=PHONE)
