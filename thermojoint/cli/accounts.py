@@ -6,7 +6,7 @@ import sys
 import time
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,13 +14,14 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.cli import arguments
 from thermojoint.live.rights import Role
 
-#: Origin of these actions in the audit log.
-_ORIGIN = "command"
+if TYPE_CHECKING:
+    from thermojoint.live.settings import Service
+
 #: Longest life of a token: a century.
 _MOST_DAYS = 36_525.0
 
 
-Service = Annotated[Path, typer.Argument(help="File of the service (TOML).")]
+ServiceFile = Annotated[Path, typer.Argument(help="File of the service (TOML).")]
 RoleOption = Annotated[
     Role | None,
     typer.Option(
@@ -38,7 +39,7 @@ _ROLE, _MACHINES = "viewer", "*"
 
 
 def users(
-    service: Service,
+    service: ServiceFile,
     add: Annotated[
         str | None, typer.Option(help="Add or change this user; the password is asked for.")
     ] = None,
@@ -54,7 +55,6 @@ def users(
     Example: [bold]thermojoint users service.toml --add anna --machines 'mill-*'[/bold]
     """
     from thermojoint import console
-    from thermojoint.live.accounts import audit_of
     from thermojoint.live.settings import read_service
     from thermojoint.live.users import add_user, read_users, remove_user
 
@@ -75,11 +75,11 @@ def users(
         asked = f"password of {add}: "
         password = getpass.getpass(asked) if sys.stdin.isatty() else sys.stdin.readline()
         add_user(path, add, own, password.rstrip("\r\n"), patterns.split(","))
-        audit_of(given).accepted(user_name(), _ORIGIN, f"user {add}: {own} of {patterns}")
+        audited(given, f"user {add}: {own} of {patterns}")
         console.wrote(path)
     if remove is not None:
         remove_user(path, remove)
-        audit_of(given).accepted(user_name(), _ORIGIN, f"user {remove}: removed")
+        audited(given, f"user {remove}: removed")
         console.wrote(path)
     if add is None and remove is None:
         for name, user in (read_users(path) if path.exists() else {}).items():
@@ -87,7 +87,7 @@ def users(
 
 
 def tokens(
-    service: Service,
+    service: ServiceFile,
     add: Annotated[str | None, typer.Option(help="Make a token of this name and print it.")] = None,
     revoke: Annotated[str | None, typer.Option(help="Revoke the token of this name.")] = None,
     role: RoleOption = None,
@@ -105,7 +105,6 @@ def tokens(
     from contextlib import closing
 
     from thermojoint.live.access_store import open_access
-    from thermojoint.live.accounts import audit_of
     from thermojoint.live.settings import read_service
     from thermojoint.live.tokens import add_token, revoke_token, tokens_in
 
@@ -119,13 +118,13 @@ def tokens(
     with closing(open_access(given.folder)) as store:
         if revoke is not None:
             revoke_token(store, revoke)
-            audit_of(given).accepted(user_name(), _ORIGIN, f"token {revoke}: revoked")
+            audited(given, f"token {revoke}: revoked")
         if add is not None:
             now = time.time()
             span = now, now + 86400.0 * lasts
             print(add_token(store, add, own, span, patterns.split(",")))
             what = f"token {add}: {own} of {patterns} until {_day(span[1])}"
-            audit_of(given).accepted(user_name(), _ORIGIN, what)
+            audited(given, what)
         if add is None and revoke is None:
             for token in tokens_in(store):
                 who, used = token.principal, "never" if token.used is None else _day(token.used)
@@ -135,14 +134,17 @@ def tokens(
                 )
 
 
-def user_name() -> str:
-    """Return the name of the user who runs a command, for the audit log."""
+def audited(service: Service, what: str, machine: str | None = None) -> None:
+    """Note an action of the user who runs a command in the audit log of a service."""
     import getpass
 
+    from thermojoint.live.accounts import audit_of
+
     try:
-        return getpass.getuser()
+        name = getpass.getuser()
     except (KeyError, OSError):  # a container may run under a user id without a name
-        return "unknown"
+        name = "unknown"
+    audit_of(service).accepted(name, "command", what, machine)
 
 
 def _day(seconds: float) -> str:

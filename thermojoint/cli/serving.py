@@ -10,6 +10,7 @@ import typer
 from thermojoint.artefacts.errors import InputErrors, unknown_name
 from thermojoint.artefacts.extras import require
 from thermojoint.cli import arguments, file_kinds
+from thermojoint.cli.accounts import ServiceFile, audited
 
 #: Packages of the extra `serve`.
 _LIBRARIES = (
@@ -22,7 +23,6 @@ _LIBRARIES = (
     "anyio",
     "plotly",
 )
-ServiceFile = Annotated[Path, typer.Argument(help="File of the service (TOML).")]
 
 
 def serve(
@@ -110,8 +110,6 @@ def rollback(
 
     Example: [bold]thermojoint rollback service.toml mill[/bold]
     """
-    from thermojoint.cli.accounts import user_name
-    from thermojoint.live.accounts import audit_of
     from thermojoint.live.former_models import SHOWN, read_record, roll_back
     from thermojoint.live.publication import iso_time
     from thermojoint.live.settings import read_service
@@ -127,7 +125,7 @@ def rollback(
         return
     target = roll_back(given, machine, to)
     what = f"rollback to model {target.file} {target.fingerprint[:SHOWN]}"
-    audit_of(given).accepted(user_name(), "command", what, machine)
+    audited(given, what, machine)
     follows = "reloads now" if hang_up(given.folder) else "follows at its next start"
     print(f"{machine}: {what}; the service {follows}")
 
@@ -143,13 +141,11 @@ def backup(
     Example: [bold]thermojoint backup service.toml --out backup.tar.gz[/bold]
     """
     from thermojoint import console
-    from thermojoint.cli.accounts import user_name
-    from thermojoint.live.accounts import audit_of
     from thermojoint.live.backup import back_up
     from thermojoint.live.settings import read_service
 
     arguments.check_outputs({"--out": (out, file_kinds.BACKUP)}, [service])
-    audit_of(read_service(service)).accepted(user_name(), "command", f"backup to {out}")
+    audited(read_service(service), f"backup to {out}")
     console.warn(f"left out: {secret}" for secret in back_up(service, out))
     console.wrote(out)
 
@@ -162,11 +158,9 @@ def restore(
 
     Example: [bold]thermojoint restore backup.tar.gz --out restored[/bold]
     """
-    from thermojoint.cli.accounts import user_name
-    from thermojoint.live.accounts import audit_of
     from thermojoint.live.backup import restore as restore_backup
     from thermojoint.live.settings import read_service
 
     file = restore_backup(backup, out)
-    audit_of(read_service(file)).accepted(user_name(), "command", f"restored from {backup}")
+    audited(read_service(file), f"restored from {backup}")
     print(f"{file}: restored; put the secrets back, then: thermojoint serve {file} --check")

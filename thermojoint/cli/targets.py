@@ -8,10 +8,11 @@ from typing import Annotated
 import typer
 
 from thermojoint.cli import arguments, file_kinds
+from thermojoint.cli.accounts import ServiceFile
 
 
 def linuxcnc(
-    service: Annotated[Path, typer.Argument(help="File of the service (TOML).")],
+    service: ServiceFile,
     ini: Annotated[Path, typer.Argument(help="The control's ini file.")],
     machine: Annotated[str, typer.Option(help="Name of the machine in the service.")],
     token: Annotated[
@@ -70,7 +71,7 @@ def target(
     arguments.check_outputs({"--out": (out, file_kinds.TARGET)}, [target, offsets])
     given = read_target(target)
     if offsets is None:
-        lines = list(lines_of(given, dict.fromkeys(given.axes, 0.0)))
+        lines = list(lines_of(given))
     else:
         with source.lines_of(offsets, "table of offsets") as table:
             rows = writes(given, table, str(offsets))

@@ -172,14 +172,11 @@ def _check_output(given: TargetFile, path: Path, output: OutputSettings) -> None
                 f"{path}: slopes.{name}.stroke_mm is not all of the model's, "
                 f"{slope.low / MILLI:.9g} to {slope.high / MILLI:.9g} mm; make it longer"
             )
-    rates = dict.fromkeys(output.names, output.rate)
-    for write in writes_of(given, output.names):
-        rate, slope = rates[write.axis], own.get(write.axis)
-        if slope is not None:
-            parts = slope.slope if write.quantity is given.control.slope else slope.offset
-            rate = parts.rate
-        quantity = write.quantity
-        change = steps_in(quantity, write.most) * quantity.step * quantity.metres
+    for quantity, name, most in writes_of(given, output.names):
+        rate = output.rate
+        if slope := own.get(name):
+            rate = (slope.slope if quantity is given.control.slope else slope.offset).rate
+        change = steps_in(quantity, most) * quantity.step * quantity.metres
         if change < rate * given.every_s * (1.0 - 1e-9):
             raise InputError(
                 f"{path}: largest_step_um {given.largest_step_um:g} every_s {given.every_s:g} is "
@@ -187,14 +184,14 @@ def _check_output(given: TargetFile, path: Path, output: OutputSettings) -> None
             )
 
 
-def lines_of(given: TargetFile, metres: Mapping[str, float]) -> Iterator[str]:
-    """Yield the lines of a file for the control, with offsets by axis (m)."""
+def lines_of(given: TargetFile) -> Iterator[str]:
+    """Yield the lines of a file for the control, with offsets of zero."""
     control = given.control
     yield f"{control.comment} {control.title}: temperature compensation by thermojoint"
     for axis, number in given.axes.items():
         if control.heading:
             yield control.heading.format(axis=number)
-        values = {control.switch: 1.0, control.offset: in_units(control.offset, metres[axis])}
+        values = {control.switch: 1.0}
         if section := given.slopes.get(axis):
             values[control.switch] = control.with_slope
             values[control.reference] = in_units(control.reference, section.reference)
