@@ -94,16 +94,21 @@ def working(what: str) -> Iterator[None]:
         report(what, 1, 1)
 
 
-@contextmanager
-def _bars() -> Iterator[Report]:
-    bars = Progress(
+def bars_on(console: Console) -> Progress:
+    """Return progress bars of tasks: name, done of total, time spent and left."""
+    return Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
-        console=Console(stderr=True),
+        console=console,
     )
+
+
+@contextmanager
+def _bars() -> Iterator[Report]:
+    bars = bars_on(Console(stderr=True))
     tasks: dict[str, TaskID] = {}
 
     def report(name: str, done: int, total: int) -> None:

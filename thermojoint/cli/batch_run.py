@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
@@ -12,14 +13,6 @@ from typing import TYPE_CHECKING, TypeAlias
 import typer
 from rich.console import Console, Group
 from rich.live import Live
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 from rich.text import Text
 
 from fesim.batch.study import Study, StudyCase, brief, shown
@@ -41,6 +34,7 @@ Say = Callable[[str], None]
 #: Starts the workers of a batch.
 Recruit: TypeAlias = "Callable[[], AbstractContextManager[Crew]]"
 
+_STOPPED = "stopped; the same command continues from here"
 #: Largest number of workers that are listed.
 SHOWN_WORKERS = 8
 
@@ -68,17 +62,20 @@ def completed(
     """Run a study as `run_cases`, and return its table; end the command if it was stopped."""
     finished = run_cases(study, where, out, recruit)
     if finished.stopped:
-        terminal.say("stopped; the same command continues from here")
+        terminal.say(_STOPPED)
         raise typer.Exit(worst(finished))
     return finished.summary
 
 
-def crew_of(workers: int, scheduler: str | None, say: Say) -> Recruit:
-    """Return a function that starts the workers: local processes, or those of a Dask cluster."""
+def crew_of(workers: int | None, scheduler: str | None, say: Say) -> Recruit:
+    """Return a function that starts the workers: those of a Dask cluster, or local processes.
+
+    Without a number there is one local process for each core.
+    """
     if scheduler is None:
         from fesim.batch.local import local_crew
 
-        return lambda: local_crew(workers)
+        return lambda: local_crew(workers or os.cpu_count() or 1)
     let_dask_load()
     # Here, not above: Dask is an extra.
     from fesim.batch.cluster import dask_crew
@@ -112,14 +109,7 @@ def display(study: Study, stopped: Callable[[], bool]) -> Iterator[tuple[Watch, 
     """
     console = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
     values = {case.id: brief(case.values) for case in study.cases}
-    bar = Progress(
-        TextColumn("cases"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=console,
-    )
+    bar = terminal.bars_on(console)
     task = bar.add_task("cases", total=len(study.cases))
 
     def tell(case: StudyCase, text: str) -> None:
@@ -132,14 +122,8 @@ def display(study: Study, stopped: Callable[[], bool]) -> Iterator[tuple[Watch, 
         if not console.is_terminal:
             return
         bar.update(task, completed=sum(progress.counts.values()))
-        live.update(
-            Group(
-                bar,
-                Text(
-                    "\n".join(lines(progress, values, stopped())), no_wrap=True, overflow="ellipsis"
-                ),
-            )
-        )
+        below = "\n".join(lines(progress, values, stopped()))
+        live.update(Group(bar, Text(below, no_wrap=True, overflow="ellipsis")))
 
     live = Live(bar, console=console)
     with live if console.is_terminal else nullcontext():
@@ -177,7 +161,7 @@ def closing_lines(finished: run.Finished, out: Path) -> list[str]:
         + f"; {finished.found} found finished, {finished.ran} run now"
     ]
     if finished.stopped:
-        closing.append("stopped; the same command continues from here")
+        closing.append(_STOPPED)
     return [*closing, f"wrote {out / 'dataset.zarr'}, {out / 'summary.csv'}, summary.parquet"]
 
 

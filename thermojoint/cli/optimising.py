@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import replace
@@ -83,7 +82,7 @@ def optimise(  # noqa: PLR0913 - options of a command
     own = _own_values(given, case)
     every = _finished(given, out, str(question))
     refusals: dict[str, str] = {}
-    with _one_crew(workers or os.cpu_count() or 1, scheduler) as recruit:
+    with _one_crew(workers, scheduler) as recruit:
 
         def run(rows: list[Values]) -> Array:
             """Run cases in one study with all earlier ones, so that the tables contain them all."""
@@ -160,7 +159,7 @@ def _finished(given: DesignFile, out: Path, where: str) -> list[Values]:
 
 
 @contextmanager
-def _one_crew(workers: int, scheduler: str | None) -> Iterator[Callable[[Say], Recruit]]:
+def _one_crew(workers: int | None, scheduler: str | None) -> Iterator[Callable[[Say], Recruit]]:
     """Give workers that start when they are first needed, and end with the block."""
     from thermojoint.cli.batch_run import crew_of
 

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from thermojoint.console import number, numeric, titled
 
 if TYPE_CHECKING:
     from calibrate.placement.joint_aware import Placement
     from thermojoint.artefacts.response import AnyResponse
+    from thermojoint.verification.suite import Result
 
 #: An axis with less than this fraction of the largest band does not move.
 STILL = 1e-6
@@ -184,3 +185,24 @@ def _show_displacement(
         # To the nanometre, since further digits are rounding errors; adding zero turns -0 into 0.
         table.add_row(str(axis), *(f"{round(value, 3) + 0.0:.3f}" for value in at))
     titled(console, f"Displacement of {response.attrs['displacement_of']} (µm)", table)
+
+
+def show_verification(console: Console, results: Sequence[Result]) -> None:
+    """Print one table for each group of checks, and the number of passed ones."""
+    from thermojoint.verification.report import shown
+
+    for result in results:
+        numbers = ("reference", "computed", "error", "tolerance")
+        table = Table(
+            Column("quantity", overflow="fold"),
+            *(Column(name, justify="right", no_wrap=True) for name in numbers),
+            Column("source", overflow="fold"),
+        )
+        for check in result.checks:
+            table.add_row(*shown(check), style=None if check.passed else "bold red")
+        titled(console, result.group.title, table)
+    checks = [check for result in results for check in result.checks]
+    failed = [check.name for check in checks if not check.passed]
+    console.print(f"\n{len(checks) - len(failed)} of {len(checks)} checks are within tolerance.")
+    for name in failed:
+        console.print(f"out of tolerance: {name}", style="bold red")

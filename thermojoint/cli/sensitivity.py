@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -87,7 +86,7 @@ def sensitivity(  # noqa: PLR0913 - options of a command
     def run(study: Study, rows: list[Values]) -> tuple[list[str], Array]:
         """Run the cases; return the names of the figures, and their values for each row."""
         check_figures(figure or [], physical(study.columns), "--figure")
-        recruit = partial(batch_run.crew_of, workers or os.cpu_count() or 1, scheduler)
+        recruit = partial(batch_run.crew_of, workers, scheduler)
         summary = batch_run.completed(study, str(given), out, recruit)
         names = chosen_figures(summary, figure or [])
         return names, figures_of_rows(study, rows, summary, names)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
@@ -143,7 +142,7 @@ def batch(
     batch_run.check_workers(workers, scheduler)
     arguments.check_outputs({"--page": (page, file_kinds.STUDY_PAGE)}, [given])
     study = read_study(given)
-    recruit = partial(batch_run.crew_of, workers or os.cpu_count() or 1, scheduler)
+    recruit = partial(batch_run.crew_of, workers, scheduler)
     finished = batch_run.run_cases(study, str(given), out, recruit)
     for line in batch_run.closing_lines(finished, out):
         console.say(line)
@@ -175,7 +174,8 @@ def verify(
     """
     from thermojoint import console
     from thermojoint.artefacts.files import write_text
-    from thermojoint.cli import verification_run
+    from thermojoint.cli import results
+    from thermojoint.verification import suite
     from thermojoint.verification.report import markdown as verification_page
     from thermojoint.verification.report import results_data
 
@@ -185,10 +185,14 @@ def verify(
             "--markdown": (markdown, file_kinds.VERIFICATION_PAGE),
         }
     )
+    compared: list[suite.Result] = []
     with console.progress_bars() as report:
-        compared = verification_run.run_all(report)
+        report("verifying", 0, len(suite.GROUPS))
+        for result in suite.run(suite.GROUPS):
+            compared.append(result)
+            report("verifying", len(compared), len(suite.GROUPS))
     arguments.write_json(out, results_data(compared))
-    verification_run.show(console.out(out), compared)
+    results.show_verification(console.out(out), compared)
     if markdown:
         write_text(markdown, verification_page(compared))
     console.wrote(out, markdown)

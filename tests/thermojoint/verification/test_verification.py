@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from repository import ROOT
 
 from thermojoint.artefacts.errors import ConvergenceError
-from thermojoint.cli import verification_run
 from thermojoint.verification.check import Check
 from thermojoint.verification.hot_spot import UNBOUNDED, square_plate_stress
 from thermojoint.verification.report import markdown, results_data, shown
@@ -124,7 +123,7 @@ def verify(monkeypatch, command):
     def run_on(checks, *arguments, after=()):
         first = checks if callable(checks) else lambda: checks
         groups = Group("Rods", first), Group("More rods", lambda: after)
-        monkeypatch.setattr(verification_run, "GROUPS", groups)
+        monkeypatch.setattr("thermojoint.verification.suite.GROUPS", groups)
         return command("verify", *arguments)[:2]
 
     return run_on
