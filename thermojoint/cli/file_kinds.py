@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from thermojoint.artefacts.schema import states
+
 
 @dataclass(frozen=True)
 class Kind:
@@ -25,23 +27,18 @@ class Kind:
     suffix: str = ""
 
 
-def _starts(*starts: bytes) -> Callable[[Path], bool]:
-    def holds(path: Path) -> bool:
-        with path.open("rb") as file:
-            return file.read(max(map(len, starts))).startswith(starts)
+def _head(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(1 << 16)
 
-    return holds
+
+def _starts(start: bytes) -> Callable[[Path], bool]:
+    return lambda path: _head(path).startswith(start)
 
 
 def _schema(schema: str) -> Callable[[Path], bool]:
     """A file that states this schema."""
-
-    def holds(path: Path) -> bool:
-        from thermojoint.artefacts.schema import states
-
-        return states(path, schema)
-
-    return holds
+    return lambda path: states(path, schema)
 
 
 def _json(*keys: str) -> Callable[[Path], bool]:
@@ -89,8 +86,7 @@ def _is_march_state(path: Path) -> bool:
 
 
 def _first_line(path: Path) -> bytes:
-    with path.open("rb") as file:
-        return file.readline(1 << 16).strip()
+    return _head(path).partition(b"\n")[0].strip()
 
 
 def _csv(first: bytes, last: bytes) -> Callable[[Path], bool]:
@@ -114,12 +110,8 @@ def _is_of_target(path: Path) -> bool:
 
 def _is_report(command: str) -> Callable[[Path], bool]:
     """A page that names the command that wrote it."""
-
-    def holds(path: Path) -> bool:
-        with path.open("rb") as file:
-            return f'content="thermojoint {command}"'.encode() in file.read(1 << 10)
-
-    return holds
+    named = f'content="thermojoint {command}"'.encode()
+    return lambda path: named in _head(path)[: 1 << 10]
 
 
 def _is_fmu(path: Path) -> bool:
@@ -142,9 +134,8 @@ def _is_backup(path: Path) -> bool:
 
 
 def _is_picture(path: Path) -> bool:
-    with path.open("rb") as file:
-        start, rest = file.read(16), file.read(1 << 16)
-    drawn = b"matplotlib" in (start + rest + path.read_bytes()[-4096:]).lower()
+    start = _head(path)
+    drawn = b"matplotlib" in (start + path.read_bytes()[-4096:]).lower()
     return (
         start.startswith((b"\x89PNG\r\n", b"GIF8"))
         or start[4:8] == b"ftyp"
