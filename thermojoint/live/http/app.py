@@ -7,7 +7,7 @@ import sqlite3
 import time
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 from urllib.parse import parse_qs, parse_qsl
 
 import anyio.to_thread
@@ -40,6 +40,7 @@ from thermojoint.live.http.parameters import moment, number, one_of, read_parame
 from thermojoint.live.http.sources import Sources
 from thermojoint.live.http.stream import Counted, Reader, stream
 from thermojoint.live.publication import as_json
+from thermojoint.live.scene import Scene
 
 #: Largest number of rows of the history, and of events, per request.
 MOST_POINTS, MOST_EVENTS = 5000, 1000
@@ -51,6 +52,9 @@ LARGEST_LOGIN = 4096
 READ_UM = -1e4, 1e4
 #: Largest number of requests that read the history at the same time; others wait.
 READERS = 4
+_NOT_YET = "nothing is known of {} yet; ask again later"
+
+Content = TypeVar("Content")
 
 
 def asset_answer(request: Request, content: Asset | None) -> Response:
@@ -156,9 +160,8 @@ class Site:
     async def control(self, request: Request) -> Response:
         """Receive an answer of a machine's control: the handshake."""
         name = self._machine(request)
-        if name not in self.sources.controls:
-            raise HTTPException(404, f'{name}: no control answers here; set handshake.by = "http"')
-        owner, take = self.sources.controls[name]
+        why = f'{name}: no control answers here; set handshake.by = "http"'
+        owner, take = _found(self.sources.controls.get(name), why)
         why = request.user.refusal("operator", name)
         if owner not in (None, request.user.name):
             why = f"only {owner} writes for the control"
@@ -251,9 +254,7 @@ class Site:
     async def latest(self, request: Request) -> Response:
         """Return the newest publication of a machine."""
         name = self._only_machine(request)
-        newest = self.sources.hub.newest.get(name)
-        if newest is None:
-            raise HTTPException(404, f"nothing is known of {name} yet; ask again later")
+        newest = _found(self.sources.hub.newest.get(name), _NOT_YET.format(name))
         return JSONResponse(as_json(newest))
 
     async def history(self, request: Request) -> Response:
@@ -296,27 +297,21 @@ class Site:
     async def fields(self, request: Request) -> Response:
         """Return the fields of the newest state at every point of the shape."""
         name = self._only_machine(request)
-        fields = self._scene(name).fields()
-        if fields is None:
-            raise HTTPException(404, f"nothing is known of {name} yet; ask again later")
-        return JSONResponse(fields)
+        return JSONResponse(_found(self._scene(name).fields(), _NOT_YET.format(name)))
 
     async def residuals(self, request: Request) -> Response:
         """Return the residuals (reading minus model) of the newest sample."""
         name = self._only_machine(request)
-        if name not in self.sources.residuals:
-            raise HTTPException(404, f"{name} has an estimator that does not expect readings")
-        residuals = self.sources.residuals[name]()
-        if residuals is None:
-            raise HTTPException(404, f"nothing is known of {name} yet; ask again later")
-        return JSONResponse({"machine": name, "residuals_K": residuals})
+        why = f"{name} has an estimator that does not expect readings"
+        residuals = _found(self.sources.residuals.get(name), why)()
+        body = {"machine": name, "residuals_K": _found(residuals, _NOT_YET.format(name))}
+        return JSONResponse(body)
 
     async def handshake(self, request: Request) -> Response:
         """Return the handshake state of a machine's control."""
         name = self._only_machine(request)
-        if name not in self.sources.handshakes:
-            raise HTTPException(404, f"{name} has no handshake with its control")
-        return JSONResponse({"machine": name, **self.sources.handshakes[name]()})
+        why = f"{name} has no handshake with its control"
+        return JSONResponse({"machine": name, **_found(self.sources.handshakes.get(name), why)()})
 
     async def stream(self, request: Request) -> Response:
         """Return a stream of new samples."""
@@ -402,11 +397,16 @@ class Site:
             raise InputError(f"since {since:.0f} is not before until {until:.0f}; change one")
         return since, until, given
 
-    def _scene(self, name: str) -> Any:  # noqa: ANN401
-        scene = self.sources.scenes.get(name)
-        if scene is None:
-            raise HTTPException(404, f"{name} has no picture in 3-D; give the service a scene file")
-        return scene
+    def _scene(self, name: str) -> Scene:
+        why = f"{name} has no picture in 3-D; give the service a scene file"
+        return _found(self.sources.scenes.get(name), why)
+
+
+def _found(content: Content | None, why: str) -> Content:
+    """Return content; refuse the request if there is none."""
+    if content is None:
+        raise HTTPException(404, why)
+    return content
 
 
 async def _wrong(request: Request, error: Exception) -> Response:
@@ -414,12 +414,13 @@ async def _wrong(request: Request, error: Exception) -> Response:
 
 
 async def _none(request: Request, error: Exception) -> Response:
-    status = getattr(error, "status_code", 404)
-    headers = dict(getattr(error, "headers", None) or {})
-    detail = str(getattr(error, "detail", ""))
-    usual = {404: "no such address; docs/dashboard.md lists them", 405: "no such method here"}
-    plain = detail in ("Not Found", "Method Not Allowed")
-    return refused(status, usual.get(status, detail) if plain else detail, **headers)
+    assert isinstance(error, HTTPException)
+    ours = {
+        "Not Found": "no such address; docs/dashboard.md lists them",
+        "Method Not Allowed": "no such method here",
+    }
+    text = ours.get(error.detail, error.detail)
+    return refused(error.status_code, text, **(error.headers or {}))
 
 
 def make_app(sources: Sources, door: Door, most_streams: int) -> Starlette:

@@ -16,7 +16,7 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.units import MEGA, MILLI
 from thermojoint.live.archive import History
 from thermojoint.live.http.sources import About
-from thermojoint.live.publication import Publication, iso_time
+from thermojoint.live.publication import Publication, iso_time, micrometres
 from thermojoint.live.store import Event
 
 
@@ -34,10 +34,8 @@ def summary(publication: Publication) -> dict[str, Any]:
         "published_s": _rounded(publication.published, 3),
         "quality": publication.quality.word,
         "status": publication.status,
-        "displacement_um": dict(
-            zip(axes, _numbers(MEGA * publication.displacement, 4), strict=True)
-        ),
-        "band_um": dict(zip(axes, _numbers(MEGA * publication.band, 4), strict=True)),
+        "displacement_um": micrometres(axes, publication.displacement),
+        "band_um": micrometres(axes, publication.band),
     }
 
 
@@ -63,6 +61,7 @@ class Words:
 def about_body(machine: str, about: About, offers: Collection[str]) -> dict[str, Any]:
     """Return the constant data of a machine, and its further addresses."""
     layout = about.layout
+    references = {line.axis: line.reference / MILLI for line in layout.lines}
     return {
         "machine": machine,
         "kind": about.kind,
@@ -71,11 +70,7 @@ def about_body(machine: str, about: About, offers: Collection[str]) -> dict[str,
         "since_s": about.since,
         "axes": list(layout.axes),
         "controls": list(layout.controls),
-        **(
-            {"P0_mm": {one.axis: one.reference / MILLI for one in layout.lines}}
-            if layout.lines
-            else {}
-        ),
+        **({"P0_mm": references} if references else {}),
         "details": [detail_name(channel) for channel in layout.details],
         "readings": list(layout.readings),
         "valid": [

@@ -23,21 +23,22 @@ class Buckets:
 
     def wait(self, client: str, now: float) -> float:
         """Return the time for which a client must wait for a token, s; 0 if there is one."""
-        level, since = self.levels.get(client, (self.size, now))
-        level = min(self.size, level + self.rate * max(0.0, now - since))
-        return max(0.0, (1.0 - level) / self.rate)
+        return max(0.0, (1.0 - self._level(client, now)) / self.rate)
 
     def take(self, client: str, now: float) -> float:
         """Take a token if there is one; return the result of `wait` before that."""
         waiting = self.wait(client, now)
         if waiting > 0.0:
             return waiting
-        level, since = self.levels.pop(client, (self.size, now))
-        level = min(self.size, level + self.rate * max(0.0, now - since)) - 1.0
-        self.levels[client] = (level, now)
+        self.levels[client] = (self._level(client, now) - 1.0, now)
+        self.levels.move_to_end(client)
         while len(self.levels) > MOST_CLIENTS:
             self.levels.popitem(last=False)
         return 0.0
+
+    def _level(self, client: str, now: float) -> float:
+        level, since = self.levels.get(client, (self.size, now))
+        return min(self.size, level + self.rate * max(0.0, now - since))
 
 
 def client_of(address: str) -> str:

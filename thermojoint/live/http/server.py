@@ -50,8 +50,6 @@ def make_server(app: Starlette, section: HttpServer, own: Identity | None) -> Se
         security = {"ssl_certfile": own.certificate, "ssl_keyfile": own.key}
     config = uvicorn.Config(
         app,
-        host=section.address,
-        port=section.port,
         http=PatientProtocol,
         ws="none",
         lifespan="off",
