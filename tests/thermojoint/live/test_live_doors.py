@@ -80,7 +80,7 @@ def read(pipe, position=None):
     """What a stream says: arrivals, and notes."""
 
     async def whole():
-        return [one async for some in csv_pipe.read_pipe(pipe, position) for one in some]
+        return [one async for some in pipe.read({pipe.machine: position}) for one in some]
 
     found = asyncio.run(whole())
     arrivals = [one for one in found if isinstance(one, Arrival)]

@@ -29,6 +29,8 @@ from thermojoint.artefacts.tables.source import OR_CP1252, encoding_of
 from thermojoint.artefacts.tables.stream import decimal_in, row_of
 from thermojoint.live.arrivals import NEVER, Arrival, Note
 
+#: Name of the clock.
+CLOCK = "time_s"
 #: Longest line, bytes.
 LONGEST_LINE = 65_536
 #: Interval at which a file is checked for new lines, s.
@@ -60,10 +62,27 @@ class Pipe:
     @property
     def readings(self) -> tuple[str, ...]:
         """Readings with their units, in the estimator's order."""
-        return tuple(name for name in self.names if name != _CLOCK)
+        return tuple(name for name in self.names if name != CLOCK)
 
+    @property
+    def machines(self) -> Sequence[str]:
+        """The machine whose lines they are."""
+        return (self.machine,)
 
-_CLOCK = "time_s"
+    async def read(self, positions: Mapping[str, Any]) -> AsyncIterator[list[Arrival | Note]]:
+        """Yield the rows in blocks, from the stored position on.
+
+        Raises
+        ------
+        InputError
+            The header lacks the required columns.
+        """
+        if str(self.path) == "-" or _is_pipe(self.path):
+            blocks = _stream(self)
+        else:
+            blocks = _file(self, positions.get(self.machine))
+        async for block in blocks:
+            yield block
 
 
 @dataclass(frozen=True)
@@ -159,22 +178,6 @@ def _read_note(pipe: Pipe, header: Header) -> Note:
     return Note("source-read", "; ".join(line.strip() for line in begun(record)), pipe.machine)
 
 
-async def read_pipe(pipe: Pipe, position: Any) -> AsyncIterator[list[Arrival | Note]]:  # noqa: ANN401
-    """Yield the rows in blocks, from a stored position on.
-
-    Raises
-    ------
-    InputError
-        The header lacks the required columns.
-    """
-    if str(pipe.path) == "-" or _is_pipe(pipe.path):
-        async for block in _stream(pipe):
-            yield block
-        return
-    async for block in _file(pipe, position):
-        yield block
-
-
 async def _file(pipe: Pipe, position: Any) -> AsyncIterator[list[Arrival | Note]]:  # noqa: ANN401
     missing_noted = False
     while True:
@@ -222,13 +225,14 @@ async def _whole_lines(
     if header is None:
         return
     yield [_read_note(pipe, header)]
-    first = _first_lines(file, header.layout.dialect.first)
+    file.seek(0)
+    first = b"".join(file.readline(LONGEST_LINE) for _ in range(header.layout.dialect.first))
     at, hands = len(first), Hands()
     if _goes_on(position, first, file):
         at, hands = int(position["offset"]), _hands_of(position)
         header = _in_decimal(header, header.layout.dialect.decimal or position.get("decimal", ""))
     file.seek(at)
-    mark = {"first": len(first), "sum": _sum(first)}
+    mark = {"sum": crc32(first)}
     rest, dropping = b"", False
     while True:
         block = file.read(_BLOCK)
@@ -266,11 +270,6 @@ async def _whole_lines(
         await asyncio.sleep(0)
 
 
-def _first_lines(file: BinaryIO, count: int) -> bytes:
-    file.seek(0)
-    return b"".join(file.readline(LONGEST_LINE) for _ in range(count))
-
-
 def _placed(
     items: list[Arrival | Note], position: dict[str, Any], header: Header, hands: Hands
 ) -> list[Arrival | Note]:
@@ -302,10 +301,6 @@ def _in_decimal(header: Header, decimal: str) -> Header:
     return replace(header, layout=header.layout.with_decimal(decimal))
 
 
-def _sum(first: bytes) -> int:
-    return sum((k + 1) * byte for k, byte in enumerate(first)) % 1_000_003
-
-
 def _after(line: bytes, offset: int) -> dict[str, int]:
     """Return the position after a line, which identifies the file among ones with its header."""
     return {"offset": offset, "last": len(line), "crc": crc32(line)}
@@ -313,18 +308,13 @@ def _after(line: bytes, offset: int) -> dict[str, int]:
 
 def _goes_on(position: Any, first: bytes, file: BinaryIO) -> bool:  # noqa: ANN401
     """Return whether a stored position belongs to a file."""
-    if (
-        not isinstance(position, dict)
-        or position.get("first") != len(first)
-        or position.get("sum") != _sum(first)
-    ):
+    if not isinstance(position, dict) or position.get("sum") != crc32(first):
         return False
-    offset, last = int(position.get("offset", 0)), int(position.get("last", 0))
+    offset, last = int(position["offset"]), int(position["last"])
     if not len(first) + last <= offset <= os.fstat(file.fileno()).st_size:
         return False
     file.seek(offset - last)
-    # Positions of earlier versions have no last line.
-    return crc32(file.read(last)) == position.get("crc", 0)
+    return crc32(file.read(last)) == position["crc"]
 
 
 async def _begun(pipe: Pipe, file: BinaryIO) -> AsyncIterator[Header | Note]:

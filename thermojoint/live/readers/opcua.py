@@ -247,9 +247,8 @@ def item_of(machine: str, k: int, count: int, value: ua.DataValue) -> Arrival | 
     """
     content = value.Value.Value if value.Value is not None else None
     code = value.StatusCode
-    good = code is None or code.is_good() or not code.is_bad()
     readings: list[float | None] = [None] * count
-    if not good or content is None:
+    if content is None or (code is not None and code.is_bad()):
         readings[k] = math.nan
     elif isinstance(content, bool) or not isinstance(content, int | float):
         return Note("malformed", f"a {type(content).__name__} is not a number", machine)

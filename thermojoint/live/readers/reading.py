@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.live.arrivals import NEVER, Arrival, Note
-from thermojoint.live.readers.csv_pipe import Pipe, read_pipe
+from thermojoint.live.readers.csv_pipe import CLOCK, Pipe
 from thermojoint.live.served import Served
 from thermojoint.live.settings import CsvSource, MqttSource, MtconnectSource, OpcuaSource, Service
 from thermojoint.live.times import seconds_of
@@ -26,22 +25,6 @@ class Reader(Protocol):
     def read(self, positions: Mapping[str, Any]) -> AsyncIterator[list[Arrival | Note]]:
         """Yield arrivals and notes in blocks, from the stored position of each machine's source."""
         ...
-
-
-@dataclass(frozen=True)
-class CsvReader:
-    """One machine's lines."""
-
-    pipe: Pipe
-
-    @property
-    def machines(self) -> Sequence[str]:
-        """The machine of the reader."""
-        return (self.pipe.machine,)
-
-    def read(self, positions: Mapping[str, Any]) -> AsyncIterator[list[Arrival | Note]]:
-        """Yield arrivals and notes in blocks, from the stored position on."""
-        return read_pipe(self.pipe, positions.get(self.pipe.machine))
 
 
 def readers_of(service: Service, models: Mapping[str, Served]) -> list[Reader]:
@@ -61,16 +44,17 @@ def readers_of(service: Service, models: Mapping[str, Served]) -> list[Reader]:
         }
         if not fed:
             continue
-        clock = {"time_s"} if isinstance(source, CsvSource) else set()
-        columns = {ours: theirs for ours, theirs in source.columns.items() if ours not in clock}
+        columns, clock = dict(source.columns), dict[str, str]()
+        if isinstance(source, CsvSource) and CLOCK in columns:
+            clock[CLOCK] = columns.pop(CLOCK)
         names = {
             machine: called(model, columns, f"sources.{name}.columns")
             for machine, model in fed.items()
         }
         if isinstance(source, CsvSource):
-            readers += [
-                _csv(source, machine, model, names[machine]) for machine, model in fed.items()
-            ]
+            for machine, model in fed.items():
+                own = dict(zip(model.intake.names, names[machine], strict=True)) | clock
+                readers.append(_pipe(source, machine, own, model.intake.wanted))
         elif isinstance(source, MqttSource):
             from thermojoint.live.readers.mqtt import mqtt_reader
 
@@ -104,7 +88,7 @@ def called(model: Served, columns: Mapping[str, str], where: str) -> tuple[str, 
     return tuple(columns.get(name, NEVER if name in asked else name) for name in model.intake.names)
 
 
-def _csv(source: CsvSource, machine: str, model: Served, names: tuple[str, ...]) -> CsvReader:
+def _pipe(source: CsvSource, machine: str, names: Mapping[str, str], wanted: int) -> Pipe:
     starts = 0.0
     if source.starts is not None:
         try:
@@ -114,18 +98,4 @@ def _csv(source: CsvSource, machine: str, model: Served, names: tuple[str, ...])
                 f"starts = {source.starts!r}: no time; write it as 2026-03-02T06:00:00Z"
             ) from error
     path = Path(str(source.path).replace("{machine}", machine))
-    return CsvReader(
-        Pipe(
-            machine,
-            path,
-            dict(zip(model.intake.names, names, strict=True)) | _clock_of(source),
-            model.intake.wanted,
-            starts,
-            source.follow,
-        )
-    )
-
-
-def _clock_of(source: CsvSource) -> dict[str, str]:
-    """Name of the clock in the header, if ``columns`` gives one."""
-    return {ours: theirs for ours, theirs in source.columns.items() if ours == "time_s"}
+    return Pipe(machine, path, names, wanted, starts, source.follow)

@@ -12,6 +12,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -40,11 +41,11 @@ from thermojoint.live.settings import OpcuaServer
 from thermojoint.live.times import since_1970
 from thermojoint.live.trust_list import TrustList, contents_of
 from thermojoint.live.writers.opcua_alarms import Alarms, add_alarms, tell_alarms
-from thermojoint.live.writers.opcua_history import add_history, is_kept
+from thermojoint.live.writers.opcua_history import ArchiveHistory, is_kept
 
 #: The service's namespace; its nodes are ``ns=2;s=NAME.Displacement.x``.
 NAMESPACE = "urn:thermojoint:live:machines"
-#: UNECE Recommendation 20: unit to its common code.
+#: UNECE Recommendation 20: unit to its common code, which OPC UA (Part 8) encodes as a number.
 _UNITS = {"µm": "4H", "°C": "CEL", "K": "KEL", "W": "WTT", "Pa": "PAL", "1": "C62", "mm": "MMT"}
 _FOLDERS = ("Displacement", "Band", "Offset", "Slope", "Reference", "Detail", "Reading", "Probe")
 
@@ -123,9 +124,8 @@ async def add_machines(
                 k = layout.readings.index(variable.name)
                 take = _taken_by(given, machine, len(layout.readings), k)
                 space.set_attribute_value_setter(nodeid, ua.AttributeIds.Value, take)
-            space.set_attribute_value_callback(
-                nodeid, ua.AttributeIds.Value, _told_by(hub, machine, variable)
-            )
+            told = partial(_told, hub, machine, variable)
+            space.set_attribute_value_callback(nodeid, ua.AttributeIds.Value, told)
             of[machine].append((variable, value_of(server, nodeid)))
     return of
 
@@ -135,12 +135,9 @@ def node_of(machine: str, variable: Variable, index: int) -> ua.NodeId:
     return ua.NodeId(".".join(filter(None, (machine, variable.folder, variable.name))), index)
 
 
-def _told_by(hub: Hub, machine: str, variable: Variable) -> Callable[[Any, Any], ua.DataValue]:
-    def read(nodeid: Any, attribute: Any) -> ua.DataValue:  # noqa: ANN401
-        latest = hub.newest[machine]
-        return data_value(variable.kind, *variable.value(latest), latest)
-
-    return read
+def _told(hub: Hub, machine: str, variable: Variable, *_: object) -> ua.DataValue:
+    latest = hub.newest[machine]
+    return data_value(variable.kind, *variable.value(latest), latest)
 
 
 def _taken_by(
@@ -221,7 +218,7 @@ async def _with_unit(
     if unit not in units:
         information = ua.EUInformation(
             NamespaceUri="http://www.opcfoundation.org/UA/units/un/cefact",
-            UnitId=_unit_id(_UNITS.get(unit, "")),
+            UnitId=int.from_bytes(_UNITS[unit].encode()) if unit in _UNITS else -1,
             DisplayName=ua.LocalizedText(unit),
             Description=ua.LocalizedText(unit),
         )
@@ -231,16 +228,6 @@ async def _with_unit(
         units[unit] = made.nodeid
     else:
         await node.add_reference(units[unit], ua.ObjectIds.HasProperty, True, False)
-
-
-def _unit_id(code: str) -> int:
-    """Return a UNECE code as a number, encoded by OPC UA (Part 8); -1 without a code."""
-    if not code:
-        return -1
-    number = 0
-    for letter in code:
-        number = (number << 8) | ord(letter)
-    return number
 
 
 async def tell_subscribers(hub: Hub, nodes: Nodes) -> None:
@@ -326,27 +313,21 @@ async def open_server(
     door = Door(entry.accounts, asks, trust, entry.log, entry.controls, machines)
     server.iserver.set_user_manager(door)
     restrict(server, door, section)
+    index = await server.register_namespace(NAMESPACE)
     companion = None
     if section.companion != "none":
-        own = await server.register_namespace(NAMESPACE)
         begun = time.monotonic()
-        companion = await load_models(server, section.companion, own, identities)
+        companion = await load_models(server, section.companion, index, identities)
         spent = time.monotonic() - begun
         entry.log.say(time.time(), "companion", f"{section.companion} loaded in {spent:.2f} s")
     variables = await add_machines(server, hub, machines, section.readings, given, companion)
-    add_history(
-        server,
-        entry.archive,
-        {
-            node_of(machine, variable, await server.get_namespace_index(NAMESPACE)): (
-                machine,
-                variable,
-            )
-            for machine, some in variables.items()
-            for variable, _ in some
-            if is_kept(variable)
-        },
-    )
+    kept = {
+        node_of(machine, variable, index): (machine, variable)
+        for machine, some in variables.items()
+        for variable, _ in some
+        if is_kept(variable)
+    }
+    server.iserver.history_manager.set_storage(ArchiveHistory(entry.archive, kept))
     try:
         await server.start()
     except OSError as error:
@@ -354,7 +335,6 @@ async def open_server(
             f"opcua: {section.address}:{section.port}: {error.strerror}; take another port"
         ) from error
     limit_callers(server, section.most_sessions)
-    index = await server.get_namespace_index(NAMESPACE)
     folders = () if companion is None else (companion.machines,)
     alarms = await add_alarms(server, door, index, folders)
     return server, Nodes(variables, alarms)

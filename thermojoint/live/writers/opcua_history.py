@@ -6,10 +6,8 @@ import asyncio
 import math
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from typing import Any
 
 from asyncua import ua
-from asyncua.server import Server
 from asyncua.server.history import HistoryStorageInterface
 
 from thermojoint.live.archive import MOST_ROWS, Archive
@@ -80,11 +78,3 @@ def _seconds(time: datetime | None, otherwise: float) -> float:
 def is_kept(variable: Variable) -> bool:
     """Return whether the archive has the values of a variable."""
     return bool(variable.folder) or variable.name in ("Status", "Quality", "SampleNumber")
-
-
-def add_history(
-    server: Server, archive: Archive, variables: Mapping[ua.NodeId, tuple[str, Variable]]
-) -> None:
-    """Enable the clients of a server to read the history of its variables."""
-    storage: Any = ArchiveHistory(archive, variables)
-    server.iserver.history_manager.set_storage(storage)

@@ -16,6 +16,7 @@ from datetime import UTC, datetime
 
 from estimator.quality import Quality
 from thermojoint.artefacts.arrays import Array
+from thermojoint.live.cancelling import cancelled
 from thermojoint.live.hub import Hub
 from thermojoint.live.publication import Publication
 
@@ -56,7 +57,8 @@ def lines_of(latest: Publication) -> Iterator[str]:
                 (f"{machine}:{line.axis}_slope", f"{slope:.7f}"),
                 (f"{machine}:{line.axis}_reference", f"{reference:.7f}"),
             ]
-        yield _line(now, [*offsets, (f"{machine}:offset_mode", _word(latest.offset_mode))])
+        mode = latest.offset_mode.upper() or _NONE
+        yield _line(now, [*offsets, (f"{machine}:offset_mode", mode)])
     level = _LEVELS[latest.quality] if latest.number else _NONE
     text = "" if level in ("NORMAL", _NONE) else re.sub(r"[|\r\n]+", " ", latest.status)
     # Without a native code: each native code would be a condition of its own.
@@ -75,10 +77,6 @@ def _stamp(seconds: float) -> str:
 def _millimetres(array: Array, k: int) -> str:
     value = _MILLI * float(array[k])
     return f"{value:.7f}" if math.isfinite(value) else _NONE
-
-
-def _word(mode: str) -> str:
-    return mode.upper() or _NONE
 
 
 async def serve_agents(hub: Hub, listening: socket.socket, heartbeat: float) -> None:
@@ -104,9 +102,7 @@ async def serve_agents(hub: Hub, listening: socket.socket, heartbeat: float) -> 
         try:
             await asyncio.wait((telling, asking), return_when=asyncio.FIRST_COMPLETED)
         finally:
-            for one in (telling, asking):
-                one.cancel()
-            await asyncio.gather(telling, asking, return_exceptions=True)
+            await cancelled(telling, asking)
             writer.transport.abort()
             del connected[task]
 
