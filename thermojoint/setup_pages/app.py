@@ -18,9 +18,9 @@ from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Re
 from starlette.routing import Route
 
 from thermojoint.artefacts.errors import ThermojointError
-from thermojoint.artefacts.templates import templates_of
 from thermojoint.live.dashboard.assets import Asset, packed
 from thermojoint.live.dashboard.assets import asset as dashboard_asset
+from thermojoint.live.dashboard.pages import page_templates
 from thermojoint.live.http.app import asset_answer
 from thermojoint.live.http.gate import body_of, refused
 from thermojoint.setup_pages import case_pages, control_pages, log_pages
@@ -83,17 +83,9 @@ def _asset(name: str) -> Asset | None:
     return dashboard_asset(name)
 
 
-def _address(name: str) -> str:
-    content = _asset(name)
-    assert content is not None, name
-    return f"/assets/{content.digest}/{name}"
-
-
 @cache
 def _environment() -> Environment:
-    made = templates_of("thermojoint.setup_pages", "thermojoint.live.dashboard")
-    made.globals["asset"] = _address
-    return made
+    return page_templates(_asset, "thermojoint.setup_pages", "thermojoint.live.dashboard")
 
 
 def _rendered(place: Place, name: str, **values: Any) -> str:  # noqa: ANN401

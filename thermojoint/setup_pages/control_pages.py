@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-from estimator.estimate_table import read_estimate
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.settings import toml
@@ -34,10 +33,10 @@ from thermojoint.setup_pages.place import ExistsError, Given, Place, chosen, one
 from thermojoint.setup_pages.settings_files import (
     ENABLE,
     ESTIMATE,
-    HEAD,
     OFFSETS,
     SERVICE,
     TARGET,
+    estimated,
     form_of,
     save,
 )
@@ -65,9 +64,7 @@ def _filled(name: str, **values: Any) -> str:  # noqa: ANN401
 
 def _estimated(place: Place) -> tuple[tuple[str, ...], float]:
     """Return the axes of the estimate, and its interval, s."""
-    place.existing(ESTIMATE)
-    with place.path(ESTIMATE).open(encoding="utf-8") as file:
-        axes, rows = read_estimate(islice(file, HEAD), ESTIMATE)
+    axes, rows = estimated(place)
     steps = np.diff([row.time for row in rows])
     return axes, float(np.median(steps)) if len(steps) else 1.0
 
@@ -141,9 +138,8 @@ def _begin(place: Place, given: Given) -> None:
     if not place.has(OFFSETS):
         raise InputError(f"{OFFSETS}: is missing; set the offsets first")
     names = read_settings(place.path(OFFSETS)).output.names
-    estimated = place.record("compare").read
-    models = place.models()
-    model = next((name for name in estimated if name in models), (models or ["model.json"])[0])
+    compared, models = place.record("compare").read, place.models()
+    model = next((name for name in compared if name in models), (models or ["model.json"])[0])
     wanted = [TARGET, SERVICE] if kind in CONTROLS else [SERVICE]
     if (there := [name for name in wanted if place.has(name)]) and "replace" not in given:
         raise ExistsError(there)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import islice
 from typing import Any
 
-from estimator.estimate_table import read_estimate, strokes_of
+from estimator.estimate_table import Row, read_estimate, strokes_of
 from fesim.case.schema import case_from_data
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import write_text
@@ -21,7 +21,7 @@ from thermojoint.setup_pages.toml_form import Field, by_field, changed, fields_o
 
 ESTIMATE = "estimate.csv"
 #: Number of rows of the estimate from which its axes are read.
-HEAD = 200
+_HEAD = 200
 OFFSETS, TARGET, SERVICE, CASE = "offsets.toml", "target.toml", "service.toml", "machine.toml"
 #: Key that only the page of the dry run changes.
 ENABLE = "enable"
@@ -37,6 +37,12 @@ class RefusedError(InputError):
         super().__init__("\n".join(line for one in lines.values() for line in one))
 
 
+def estimated(place: Place) -> tuple[tuple[str, ...], list[Row]]:
+    """Return the axes of the estimate, and its first rows; raises InputError without one."""
+    with place.path(place.existing(ESTIMATE)).open(encoding="utf-8") as file:
+        return read_estimate(islice(file, _HEAD), ESTIMATE)
+
+
 def _output(place: Place) -> OutputSettings | None:
     """Return the offsets, with the strokes of their slopes; None while either is unknown."""
     if not place.has(OFFSETS):
@@ -45,9 +51,7 @@ def _output(place: Place) -> OutputSettings | None:
     if settings.slopes:
         if not place.has(ESTIMATE):
             return None
-        with place.path(ESTIMATE).open(encoding="utf-8") as file:
-            strokes = strokes_of(*read_estimate(islice(file, HEAD), ESTIMATE))
-        settings = with_slopes(settings, strokes, OFFSETS)
+        settings = with_slopes(settings, strokes_of(*estimated(place)), OFFSETS)
     return settings.output
 
 

@@ -54,10 +54,3 @@ def packed(file: Traversable) -> Asset:
     plain = file.read_bytes()
     kind = _KINDS[file.name.rpartition(".")[2]]
     return Asset(kind, plain, gzip.compress(plain, 6, mtime=0), sha256(plain).hexdigest()[:16])
-
-
-def address(name: str) -> str:
-    """Return the URL path of a file: ``/assets/DIGEST/NAME``."""
-    content = asset(name)
-    assert content is not None, name
-    return f"/assets/{content.digest}/{name}"
