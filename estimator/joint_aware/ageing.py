@@ -318,7 +318,7 @@ class AgeingJointAware:
         """
         observer = self.observer
         rows, steady = observer.observer.system.rows, observer.model.filter
-        readings, *_ = observer.separated(values)
+        readings, *_ = observer.split(values)
         left = readings - rows @ unpacked(run, observer.parts).linear
         here = np.flatnonzero(np.isfinite(left))
         noise = steady.noise[here]

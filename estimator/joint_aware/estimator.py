@@ -60,7 +60,7 @@ OVERTRAVEL = MILLI
 Names = tuple[str, ...]
 
 
-class Read(NamedTuple):
+class SampleValues(NamedTuple):
     """Values of a sample by quantity; NaN where missing."""
 
     #: Shape (p + 1,): of the sensors, without their offsets, and of the ambient, K.
@@ -352,9 +352,9 @@ class JointAware(Described):
 
     def _process(
         self, state: Array, time: float, values: Sequence[float]
-    ) -> tuple[Array, Processed, Read]:
+    ) -> tuple[Array, Processed, SampleValues]:
         """State after a sample, the result of processing it, and its values."""
-        read = self.separated(values)
+        read = self.split(values)
         readings, factors, odometers, powers, probed = read
         if powers.size:
             state = self._with_powers(state, powers)
@@ -559,7 +559,7 @@ class JointAware(Described):
 
     def _stretches(
         self, samples: Array, state: Array
-    ) -> Iterator[tuple[slice, Array, Results | tuple[Processed, Read]]]:
+    ) -> Iterator[tuple[slice, Array, Results | tuple[Processed, SampleValues]]]:
         """Yield the indices of samples, the state after them, and their results.
 
         Consecutive ordinary samples are one stretch; any other sample is processed alone.
@@ -656,11 +656,11 @@ class JointAware(Described):
     ) -> Processed:
         """Process any sample."""
         loads = moment.loads
-        expected = self.observer.expected(before, moment)
-        used = gate_readings(self.observer, before, expected, moment, readings, self._readable)
+        prediction = self.observer.predict(before, moment)
+        used = gate_readings(self.observer, before, prediction, moment, readings, self._readable)
         (linear, errors), factor = self._corrected(used, moment, readings)
-        expected = used.expected
-        settled = self.observer.read(expected, linear, loads)
+        prediction = used.prediction
+        settled = self.observer.equilibrium(prediction, linear, loads)
         elapsed = moment.length * moment.steps
         begun = before.begun if moment.steps else np.array(moment.time)
         away, back = self._dropout_times(before, elapsed, bool(used.accepted.all()))
@@ -670,26 +670,26 @@ class JointAware(Described):
             means = used.watch.means
             since = moment.time - float(begun)
             parts = self.observer.model_error(
-                settled.relaxed, expected.slip_knowledge, means, since
+                settled.relaxed, prediction.slip_knowledge, means, since
             )
             apart = probed - settled.displacement - self.observer.displacement_by(means)
             correction = self._corrected_by_probe(apart, parts, factor, known)
             size, factor = linear.size, correction.covariance_factor
             linear, errors = linear + correction.state[:size], errors + correction.state[size:]
             known, refused = correction.known, correction.refused
-            settled = self.observer.read(expected, linear, loads)
+            settled = self.observer.equilibrium(prediction, linear, loads)
         after = ObserverState(
             time=np.array(moment.time),
             begun=begun,
             slip_knowledge=np.array(
-                self.observer.slip_knowledge_after(expected.slip_knowledge, factor)
+                self.observer.slip_knowledge_after(prediction.slip_knowledge, factor)
             ),
             linear=linear,
             loads=loads,
             **settled.joint._asdict(),
             covariance_factor=factor,
             errors=errors,
-            drive=expected.drive,
+            drive=prediction.drive,
             odometer=before.odometer,
             power_heat=before.power_heat,
             watch=used.watch,
@@ -704,10 +704,10 @@ class JointAware(Described):
         # One long interval is a gap; two in a row are the sampling interval.
         often = min(moment.steps, int(before.steps) or moment.steps)
         return Processed(
-            after, moved, expected.slip_knowledge, factor, used.accepted, refused, often
+            after, moved, prediction.slip_knowledge, factor, used.accepted, refused, often
         )
 
-    def _estimate(self, processed: Processed, time: float, read: Read) -> Estimate:
+    def _estimate(self, processed: Processed, time: float, read: SampleValues) -> Estimate:
         """The estimate after a sample."""
         readings = read.temperatures
         others = np.concatenate([read.factors, read.odometers, read.powers])
@@ -789,7 +789,7 @@ class JointAware(Described):
         last = np.fmax.reduce(read, initial=float(after.begun))
         return bool(time - last > self.thresholds.lost)
 
-    def separated(self, values: Sequence[float]) -> Read:
+    def split(self, values: Sequence[float]) -> SampleValues:
         """Return the values of a sample by quantity.
 
         Parameters
@@ -826,7 +826,7 @@ class JointAware(Described):
         gone[(gone < 0.0) | (gone > self.thresholds.farthest)] = np.nan
         powers[np.abs(powers) > self.most_power] = np.nan
         others = np.split(given[thermal:], np.array([stood, counted, wanted]) - thermal)
-        return Read(given[:thermal], *others)
+        return SampleValues(given[:thermal], *others)
 
     def _moment(self, last: float, time: float) -> Moment:
         """Time of a sample relative to the last one (s)."""
@@ -849,13 +849,14 @@ class JointAware(Described):
         self, used: GatedSample, moment: Moment, readings: Array
     ) -> tuple[tuple[Array, Array], Array]:
         """The linear state, the errors, and their covariance factor after the used readings."""
-        at, expected, size = np.flatnonzero(used.accepted), used.expected, self.observer.system.size
+        at, prediction = np.flatnonzero(used.accepted), used.prediction
+        size = self.observer.system.size
         length = moment.length if moment.steps else self.model.step
         gain, factor = self.observer.gain(
-            at, expected.covariance_factor, length, expected.slip_knowledge
+            at, prediction.covariance_factor, length, prediction.slip_knowledge
         )
-        moved = gain @ (readings - self.observer.readings(expected))[at]
-        return (expected.linear + moved[:size], expected.errors + moved[size:]), factor
+        moved = gain @ (readings - self.observer.readings(prediction))[at]
+        return (prediction.linear + moved[:size], prediction.errors + moved[size:]), factor
 
     def _corrected_by_probe(
         self, apart: Array, parts: Array, factor: Array, known: ModelError

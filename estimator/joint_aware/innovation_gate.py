@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from estimator.joint_aware import fault_isolation
 from estimator.joint_aware.fault_isolation import Judgement, PendingJump
 from estimator.joint_aware.filter_design import compressed
-from estimator.joint_aware.observer import Expected, Moment, Observer
+from estimator.joint_aware.observer import Moment, Observer, Prediction
 from estimator.joint_aware.observer_state import UNKNOWN, ObserverState
 from estimator.joint_aware.thresholds import Thresholds
 from estimator.sensor_faults import Channels, Sample, Watch, judge_sample, model_error
@@ -44,13 +44,13 @@ class GatedSample:
     #: Pending jump after the sample.
     pending: PendingJump
     #: Prediction to be corrected by them.
-    expected: Expected
+    prediction: Prediction
 
 
 def gate_readings(
     observer: Observer,
     before: ObserverState,
-    expected: Expected,
+    prediction: Prediction,
     moment: Moment,
     readings: Array,
     channels: Channels,
@@ -63,7 +63,7 @@ def gate_readings(
         Observer of the machine.
     before : ObserverState
         State after the previous sample.
-    expected : Expected
+    prediction : Prediction
         Prediction for this one.
     moment : Moment
         Time of the sample.
@@ -75,19 +75,19 @@ def gate_readings(
     rules, watch = observer.thresholds.faults, before.watch
     open_, judgement = _followed(observer, before, moment, readings)
     if judgement in (Judgement.OFFSET, Judgement.SPIKE):
-        expected = expected._replace(linear=open_.linear)
+        prediction = prediction._replace(linear=open_.linear)
     if judgement is Judgement.OFFSET:
         channel = int(open_.channel)
-        predicted = observer.readings(expected)[channel]
+        predicted = observer.readings(prediction)[channel]
         watch = _distrusting(watch, channel, moment.time, abs(float(readings[channel] - predicted)))
     if judgement is not Judgement.OPEN:
-        open_ = fault_isolation.none(expected.linear.size)
-    lost = expected._replace(
+        open_ = fault_isolation.none(prediction.linear.size)
+    lost = prediction._replace(
         covariance_factor=observer.unknown_start,
-        errors=np.zeros_like(expected.errors),
+        errors=np.zeros_like(prediction.errors),
         slip_knowledge=UNKNOWN,
     )
-    for attempt in (expected, lost):
+    for attempt in (prediction, lost):
         verdict = judge_sample(
             watch,
             Sample(moment.time, readings, observer.readings(attempt)),
@@ -99,7 +99,7 @@ def gate_readings(
             break
     if np.isfinite(open_.channel) and verdict.watch.distrusted[int(open_.channel)]:
         attempt = attempt._replace(linear=open_.linear)
-        open_ = fault_isolation.none(expected.linear.size)
+        open_ = fault_isolation.none(prediction.linear.size)
     newly = _accepted_before(before) & ~verdict.accepted
     if newly.any():
         factor = heat_unknown(observer, attempt.covariance_factor, newly, verdict.accepted)
@@ -144,7 +144,7 @@ def _followed(
     if not np.isfinite(known.channel):
         return known, Judgement.OPEN
     channel = int(known.channel)
-    alone = observer.expected(before._replace(linear=known.linear), moment)
+    alone = observer.predict(before._replace(linear=known.linear), moment)
     known = known._replace(linear=alone.linear, samples=known.samples + 1.0)
     if readings[channel] == before.watch.last[channel] and before.watch.repeats[channel] > 0.0:
         # It may be stuck, which takes longer to detect.
@@ -202,18 +202,18 @@ def heat_unknown(observer: Observer, factor: Array, newly: Flags, accepted: Flag
 
 def _unexplained(
     observer: Observer,
-    expected: Expected,
+    prediction: Prediction,
     moment: Moment,
     innovation: Array,
     at: NDArray[np.int64],
 ) -> tuple[Array, Array]:
     """Part of the innovations that no possible change of heat explains: `sensor_faults.Explain`."""
-    covariance = observer.innovation_covariance(expected.covariance_factor)
-    if expected.slip_knowledge == UNKNOWN:
+    covariance = observer.innovation_covariance(prediction.covariance_factor)
+    if prediction.slip_knowledge == UNKNOWN:
         # The state is still a guess: it may result from lasting errors of the readings alone.
         covariance = covariance + np.diag(observer.model.filter.lasting)
     power = observer.model.power
-    heat = expected.linear[observer.system.decay.size :][: power.size]
+    heat = prediction.linear[observer.system.decay.size :][: power.size]
     onset, most, slack = possible_heat(observer, moment.steps)
     bounds = (np.minimum(-heat, 0.0) - slack, np.maximum(most - heat, 0.0) + slack)
     return fault_isolation.without_heat(innovation, at, covariance, onset, bounds), covariance

@@ -119,7 +119,7 @@ def _residuals(estimator: JointAwareEstimator, state: Array, values: Array) -> A
     """Reading minus model for every sensor, used or excluded."""
     if isinstance(estimator, AgeingJointAware):
         raise InputError("residuals: not while the machine's parameters are learnt")
-    thermal = estimator.separated(values.tolist()).temperatures
+    thermal = estimator.split(values.tolist()).temperatures
     linear = unpacked(state, estimator.parts).linear
     return np.asarray(thermal - estimator.observer.system.rows @ linear)
 

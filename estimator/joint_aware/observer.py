@@ -20,7 +20,7 @@ from estimator.joint_aware.filter_design import (
     with_errors,
 )
 from estimator.joint_aware.observer_model import ObserverModel
-from estimator.joint_aware.observer_state import FOLLOWED, KNOWN, UNKNOWN, ObserverState
+from estimator.joint_aware.observer_state import KNOWN, TRACKED, UNKNOWN, ObserverState
 from estimator.joint_aware.thresholds import USUAL, Thresholds
 from thermojoint.artefacts.arrays import Array
 from thermojoint.reduced.physics import (
@@ -60,7 +60,7 @@ class Moment:
     travelled: Array = field(default_factory=lambda: np.zeros(0))
 
 
-class Expected(NamedTuple):
+class Prediction(NamedTuple):
     """Prediction for a sample; attributes as in `ObserverState`."""
 
     linear: Array
@@ -71,7 +71,7 @@ class Expected(NamedTuple):
     slip_knowledge: float
 
 
-class Settled(NamedTuple):
+class Equilibrium(NamedTuple):
     """Consistent joint, relaxations (s q,) and displacement (axes,), m."""
 
     joint: JointState
@@ -187,7 +187,7 @@ class Observer:
         after = np.minimum(np.arange(ANSWER) + self._peak_sample[best, None], ANSWER - 1)
         return np.asarray(self.step_response[after, np.arange(best.size)[:, None], best[:, None]])
 
-    def expected(self, before: ObserverState, moment: Moment) -> Expected:
+    def predict(self, before: ObserverState, moment: Moment) -> Prediction:
         """Prediction for a sample.
 
         Loads keep their previous values until the sample; axes move uniformly meanwhile.
@@ -203,10 +203,10 @@ class Observer:
             linear, drive = self.later((linear, drive), joint, length, way)
             last, factor = now, self.propagated(factor, length)
             if k + 1 < steps:
-                joint, _ = self._settled(joint, linear, slip_knowledge, now)
+                joint, _ = self._settle(joint, linear, slip_knowledge, now)
                 factor = self._without_readings(factor, length)
         errors = self.lasting_on(moment.length * steps) * before.errors * factor.any()
-        return Expected(linear, joint, drive, factor, errors, slip_knowledge)
+        return Prediction(linear, joint, drive, factor, errors, slip_knowledge)
 
     def lasting_on(self, elapsed: float) -> float:
         """Decay factor of the readings' errors at a start over some time (s)."""
@@ -265,9 +265,9 @@ class Observer:
         gain, after = correct(self.augmented, self.rows, present, factor, weight, doubt)
         return gain, compressed(after, self.augmented.scale, factor.shape[1])
 
-    def readings(self, expected: Expected) -> Array:
+    def readings(self, prediction: Prediction) -> Array:
         """Return the readings that are expected, K, shape (p + 1,)."""
-        return np.asarray(self.system.rows @ expected.linear + expected.errors)
+        return np.asarray(self.system.rows @ prediction.linear + prediction.errors)
 
     def innovation_covariance(self, factor: Array) -> Array:
         """Covariance of the innovations, K2, shape (p + 1, p + 1)."""
@@ -343,7 +343,7 @@ class Observer:
         """Results of `_left_open` by the number of steps."""
         return {}
 
-    def _settled(
+    def _settle(
         self, joint: JointState, linear: Array, slip_knowledge: float, loads: Array
     ) -> tuple[JointState, Array]:
         """The joint and the displacement probes at the present temperatures.
@@ -359,16 +359,16 @@ class Observer:
         """Knowledge of the slips after a sample."""
         uncertain = np.square(self.model.band.tangent @ factor[: self.system.size]).sum(axis=1)
         known = uncertain.max() <= self.thresholds.followable**2
-        return FOLLOWED if slip_knowledge == UNKNOWN and known else slip_knowledge
+        return TRACKED if slip_knowledge == UNKNOWN and known else slip_knowledge
 
-    def read(self, expected: Expected, linear: Array, loads: Array) -> Settled:
+    def equilibrium(self, prediction: Prediction, linear: Array, loads: Array) -> Equilibrium:
         """The joint in equilibrium at the corrected linear state, and the displacement."""
         count = self.model.modes.rates.size
-        joint, probes = self._settled(expected.joint, linear, expected.slip_knowledge, loads)
-        now = Driving(linear[:count], expected.drive)
+        joint, probes = self._settle(prediction.joint, linear, prediction.slip_knowledge, loads)
+        now = Driving(linear[:count], prediction.drive)
         moved = positioned(self.physics, now, joint, loads, probes)
         relaxed = linear[count : self.system.decay.size]
-        return Settled(joint, relaxed, moved + self.model.discrepancy.displacement @ relaxed)
+        return Equilibrium(joint, relaxed, moved + self.model.discrepancy.displacement @ relaxed)
 
     def seen_from(self, state: ObserverState, slip_knowledge: float, places: Array) -> Array:
         """Return the displacement (n, axes), m, if the axes stood at places (n, x), m."""

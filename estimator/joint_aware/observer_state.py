@@ -17,7 +17,7 @@ from thermojoint.reduced.physics import JointState
 
 #: Knowledge of the joint's slips: those of a run from rest; unknown, because the temperatures are;
 #: or tracked since the temperatures became known.
-KNOWN, UNKNOWN, FOLLOWED = 0.0, 1.0, 2.0
+KNOWN, UNKNOWN, TRACKED = 0.0, 1.0, 2.0
 #: Number of parts of the model error in the states of all versions; the others come at the end.
 _FIRST = 2
 
@@ -29,7 +29,7 @@ class ObserverState(NamedTuple):
     time: Array
     #: Shape (): of the first sample, s; NaN before it.
     begun: Array
-    #: Shape (): knowledge of the joint's slips: `KNOWN`, `UNKNOWN` or `FOLLOWED`.
+    #: Shape (): knowledge of the joint's slips: `KNOWN`, `UNKNOWN` or `TRACKED`.
     slip_knowledge: Array
     #: Shape (n,): amplitudes, relaxations, heat of the sources (W), held surfaces and ambient (K):
     #: `filter_design`.
