@@ -473,7 +473,7 @@ class JointAware(Described):
     @cached_property
     def most_power(self) -> Array:
         """Largest plausible power, of either sign, W, shape (t,)."""
-        most = self.thresholds.power * self.model.calibrated.heat * self.model.power
+        most = self.thresholds.implausible_heat * self.model.calibrated.heat * self.model.power
         shares = self.model.power_shares
         own = [most[self.model.sources.index(one)] / share for one, share in shares.items()]
         return np.array(own)
@@ -921,6 +921,8 @@ class JointAware(Described):
         heat = inputs[: self.model.power.size] / self.model.power
         if heat.max() > (1.0 + SLACK) * known.heat or heat.min() < -SLACK * known.heat:
             status |= Status.BEYOND_HEAT
+        if np.abs(heat).max() > self.thresholds.implausible_heat * known.heat:
+            status |= Status.READINGS_LOST
         low, high = self.calibrated_readings
         if (accepted & ((readings < low) | (readings > high))).any():
             status |= Status.BEYOND_TEMPERATURE

@@ -157,6 +157,7 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             "widened": WIDENED * WIDTH,
             "most_heat": (1.0 + SLACK) * model.calibrated.heat,
             "least_heat": -SLACK * model.calibrated.heat,
+            "implausible_heat": estimator.thresholds.implausible_heat * model.calibrated.heat,
             "counted": model.counted,
             "farthest": estimator.thresholds.farthest,
             "most_way": estimator.thresholds.fastest * model.step,

@@ -30,8 +30,9 @@ class Thresholds:
     #: tolerance relative to it on either side.
     heat_jump: float = 1.5
     heat_jump_slack: float = 0.05
-    #: A power equivalent to more than this multiple of the largest calibrated heat is not used.
-    power: float = 5.0
+    #: Heat beyond this multiple of the largest calibrated heat, of either sign, is implausible: an
+    #: estimate is bad, and a power that corresponds to it is not used.
+    implausible_heat: float = 5.0
     #: An odometer beyond this, m, or below zero is not used; no axis is faster than this, m/s: an
     #: odometer that reports more was reset.
     farthest: float = 1e9

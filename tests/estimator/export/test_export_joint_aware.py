@@ -299,6 +299,23 @@ def test_readings_that_are_back_leave_a_band_that_decays(
 
 
 @needs_gcc
+def test_heat_that_no_source_has_is_a_bad_estimate(estimator, program):
+    """Ten times the largest calibrated heat, slowly enough for no thermometer to be distrusted."""
+    model, share = estimator.model, np.linspace(0.0, 10.0, 1200)[1:]
+    heat = share[:, None] * model.calibrated.heat * model.power
+    inputs = np.column_stack([heat, np.zeros(len(heat))])
+    read, _ = simulate_known(estimator.observer.physics, inputs, model.step)
+    rows = np.vstack([np.zeros(read.shape[1] + 1), np.column_stack([read, inputs[:, -1]])])
+    samples = [(k * model.step, *row) for k, row in enumerate(rows.tolist())]
+    _, there = estimates(estimator, samples)
+    lost = np.array([bool(one.status & Status.READINGS_LOST) for one in there[1:]])
+    assert not lost[share < 4.9].any()
+    assert lost[share > 5.5].all()
+    found = [bool(one.status & Status.READINGS_LOST) for one in program(rows.tolist())]
+    assert found[1:] == lost.tolist()
+
+
+@needs_gcc
 def test_long_silence_is_said(stepped, program):
     rows = [row[1:] for row in faulty(stepped, 0, lambda values: values)]
     quiet = list(program([*rows[:60], *[[NAN] * len(rows[0])] * 1000]))
