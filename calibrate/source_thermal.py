@@ -71,23 +71,12 @@ class SourceFit:
 
 
 @dataclass(frozen=True)
-class AveragingRound:
-    """One pass of Figure 4's loop."""
-
-    #: Shape (inputs, 2·sources): a_1, alpha_1, a_2 ... preferred by each input.
-    rates: np.ndarray
-    #: Shape (2·sources,): their geometric means over the inputs.
-    averages: np.ndarray
-    #: Largest |ln(rate / average)|.
-    spread: float
-
-
-@dataclass(frozen=True)
 class Averaging:
-    """Outcome of Figure 4's loop: the sources, each round, and whether the inputs agreed."""
+    """Outcome of Figure 4's loop: the sources, and whether the inputs agreed."""
 
     result: SourceFit
-    rounds: tuple[AveragingRound, ...]
+    #: Of the last round: largest |ln(rate / mean)| of the rates preferred by each input.
+    spread: float
     converged: bool
     reason: str
 
@@ -226,28 +215,27 @@ def fit_by_averaging(
         for part, level in zip(deviations[:, None], inputs, strict=True)
     ]
     names = alone[0][0].names
-    history: list[AveragingRound] = []
+    guesses: list[list[float]] = []
     converged, reason = False, f"the inputs did not agree within {ROUNDS} rounds"
     for index in range(ROUNDS):
-        guesses = [history[-1].averages.tolist()] if history else []
-        count = 0 if history else FIRST_STARTS
+        count = 0 if guesses else FIRST_STARTS
         ends = [
             fit(full, coarse=thin_one, starts=count, guesses=guesses, polished=1)
             for full, thin_one in alone
         ]
         rates = np.array([[end.values[name] for name in names] for end in ends])
         averages = np.exp(np.log(rates).mean(axis=0))
+        before, guesses = guesses, [averages.tolist()]
         spread = float(np.abs(np.log(rates / averages)).max())
-        history.append(AveragingRound(rates, averages, spread))
         if spread < TOLERANCE:
             converged, reason = True, f"the inputs agree after {index + 1} rounds"
             break
-        if index and float(np.abs(np.log(averages / history[-2].averages)).max()) < TOLERANCE:
+        if before and float(np.abs(np.log(averages / before[0])).max()) < TOLERANCE:
             reason = f"the means stopped moving after {index + 1} rounds; the inputs differ"
             break
-    best = fit_linear(_problem(t, deviations, inputs, geometry), history[-1].averages.tolist())
+    best = fit_linear(_problem(t, deviations, inputs, geometry), guesses[0])
     result = _source_fit(best, geometry.distances.shape[0], len(inputs))
-    return Averaging(result, tuple(history), converged, reason)
+    return Averaging(result, spread, converged, reason)
 
 
 def largest_ratio(joint: SourceFit, averaged: SourceFit) -> float:

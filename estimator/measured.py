@@ -92,16 +92,21 @@ def announced(
         yield piece
 
 
+def temperatures_in(log: Log, above: bool) -> dict[str, int]:
+    """Return the columns of temperatures above the ambient, or of those as read, by their names."""
+    return {
+        column.base: k
+        for k, column in enumerate(log.columns)
+        if column.quantity == "temperature" and (column.unit == "K") == above
+    }
+
+
 def _wanted(log: Log, sensors: Sequence[str], where: str) -> tuple[list[Column], Array]:
     """Return the columns of one of the two layouts and their values, in SI."""
     above_ambient = ["delta_T", *sensors]
     as_read = ["a", "b", *sensors, "ambient"]
     for names, above in ((above_ambient, True), (as_read, False)):
-        at = {
-            column.base: k
-            for k, column in enumerate(log.columns)
-            if column.quantity == "temperature" and (column.unit == "K") == above
-        }
+        at = temperatures_in(log, above)
         if set(names) <= set(at):
             return [log.columns[at[name]] for name in names], log.values[:, [at[n] for n in names]]
     raise InputError(

@@ -167,20 +167,12 @@ class Watch(NamedTuple):
 def new_watch(channels: int, rules: Thresholds) -> Watch:
     """Return a watch without any memory."""
     nothing, unknown = np.zeros(channels), np.full(channels, np.nan)
-    return Watch(
+    return Watch(*[unknown] * len(Watch._fields))._replace(
         distrusted=nothing,
-        fault=unknown,
-        read=unknown,
-        last=unknown,
-        changed=unknown,
-        expected=unknown,
         repeats=nothing,
         repeat_rate=np.full(channels, rules.repeat_rate),
-        finest=unknown,
         grain=nothing,
-        rise=unknown,
         reversal_rate=nothing,
-        off=unknown,
         lasting=nothing,
         longer=nothing,
         longest=nothing,

@@ -22,6 +22,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 import numpy as np
 
 from estimator.kind import Cold
+from estimator.measured import temperatures_in
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
@@ -98,14 +99,7 @@ def log_samples(
 def _columns(log: Log, sensors: Sequence[str], where: str) -> tuple[list[int], bool]:
     """Columns of the sensors and the ambient (-1 if it is not recorded), absolute or `above` it."""
     wanted = [*sensors, "ambient"]
-    rises, read = (
-        {
-            column.base: k
-            for k, column in enumerate(log.columns)
-            if column.quantity == "temperature" and (column.unit == "K") == above
-        }
-        for above in (True, False)
-    )
+    rises, read = (temperatures_in(log, above) for above in (True, False))
     if set(sensors) <= set(rises):
         if "ambient" in read and "ambient" not in rises:
             raise InputError(

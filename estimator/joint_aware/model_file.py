@@ -9,9 +9,10 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import h5py
 import numpy as np
@@ -44,28 +45,17 @@ SCHEMA_VERSION = 8
 #: Reads the kind; other values are refused.
 KIND: pydantic.TypeAdapter[Kind] = pydantic.TypeAdapter(Kind)
 
-#: Parts of the model that consist of arrays: attribute to class, and its arrays.
+#: Arrays of parts of the model that have more than arrays.
 _MODES = (
     *("rates", "drive", "jump", "entry", "mean", "sensors", "start", "film", "factors", "tight"),
 )
-_ELASTIC = (
-    "compliance",
-    "thermal_gap",
-    "probe_compliance",
-    "probe_thermal",
-    "reference",
-    "area",
-)
-_LOADS = ("gap", "probes")
 _WAY = ("temperature", "means", "running")
 _TIES = ("springs", "compliance", "area", "reference")
 _DRIVE = ("screw", "material", "scale")
-_TABLE = ("pressures", "rises", "values")
-_REMAINDER = ("rates", "temperature", "displacement")
-_FILTER = ("cross", "innovation", "noise", "lasting", "scale", "walk")
-_BAND = (
-    *("tangent", "steady", "constant", "history", "drive", "open", "square", "surprise"),
-    *("seen", "told", "allowed"),
+
+#: A part of the model that consists of arrays.
+Part = TypeVar(
+    "Part", ElasticCondensation, LoadInfluence, Discrepancy, ConductanceTable, Band, SteadyFilter
 )
 
 
@@ -152,20 +142,18 @@ def _digest(header: str, arrays: Mapping[str, Array]) -> str:
 
 
 def _arrays(model: ObserverModel) -> dict[str, Array]:
-    parts: tuple[tuple[str, Any, tuple[str, ...]], ...] = (
-        ("modes", model.modes, _MODES),
-        ("elastic", model.modes.elastic, _ELASTIC),
-        ("loads", model.modes.loads, _LOADS),
-        *(
-            (f"tables/{k}", joint.table, _TABLE)
-            for k, joint in enumerate(model.joints)
-            if joint.table is not None
-        ),
-        ("remainder", model.discrepancy, _REMAINDER),
-        ("filter", model.filter, _FILTER),
-        ("band", model.band, _BAND),
-    )
-    arrays = {f"{part}/{name}": getattr(of, name) for part, of, names in parts for name in names}
+    tables = {f"tables/{k}": joint.table for k, joint in enumerate(model.joints)}
+    parts: dict[str, Any] = {
+        "elastic": model.modes.elastic,
+        "loads": model.modes.loads,
+        **{name: table for name, table in tables.items() if table is not None},
+        "remainder": model.discrepancy,
+        "filter": model.filter,
+        "band": model.band,
+    }
+    arrays = {f"modes/{name}": getattr(model.modes, name) for name in _MODES}
+    for part, of in parts.items():
+        arrays |= {f"{part}/{field.name}": getattr(of, field.name) for field in fields(of)}
     arrays |= {
         "held": model.held,
         "warm": model.warm,
@@ -235,19 +223,19 @@ def _header(model: ObserverModel) -> str:
 
 
 def _model(header: dict[str, Any], arrays: Mapping[str, Array]) -> ObserverModel:
-    def part(name: str, names: tuple[str, ...]) -> dict[str, Any]:
-        return {attribute: arrays[f"{name}/{attribute}"] for attribute in names}
+    def part(name: str, of: type[Part]) -> Part:
+        return of(**{field.name: arrays[f"{name}/{field.name}"] for field in fields(of)})
 
     def table(k: int) -> ConductanceTable | None:
         stored = f"tables/{k}/values" in arrays
-        return ConductanceTable(**part(f"tables/{k}", _TABLE)) if stored else None
+        return part(f"tables/{k}", ConductanceTable) if stored else None
 
     known = header["calibrated"]
     return ObserverModel(
         modes=Modes(
-            **part("modes", _MODES),
-            elastic=ElasticCondensation(**part("elastic", _ELASTIC)),
-            loads=LoadInfluence(**part("loads", _LOADS)),
+            **{name: arrays[f"modes/{name}"] for name in _MODES},
+            elastic=part("elastic", ElasticCondensation),
+            loads=part("loads", LoadInfluence),
             way=_way(arrays) if header["strokes"] else None,
             drives=_drives(header["drives"], arrays) if header["strokes"] else None,
         ),
@@ -261,9 +249,9 @@ def _model(header: dict[str, Any], arrays: Mapping[str, Array]) -> ObserverModel
             )
             for k, section in enumerate(header["joints"])
         ),
-        discrepancy=Discrepancy(**part("remainder", _REMAINDER)),
-        filter=SteadyFilter(**part("filter", _FILTER)),
-        band=Band(**part("band", _BAND)),
+        discrepancy=part("remainder", Discrepancy),
+        filter=part("filter", SteadyFilter),
+        band=part("band", Band),
         warm=arrays["warm"],
         power=arrays["power"],
         offset=arrays["offset"],
