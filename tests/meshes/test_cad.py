@@ -29,10 +29,20 @@ def step(tmp_path_factory):
     return path
 
 
+def found_in(part, folder, **options):
+    """What a mesh of a part holds."""
+    mesh_cad(part, folder / "part.msh", 0.02, **options)
+    return inspect(read_structure(folder / "part.msh"))
+
+
+@pytest.fixture(scope="module")
+def found(step, tmp_path_factory):
+    """What its mesh holds where no names are given."""
+    return found_in(step, tmp_path_factory.mktemp("mesh"))
+
+
 @needs_gmsh
-def test_solids_keep_their_names_and_their_size_in_metres(step, tmp_path):
-    mesh_cad(step, tmp_path / "part.msh", 0.02)
-    found = inspect(read_structure(tmp_path / "part.msh"))
+def test_solids_keep_their_names_and_their_size_in_metres(found):
     assert set(found.bodies) == {"bed", "head_stock", "pin"}
     assert found.bodies["bed"].volume == pytest.approx(0.1 * 0.04 * 0.04)
     assert found.extent == pytest.approx((0.15, 0.04, 0.07))
@@ -40,20 +50,17 @@ def test_solids_keep_their_names_and_their_size_in_metres(step, tmp_path):
 
 
 @needs_gmsh
-def test_faces_on_each_other_are_the_sides_of_a_joint(step, tmp_path):
+def test_faces_on_each_other_are_the_sides_of_a_joint(found):
     """Equal faces, and a small one that stands in the middle of a large one."""
-    mesh_cad(step, tmp_path / "part.msh", 0.02)
-    joints = inspect(read_structure(tmp_path / "part.msh")).joints
+    joints = found.joints
     assert set(joints) == {"bed_head_stock", "bed_pin"}
     assert joints["bed_head_stock"].overlap == pytest.approx(0.04**2)
     assert joints["bed_pin"].overlap == pytest.approx(np.pi * 0.01**2, rel=0.05)
 
 
 @needs_gmsh
-def test_what_a_joint_does_not_cover_of_a_face_still_convects(step, tmp_path):
+def test_what_a_joint_does_not_cover_of_a_face_still_convects(found):
     """The two sides are what the solids share; the rest of each face is a face of its own."""
-    mesh_cad(step, tmp_path / "part.msh", 0.02)
-    found = inspect(read_structure(tmp_path / "part.msh"))
     foot = found.surfaces["bed_pin.b"].area
     assert found.surfaces["bed_pin.a"].area == pytest.approx(foot)
     top, sides, end = 0.1 * 0.04 - foot, 3 * 0.1 * 0.04, 0.04**2
@@ -70,16 +77,14 @@ def test_a_pin_through_a_longer_bore_leaves_both_their_rests(tmp_path):
         ("pin", "addCylinder", 0, 0, 10, 0, 0, 60, 10),
     ]
     write_step(tmp_path / "part.step", solids, holes=[(1, 2)])
-    mesh_cad(tmp_path / "part.step", tmp_path / "part.msh", 0.02)
-    structure = read_structure(tmp_path / "part.msh")
-    found = inspect(structure)
+    found = found_in(tmp_path / "part.step", tmp_path)
     around = 2.0 * np.pi * 0.01
     seat, end = around * 0.03, np.pi * 0.01**2
     assert found.joints["house_pin"].overlap == pytest.approx(seat, rel=0.02)
     box = 4 * 0.06 * 0.04 + 2 * (0.06**2 - end)
     assert found.surfaces["house_outer"].area == pytest.approx(box + around * 0.01, rel=0.01)
     assert found.surfaces["pin_outer"].area == pytest.approx(around * 0.03 + 2 * end, rel=0.03)
-    joint = pair_joint(structure, "house_pin", 9, 1)
+    joint = pair_joint(read_structure(tmp_path / "part.msh"), "house_pin", 9, 1)
     assert joint.area.sum() == pytest.approx(found.surfaces["house_pin.a"].area)
 
 
@@ -101,14 +106,14 @@ def test_an_element_size_that_would_never_end_is_refused_with_one_that_does(step
     assert not list(tmp_path.iterdir())
 
 
-def test_curved_cells_are_rounder(step, tmp_path):
+@needs_gmsh
+def test_curved_cells_are_rounder(step, found, tmp_path):
     volume = np.pi * 0.01**2 * 0.03
-    errors = []
-    for order in (1, 2):
-        mesh_cad(step, tmp_path / "part.msh", 0.02, order)
-        bodies = inspect(read_structure(tmp_path / "part.msh")).bodies
-        errors.append(abs(bodies["pin"].volume / volume - 1.0))
-    assert errors[1] < 0.1 * errors[0]
+    straight, curved = (
+        abs(one.bodies["pin"].volume / volume - 1.0)
+        for one in (found, found_in(step, tmp_path, order=2))
+    )
+    assert curved < 0.1 * straight
 
 
 @needs_gmsh
@@ -117,8 +122,7 @@ def test_points_name_faces(step, tmp_path):
         "[surfaces_mm]\nfoot = [[0, 20, 20]]\nends = [[150, 20, 20], [20, 20, 70]]\n"
     )
     names = read_names(tmp_path / "names.toml")
-    mesh_cad(step, tmp_path / "part.msh", 0.02, names=names)
-    surfaces = inspect(read_structure(tmp_path / "part.msh")).surfaces
+    surfaces = found_in(step, tmp_path, names=names).surfaces
     assert surfaces["foot"].area == pytest.approx(0.04**2)
     assert surfaces["foot"].normal == pytest.approx((-1.0, 0.0, 0.0))
     assert set(surfaces["ends"].bodies) == {"head_stock", "pin"}
@@ -128,8 +132,7 @@ def test_points_name_faces(step, tmp_path):
 def test_a_guide_is_the_face_below_its_slide_and_the_rest_of_it(step, tmp_path):
     """Where both sides of the joint are, that of the body with the other point is meant."""
     (tmp_path / "names.toml").write_text("[surfaces_mm]\nway = [[20, 20, 40], [60, 20, 40]]\n")
-    mesh_cad(step, tmp_path / "part.msh", 0.02, names=read_names(tmp_path / "names.toml"))
-    found = inspect(read_structure(tmp_path / "part.msh"))
+    found = found_in(step, tmp_path, names=read_names(tmp_path / "names.toml"))
     assert found.surfaces["way"].bodies == ("bed",)
     assert found.surfaces["way"].area == pytest.approx(0.1 * 0.04, rel=1e-3)
 
@@ -141,8 +144,7 @@ def test_bodies_and_joints_are_named_and_every_face_has_a_point(step, tmp_path):
     points = {f"face_{k}": [face.point] for k, face in enumerate(faces)}
     bodies = {f"a_{name}": point for name, point in own.items()}
     joints = {f"j{k}": (f"a_{pair[1]}", f"a_{pair[0]}") for k, pair in enumerate(touching)}
-    mesh_cad(step, tmp_path / "part.msh", 0.02, names=Names(points, bodies, joints))
-    found = inspect(read_structure(tmp_path / "part.msh"))
+    found = found_in(step, tmp_path, names=Names(points, bodies, joints))
     assert set(found.bodies) == set(bodies)
     assert set(found.joints) == set(joints)
     for k, face in enumerate(faces):
