@@ -15,9 +15,8 @@ from fesim.setup.laws import element_means
 from fesim.setup.loads import spring_stiffnesses
 from fesim.solid.condensation import DisplacementField, displacement_field
 from fesim.solid.elasticity import ElasticPiece, elastic_pieces
-from fesim.solid.heat import by_cell
 from fesim.solid.joint_operators import JointOperators
-from fesim.solid.materials import Material
+from fesim.solid.materials import Material, by_cell
 from fesim.solid.spaces import Spaces
 from fesim.solid.substructures import (
     FactorisedStructure,

@@ -26,8 +26,7 @@ from fesim.joint.law import (
     power_law_conductance,
 )
 from fesim.joint.opening import OpenLaw, touching_distance, touching_opening
-from fesim.solid.heat import by_cell
-from fesim.solid.materials import Material
+from fesim.solid.materials import Material, by_cell
 from meshes.pairing import PairedJoint
 from meshes.structure import Structure
 from thermojoint.artefacts.errors import InputError

@@ -15,9 +15,9 @@ from scipy.sparse import bsr_array, coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from fesim.solid.element_matrices import cell_gradients, places_of, reference_shapes
-from fesim.solid.heat import by_cell, convection_form, surface_basis
+from fesim.solid.heat import convection_form, surface_basis
 from fesim.solid.linear_solver import symmetric, upper_triangle
-from fesim.solid.materials import Material
+from fesim.solid.materials import Material, elastic_constants
 from fesim.solid.spaces import Spaces
 from meshes.inspection import pieces
 from meshes.structure import Structure
@@ -128,15 +128,12 @@ def elastic_pieces(
     free = np.ones(spaces.displacement_size, dtype=bool)
     free[held_unknowns(structure, spaces, fixed, symmetry)] = False
     beds = beds_under(structure, spaces, springs or {})
-    lame = {name: m.lame[0] for name, m in materials.items()}
-    shear = {name: m.lame[1] for name, m in materials.items()}
-    bulk = {n: (3.0 * lame[n] + 2.0 * shear[n]) * m.expansion for n, m in materials.items()}
-    by_body = [by_cell(structure, values) for values in (lame, shear, bulk)]
+    constants = elastic_constants(structure, materials)
 
     def piece(cells: NDArray[np.int64]) -> ElasticPiece:
         nodes = np.unique(spaces.displacement.element_dofs[:, cells])
         unknowns = _of_nodes(nodes)
-        stiffness, load = _assembled(spaces, cells, nodes, [values[cells] for values in by_body])
+        stiffness, load = _assembled(spaces, cells, nodes, [values[cells] for values in constants])
         if springs:
             stiffness = csr_array(stiffness + upper_triangle(beds[unknowns][:, unknowns]))
         points = np.ascontiguousarray(spaces.displacement.doflocs[:, nodes].T)

@@ -9,8 +9,8 @@ import numpy as np
 from skfem import CellBasis, DiscreteField, LinearForm
 from skfem.assembly.form.form import FormExtraParams
 
-from fesim.solid.heat import by_cell, flux_form, surface_basis
-from fesim.solid.materials import Material
+from fesim.solid.heat import flux_form, surface_basis
+from fesim.solid.materials import Material, by_cell
 from fesim.solid.spaces import Spaces
 from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array

@@ -18,7 +18,7 @@ from skfem.assembly.form.form import FormExtraParams
 from skfem.helpers import dot, grad
 
 from fesim.solid.input_layout import InputLayout
-from fesim.solid.materials import Material
+from fesim.solid.materials import Material, by_cell
 from fesim.solid.spaces import interpolation
 from meshes.covered import cover_of
 from meshes.pairing import PairedJoint
@@ -105,14 +105,6 @@ def weighted_flux_form(v: DiscreteField, w: FormExtraParams) -> Array:
 def cell_field(structure: Structure, values: dict[str, float], basis: CellBasis) -> DiscreteField:
     """Field that is constant on each body, on the quadrature points of `basis`."""
     return DiscreteField(np.broadcast_to(by_cell(structure, values)[:, None], basis.dx.shape))
-
-
-def by_cell(structure: Structure, values: dict[str, float]) -> Array:
-    """Value of each cell's body, shape (cells,)."""
-    cell_values = np.empty(structure.mesh.nelements)
-    for name, cells in structure.bodies.items():
-        cell_values[cells] = values[name]
-    return cell_values
 
 
 def heat_operators(

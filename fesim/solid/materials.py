@@ -1,4 +1,4 @@
-"""Materials: linear, isotropic, constant."""
+"""Materials: linear, isotropic, constant; their properties in the cells of a structure."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from meshes.structure import Structure
+from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 
 
@@ -44,3 +46,22 @@ class Material:
         """Lamé's lambda and mu, Pa."""
         e, nu = self.youngs_modulus, self.poisson_ratio
         return e * nu / ((1.0 + nu) * (1.0 - 2.0 * nu)), e / (2.0 * (1.0 + nu))
+
+
+def by_cell(structure: Structure, values: dict[str, float]) -> Array:
+    """Value of each cell's body, shape (cells,)."""
+    cell_values = np.empty(structure.mesh.nelements)
+    for name, cells in structure.bodies.items():
+        cell_values[cells] = values[name]
+    return cell_values
+
+
+def elastic_constants(
+    structure: Structure, materials: dict[str, Material]
+) -> tuple[Array, Array, Array]:
+    """Lamé's lambda and mu, Pa, and (3 lambda + 2 mu) alpha, Pa/K, of all cells, (cells,) each."""
+    lame, shear = (
+        by_cell(structure, {name: m.lame[i] for name, m in materials.items()}) for i in (0, 1)
+    )
+    expansion = by_cell(structure, {name: m.expansion for name, m in materials.items()})
+    return lame, shear, (3.0 * lame + 2.0 * shear) * expansion

@@ -19,8 +19,7 @@ from skfem import CellBasis, Mesh
 from skfem.quadrature import get_quadrature
 
 from fesim.solid.element_matrices import CellGradients, cell_gradients, reference_shapes
-from fesim.solid.heat import by_cell
-from fesim.solid.materials import Material
+from fesim.solid.materials import Material, by_cell, elastic_constants
 from fesim.solid.spaces import Spaces
 from fesim.solid.stress import best_points
 from meshes.pairing import outward_areas
@@ -55,7 +54,7 @@ def stress_error_rows(
         Displacements with each output's row as forces, per N.
     """
     basis, heat, count = spaces.displacement, spaces.heat, duals.shape[1]
-    elastic = _Elastic.of(structure, materials)
+    elastic = _Elastic(*elastic_constants(structure, materials))
     recovery = _recovery(structure, spaces, materials, free)
     best = best_points(structure.mesh.t.shape[0])
     outwards = np.linalg.inv(reference_shapes(heat.elem, best, best.shape[1])[0])
@@ -133,7 +132,6 @@ def _inwards(mesh: Mesh, free: NDArray[np.int64]) -> Array:
 
     It is the identity at re-entrant edges and where other boundary facets begin: stresses may be
     singular there. Facets that meet at less than about 40 degrees are one surface.
-    singular there. Facets that meet at less than about 40 degrees are one surface.
     """
     area = outward_areas(mesh, free)
     size = np.linalg.norm(area, axis=1)
@@ -169,13 +167,6 @@ class _Elastic:
     lame: Array
     shear: Array
     bulk: Array
-
-    @classmethod
-    def of(cls, structure: Structure, materials: dict[str, Material]) -> _Elastic:
-        lame = by_cell(structure, {name: m.lame[0] for name, m in materials.items()})
-        shear = by_cell(structure, {name: m.lame[1] for name, m in materials.items()})
-        alpha = by_cell(structure, {name: m.expansion for name, m in materials.items()})
-        return cls(lame, shear, (3.0 * lame + 2.0 * shear) * alpha)
 
     def stress(self, part: slice, at: CellGradients, own: Array) -> Array:
         """Stress (c, k, 3, 3, q) from displacements (functions, c, 3, k) without thermal strain."""

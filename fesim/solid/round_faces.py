@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from skfem import Mesh, MeshHex2, MeshTet2
 
-from fesim.solid.heat import by_cell
-from fesim.solid.materials import Material
+from fesim.solid.materials import Material, elastic_constants
 from fesim.solid.spaces import Spaces
 from fesim.solid.stress import COMPONENTS, stress_rows
 from meshes.pairing import cyclic_order, outward_areas
@@ -93,8 +92,7 @@ def shape_error_rows(
     middle = mesh.p[:, mesh.facets[:, facets]].mean(axis=1)
     moved, heated = stress_rows(structure, spaces, materials, middle, cells)
     stress = (moved @ duals).reshape(len(facets), 6, -1)
-    both = [{name: m.lame[i] for name, m in materials.items()} for i in (0, 1)]
-    lame, shear = (by_cell(structure, each)[cells] for each in both)
+    lame, shear, _ = (each[cells] for each in elastic_constants(structure, materials))
     trace = stress[:, :3].sum(axis=1)
     normal = np.array([i == j for i, j in COMPONENTS])
     strain = stress / (2.0 * shear)[:, None, None]

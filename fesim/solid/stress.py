@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from skfem import CellBasis
 
-from fesim.solid.heat import by_cell
-from fesim.solid.materials import Material
+from fesim.solid.materials import Material, elastic_constants
 from fesim.solid.spaces import Spaces, local_coordinates, shape_values
 from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
@@ -71,7 +70,7 @@ def stress_rows(
     """
     local = local_coordinates(structure.mesh, points, cells)[:, :, None]
     elastic, heat = spaces.displacement, spaces.heat
-    lam, mu, alpha = _constants(structure, materials, cells)
+    lam, mu, bulk = (each[cells] for each in elastic_constants(structure, materials))
     slopes = _shape_gradients(elastic, local, cells)
     count, points_count = slopes.shape[0], len(cells)
     moved = np.zeros((points_count, 6, count, 3))
@@ -82,7 +81,7 @@ def stress_rows(
         moved[:, row, :, j] += (mu * slopes[:, i]).T
         if i == j:
             moved[:, row] += (lam * slopes).transpose(2, 0, 1)
-            heated[:, row] = -((3.0 * lam + 2.0 * mu) * alpha * shapes).T
+            heated[:, row] = -(bulk * shapes).T
     unknowns = 3 * elastic.element_dofs[:, cells].T[:, :, None] + np.arange(3)
     return (
         _rows(moved.reshape(points_count, 6, -1), unknowns, spaces.displacement_size),
@@ -158,8 +157,8 @@ def _stress_in(
     gradient = np.einsum("fki,fjk->kij", own, slopes)
     heated = temperature[spaces.heat.element_dofs[:, cells]]
     rise = (shape_values(spaces.heat, local) * heated).sum(axis=0)
-    lam, mu, alpha = _constants(structure, materials, cells)
-    pressed = lam * np.trace(gradient, axis1=1, axis2=2) - (3.0 * lam + 2.0 * mu) * alpha * rise
+    lam, mu, bulk = elastic_constants(structure, materials)
+    pressed = lam * np.trace(gradient, axis1=1, axis2=2) - bulk * rise
     return np.stack(
         [
             mu * (gradient[:, i, j] + gradient[:, j, i]) + (pressed if i == j else 0.0)
@@ -167,21 +166,6 @@ def _stress_in(
         ],
         axis=1,
     )
-
-
-def _constants(
-    structure: Structure, materials: dict[str, Material], cells: NDArray[np.int64]
-) -> tuple[Array, Array, Array]:
-    """Lame's constants (Pa) and the expansion (1/K) of cells."""
-    lam, mu, alpha = (
-        by_cell(structure, values)[cells]
-        for values in (
-            {name: m.lame[0] for name, m in materials.items()},
-            {name: m.lame[1] for name, m in materials.items()},
-            {name: m.expansion for name, m in materials.items()},
-        )
-    )
-    return lam, mu, alpha
 
 
 def stress_tensors(components: Array) -> Array:
