@@ -32,8 +32,7 @@ from fesim.case.thermal_sections import (
 from fesim.setup.bolts import tightening
 from fesim.setup.positions import profile_of
 from fesim.solid.forces import BodyForce, Load, SurfaceForce, SurfacePressure
-from fesim.solid.heat import HeatSource
-from fesim.solid.input_layout import InputLayout
+from fesim.solid.heat import HeatSource, InputLayout
 from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array, OfPosition
 from thermojoint.artefacts.errors import InputError

@@ -1,7 +1,6 @@
 """Heat operators: capacity, conduction, convection and inputs.
 
-Temperatures are above the initial ambient. The inputs are columns of one matrix:
-the sources in the order given, the ambient, and the held surfaces in the order given.
+Temperatures are above the initial ambient. The inputs are columns of one matrix (`InputLayout`).
 """
 
 from __future__ import annotations
@@ -17,7 +16,6 @@ from skfem.assembly.basis import AbstractBasis
 from skfem.assembly.form.form import FormExtraParams
 from skfem.helpers import dot, grad
 
-from fesim.solid.input_layout import InputLayout
 from fesim.solid.materials import Material, by_cell
 from fesim.solid.spaces import interpolation
 from meshes.covered import cover_of
@@ -51,6 +49,41 @@ class ThermalLoads:
     #: Surface with prescribed temperature to a position-dependent factor on it; None: uniform.
     #: Where two surfaces meet, the first one applies.
     held: Mapping[str, OfPosition | None] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class InputLayout:
+    """Indices of the inputs: sources, then the ambient, then held surfaces."""
+
+    #: Number of heat sources, W each.
+    sources: int
+    #: Number of surfaces with prescribed temperature, K each.
+    held: int
+
+    @property
+    def count(self) -> int:
+        """Number of inputs."""
+        return self.ambient + 1 + self.held
+
+    @property
+    def source_columns(self) -> slice:
+        """The sources, in the order of the case."""
+        return slice(0, self.sources)
+
+    @property
+    def ambient(self) -> int:
+        """The ambient above its initial temperature, K."""
+        return self.sources
+
+    @property
+    def held_columns(self) -> slice:
+        """The held surfaces, in the order of the case."""
+        return slice(self.ambient + 1, self.count)
+
+    @property
+    def temperature_columns(self) -> slice:
+        """All inputs that are temperatures, K: the ambient and the held surfaces."""
+        return slice(self.ambient, self.count)
 
 
 @dataclass(frozen=True)
