@@ -37,8 +37,12 @@ from fesim.march.reduced import (
     thermal_modes,
 )
 from fesim.march.start_field import start_field
-from fesim.setup.discretised import Discretised, discretised, relative_rows
-from fesim.setup.elastic import elastic_structure
+from fesim.setup.discretised import (
+    Discretised,
+    discretised,
+    elastic_structure,
+    relative_rows,
+)
 from fesim.setup.loads import MarchInputs, input_layout, march_inputs
 from fesim.setup.machine import CacheKeys, Setup, cache_keys
 from fesim.setup.parts import Parts, make_parts, unit_direction
@@ -366,14 +370,7 @@ def _seats(axis: AxisSection) -> list[str]:
 def _apart(
     whole: Discretised, operators: GuidedOperators, probes: csr_array, key: str | None
 ) -> UntiedCondensation:
-    solid = elastic_structure(
-        whole.case,
-        whole.parts.structure,
-        whole.spaces,
-        whole.materials,
-        whole.operators,
-        whole.springs,
-    )
+    solid = elastic_structure(whole)
     return remembered(
         UntiedCondensation,
         key,

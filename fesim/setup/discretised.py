@@ -8,9 +8,15 @@ import numpy as np
 from scipy.sparse import csr_array, kron, vstack
 
 from fesim.case.schema import Case
-from fesim.setup.elastic import reference_springs
+from fesim.setup.constraints import fixed_surfaces
+from fesim.setup.elastic import ElasticStructure, reference_springs
 from fesim.setup.initial_temperature import initial_temperature
-from fesim.setup.loads import heat_sources, held_profiles, mechanical_loads
+from fesim.setup.loads import (
+    heat_sources,
+    held_profiles,
+    mechanical_loads,
+    spring_stiffnesses,
+)
 from fesim.setup.parts import Parts
 from fesim.setup.structure import body_materials, measured_points
 from fesim.setup.temperature_dependence import (
@@ -19,7 +25,7 @@ from fesim.setup.temperature_dependence import (
     reference_moduli,
 )
 from fesim.solid.bolts import stretch_rows, temperature_rows
-from fesim.solid.elasticity import DIRECTIONS
+from fesim.solid.elasticity import DIRECTIONS, elastic_pieces
 from fesim.solid.forces import nodal_forces
 from fesim.solid.heat import HeatOperators, ThermalLoads, heat_operators
 from fesim.solid.joint_operators import JointOperators, joint_operators
@@ -80,6 +86,25 @@ def discretised(case: Case, parts: Parts) -> Discretised:
         stretch=stretch_rows(spaces.displacement, parts.bolts),
         ends=temperature_rows(spaces.heat, parts.bolts),
         rows=probe_rows(spaces.heat, structure, parts.probes),
+    )
+
+
+def elastic_structure(whole: Discretised) -> ElasticStructure:
+    """Return the elastic structure of a case; nothing is assembled yet."""
+    case, structure = whole.case, whole.parts.structure
+    return ElasticStructure(
+        lambda: elastic_pieces(
+            structure,
+            whole.spaces,
+            whole.materials,
+            fixed_surfaces(case),
+            dict(case.supports.symmetry),
+            spring_stiffnesses(case, structure),
+        ),
+        whole.operators,
+        whole.springs,
+        (whole.spaces.displacement_size, int(whole.spaces.heat.N)),
+        case.march.solver,
     )
 
 

@@ -9,15 +9,11 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_array
 
-from fesim.case.schema import Case
-from fesim.setup.constraints import fixed_surfaces
 from fesim.setup.laws import element_means
-from fesim.setup.loads import spring_stiffnesses
 from fesim.solid.condensation import DisplacementField, displacement_field
-from fesim.solid.elasticity import ElasticPiece, elastic_pieces
+from fesim.solid.elasticity import ElasticPiece
 from fesim.solid.joint_operators import JointOperators
 from fesim.solid.materials import Material, by_cell
-from fesim.solid.spaces import Spaces
 from fesim.solid.substructures import (
     FactorisedStructure,
     Substructure,
@@ -69,31 +65,6 @@ class ElasticStructure:
     def field(self, condensed: TieCondensation) -> DisplacementField:
         """Return full displacements on demand."""
         return displacement_field(self.factorised, condensed, self.joints)
-
-
-def elastic_structure(
-    case: Case,
-    structure: Structure,
-    spaces: Spaces,
-    materials: dict[str, Material],
-    joints: JointOperators,
-    reference: Array,
-) -> ElasticStructure:
-    """Return the elastic structure of a case; nothing is assembled yet."""
-    return ElasticStructure(
-        lambda: elastic_pieces(
-            structure,
-            spaces,
-            materials,
-            fixed_surfaces(case),
-            dict(case.supports.symmetry),
-            spring_stiffnesses(case, structure),
-        ),
-        joints,
-        reference,
-        (spaces.displacement_size, int(spaces.heat.N)),
-        case.march.solver,
-    )
 
 
 def reference_springs(

@@ -38,8 +38,13 @@ from fesim.march.softening import Acting, lifted
 from fesim.march.start_field import start_field
 from fesim.setup.bolts import first_forces
 from fesim.setup.constraints import check_constrained
-from fesim.setup.discretised import Discretised, discretised, load_forces, relative_rows
-from fesim.setup.elastic import elastic_structure
+from fesim.setup.discretised import (
+    Discretised,
+    discretised,
+    elastic_structure,
+    load_forces,
+    relative_rows,
+)
 from fesim.setup.laws import joint_laws
 from fesim.setup.mesh_errors import (
     HeatErrors,
@@ -278,7 +283,10 @@ def _condensed(case: Case, parts: Parts, keys: CacheKeys) -> Setup:
     outputs = _outputs(whole, keys, field, forces)
     modes = _modes(whole, keys, condensed)
     full = partial(condense_heat, whole.heat, whole.operators, solver=case.march.solver)
-    thermal = _thermal(whole, modes, full)
+    step = case.march.step_s
+    thermal = (
+        full(step) if modes is None else project_heat(whole.heat, whole.operators, step, modes)
+    )
     machine = _machine(whole, condensed, loads, modes, thermal)
     machine = replace(machine, stiffness=_variable_stiffness(whole, field, forces))
     errors = partial(_mesh_errors, whole, keys, condensed, stress)
@@ -328,16 +336,7 @@ def _condensed_elasticity(
     case = whole.case
     if case.displacement is None:
         return _undeformed(whole), _no_field, None
-    make = partial(
-        elastic_structure,
-        case,
-        whole.parts.structure,
-        whole.spaces,
-        whole.materials,
-        whole.operators,
-        whole.springs,
-    )
-    solid, rows = make(), relative_rows(whole)
+    solid, rows = elastic_structure(whole), relative_rows(whole)
     # The factors are stored if loads, outputs or snapshots need them again; all at once only if
     # they are small.
     soft = modulus_factors(case, whole.materials)
@@ -358,7 +357,7 @@ def _condensed_elasticity(
             also=f"off under {load_patterns(case)}",
         )
     if not again:
-        field = cache(lambda: make().field(tied))
+        field = cache(lambda: elastic_structure(whole).field(tied))
     return elastic_condensation(tied, whole.operators.area, whole.springs), field, errors
 
 
@@ -421,13 +420,15 @@ def _modes(
     march = whole.case.march
     if march.thermal != "reduced":
         return None
+    # Mean temperatures of the contact elements with slip heating: the dual of their heat.
+    rubbed = whole.operators.mean[np.flatnonzero(_counted(whole))]
     return remembered(
         ThermalModes,
         keys.heat,
         lambda: thermal_modes(
             whole.heat,
             whole.operators,
-            outputs_of(condensed, csr_array(vstack([whole.rows, whole.ends, _rubbed(whole)]))),
+            outputs_of(condensed, csr_array(vstack([whole.rows, whole.ends, rubbed]))),
             march.step_s,
             partial(reduce_heat, solver=march.solver),
             whole.warm,
@@ -441,19 +442,6 @@ def _counted(whole: Discretised) -> NDArray[np.float64]:
     joints, sections = whole.parts.joints, whole.case.joints
     each = [float(sections[joint.name].slip_heating) for joint in joints]
     return np.repeat(each, [len(joint.area) for joint in joints])
-
-
-def _rubbed(whole: Discretised) -> csr_array:
-    """Mean temperatures of the contact elements with slip heating: the dual of their heat."""
-    return csr_array(whole.operators.mean[np.flatnonzero(_counted(whole))])
-
-
-def _thermal(
-    whole: Discretised, modes: ThermalModes | None, full: Callable[[float], ThermalCondensation]
-) -> ThermalCondensation:
-    """A heat step of the march, from its length (s), on all unknowns or on the modes."""
-    step = whole.case.march.step_s
-    return full(step) if modes is None else project_heat(whole.heat, whole.operators, step, modes)
 
 
 def _machine(
