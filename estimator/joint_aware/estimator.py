@@ -12,7 +12,13 @@ import numpy as np
 
 from estimator import lines, sensor_faults
 from estimator.interface import READING_NOISE, Channel, Estimate, Status
-from estimator.joint_aware import compiled_sample, displacement_readings, dropouts, fault_isolation
+from estimator.joint_aware import (
+    compiled_sample,
+    displacement_readings,
+    dropouts,
+    fault_isolation,
+    odometers,
+)
 from estimator.joint_aware.compiled_sample import Results, empty_results
 from estimator.joint_aware.displacement_readings import (
     DisplacementProbe,
@@ -355,7 +361,7 @@ class JointAware(Described):
     ) -> tuple[Array, Processed, SampleValues]:
         """State after a sample, the result of processing it, and its values."""
         read = self.split(values)
-        readings, factors, odometers, powers, probed = read
+        readings, factors, counts, powers, probed = read
         if powers.size:
             state = self._with_powers(state, powers)
         flat = state.copy()
@@ -364,54 +370,30 @@ class JointAware(Described):
         # A missing factor keeps its last value.
         now = after.loads[: factors.size]
         now[:] = np.where(np.isnan(factors), now, factors)
-        counted, unread = after.odometer.copy(), np.isnan(odometers)
-        after.odometer[:] = np.where(unread, counted, odometers)
+        counted, unread = after.odometer.copy(), np.isnan(counts)
+        after.odometer[:] = np.where(unread, counted, counts)
         since = after.odometer_age + moment.length * moment.steps
         after.odometer_age[:] = np.where(unread, since, 0.0)
+        with_odometer = list(self.model.counted)
         if unread.any():
-            after.odometer[unread] += self._least_travel(state, after.loads)[unread]
+            least = np.abs(
+                self._place(after.loads) - self._place(unpacked(state, self.parts).loads)
+            )
+            after.odometer[unread] += least[with_odometer][unread]
         processed = self._process_ordinary(after, moment, readings, probed)
         if processed is None:
             before = unpacked(state, self.parts)
             before = before._replace(odometer=after.odometer, odometer_age=after.odometer_age)
-            travel = after.odometer - counted
-            plausible = self._plausible_travel(travel, since)
-            travelled = self._travel_of_every_axis(np.where(plausible & ~unread, travel, 0.0))
-            before = self._after_reset(before, ~unread & ~plausible)
+            travel, travelled = after.odometer - counted, np.zeros(len(self.model.moving_axes))
+            plausible = odometers.plausible(travel, since, self.thresholds.fastest)
+            travelled[with_odometer] = np.where(plausible & ~unread, travel, 0.0)
+            before = odometers.after_reset(before, ~unread & ~plausible)
             moment = replace(moment, loads=after.loads, travelled=travelled)
             processed = self._process_any(before, moment, readings, probed)
             flat = processed.after.flat()
         if np.isnan(powers).any():
             self._attribute_to_missing_powers(np.isnan(powers), state, flat)
         return flat, processed, read
-
-    def _least_travel(self, before: Array, loads: Array) -> Array:
-        """Least travel of axes with odometers since a state, (c,), m, from their positions."""
-        least = self._place(loads) - self._place(unpacked(before, self.parts).loads)
-        return np.abs(least)[list(self.model.counted)]
-
-    def _plausible_travel(self, counted: Array, since: Array) -> Flags:
-        """Whether axes can have travelled the distance by odometers, m, in `since` s, all (c,).
-
-        A distance that no axis can travel means a reset odometer: then only positions count.
-        """
-        with np.errstate(invalid="ignore"):
-            return np.asarray((counted >= 0.0) & (counted <= self.thresholds.fastest * since))
-
-    def _travel_of_every_axis(self, counted: Array) -> Array:
-        """Travel of every axis, (x,), m, from that of the axes with odometers, (c,)."""
-        gone = np.zeros(len(self.model.moving_axes))
-        gone[list(self.model.counted)] = counted
-        return gone
-
-    def _after_reset(self, before: ObserverState, anew: Flags) -> ObserverState:
-        """State after a reset of odometers (c,), which will never report missed travel."""
-        (telling, never), (back, since) = np.split(before.away, 2), np.split(before.back, 2)
-        lost = anew & (telling > 0.0)
-        return before._replace(
-            away=np.append(np.where(lost, 0.0, telling), np.where(lost, telling, never)),
-            back=np.append(back, np.where(lost, 0.0, since)),
-        )
 
     @cached_property
     def unreported_travel(self) -> dropouts.Dropouts | None:
@@ -422,24 +404,18 @@ class JointAware(Described):
     def _dropout_times(
         self, before: ObserverState, elapsed: float, whole: bool
     ) -> tuple[Array, Array]:
-        """How long odometers were missing, and are back with all readings present, (2 c,), s."""
-        age = before.odometer_age
-        unread = np.append(age > 0.0, np.zeros(age.size, dtype=bool))
-        away = before.away + elapsed * unread
-        if not away.any() or self.unreported_travel is None:
-            return np.zeros_like(away), np.zeros_like(away)
-        back = np.where(unread, 0.0, before.back + elapsed * whole)
-        counts = back <= self.unreported_travel.back[-1] * self.model.step * (1.0 + dropouts.SLACK)
-        return away * counts, back * counts
+        """`odometers.dropout_times`; the table is made at the first dropout."""
+        missing = before.away.any() or before.odometer_age.any()
+        if not missing or (travel := self.unreported_travel) is None:
+            return np.zeros_like(before.away), np.zeros_like(before.away)
+        longest = travel.back[-1] * self.model.step
+        return odometers.dropout_times(before, elapsed, whole, longest)
 
     def _due_to_unreported_travel(self, after: ObserverState) -> Array:
         """Half-width (axes,) due to travel that odometers have not reported, m."""
-        step, pairs = self.model.step, zip(after.away, after.back, strict=True)
-        every = np.zeros(len(self.axes))
-        for k, (away, back) in enumerate(pairs):
-            if away > 0.0 and self.unreported_travel is not None:
-                every += self.unreported_travel.of(k, float(away) / step, float(back) / step)
-        return every
+        if not after.away.any() or (travel := self.unreported_travel) is None:
+            return np.zeros(len(self.axes))
+        return odometers.half_width(travel, after, self.model.step)
 
     def _with_powers(self, state: Array, powers: Array) -> Array:
         """The state with its heat changed by the powers (t,), W, since the previous sample.
