@@ -2,23 +2,18 @@
 
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import browser
 import numpy as np
 import pytest
 from dashboard_server import TOKEN, about, again, event, keep, layout_of, published, serving
-from observed import SENSORS, estimates, observed_data, observer, run, step
+from observed import estimates
 
-from estimator.joint_aware.readings import samples_in
 from estimator.quality import Quality
-from fesim.case.schema import case_from_data
-from fesim.setup.machine import set_up
 from thermojoint.artefacts.quantities import UNITS
 from thermojoint.live.publication import AxisLine, as_json
 from thermojoint.live.scene import scene_of
 from thermojoint.live.surface import surface_of, write_surface
-from thermojoint.reduced.machine import reduce_machine
 
 PHONE, PANEL = {"width": 390, "height": 844}, {"width": 1024, "height": 768}
 WAIT_MS = 15_000
@@ -27,15 +22,11 @@ pytestmark = [pytest.mark.long, browser.needs_chromium]
 
 
 @pytest.fixture(scope="module")
-def floor(tmp_path_factory, coarse_data):
+def floor(tmp_path_factory, watched):
     """Three machines of a simulated warm-up; one has lost a sensor, one says nothing more."""
     folder = tmp_path_factory.mktemp("dashboard")
-    data = observed_data(coarse_data)
-    case = case_from_data(data, "case", Path())
-    setup = set_up(case)
-    response = run(data, setup, step(1.0), 5.0)
-    estimator = observer(reduce_machine(case, setup, SENSORS), {"step": response})
-    samples = list(samples_in(response, estimator.model.sensors))
+    case, setup, _, estimator = watched
+    samples = watched.samples
     state, found = estimates(estimator, samples)
     surface = surface_of(case, setup, estimator.model, np.array([0.0, 1.0, 0.0]))
     write_surface(surface, folder / "scene.h5")
@@ -250,12 +241,13 @@ def test_the_machine_in_3d_has_the_temperatures_and_pressures_of_the_estimator(p
     assert not page.is_visible("#scene-card")
 
 
-@pytest.mark.parametrize("unit", [name for name, own in UNITS.items() if own.quantity != "time"])
-def test_a_reading_is_shown_in_its_own_unit(page, floor, unit):
+def test_a_reading_is_shown_in_its_own_unit(page, floor):
     """A feed in mm/min was one of "1", as if it had no unit."""
     opened(page, floor, "/machines/mill-1")
-    known, name = page.evaluate("(key) => [unitOf(key), bare(key)]", f"y_axis_{unit}")
-    assert (known, name) == (unit, "y axis")
+    units = [name for name, own in UNITS.items() if own.quantity != "time"]
+    keys = [f"y_axis_{unit}" for unit in units]
+    found = page.evaluate("(keys) => keys.map((key) => [unitOf(key), bare(key)])", keys)
+    assert found == [[unit, "y axis"] for unit in units]
 
 
 def test_a_sensor_that_is_missing_or_distrusted_is_named(page, floor):

@@ -9,19 +9,15 @@ import httpx
 import numpy as np
 import pytest
 from live_parts import PATIENCE_S, events_in, free_port, serving, until
-from observed import SENSORS, observed_data, observer, run, step
+from observed import SENSORS
 
 from estimator.interface import NextReading
 from estimator.joint_aware.model_file import write_observer
-from estimator.joint_aware.readings import samples_in
-from fesim.case.schema import case_from_data
-from fesim.setup.machine import set_up
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.next_reading import Asking, Request, after_sample, ended
 from thermojoint.live.served import served
 from thermojoint.live.settings import ModelSection, NextReadingSection
 from thermojoint.live.users import add_user
-from thermojoint.reduced.machine import reduce_machine
 
 WIDE, NARROW, STATE = np.array([3e-6, 1e-6]), np.array([1e-6, 1e-6]), np.empty(0)
 ASKED = NextReading("x", 0.0, 3e-6, 1e-6)
@@ -56,18 +52,14 @@ def test_nothing_is_asked_for_where_the_band_is_unknown_or_narrow():
 
 
 @pytest.fixture(scope="module")
-def plant(coarse_data, tmp_path_factory):
+def plant(watched, tmp_path_factory):
     """A folder with a model whose band is wide, and the samples of a warm-up."""
-    folder, data = tmp_path_factory.mktemp("asking"), observed_data(coarse_data)
-    case = case_from_data(data, "case", folder)
-    setup = set_up(case)
-    response = run(data, setup, step(1.0), 4.0)
-    model = observer(reduce_machine(case, setup, SENSORS), {"step": response}).model
+    folder, model = tmp_path_factory.mktemp("asking"), watched.estimator.model
     # A band of 5 um at a relaxed heat of one.
     wide = replace(model.band, square=np.full_like(model.band.square, 6e-12))
     write_observer(replace(model, band=wide), folder / "model.h5")
     add_user(folder / "users", "olga", "operator", "olgas-secret")
-    return folder, list(samples_in(response, SENSORS))
+    return folder, watched.samples
 
 
 def test_a_limit_that_no_reading_can_keep_is_refused(plant):
@@ -97,12 +89,17 @@ def settings_of(port):
     }
 
 
+def lines_of(samples, start, more="", ends=""):
+    """A log of samples, to whose header and rows something is added."""
+    yield ",".join(["time_s", *(f"{name}_K" for name in (*SENSORS, "ambient"))]) + more
+    for at, *values in samples:
+        yield f"{start + at:.1f},{','.join(map(str, values))}{ends}"
+
+
 def test_an_operator_sees_the_request_and_postpones_it(plant):
     folder, samples = plant
     start, port = time.time() - 2.0 * len(samples), free_port()
-    names = ",".join(f"{name}_K" for name in (*SENSORS, "ambient"))
-    lines = [f"time_s,{names},x_um,y_um"]
-    lines += [f"{start + at:.1f},{','.join(map(str, values))},," for at, *values in samples]
+    lines = list(lines_of(samples, start, ",x_um,y_um", ",,"))
     log = folder / "log.csv"
     log.write_text("\n".join(lines[:90]) + "\n")
 
@@ -146,9 +143,7 @@ def test_an_operator_enters_the_reading_on_the_page(plant):
     add_user(folder / "users", "vera", "viewer", "veras-secret")
     start, port = time.time() - 2.0 * len(samples), free_port()
     log = folder / "entered.csv"
-    names = ",".join(f"{name}_K" for name in (*SENSORS, "ambient"))
-    lines = [f"{start + at:.1f},{','.join(map(str, values))}" for at, *values in samples]
-    log.write_text("\n".join([f"time_s,{names}", *lines]) + "\n")
+    log.write_text("\n".join(lines_of(samples, start)) + "\n")
     settings = settings_of(port)
     settings |= {"folder": "entered", "sources": {"line": {"kind": "csv", "path": log.name}}}
     settings["models"]["m"]["lateness_s"] = 0.5

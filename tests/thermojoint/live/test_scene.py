@@ -1,16 +1,14 @@
 """The machine in 3-D: a model without a mesh gets its surface back, and only its own."""
 
-import copy
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from observed import SENSORS, estimates, observed_data, observer, run, step
+from observed import SENSORS, estimates, observed_data
 
 from estimator.joint_aware.kind import KIND
 from estimator.joint_aware.observer_state import unpacked
-from estimator.joint_aware.readings import samples_in
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from thermojoint.artefacts.errors import InputError
@@ -22,52 +20,26 @@ from thermojoint.live.surface import (
     temperatures,
     write_surface,
 )
-from thermojoint.reduced.machine import reduce_machine
 
 UP = np.array([0.0, 1.0, 0.0])
 
 
 @pytest.fixture(scope="module")
-def data(coarse_data):
-    return observed_data(coarse_data)
+def surface(watched):
+    return surface_of(watched.case, watched.setup, watched.estimator.model, UP)
 
 
-@pytest.fixture(scope="module")
-def case(data):
-    return case_from_data(data, "case", Path())
-
-
-@pytest.fixture(scope="module")
-def setup(case):
-    return set_up(case)
-
-
-@pytest.fixture(scope="module")
-def response(data, setup):
-    return run(data, setup, step(1.0), 4.0)
-
-
-@pytest.fixture(scope="module")
-def estimator(case, setup, response):
-    return observer(reduce_machine(case, setup, SENSORS), {"step": response})
-
-
-@pytest.fixture(scope="module")
-def surface(case, setup, estimator):
-    return surface_of(case, setup, estimator.model, UP)
-
-
-def test_in_a_warmer_ambient_every_corner_becomes_as_warm(surface, estimator):
-    modes = estimator.model.modes
+def test_in_a_warmer_ambient_every_corner_becomes_as_warm(surface, watched):
+    modes = watched.estimator.model.modes
     amplitudes = modes.drive[:, -1] / modes.rates
     assert surface.rows @ amplitudes == pytest.approx(np.ones(len(surface.points)), abs=1e-3)
 
 
-def test_the_surface_is_as_warm_as_the_sensors_on_it(surface, estimator, response):
-    samples = list(samples_in(response, estimator.model.sensors))
+def test_the_surface_is_as_warm_as_the_sensors_on_it(surface, watched):
+    estimator, samples = watched.estimator, watched.samples
     state, _ = estimates(estimator, samples)
     found = temperatures(surface, estimator, state)
-    where = response["probe_position"].sel(probe=list(SENSORS)).to_numpy()
+    where = watched.response["probe_position"].sel(probe=list(SENSORS)).to_numpy()
     for place, reading in zip(where, samples[-1][1:], strict=False):
         distance = np.linalg.norm(surface.points - place, axis=1)
         near = found[distance < 0.11]
@@ -75,16 +47,17 @@ def test_the_surface_is_as_warm_as_the_sensors_on_it(surface, estimator, respons
     assert found.max() > 2.0 * max(samples[-1][1:]) / 3.0
 
 
-def test_a_machine_at_rest_has_its_preload_in_every_contact(surface, estimator, case):
+def test_a_machine_at_rest_has_its_preload_in_every_contact(surface, watched):
+    estimator = watched.estimator
     found = pressures(surface, estimator, estimator.initial_state())
-    preload = 1e6 * next(iter(case.joints.values())).preload_MPa
+    preload = 1e6 * next(iter(watched.case.joints.values())).preload_MPa
     assert found == pytest.approx(np.full(len(surface.contact_triangles), preload))
     known = unpacked(estimator.initial_state(), estimator.parts).pressure.size
     assert set(surface.contacts) == set(range(known))
 
 
-def test_modes_whose_signs_are_others_give_the_same_temperatures(case, setup, surface, estimator):
-    model = estimator.model
+def test_modes_whose_signs_are_others_give_the_same_temperatures(surface, watched):
+    model = watched.estimator.model
     signs = np.where(np.arange(model.modes.rates.size) % 2, -1.0, 1.0)
     elastic = replace(
         model.modes.elastic,
@@ -98,38 +71,37 @@ def test_modes_whose_signs_are_others_give_the_same_temperatures(case, setup, su
         sensors=model.modes.sensors * signs,
         elastic=elastic,
     )
-    found = surface_of(case, setup, replace(model, modes=turned), UP)
+    found = surface_of(watched.case, watched.setup, replace(model, modes=turned), UP)
     assert found.rows == pytest.approx(surface.rows * signs, abs=1e-4)
 
 
-def test_the_surface_of_another_machine_is_refused(data, estimator):
-    other = copy.deepcopy(data)
+def test_the_surface_of_another_machine_is_refused(coarse_data, watched):
+    other = observed_data(coarse_data)
     other["materials"]["cast_iron"]["conductivity_W_mK"] = 20.0
     case = case_from_data(other, "case", Path())
     with pytest.raises(InputError, match="another case or mesh"):
-        surface_of(case, set_up(case), estimator.model, UP)
+        surface_of(case, set_up(case), watched.estimator.model, UP)
 
 
-def test_a_surface_is_read_back_for_its_own_model_alone(tmp_path, surface, estimator):
-    path = tmp_path / "scene.h5"
+def test_a_surface_is_read_back_for_its_own_model_alone(tmp_path, surface, watched):
+    path, model = tmp_path / "scene.h5", watched.estimator.model
     write_surface(surface, path)
-    assert np.array_equal(read_surface(path, estimator.model).rows, surface.rows)
-    other = replace(estimator.model, offset=estimator.model.offset + 1.0)
+    assert np.array_equal(read_surface(path, model).rows, surface.rows)
+    other = replace(model, offset=model.offset + 1.0)
     with pytest.raises(InputError, match="another model"):
         read_surface(path, other)
     path.write_bytes(path.read_bytes()[:2000])
     with pytest.raises(InputError, match="no readable surface"):
-        read_surface(path, estimator.model)
+        read_surface(path, model)
 
 
-def test_a_scene_says_nothing_before_the_first_sample(tmp_path, surface, estimator, response):
-    path = tmp_path / "scene.h5"
+def test_a_scene_says_nothing_before_the_first_sample(tmp_path, surface, watched):
+    path, estimator = tmp_path / "scene.h5", watched.estimator
     write_surface(surface, path)
     states = [estimator.initial_state()]
     scene = scene_of(path, estimator, lambda: states[-1])
     assert scene.fields() is None
-    samples = list(samples_in(response, estimator.model.sensors))
-    states.append(estimates(estimator, samples)[0])
+    states.append(estimates(estimator, watched.samples)[0])
     told = scene.fields()
     assert len(told["temperature_K"]) == len(scene.shape["surface"]["points_m"][0])
     assert len(told["pressure_MPa"]) == len(scene.shape["joints"]["triangles"][0])
@@ -151,8 +123,8 @@ def test_a_joint_is_looked_at_from_its_front():
     assert both == pytest.approx(EYE)
 
 
-def test_the_reading_of_a_sensor_that_lies_stands_out_by_what_it_lies(estimator, response):
-    samples = [list(one) for one in samples_in(response, estimator.model.sensors)]
+def test_the_reading_of_a_sensor_that_lies_stands_out_by_what_it_lies(watched):
+    samples, estimator = [list(one) for one in watched.samples], watched.estimator
     at = 1 + SENSORS.index("T1")
     for sample in samples[-20:]:
         sample[at] += 5.0
