@@ -135,20 +135,14 @@ def restore(archive: Path, folder: Path) -> Path:
     return folder / "service.toml"
 
 
-def _named(section: BaseModel, above: str = "") -> Iterator[Named]:
+def _named(value: Any, above: str = "", secret: bool = False) -> Iterator[Named]:  # noqa: ANN401
     """Yield the files and folders named in settings, except sources of readings."""
-    for name, value in section:
-        yield from _named_by(value, f"{above}{name}", isinstance(section, Secret))
-
-
-def _named_by(value: Any, key: str, secret: bool) -> Iterator[Named]:  # noqa: ANN401
     if isinstance(value, Path):
+        key = above.removesuffix(".")
         yield Named(key, value, secret or key.endswith("key_file"))
-    elif isinstance(value, dict):
-        for name, one in value.items():
-            yield from _named_by(one, f"{key}.{name}", secret)
-    elif isinstance(value, BaseModel) and not isinstance(value, CsvSource):
-        yield from _named(value, f"{key}.")
+    elif isinstance(value, dict | BaseModel) and not isinstance(value, CsvSource):
+        for name, one in dict(value).items():
+            yield from _named(one, f"{above}{name}.", isinstance(value, Secret))
 
 
 def _place(path: Path, base: Path, number: int) -> str:

@@ -13,6 +13,7 @@ from thermojoint.live.access_store import digest_of
 from thermojoint.live.rights import ALL_MACHINES, Principal
 from thermojoint.live.users import checked_rights
 
+_SELECT = "SELECT name, role, machines, digest, created, expires, used FROM tokens"
 #: Shortest interval at which the time of the last use is written, s.
 _USED_S = 60.0
 
@@ -79,22 +80,15 @@ def revoke_token(store: sqlite3.Connection, name: str) -> None:
 
 def tokens_in(store: sqlite3.Connection) -> list[Token]:
     """Return all tokens, including expired ones."""
-    rows = store.execute(
-        "SELECT name, role, machines, digest, created, expires, used FROM tokens ORDER BY name"
-    )
-    return [_token(row) for row in rows]
+    return [_token(row) for row in store.execute(f"{_SELECT} ORDER BY name")]
 
 
 def token_of(store: sqlite3.Connection, digest: str, now: float) -> Principal | None:
     """Return the rights of a token by its digest; None if it is unknown or has expired."""
-    row = store.execute(
-        "SELECT name, role, machines, digest, created, expires, used FROM tokens "
-        "WHERE digest = ? AND expires > ?",
-        (digest, now),
-    ).fetchone()
-    if row is None:
+    found = store.execute(f"{_SELECT} WHERE digest = ? AND expires > ?", (digest, now)).fetchone()
+    if found is None:
         return None
-    token = _token(row)
+    token = _token(found)
     if token.used is None or now - token.used > _USED_S:
         # If the disk is full, the token is accepted although its use cannot be written.
         with suppress(sqlite3.OperationalError):

@@ -109,19 +109,24 @@ def assert_says(history, expected):
     np.testing.assert_allclose(history.columns.displacement, expected, rtol=1e-12, atol=1e-18)
 
 
+def lived_to_its_end(model, base, lines):
+    """A service reads a log that does not grow."""
+    (base / "log.csv").write_text("".join(lines))
+    data = file_of(model, {"kind": "csv", "path": "log.csv", "follow": False})
+
+    async def live():
+        async with serving(data, base) as running:
+            await until(running.stop.is_set)
+
+    asyncio.run(live())
+
+
 def test_lines_are_estimated_as_the_estimator_says_and_once_over_three_lives(
     model, expected, tmp_path
 ):
     rows = csv_of(day()).splitlines(keepends=True)
     for end in (30, 31, 200):
-        (tmp_path / "log.csv").write_text("".join(rows[:end]))
-        source = {"kind": "csv", "path": "log.csv", "follow": False}
-
-        async def live(source=source):
-            async with serving(file_of(model, source), tmp_path) as running:
-                await until(running.stop.is_set)
-
-        asyncio.run(live())
+        lived_to_its_end(model, tmp_path, rows[:end])
     history = history_in(tmp_path)
     assert_says(history, expected)
     assert not history.holes
@@ -134,15 +139,8 @@ def test_another_model_starts_anew_where_the_one_before_it_stopped(
     rows = csv_of(day()).splitlines(keepends=True)
     other = replace(hand_made_model, distances=((0.11, 0.30), (0.32, 0.11)))
     write_assembly(assemble(other, INTERVAL, 7200.0), tmp_path / "other.json")
-    source = {"kind": "csv", "path": "log.csv", "follow": False}
-
-    async def live(file):
-        async with serving(file_of(file, source), tmp_path) as running:
-            await until(running.stop.is_set)
-
     for end, file in ((41, model), (81, tmp_path / "other.json"), (121, model)):
-        (tmp_path / "log.csv").write_text("".join(rows[:end]))
-        asyncio.run(live(file))
+        lived_to_its_end(file, tmp_path, rows[:end])
     found = history_in(tmp_path)
     np.testing.assert_array_equal(found.columns.times, day()[:, 0])
 

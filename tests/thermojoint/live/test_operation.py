@@ -53,7 +53,6 @@ certificate_file = "plant.pem"
 key_file = "plant.key"
 requests_per_s = {rate}
 """
-AT_TARGET = 'target = "target.toml"\nhandshake = { by = "target" }'
 #: The control is reached with a certificate that is not there.
 TARGET = """
 kind = "beckhoff"
@@ -90,6 +89,14 @@ def plant(folder, models, port, rate=20.0):
     (folder / "log.csv").write_text("\n".join([header, *rows]) + "\n")
     (folder / "service.toml").write_text(SERVICE.format(port=port, rate=rate))
     return folder / "service.toml"
+
+
+def lead_to_a_control(file, target):
+    """The machine gets offsets, which a file of a target writes into a control."""
+    (file.parent / "offsets.toml").write_text('[axes.Z]\nfollows = "x"\n')
+    written = file.read_text().replace('"model.json"', '"model.json"\noffsets = "offsets.toml"')
+    section = f'[machines.mill]\ntarget = "{target}"\nhandshake = {{ by = "target" }}'
+    file.write_text(written.replace("[machines.mill]", section))
 
 
 def audit(folder):
@@ -272,10 +279,8 @@ def test_check_says_all_that_a_start_would_refuse_and_leaves_the_folder_alone(mo
 
 def test_check_looks_at_the_way_to_a_control(models, tmp_path):
     file = plant(tmp_path, models, free_port())
-    (tmp_path / "offsets.toml").write_text('[axes.Z]\nfollows = "x"\n')
+    lead_to_a_control(file, "target.toml")
     (tmp_path / "target.toml").write_text(TARGET)
-    written = file.read_text().replace('"model.json"', '"model.json"\noffsets = "offsets.toml"')
-    file.write_text(written.replace("[machines.mill]", "[machines.mill]\n" + AT_TARGET))
     assert "plc.der" in str(called("serve", file, "--check").exception)
     # With the usual heartbeat of 5 s.
     (tmp_path / "target.toml").write_text(f"every_s = 5.0\nlargest_step_um = 10.0\n{TARGET}")
@@ -286,13 +291,10 @@ def test_a_backup_has_the_certificates_that_a_target_names(models, tmp_path):
     base, restored = tmp_path / "plant", tmp_path / "restored"
     (base / "plc").mkdir(parents=True)
     file = plant(base, models, free_port())
-    (base / "offsets.toml").write_text('[axes.Z]\nfollows = "x"\n')
+    lead_to_a_control(file, "plc/target.toml")
     (tmp_path / "plc.der").write_bytes(b"of the control")
     target = TARGET.replace("plc.der", "../../plc.der")
     (base / "plc" / "target.toml").write_text(f"largest_step_um = 10.0\n{target}")
-    written = file.read_text().replace('"model.json"', '"model.json"\noffsets = "offsets.toml"')
-    section = AT_TARGET.replace("target.toml", "plc/target.toml")
-    file.write_text(written.replace("[machines.mill]", f"[machines.mill]\n{section}"))
     back_up(file, base / "b.tar.gz")
     (tmp_path / "plc.der").unlink()
     restore(base / "b.tar.gz", restored)
