@@ -10,7 +10,7 @@ from asyncua import Client, ua
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 
 from thermojoint.artefacts.errors import InputError
-from thermojoint.live.certificates import APPLICATION, own_identity
+from thermojoint.live.certificates import APPLICATION, Identity, own_identity
 from thermojoint.live.secret import read_secret
 from thermojoint.live.settings import OpcuaAddress
 from thermojoint.live.trust_list import certificate_in
@@ -26,10 +26,8 @@ class Reached:
     """Connection data of a server; secrets are never displayed."""
 
     url: str
-    #: `certificate`, `key`, `server`: own certificate and key, and the server's certificate; None
-    #: without security.
-    certificate: Path | None
-    key: Path | None
+    #: Own certificate, and the server's; None without security.
+    own: Identity | None
     server: Path | None
     user: str | None
     password: str | None
@@ -46,7 +44,7 @@ def reached_of(given: OpcuaAddress, folder: Path, where: str) -> Reached:
     InputError
         The server's certificate or a secret cannot be used.
     """
-    certificate = key = server = password = None
+    own = server = password = None
     if given.security == "sign-and-encrypt":
         if given.server_certificate is None:
             raise InputError(
@@ -56,10 +54,9 @@ def reached_of(given: OpcuaAddress, folder: Path, where: str) -> Reached:
         server = given.server_certificate
         certificate_in(server)
         own = own_identity(folder, ())
-        certificate, key = own.certificate, own.key
     if given.password is not None:
         password = read_secret(given.password, f"{where}.password")
-    return Reached(given.url, certificate, key, server, given.user, password)
+    return Reached(given.url, own, server, given.user, password)
 
 
 async def client_of(reached: Reached) -> Client:
@@ -67,11 +64,11 @@ async def client_of(reached: Reached) -> Client:
     client = Client(reached.url, timeout=TIMEOUT_S)
     client.application_uri = APPLICATION
     client.name = client.description = "thermojoint"
-    if reached.certificate is not None and reached.key is not None and reached.server is not None:
+    if reached.own is not None and reached.server is not None:
         await client.set_security(
             SecurityPolicyBasic256Sha256,
-            certificate=reached.certificate,
-            private_key=reached.key,
+            certificate=reached.own.certificate,
+            private_key=reached.own.key,
             server_certificate=str(reached.server),
             mode=ua.MessageSecurityMode.SignAndEncrypt,
         )

@@ -102,23 +102,14 @@ class Publication:
     #: Shape (lines,): slopes that the control receives, m/m.
     slopes: Array = field(default_factory=lambda: np.empty(0))
 
-    @property
-    def missing(self) -> tuple[str, ...]:
-        """Channels without a reading."""
-        return _channels_of(self.status, "reading-missing")
 
-    @property
-    def distrusted(self) -> tuple[str, ...]:
-        """Channels whose readings the estimator rejects."""
-        return _channels_of(self.status, "sensor-distrusted")
-
-
-def _channels_of(status: str, reason: str) -> tuple[str, ...]:
+def _channels_of(status: str, reason: str) -> list[str]:
+    """Return the channels concerned by a reason of a status in words."""
     for word in status.split():
         name, _, channels = word.partition(":")
         if name == reason and channels:
-            return tuple(channels.split(","))
-    return ()
+            return channels.split(",")
+    return []
 
 
 def iso_time(time: float) -> str | None:
@@ -159,8 +150,8 @@ def as_json(publication: Publication) -> dict[str, Any]:
             name: _number(value)
             for name, value in zip(layout.readings, publication.readings.tolist(), strict=True)
         },
-        "missing": list(publication.missing),
-        "distrusted": list(publication.distrusted),
+        "missing": _channels_of(publication.status, "reading-missing"),
+        "distrusted": _channels_of(publication.status, "sensor-distrusted"),
     }
 
 

@@ -676,7 +676,7 @@ def test_a_history_is_read_to_its_end_also_if_it_is_stored_late_or_comes_in_part
             await server.iserver.enable_history_data_change(node, timedelta(days=3650), 10_000)
             for k in range(1, 6):
                 await server.write_attribute_value(node.nodeid, _value(float(k), START + k))
-            reached = Reached(f"opc.tcp://127.0.0.1:{port}", None, None, None, None, None)
+            reached = Reached(f"opc.tcp://127.0.0.1:{port}", None, None, None, None)
             reader = OpcuaReader(reached, {"ns=2;s=T": ("mill", 0)}, {"mill": 1}, 100, 50.0)
             async with contextlib.aclosing(reader.read({"mill": START})) as arrivals:
                 async for some in arrivals:
