@@ -32,28 +32,24 @@ if TYPE_CHECKING:
 async def open_doors(running: Running) -> list[Coroutine[Any, Any, None]]:
     """Open the output interfaces, and return the coroutines that serve them."""
     service, doors = running.service, []
-    if service.given.mqtt is not None:
+    mqtt, shdr = service.given.mqtt, service.given.shdr
+    if mqtt is not None:
         from thermojoint.live.mqtt_session import address_of
         from thermojoint.live.writers.mqtt import write_topics
 
-        address = address_of(service.given.mqtt, "mqtt")
-        topics, controls = service.given.mqtt, _handshakes(service, "mqtt")
-        doors.append(
-            write_topics(
-                running.hub, address, topics, running.floor, controls, running.accounts.audit
-            )
-        )
+        address, controls = address_of(mqtt, "mqtt"), _handshakes(service, "mqtt")
+        audit = running.accounts.audit
+        doors.append(write_topics(running.hub, address, mqtt, running.floor, controls, audit))
     if service.given.opcua is not None:
         doors += await _opcua_server(running, service.given.opcua)
     if any(machine.target for machine in service.machines.values()):
         doors += _writers(running)
     if service.given.http is not None:
         doors.append(_http_server(running, service.given.http))
-    if service.given.shdr is not None:
+    if shdr is not None:
         from thermojoint.live.limited_socket import listening
         from thermojoint.live.writers.shdr import serve_agents
 
-        shdr = service.given.shdr
         most = shdr.most_connections
         taken = listening("shdr", shdr.address, shdr.port, most, most)
         doors.append(serve_agents(running.hub, taken, shdr.heartbeat_s))
@@ -158,14 +154,12 @@ def _scenes(running: Running) -> dict[str, Scene]:
     """Return the scenes of the machines whose models have one."""
     from thermojoint.live.scene import scene_of
 
-    service, scenes = running.service, {}
-    for name, section in service.machines.items():
-        file = service.given.models[section.model].scene
-        if file is not None:
-            place = running.floor.places[name]
-            state = partial(_state_of, place)
-            scenes[name] = scene_of(file, place.served.estimator, state)
-    return scenes
+    machines, models = running.service.machines, running.service.given.models
+    return {
+        name: scene_of(file, place.served.estimator, partial(_state_of, place))
+        for name, place in running.floor.places.items()
+        if (file := models[machines[name].model].scene) is not None
+    }
 
 
 def _residuals_of(place: Place) -> dict[str, float | None] | None:

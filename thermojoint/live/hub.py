@@ -41,13 +41,9 @@ class Hub:
 
     #: Newest publication of each machine; to be changed by `publish` only.
     newest: dict[str, Publication] = field(default_factory=dict)
-    #: Heartbeat, incremented by `beat` while the service monitors its machines.
+    #: Heartbeat, incremented while the service monitors its machines.
     heartbeat: int = 0
     _followers: set[Follower] = field(default_factory=set)
-
-    def beat(self) -> None:
-        """Increment the heartbeat."""
-        self.heartbeat += 1
 
     def publish(self, publications: Sequence[Publication]) -> None:
         """Replace the newest publications of some machines, and notify the subscribers."""

@@ -227,7 +227,7 @@ async def _watch(running: Running) -> None:
         tell_systemd("WATCHDOG=1")
         now, clock = time.time(), time.monotonic()
         await published(running, floors.watch(running.floor, now, clock))
-        running.hub.beat()
+        running.hub.heartbeat += 1
         floors.count_qualities(running.floor)
         floors.count_modes(running.floor, _WATCH_S)
         await _release(running, floors.stalled(running.floor, clock))
