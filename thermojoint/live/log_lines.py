@@ -25,8 +25,8 @@ class EventLog:
     #: Limit by machine and kind.
     limit: LineLimit = field(default_factory=LineLimit)
 
-    def say(self, time: float, kind: str, text: str, machine: str | None = None) -> bool:
-        """Log an event and return True, unless too many of its kind were logged recently.
+    def say(self, time: float, kind: str, text: str, machine: str | None = None) -> None:
+        """Log an event, unless too many of its kind were logged recently.
 
         Parameters
         ----------
@@ -38,12 +38,10 @@ class EventLog:
             Machine concerned.
         """
         before = self.limit.left_out((machine, kind), time)
-        if before is None:
-            return False
-        text = one_line(text, before)
-        LOGGER.info("%s", line_of(kind, text, machine))
-        self.pending.append(Event(time, machine, kind, text))
-        return True
+        if before is not None:
+            text = one_line(text, before)
+            LOGGER.info("%s", line_of(kind, text, machine))
+            self.pending.append(Event(time, machine, kind, text))
 
     def fetched(self) -> list[Event]:
         """Return the events to be stored, and clear them."""
