@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.cli import arguments, file_kinds
@@ -13,6 +15,11 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from fesim.case.schema import Case
+
+#: Option of both commands.
+CaseOption = Annotated[
+    Path | None, typer.Option(help="Case file of the machine, for --kind joint-aware.")
+]
 
 
 def calibrate(

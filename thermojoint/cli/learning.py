@@ -36,9 +36,7 @@ def learn(  # noqa: PLR0913 - the options of a command
             "physics of --case.",
         ),
     ] = "learned",
-    case: Annotated[
-        Path | None, typer.Option(help="Case file of the machine, for --kind joint-aware.")
-    ] = None,
+    case: joint_aware.CaseOption = None,
     column: ColumnOption = None,
     mapping: MappingOption = None,
     ignore: Annotated[

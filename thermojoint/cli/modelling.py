@@ -62,9 +62,7 @@ def calibrate(  # noqa: PLR0913 - the options of a command
         Literal["fchs", "joint-aware"],
         typer.Option(help="fchs: the paper's models; joint-aware: the machine's own physics."),
     ] = "fchs",
-    case: Annotated[
-        Path | None, typer.Option(help="Case file of the machine, for --kind joint-aware.")
-    ] = None,
+    case: joint_aware.CaseOption = None,
     report_file: arguments.Json = None,
 ) -> None:
     """Calibrate an estimator: the generalised models of Tables 1-3, or the machine's physics.

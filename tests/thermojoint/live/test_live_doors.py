@@ -275,5 +275,5 @@ def test_readings_of_the_displacement_are_read_only_where_the_columns_name_them(
     for columns in ({}, {"x_um": "x_um"}):
         names = dict(zip(log.intake.names, called(log, columns, "columns"), strict=True))
         pipe = csv_pipe.Pipe("mill", Path("x.csv"), names, 1, 0.0, True)
-        found.append(csv_pipe.header_of(lines, pipe, whole=True).places[1] is None)
+        found.append(csv_pipe.header_of(lines, pipe).places[1] is None)
     assert found == [True, False]

@@ -73,10 +73,7 @@ def about_body(machine: str, about: About, offers: Collection[str]) -> dict[str,
         **({"P0_mm": references} if references else {}),
         "details": [detail_name(channel) for channel in layout.details],
         "readings": list(layout.readings),
-        "valid": [
-            {"name": span.name, "low": span.low, "high": span.high, "unit": span.unit}
-            for span in about.valid
-        ],
+        "valid": [span._asdict() for span in about.valid],
         "offers": sorted(offers),
     }
 

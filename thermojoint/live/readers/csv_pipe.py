@@ -96,16 +96,17 @@ class Header:
     places: tuple[Place | None, ...]
 
 
-def header_of(lines: Sequence[str], pipe: Pipe, whole: bool = False) -> Header | None:
-    """Return the header of a table from its first lines; None if more are needed.
+def header_of(lines: Sequence[str], pipe: Pipe) -> Header:
+    """Return the header of a table of which no more lines can be awaited.
 
     Raises
     ------
     InputError
         There is no header, no clock, or a reading is missing.
     """
-    layout = _layout(lines, pipe, whole)
-    return None if layout is None else _header(layout, pipe)
+    layout = _layout(lines, pipe, whole=True)
+    assert layout is not None
+    return _header(layout, pipe)
 
 
 def _layout(lines: Sequence[str], pipe: Pipe, whole: bool) -> Layout | None:
@@ -338,8 +339,8 @@ async def _begun(pipe: Pipe, file: BinaryIO) -> AsyncIterator[Header | Note]:
             continue
         file.seek(at)
         if not pipe.follow:
-            if beginning.lines and (header := header_of(beginning.lines, pipe, whole=True)):
-                yield header
+            if beginning.lines:
+                yield header_of(beginning.lines, pipe)
             return
         if _replaced(pipe.path, file, at):
             return

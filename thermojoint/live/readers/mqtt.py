@@ -180,9 +180,6 @@ def topics_of(source: MqttSource, names: Mapping[str, tuple[str, ...]]) -> Topic
     groups = {"{machine}": "(?P<machine>[^/+#]+)", "{reading}": "(?P<reading>[^/+#]+)"}
     parts = re.split(r"(\{machine\}|\{reading\})", source.topic)
     pattern = re.compile("".join(groups.get(part, re.escape(part)) for part in parts))
-    return Topics(pattern, _filter(source.topic), dict(names), source.largest_message)
-
-
-def _filter(topic: str) -> str:
-    """Return the filter of the subscription: a level with a placeholder matches any level."""
-    return "/".join("+" if "{" in level else level for level in topic.split("/"))
+    # A level with a placeholder matches any level.
+    levels = ("+" if "{" in level else level for level in source.topic.split("/"))
+    return Topics(pattern, "/".join(levels), dict(names), source.largest_message)

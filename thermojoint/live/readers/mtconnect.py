@@ -152,7 +152,8 @@ class MtconnectReader:
         if not places:
             raise UnusableError("; ".join(note.text for note in notes)[:200])
         yield [*notes, Note("connected", f"MTConnect {self.url}")]
-        path = f"path={quote('//DataItem[' + _ids(places) + ']')}"
+        ids = " or ".join(f'@id="{item}"' for item in sorted(places))
+        path = f"path={quote(f'//DataItem[{ids}]')}"
         query = path if len(path) <= _LONGEST else ""
         instance = devices.header.instance
         if {one.instance for one in held.values()} != {instance} or set(held) != set(self.fed):
@@ -252,10 +253,6 @@ def places_of(
                 continue
             places.setdefault(items[name].ident, []).append((machine, k, place))
     return places, notes
-
-
-def _ids(places: Places) -> str:
-    return " or ".join(f'@id="{item}"' for item in sorted(places))
 
 
 def _observed(document: Devices | Streams | Refused, instance: int) -> Streams:
