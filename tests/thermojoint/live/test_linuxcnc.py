@@ -155,6 +155,19 @@ def test_a_step_waits_until_the_control_has_taken_the_last_one():
     assert moved(first, 0, 30, 4, 1.2) == Axis(108, 4, 1.2)
 
 
+@pytest.fixture
+def ini(tmp_path, hand_made_model):
+    """The ini file of a control, beside the files of a service."""
+    prepare(tmp_path, hand_made_model, BLOCKS["toml"] + '[http]\nsecurity = "none"\n')
+    (tmp_path / "mill.ini").write_text(INI)
+    return tmp_path / "mill.ini"
+
+
+def made_for(ini, token="token"):
+    service = read_service(ini.with_name("service.toml"))
+    return files_for(service, "mill", ini, ini.with_name(token), None)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
@@ -164,17 +177,17 @@ def test_a_step_waits_until_the_control_has_taken_the_last_one():
         ("HALFILE = LIB:basic_sim.tcl\n", "", "[HAL] has no HALFILE"),
     ],
 )
-def test_a_control_that_would_not_move_is_refused(old, new, told, tmp_path, hand_made_model):
-    prepare(tmp_path, hand_made_model, BLOCKS["toml"] + '[http]\nsecurity = "none"\n')
-    service, ini = read_service(tmp_path / "service.toml"), tmp_path / "mill.ini"
-    ini.write_text(INI.replace("LINEAR_UNITS = mm", "LINEAR_UNITS = inch"))
-    found = files_for(service, "mill", ini, tmp_path / "token", None)
-    assert "--units-per-mm=0.0393700787" in found[tmp_path / "thermojoint.hal"]
-    assert found[ini].count("HALFILE") == 2
+def test_a_control_that_would_not_move_is_refused(old, new, told, ini):
     ini.write_text(INI.replace(old, new))
-    with pytest.raises(InputError) as error:
-        files_for(service, "mill", ini, tmp_path / "token", None)
-    assert told in str(error.value)
+    with pytest.raises(InputError, match=re.escape(told)):
+        made_for(ini)
+
+
+def test_a_control_in_inches_gets_its_own_units(ini):
+    ini.write_text(INI.replace("LINEAR_UNITS = mm", "LINEAR_UNITS = inch"))
+    found = made_for(ini)
+    assert "--units-per-mm=0.0393700787" in found[ini.with_name("thermojoint.hal")]
+    assert found[ini].count("HALFILE") == 2
 
 
 @pytest.mark.parametrize(
@@ -202,30 +215,21 @@ def test_the_component_finds_the_service(
     assert certificate.endswith("/http_certificate.pem")
 
 
-def test_installing_again_leaves_a_switch_in_the_hal_file(tmp_path, hand_made_model):
-    prepare(tmp_path, hand_made_model, BLOCKS["toml"] + '[http]\nsecurity = "none"\n')
-    service, ini = tmp_path / "service.toml", tmp_path / "mill.ini"
-    hal = tmp_path / "thermojoint.hal"
-    ini.write_text(INI)
-
-    def written(token):
-        return files_for(read_service(service), "mill", ini, tmp_path / token, None)[hal]
-
-    first = written("token")
+def test_installing_again_leaves_a_switch_in_the_hal_file(ini):
+    hal = ini.with_name("thermojoint.hal")
+    first = made_for(ini)[hal]
     switched = first.replace("sets thermojoint-on TRUE", "net thermojoint-on <= halui.mode.is-auto")
     hal.write_text(switched)
-    assert written("token") == switched
-    assert written("another") == switched.replace("/token ", "/another ")
+    assert made_for(ini)[hal] == switched
+    assert made_for(ini, "another")[hal] == switched.replace("/token ", "/another ")
     hal.write_text("sets thermojoint-on TRUE\n")
     with pytest.raises(InputError, match="in place of one; move the file away"):
-        written("token")
+        made_for(ini)
 
 
-def test_an_axis_is_named_as_the_control_does(tmp_path, hand_made_model):
+def test_an_axis_is_named_as_the_control_does(ini):
     """By another name what it acknowledges would be of no axis, and the handshake never stand."""
-    prepare(tmp_path, hand_made_model, BLOCKS["toml"] + '[http]\nsecurity = "none"\n')
-    offsets, ini = tmp_path / "offsets.toml", tmp_path / "mill.ini"
+    offsets = ini.with_name("offsets.toml")
     offsets.write_text(offsets.read_text().replace("[axes.Z]", "[axes.z]"))
-    ini.write_text(INI)
     with pytest.raises(InputError, match=r"no \[AXIS_z\]; name the axes in the offsets as here"):
-        files_for(read_service(tmp_path / "service.toml"), "mill", ini, tmp_path / "token", None)
+        made_for(ini)

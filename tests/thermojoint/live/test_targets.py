@@ -282,6 +282,16 @@ def test_what_a_control_needs_is_written_over_no_other_file(command, tmp_path):
         assert taken.read_bytes() == before
 
 
+def would_write(folder, command, table, more=""):
+    """Run `target` on a table of offsets of X, for a Siemens control."""
+    target, offsets = folder / "target.toml", folder / "offsets.csv"
+    target.write_text(
+        f'kind = "sinumerik"\nurl = "opc.tcp://127.0.0.1"\naxes = {{ X = 1 }}\n{more}'
+    )
+    offsets.write_text(table)
+    return command("target", target, "--offsets", offsets)
+
+
 @pytest.mark.parametrize(
     ("every", "expected"),
     [
@@ -294,13 +304,8 @@ def test_what_a_control_needs_is_written_over_no_other_file(command, tmp_path):
 def test_what_would_be_written_follows_at_the_pace_of_the_target(
     every, expected, command, tmp_path
 ):
-    target, offsets = tmp_path / "target.toml", tmp_path / "offsets.csv"
-    target.write_text(
-        'kind = "sinumerik"\nurl = "opc.tcp://127.0.0.1"\naxes = { X = 1 }\nsecurity = "none"\n'
-        f"every_s = {every}\n"
-    )
-    offsets.write_text("time_s,offset_X_um,state\n0,-12,follow\n10,-15,follow\n20,-10,follow\n")
-    code, said, _ = command("target", target, "--offsets", offsets)
+    table = "time_s,offset_X_um,state\n0,-12,follow\n10,-15,follow\n20,-10,follow\n"
+    code, said, _ = would_write(tmp_path, command, table, f"every_s = {every}\n")
     assert code == 0
     rows = [line.split(",") for line in said.splitlines()[1:]]
     assert {int(row[0]): round(1000.0 * float(row[3])) for row in rows} == expected
@@ -316,12 +321,6 @@ def test_what_would_be_written_follows_at_the_pace_of_the_target(
     ],
 )
 def test_a_table_that_leads_to_no_writes_as_it_is_none_is_refused(table, told, command, tmp_path):
-    target, offsets = tmp_path / "target.toml", tmp_path / "offsets.csv"
-    target.write_text(
-        'kind = "sinumerik"\nurl = "opc.tcp://127.0.0.1"\naxes = { X = 1 }\nsecurity = "none"\n'
-        "largest_step_um = 10.0\n"
-    )
-    offsets.write_text(table)
-    code, _, said = command("target", target, "--offsets", offsets)
+    code, _, said = would_write(tmp_path, command, table)
     assert code == 2
     assert told in said

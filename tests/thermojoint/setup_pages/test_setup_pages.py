@@ -356,7 +356,6 @@ def test_names_of_faces_stay_unless_they_may_be_replaced_and_nothing_runs(client
     (place.folder / "part.step").write_text("")
     (place.folder / "faces.toml").write_text(FACES)
     assert "faces.toml: exists already" in sent(client, "/part", part="part.step", size="5")[1]
-    assert "is no length" in sent(client, "/part", part="part.step", size="0")[1]
     place.jobs.start("log", ["verify"])
     status, page = sent(client, "/part", part="part.step", size="5", replace="yes")
     place.jobs.cancel()
@@ -511,35 +510,32 @@ def commands(place, monkeypatch):
         place.jobs.detached.wait()
 
 
-def ran(client, place, commands, page, **values):
-    """The commands of a form that is accepted; its page then shows them."""
-    before = len(commands)
-    status, text = sent(client, page, **values)
-    assert status == 303, text
-    ended(place)
-    assert client.get(page).status_code == 200
-    return commands[before:]
+@pytest.fixture
+def ran(client, place, commands):
+    """Send a form that is accepted, or that of a file of settings; gives the commands that it runs.
+
+    Its page then shows them.
+    """
+
+    def run(page, file=None, **values):
+        before = len(commands)
+        status, text = form(client, page, file, **values) if file else sent(client, page, **values)
+        assert status == 303, text
+        ended(place)
+        assert client.get(page).status_code == 200
+        return commands[before:]
+
+    return run
 
 
-def saved(client, place, commands, page, file, **values):
-    """The commands of a form of settings that is accepted."""
-    before = len(commands)
-    status, text = form(client, page, file, **values)
-    assert status == 303, text
-    ended(place)
-    return commands[before:]
-
-
-def test_from_a_log_to_offsets_every_step_runs_its_commands(client, place, commands):
+def test_from_a_log_to_offsets_every_step_runs_its_commands(client, place, ran):
     log = as_csv(machine_log(hours=6.0), place.folder / "log.csv")
     as_csv(machine_log(hours=1.0, seed=5), place.folder / "day.csv")
-    assert ran(client, place, commands, "/log", log=log.name) == [
-        ["look", log.name, "--out=log.png"]
-    ]
+    assert ran("/log", log=log.name) == [["look", log.name, "--out=log.png"]]
     assert "choose at least one" in sent(client, "/learn", kind="learned")[1]
     wanted = {"displacement": "x_um", "ignore": "T6_degC", "kind": "ridge"}
     assert "no whole number" in sent(client, "/learn", most="few", **wanted)[1]
-    (learned,) = ran(client, place, commands, "/learn", most="2", **wanted)
+    (learned,) = ran("/learn", most="2", **wanted)
     assert learned == [
         *("learn", "log.csv", "--displacement=x_um", "--ignore=T6_degC", "--max-sensors=2"),
         *("--kind=ridge", "--out=model.json", "--figure=held-out.png"),
@@ -547,83 +543,76 @@ def test_from_a_log_to_offsets_every_step_runs_its_commands(client, place, comma
     assert client.get("/files/held-out.png").status_code == 200
     write_learned(learn([machine_log(hours=6.0)], ["x_um"], 1), place.folder / "model.json")
     assert "<option selected>day.csv" in client.get("/compare").text
-    compared = ran(client, place, commands, "/compare", model="model.json", day="day.csv")
+    compared = ran("/compare", model="model.json", day="day.csv")
     assert compared == [
         ["estimate", "model.json", "day.csv", "--out=estimate.csv"],
         ["validate", "model.json", "day.csv", "--out=truth.png"],
     ]
     (place.folder / "estimate.csv").write_text(ESTIMATE)
     assert "name at least one axis" in sent(client, "/offsets", begin="yes")[1]
-    assert ran(client, place, commands, "/offsets", begin="yes", **{"axis:x": "Z"}) == []
+    assert ran("/offsets", begin="yes", **{"axis:x": "Z"}) == []
     assert tomllib.loads(place.text("offsets.toml"))["axes"]["Z"]["follows"] == "x"
     compensate = ["compensate", "estimate.csv", "--settings=offsets.toml", "--out=offsets.csv"]
-    assert saved(client, place, commands, "/offsets", "offsets.toml", rate_um_s="50") == [
-        compensate
-    ]
+    assert ran("/offsets", "offsets.toml", rate_um_s="50") == [compensate]
 
 
 def test_a_control_is_tried_before_it_is_enabled_and_its_service_started_and_stopped(
-    client, place, commands
+    client, place, ran
 ):
     (place.folder / "estimate.csv").write_text(ESTIMATE)
     (place.folder / "offsets.toml").write_text(OFFSETS)
     (place.folder / "model.json").write_text("{}")
     begin = {"begin": "yes", "kind": "sinumerik", "machine": "mill", "source": "csv"}
     assert "use up to 64 letters" in sent(client, "/control", **begin | {"machine": "a mill"})[1]
-    assert ran(client, place, commands, "/control", **begin) == []
+    assert ran("/control", **begin) == []
     assert "exists already" in sent(client, "/control", **begin)[1]
     assert len(place.text("dashboard.token").strip()) == 48
     reached = {"url": "opc.tcp://127.0.0.1:4840", "security": "none"}
-    assert saved(client, place, commands, "/control", "target.toml", **reached) == []
+    assert ran("/control", "target.toml", **reached) == []
     port = {"http.port": str(free_port())}
-    assert saved(client, place, commands, "/control", "service.toml", **port) == []
-    tried = ran(
-        client,
-        place,
-        commands,
-        "/try",
-    )
+    assert ran("/control", "service.toml", **port) == []
+    tried = ran("/try")
     assert [words[0] for words in tried] == ["compensate", "target", "serve"]
     assert tried[1] == ["target", "target.toml", "--offsets=offsets.csv", "--out=writes.csv"]
     assert tried[2] == ["serve", "service.toml", "--check"]
     assert not enabled(place)
-    assert ran(client, place, commands, "/try", enable="yes", read="yes") == []
+    assert ran("/try", enable="yes", read="yes") == []
     assert enabled(place)
     assert "does not run" in sent(client, "/run", stop="yes")[1]
-    assert ran(client, place, commands, "/run", start="yes") == [["serve", "service.toml"]]
+    assert ran("/run", start="yes") == [["serve", "service.toml"]]
     assert "runs already" in sent(client, "/run", start="yes")[1]
     assert "The service runs" in client.get("/run").text
-    assert ran(client, place, commands, "/run", reload="yes") == []
+    assert ran("/run", reload="yes") == []
     assert place.jobs.detached.poll() is None
-    assert ran(client, place, commands, "/run", stop="yes") == []
+    assert ran("/run", stop="yes") == []
     assert place.jobs.detached.poll() is not None
     assert "The service does not run" in client.get("/run").text
 
 
-def test_from_a_part_to_a_displacement_every_step_runs_its_commands(client, place, commands):
+def test_from_a_part_to_a_displacement_every_step_runs_its_commands(client, place, ran):
     (place.folder / "part.step").write_text("")
     assert "is no length" in sent(client, "/part", part="part.step", size="0")[1]
-    assert ran(client, place, commands, "/part", part="part.step", size="20") == [
+    assert ran("/part", part="part.step", size="20") == [
         ["mesh", "part.step", "--size-mm=20", "--draft=faces.toml", "--out=faces.msh"],
         ["inspect", "faces.msh", "--faces=faces.png"],
     ]
     names = {"surfaces_mm:face_1": "foot", "surfaces_mm:face_2": "warm"}
-    assert ran(client, place, commands, "/names", **names) == [
+    assert ran("/names", **names) == [
         ["mesh", "part.step", "--size-mm=20", "--names=names.toml", "--out=part.msh"],
         ["inspect", "part.msh", "--faces=part.png", "--case=machine.toml"],
     ]
     step = {"march.step_s": "3.0"}
-    assert saved(client, place, commands, "/case", "machine.toml", **step) == [
+    assert ran("/case", "machine.toml", **step) == [
         ["inspect", "machine.toml", "--out=machine.png"]
     ]
     assert "exists already" in sent(client, "/case", begin="yes")[1]
-    assert ran(client, place, commands, "/case", begin="yes", replace="yes") == [
+    assert ran("/case", begin="yes", replace="yes") == [
         ["inspect", "part.msh", "--case=machine.toml"]
     ]
-    ran(client, place, commands, "/case", begin="yes", replace="yes")
+    ran("/case", begin="yes", replace="yes")
     former = place.folder.glob("machine.toml.*.former")
     assert len(list(former)) == 2, "each replaced file is kept, also within a second"
-    assert ran(client, place, commands, "/result", deformed="yes") == [
+    assert ran("/result", deformed="yes") == [
         ["simulate", "machine.toml", "--out=machine.nc"],
         ["view", "machine.nc", "--out=curves.png"],
         ["view", "machine.nc", "--show=deformation", "--out=deformed.png"],
@@ -631,13 +620,13 @@ def test_from_a_part_to_a_displacement_every_step_runs_its_commands(client, plac
     assert "machine.toml" in client.get("/").text
 
 
-def test_a_mesh_is_looked_at_in_its_unit(client, place, commands):
+def test_a_mesh_is_looked_at_in_its_unit(client, place, ran):
     (place.folder / "bars.msh").write_text("")
-    assert ran(client, place, commands, "/part", part="bars.msh", unit="mm") == [
+    assert ran("/part", part="bars.msh", unit="mm") == [
         ["inspect", "bars.msh", "--unit=mm", "--faces=faces.png", "--case=machine.toml"]
     ]
     assert all(client.get(f"/{page}").status_code in (200, 400) for page in PAGES)
-    assert ran(client, place, commands, "/case", begin="yes", replace="yes") == [
+    assert ran("/case", begin="yes", replace="yes") == [
         ["inspect", "bars.msh", "--unit=mm", "--case=machine.toml"]
     ]
 
