@@ -64,9 +64,9 @@ def check_outputs(
         An output is a folder or cannot be written, is an input (by whatever name or link) or
         another output, exists and is of another kind, or has the suffix of another kind.
     """
-    taken = [("an input", path) for path in inputs if path is not None and _named(path)]
+    taken = [("an input", path) for path in inputs if path is not None and str(path) != "-"]
     for option, (path, kind) in outputs.items():
-        if path is None or not _named(path):
+        if path is None or str(path) == "-":
             continue
         if path.is_dir():
             raise InputError(f"{path}: is a folder; give a file name")
@@ -90,10 +90,6 @@ def check_whole_folder(path: Path) -> None:
     """Refuse, before any work, a folder that cannot or must not be replaced as a whole."""
     check_replaceable(path)
     _check_place(path, path.resolve().parent)
-
-
-def _named(path: Path | None) -> bool:
-    return path is not None and str(path) != "-"
 
 
 def _same(path: Path, other: Path) -> bool:

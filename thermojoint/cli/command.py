@@ -32,15 +32,14 @@ def _paragraph(text: str) -> str:
 
 def command_lines(command: str, width: int) -> list[str]:
     """Break a command before its options, each line but the last ending in a backslash."""
-    lines = [""]
-    for part in re.split(r" (?=-)", command):
-        if lines[-1] and len(f"{lines[-1]} {part}") > width:
+    first, *parts = re.split(r" (?=-)", command)
+    lines = [first]
+    for part in parts:
+        if len(f"{lines[-1]} {part}") > width:
             lines[-1] += " \\\\"  # a single backslash is an escape in markup
             lines.append(f"  {part}")
         else:
-            lines[-1] = (
-                f"{lines[-1]} {part}".lstrip(" ") if len(lines) == 1 else f"{lines[-1]} {part}"
-            )
+            lines[-1] += f" {part}"
     return lines
 
 

@@ -141,10 +141,7 @@ def show_physics(console: Console, report: Mapping[str, Any]) -> None:
 def further_run_line(further_runs: Sequence[Mapping[str, Any]]) -> str:
     """Return the most informative further run, and the uncertainty of a day after it.
 
-    Parameters
-    ----------
-    further_runs : sequence of mapping
-        From `calibrate.joint_aware.report.short_report`; the first stands for no further run.
+    The first of the runs, which are those of a report on the calibration, stands for no run.
     """
 
     def deviation(further: Mapping[str, Any]) -> float:
