@@ -75,6 +75,11 @@ def told(row):
     return dict(zip(NAMES, row.tolist(), strict=True))
 
 
+async def tell(agent, readings, steps):
+    for k in steps:
+        await agent.tell(START + k, told(readings[k]))
+
+
 def tls(folder):
     own = own_identity(folder, ())
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
@@ -97,20 +102,16 @@ def test_every_sample_is_there_once_although_agent_and_service_go_away(model, ve
         async with serving(data, tmp_path) as running:
             newest = running.hub.newest
             await until(lambda: newest["mill"].number == 1)
-            for k in range(1, 40):
-                await agent.tell(START + k, told(readings[k]))
+            await tell(agent, readings, range(1, 40))
             await until(lambda: newest["mill"].number == 40)
             await agent.end()
-            for k in range(40, 70):
-                await agent.tell(START + k, told(readings[k]))
+            await tell(agent, readings, range(40, 70))
             await agent.begin(context)
             await until(lambda: newest["mill"].number == 70)
-        for k in range(70, 100):
-            await agent.tell(START + k, told(readings[k]))
+        await tell(agent, readings, range(70, 100))
         async with serving(data, tmp_path) as running:
             await until(lambda: running.hub.newest["mill"].number == 100)
-            for k in range(100, 120):
-                await agent.tell(START + k, told(readings[k]))
+            await tell(agent, readings, range(100, 120))
             await until(lambda: running.hub.newest["mill"].number == 120)
         await agent.end()
         return agent.asked
@@ -170,8 +171,7 @@ def test_what_an_agent_has_lost_is_a_hole_and_the_values_of_now_go_on(model, cau
             newest = running.hub.newest
             await until(lambda: newest["mill"].number == 1)
             await agent.end()
-            for k in range(1, 60):
-                await agent.tell(START + k, told(readings[k]))
+            await tell(agent, readings, range(1, 60))
             if cause == "restart":
                 await agent.restart()
             else:

@@ -39,6 +39,7 @@ follows = "x"
 sign = -1 # one of: -1, 1
 """
 ESTIMATE = "time_s,x_um,x_band_um,status,quality\n0,0,1,ok,good\n1,5,1,ok,good\n"
+FOLLOWED = {"offsets.toml": OFFSETS, "estimate.csv": ESTIMATE}
 TARGET = 'kind = "beckhoff"\nurl = "opc.tcp://127.0.0.1"\nsecurity = "none"\naxes = { Z = 1 }\n'
 SERVICE = """\
 folder = "state"
@@ -94,6 +95,12 @@ def ended(place):
     while place.jobs.running:
         assert time.monotonic() < end
         time.sleep(0.05)
+
+
+def put(place, texts):
+    """Write files by name."""
+    for name, text in texts.items():
+        (place.folder / name).write_text(text)
 
 
 def recorded(place, step, *lines):
@@ -293,8 +300,7 @@ def test_a_command_that_fails_says_why_and_one_that_runs_can_be_cancelled(client
 
 
 def test_a_mistake_in_a_setting_stands_beside_its_field(client, place):
-    (place.folder / "offsets.toml").write_text(OFFSETS)
-    (place.folder / "estimate.csv").write_text(ESTIMATE)
+    put(place, FOLLOWED)
     status, page = form(client, "/offsets", "offsets.toml", rate_um_s="fast")
     assert status == 400
     beside = page.split('name="rate_um_s" value="fast"')[1].split("</div>")[0]
@@ -317,16 +323,14 @@ def test_a_value_that_is_none_of_its_choices_stays(client, place):
     """Saved with the form as it stood, it was left out."""
     text = OFFSETS.replace('follows = "x"', 'follows = "x_at_-100" # one of: x, z')
     text = 'unusable = ["silent"] # one of: unsettled, refused\n' + text
-    (place.folder / "offsets.toml").write_text(text)
-    (place.folder / "estimate.csv").write_text(ESTIMATE)
+    put(place, FOLLOWED | {"offsets.toml": text})
     page = client.get("/offsets").text
     assert '<option value="x_at_-100" selected>' in page
     assert 'value="silent" checked>' in page
 
 
 def test_a_form_of_a_file_that_has_changed_since_is_refused(client, place):
-    (place.folder / "offsets.toml").write_text(OFFSETS)
-    (place.folder / "estimate.csv").write_text(ESTIMATE)
+    put(place, FOLLOWED)
     status, page = sent(client, "/offsets", file="offsets.toml", digest="old", rate_um_s="2")
     assert status == 400
     assert "has changed since" in page
@@ -371,18 +375,12 @@ def test_names_of_faces_stay_unless_they_may_be_replaced_and_nothing_runs(client
 @pytest.fixture
 def target(place):
     """The files of a target that nobody has enabled, and the record of a dry run."""
-    for name, text in (
-        ("offsets.toml", OFFSETS),
-        ("estimate.csv", ESTIMATE),
-        ("target.toml", TARGET),
-        ("service.toml", SERVICE),
-        ("model.json", "{}"),
-    ):
-        (place.folder / name).write_text(text)
+    settings = {"target.toml": TARGET, "service.toml": SERVICE, "model.json": "{}"}
+    put(place, FOLLOWED | settings)
 
     def tried(code=0):
-        (place.folder / "offsets.csv").write_text("time_s,offset_Z_um,state\n")
-        (place.folder / "writes.csv").write_text("time_s,axis,node,value,unit\n1,Z,a node,-15,um\n")
+        writes = "time_s,axis,node,value,unit\n1,Z,a node,-15,um\n"
+        put(place, {"offsets.csv": "time_s,offset_Z_um,state\n", "writes.csv": writes})
         said = (
             "$ thermojoint compensate estimate.csv --settings=offsets.toml --out=offsets.csv",
             "$ thermojoint target target.toml --offsets=offsets.csv --out=writes.csv",
@@ -465,8 +463,7 @@ def test_every_write_is_shown_before_it_is_enabled(client, place, target):
 
 def test_linuxcnc_is_shown_what_would_be_written_and_keeps_its_ini_file(client, place):
     ini = "[TRAJ]\nLINEAR_UNITS = mm\n[AXIS_Z]\nOFFSET_AV_RATIO = 0.1\n[HAL]\nHALFILE = a.hal\n"
-    for name, text in (("offsets.toml", OFFSETS), ("estimate.csv", ESTIMATE), ("mill.ini", ini)):
-        (place.folder / name).write_text(text)
+    put(place, FOLLOWED | {"mill.ini": ini})
     begun = {"begin": "yes", "machine": "mill", "source": "csv", "kind": "linuxcnc"}
     assert sent(client, "/control", **begun)[0] == 303
     assert "exists already" in sent(client, "/control", **begun)[1]
@@ -559,9 +556,7 @@ def test_from_a_log_to_offsets_every_step_runs_its_commands(client, place, ran):
 def test_a_control_is_tried_before_it_is_enabled_and_its_service_started_and_stopped(
     client, place, ran
 ):
-    (place.folder / "estimate.csv").write_text(ESTIMATE)
-    (place.folder / "offsets.toml").write_text(OFFSETS)
-    (place.folder / "model.json").write_text("{}")
+    put(place, FOLLOWED | {"model.json": "{}"})
     begin = {"begin": "yes", "kind": "sinumerik", "machine": "mill", "source": "csv"}
     assert "use up to 64 letters" in sent(client, "/control", **begin | {"machine": "a mill"})[1]
     assert ran("/control", **begin) == []
