@@ -1,12 +1,12 @@
 """Values hardly meant get one line with the unit that was; the machines at hand get none."""
 
-import copy
 import tomllib
 from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 import pytest
+from edits import edited
 from hypothesis import given
 from hypothesis import strategies as st
 from repository import ROOT
@@ -24,12 +24,7 @@ KNEE = ("joints", "knee")
 
 def lines_of(*edits, folder=Path()):
     """The lines about the reference machine with some values set."""
-    data = copy.deepcopy(REFERENCE)
-    for place, value in edits:
-        part = data
-        for key in place[:-1]:
-            part = part.setdefault(key, {})
-        part[place[-1]] = value
+    data = edited(REFERENCE, *edits)
     return plausibility.of_case(case_from_data(data, "case", folder), "case.toml")
 
 
@@ -169,8 +164,7 @@ def test_a_history_that_will_be_refused_is_left_to_its_reader(tmp_path, text):
 def test_several_cases_have_one_line_for_each_place(tmp_path):
     cases = []
     for density in (7.2, 7.3, 7200.0):
-        data = copy.deepcopy(REFERENCE)
-        data["materials"]["cast_iron"]["density_kg_m3"] = density
+        data = edited(REFERENCE, ((*IRON, "density_kg_m3"), density))
         cases.append(case_from_data(data, "case", tmp_path))
     (line,) = plausibility.of_cases(cases, "study.toml")
     assert "density_kg_m3 = 7.2 is implausible" in line

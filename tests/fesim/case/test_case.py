@@ -1,6 +1,5 @@
 """The case file: what is allowed, and one line for everything that is not."""
 
-import copy
 import math
 import tomllib
 from importlib.resources import files
@@ -8,6 +7,7 @@ from pathlib import Path
 from typing import get_args, get_origin
 
 import pytest
+from edits import edited
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel
@@ -26,22 +26,8 @@ DATA = tomllib.loads(REFERENCE) | {"probes": PROBES}
 
 
 def changed(place, value):
-    """The reference case with one value set."""
-    data = copy.deepcopy(DATA)
-    part = data
-    for key in place[:-1]:
-        part = part[key]
-    part[place[-1]] = value
-    return data
-
-
-def without(place):
-    data = copy.deepcopy(DATA)
-    part = data
-    for key in place[:-1]:
-        part = part[key]
-    del part[place[-1]]
-    return data
+    """The reference case with one value set, or without it if that is None."""
+    return edited(DATA, (place, value))
 
 
 def refusal(data, folder=Path()):
@@ -240,11 +226,11 @@ NO_DEFAULT = [
 
 @pytest.mark.parametrize("place", NO_DEFAULT)
 def test_a_missing_key_without_a_default_is_named_with_its_place(place):
-    assert refusal(without(place)) == f"machine.toml: {'.'.join(place)} is missing; add it"
+    assert refusal(changed(place, None)) == f"machine.toml: {'.'.join(place)} is missing; add it"
 
 
 def test_the_constants_of_a_law_that_is_asked_for_must_be_given():
-    data = without(("joints", "knee", "back_burdekin"))
+    data = changed(("joints", "knee", "back_burdekin"), None)
     case_from_data(data, "case", Path())
     data["joints"]["knee"]["normal_law"] = "back-burdekin"
     assert "needs back_burdekin = { coefficient_um" in refusal(data)
@@ -272,8 +258,7 @@ def test_a_dotted_name_without_quotes_is_told_to_need_them(text, name):
     ("section", "kind"), [("structure", "gear_box"), ("heat_input", "sine"), ("structure", None)]
 )
 def test_an_unknown_kind_is_refused(section, kind):
-    data = changed((section, "kind"), kind) if kind else without((section, "kind"))
-    assert f"machine.toml: {section}" in refusal(data)
+    assert f"machine.toml: {section}" in refusal(changed((section, "kind"), kind))
 
 
 @pytest.mark.parametrize(
@@ -395,12 +380,7 @@ def test_every_file_that_a_case_can_name_is_tried_here():
 @pytest.mark.parametrize("place", WITH_FILE)
 def test_a_case_is_another_when_what_is_in_its_file_changes(tmp_path, place):
     data = DATA | {"held_temperatures": {"foot": {"rise_K": 1.0}}}
-    *above, last = place.split(".")
-    data = copy.deepcopy(data)
-    part = data
-    for key in above:
-        part = part.setdefault(key, {})
-    part[last] = WITH_FILE[place] | {"file": "given.csv"}
+    data = edited(data, (place.split("."), WITH_FILE[place] | {"file": "given.csv"}))
     if "axes" in data:
         data["joints"]["knee"]["axis"] = "y"
     case = case_from_data(data, "machine.toml", tmp_path)

@@ -1,12 +1,12 @@
 """Bodies that come loose in the march: their joints open, or slide as a whole."""
 
-import copy
 import tomllib
 
 import numpy as np
 import pytest
 from bars import surface_law
 from boxes import boxes
+from edits import edited
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -77,13 +77,7 @@ def rods(tmp_path_factory):
 
 def case_of(rods, *edits):
     folder, data = rods
-    data = copy.deepcopy(data)
-    for place, value in edits:
-        part = data
-        for key in place[:-1]:
-            part = part.setdefault(key, {})
-        part[place[-1]] = value
-    return case_from_data(data, "rods.toml", folder)
+    return case_from_data(edited(data, *edits), "rods.toml", folder)
 
 
 def test_a_body_whose_joints_open_on_the_way_raises(rods):

@@ -1,11 +1,11 @@
 """From a case to a machine: names that must exist, and what editing the case alone changes."""
 
-import copy
 from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
+from edits import edited
 
 from fesim.case.schema import case_from_data
 from fesim.joint.law import BackBurdekinLaw, SurfaceNormalLaw
@@ -42,15 +42,7 @@ def edit(coarse_data):
     """Make the coarse case with edits: (("joints", "knee", "along"), 4), ..."""
 
     def make(*edits):
-        data = copy.deepcopy(coarse_data) | {"probes": copy.deepcopy(PROBES), "candidates": []}
-        for place, value in edits:
-            part = data
-            for key in place[:-1]:
-                part = part[key]
-            if value is None:
-                del part[place[-1]]
-            else:
-                part[place[-1]] = value
+        data = edited(coarse_data | {"probes": PROBES, "candidates": []}, *edits)
         return case_from_data(data, "machine.toml", Path())
 
     return make
