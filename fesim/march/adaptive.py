@@ -25,12 +25,12 @@ from fesim.march.adaptive_state import (
     no_effort,
     unpacked,
 )
-from fesim.march.contact import ContactProblem
 from fesim.march.exponential import Ends, ExponentialStep, exponential_step, heat_spread
 from fesim.march.iteration import iterated_step
 from fesim.march.machine import CondensedMachine, State, Step
 from fesim.march.settling import displaced
 from fesim.march.slip_path import origin, settled_at, slip_path
+from fesim.march.step import said_at
 from fesim.march.step_control import (
     BRIEF,
     ROUNDING,
@@ -227,14 +227,8 @@ def _accepted(march: _March, now: Now, before: float, knot: float) -> tuple[_Tri
     while True:
         length = until(pace.length, knot - now.time)
         last_chance = length <= least(times)
-        where = f"step to t = {now.time + length:g} s"
         try:
             tried = _tried(march, now, length, now.time == before)
-        except ThermojointError as error:
-            if last_chance:
-                raise type(error)(f"{where}: {error}") from error
-            pace = retreated(pace, length)
-        else:
             part, (moved, warmed) = tried.error.relative_to(march.tolerance), tried.error.largest()
             changed = _changed(march, now.state, tried)
             free = pace.way > march.tolerance.temperature
@@ -245,23 +239,20 @@ def _accepted(march: _March, now: Now, before: float, knot: float) -> tuple[_Tri
             if ratio <= 1.0 or ((snaps or last_chance) and part <= 1.0):
                 return tried, next_pace(pace, length, ratio, changed), rejected
             if last_chance:
-                _explain(march.machine.contact, now.state, where)
+                # Perhaps because a body is coming loose.
+                if (watch := march.machine.contact.watch) is not None:
+                    watch.explain(march.machine.contact.traction(now.state.gap, now.state.slip))
                 raise ConvergenceError(
-                    f"{where}: the shortest step of {length:.2g} s is estimated to be off by "
+                    f"the shortest step of {length:.2g} s is estimated to be off by "
                     f"{MEGA * moved:.2g} um and {warmed:.2g} K; raise march.tolerance_um and "
                     "march.tolerance_K"
                 )
             pace = shorter(pace, length, ratio)
+        except ThermojointError as error:
+            if last_chance:
+                raise said_at(now.time + length, error) from error
+            pace = retreated(pace, length)
         rejected += 1
-
-
-def _explain(contact: ContactProblem, state: State, where: str) -> None:
-    """Raise ConvergenceError if no step is short enough because a body is coming loose."""
-    if contact.watch is not None:
-        try:
-            contact.watch.explain(contact.gap_problem.law(state.gap, state.slip))
-        except ConvergenceError as error:
-            raise ConvergenceError(f"{where}: {error}") from error
 
 
 def _changed(march: _March, before: State, tried: _Tried) -> float:

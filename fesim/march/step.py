@@ -14,7 +14,7 @@ from fesim.march.settling import acting_on, displaced, exerted, loaded_gap, sett
 from fesim.march.softening import lifted
 from fesim.solid.friction_heat import GivenHeat, friction_work, given_heat
 from thermojoint.artefacts.arrays import Array
-from thermojoint.artefacts.errors import ConvergenceError
+from thermojoint.artefacts.errors import ConvergenceError, ThermojointError
 
 #: Largest relative change of the frictional heat between sweeps, and number of sweeps.
 FRICTION_TOLERANCE, FRICTION_SWEEPS = 1e-9, 50
@@ -43,6 +43,11 @@ def step_with(machine: CondensedMachine, state: State, inputs: Array, conductanc
     """
     take = partial(_step_heated, machine, state, inputs, conductance)
     return take() if machine.friction is None else _with_friction(machine, state.slip, take)
+
+
+def said_at(time: float, error: ThermojointError) -> ThermojointError:
+    """Return an error with the time, s, of the step that raised it."""
+    return type(error)(f"step to t = {time:g} s: {error}")
 
 
 def _with_friction(

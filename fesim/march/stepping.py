@@ -26,7 +26,7 @@ from fesim.march.half_step import can_be_halved
 from fesim.march.iteration import carried_by, divided_step
 from fesim.march.machine import CondensedMachine, State, Step
 from fesim.march.settling import initial_state, settled_between
-from fesim.march.step import step_with
+from fesim.march.step import said_at, step_with
 from fesim.march.track import Track, first_of, kernel_march, track_of
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError, ThermojointError
@@ -143,8 +143,7 @@ def advanced(machine: CondensedMachine, take: Take, state: State, inputs: Array)
     try:
         return take(state, inputs)
     except ThermojointError as error:
-        time = (state.index + 1) * machine.thermal.step
-        raise type(error)(f"step to t = {time:g} s: {error}") from error
+        raise said_at((state.index + 1) * machine.thermal.step, error) from error
 
 
 def staggered(machine: CondensedMachine) -> Take:
