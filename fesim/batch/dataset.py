@@ -84,6 +84,7 @@ def dimension_labels(study: Study) -> dict[str, Labels]:
     """Return the labels of every dimension but ``case``: the union over all cases."""
     shapes = study.shapes.values()
     cases = [case.case for case in study.cases]
+    marches = {(case.march.duration_min, case.march.step_s) for case in cases}
     forces = [case for case in cases if case.output.forces]
     asked = {
         "held": _union(case.held_temperatures for case in cases),
@@ -96,7 +97,7 @@ def dimension_labels(study: Study) -> dict[str, Labels]:
     if asked["stress_probe"].size:
         asked |= {"component": np.array(COMPONENT_NAMES), "order": np.array(ORDER_NAMES)}
     return {
-        "time": np.unique(np.concatenate([_times(length, step) for length, step in _runs(study)])),
+        "time": np.unique(np.concatenate([_times(*march) for march in marches])),
         "source": _union(map(source_names, cases)),
         "probe": _union(shape.probes for shape in shapes),
         "axis": np.array(["x", "y", "z"]),
@@ -164,11 +165,6 @@ def stored_status(dataset: Dataset) -> dict[str, str]:
     names = {number: name for name, number in STATUS.items()}
     column = np.asarray(dataset.arrays["status"][...]).tolist()
     return {case: names[column[at]] for case, at in dataset.row.items()}
-
-
-def _runs(study: Study) -> set[tuple[float, float]]:
-    marches = [case.case.march for case in study.cases]
-    return {(march.duration_min, march.step_s) for march in marches}
 
 
 def _times(duration: float, step: float) -> NDArray[np.float64]:

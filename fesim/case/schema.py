@@ -401,14 +401,11 @@ def solid_sections(case: Case) -> list[str]:
 
 def not_softening(case: Case) -> str | None:
     """Return why a temperature-dependent modulus cannot be used; None if it can or is not."""
-    refused = [
-        *(["output.forces"] if case.output.forces else []),
-        *(["output.stress_probes"] if case.output.stress_probes else []),
-    ]
     soft = [name for name in solid_sections(case) if name.endswith("youngs_modulus_factor")]
-    if not refused or not soft:
+    if not soft or not (case.output.forces or case.output.stress_probes):
         return None
-    return f"{refused[0]}: not with {soft[0]} so far; leave out one of them"
+    refused = "output.forces" if case.output.forces else "output.stress_probes"
+    return f"{refused}: not with {soft[0]} so far; leave out one of them"
 
 
 def not_reducible(case: Case) -> str | None:

@@ -37,23 +37,22 @@ def factor_of(section: FactorSection) -> TemperatureFactor:
 
 
 def reference_materials(case: Case, materials: dict[str, Material]) -> dict[str, Material]:
-    """Return the bodies' materials with the middle of properties that have a factor."""
-    found = dict(materials)
-    for body, factor in _factors(case, materials, "conductivity_factor").items():
-        own = found[body]
-        found[body] = replace(own, conductivity=factor.middle * own.conductivity)
-    for body, factor in _factors(case, materials, "heat_capacity_factor").items():
-        own = found[body]
-        found[body] = replace(own, heat_capacity=factor.middle * own.heat_capacity)
-    return found
+    """Return the bodies' materials with the middle of thermal properties that have a factor."""
+    return _at_middle(case, materials, "conductivity", "heat_capacity")
 
 
 def reference_moduli(case: Case, materials: dict[str, Material]) -> dict[str, Material]:
     """Return the bodies' materials with the middle of the moduli that have a factor."""
+    return _at_middle(case, materials, "youngs_modulus")
+
+
+def _at_middle(case: Case, materials: dict[str, Material], *names: str) -> dict[str, Material]:
+    """The materials with the middle of these properties where they have a factor."""
     found = dict(materials)
-    for body, factor in modulus_factors(case, materials).items():
-        own = found[body]
-        found[body] = replace(own, youngs_modulus=factor.middle * own.youngs_modulus)
+    for name in names:
+        for body, factor in _factors(case, materials, f"{name}_factor").items():
+            own = found[body]
+            found[body] = replace(own, **{name: factor.middle * getattr(own, name)})
     return found
 
 
