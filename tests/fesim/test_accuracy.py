@@ -31,16 +31,20 @@ def parts_of(response):
     }
 
 
-@pytest.mark.parametrize("count", [3, 8])
-def test_the_mesh_of_a_rod_with_heat_inside_is_off_as_estimated(tmp_path, count):
+def heated_inside(folder, count, **sections):
+    """A rod of some elements, cold at its ends, with heat in its volume."""
     changes = {
         "sources": {"hot": {"body": "block", "reference_power_W": 20.0}},
         "held_temperatures": {"x0": {"rise_K": 0.0}, "x1": {"rise_K": 0.0}},
         "heat_input": {"kind": "step", "level": 1.0},
         "supports": {"symmetry": SIDES},
     }
-    case = case_from_data(bar_case(tmp_path, changes, (count, 1, 1)), "case", tmp_path)
-    response = simulate(case).response
+    return case_from_data(bar_case(folder, changes | sections, (count, 1, 1)), "case", folder)
+
+
+@pytest.mark.parametrize("count", [3, 8])
+def test_the_mesh_of_a_rod_with_heat_inside_is_off_as_estimated(tmp_path, count):
+    response = simulate(heated_inside(tmp_path, count)).response
     grown = EXPANSION * 20.0 / WIDTH**2 * LENGTH**2 / (12.0 * CONDUCTIVITY)
     error = 1e6 * abs(float(response["displacement"][-1, 0]) - grown)
     assert parts_of(response)["mesh"] == pytest.approx(error, rel=0.1)
@@ -70,13 +74,7 @@ def test_the_steps_of_a_transient_are_off_as_estimated(tmp_path, steps, thermal)
 
 def test_a_shared_set_up_knows_the_mesh_errors_of_each_march(tmp_path):
     """Longer marches feel more of the mesh of the temperatures."""
-    changes = {
-        "sources": {"hot": {"body": "block", "reference_power_W": 20.0}},
-        "held_temperatures": {"x0": {"rise_K": 0.0}, "x1": {"rise_K": 0.0}},
-        "heat_input": {"kind": "step", "level": 1.0},
-        "supports": {"symmetry": SIDES},
-    }
-    case = case_from_data(bar_case(tmp_path, changes, (3, 1, 1)), "case", tmp_path)
+    case = heated_inside(tmp_path, 3)
     short = case.replace(march={"duration_min": case.march.step_s / 30.0})
     own, shared = simulate(case).response, simulate(case, setup=set_up(short)).response
     assert parts_of(shared) == parts_of(own)
@@ -100,14 +98,7 @@ def test_a_rod_that_starts_warm_and_stays_so_owes_nothing_to_its_mesh(tmp_path, 
 
 
 def test_a_continued_march_owes_to_its_mesh_what_the_whole_one_does(tmp_path):
-    changes = {
-        "sources": {"hot": {"body": "block", "reference_power_W": 20.0}},
-        "held_temperatures": {"x0": {"rise_K": 0.0}, "x1": {"rise_K": 0.0}},
-        "heat_input": {"kind": "step", "level": 1.0},
-        "supports": {"symmetry": SIDES},
-        "march": {"step_s": 5.0, "duration_min": 10.0},
-    }
-    case = case_from_data(bar_case(tmp_path, changes, (3, 1, 1)), "case", tmp_path)
+    case = heated_inside(tmp_path, 3, march={"step_s": 5.0, "duration_min": 10.0})
     half = simulate(case.replace(march={"duration_min": 5.0}))
     rest, whole = simulate(case, start=half.state).response, simulate(case).response
     assert 0.7 < parts_of(rest)["mesh"] / parts_of(whole)["mesh"] <= 1.0

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from in_process import run
 from moving_knee import PATH, coarse_data, moving
 from repository import ROOT
 
@@ -411,26 +410,6 @@ def refused(tmp_path, **axis):
 )
 def test_a_wrong_drive_is_refused_in_one_line(tmp_path, axis, said):
     assert said in refused(tmp_path, **axis)
-
-
-def test_the_command_refuses_a_wrong_drive_with_exit_code_2(tmp_path, capsys):
-    section = """
-[axes.y.ball_screw]
-bearings = "fixed-fixed"
-fixed_bearing_mm = -300.0
-far_end_mm = 400.0
-nut_length_mm = 80.0
-diameter_mm = 40.0
-lead_mm = 10.0
-material = "cast_iron"
-film_W_m2K = 15.0
-"""
-    text = PATH.read_text("utf-8").replace('file = "moving_knee.csv"', "position_mm = 0.0")
-    (tmp_path / "knee.toml").write_text(text + section)
-    assert run("simulate", tmp_path / "knee.toml", "--out", tmp_path / "no.nc") == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "give either 'stretch_um' or 'pretension_kN'" in line
-    assert not (tmp_path / "no.nc").exists()
 
 
 @pytest.mark.parametrize(

@@ -14,8 +14,6 @@ from fesim.case.history import step_history
 from fesim.case.schema import case_from_data
 from fesim.joint.gap import TOLERANCE
 from fesim.joint.law import evaluate
-from fesim.march.iteration import Sweeps, iterated_step
-from fesim.march.settling import initial_state
 from fesim.march.stepping import iterated, march, staggered
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
@@ -201,12 +199,6 @@ def test_a_joint_of_high_friction_snaps_to_its_next_equilibrium(coarse_data):
     jumps = [np.abs(step.state.change).max() for step in snaps]
     usual = np.median([np.abs(step.state.change).max() for step in steps])
     assert min(jumps) > 30.0 * usual
-
-
-def test_in_step_iteration_that_does_not_settle_raises(bars):
-    inputs = driven(bars, step_history(1.0))(2.0)
-    with pytest.raises(ConvergenceError, match="in-step iteration"):
-        iterated_step(bars, initial_state(bars), inputs, Sweeps(seeking=1, relaxing=()))
 
 
 def test_pressure_and_heat_flow_that_drive_each_other_come_to_agree():
