@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import csr_array
-from skfem import MeshHex, MeshTet
 
 from fesim.joint.law import Friction, JointLaw, SurfaceNormalLaw, power_law_conductance
 from fesim.march.contact import ContactProblem
@@ -19,13 +18,12 @@ from fesim.solid.condensation import (
 from fesim.solid.elasticity import ElasticOperators, elastic_operators
 from fesim.solid.heat import HeatOperators, HeatSource, ThermalLoads, heat_operators
 from fesim.solid.joint_operators import JointOperators, joint_operators
-from fesim.solid.materials import Material
 from fesim.solid.spaces import Spaces, make_spaces, probe_rows
+from meshes.box_grid import put_side_by_side
 from meshes.pairing import PairedJoint, pair_joint
 from meshes.structure import Probe, Structure
-
-IRON = Material(47.0, 7200.0, 500.0, 104e9, 0.27, 13.7e-6)
-STEEL = Material(16.0, 7800.0, 460.0, 200e9, 0.31, 11.0e-6)
+from thermojoint.verification.structures import IRON, box_grid
+from thermojoint.verification.structures import STEEL as STEEL
 
 WIDTH, DEPTH = 0.06, 0.04
 AREA = WIDTH * DEPTH
@@ -35,18 +33,15 @@ ROLLERS = {"left_end": "x", "right_end": "x", "bottom": "y", "back": "z"}
 
 
 def bar_mesh(start, length, divisions, tetrahedra=False, width=WIDTH):
-    ends = ((start, start + length), (0.0, width), (0.0, DEPTH))
-    lines = [np.linspace(*end, count + 1) for end, count in zip(ends, divisions, strict=True)]
-    return (MeshTet if tetrahedra else MeshHex).init_tensor(*lines)
+    kind = "tetrahedra" if tetrahedra else "hexahedra"
+    return box_grid(kind, divisions, (length, width, DEPTH), (start, 0.0, 0.0))
 
 
 def two_bars(left=(3, 3, 2), right=(4, 3, 2), tetrahedra=False, right_width=WIDTH):
     """Bodies left and right along x; they touch at x = LEFT and share no node."""
     first = bar_mesh(0.0, LEFT, left, tetrahedra)
     second = bar_mesh(LEFT, RIGHT, right, tetrahedra, right_width)
-    points = np.hstack([first.p, second.p])
-    mesh = type(first)(points, np.hstack([first.t, second.t + first.p.shape[1]]))
-    cells = np.arange(mesh.nelements)
+    mesh, cells = put_side_by_side([first, second])
     facets = mesh.boundary_facets()
     x, y, z = mesh.p[:, mesh.facets[:, facets]].mean(axis=1)
     on_left = mesh.f2t[0, facets] < first.nelements
@@ -64,7 +59,7 @@ def two_bars(left=(3, 3, 2), right=(4, 3, 2), tetrahedra=False, right_width=WIDT
     middle = (right_width / 2, DEPTH / 2)
     return Structure(
         mesh=mesh,
-        bodies={"left": cells[: first.nelements], "right": cells[first.nelements :]},
+        bodies=dict(zip(("left", "right"), cells, strict=True)),
         surfaces=surfaces,
         joints={"joint": ("joint.a", "joint.b")},
         probes={
@@ -74,6 +69,14 @@ def two_bars(left=(3, 3, 2), right=(4, 3, 2), tetrahedra=False, right_width=WIDT
             "end": Probe((LEFT + RIGHT, *middle), "right"),
         },
     )
+
+
+def shifted(structure, bodies, shift):
+    """The structure with some bodies moved by a shift (3,), m; without probes."""
+    points = structure.mesh.p.copy()
+    cells = np.concatenate([structure.bodies[name] for name in bodies])
+    points[:, np.unique(structure.mesh.t[:, cells])] += np.array(shift)[:, None]
+    return replace(structure, mesh=type(structure.mesh)(points, structure.mesh.t), probes={})
 
 
 def surface_law(friction=0.6, preload=4.41e6, conductivity=47.0):

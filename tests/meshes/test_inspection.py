@@ -8,7 +8,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
-from bars import AREA, DEPTH, LEFT, RIGHT, WIDTH, two_bars
+from bars import AREA, DEPTH, LEFT, RIGHT, WIDTH, shifted, two_bars
 from rich.console import Console
 from skfem import MeshHex, MeshTet
 
@@ -80,26 +80,22 @@ def test_facets_match_if_their_corners_do(twist):
     assert inspect(structure).joints["joint"].matching is not twist
 
 
-def moved(structure, body, shift):
-    points = structure.mesh.p.copy()
-    nodes = np.unique(structure.mesh.t[:, structure.bodies[body]])
-    points[:, nodes] += np.array(shift)[:, None]
-    return replace(structure, mesh=type(structure.mesh)(points, structure.mesh.t), probes={})
-
-
 BARS = two_bars((2, 2, 2), (2, 2, 2))
 LONG = two_bars((2, 4, 2), (2, 7, 3), right_width=3 * WIDTH)
 LONG = replace(LONG, surfaces={n: LONG.surfaces[n] for n in ("joint.a", "joint.b")})
 FAULTS = {
-    "a gap": (moved(BARS, "right", (2e-3, 0.0, 0.0)), "its sides are 2 to 2 mm apart"),
-    "half beside": (moved(BARS, "right", (0.0, WIDTH / 2, 0.0)), "its sides share 12 of 24 cm2"),
+    "a gap": (shifted(BARS, ["right"], (2e-3, 0.0, 0.0)), "its sides are 2 to 2 mm apart"),
+    "half beside": (
+        shifted(BARS, ["right"], (0.0, WIDTH / 2, 0.0)),
+        "its sides share 12 of 24 cm2",
+    ),
     "a long side": (
         LONG,
         "'joint': side b is 48 cm2 larger than what it shares, and nothing convects there",
     ),
-    "not facing": (moved(BARS, "right", (0.0, 2 * WIDTH, 0.0)), "do not face each other"),
+    "not facing": (shifted(BARS, ["right"], (0.0, 2 * WIDTH, 0.0)), "do not face each other"),
     "one in the other": (
-        moved(BARS, "right", (-0.03, 0.0, 0.0)),
+        shifted(BARS, ["right"], (-0.03, 0.0, 0.0)),
         "bodies 'left' and 'right' overlap around (",
     ),
     "millimetres": (

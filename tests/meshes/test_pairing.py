@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bars import AREA, DEPTH, IRON, LEFT, WIDTH, conduct, two_bars
+from bars import AREA, DEPTH, IRON, LEFT, WIDTH, conduct, shifted, two_bars
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -189,20 +189,9 @@ def test_pieces_cover_the_contact_elements():
 
 
 def test_only_the_overlap_of_the_sides_is_joint():
-    bars = two_bars((2, 2, 2), (2, 2, 2))
-    points = bars.mesh.p.copy()
-    points[1, np.unique(bars.mesh.t[:, bars.bodies["right"]])] += WIDTH / 4
-    joint = pair_joint(replace(bars, mesh=type(bars.mesh)(points, bars.mesh.t)), "joint", 4, 1)
+    bars = shifted(two_bars((2, 2, 2), (2, 2, 2)), ["right"], (0.0, WIDTH / 4, 0.0))
+    joint = pair_joint(bars, "joint", 4, 1)
     assert joint.area == pytest.approx(np.full(4, 0.75 * AREA / 4))
-
-
-def shifted(structure, bodies, shift):
-    """The structure with some bodies moved by a shift (3,), m; without probes."""
-    points = structure.mesh.p.copy()
-    cells = np.concatenate([structure.bodies[name] for name in bodies])
-    points[:, np.unique(structure.mesh.t[:, cells])] += shift[:, None]
-    mesh = type(structure.mesh)(points, structure.mesh.t)
-    return replace(structure, mesh=mesh, probes={})
 
 
 def on_its_bed():
@@ -257,19 +246,14 @@ def test_the_grid_spans_what_the_sides_share_whichever_is_longer():
 
 
 def test_an_edge_that_two_meshes_round_differently_does_not_move_the_grid():
-    bars = two_bars((2, 2, 2), (2, 2, 2))
-    points = bars.mesh.p.copy()
-    points[1, np.unique(bars.mesh.t[:, bars.bodies["right"]])] += 0.01 * WIDTH
-    joint = pair_joint(replace(bars, mesh=type(bars.mesh)(points, bars.mesh.t)), "joint", 4, 1)
+    bars = shifted(two_bars((2, 2, 2), (2, 2, 2)), ["right"], (0.0, 0.01 * WIDTH, 0.0))
+    joint = pair_joint(bars, "joint", 4, 1)
     assert joint.area[1:] == pytest.approx(np.full(3, AREA / 4))
     assert joint.area[0] == pytest.approx(AREA / 4 - 0.01 * AREA)
 
 
 def test_sides_that_do_not_face_each_other_are_refused():
-    bars = two_bars((1, 1, 1), (1, 1, 1))
-    points = bars.mesh.p.copy()
-    points[1, np.unique(bars.mesh.t[:, bars.bodies["right"]])] += 2 * WIDTH
-    apart = replace(bars, mesh=type(bars.mesh)(points, bars.mesh.t))
+    apart = shifted(two_bars((1, 1, 1), (1, 1, 1)), ["right"], (0.0, 2 * WIDTH, 0.0))
     with pytest.raises(InputError, match="'joint': its sides do not face each other"):
         pair_joint(apart, "joint", 3, 1)
 
