@@ -54,7 +54,7 @@ def sensor_noise(
     # It loads scipy.stats, which takes longer than all other imports of an estimator.
     from scipy.signal import butter, sosfiltfilt
 
-    interval = float(times[-1] - times[0]) / (len(times) - 1)
+    interval = float(times[-1] - times[0]) / max(1, len(times) - 1)
     white = np.random.default_rng(seed).standard_normal((len(times), channels))
     edge = 2.0 * interval / NOISE_PERIOD_S
     if not 0.0 < edge < 1.0 or len(times) < 16:

@@ -428,6 +428,10 @@ def test_sources_that_are_driven_apart_calibrate_by_the_power_of_each(data, setu
         ("delay_s = 0.0", "delay_s = -1.0", "estimator.delay_s"),
         ("seed = 0", "seed = -1", "estimator.seed"),
         ("gain_margin_dB = 6.0", "gain_margin_dB = 60.0", "no crossover"),
+        ("gain_margin_dB = 6.0", "gain_margin_dB = 1e9", "tuning.gain_margin_dB"),
+        ("phase_margin_deg = 45.0", "phase_margin_deg = 450.0", "tuning.phase_margin_deg"),
+        ("delay_error_s = 2.0", "delay_error_s = 1e308", "tuning.delay_error_s"),
+        ("[30.0]", "[30.0, 1e18]", "delay of 1e+18 s: plant: duration_min 2 ends before"),
     ],
 )
 def test_a_mistake_in_a_loop_is_one_line(folder, old, new, told):
@@ -440,6 +444,7 @@ def test_a_mistake_in_a_loop_is_one_line(folder, old, new, told):
     ("file", "old", "new", "told"),
     [
         ("loop.toml", "[30.0]", "[3.0]", "not a multiple"),
+        ("loop.toml", "duration_min = 2.0", "duration_min = 1e308", "more than 10000000 steps"),
         ("machine.toml", '"step_s" = 2.0', '"step_s" = 3.0', "does not divide"),
         ("machine.toml", '"T2" = {', '"T3" = {', "the estimator reads"),
         ("estimator.h5", "", "", "bearings_power; a loop has temperatures only"),
@@ -485,6 +490,16 @@ def test_a_run_of_which_nothing_counts_is_refused(folder, monkeypatch, lines):
     text = (folder / "loop.toml").read_text("utf-8")
     (folder / "loop.toml").write_text(text.replace("duration_min = 2.0", lines))
     assert "nothing of it counts" in refused(folder / "loop.toml")
+
+
+@pytest.mark.parametrize(("minutes", "samples"), [(0.03, 1), (0.4, 12)])
+def test_a_run_that_is_too_short_for_noise_is_refused(folder, monkeypatch, minutes, samples):
+    monkeypatch.setattr(loop_run, "set_up", lambda _: pytest.fail("set up"))
+    text = (folder / "loop.toml").read_text("utf-8").replace("[30.0]", "[]")
+    (folder / "loop.toml").write_text(text.replace("_min = 2.0", f"_min = {minutes}"), "utf-8")
+    done = CliRunner().invoke(app, ["control", str(folder / "loop.toml")])
+    assert isinstance(done.exception, InputError)
+    assert f"sensor noise: {samples} samples" in str(done.exception)
 
 
 def test_a_loop_in_which_nothing_acts_is_refused():

@@ -11,7 +11,7 @@ import numpy as np
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.model_file import read_observer
 from estimator.noise import sensor_noise
-from fesim.case.schema import Case, read_case, step_count
+from fesim.case.schema import MOST_STEPS, Case, read_case, step_count
 from fesim.case.thermal_sections import StepInput
 from fesim.setup.machine import set_up
 from thermojoint.artefacts.arrays import Array
@@ -102,11 +102,11 @@ def close_loop(loop: Loop, progress: Progress | None = None) -> Closed:
     check_plant(case, estimator)
     for delay in (loop.estimator.delay_s, *loop.tried_delays_s):
         _samples(delay, estimator.model.step)
-    _check_judged(loop, case, estimator)
+    _check_length(loop, case, estimator)
+    noise = _noise(loop, case, estimator)
     design = _design(loop, loop.heater, estimator) if loop.heater is not None else None
     report("setting up the plant")
     plant = Plant(case, set_up(case))
-    noise = _noise(loop, case, estimator)
     idle = _acting(loop, case, estimator, None, settings, loop.estimator.delay_s)
     report("free")
     free = run_loop(plant, estimator, idle, noise)
@@ -225,16 +225,25 @@ def _sample_count(case: Case, estimator: JointAware) -> int:
     return step_count(case.march) // each
 
 
-def _check_judged(loop: Loop, case: Case, estimator: JointAware) -> None:
-    """Refuse a run that ends before the evaluated part begins."""
-    step = estimator.model.step
+def _check_length(loop: Loop, case: Case, estimator: JointAware) -> None:
+    """Refuse a run with too many steps, or in which nothing is evaluated or no estimate arrives."""
+    step, minutes = estimator.model.step, loop.plant.duration_min
+    at = f"plant: duration_min {minutes:g}"
+    if 60.0 * minutes > MOST_STEPS * case.march.step_s:
+        raise InputError(
+            f"{at} has more than {MOST_STEPS} steps of the case's step_s {case.march.step_s:g}; "
+            "make it shorter"
+        )
     end = _sample_count(case, estimator) * step
     if end <= 0.0 or 60.0 * loop.plant.judged_from_min > end:
         raise InputError(
-            f"plant: duration_min {loop.plant.duration_min:g}: with whole steps of the estimator, "
-            f"of {step:g} s, the run ends at {end / 60.0:g} min, and nothing of it counts; make it "
-            "longer, or judged_from_min smaller"
+            f"{at}: with whole steps of the estimator, of {step:g} s, the run ends at "
+            f"{end / 60.0:g} min, and nothing of it counts; make it longer, or judged_from_min "
+            "smaller"
         )
+    for delay in (loop.estimator.delay_s, *loop.tried_delays_s):
+        if delay >= end:
+            raise InputError(f"delay of {delay:g} s: {at} ends before; make the delay shorter")
 
 
 def _noise(loop: Loop, case: Case, estimator: JointAware) -> Array:

@@ -67,10 +67,10 @@ class HeaterSection(Section):
 class TuningSection(Section):
     """``[tuning]``: requirements for the tuned loop."""
 
-    gain_margin_dB: Positive = 6.0
-    phase_margin_deg: Positive = 45.0
+    gain_margin_dB: Annotated[float, Field(gt=0.0, le=100.0)] = 6.0
+    phase_margin_deg: Annotated[float, Field(gt=0.0, lt=180.0)] = 45.0
     gain_error: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.3
-    delay_error_s: NotNegative = 2.0
+    delay_error_s: Annotated[float, Field(ge=0.0, le=86400.0)] = 2.0
     heat_noise: Fraction = 0.02
 
 
