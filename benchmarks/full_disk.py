@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.study import options_of
+from thermojoint.live.disk_reserve import OVERHEAD, lay_in, tend
 from thermojoint.live.publication import Layout
-from thermojoint.live.reserve import OVERHEAD, lay_in, tend
 from thermojoint.live.store import (
     Batch,
     Checkpoint,

@@ -277,7 +277,7 @@ def serve(folder: Path) -> None:
     from thermojoint.live.accounts import Accounts
     from thermojoint.live.archive import Archive
     from thermojoint.live.audit import Audit
-    from thermojoint.live.http import patience
+    from thermojoint.live.http import timeouts
     from thermojoint.live.http.server import open_http, serve_http
     from thermojoint.live.http.sources import About, Sources
     from thermojoint.live.hub import Hub
@@ -286,7 +286,7 @@ def serve(folder: Path) -> None:
     from thermojoint.live.settings import HttpServer
     from thermojoint.live.store import Batch, Checkpoint, commit, era_of, open_store
 
-    patience.REQUEST_S = REQUEST_S
+    timeouts.REQUEST_S = REQUEST_S
     layout = Layout(("x", "y"), (), (Channel("heat_input", "1"),), ("T1_degC",))
     now = time.time()
     run = [

@@ -5,7 +5,7 @@ python -m benchmarks.live_fuzz --count 5000
 Each door gets well-formed readings of one machine and, between them, damaged ones: other types,
 NaN, arrays, long texts, broken encodings, times that are none. The estimates must be those of the
 well-formed readings alone; nothing may be raised, and neither what waits nor what is remembered may
-grow. The doors are called where the network would call them.
+grow. The interfaces are called where the network would call them.
 """
 
 from __future__ import annotations
@@ -248,7 +248,7 @@ def main() -> None:
     section = ModelSection(file=given.model.absolute())
     model = served(section, Path("/nonexistent"))
     found = [check(name, model, given.count, given.seed) for name in DOORS]
-    print(json.dumps({"count": given.count, "doors": found}, indent=2))
+    print(json.dumps({"count": given.count, "interfaces": found}, indent=2))
     sys.exit(not all(one["equal"] and one["grown_kb"] < 512.0 for one in found))
 
 

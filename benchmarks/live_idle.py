@@ -1,11 +1,11 @@
-"""Thousands of idle connections at the doors of a service with few descriptors end nothing.
+"""Thousands of idle connections at the interfaces of a service with few descriptors end nothing.
 
 python -m benchmarks.live_idle --model model.json --connections 3100 --descriptors 256
 
 The service runs with HTTPS and OPC UA on the loopback and is fed a line every 50 ms. Connections
-are opened at both doors in turn, say nothing, and are opened again when they are closed. Meanwhile
-every line must become a sample; afterwards both doors must answer. Reported: samples, the most
-descriptors that the service held, and its memory before and after.
+are opened at both interfaces in turn, say nothing, and are opened again when they are closed.
+Meanwhile every line must become a sample; afterwards both interfaces must answer. Reported:
+samples, the most descriptors that the service held, and its memory before and after.
 """
 
 from __future__ import annotations

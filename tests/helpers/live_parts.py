@@ -69,7 +69,7 @@ async def until(condition, patience=PATIENCE_S):
 
 @contextlib.asynccontextmanager
 async def serving(data, base):
-    """The service of a file's content, with all its doors open; stopped at the end."""
+    """The service of a file's content, with all its interfaces open; stopped at the end."""
     stop, ready = asyncio.Event(), asyncio.get_running_loop().create_future()
     task = asyncio.create_task(
         run(service_from_data(data, "test", Path(base)), stop, ready.set_result)

@@ -25,7 +25,7 @@ FENCES = {
     "fesim/joint/linear_system.py": "numba",
     "fesim/solid/pardiso.py": "pypardiso",
     "meshes/exchange.py": "meshio",
-    "thermojoint/live/http/patience.py": "uvicorn",
+    "thermojoint/live/http/timeouts.py": "uvicorn",
     "thermojoint/live/mqtt_session.py": "aiomqtt",
     "thermojoint/live/opcua_internals.py": "asyncua",
 }
@@ -133,7 +133,7 @@ def test_asyncua_takes_the_limits_and_shows_its_nodes():
 
 
 def test_uvicorns_protocol_has_what_is_overridden():
-    where = "thermojoint/live/http/patience.py"
+    where = "thermojoint/live/http/timeouts.py"
     for name in (
         *("connection_made", "connection_lost", "data_received", "send_400_response"),
         *("pause_writing", "resume_writing", "_unset_keepalive_if_required"),

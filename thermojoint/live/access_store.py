@@ -7,7 +7,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from thermojoint.artefacts.errors import InputError
-from thermojoint.live.reserve import RESERVE, is_full, stay_within
+from thermojoint.live.disk_reserve import RESERVE, is_full, stay_within
 from thermojoint.live.secret import create_private
 
 #: Name of the file in the folder of a service.

@@ -14,7 +14,7 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.live.access_store import NAME as ACCESS
 from thermojoint.live.access_store import RESERVE_SIZE, digest_of, open_access
 from thermojoint.live.audit import NAME, Audit
-from thermojoint.live.reserve import lay_in
+from thermojoint.live.disk_reserve import lay_in
 from thermojoint.live.rights import Principal
 from thermojoint.live.secret import read_secret
 from thermojoint.live.settings import Service

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live import floor as floors
-from thermojoint.live.reserve import lay_in
+from thermojoint.live.disk_reserve import lay_in
 from thermojoint.live.running import Running
 from thermojoint.live.store import Batch, commit, identity_of, layout_text, open_store
 

@@ -21,13 +21,13 @@ from thermojoint.live.access_store import NAME as ACCESS
 from thermojoint.live.accounts import Accounts, accounts_of
 from thermojoint.live.archive import Archive
 from thermojoint.live.arrivals import Arrival, Note
+from thermojoint.live.disk_reserve import OVERHEAD, Room, close, lay_in, tend
 from thermojoint.live.floor import Floor, Place
 from thermojoint.live.hub import Hub
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine import Machine, Times, rest_of, restored, shown, state_bytes
 from thermojoint.live.metrics import Metrics, fresh_metrics
 from thermojoint.live.publication import Publication
-from thermojoint.live.reserve import OVERHEAD, Room, close, lay_in, tend
 from thermojoint.live.served import Served, single
 from thermojoint.live.settings import Service
 from thermojoint.live.store import (

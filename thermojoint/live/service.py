@@ -18,12 +18,12 @@ from thermojoint.live.cancelling import cancelled
 from thermojoint.live.certificates import ending
 from thermojoint.live.changed_settings import note_settings
 from thermojoint.live.consistency import contradictions
-from thermojoint.live.doors import open_doors
 from thermojoint.live.floor import Place
 from thermojoint.live.former_models import note_deployments, pinned
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine import held
 from thermojoint.live.notify import tell_systemd
+from thermojoint.live.outputs import open_outputs
 from thermojoint.live.publication import Publication
 from thermojoint.live.readers.reading import Reader, readers_of
 from thermojoint.live.recovery import is_damage, recover, recover_if_gone
@@ -81,13 +81,13 @@ async def run(
         running.reload = reload
         note_changes(running)
         failed: list[BaseException] = []
-        doors = [asyncio.create_task(door) for door in await open_doors(running)]
+        outputs = [asyncio.create_task(one) for one in await open_outputs(running)]
         floor = running.floor
         sources = [asyncio.create_task(_read(running, reader)) for reader in readers]
         work = asyncio.create_task(_process(running))
         watch = asyncio.create_task(_watch(running))
         ended = asyncio.create_task(_ended(running, sources, failed))
-        tasks = [*doors, work, watch]
+        tasks = [*outputs, work, watch]
         for task in tasks:
             task.add_done_callback(lambda ended: _note_failure(ended, failed, stop))
         floor.log.say(time.time(), "ready", f"{len(floor.places)} machines")
@@ -97,7 +97,7 @@ async def run(
             await stop.wait()
         finally:
             tell_systemd("STOPPING=1")
-            await cancelled(*sources, ended, watch, *doors)
+            await cancelled(*sources, ended, watch, *outputs)
             # Earlier arrivals are still processed; an empty block ends the queue.
             if not work.done():
                 await running.arrivals.put([])

@@ -485,8 +485,8 @@ def _check_protected(where: str, given: ServiceFile) -> None:
             "encryption; use 127.0.0.1 and an agent on this computer"
         )
     sources = {f"sources.{name}": source for name, source in given.sources.items()}
-    doors = {"mqtt": given.mqtt, "opcua": given.opcua, "http": given.http}
-    for place, section in (sources | doors).items():
+    outputs = {"mqtt": given.mqtt, "opcua": given.opcua, "http": given.http}
+    for place, section in (sources | outputs).items():
         if isinstance(section, MqttAddress | OpcuaAddress | OpcuaServer | HttpServer):
             check_protected(f"{where}: {place}", section)
 

@@ -29,8 +29,8 @@ import numpy as np
 from estimator.interface import Channel
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
+from thermojoint.live.disk_reserve import RESERVE, is_full, stay_within
 from thermojoint.live.publication import AxisLine, Layout
-from thermojoint.live.reserve import RESERVE, is_full, stay_within
 
 SCHEMA_VERSION = 2
 #: File locked by the service that uses a folder; it contains the number of its process.

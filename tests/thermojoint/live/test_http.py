@@ -31,7 +31,7 @@ from thermojoint.live import limited_socket
 from thermojoint.live.accounts import SHORTEST_TOKEN, checked
 from thermojoint.live.certificates import HTTP_LASTS, own_certificate
 from thermojoint.live.descriptors import RESERVE
-from thermojoint.live.http import gate, patience
+from thermojoint.live.http import gate, timeouts
 from thermojoint.live.http.bodies import Words, summary
 from thermojoint.live.http.parameters import moment, read_parameters, whole_number
 from thermojoint.live.http.rates import MOST_CLIENTS, Buckets, client_of
@@ -379,7 +379,7 @@ def test_nobody_takes_all_the_connections(floor, ask):
 
 
 def test_whoever_sends_half_a_request_is_not_waited_for(floor, monkeypatch):
-    monkeypatch.setattr(patience, "REQUEST_S", 0.2)
+    monkeypatch.setattr(timeouts, "REQUEST_S", 0.2)
     host, port = floor.url.removeprefix("http://").split(":")
     with socket.create_connection((host, int(port))) as slow:
         slow.sendall(b"GET /healthz HTTP/1.1\r\nHost: x\r\n")

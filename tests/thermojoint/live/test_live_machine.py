@@ -18,13 +18,13 @@ from thermojoint.compensation.offsets.settings import read_settings
 from thermojoint.live import floor as floors
 from thermojoint.live.archive import Archive
 from thermojoint.live.arrivals import Arrival
+from thermojoint.live.disk_reserve import SLICE, lay_in, tend
 from thermojoint.live.log_lines import EventLog, limited, line_of
 from thermojoint.live.machine import Times, at_rest, restored, silent, taken
 from thermojoint.live.metrics import fresh_metrics
 from thermojoint.live.publication import as_json, as_row, from_row
 from thermojoint.live.rate_limit import AT_ONCE, LineLimit
 from thermojoint.live.recovery import is_damage
-from thermojoint.live.reserve import SLICE, lay_in, tend
 from thermojoint.live.running import restored_floor
 from thermojoint.live.samples import Rule
 from thermojoint.live.served import Served, served

@@ -42,9 +42,9 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.live.archive import Archive
 from thermojoint.live.arrivals import Arrival
 from thermojoint.live.certificates import own_identity
+from thermojoint.live.disk_reserve import SLICE
 from thermojoint.live.opcua_session import Reached
 from thermojoint.live.readers.opcua import OpcuaReader
-from thermojoint.live.reserve import SLICE
 from thermojoint.live.service import run
 from thermojoint.live.settings import read_service
 from thermojoint.live.users import add_user

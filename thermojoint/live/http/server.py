@@ -17,9 +17,9 @@ from thermojoint.live.certificates import Identity, http_identity
 from thermojoint.live.http.app import make_app
 from thermojoint.live.http.gate import BURST_S, LARGEST_HEAD, Door
 from thermojoint.live.http.hosts import hosts_of
-from thermojoint.live.http.patience import PatientProtocol, Server
 from thermojoint.live.http.rates import Buckets
 from thermojoint.live.http.sources import Sources
+from thermojoint.live.http.timeouts import PatientProtocol, Server
 from thermojoint.live.limited_socket import listening
 from thermojoint.live.settings import HttpServer, is_loopback
 from thermojoint.live.tokens import tokens_in

@@ -1,4 +1,4 @@
-"""What comes in by the doors of the service: thousands of malformed readings change nothing."""
+"""Interfaces of the service: thousands of malformed readings change nothing."""
 
 import asyncio
 import json

@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from thermojoint.live.scene import Scene
 
 
-async def open_doors(running: Running) -> list[Coroutine[Any, Any, None]]:
+async def open_outputs(running: Running) -> list[Coroutine[Any, Any, None]]:
     """Open the output interfaces, and return the coroutines that serve them."""
-    service, doors = running.service, []
+    service, outputs = running.service, []
     mqtt, shdr = service.given.mqtt, service.given.shdr
     if mqtt is not None:
         from thermojoint.live.mqtt_session import address_of
@@ -39,21 +39,21 @@ async def open_doors(running: Running) -> list[Coroutine[Any, Any, None]]:
 
         address, controls = address_of(mqtt, "mqtt"), _handshakes(service, "mqtt")
         audit = running.accounts.audit
-        doors.append(write_topics(running.hub, address, mqtt, running.floor, controls, audit))
+        outputs.append(write_topics(running.hub, address, mqtt, running.floor, controls, audit))
     if service.given.opcua is not None:
-        doors += await _opcua_server(running, service.given.opcua)
+        outputs += await _opcua_server(running, service.given.opcua)
     if any(machine.target for machine in service.machines.values()):
-        doors += _writers(running)
+        outputs += _writers(running)
     if service.given.http is not None:
-        doors.append(_http_server(running, service.given.http))
+        outputs.append(_http_server(running, service.given.http))
     if shdr is not None:
         from thermojoint.live.limited_socket import listening
         from thermojoint.live.writers.shdr import serve_agents
 
         most = shdr.most_connections
         taken = listening("shdr", shdr.address, shdr.port, most, most)
-        doors.append(serve_agents(running.hub, taken, shdr.heartbeat_s))
-    return doors
+        outputs.append(serve_agents(running.hub, taken, shdr.heartbeat_s))
+    return outputs
 
 
 def _writers(running: Running) -> list[Coroutine[Any, Any, None]]:
