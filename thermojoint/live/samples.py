@@ -159,6 +159,8 @@ def _merged(
     cells: tuple[Cell, ...], instant: float, readings: tuple[float | None, ...]
 ) -> tuple[Cell, ...]:
     """Return the cells with readings added to one; of a repeated reading the last counts."""
+    if not cells:  # as usual
+        return ((instant, readings),)
     merged = dict(cells)
     before = merged.get(instant, readings)
     merged[instant] = tuple(b if a is None else a for a, b in zip(readings, before, strict=True))
