@@ -9,12 +9,15 @@ import subprocess
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from asyncua import Client
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 from asyncua.server.address_space import AttributeValue, NodeData
 from asyncua.server.internal_server import InternalServer
 
+from estimator.interface import follow
+from estimator.registry import open_estimator
 from thermojoint.live.archive import Archive
 from thermojoint.live.certificates import own_identity
 from thermojoint.live.service import run
@@ -82,6 +85,14 @@ async def serving(data, base):
     finally:
         stop.set()
         await asyncio.wait_for(task, PATIENCE_S)
+
+
+def estimated(model, rows):
+    """What the estimator in a file says of rows: a time and the temperatures of its machine."""
+    estimator = open_estimator(model)
+    samples = [(time, a - b, T1 - room, T2 - room) for time, a, b, T1, T2, room in rows]
+    found = follow(estimator, samples, estimator.initial_state())
+    return np.array([one.displacement for _, one in found])
 
 
 def history_in(base):

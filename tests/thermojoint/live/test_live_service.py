@@ -22,6 +22,7 @@ from asyncua.server.history import HistoryDict
 from live_parts import (
     Broker,
     client_of,
+    estimated,
     events_in,
     free_port,
     history_in,
@@ -35,9 +36,7 @@ from prometheus_client import generate_latest
 from small_disk import fill, mounted
 
 from benchmarks import live_kills
-from estimator.interface import follow
 from estimator.quality import Quality
-from estimator.registry import open_estimator
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.archive import Archive
 from thermojoint.live.arrivals import Arrival
@@ -78,11 +77,7 @@ def day(count=120):
 
 @pytest.fixture(scope="module")
 def expected(model):
-    """What an estimator says of that day, sample by sample."""
-    estimator = open_estimator(model)
-    state = estimator.initial_state()
-    samples = [(row[0], row[1] - row[2], row[3] - row[5], row[4] - row[5]) for row in day()]
-    return np.array([one.displacement for _, one in follow(estimator, samples, state)])
+    return estimated(model, day())
 
 
 def file_of(model, source, **more):
@@ -433,12 +428,6 @@ def test_thirty_machines_get_through_a_broker_that_has_twenty_messages_in_flight
     assert events_in(tmp_path, "in-flight")
 
 
-@pytest.fixture(scope="module")
-def authority(tmp_path_factory):
-    """A certificate for the broker that is its own authority."""
-    return own_identity(tmp_path_factory.mktemp("authority"), ())
-
-
 def secret(folder, name, content):
     path = folder / name
     path.write_text(content)
@@ -447,11 +436,9 @@ def secret(folder, name, content):
 
 
 @needs_broker
-def test_messages_over_tls_come_once_although_broker_and_service_go_away(
-    model, expected, authority, tmp_path
-):
+def test_messages_over_tls_come_once_although_broker_and_service_go_away(model, expected, tmp_path):
     """The broker keeps what nobody acknowledged, and tells the last words of the service."""
-    rows = day(40)
+    rows, authority = day(40), own_identity(tmp_path / "authority", ())
     passwords = tmp_path / "broker"
     passwords.mkdir()
     subprocess.run(

@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from live_parts import events_in, free_port, history_in, serving, until
+from live_parts import estimated, events_in, free_port, history_in, serving, until
 from played_agent import NONE, Agent
 from warming_machine import started
 
-from estimator.interface import follow
-from estimator.registry import open_estimator
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.archive import Archive
 from thermojoint.live.arrivals import Arrival, Note
@@ -48,17 +46,6 @@ def day(count=120):
     rise = 1.0 - np.exp(-np.arange(count) / 60.0)
     columns = (20.0 + 6.0 * rise, 20.0 + 0.5 * rise, 20.0 + rise, 20.0 + 3.0 * rise, 20.0 + rise)
     return np.round(np.column_stack(columns), 1)
-
-
-def estimated(model, readings):
-    estimator = open_estimator(model)
-    samples = [
-        (START + k, a - b, T1 - ambient, T2 - ambient)
-        for k, (a, b, T1, T2, ambient) in enumerate(readings)
-    ]
-    return np.array(
-        [one.displacement for _, one in follow(estimator, samples, estimator.initial_state())]
-    )
 
 
 def file_of(model, port, **source):
@@ -119,8 +106,9 @@ def test_every_sample_is_there_once_although_agent_and_service_go_away(model, ve
     asked = asyncio.run(live())
     history = history_in(tmp_path)
     assert not history.holes
-    np.testing.assert_array_equal(history.columns.times, START + np.arange(120.0))
-    expected = estimated(model, readings)
+    times = START + np.arange(120.0)
+    np.testing.assert_array_equal(history.columns.times, times)
+    expected = estimated(model, np.column_stack([times, readings]))
     np.testing.assert_allclose(history.columns.displacement, expected, rtol=1e-12, atol=1e-18)
     # The state is asked for once: after that every observation is read on from the last.
     assert sum("/current" in one for one in asked) == 1
