@@ -16,9 +16,8 @@ from fesim.accuracy.estimate import Accuracy, Marched, accuracy_of
 from fesim.axes.axis import Axis, cold_drives
 from fesim.axes.course import Mapped, course_values, mapped
 from fesim.axes.machine import MovingMachine
-from fesim.axes.march import march_iterated
+from fesim.axes.march import march_iterated, march_staggered
 from fesim.axes.setup import MovingSetup, axis_inputs, set_up_axes
-from fesim.axes.staggered import march_staggered
 from fesim.case.history import Histories, entering_in_steps
 from fesim.case.identity import set_up_differently
 from fesim.case.schema import (

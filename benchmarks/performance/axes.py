@@ -19,9 +19,8 @@ from fesim.axes.axis import Axis, cold_drives
 from fesim.axes.guideway import Place
 from fesim.axes.machine import MovingMachine
 from fesim.axes.mapping import seen_from
-from fesim.axes.march import march_moving
+from fesim.axes.march import march_moving, march_staggered
 from fesim.axes.setup import MovingSetup, axis_inputs, set_up_axes
-from fesim.axes.staggered import march_staggered
 from fesim.case.history import History
 from fesim.case.schema import Case, case_from_data, read_case, step_count
 from fesim.march.machine import State, Step

@@ -17,9 +17,13 @@ from fesim.axes.machine import MovingMachine
 from fesim.axes.occupation import distance, shares_of, stretches
 from fesim.axes.positioning import Way, warm_scale, warm_screw
 from fesim.march.machine import CondensedMachine, State
-from fesim.march.stepping import Advance, advanced, iterated
+from fesim.march.stepping import Advance, advanced, iterated, plainly_staggered
 from fesim.march.track import Track
 from thermojoint.artefacts.arrays import Array
+
+#: Number of steps per compiled call, at most and after a plain one; their aligned positions share
+#: an array.
+BLOCK, FEW = 64, 4
 
 
 def march_moving(
@@ -76,6 +80,28 @@ def march_iterated(
 ) -> Iterator[Track]:
     """Yield the steps of `march_moving` with iterated coupling."""
     return march_moving(moving, axes, inputs, iterated, start)
+
+
+def march_staggered(
+    moving: MovingMachine, axes: Sequence[Axis], inputs: Array, start: State
+) -> Iterator[Track]:
+    """Yield the steps of `march_moving` with staggered coupling, one or more at a time.
+
+    They are compiled if possible.
+    """
+    # Imported here because it loads a compiler, as in `fesim.march.contact.gap_solver`.
+    from fesim.axes.kernel import axes_march
+
+    compiled, state, done, block = axes_march(moving, axes), start, 0, BLOCK
+    while done < len(inputs):
+        rows, track = inputs[done : done + block], None
+        block = min(2 * block, BLOCK)
+        if compiled is not None and not state.parts:
+            track = compiled.take(state, rows)
+        if track is None:
+            (track,), block = march_moving(moving, axes, rows[:1], plainly_staggered, state), FEW
+        done, state = done + len(track), track.step(-1).state
+        yield track
 
 
 def _in_step(

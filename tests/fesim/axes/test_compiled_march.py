@@ -7,12 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fesim.axes import staggered
 from fesim.axes.axis import cold_drives
 from fesim.axes.kernel import AxesMarch, axes_march
-from fesim.axes.march import march_moving
+from fesim.axes.march import march_moving, march_staggered
 from fesim.axes.setup import axis_inputs, set_up_axes
-from fesim.axes.staggered import march_staggered
 from fesim.case.history import History
 from fesim.case.schema import case_from_data, read_case
 from fesim.march.settling import initial_state
@@ -175,7 +173,7 @@ def test_a_law_of_the_user_is_marched_plainly(machine, monkeypatch):
 
 
 def test_steps_taken_at_once_do_not_change_them(machine, tracks, monkeypatch):
-    monkeypatch.setattr(staggered, "BLOCK", 3)
+    monkeypatch.setattr("fesim.axes.march.BLOCK", 3)
     track = joined(list(march_staggered(*machine)))
     for name in ALLOWED:
         assert np.array_equal(getattr(track, name), getattr(joined(tracks), name))
