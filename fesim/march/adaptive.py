@@ -69,10 +69,6 @@ class _March:
     machine: CondensedMachine
     #: Weights of a step as a function of its length, s.
     weights: Callable[[float], ExponentialStep]
-    #: The inputs.
-    drive: Histories
-    #: For half an hour.
-    tolerance: Tolerance
     #: `fesim.march.exponential.heat_spread`.
     spread: float
 
@@ -129,7 +125,7 @@ def march_adaptively(  # noqa: PLR0913 - the last is optional
         A pressure is beyond the conductance law.
     """
     weights = lru_cache(maxsize=KEPT)(partial(exponential_step, machine, rates))
-    march = _March(machine, weights, drive, tolerance, heat_spread(machine.thermal, rates))
+    march = _March(machine, weights, heat_spread(machine.thermal, rates))
     knots = np.append(drive.times[drive.times > 0.0], np.inf)
     fast, usual, given = _compiled(machine, rates), True, 0
     now = _resumed(machine, drive, start) if start.course.size else _begun(machine, drive, start)
@@ -159,7 +155,7 @@ def _plain_step(march: _March, now: Now, asked: Asked, index: int) -> tuple[Trac
     """Take a step; `index` is that of the first requested time in it."""
     at = int(np.searchsorted(asked.knots, now.time, side="right"))
     knot, before = float(asked.knots[at]), float(asked.knots[at - 1]) if at else 0.0
-    tried, pace, rejected = _accepted(march, now, before, knot)
+    tried, pace, rejected = _accepted(march, asked, now, before, knot)
     length, solving = tried.weights.length, now.solving.and_of(tried.step)
     end = knot if length == knot - now.time else now.time + length
     due = asked.times[: np.searchsorted(asked.times, end * (1.0 + ROUNDING), side="right")]
@@ -221,18 +217,20 @@ def _after(now: Now, tried: _Tried, end: float, edge: bool) -> Now:
     return replace(after, slope=(after.flow - now.flow) / length, length=length)
 
 
-def _accepted(march: _March, now: Now, before: float, knot: float) -> tuple[_Tried, Pace, int]:
+def _accepted(
+    march: _March, asked: Asked, now: Now, before: float, knot: float
+) -> tuple[_Tried, Pace, int]:
     """The next step between two knots, the pace after it, and the number of rejected steps."""
-    rejected, pace, times = 0, now.pace, stretch(knot - before)
+    rejected, pace, times, tolerance = 0, now.pace, stretch(knot - before), asked.tolerance
     while True:
         length = until(pace.length, knot - now.time)
         last_chance = length <= least(times)
         try:
-            tried = _tried(march, now, length, now.time == before)
-            part, (moved, warmed) = tried.error.relative_to(march.tolerance), tried.error.largest()
+            tried = _tried(march, now, asked.drive(now.time + length), length, now.time == before)
+            part, (moved, warmed) = tried.error.relative_to(tolerance), tried.error.largest()
             changed = _changed(march, now.state, tried)
-            free = pace.way > march.tolerance.temperature
-            followed = np.inf if free else march.tolerance.followed * changed
+            free = pace.way > tolerance.temperature
+            followed = np.inf if free else tolerance.followed * changed
             ratio = of_allowed(part, allowed(times * length), warmed, followed)
             # The length of the step does not influence a snap-through.
             snaps = tried.step.cuts > 0 and times * length <= BRIEF
@@ -262,10 +260,9 @@ def _changed(march: _March, before: State, tried: _Tried) -> float:
     return float(np.linalg.norm(change)) / march.spread
 
 
-def _tried(march: _March, now: Now, length: float, begins: bool) -> _Tried:
-    """Compute a step, which may begin at a knot, without changing the state before it."""
+def _tried(march: _March, now: Now, inputs: Array, length: float, begins: bool) -> _Tried:
+    """Compute a step to some inputs, which may begin at a knot; the state before is unchanged."""
     machine, weights, before = march.machine, march.weights(length), now.state
-    inputs = march.drive(now.time + length)
     half = weights.before_end(before.temperature, now.inputs, now.flow)
     further = length / now.length if now.length else 0.0
     begun = replace(before, temperature=half, change=further * before.change)
