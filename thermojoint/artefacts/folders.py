@@ -98,6 +98,11 @@ def whole_folder(path: Path) -> Iterator[Path]:
                 listed = {"schema": SCHEMA, "schema_version": 1, "files": sorted(names)}
                 write_text(new / CONTENTS, json.dumps(listed, indent=2) + "\n")
                 _put_in_place(path, place, work)
+        except OSError as error:
+            # The folder beside is removed before anybody reads its name.
+            if str(error.filename).startswith(str(work)):
+                error.filename = str(path)
+            raise
         finally:
             settle()
 

@@ -79,6 +79,16 @@ def test_a_failure_leaves_the_old_folder_and_nothing_beside_it(tmp_path):
     assert list(tmp_path.iterdir()) == [out]
 
 
+def test_a_file_that_cannot_be_written_is_told_by_the_folder_that_was_wanted(tmp_path):
+    """Not by the hidden one beside it, which has gone."""
+    out = tmp_path / "results"
+    with pytest.raises(OSError, match=r"results'$"), whole_folder(out) as new:
+        (new / "none" / "a.txt").write_text("text")
+    with pytest.raises(OSError, match=r"elsewhere'$"), whole_folder(out):
+        (tmp_path / "elsewhere").read_text()
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_folder_of_another_origin_is_refused_and_untouched(tmp_path):
     out = tmp_path / "thesis"
     out.mkdir()
