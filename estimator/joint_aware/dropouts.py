@@ -61,6 +61,51 @@ def _powers(matrix: Array) -> Iterator[tuple[int, Array]]:
         count, matrix = 2 * count, matrix @ matrix
 
 
+def with_gain(
+    observer: Observer, covariance: Array, without: Array, more: Array
+) -> Iterator[Array]:
+    """Yield the covariance (n, n) beyond the steady one after every sample with a constant gain.
+
+    With K_s the steady gain, K_s + D that of the present readings at the steady covariance, and the
+    gain K = K_s + D + M, a sample turns P into (1 - K H) P (1 - K H)^T + D S D^T + M S' M^T. S is
+    the covariance of the innovations, and S' has the lasting errors that `filter_design.correct`
+    adds to it.
+
+    Parameters
+    ----------
+    observer : Observer
+        Observer of the machine.
+    covariance : ndarray, shape (n, n)
+        P before the first sample.
+    without : ndarray, shape (n, p + 1)
+        K_s + D.
+    more : ndarray, shape (n, p + 1)
+        M.
+    """
+    system, own = observer.system, observer.model.filter
+    spread = own.innovation + np.diag(own.noise)
+    doubted = spread + observer.thresholds.doubt_of_heat**2 * np.diag(own.lasting)
+    beyond, left = without - observer.steady_gain, np.eye(system.size)
+    left -= (without + more) @ system.rows
+    noise = beyond @ spread @ beyond.T + more @ doubted @ more.T
+    while True:
+        covariance = left @ covariance @ left.T + noise
+        yield covariance
+        covariance = onward(observer, covariance)
+
+
+def onward(observer: Observer, covariance: Array) -> Array:
+    """Return the covariance (n, n) beyond the steady one before the next sample."""
+    advance = observer.system.advance
+    return advance(advance(covariance).T)
+
+
+def factor_of(covariance: Array) -> Array:
+    """Return a factor L of a covariance L L^T, both (n, n)."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
 def left_by_dropouts(
     observer: Observer, away: Sequence[int], factors: Sequence[Sequence[Array]]
 ) -> Dropouts:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from functools import lru_cache, partial
+from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,12 +32,19 @@ from estimator.export.program import (
 )
 from estimator.interface import Status
 from estimator.joint_aware import guided_program
-from estimator.joint_aware.dropouts import Dropouts, doubled, left_by_dropouts
+from estimator.joint_aware.dropouts import (
+    Dropouts,
+    doubled,
+    factor_of,
+    left_by_dropouts,
+    onward,
+    with_gain,
+)
 from estimator.joint_aware.estimator import WIDENED, WIDTH, JointAware
 from estimator.joint_aware.guided_program import Placed, kernel_of
 from estimator.joint_aware.innovation_gate import channels_of, heat_unknown
 from estimator.joint_aware.model_file import fingerprint
-from estimator.joint_aware.observer import ANSWER
+from estimator.joint_aware.observer import ANSWER, Observer
 from estimator.joint_aware.observer_model import Band
 from estimator.joint_aware.observer_state import KNOWN
 from estimator.span import SETTLING, SLACK
@@ -144,7 +152,7 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             "explained": 1.0 - float(model.band.allowed),
             "starts": len(start.known),
             "untold": () if ways is None else ways.left.shape,
-            "absences": _without(estimator)[1].left.shape,
+            "absences": _without(estimator).uncertainty.left.shape,
             "error_kept": estimator.observer.lasting_on(model.step),
             "followed": start.followed,
             "iterations": ITERATIONS,
@@ -249,7 +257,8 @@ def _tables(
     calibrated = estimator.calibrated_readings
     readable = channels_of(observer, calibrated)
     band = model.band
-    gains, absence = _without(estimator)
+    without = _without(estimator)
+    absence = without.uncertainty
     power = model.power
     most = estimator.thresholds.heat_jump * model.calibrated.heat * power
     return [
@@ -265,7 +274,8 @@ def _tables(
         Table("gain", "Of the readings then; at the end the steady one.", start.gain[:, :size]),
         Table("error_gain", "... for what they err by at a start, K.", start.gain[:, size:]),
         Table("supposed", "One that is left out then, by the others.", start.supposed),
-        Table("gain_without", "Of the others where one is left out.", gains),
+        Table("gain_without", "Of the others where one is left out for long.", without.gain),
+        Table("briefly", "Samples for which one is supposed before that.", without.supposed),
         Table("away", "Samples that one was left out, at most.", absence.away),
         Table("back", "Samples since then, at least; 0 before.", absence.back),
         Table("remains", "Variance of each and of all then, m2.", absence.left),
@@ -398,6 +408,8 @@ def _start(estimator: JointAware) -> _Start:
             noise, onward = noise + onward @ noise @ onward.T, onward @ onward
         covariance, k = onward @ covariance @ onward.T + noise, k + count
     gains[-1], spread[-1] = usual, np.diag(steady)
+    precision = np.linalg.inv(steady)
+    supposed[-1] = np.eye(len(rows)) - precision / np.diag(precision)[:, None]
     every = np.array(known)
     every[:, 1:] = np.maximum.accumulate(every[::-1, 1:])[::-1]
     near = every[(every[:, 1:] <= (limits.doubt * limits.followable) ** 2).all(axis=1), 0]
@@ -406,32 +418,66 @@ def _start(estimator: JointAware) -> _Start:
     return _Start(every, np.array(gains), np.array(spread), np.array(supposed), followed)
 
 
-@lru_cache(maxsize=8)
-def _without(estimator: JointAware) -> tuple[Array, Dropouts]:
-    """Gains without each reading, (p + 1, n, p + 1), and uncertainty by absences of each and all.
+class _Without(NamedTuple):
+    """Gains and uncertainty where readings are left out."""
 
-    The observer is run with a reading missing for `WITHOUT_ONE`, with all for `WITHOUT_ALL`.
+    #: Shape (p + 1, n, p + 1): gain that the observer reaches without each reading.
+    gain: Array
+    #: Shape (p + 1,): samples of an absence before that gain is used; the missing reading is
+    #: supposed to be as the others let expect meanwhile (`_Start.supposed`).
+    supposed: Array
+    #: Variance by absences of each and of all, m2.
+    uncertainty: Dropouts
+
+
+@lru_cache(maxsize=8)
+def _without(estimator: JointAware) -> _Without:
+    """Gains and uncertainty without each reading, and without all.
+
+    After a long absence the other readings must find heat that the missing one showed best. That
+    gain would at first do more harm by their noise than good: it is used from when the uncertainty
+    without it has grown to what it is with it.
     """
     observer, model = estimator.observer, estimator.model
-    every = np.arange(len(observer.system.rows))
-    gains = np.zeros((every.size, observer.system.size, every.size))
-    factors, away = [], doubled(math.ceil(WITHOUT_ALL / model.step))
+    every, size = np.arange(len(observer.system.rows)), observer.system.size
+    known, away = _start(estimator).supposed[-1], doubled(math.ceil(WITHOUT_ALL / model.step))
+    gains, supposed = np.zeros((every.size, size, every.size)), np.zeros(every.size)
+    factors = []
     for left_out in (*every, every):
         present = np.delete(every, left_out)
         accepted = np.isin(every, present)
-        factor = heat_unknown(observer, observer.known_start, ~accepted, accepted)
-        reached = dict[int, Array]()
-        duration = WITHOUT_ONE if present.size else WITHOUT_ALL
-        samples = math.ceil(duration / model.step)
-        for k in range(1, samples + 1):
-            gain, after = observer.gain(present, factor, model.step, KNOWN)
-            factor = observer.propagated(after, model.step)
-            if k in away or k == samples:
-                reached[k] = after[: observer.system.size]
+        unknown = heat_unknown(observer, observer.known_start, ~accepted, accepted)
+        samples = math.ceil((WITHOUT_ONE if present.size else WITHOUT_ALL) / model.step)
+        start, early = unknown[:size] @ unknown[:size].T, observer.steady_gain.copy()
         if present.size:
-            gains[left_out][:, present] = gain[: observer.system.size]
-        factors.append([reached[min(one, samples)] for one in away])
-    return gains, left_by_dropouts(observer, away, factors)
+            for _ in range(samples):
+                gain, after = observer.gain(present, unknown, model.step, KNOWN)
+                unknown = observer.propagated(after, model.step)
+            gains[left_out][:, present] = gain[:size]
+            early += np.outer(early[:, left_out], known[left_out])
+        early[:, left_out] = 0.0
+        most, none = np.full(len(model.axes), math.inf), np.zeros_like(early)
+        if present.size:
+            more = gains[left_out] - early
+            *_, late = islice(with_gain(observer, start, early, more), samples)
+            most = _moved(observer, late)
+        path = list[Array]()
+        for covariance in islice(with_gain(observer, start, early, none), samples):
+            path.append(covariance)
+            if (_moved(observer, covariance) >= most).any():
+                break
+        if present.size:
+            supposed[left_out] = len(path)
+            then = with_gain(observer, onward(observer, path[-1]), early, more)
+            path += islice(then, samples - len(path))
+        factors.append([factor_of(path[min(one, samples) - 1]) for one in away])
+    return _Without(gains, supposed, left_by_dropouts(observer, away, factors))
+
+
+def _moved(observer: Observer, covariance: Array) -> Array:
+    """Variance of the displacement (axes,), m2, by one of the linear state (n, n)."""
+    tangent = observer.model.band.tangent
+    return np.asarray(((tangent @ covariance) * tangent).sum(axis=1))
 
 
 def _duty_cycle(estimator: JointAware) -> Iterator[tuple[float, ...]]:

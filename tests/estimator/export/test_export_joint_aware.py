@@ -423,3 +423,18 @@ def test_as_a_unit_for_co_simulation_it_says_the_same(
     moved = co_simulated(joint_aware_program, tmp_path / "m.fmu", Standard.FMI2, rows)
     there = [one.displacement[0] for one in expected[: len(moved)]]
     assert moved == pytest.approx(there, rel=1e-9, abs=1e-15)
+
+
+@needs_gcc
+@pytest.mark.parametrize("sensor", [1, 2, 3, 4, 5])
+def test_a_reading_that_is_missing_briefly_changes_as_little_as_in_python(
+    estimator, samples, program, sensor
+):
+    """Also where another one jumps, from which heat would be found after a longer absence."""
+    rows = np.array(samples[:600])
+    rows[200:203, sensor] = NAN
+    rows[200:203, 1 + sensor % 4] += 0.5
+    _, there = estimates(estimator, rows.tolist())
+    found = list(program(rows[:, 1:].tolist()))
+    off = [np.subtract(list(found[k].displacement), there[k].displacement) for k in (200, 201, 202)]
+    assert np.abs(off).max() < 0.02e-6
