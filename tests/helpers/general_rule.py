@@ -9,7 +9,7 @@ from estimator.joint_aware.estimator import JointAware
 class InTheInterpreter(JointAware):
     """Takes every sample by its general rule."""
 
-    def _usual(self, state, moment, readings, touched):
+    def _process_ordinary(self, state, moment, readings, touched):
         return None
 
 

@@ -170,8 +170,8 @@ def test_a_usual_sample_in_machine_code_is_that_of_the_general_rule(estimator, r
     taken = []
 
     class Counting(JointAware):
-        def _usual(self, state, moment, readings, touched):
-            taken.append(super()._usual(state, moment, readings, touched))
+        def _process_ordinary(self, state, moment, readings, touched):
+            taken.append(super()._process_ordinary(state, moment, readings, touched))
             return taken[-1]
 
     assert_general_rule(Counting(estimator.model), rows)

@@ -121,10 +121,10 @@ def test_readings_that_its_joint_does_not_explain_are_taken_in_machine_code_as_w
     taken, far = [], []
 
     class Counting(JointAware):
-        def _usual(self, state, moment, readings, touched):
+        def _process_ordinary(self, state, moment, readings, touched):
             predicted = self.observer.system.rows @ state.linear
             far.append(not certainly_consistent(readings - predicted, self.thresholds.faults))
-            taken.append(super()._usual(state, moment, readings, touched))
+            taken.append(super()._process_ordinary(state, moment, readings, touched))
             return taken[-1]
 
     assert_general_rule(Counting(calibrated.model), rows)
