@@ -39,7 +39,6 @@ from estimator.joint_aware.observer_state import (
     UNKNOWN,
     Layout,
     ObserverState,
-    layout,
     unpacked,
 )
 from estimator.joint_aware.thresholds import USUAL, Thresholds
@@ -205,20 +204,7 @@ class JointAware(Described):
     @cached_property
     def parts(self) -> Layout:
         """Slices of the parts of the state."""
-        system = self.observer.system
-        return layout(
-            system.size,
-            (
-                self.model.modes.factors.size,
-                self._cold_drives.size,
-                len(self.model.ways),
-                len(self.model.powers),
-            ),
-            self.observer.physics.contacts,
-            self.observer.unknown_start.shape[1],
-            len(system.rows),
-            self._nothing_read,
-        )
+        return self._state(self.observer.known_start, KNOWN).layout
 
     @cached_property
     def _cold_drives(self) -> Array:
@@ -267,13 +253,14 @@ class JointAware(Described):
 
     def initial_state(self) -> Array:
         """Return the state of a machine at rest, before any sample."""
-        return self._state(self.observer.known_start, KNOWN)
+        return self._state(self.observer.known_start, KNOWN).flat()
 
     def warm_state(self) -> Array:
         """Return the state of a machine with an unknown past, before any sample."""
-        return self._state(self.observer.unknown_start, UNKNOWN)
+        return self._state(self.observer.unknown_start, UNKNOWN).flat()
 
-    def _state(self, factor: Array, slip_knowledge: float) -> Array:
+    def _state(self, factor: Array, slip_knowledge: float) -> ObserverState:
+        """State before any sample with a covariance factor (n + p + 1, k)."""
         unseen, modes, size = np.array(np.nan), self.model.modes, self.observer.system.size
         start = np.zeros(size)
         start[size - self.model.first.size - 1 : -1] = self.model.first
@@ -298,7 +285,7 @@ class JointAware(Described):
             odometer_age=np.zeros(len(self.model.ways)),
             away=np.zeros(2 * len(self.model.ways)),
             back=np.zeros(2 * len(self.model.ways)),
-        ).flat()
+        )
 
     @cached_property
     def _readable(self) -> sensor_faults.Channels:

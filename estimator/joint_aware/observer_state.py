@@ -72,11 +72,24 @@ class ObserverState(NamedTuple):
         return JointState(self.gap, self.slip, self.pressure, self.change)
 
     def flat(self) -> Array:
-        """Return the whole state as one array."""
+        """Return the whole state as one array; `Layout.views` are its parts."""
         *own, watch, error, pending, steps, odometer_age, away, back = self
         parts = (*own, *watch, *error[:_FIRST], *pending, *error[_FIRST:], steps)
         parts = (*parts, odometer_age, away, back)
         return np.concatenate([np.ravel(part) for part in parts])
+
+    @property
+    def layout(self) -> Layout:
+        """Positions of its parts in a flat state."""
+        parts = self._asdict()
+        error, pending = parts.pop("model_error")._asdict(), parts.pop("pending")._asdict()
+        errors = [(f"model_error.{name}", one) for name, one in error.items()]
+        last = [(name, parts.pop(name)) for name in ("steps", "odometer_age", "away", "back")]
+        parts["watch"] = np.array(parts["watch"])
+        parts |= dict(errors[:_FIRST])
+        parts |= {f"pending.{name}": one for name, one in pending.items()}
+        parts |= dict(errors[_FIRST:] + last)
+        return placed({name: np.shape(one) for name, one in parts.items()})
 
 
 @dataclass(frozen=True)
@@ -104,51 +117,6 @@ def placed(shapes: Mapping[str, tuple[int, ...]]) -> Layout:
     ends = np.cumsum([math.prod(shape) for shape in shapes.values()]).tolist()
     places = (slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True))
     return Layout(tuple(zip(shapes, places, shapes.values(), strict=True)))
-
-
-def layout(
-    states: int,
-    given: tuple[int, int, int, int],
-    contacts: int,
-    columns: int,
-    channels: int,
-    error: ModelError,
-) -> Layout:
-    """Return the layout of an observer's state, with a model error of the shapes of `error`.
-
-    `given` are the numbers of loads, of the temperatures of the axes' drives, of odometers and of
-    powers.
-    """
-    loads, drive, odometers, powers = given
-    return placed(
-        {
-            "time": (),
-            "begun": (),
-            "slip_knowledge": (),
-            "linear": (states,),
-            "loads": (loads,),
-            "gap": (3, contacts),
-            "slip": (2, contacts),
-            "pressure": (contacts,),
-            "change": (3, contacts),
-            "covariance_factor": (states + channels, columns),
-            "errors": (channels,),
-            "drive": (drive,),
-            "odometer": (odometers,),
-            "power_heat": (powers,),
-            "watch": (len(Watch._fields), channels),
-            **{f"model_error.{name}": error.mean.shape for name in ModelError._fields[:_FIRST]},
-            **{f"pending.{name}": () for name in PendingJump._fields[:-1]},
-            "pending.linear": (states,),
-            "model_error.shared_mean": error.shared_mean.shape,
-            "model_error.shared": error.shared.shape,
-            "model_error.refused": error.refused.shape,
-            "steps": (),
-            "odometer_age": (odometers,),
-            "away": (2 * odometers,),
-            "back": (2 * odometers,),
-        }
-    )
 
 
 def unpacked(state: Array, known: Layout) -> ObserverState:
