@@ -33,7 +33,6 @@ from typing import cast
 _LATER = ("numpy.f2py", "scipy.spatial.transform")
 #: Clock cycles, as a power of two, for which a thread of OpenBLAS spins before it sleeps.
 _WAITING = ("OPENBLAS_THREAD_TIMEOUT", "16")
-_NAMES = ("dask", "dask.array")
 #: Objects created between two collections; collections of a generation per one of the next.
 _COLLECTIONS = (50_000, 20, 20)
 
@@ -53,16 +52,15 @@ def prepare_process() -> None:
         sys.meta_path.insert(0, _Later)
     if "xarray" in sys.modules:
         return
-    for name in _NAMES:
-        # With None in place of a module, Python refuses to import it.
-        sys.modules.setdefault(name, cast(ModuleType, None))
+    # With None in place of a module, Python refuses to import it and what is in it. Its arrays have
+    # no entry: SciPy takes one as loaded.
+    sys.modules.setdefault("dask", cast(ModuleType, None))
 
 
 def let_dask_load() -> None:
     """Make Dask importable again."""
-    for name in _NAMES:
-        if name in sys.modules and sys.modules[name] is None:
-            del sys.modules[name]
+    if "dask" in sys.modules and sys.modules["dask"] is None:
+        del sys.modules["dask"]
 
 
 class _Later:

@@ -210,3 +210,21 @@ def test_where_xarray_was_used_before_it_goes_on_with_dask():
     command = [sys.executable, "-c", AFTERWARDS, "--version"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "2"
+
+
+#: SciPy asks of every array whether it is one of Dask.
+BLOCKS = """
+from thermojoint.artefacts.process_start import prepare_process
+
+prepare_process()
+import xarray
+from scipy.linalg import block_diag
+print(block_diag([[1.0]], xarray.Variable("time", [2.0]).to_numpy()).sum())
+"""
+
+
+def test_scipy_works_where_dask_is_not_loaded():
+    done = subprocess.run(
+        [sys.executable, "-c", BLOCKS], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == ["3.0"]
