@@ -235,7 +235,7 @@ def _process_ordinary(
 
 @compiled_part
 def _consistent(possible: Possible, rules: Thresholds, work: SampleWork, heat: Array) -> bool:
-    """Whether no innovation is a contradiction or a jump by `sensor_faults` and `trust`.
+    """Whether no innovation is a contradiction by `sensor_faults`, or a jump by `innovation_gate`.
 
     Also False where the best-fitting change of heat is not possible: then bounds apply, which is
     left to the observer. `heat` (s,) is the present one, W.

@@ -361,19 +361,18 @@ class JointAware(Described):
         after.odometer[:] = np.where(unread, counted, counts)
         since = after.odometer_age + moment.length * moment.steps
         after.odometer_age[:] = np.where(unread, since, 0.0)
-        with_odometer = list(self.model.counted)
         if unread.any():
             least = np.abs(
                 self._place(after.loads) - self._place(unpacked(state, self.parts).loads)
             )
-            after.odometer[unread] += least[with_odometer][unread]
+            after.odometer[unread] += least[list(self.model.counted)][unread]
         processed = self._process_ordinary(after, moment, readings, probed)
         if processed is None:
             before = unpacked(state, self.parts)
             before = before._replace(odometer=after.odometer, odometer_age=after.odometer_age)
             travel, travelled = after.odometer - counted, np.zeros(len(self.model.moving_axes))
             plausible = odometers.plausible(travel, since, self.thresholds.fastest)
-            travelled[with_odometer] = np.where(plausible & ~unread, travel, 0.0)
+            travelled[list(self.model.counted)] = np.where(plausible & ~unread, travel, 0.0)
             before = odometers.after_reset(before, ~unread & ~plausible)
             moment = replace(moment, loads=after.loads, travelled=travelled)
             processed = self._process_any(before, moment, readings, probed)
@@ -684,9 +683,10 @@ class JointAware(Described):
         missing += tuple(channel.name for channel, gone in unread if gone)
         status = self._beyond(time - float(after.begun), inputs, readings, processed.accepted)
         usual, left = self._variances(parts, after.model_error, factor)
-        travel, settled = self._due_to_unreported_travel(after), WIDTH * np.sqrt(usual)
+        travel = self._due_to_unreported_travel(after)
         unsettled = self.observer.unsettled(left, usual, processed.often)
-        unsettled |= bool((travel > WIDENED * settled).any())
+        if travel.any():
+            unsettled |= bool((travel > WIDENED * WIDTH * np.sqrt(usual)).any())
         for holds, flag in (
             (missing, Status.READING_MISSING),
             (distrusted, Status.SENSOR_DISTRUSTED),

@@ -73,14 +73,15 @@ class ObserverState(NamedTuple):
 
     def flat(self) -> Array:
         """Return the whole state as one array; `Layout.views` are its parts."""
-        *own, watch, error, pending, steps, odometer_age, away, back = self
-        parts = (*own, *watch, *error[:_FIRST], *pending, *error[_FIRST:], steps)
-        parts = (*parts, odometer_age, away, back)
-        return np.concatenate([np.ravel(part) for part in parts])
+        return np.concatenate([np.ravel(part) for part in self._parts().values()])
 
     @property
     def layout(self) -> Layout:
         """Positions of its parts in a flat state."""
+        return placed({name: np.shape(part) for name, part in self._parts().items()})
+
+    def _parts(self) -> dict[str, Array]:
+        """Its parts by name, in the order of a flat state."""
         parts = self._asdict()
         error, pending = parts.pop("model_error")._asdict(), parts.pop("pending")._asdict()
         errors = [(f"model_error.{name}", one) for name, one in error.items()]
@@ -88,8 +89,7 @@ class ObserverState(NamedTuple):
         parts["watch"] = np.array(parts["watch"])
         parts |= dict(errors[:_FIRST])
         parts |= {f"pending.{name}": one for name, one in pending.items()}
-        parts |= dict(errors[_FIRST:] + last)
-        return placed({name: np.shape(one) for name, one in parts.items()})
+        return parts | dict(errors[_FIRST:] + last)
 
 
 @dataclass(frozen=True)

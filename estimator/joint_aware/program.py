@@ -49,7 +49,7 @@ from estimator.joint_aware.observer_model import Band
 from estimator.joint_aware.observer_state import KNOWN
 from estimator.span import SETTLING, SLACK
 from fesim.march.compiled_step import JointKernel
-from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.artefacts.errors import InputError
 from thermojoint.reduced.discrepancy import relaxed
 from thermojoint.reduced.physics import heat_step, simulate_known
@@ -388,12 +388,12 @@ def _start(estimator: JointAware) -> _Start:
         left = identity - (usual + own_gain) @ rows
         noise = own_gain @ doubted @ own_gain.T
         after = left @ covariance @ left.T + noise
-        variance = limits.doubt**2 * ((tangent @ after) * tangent).sum(axis=1)
+        variance = limits.doubt**2 * _moved(tangent, after)
         known.append(np.append(k * model.step, variance))
         cold = model.cold_drives(k * model.step)
         gains.append(usual + own_gain)
         spread.append(np.diag(steady + rows @ seen))
-        supposed.append(np.eye(len(rows)) - precision / np.diag(precision)[:, None])
+        supposed.append(_supposed(precision))
         if (
             variance + cold <= band.constant + band.history
         ).all() or k * model.step > LONGEST_START:
@@ -408,8 +408,7 @@ def _start(estimator: JointAware) -> _Start:
             noise, onward = noise + onward @ noise @ onward.T, onward @ onward
         covariance, k = onward @ covariance @ onward.T + noise, k + count
     gains[-1], spread[-1] = usual, np.diag(steady)
-    precision = np.linalg.inv(steady)
-    supposed[-1] = np.eye(len(rows)) - precision / np.diag(precision)[:, None]
+    supposed[-1] = _supposed(np.linalg.inv(steady))
     every = np.array(known)
     every[:, 1:] = np.maximum.accumulate(every[::-1, 1:])[::-1]
     near = every[(every[:, 1:] <= (limits.doubt * limits.followable) ** 2).all(axis=1), 0]
@@ -432,52 +431,76 @@ class _Without(NamedTuple):
 
 @lru_cache(maxsize=8)
 def _without(estimator: JointAware) -> _Without:
-    """Gains and uncertainty without each reading, and without all.
+    """Gains and uncertainty without each reading, and without all."""
+    observer, step = estimator.observer, estimator.model.step
+    every, size = np.arange(len(observer.system.rows)), observer.system.size
+    away = doubled(math.ceil(WITHOUT_ALL / step))
+    known, gains, supposed = _start(estimator).supposed[-1], list[Array](), list[int]()
+    paths = list[list[Array]]()
+    for left_out in every:
+        present = every != left_out
+        unknown = heat_unknown(observer, observer.known_start, ~present, present)
+        early = observer.steady_gain + np.outer(observer.steady_gain[:, left_out], known[left_out])
+        early[:, left_out] = 0.0
+        gains.append(_reached(observer, present, unknown))
+        brief, path = _changing(observer, unknown[:size], early, gains[-1])
+        supposed.append(brief)
+        paths.append(path)
+    nothing = np.zeros_like(observer.steady_gain)
+    unknown = heat_unknown(observer, observer.known_start, every >= 0, every < 0)[:size]
+    alone = with_gain(observer, unknown @ unknown.T, nothing, nothing)
+    paths.append(list(islice(alone, math.ceil(WITHOUT_ALL / step))))
+    factors = [[factor_of(path[min(one, len(path)) - 1]) for one in away] for path in paths]
+    uncertainty = left_by_dropouts(observer, away, factors)
+    return _Without(np.array(gains), np.array(supposed, dtype=float), uncertainty)
+
+
+def _reached(observer: Observer, present: Flags, factor: Array) -> Array:
+    """Gain (n, p + 1) after only some readings were present for `WITHOUT_ONE`.
+
+    `factor` is the covariance factor before that.
+    """
+    at, step = np.flatnonzero(present), observer.model.step
+    gain = np.zeros_like(observer.steady_gain)
+    for _ in range(math.ceil(WITHOUT_ONE / step)):
+        of_present, after = observer.gain(at, factor, step, KNOWN)
+        factor = observer.propagated(after, step)
+    gain[:, at] = of_present[: len(gain)]
+    return gain
+
+
+def _changing(
+    observer: Observer, unknown: Array, early: Array, late: Array
+) -> tuple[int, list[Array]]:
+    """Number of samples with the early gain, and the covariance after every sample of an absence.
 
     After a long absence the other readings must find heat that the missing one showed best. That
     gain would at first do more harm by their noise than good: it is used from when the uncertainty
-    without it has grown to what it is with it.
+    with the early one has grown to what it is in the end. `unknown` (n, k) is the covariance factor
+    before the absence, which lasts for `WITHOUT_ONE`.
     """
-    observer, model = estimator.observer, estimator.model
-    every, size = np.arange(len(observer.system.rows)), observer.system.size
-    known, away = _start(estimator).supposed[-1], doubled(math.ceil(WITHOUT_ALL / model.step))
-    gains, supposed = np.zeros((every.size, size, every.size)), np.zeros(every.size)
-    factors = []
-    for left_out in (*every, every):
-        present = np.delete(every, left_out)
-        accepted = np.isin(every, present)
-        unknown = heat_unknown(observer, observer.known_start, ~accepted, accepted)
-        samples = math.ceil((WITHOUT_ONE if present.size else WITHOUT_ALL) / model.step)
-        start, early = unknown[:size] @ unknown[:size].T, observer.steady_gain.copy()
-        if present.size:
-            for _ in range(samples):
-                gain, after = observer.gain(present, unknown, model.step, KNOWN)
-                unknown = observer.propagated(after, model.step)
-            gains[left_out][:, present] = gain[:size]
-            early += np.outer(early[:, left_out], known[left_out])
-        early[:, left_out] = 0.0
-        most, none = np.full(len(model.axes), math.inf), np.zeros_like(early)
-        if present.size:
-            more = gains[left_out] - early
-            *_, late = islice(with_gain(observer, start, early, more), samples)
-            most = _moved(observer, late)
-        path = list[Array]()
-        for covariance in islice(with_gain(observer, start, early, none), samples):
-            path.append(covariance)
-            if (_moved(observer, covariance) >= most).any():
-                break
-        if present.size:
-            supposed[left_out] = len(path)
-            then = with_gain(observer, onward(observer, path[-1]), early, more)
-            path += islice(then, samples - len(path))
-        factors.append([factor_of(path[min(one, samples) - 1]) for one in away])
-    return _Without(gains, supposed, left_by_dropouts(observer, away, factors))
+    samples = math.ceil(WITHOUT_ONE / observer.model.step)
+    start, none, more = unknown @ unknown.T, np.zeros_like(early), late - early
+    *_, end = islice(with_gain(observer, start, early, more), samples)
+    most = _moved(observer.model.band.tangent, end)
+    path = list[Array]()
+    for covariance in islice(with_gain(observer, start, early, none), samples):
+        path.append(covariance)
+        if (_moved(observer.model.band.tangent, covariance) >= most).any():
+            break
+    brief = len(path)
+    then = with_gain(observer, onward(observer, path[-1]), early, more)
+    return brief, [*path, *islice(then, samples - brief)]
 
 
-def _moved(observer: Observer, covariance: Array) -> Array:
-    """Variance of the displacement (axes,), m2, by one of the linear state (n, n)."""
-    tangent = observer.model.band.tangent
+def _moved(tangent: Array, covariance: Array) -> Array:
+    """Variance of the displacement (axes,), m2, by that of states which move it by a tangent."""
     return np.asarray(((tangent @ covariance) * tangent).sum(axis=1))
+
+
+def _supposed(precision: np.ndarray) -> Array:
+    """Value of each innovation as the others let expect (p + 1, p + 1), by their precision."""
+    return np.asarray(np.eye(len(precision)) - precision / np.diag(precision)[:, None])
 
 
 def _duty_cycle(estimator: JointAware) -> Iterator[tuple[float, ...]]:
