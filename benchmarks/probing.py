@@ -237,7 +237,7 @@ def regular(estimator: JointAware, days: Sequence[Run]) -> Iterator[dict[str, An
 def next_morning(estimator: JointAware, state: Array) -> Array:
     """Return the state of a machine that has cooled overnight, which keeps what was read."""
     evening, cold = (unpacked(one, estimator.parts) for one in (state, estimator.initial_state()))
-    known = later(evening.model_error, NIGHT, estimator.forgetting)
+    known = later(evening.model_error, NIGHT, estimator.precomputed.forgetting)
     return cold._replace(model_error=known).flat()
 
 

@@ -25,7 +25,8 @@ from calibrate.joint_aware.open_band import (
     unlike_its_case,
 )
 from calibrate.joint_aware.physics_fit import Fit, refit
-from estimator.joint_aware.estimator import WIDTH, JointAware
+from estimator.joint_aware.band import WIDTH
+from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.observer_model import Band, ObserverModel
 from thermojoint.artefacts.arrays import Array, Flags

@@ -32,7 +32,8 @@ from calibrate.joint_aware.misfit import (
 from calibrate.joint_aware.physics_fit import SEARCH, Fit, problem_of
 from calibrate.joint_aware.random_heat import random_course, random_levels
 from estimator import sensor_faults
-from estimator.joint_aware.estimator import WIDTH, JointAware
+from estimator.joint_aware.band import WIDTH
+from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.observer import Observer
 from estimator.joint_aware.observer_model import Band, Calibrated, ObserverModel

@@ -28,7 +28,7 @@ import numpy as np
 
 from calibrate.joint_aware.sticking import tangents_at
 from calibrate.placement.plant_family import Family, loudest, make_family
-from estimator.joint_aware.estimator import WIDTH
+from estimator.joint_aware.band import WIDTH
 from estimator.joint_aware.filter_design import Noise, linear_system, mean_entry
 from estimator.joint_aware.thresholds import USUAL
 from thermojoint.artefacts.arrays import Array

@@ -23,9 +23,11 @@ from typing import Literal
 import numpy as np
 
 from estimator.interface import Channel, Estimate, Status
-from estimator.joint_aware.estimator import WIDTH, JointAware
+from estimator.joint_aware.band import WIDTH
+from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.observer_model import SCHEMA, ObserverModel
 from estimator.joint_aware.observer_state import Layout, placed, unpacked
+from estimator.joint_aware.sample_values import split_sample
 from estimator.joint_aware.slow_parameters import (
     SLOW,
     USUAL,
@@ -318,7 +320,7 @@ class AgeingJointAware:
         """
         observer = self.observer
         rows, steady = observer.observer.system.rows, observer.model.filter
-        readings, *_ = observer.split(values)
+        readings, *_ = split_sample(observer.precomputed, values)
         left = readings - rows @ unpacked(run, observer.parts).linear
         here = np.flatnonzero(np.isfinite(left))
         noise = steady.noise[here]

@@ -27,7 +27,8 @@ from estimator.export.program import (
 )
 from estimator.interface import Estimate
 from estimator.joint_aware.driven_program import TERMS, driven
-from estimator.joint_aware.estimator import OVERTRAVEL, JointAware
+from estimator.joint_aware.estimator import JointAware
+from estimator.joint_aware.sample_values import OVERTRAVEL
 from fesim.axes.axis import gone_along
 from fesim.axes.corner_table import CornerTable
 from fesim.axes.guideway import Guideway

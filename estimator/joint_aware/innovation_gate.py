@@ -30,6 +30,7 @@ from estimator.joint_aware.observer import Moment, Observer, Prediction
 from estimator.joint_aware.observer_state import UNKNOWN, ObserverState
 from estimator.joint_aware.thresholds import Thresholds
 from estimator.sensor_faults import Channels, Sample, Watch, judge_sample, model_error
+from estimator.span import SLACK
 from thermojoint.artefacts.arrays import Array, Flags
 
 
@@ -128,6 +129,15 @@ def channels_of(observer: Observer, limits: tuple[Array, Array]) -> Channels:
         high=high,
         thermometers=len(observer.model.sensors),
     )
+
+
+def calibrated_readings(observer: Observer) -> tuple[Array, Array]:
+    """Return the calibrated range of every channel, K."""
+    model, ambient = observer.model, observer.thresholds.ambient
+    low, high = np.array([model.calibrated.temperatures[name] for name in model.sensors]).T
+    slack = np.maximum(SLACK * (high - low), 3.0 * np.sqrt(model.filter.noise[:-1]))
+    low, high = low - slack - model.offset, high + slack - model.offset
+    return np.append(low, -ambient), np.append(high, ambient)
 
 
 def possible_readings(limits: tuple[Array, Array], known: Thresholds) -> tuple[Array, Array]:

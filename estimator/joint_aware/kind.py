@@ -18,6 +18,7 @@ from estimator.joint_aware.next_reading import narrowest_band, next_reading
 from estimator.joint_aware.observer_model import ObserverModel
 from estimator.joint_aware.observer_state import unpacked
 from estimator.joint_aware.readings import samples_in
+from estimator.joint_aware.sample_values import split_sample
 from estimator.kind import Cold, Kind, OnFirst, Options, Sample, followed
 from estimator.measured import announced
 from estimator.ranges import Range, calibrated_ranges
@@ -119,7 +120,7 @@ def _residuals(estimator: JointAwareEstimator, state: Array, values: Array) -> A
     """Reading minus model for every sensor, used or excluded."""
     if isinstance(estimator, AgeingJointAware):
         raise InputError("residuals: not while the machine's parameters are learnt")
-    thermal = estimator.split(values.tolist()).temperatures
+    thermal = split_sample(estimator.precomputed, values.tolist()).temperatures
     linear = unpacked(state, estimator.parts).linear
     return np.asarray(thermal - estimator.observer.system.rows @ linear)
 

@@ -11,8 +11,9 @@ from __future__ import annotations
 import numpy as np
 
 from estimator.interface import NextReading
+from estimator.joint_aware.band import WIDTH, half_band
 from estimator.joint_aware.displacement_readings import correct_by, later
-from estimator.joint_aware.estimator import WIDTH, JointAware
+from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.observer_state import unpacked
 from thermojoint.artefacts.arrays import Array
 
@@ -24,8 +25,8 @@ LEAST = 0.1
 
 def narrowest_band(estimator: JointAware) -> float:
     """Return the half-width after a reading if nothing else was known, m."""
-    steady = float(estimator.model.band.steady.max())
-    return float(WIDTH * np.sqrt(2.0 * steady + estimator.probe.noise**2))
+    steady, probe = float(estimator.model.band.steady.max()), estimator.observer.thresholds.probe
+    return float(WIDTH * np.sqrt(2.0 * steady + probe.noise**2))
 
 
 def next_reading(estimator: JointAware, state: Array, limit: float) -> NextReading | None:
@@ -59,19 +60,21 @@ def bands_around(estimator: JointAware, state: Array, due: float) -> tuple[Array
 
     Shapes (axes,) and (axes read, axes).
     """
+    observer, forgetting = estimator.observer, estimator.precomputed.forgetting
+    probe = observer.thresholds.probe
     model, now = estimator.model, unpacked(state, estimator.parts)
     sources, rates = model.power.size, model.discrepancy.rates
-    dynamic = estimator.observer.system.decay.size
+    dynamic = observer.system.decay.size
     heat = now.linear[dynamic:][:sources] / model.power
     relaxed = now.linear[model.modes.rates.size : dynamic].reshape(sources, -1)
     kept = np.exp(-rates * due)
     relaxed = kept * relaxed + (1.0 - kept) * heat[:, None]
     since = float(now.time - now.begun) + due
     slips, means = float(now.slip_knowledge), now.watch.means
-    parts = estimator.observer.model_error(relaxed.ravel(), slips, means, since)
-    known, factor = later(now.model_error, due, estimator.forgetting), now.covariance_factor
+    parts = observer.model_error(relaxed.ravel(), slips, means, since)
+    known, factor = later(now.model_error, due, forgetting), now.covariance_factor
     after = []
     for innovation in np.where(np.eye(len(estimator.axes), dtype=bool), 0.0, np.nan):
-        told = correct_by(innovation, estimator.probe, model.band, parts, factor, known)
-        after.append(estimator.half_band(parts, told.known, told.covariance_factor))
-    return estimator.half_band(parts, known, factor), np.array(after)
+        told = correct_by(innovation, probe, model.band, parts, factor, known)
+        after.append(half_band(observer, parts, told.known, told.covariance_factor))
+    return half_band(observer, parts, known, factor), np.array(after)

@@ -212,6 +212,10 @@ class Observer:
         """Decay factor of the readings' errors at a start over some time (s)."""
         return math.exp(-elapsed / self.thresholds.start_error_lasts)
 
+    def place(self, loads: Array) -> Array:
+        """Return the positions of the axes, (x,), m, in the loads (l,) of a sample."""
+        return loads[loads.size - len(self.model.moving_axes) :]
+
     def _meanwhile(self, before: Array, after: Array, share: float) -> Array:
         """Loads (l,) between two samples: as before, but for the positions of axes."""
         if not (axes := len(self.model.moving_axes)):
@@ -376,9 +380,8 @@ class Observer:
         assert drives is not None  # asked for with axes only
         if slip_knowledge == UNKNOWN:
             joint = joint._replace(slip=self.physics.rest.slip)
-        count, axes = self.model.modes.rates.size, places.shape[1]
-        stands = state.loads[state.loads.size - axes :]
-        every = np.vstack([places, drives.with_zeros(stands)[1:]])
+        count = self.model.modes.rates.size
+        every = np.vstack([places, drives.with_zeros(self.place(state.loads))[1:]])
         probes = seen_from(self.physics, joint, linear[:count], every)
         relaxed = linear[count : self.system.decay.size]
         moved = drives.displacement(state.drive, every, probes)

@@ -10,8 +10,48 @@ from __future__ import annotations
 import numpy as np
 
 from estimator.joint_aware.dropouts import SLACK, Dropouts
+from estimator.joint_aware.observer import Observer
 from estimator.joint_aware.observer_state import ObserverState
 from thermojoint.artefacts.arrays import Array, Flags
+
+
+def count(
+    observer: Observer, after: ObserverState, counts: Array, stood: Array, elapsed: float
+) -> tuple[Array, Flags]:
+    """Take the odometers of a sample into its state, in place.
+
+    Parameters
+    ----------
+    observer : Observer
+        Observer of the machine.
+    after : ObserverState
+        State of the sample before, but with the loads of this one.
+    counts : ndarray, shape (c,)
+        Odometers, m; NaN where missing.
+    stood : ndarray, shape (x,)
+        Positions of the axes at the sample before, m.
+    elapsed : float
+        Time since then, s.
+
+    Returns
+    -------
+    travelled : ndarray, shape (x,)
+        Travel of the axes since then, m; zero where the odometer does not tell it.
+    reset : ndarray of bool, shape (c,)
+        Odometers that were reset.
+    """
+    at, travelled = list(observer.model.counted), np.zeros(stood.size)
+    if not at:
+        return travelled, np.zeros(0, dtype=bool)
+    last, unread = after.odometer.copy(), np.isnan(counts)
+    least = np.abs(observer.place(after.loads) - stood)[at]
+    after.odometer[:] = np.where(unread, last + least, counts)
+    since = after.odometer_age + elapsed
+    after.odometer_age[:] = np.where(unread, since, 0.0)
+    travel = after.odometer - last
+    moved = plausible(travel, since, observer.thresholds.fastest)
+    travelled[at] = np.where(moved & ~unread, travel, 0.0)
+    return travelled, ~unread & ~moved
 
 
 def plausible(travel: Array, elapsed: Array, fastest: float) -> Flags:

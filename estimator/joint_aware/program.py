@@ -1,9 +1,9 @@
 """Export of the joint-aware estimator, with a bounded number of Newton steps.
 
-Predict, judge the readings, correct, settle, read, as `estimator.joint_aware.estimator` does. Where
-a reading is left out, the program has no covariance but uses the gain that the observer reaches
-without it; the band is looked up, then and after the reading returns. The header of the program
-lists the differences.
+Predict, judge the readings, correct, settle, read, as `sample_processing` and `sample_estimate` do.
+Where a reading is left out, the program has no covariance but uses the gain that the observer
+reaches without it; the band is looked up, then and after the reading returns. The header of the
+program lists the differences.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from estimator.export.program import (
 )
 from estimator.interface import Status
 from estimator.joint_aware import guided_program
+from estimator.joint_aware.band import WIDENED, WIDTH
 from estimator.joint_aware.dropouts import (
     Dropouts,
     doubled,
@@ -40,9 +41,9 @@ from estimator.joint_aware.dropouts import (
     onward,
     with_gain,
 )
-from estimator.joint_aware.estimator import WIDENED, WIDTH, JointAware
+from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.guided_program import Placed, kernel_of
-from estimator.joint_aware.innovation_gate import channels_of, heat_unknown
+from estimator.joint_aware.innovation_gate import heat_unknown
 from estimator.joint_aware.model_file import fingerprint
 from estimator.joint_aware.observer import ANSWER, Observer
 from estimator.joint_aware.observer_model import Band
@@ -120,7 +121,7 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
     start = _start(estimator)
     slowest = 1.0 / float(model.modes.rates.min())
     counted = 2 * len(model.ways) + (moving if model.ways else 0)
-    ways = estimator.unreported_travel
+    ways = estimator.precomputed.unreported_travel
     own = way.state + counted + len(model.powers) + (0 if ways is None else 2 * len(ways.left))
     looked_up = (2 + axes) * (count + 1 + (0 if ways is None else len(ways.left)))
     judged = _judging(estimator, linear, contacts)
@@ -226,7 +227,7 @@ def _told(estimator: JointAware) -> list[dict[str, float]]:
     return [
         {"source": model.sources.index(source), "share": share, "most": most}
         for (source, share), most in zip(
-            model.power_shares.items(), estimator.most_power.tolist(), strict=True
+            model.power_shares.items(), estimator.precomputed.most_power.tolist(), strict=True
         )
     ]
 
@@ -254,8 +255,7 @@ def _tables(
     known = heat.drive[:, : model.modes.drive.shape[1]]
     # decay - 1 without cancellation.
     loss = -model.step * model.modes.rates * heat.decay
-    calibrated = estimator.calibrated_readings
-    readable = channels_of(observer, calibrated)
+    calibrated, readable = estimator.precomputed.calibrated_readings, estimator.precomputed.readable
     band = model.band
     without = _without(estimator)
     absence = without.uncertainty
@@ -302,8 +302,8 @@ def _tables(
         *(_days_told(band) if band.seen.size else ()),
         *(
             ()
-            if estimator.unreported_travel is None
-            else _unreported_travel(estimator.unreported_travel)
+            if estimator.precomputed.unreported_travel is None
+            else _unreported_travel(estimator.precomputed.unreported_travel)
         ),
         Table("tolerance", "Of the gap equations, m.", np.array(tolerance)),
     ]

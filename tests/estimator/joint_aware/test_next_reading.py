@@ -155,7 +155,7 @@ def test_a_reading_tells_what_a_thermometer_that_disagrees_means(unlike, warmer_
 
 
 def test_what_a_thermometer_means_is_known_the_next_day(unlike):
-    rates = unlike.forgetting
+    rates = unlike.precomputed.forgetting
     innovations = slice(unlike.model.band.shared[0], sum(unlike.model.band.shared))
     known = known_error(np.ones(rates.size), np.eye(rates.size), np.full(2, np.nan))
     kept = mean_of(later(known, 16.0 * 3600.0, rates))

@@ -1,0 +1,71 @@
+"""Band of the displacement: half-width of its 95 % interval, by its causes."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from estimator.joint_aware import odometers
+from estimator.joint_aware.displacement_readings import ModelError
+from estimator.joint_aware.observer import Observer
+from estimator.joint_aware.observer_state import ObserverState
+from estimator.joint_aware.precomputed import Precomputed
+from thermojoint.artefacts.arrays import Array
+
+#: Half-width of the 95 % interval, in standard deviations.
+WIDTH = 1.96
+#: Share by which travel that odometers have not reported may widen a band: as `Observer.unsettled`.
+WIDENED = math.sqrt(2.0) - 1.0
+
+
+def half_band(observer: Observer, parts: Array, known: ModelError, factor: Array) -> Array:
+    """Return the half-width of the 95 % interval, m, shape (..., axes).
+
+    Parameters
+    ----------
+    observer : Observer
+        Observer of the machine.
+    parts : ndarray, shape (..., axes, d + axes)
+        Model error per part, m (`Observer.model_error`).
+    known : ModelError
+        Its estimate from displacement readings.
+    factor : ndarray, shape (n + p + 1, k)
+        Covariance factor.
+    """
+    usual, left = variances(observer, parts, known, factor)
+    return np.asarray(WIDTH * np.sqrt(usual + left))
+
+
+def variances(
+    observer: Observer, parts: Array, known: ModelError, factor: Array
+) -> tuple[Array, Array]:
+    """Return the variance of the displacement, m2, without a start or a gap, and what they add.
+
+    Shapes (..., axes) and (axes,). The arguments are those of `half_band`.
+    """
+    band = observer.model.band
+    # E var(e) E', of which only the diagonal is needed, in every sample.
+    shared = ((parts @ known.shared) * parts).sum(axis=-1)
+    own = np.square(parts[..., known.shared_mean.size :]) @ known.variance
+    left = np.zeros(band.steady.size)
+    if factor.any():
+        fields = factor[: observer.system.size]
+        uncertain = np.square(band.tangent @ fields).sum(axis=1)
+        left = observer.thresholds.doubt**2 * uncertain
+    return np.asarray(band.steady + shared + own), np.asarray(left)
+
+
+def of_pending_jump(observer: Observer, after: ObserverState) -> Array:
+    """Return the effect of a pending jump, m, shape (axes,): the band covers both causes."""
+    band = observer.model.band
+    if not np.isfinite(after.pending.channel):
+        return np.zeros(band.steady.size)
+    return np.abs(band.tangent @ (after.linear - after.pending.linear))
+
+
+def of_unreported_travel(data: Precomputed, after: ObserverState) -> Array:
+    """Return the half-width (axes,) due to travel that odometers have not reported, m."""
+    if not after.away.any() or (travel := data.unreported_travel) is None:
+        return np.zeros(data.observer.model.band.steady.size)
+    return odometers.half_width(travel, after, data.observer.model.step)

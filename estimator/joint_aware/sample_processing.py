@@ -1,0 +1,227 @@
+"""Processing of one sample: predict, gate, correct, solve.
+
+`process` is the whole of it. `process_ordinary` is the part in compiled code, `process_any` the
+general rule.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from estimator.joint_aware import (
+    compiled_sample,
+    displacement_readings,
+    odometers,
+    power_readings,
+)
+from estimator.joint_aware.compiled_sample import Results, empty_results
+from estimator.joint_aware.displacement_readings import ModelError, mean_of
+from estimator.joint_aware.innovation_gate import GatedSample, gate_readings
+from estimator.joint_aware.observer import Moment, Observer
+from estimator.joint_aware.observer_state import ObserverState, unpacked
+from estimator.joint_aware.precomputed import Precomputed
+from estimator.joint_aware.sample_values import SampleValues
+from thermojoint.artefacts.arrays import Array, Flags
+from thermojoint.artefacts.errors import InputError
+
+
+class Processed(NamedTuple):
+    """Result of processing a sample."""
+
+    #: State after the sample.
+    after: ObserverState
+    #: Shape (axes,): before corrections by innovations and displacement readings, m.
+    displacement: Array
+    #: Knowledge of the joint's slips before the sample.
+    slip_knowledge: float
+    #: Shape (n, k): covariance factor in addition to the steady covariance, after the readings.
+    covariance_factor: Array
+    #: Shape (p + 1,): readings that were used.
+    accepted: Flags
+    #: Whether a displacement reading was refused.
+    refused: bool
+    #: Sampling interval in steps of the model.
+    often: int
+
+
+def process(
+    data: Precomputed, state: Array, time: float, read: SampleValues
+) -> tuple[Array, Processed]:
+    """Return the state after a sample, and the result of processing it.
+
+    Parameters
+    ----------
+    data : Precomputed
+        Of the observer.
+    state : ndarray
+        After the previous sample; it is not modified.
+    time : float
+        s, later than that of the previous sample.
+    read : SampleValues
+        Values of the sample.
+    """
+    observer, layout = data.observer, data.layout
+    if read.powers.size:
+        state = state.copy()
+        power_readings.change_heat(observer, unpacked(state, layout), read.powers)
+    flat = state.copy()
+    after = unpacked(flat, layout)
+    moment = moment_of(observer, float(after.time), time)
+    stood = observer.place(after.loads).copy()
+    # A missing factor keeps its last value.
+    now = after.loads[: read.factors.size]
+    now[:] = np.where(np.isnan(read.factors), now, read.factors)
+    elapsed = moment.length * moment.steps
+    travelled, reset = odometers.count(observer, after, read.odometers, stood, elapsed)
+    processed = process_ordinary(data, after, moment, read)
+    if processed is None:
+        before = unpacked(state, layout)
+        before = before._replace(odometer=after.odometer, odometer_age=after.odometer_age)
+        moment = replace(moment, loads=after.loads, travelled=travelled)
+        processed = process_any(data, odometers.after_reset(before, reset), moment, read)
+        flat = processed.after.flat()
+    if (unread := np.isnan(read.powers)).any():
+        before, after = unpacked(state, layout), unpacked(flat, layout)
+        power_readings.attribute_heat(observer, before, after, unread)
+    return flat, processed
+
+
+def moment_of(observer: Observer, last: float, time: float) -> Moment:
+    """Return the time of a sample relative to the last one (s); NaN before the first.
+
+    Raises
+    ------
+    InputError
+        Time does not increase.
+    """
+    step, thresholds = observer.model.step, observer.thresholds
+    if not math.isfinite(time):
+        raise InputError(f"time {time:g} s is not a time; drop the sample")
+    if math.isnan(last):
+        return Moment(time, 0.0, 0)
+    if not time > last:
+        raise InputError(
+            f"time {time:g} s does not come after {last:g} s; drop or re-order the sample"
+        )
+    # An interval of one step, up to rounding, is one step.
+    steps = min(max(1, math.ceil((time - last) / step - 1e-6)), thresholds.most_steps)
+    length = (time - last) / steps
+    near = abs(length - step) <= 1e-6 * step
+    return Moment(time, step if near else length, steps)
+
+
+def process_ordinary(
+    data: Precomputed, state: ObserverState, moment: Moment, read: SampleValues
+) -> Processed | None:
+    """Process an ordinary sample in compiled code, in place; None if it is not one."""
+    if data.place is None or moment.steps != 1 or moment.length != data.observer.model.step:
+        return None
+    if not np.isnan(read.displacements).all():
+        return None
+    readings = read.temperatures
+    results, times = empty_results(1, data.sizes), np.array([moment.time])
+    if not compiled_sample.ordinary_samples(
+        data.place, state, times, moment.length, readings[None], results
+    ):
+        return None
+    state.steps[()] = 1.0
+    slip_knowledge, everything = float(state.slip_knowledge), np.ones(readings.size, dtype=bool)
+    moved = results.displacement[0]
+    return Processed(state, moved, slip_knowledge, state.covariance_factor, everything, False, 1)
+
+
+def process_any(
+    data: Precomputed, before: ObserverState, moment: Moment, read: SampleValues
+) -> Processed:
+    """Process any sample."""
+    observer, readings, probed = data.observer, read.temperatures, read.displacements
+    loads = moment.loads
+    prediction = observer.predict(before, moment)
+    used = gate_readings(observer, before, prediction, moment, readings, data.readable)
+    (linear, errors), factor = _corrected(observer, used, moment, readings)
+    prediction = used.prediction
+    settled = observer.equilibrium(prediction, linear, loads)
+    elapsed = moment.length * moment.steps
+    begun = before.begun if moment.steps else np.array(moment.time)
+    away, back = _dropout_times(data, before, elapsed, bool(used.accepted.all()))
+    error = displacement_readings.later(before.model_error, elapsed, data.forgetting)
+    refused = False
+    if np.isfinite(probed).any():
+        means = used.watch.means
+        since = moment.time - float(begun)
+        parts = observer.model_error(settled.relaxed, prediction.slip_knowledge, means, since)
+        apart = probed - settled.displacement - observer.displacement_by(means)
+        correction = _corrected_by_probe(observer, apart, parts, factor, error)
+        size, factor = linear.size, correction.covariance_factor
+        linear, errors = linear + correction.state[:size], errors + correction.state[size:]
+        error, refused = correction.known, correction.refused
+        settled = observer.equilibrium(prediction, linear, loads)
+    after = ObserverState(
+        time=np.array(moment.time),
+        begun=begun,
+        slip_knowledge=np.array(observer.slip_knowledge_after(prediction.slip_knowledge, factor)),
+        linear=linear,
+        loads=loads,
+        **settled.joint._asdict(),
+        covariance_factor=factor,
+        errors=errors,
+        drive=prediction.drive,
+        odometer=before.odometer,
+        power_heat=before.power_heat,
+        watch=used.watch,
+        model_error=error,
+        pending=used.pending,
+        steps=np.array(float(moment.steps)),
+        odometer_age=before.odometer_age,
+        away=away,
+        back=back,
+    )
+    moved = settled.displacement
+    # One long interval is a gap; two in a row are the sampling interval.
+    often = min(moment.steps, int(before.steps) or moment.steps)
+    return Processed(after, moved, prediction.slip_knowledge, factor, used.accepted, refused, often)
+
+
+def _corrected(
+    observer: Observer, used: GatedSample, moment: Moment, readings: Array
+) -> tuple[tuple[Array, Array], Array]:
+    """The linear state, the errors, and their covariance factor after the used readings."""
+    at, prediction, size = np.flatnonzero(used.accepted), used.prediction, observer.system.size
+    length = moment.length if moment.steps else observer.model.step
+    gain, factor = observer.gain(
+        at, prediction.covariance_factor, length, prediction.slip_knowledge
+    )
+    moved = gain @ (readings - observer.readings(prediction))[at]
+    return (prediction.linear + moved[:size], prediction.errors + moved[size:]), factor
+
+
+def _corrected_by_probe(
+    observer: Observer, apart: Array, parts: Array, factor: Array, known: ModelError
+) -> displacement_readings.Correction:
+    """Correction by a displacement reading that is `apart` from the model, (axes,), m."""
+    innovation = apart - parts @ mean_of(known)
+    return displacement_readings.correct_by(
+        innovation, observer.thresholds.probe, observer.model.band, parts, factor, known
+    )
+
+
+def _dropout_times(
+    data: Precomputed, before: ObserverState, elapsed: float, whole: bool
+) -> tuple[Array, Array]:
+    """`odometers.dropout_times`; the table is made at the first dropout."""
+    missing = before.away.any() or before.odometer_age.any()
+    if not missing or (travel := data.unreported_travel) is None:
+        return np.zeros_like(before.away), np.zeros_like(before.away)
+    longest = travel.back[-1] * data.observer.model.step
+    return odometers.dropout_times(before, elapsed, whole, longest)
+
+
+def results_of(observer: Observer, processed: Processed) -> Results:
+    """Return the results of a sample that was processed alone."""
+    count, dynamic = observer.model.modes.rates.size, observer.system.decay.size
+    relaxed, means = processed.after.linear[count:dynamic], processed.after.watch.means
+    return Results(processed.displacement, relaxed, means)
