@@ -303,7 +303,7 @@ def _good_to(accuracy: Accuracy) -> dict[str, float | str]:
 class _Course:
     """Contents of a response: a track without its large fields, and the values read from them."""
 
-    #: Track with empty temperatures, frozen tangents and turnings.
+    #: Track with empty temperatures, differences, frozen tangents and turnings.
     track: Track
     #: Shape (n, probes): temperatures of the probes, K.
     probes: np.ndarray
@@ -323,7 +323,7 @@ def _kept(given: Setup | MovingSetup, slip: np.ndarray, track: Track) -> _Course
     if setup.outputs is not None or setup.bolts is not None:
         outputs = np.array([outputs_of(setup, track.step(at)) for at in range(len(track))])
     none = np.empty((len(track), 0))
-    small = replace(track, temperature=none, frozen=none, turning=none)
+    small = replace(track, temperature=none, differences=none, frozen=none, turning=none)
     rubbed = np.empty((len(track), 0))
     if setup.machine.friction is not None:
         moved = np.diff(track.slip, axis=0, prepend=slip[None])

@@ -146,6 +146,7 @@ def merged_state(state: State, means: csr_array) -> State:
         slip=state.slip @ means.T,
         pressure=means @ state.pressure,
         change=state.change @ means.T,
+        differences=np.zeros((len(state.differences), 3 * means.shape[0])),
         frozen=np.zeros((len(state.frozen), means.shape[0])),
         turning=np.zeros((len(state.turning), means.shape[0])),
     )

@@ -90,6 +90,7 @@ class AxesMarch:
             slip=record.slip,
             pressure=record.pressure,
             change=record.change,
+            differences=np.zeros((taken, *state.differences.shape)),
             frozen=np.zeros((taken, *state.frozen.shape)),
             turning=record.turning,
             parts=np.zeros(taken, dtype=np.int64),

@@ -117,6 +117,7 @@ class FreeMarch:
             slip=rows.slip,
             pressure=rows.contact[:, 0],
             change=np.broadcast_to(still[:3], (count, 3, still.shape[1])),
+            differences=np.broadcast_to(state.differences, (count, *state.differences.shape)),
             frozen=np.broadcast_to(still, (count, *still.shape)),
             turning=np.broadcast_to(state.turning, (count, *state.turning.shape)),
             parts=np.broadcast_to(state.parts, count),

@@ -29,6 +29,7 @@ from fesim.march.compiled_step import (
     settle_by_newton,
     take,
 )
+from fesim.march.extrapolation import differ, extrapolate
 from fesim.march.joint_flows import Flows, solve_flows
 from thermojoint.artefacts.arrays import Array
 
@@ -51,6 +52,8 @@ class Moving(NamedTuple):
 
     amplitudes: Array
     joint: JointState
+    #: As in `fesim.march.machine.State`.
+    differences: Array
 
 
 class Kept(NamedTuple):
@@ -83,7 +86,8 @@ class Record(NamedTuple):
     slip: Array
     pressure: Array
     change: Array
-    #: Shape (n, 7, m): as in `fesim.march.machine.State`.
+    #: Shapes (n, 3, 3 m) and (n, 7, m): as in `fesim.march.machine.State`.
+    differences: Array
     frozen: Array
     #: Shape (n, m): conductance times area, W/K.
     conducted: Array
@@ -95,11 +99,16 @@ class Record(NamedTuple):
 
 
 @compiled_part
-def settle(joint: JointKernel, kept: Kept, now: JointState) -> tuple[bool, float, int]:
-    """Settle with the stored factors, else by Newton's method: success, residual, iterations."""
+def settle(
+    joint: JointKernel, kept: Kept, now: JointState, ahead: Array
+) -> tuple[bool, float, int]:
+    """Settle with the stored factors, else by Newton's method: success, residual, iterations.
+
+    `ahead` (3, m) is the expected change of the gaps, m.
+    """
     free_gap, rest, trial = kept.work.free_gap, kept.work.rest, kept.work.trial
     put(now.gap, trial.gap)
-    add(now.change, trial.gap)
+    add(ahead, trial.gap)
     try:
         solved, residual, iterations = settle_near(
             gap_kernel(joint), kept.tangents, free_gap, rest, now.slip, trial
@@ -112,7 +121,7 @@ def settle(joint: JointKernel, kept: Kept, now: JointState) -> tuple[bool, float
     if not joint.columns.size:  # Newton's method needs them: left to the plain step
         return False, residual, iterations
     put(now.gap, trial.gap)
-    add(now.change, trial.gap)
+    add(ahead, trial.gap)
     add_product(joint.columns, rest, free_gap)  # J0^-1 g_T
     return settle_by_newton(joint, free_gap, now, trial, kept.work.newton)
 
@@ -137,6 +146,8 @@ def march_steps(
     beyond, jump = np.empty(count), np.empty(count)
     free_gap, rest = kept.work.free_gap, kept.work.rest
     amplitudes, drawn = np.empty_like(now.amplitudes), np.empty_like(now.amplitudes)
+    change, before = now.joint.change.reshape(-1), np.empty(3 * count)
+    ahead = np.empty((3, count))
     for k in range(len(inputs)):
         put(now.amplitudes, amplitudes)
         drive(heat, amplitudes, inputs[k])
@@ -152,11 +163,14 @@ def march_steps(
         add_loads(joint.loaded_gap, inputs[k, thermal:], free_gap)
         for row in range(rest.size):
             rest[row] = joint.change[row] * free_gap[row]
-        solved, residual, iterations = settle(joint, kept, now.joint)
+        extrapolate(change, now.differences, ahead.reshape(-1))
+        solved, residual, iterations = settle(joint, kept, now.joint, ahead)
         if not solved:
             return k, SNAPS
         put(amplitudes, now.amplitudes)
+        put(change, before)
         take(joint, kept.work.trial, now.joint, record.remainder[k])
+        differ(before, change, now.differences)
         loads, remainder = inputs[k, thermal:], record.remainder[k]
         displace(joint, kept.work.moved, amplitudes, loads, remainder, record.displacement[k])
         _note(record, k, now, kept, Solved(conducted, flow, residual, iterations))
@@ -174,6 +188,7 @@ def _note(record: Record, k: int, now: Moving, kept: Kept, solved: Solved) -> No
     put(now.joint.slip, record.slip[k])
     put(now.joint.pressure, record.pressure[k])
     put(now.joint.change, record.change[k])
+    put(now.differences, record.differences[k])
     put(solved.conducted, record.conducted[k])
     put(solved.flow, record.heat_flow[k])
     record.residual[k] = solved.residual

@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 
 from fesim.jit import compiled, compiled_part
 from fesim.joint.compiled_gap import largest
-from fesim.joint.in_place import fill, put
+from fesim.joint.in_place import add, fill, put
 from fesim.joint.linear_system import factorise_single, solve, solve_again
 from fesim.march.compiled_step import flow_system
+from fesim.march.extrapolation import differ, extrapolate
+from fesim.march.machine import FURTHER
 from fesim.one_thread import MANY
 from thermojoint.artefacts.arrays import Array
 
@@ -65,8 +67,11 @@ class Flows(NamedTuple):
     solved: NDArray[np.float32]
     #: Shape (m,): work array: conductance times area times temperature jump, W.
     driving: Array
-    #: Shape (2, m): flows of the last step and of the one before, W; NaN before there are two.
-    before: Array
+    #: Shapes (m,), (m,) and (3, m): flows of the last step, NaN before the first, their change in it,
+    #: and their differences of order 2 to 4, W; recorded for `MANY` contact elements or more.
+    last: Array
+    change: Array
+    further: Array
     #: Work arrays of GMRES.
     krylov: Krylov
 
@@ -86,7 +91,9 @@ def new_flows(count: int) -> Flows:
         pivots=np.empty(count, dtype=np.int32),
         solved=np.empty(count, dtype=np.float32),
         driving=np.empty(count),
-        before=np.full((2, count), np.nan),
+        last=np.full(count, np.nan),
+        change=np.zeros(count),
+        further=np.zeros((FURTHER, count)),
         krylov=krylov,
     )
 
@@ -127,23 +134,35 @@ def solve_flows(
         system = np.empty((beyond.size, beyond.size))
         flow_system(joint_influence, beyond, system)
         put(solve(system, flows.driving), flow)
-    put(flows.before[0], flows.before[1])
-    put(flow, flows.before[0])
+    if flow.size >= MANY:
+        _remember(flows, flow)
+
+
+@compiled_part
+def _remember(flows: Flows, flow: Array) -> None:
+    """Record the flows of a step and their differences."""
+    last, change, before = flows.last, flows.change, flows.driving
+    if not math.isnan(last[0]):
+        put(change, before)
+        for e in range(flow.size):
+            change[e] = flow[e] - last[e]
+        differ(before, change, flows.further)
+    put(flow, last)
 
 
 @compiled_part
 def _guess(flows: Flows, flow: Array) -> None:
     """Put a first guess of the flows into `flow`.
 
-    For `MANY` contact elements or more it extrapolates the flows of the last two steps. A march
-    resumed from a saved state lacks them: its flows then agree to `TOLERANCE`, while those of fewer
+    For `MANY` contact elements or more it extrapolates the flows of the last steps. A march resumed
+    from a saved state lacks them: its flows then agree to `TOLERANCE`, while those of fewer
     elements are bit-identical.
     """
-    if flow.size < MANY or math.isnan(flows.before[1, 0]):
+    if flow.size < MANY or math.isnan(flows.last[0]):
         _precondition(flows, flows.driving, flow)
         return
-    for e in range(flow.size):
-        flow[e] = 2.0 * flows.before[0, e] - flows.before[1, e]
+    extrapolate(flows.change, flows.further, flow)
+    add(flows.last, flow)
 
 
 @compiled_part

@@ -72,11 +72,12 @@ class StepKernel:
         """
         if not np.array_equal(_frozen(kept), state.frozen):
             self._make(kept, state.frozen)
-        temperature, *joint = (
+        joint = (state.gap, state.slip, state.pressure, state.change)
+        temperature, differences, *own = (
             np.array(array, dtype=np.float64, order="C")
-            for array in (state.temperature, state.gap, state.slip, state.pressure, state.change)
+            for array in (state.temperature, state.differences, *joint)
         )
-        now = Moving(temperature, JointState(*joint))
+        now = Moving(temperature, JointState(*own), differences)
         record = new_record(len(inputs), now, len(self.machine.joint.free))
         driven = np.ascontiguousarray(inputs, dtype=np.float64)
         taken, why = march_steps(self.machine, kept, driven, now, record)
@@ -125,6 +126,7 @@ def new_record(steps: int, now: Moving, axes: int) -> Record:
         slip=np.empty((steps, 2, count)),
         pressure=np.empty((steps, count)),
         change=np.empty((steps, 3, count)),
+        differences=np.empty((steps, *now.differences.shape)),
         frozen=np.empty((steps, 7, count)),
         conducted=np.empty((steps, count)),
         heat_flow=np.empty((steps, count)),

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from fesim.solid.variable_heat import VariableHeat
     from fesim.solid.variable_stiffness import VariableStiffness
 
+#: Backward differences of the gaps, beyond the change in the last step, that a state contains.
+FURTHER = 3
+
 
 class Straining(Protocol):
     """Equivalent temperatures of the thermal expansion of bodies."""
@@ -113,6 +116,9 @@ class State:
     #: Shape (3, m): change of the gaps in the last step, m; the first guess of the next step
     #: extrapolates it.
     change: Array
+    #: Shape (3, 3 m): their backward differences of order 2 to 4 over the last steps, m, with which
+    #: the compiled march extrapolates (`fesim.march.extrapolation`); zero where they are unknown.
+    differences: Array
     #: Thermal model of the temperature: the `model` of the `ThermalCondensation`.
     model: str
     #: Shape (7, m): state at which the stored factors were computed: six entries of the joint

@@ -12,7 +12,7 @@ from fesim.joint.cutting import cut
 from fesim.joint.gap import Equilibrium
 from fesim.joint.relaxation import relax
 from fesim.march.contact import ContactProblem
-from fesim.march.machine import CondensedMachine, State, Step, load_factors
+from fesim.march.machine import FURTHER, CondensedMachine, State, Step, load_factors
 from fesim.march.softening import Acting, lifted
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
@@ -126,6 +126,7 @@ def _at_zero(machine: CondensedMachine, inputs: Array) -> tuple[State, Array | N
         temperature=temperature,
         **first_equilibrium(contact, bolted, opened)._asdict(),
         model=machine.thermal.model,
+        differences=np.zeros((FURTHER, 3 * count)),
         frozen=np.zeros((7, count)),
         turning=np.zeros((3, count)),
         parts=0,

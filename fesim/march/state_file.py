@@ -17,12 +17,12 @@ import numpy as np
 
 from fesim.case.identity import file_digest
 from fesim.case.schema import Case
-from fesim.march.machine import State
+from fesim.march.machine import FURTHER, State
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import DAMAGED_ARCHIVE, whole_file
 
 SCHEMA = "thermojoint-march-state"
-SCHEMA_VERSION = 11
+SCHEMA_VERSION = 12
 
 _RECORDING = {"title", "heat_input", "displacement", "probes", "candidates", "output", "volume"}
 _ARRAYS = (
@@ -31,6 +31,7 @@ _ARRAYS = (
     "slip",
     "pressure",
     "change",
+    "differences",
     "frozen",
     "turning",
     "drive",
@@ -113,6 +114,7 @@ def load_state(path: Path, case: Case) -> State:
         "gap": (3, count),
         "slip": (2, count),
         "change": (3, count),
+        "differences": (FURTHER, 3 * count),
         "frozen": (7, count),
         "turning": (3, count),
     }

@@ -119,6 +119,7 @@ def _step_heated(
             slip=settled.traction.slip,
             pressure=pressure,
             change=settled.gap - state.gap,
+            differences=np.zeros_like(state.differences),
             model=machine.thermal.model,
             frozen=np.zeros_like(state.frozen),
             turning=state.turning,

@@ -44,6 +44,7 @@ class Track:
     slip: Array
     pressure: Array
     change: Array
+    differences: Array
     frozen: Array
     turning: Array
     parts: NDArray[np.int64]
@@ -63,6 +64,7 @@ class Track:
             slip=self.slip[at],
             pressure=self.pressure[at],
             change=self.change[at],
+            differences=self.differences[at],
             model=self.model,
             frozen=self.frozen[at],
             turning=self.turning[at],
@@ -158,6 +160,7 @@ def _kernel_track(
         slip=record.slip,
         pressure=record.pressure,
         change=record.change,
+        differences=record.differences,
         frozen=record.frozen,
         turning=np.broadcast_to(state.turning, (taken, *state.turning.shape)),
         parts=np.broadcast_to(state.parts, taken),

@@ -26,7 +26,7 @@ from fesim.joint.frozen_tangent import forget
 from fesim.joint.in_place import fill, put
 from fesim.joint.linear_system import solve
 from fesim.joint.loosening import UNWATCHED
-from fesim.march.compiled_march import Kept, MarchKernel, Moving, settle
+from fesim.march.compiled_march import Kept, MarchKernel, settle
 from fesim.march.compiled_step import (
     HeatStep,
     JointKernel,
@@ -129,6 +129,13 @@ class Steps(NamedTuple):
     there: There
     #: In a step.
     passed: Passed
+
+
+class Guiding(NamedTuple):
+    """State between two steps, updated in place: amplitudes (r,), K, and the joint."""
+
+    amplitudes: Array
+    joint: JointState
 
 
 def aligned_elasticity(way: Guideway, laws: Laws) -> Aligned:
@@ -374,7 +381,7 @@ def _pass_heat(guide: Guided, passed: Passed, amplitudes: Array) -> None:
 
 
 @compiled
-def march_along(guide: Guided, steps: Steps, inputs: Array, now: Moving, record: Record) -> int:
+def march_along(guide: Guided, steps: Steps, inputs: Array, now: Guiding, record: Record) -> int:
     """March through inputs, into a record.
 
     Parameters
@@ -386,7 +393,7 @@ def march_along(guide: Guided, steps: Steps, inputs: Array, now: Moving, record:
     inputs : ndarray, shape (n, k + 3)
         Heat and temperatures of each step, then the axis's positions at its start and end, and its
         travel, m.
-    now : Moving
+    now : Guiding
         Amplitudes and joints, in place.
     record : Record
         After each step; its temperatures of drives are not written.
@@ -416,7 +423,7 @@ def march_along(guide: Guided, steps: Steps, inputs: Array, now: Moving, record:
         if elsewhere:
             solved = _settle_anew(there, kept.work, now.joint)
         else:
-            solved = settle(there.joint, kept, now.joint)[0]
+            solved = settle(there.joint, kept, now.joint, now.joint.change)[0]
         if not solved:
             return n
         at = end

@@ -34,6 +34,7 @@ from fesim.march.compiled_step import (
 )
 from fesim.march.contact import ContactProblem
 from fesim.march.kernel import joint_kernel, new_kept, new_record, owned
+from fesim.march.machine import FURTHER
 from fesim.march.passing import exchange, leaving
 from fesim.march.settling import Rest, settle_along
 from thermojoint.artefacts.arrays import Array
@@ -42,6 +43,7 @@ from thermojoint.reduced.axis_way import Way, way_between
 from thermojoint.reduced.guided_march import (
     Aligned,
     Guided,
+    Guiding,
     Steps,
     aligned_elasticity,
     guided,
@@ -547,6 +549,7 @@ def march_known(
     history = np.empty((len(inputs), amplitudes.size))
     displacement = np.empty((len(inputs), len(modes.elastic.probe_thermal)))
     step, kernel, k = heat_step(modes, length), physics.kernel, 0
+    differences = np.zeros((FURTHER, 3 * physics.contacts))
     if not physics.contacts:
         for at, driven in enumerate(inputs[:, :known] @ step.drive.T):
             amplitudes = step.decay * amplitudes + driven
@@ -558,7 +561,7 @@ def march_known(
         kept = new_kept(machine, one_block(kernel.springs, kernel.compliance, kernel.columns))
     while k < len(inputs):
         if kernel is not None:
-            now = Moving(amplitudes, joint)
+            now = Moving(amplitudes, joint, differences)
             record = new_record(len(inputs) - k, now, displacement.shape[1])
             taken, _ = march_steps(machine, kept, inputs[k:], now, record)
             history[k : k + taken] = record.amplitudes[:taken]
@@ -571,6 +574,7 @@ def march_known(
         amplitudes = conduct(physics, amplitudes, inputs[k, :known], joint, length)
         joint, displacement[k] = settle_plainly(physics, joint, amplitudes, inputs[k, known:])
         history[k], pressure[k] = amplitudes, joint.pressure
+        differences[:] = 0.0
         k += 1
     return Marched(history, nothing, displacement, nothing, pressures)
 
@@ -617,7 +621,7 @@ def _march_moving(physics: Physics, inputs: Array, length: float, gone: Array | 
     while k < len(ways):
         part, taken = axes_march.Record(*(one[k:] for one in found)), 0
         if guide is not None:
-            moving = Moving(now.amplitudes, joint)
+            moving = Guiding(now.amplitudes, joint)
             taken = march_along(*guide, ways[k:], moving, part)
         elif along is not None:
             taken = axes_march.march_along(along, ways[k:], k, (now, joint), part)

@@ -67,7 +67,7 @@ def test_flows_of_many_contact_elements_continue_those_of_the_last_steps():
         solve_flows(jumps, now, driven, flows, flow)
         lack = now * driven - flow - now * (jumps @ flow)
         assert np.abs(lack).max() <= 10.0 * TOLERANCE * np.abs(now * driven).max()
-    np.testing.assert_array_equal(flows.before[0], flow)
+    np.testing.assert_array_equal(flows.last, flow)
 
 
 def test_what_single_precision_cannot_factorise_is_solved_in_double_precision():

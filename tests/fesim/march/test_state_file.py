@@ -190,7 +190,7 @@ def rewritten(saved, tmp_path, header=None, **arrays):
     ("header", "match"),
     [
         ({"schema": "thermojoint-model"}, "not a march's state"),
-        ({"schema_version": 3}, "state of version 3, expected 11"),
+        ({"schema_version": 3}, "state of version 3, expected 12"),
         ({"case": "0" * 64}, "state of another structure"),
         ({"index": -1}, "values are damaged"),
         ({"index": "30"}, "values are damaged"),
