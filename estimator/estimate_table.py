@@ -123,10 +123,11 @@ def read_estimate(lines: Iterable[str], where: str) -> tuple[tuple[str, ...], li
     moved = [name.removesuffix(_VALUE) for name in names if name.endswith(_VALUE)]
     places = places_in(axes, moved)
     rows: list[Row] = []
-    for number, row_cells in cells_of(table[dialect.first :], dialect.separator, where):
+    body = table[dialect.first :]
+    for number, row_cells in cells_of(body, dialect.separator, where, dialect.first):
         if not is_row(row_cells):
             continue
-        line, cells = f"{where}, line {dialect.first + number}", trimmed(row_cells, len(names))
+        line, cells = f"{where}, line {number}", trimmed(row_cells, len(names))
         if len(cells) != len(names):
             raise InputError(f"{line}: {len(cells)} values, expected {len(names)}; correct the row")
         at = dict(zip(names, cells, strict=True))

@@ -231,6 +231,17 @@ def test_a_refusal_shows_the_value_and_what_can_be_read(text, message):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("count", [2, 400])
+@pytest.mark.parametrize("last", ["", '"5 mm pipe'])
+def test_rows_do_not_vanish_in_the_cell_of_a_single_quotation_mark(last, count):
+    """A remark such as ``"3 mm`` once took all rows up to the next mark, or to the end."""
+    rows = "".join(f"{k};1;\n" for k in range(count))
+    text = f"# logger\ntime_s;x_um;note\n{rows}{count};1;{{}}\n997;1;\n998;1;{last}\n"
+    with pytest.raises(InputError, match=rf"log, line {count + 3}: a cell begins with a quotation"):
+        read(text.format('"3 mm'))
+    assert len(read(text.format('"3 mm\npipe"')).times) == count + 3
+
+
 def test_what_was_read_and_ignored_is_said():
     text = said(
         read("Kopf;1\n\nZeit [s];Drehzahl;T1 [°F];Notiz;Temperatur 2\n0;60;68;a;20\n1;60;68;b;20\n")

@@ -54,27 +54,56 @@ class Dialect:
         return f"{_SHOWN[self.separator]} between cells{comma}"
 
 
-def cells_of(lines: Iterable[str], separator: str, where: str) -> Iterator[tuple[int, list[str]]]:
+def cells_of(
+    lines: Iterable[str], separator: str, where: str, before: int = 0
+) -> Iterator[tuple[int, list[str]]]:
     """Yield the line number and the cells of every row; a quoted cell may span several lines.
+
+    `before` is the number of lines of the file before the given ones.
 
     Raises
     ------
     InputError
-        The lines cannot be parsed.
+        The lines cannot be parsed, or a cell over several lines does not end with its quote: a
+        single quotation mark would make one cell of all rows up to the next one, or to the end.
     """
     blanks = _BLANKS.get(separator)
     if blanks:
-        for number, line in enumerate(lines, 1):
+        for number, line in enumerate(lines, before + 1):
             yield number, blanks.split(line.strip()) if line.strip() else []
         return
-    reader = csv.reader(lines, delimiter=separator, skipinitialspace=True)
+    own: list[str] = []
+    reader = csv.reader(_kept(lines, own), delimiter=separator, skipinitialspace=True)
     try:
         for row in reader:
-            yield reader.line_num, row
+            if len(own) > 1 and not _ends_quoted(own, separator):
+                raise InputError(
+                    f"{where}, line {before + reader.line_num - len(own) + 1}: a cell begins with "
+                    "a quotation mark and does not end with one; correct or drop the mark"
+                )
+            own.clear()
+            yield before + reader.line_num, row
     except csv.Error as error:
+        first = before + reader.line_num - len(own) + 1
         raise InputError(
-            f"{where}, line {reader.line_num}: not readable as CSV ({error}); correct the file"
+            f"{where}, line {first}: not readable as CSV ({error}); correct the file"
         ) from error
+
+
+def _kept(lines: Iterable[str], kept: list[str]) -> Iterator[str]:
+    """Yield lines and append them to a list."""
+    for line in lines:
+        kept.append(line)
+        yield line
+
+
+def _ends_quoted(lines: Sequence[str], separator: str) -> bool:
+    """Whether every quoted cell of a row ends with its quote, before a separator or the end."""
+    try:
+        list(csv.reader(lines, delimiter=separator, skipinitialspace=True, strict=True))
+    except csv.Error:
+        return False
+    return True
 
 
 def is_row(cells: Sequence[str]) -> bool:
@@ -104,8 +133,7 @@ def rows_of(lines: Iterable[str], dialect: Dialect, where: str) -> Iterator[Row]
     InputError
         The length of a row differs from the header's.
     """
-    for number, row in cells_of(lines, dialect.separator, where):
-        line = number + dialect.first
+    for line, row in cells_of(lines, dialect.separator, where, dialect.first):
         try:
             cells = values_of(row, dialect)
         except InputError as error:
