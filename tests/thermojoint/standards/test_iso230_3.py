@@ -68,6 +68,14 @@ def test_the_running_period_is_from_the_first_to_the_last_motion():
     assert running(record.times, stops).begin == period.begin
 
 
+def test_a_measured_speed_that_is_never_quite_zero_stands_still():
+    """The jitter of an encoder once began the period in the first sample."""
+    record = warm_up()
+    measured = 3000.0 * record.drive + np.resize([1.5, -0.5, 0.0], record.times.shape)
+    for drive in (measured, -measured):
+        assert running(record.times, drive) == running(record.times, record.drive)
+
+
 def test_what_still_moves_at_the_end_is_told_relative_to_the_first_hour():
     record = warm_up()
     period = Period(0.5 * HOUR, 4.5 * HOUR)

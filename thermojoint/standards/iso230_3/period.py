@@ -10,6 +10,9 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.standards.iso230_3.record import Record
 
+#: Share of the largest magnitude of a drive that is no motion: the jitter of a measured speed.
+STANDSTILL = 0.01
+
 
 class Period(NamedTuple):
     """From `begin` to `end`, s."""
@@ -31,7 +34,8 @@ def whole(record: Record) -> Period:
 def running(times: Array, drive: Array) -> Period:
     """Return the period from the first to the last motion.
 
-    Stops in between, as in a spectrum of speeds, are included.
+    Stops in between, as in a spectrum of speeds, are included. Less than `STANDSTILL` of the
+    largest magnitude is no motion.
 
     Parameters
     ----------
@@ -45,7 +49,8 @@ def running(times: Array, drive: Array) -> Period:
     InputError
         There is no motion.
     """
-    moving = np.flatnonzero(np.nan_to_num(drive) != 0.0)
+    size = np.abs(np.nan_to_num(drive))
+    moving = np.flatnonzero(size > STANDSTILL * size.max(initial=0.0))
     if not moving.size:
         raise InputError("drive: zero throughout; name the column of the speed, or give the period")
     return Period(float(times[max(moving[0] - 1, 0)]), float(times[moving[-1]]))
