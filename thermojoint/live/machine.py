@@ -41,11 +41,11 @@ from thermojoint.compensation.offsets.output import restored as output_restored
 from thermojoint.compensation.offsets.usable import usable
 from thermojoint.live.next_reading import Request, after_sample, ended
 from thermojoint.live.publication import NOTHING_ASKED, Layout, Publication, from_row
+from thermojoint.live.quality import REFUSED, quality_at, silent_status
 from thermojoint.live.samples import Waiting
 from thermojoint.live.served import Served
 from thermojoint.live.settings import WatchdogSection
 from thermojoint.live.store import Kept, Received
-from thermojoint.live.watchdog import REFUSED, quality_at, silenced
 
 
 class Times(NamedTuple):
@@ -231,7 +231,7 @@ def silent(
         before,
         published=times.now,
         quality=max(before.quality, quality),
-        status=silenced(before.status, quality) if before.number else before.status,
+        status=silent_status(before.status, quality) if before.number else before.status,
         **_for_control(served, machine),
     )
     return machine, latest

@@ -16,7 +16,7 @@ from thermojoint.artefacts.quantities import column_named
 from thermojoint.artefacts.units import MEGA, MILLI
 from thermojoint.compensation.offsets.output import Mode
 from thermojoint.live.publication import Layout, Publication
-from thermojoint.live.watchdog import REFUSED, SILENT
+from thermojoint.live.quality import REFUSED, SILENT
 
 _CODES = ua.StatusCodes
 #: Units of details, which are published in micrometres, and of readings in their own units.

@@ -28,6 +28,7 @@ from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine import Machine, Times, rest_of, restored, shown, state_bytes
 from thermojoint.live.metrics import Metrics, fresh_metrics
 from thermojoint.live.publication import Publication
+from thermojoint.live.quality import REFUSED
 from thermojoint.live.served import Served, single
 from thermojoint.live.settings import Service
 from thermojoint.live.store import (
@@ -44,7 +45,6 @@ from thermojoint.live.store import (
     open_store,
     received_last,
 )
-from thermojoint.live.watchdog import REFUSED
 
 #: Largest number of queued blocks of arrivals; beyond it the readers wait.
 _MOST_BLOCKS = 2_000

@@ -25,7 +25,7 @@ def quality_at(age: float, uncertain: float, bad: float) -> Quality:
     return Quality.UNCERTAIN if age >= uncertain else Quality.GOOD
 
 
-def silenced(status: str, quality: Quality) -> str:
+def silent_status(status: str, quality: Quality) -> str:
     """Return a status in words, with `SILENT` added unless the quality is good."""
     words: Sequence[str] = [word for word in status.split() if word not in (SILENT, "ok")]
     if quality is not Quality.GOOD:
