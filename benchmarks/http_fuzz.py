@@ -280,8 +280,8 @@ def serve(folder: Path) -> None:
     from thermojoint.live.http import timeouts
     from thermojoint.live.http.server import open_http, serve_http
     from thermojoint.live.http.sources import About, Sources
-    from thermojoint.live.hub import Hub
     from thermojoint.live.publication import Layout, Publication, as_row
+    from thermojoint.live.publisher import Publisher
     from thermojoint.live.rights import Principal
     from thermojoint.live.settings import HttpServer
     from thermojoint.live.store import Batch, Checkpoint, commit, era_of, open_store
@@ -316,11 +316,11 @@ def serve(folder: Path) -> None:
     accounts = Accounts(
         open_access(folder), Audit(folder / "audit.jsonl"), given={digest_of(TOKEN): reader}
     )
-    hub = Hub()
-    hub.publish(run[-1:])
+    publisher = Publisher()
+    publisher.publish(run[-1:])
     about = About(layout, "fchs", "model.json", now)
     sources = Sources(
-        hub, Archive(folder / "store.db"), {"mill-1": about}, CollectorRegistry(), {}, {}
+        publisher, Archive(folder / "store.db"), {"mill-1": about}, CollectorRegistry(), {}, {}
     )
     section = HttpServer(port=0, requests_per_s=1e4)
     opened = open_http(section, sources, accounts, folder)

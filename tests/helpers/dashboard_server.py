@@ -21,8 +21,8 @@ from thermojoint.live.archive import Archive
 from thermojoint.live.audit import Audit
 from thermojoint.live.http.server import open_http, serve_http
 from thermojoint.live.http.sources import About, Sources
-from thermojoint.live.hub import Hub
 from thermojoint.live.publication import Layout, Publication, as_row
+from thermojoint.live.publisher import Publisher
 from thermojoint.live.rights import Principal
 from thermojoint.live.settings import HttpServer
 from thermojoint.live.store import Batch, Checkpoint, Event, commit, era_of, open_store
@@ -113,8 +113,8 @@ def about(estimator, layout, since):
 class Running:
     """A server that runs; `publish` is what the service would do."""
 
-    def __init__(self, opened, loop, stop, hub, machines):
-        self.url, self.hub, self.token = opened.url, hub, TOKEN
+    def __init__(self, opened, loop, stop, publisher, machines):
+        self.url, self.publisher, self.token = opened.url, publisher, TOKEN
         #: Name to its constant data, which a test may change.
         self.machines = machines
         # The gate is the outermost of what the application consists of.
@@ -129,7 +129,7 @@ class Running:
         return [json.loads(line) for line in self.accounts.audit.path.read_text().splitlines()]
 
     def publish(self, *publications):
-        self._loop.call_soon_threadsafe(self.hub.publish, publications)
+        self._loop.call_soon_threadsafe(self.publisher.publish, publications)
 
     def forget_failures(self):
         """Nobody has shown a wrong token."""
@@ -154,8 +154,8 @@ def serving(
 ):
     """Run a server until the block ends."""
     handshakes = settings.pop("handshakes", {})
-    hub, registry = Hub(), CollectorRegistry()
-    hub.publish(newest)
+    publisher, registry = Publisher(), CollectorRegistry()
+    publisher.publish(newest)
     Gauge("machines", "Machines served", registry=registry).set(len(machines))
     given = {"port": free_port(), "security": security}
     section = HttpServer.model_validate(given | settings, context=folder)
@@ -165,13 +165,15 @@ def serving(
         folder / "users",
         {digest_of(TOKEN): READER},
     )
-    sources = Sources(hub, archive, machines, registry, scenes or {}, residuals or {}, handshakes)
+    sources = Sources(
+        publisher, archive, machines, registry, scenes or {}, residuals or {}, handshakes
+    )
     opened = open_http(section, sources, accounts, folder)
     ready, found = threading.Event(), []
 
     async def run():
         stop = asyncio.Event()
-        found.append(Running(opened, asyncio.get_running_loop(), stop, hub, machines))
+        found.append(Running(opened, asyncio.get_running_loop(), stop, publisher, machines))
         task = asyncio.create_task(serve_http(opened, stop))
         while not opened.server.started and not task.done():
             await asyncio.sleep(0.01)

@@ -39,7 +39,9 @@ async def open_outputs(running: Running) -> list[Coroutine[Any, Any, None]]:
 
         address, controls = address_of(mqtt, "mqtt"), _handshakes(service, "mqtt")
         audit = running.accounts.audit
-        outputs.append(write_topics(running.hub, address, mqtt, running.floor, controls, audit))
+        outputs.append(
+            write_topics(running.publisher, address, mqtt, running.floor, controls, audit)
+        )
     if service.given.opcua is not None:
         outputs += await _opcua_server(running, service.given.opcua)
     if any(machine.target for machine in service.machines.values()):
@@ -52,7 +54,7 @@ async def open_outputs(running: Running) -> list[Coroutine[Any, Any, None]]:
 
         most = shdr.most_connections
         taken = listening("shdr", shdr.address, shdr.port, most, most)
-        outputs.append(serve_agents(running.hub, taken, shdr.heartbeat_s))
+        outputs.append(serve_agents(running.publisher, taken, shdr.heartbeat_s))
     return outputs
 
 
@@ -65,7 +67,7 @@ def _writers(running: Running) -> list[Coroutine[Any, Any, None]]:
         target = target_of(running.service, name, place.served)
         if target is not None:
             names = place.served.layout.controls
-            writer = Writer(name, names, *target, running.hub, running.floor, audit)
+            writer = Writer(name, names, *target, running.publisher, running.floor, audit)
             found.append(writer.run())
     return found
 
@@ -88,7 +90,7 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
         for name, place in running.floor.places.items()
     }
     sources = Sources(
-        running.hub,
+        running.publisher,
         running.archive,
         machines,
         running.metrics.registry,
@@ -125,7 +127,7 @@ def _postpone(running: Running, machine: str) -> bool:
     """Postpone the requested displacement reading of a machine."""
     changed = postpone(running.floor, machine, time.time())
     if changed is not None:
-        running.hub.publish([changed])
+        running.publisher.publish([changed])
     return changed is not None
 
 
@@ -214,11 +216,14 @@ async def _opcua_server(running: Running, section: OpcuaServer) -> list[Coroutin
     owners = {name: one.user for name, one in handshakes.items() if one.user is not None}
     entry = Entry(running.accounts, service.folder, log, owners, running.archive)
     server, nodes = await open_server(
-        section, entry, running.hub, machines, partial(_queue, running), _identities(running)
+        section, entry, running.publisher, machines, partial(_queue, running), _identities(running)
     )
     controls = {name: machines[name][0] for name in handshakes}
     heartbeat = await add_controls(server, controls, partial(_answer, running.floor))
-    return [serve_nodes(server, nodes, running.hub), tell_heartbeat(server, heartbeat, running.hub)]
+    return [
+        serve_nodes(server, nodes, running.publisher),
+        tell_heartbeat(server, heartbeat, running.publisher),
+    ]
 
 
 def _identities(running: Running) -> dict[str, Identity]:

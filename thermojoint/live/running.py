@@ -23,11 +23,11 @@ from thermojoint.live.archive import Archive
 from thermojoint.live.arrivals import Arrival, Note
 from thermojoint.live.disk_reserve import OVERHEAD, Room, close, lay_in, tend
 from thermojoint.live.floor import Floor, Place
-from thermojoint.live.hub import Hub
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine import Machine, Times, rest_of, restored, shown, state_bytes
 from thermojoint.live.metrics import Metrics, fresh_metrics
 from thermojoint.live.publication import Publication
+from thermojoint.live.publisher import Publisher
 from thermojoint.live.quality import REFUSED
 from thermojoint.live.served import Served, single
 from thermojoint.live.settings import Service
@@ -65,7 +65,7 @@ class Running:
     #: Its machines.
     floor: Floor
     #: Newest publications.
-    hub: Hub
+    publisher: Publisher
     #: Stored history.
     archive: Archive
     #: Metrics for Prometheus.
@@ -154,7 +154,7 @@ async def opened(
         running = Running(
             service,
             floor,
-            Hub(),
+            Publisher(),
             Archive(path),
             metrics,
             accounts,
@@ -166,7 +166,7 @@ async def opened(
         )
         ends.callback(lambda: close(running.store, path))
         log.say(times.now, "start", f"store {path}")
-        running.hub.publish(newest)
+        running.publisher.publish(newest)
         yield running
         log.say(time.time(), "stop", "all that was read is kept")
         with suppress(sqlite3.DatabaseError):

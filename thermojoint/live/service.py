@@ -204,7 +204,7 @@ async def _process(running: Running) -> None:
             batch = Batch(outcome.taken, (), events, outcome.holes, received)
             with running.metrics.commit.time():
                 await _keep(running, batch)
-        running.hub.publish(list(outcome.publications.values()))
+        running.publisher.publish(list(outcome.publications.values()))
         for call in outcome.kept:
             call()
         now = time.time()
@@ -227,7 +227,7 @@ async def _watch(running: Running) -> None:
         tell_systemd("WATCHDOG=1")
         now, clock = time.time(), time.monotonic()
         await published(running, floors.watch(running.floor, now, clock))
-        running.hub.heartbeat += 1
+        running.publisher.heartbeat += 1
         floors.count_qualities(running.floor)
         floors.count_modes(running.floor, _WATCH_S)
         await _release(running, floors.stalled(running.floor, clock))
@@ -270,7 +270,7 @@ async def published(running: Running, changed: list[Publication]) -> None:
     received = floors.received(running.floor, names, time.time())
     if received:
         await _keep(running, Batch(received=received))
-    running.hub.publish(changed)
+    running.publisher.publish(changed)
 
 
 async def _release(running: Running, places: Sequence[Place]) -> None:
@@ -326,7 +326,7 @@ async def _keep(running: Running, batch: Batch) -> None:
         try:
             running.journal_end = await running.kept(commit, batch)
         except sqlite3.DatabaseError as error:
-            log, newest = running.floor.log, running.hub.newest
+            log, newest = running.floor.log, running.publisher.newest
             if is_damage(error):
                 with suppress(sqlite3.DatabaseError):
                     await recover(running, store, error)
@@ -334,7 +334,7 @@ async def _keep(running: Running, batch: Batch) -> None:
                     batch = replace(batch, checkpoints=())
                     continue
             log.say(time.time(), "store-waits", f"{running.archive.path}: {error}")
-            running.hub.publish([held(publication) for publication in newest.values()])
+            running.publisher.publish([held(publication) for publication in newest.values()])
             if running.stop.is_set():
                 return
             await asyncio.sleep(_AGAIN_S)

@@ -28,8 +28,8 @@ from thermojoint.live.accounts import Accounts
 from thermojoint.live.archive import Archive
 from thermojoint.live.audit import Audit
 from thermojoint.live.certificates import APPLICATION, own_identity
-from thermojoint.live.hub import Hub
 from thermojoint.live.log_lines import EventLog
+from thermojoint.live.publisher import Publisher
 from thermojoint.live.rate_limit import AT_ONCE
 from thermojoint.live.settings import OpcuaServer
 from thermojoint.live.tokens import add_token, revoke_token, tokens_in
@@ -107,7 +107,7 @@ def test_a_session_ends_with_its_user_or_password(floor, browser):
         assert next(lines)
         remove_user(floor.folder / "users", "carl")
         # It ends by itself; without that this would wait for an hour.
-        floor.publish(again(floor.hub.newest["mill-1"]))
+        floor.publish(again(floor.publisher.newest["mill-1"]))
         list(lines)
     assert browser.get("/api/machines").status_code == 401
 
@@ -373,8 +373,8 @@ def plant(tmp_path_factory):
     (trusted / "ca.pem").write_bytes(ca.public_bytes(serialization.Encoding.PEM))
     of_authority, listed, _ = issued(folder, "employee", authority=(ca, ca_key))
 
-    port, hub, given, found = free_port(), Hub(), [], {}
-    hub.publish([publication(1, time.time(), name) for name in ("mill-1", "lathe-1")])
+    port, publisher, given, found = free_port(), Publisher(), [], {}
+    publisher.publish([publication(1, time.time(), name) for name in ("mill-1", "lathe-1")])
     audit = Audit(folder / "audit.jsonl")
     accounts = Accounts(open_access(folder), audit, folder / "users")
     # The server's certificate is the authority's, too.
@@ -391,8 +391,8 @@ def plant(tmp_path_factory):
     async def live():
         machines = dict.fromkeys(("mill-1", "lathe-1"), (ABOUT.layout, 1))
         entry = Entry(accounts, folder, EventLog(), {}, Archive(folder / "history.sqlite"))
-        server, nodes = await open_server(section, entry, hub, machines, given.append, {})
-        serving = asyncio.create_task(serve_nodes(server, nodes, hub))
+        server, nodes = await open_server(section, entry, publisher, machines, given.append, {})
+        serving = asyncio.create_task(serve_nodes(server, nodes, publisher))
         at = (port, server_certificate)
         clients = {"panel": panel, "unknown": unknown, "expired": expired, "early": early}
         found["in"] = {name: await lets_in(*at, own, "viewer") for name, own in clients.items()}

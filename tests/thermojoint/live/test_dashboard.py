@@ -138,7 +138,7 @@ def test_the_overview_shows_every_machine_worst_first(page, floor):
     assert page.inner_text("#counts") == "1 bad · 1 uncertain · 1 good"
     tile = page.locator(".tile", has_text="mill-10")
     assert "T1: left out" in tile.inner_text()
-    told = as_json(floor.hub.newest["mill-1"])["displacement_um"]
+    told = as_json(floor.publisher.newest["mill-1"])["displacement_um"]
     shown = page.locator(".tile", has_text="mill-1").last.locator(".tile-axis b").all_inner_texts()
     assert [number(one) for one in shown] == pytest.approx(list(told.values()), abs=0.051)
     page.fill("#find", "10")
@@ -147,7 +147,7 @@ def test_the_overview_shows_every_machine_worst_first(page, floor):
 
 def test_the_overview_forgets_the_axes_of_a_model_that_was_replaced(page, floor):
     opened(page, floor, "/")
-    before = floor.hub.newest["mill-1"]
+    before = floor.publisher.newest["mill-1"]
     layout = replace(before.layout, axes=("x",), controls=("X",), lines=())
     one = {"displacement": np.array([77.7e-6]), "band": np.array([1e-6]), "slopes": np.empty(0)}
     floor.publish(again(before, layout=layout, offsets=np.array([0.0]), **one))
@@ -160,7 +160,7 @@ def test_the_overview_forgets_the_axes_of_a_model_that_was_replaced(page, floor)
 def test_the_page_of_a_machine_says_what_the_service_says(page, floor):
     opened(page, floor, "/machines/mill-1")
     until(page, "!!document.querySelector('#c-displacement').data")
-    told = as_json(floor.hub.newest["mill-1"])
+    told = as_json(floor.publisher.newest["mill-1"])
     assert page.inner_text("#word").lower() == "good"
     for axis in ("x", "y"):
         assert number(page.inner_text(f"#axis-{axis} .number")) == pytest.approx(
@@ -187,7 +187,7 @@ def test_what_is_new_is_drawn_into_the_charts_that_are_there(page, floor):
     opened(page, floor, "/machines/mill-1")
     until(page, "!!document.querySelector('#c-displacement').data")
     page.evaluate("window.kept = document.querySelector('#c-displacement .main-svg')")
-    before = floor.hub.newest["mill-1"]
+    before = floor.publisher.newest["mill-1"]
     floor.publish(again(before, displacement=np.array([123.4e-6, -56.7e-6])))
     until(page, "document.querySelector('#axis-x .number').textContent === '+123.4'")
     until(
@@ -201,7 +201,7 @@ def test_a_page_follows_a_model_that_has_replaced_another(page, floor):
     """One without slopes, and without a reading: the page stood still at the values before."""
     opened(page, floor, "/machines/mill-1")
     until(page, "!!document.querySelector('#c-displacement').data")
-    before = floor.hub.newest["mill-1"]
+    before = floor.publisher.newest["mill-1"]
     *readings, last = before.layout.readings
     layout = replace(before.layout, lines=(), readings=tuple(readings))
     moved, few = np.array([77.7e-6, -56.7e-6]), before.readings[:-1]
@@ -216,7 +216,7 @@ def test_a_page_follows_a_model_that_has_replaced_another(page, floor):
 def test_a_page_shows_the_axes_that_only_the_new_model_has(page, floor):
     opened(page, floor, "/machines/mill-1")
     until(page, "!!document.querySelector('#c-displacement').data")
-    before, told = floor.hub.newest["mill-1"], floor.machines["mill-1"]
+    before, told = floor.publisher.newest["mill-1"], floor.machines["mill-1"]
     layout = replace(before.layout, axes=("x", "y", "z"))
     floor.machines["mill-1"] = replace(told, layout=layout, model="anew.h5")
     moved = {"displacement": np.array([1e-6, 2e-6, 88.8e-6]), "band": np.full(3, 1e-6)}

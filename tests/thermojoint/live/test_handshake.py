@@ -296,7 +296,7 @@ def test_controls_shake_hands_by_opcua_and_by_mqtt(model, tmp_path):
             await client_of(tmp_path, port, "control", "control-secret") as panel,
             aiomqtt.Client("127.0.0.1", broker.port) as plant,
         ):
-            controls, newest = Controls(panel, plant), running.hub.newest
+            controls, newest = Controls(panel, plant), running.publisher.newest
             tasks = [
                 asyncio.create_task(one)
                 for one in (feed(), controls.by_opcua(), controls.by_mqtt())

@@ -36,8 +36,8 @@ from thermojoint.live.http.bodies import Words, summary
 from thermojoint.live.http.parameters import moment, read_parameters, whole_number
 from thermojoint.live.http.rates import MOST_CLIENTS, Buckets, client_of
 from thermojoint.live.http.stream import Reader, stream
-from thermojoint.live.hub import Hub
 from thermojoint.live.publication import as_json
+from thermojoint.live.publisher import Publisher
 from thermojoint.live.scene import Scene
 from thermojoint.live.settings import HttpServer
 from thermojoint.models.model_file import Provenance, write_model
@@ -82,7 +82,7 @@ def lines(answer):
 
 
 def test_the_latest_is_what_was_published(floor, ask):
-    newest = floor.hub.newest["mill-1"]
+    newest = floor.publisher.newest["mill-1"]
     assert ask.get("/api/machines/mill-1/latest").json() == as_json(newest)
 
 
@@ -392,7 +392,7 @@ def test_a_stream_tells_what_is_there_and_then_what_is_new(floor, ask):
     with ask.stream("GET", "/api/stream?machine=mill-1&every_s=0.1") as answer:
         assert answer.headers["content-type"].startswith("text/event-stream")
         told = lines(answer)
-        newest = floor.hub.newest["mill-1"]
+        newest = floor.publisher.newest["mill-1"]
         assert next(told)["publications"] == [as_json(newest)]
         later = again(newest, displacement=np.array([5e-6, 6e-6]))
         floor.publish(later)
@@ -403,16 +403,16 @@ def test_a_slow_reader_gets_the_newest_and_holds_nothing():
     """A hundred publications while it sleeps are one event."""
 
     async def slow():
-        hub = Hub()
-        hub.publish([publication(1, 1.0)])
-        found = stream(hub, Reader(frozenset(["mill-1"]), 0.0, lambda: True), Words(as_json))
+        publisher = Publisher()
+        publisher.publish([publication(1, 1.0)])
+        found = stream(publisher, Reader(frozenset(["mill-1"]), 0.0, lambda: True), Words(as_json))
         await anext(found)
         first = json.loads((await anext(found)).split(b"data: ")[1])
         for k in range(2, 102):
-            hub.publish([publication(k, float(k))])
+            publisher.publish([publication(k, float(k))])
         second = json.loads((await anext(found)).split(b"data: ")[1])
         await found.aclose()
-        assert not hub._followers
+        assert not publisher._subscriptions
         return [one["publications"][0]["number"] for one in (first, second)]
 
     assert asyncio.run(slow()) == [1, 101]
@@ -420,7 +420,9 @@ def test_a_slow_reader_gets_the_newest_and_holds_nothing():
 
 def test_a_stream_without_news_goes_on_telling_the_time():
     async def idle():
-        found = stream(Hub(), Reader(frozenset(["mill-1"]), 0.0, lambda: True), Words(as_json))
+        found = stream(
+            Publisher(), Reader(frozenset(["mill-1"]), 0.0, lambda: True), Words(as_json)
+        )
         await anext(found)
         beat = json.loads((await anext(found)).split(b"data: ")[1])
         await found.aclose()
@@ -517,7 +519,7 @@ def test_a_service_opens_this_door_by_its_file(tmp_path, hand_made_model):
 
     async def told():
         async with live_parts.serving(data, tmp_path) as running:
-            await live_parts.until(lambda: running.hub.newest["mill-1"].number == 10)
+            await live_parts.until(lambda: running.publisher.newest["mill-1"].number == 10)
             trusted = ssl.create_default_context(cafile=tmp_path / "kept" / "http_certificate.pem")
             url = f"https://127.0.0.1:{data['http']['port']}"
             async with httpx.AsyncClient(
@@ -525,7 +527,7 @@ def test_a_service_opens_this_door_by_its_file(tmp_path, hand_made_model):
             ) as client:
                 paths = ("", "/latest", "/history")
                 answers = [await client.get(f"/api/machines/mill-1{path}") for path in paths]
-                return as_json(running.hub.newest["mill-1"]), [one.json() for one in answers]
+                return as_json(running.publisher.newest["mill-1"]), [one.json() for one in answers]
 
     newest, (stays, latest, history) = asyncio.run(told())
     assert latest["displacement_um"] == newest["displacement_um"]

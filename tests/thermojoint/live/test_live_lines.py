@@ -210,7 +210,7 @@ def content(place, folder, names, offsets=OFFSETS):
 
 async def followed_by(running, works, names):
     """Run the works of controls until each follows a slope, then return what ends them."""
-    newest = running.hub.newest
+    newest = running.publisher.newest
     tasks = [asyncio.create_task(work) for work in works]
     await until(
         lambda: (
@@ -326,7 +326,7 @@ def test_k0_and_slope_are_written_into_a_control(place, tmp_path, kind, switch, 
         assert played.record == []
         await played.open(**switch, **reference)
         async with serving(data, tmp_path) as running:
-            newest = running.hub.newest
+            newest = running.publisher.newest
             feeding = asyncio.create_task(fed(tmp_path, ["mill"]))
             await until(lambda: newest["mill"].offset_mode == "follow")
             await until(

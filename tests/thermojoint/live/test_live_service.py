@@ -150,7 +150,7 @@ def test_a_fifo_is_read_as_lines_are_written(model, expected, tmp_path):
         async with serving(file_of(model, source), tmp_path) as running:
             text = csv_of(day(20)).replace("\n", "\nno,row\n", 3)
             await asyncio.to_thread((tmp_path / "pipe").write_text, text)
-            await until(lambda: running.hub.newest["mill"].number == 20)
+            await until(lambda: running.publisher.newest["mill"].number == 20)
 
     asyncio.run(live())
     assert_says(history_in(tmp_path), expected[:20])
@@ -175,7 +175,7 @@ def test_one_machines_bad_file_header_or_model_ends_no_other(model, expected, tm
 
     async def live():
         async with serving(data, tmp_path) as running:
-            newest = running.hub.newest
+            newest = running.publisher.newest
             assert set(running.floor.places) == {"mill", "lathe"}
             await until(lambda: min(one.number for one in newest.values()) == 10)
             replaced("")
@@ -203,7 +203,7 @@ def test_a_folder_is_one_services_and_a_store_that_others_hold_is_waited_for(mod
             with pytest.raises(InputError, match="another service"):
                 async with serving(data, tmp_path):
                     pass
-            newest = running.hub.newest
+            newest = running.publisher.newest
             await until(lambda: newest["mill"].number == 20)
             await running.kept(lambda store: store.execute("PRAGMA busy_timeout = 20"))
             path = tmp_path / "state" / "history.sqlite"
@@ -249,7 +249,7 @@ def test_a_store_that_is_lost_while_the_service_runs_is_made_anew(
 
     async def live(before, more):
         async with serving(data, tmp_path) as running:
-            newest = running.hub.newest
+            newest = running.publisher.newest
             await until(lambda: newest["mill"].number == before)
             if more:
                 # What came until now is in a checkpoint.
@@ -285,7 +285,7 @@ def test_a_full_disk_stops_nobody(model, expected, tmp_path):
 
     async def live(before, after, *, full):
         async with serving(data, tmp_path) as running, httpx.AsyncClient() as client:
-            newest = running.hub.newest
+            newest = running.publisher.newest
             await until(lambda: newest["mill"].number == before)
             await until(lambda: running.reserve_h >= 8.0)
             if full:
@@ -363,7 +363,7 @@ def test_a_damaged_state_begins_its_machine_anew(model, tmp_path):
 
     async def live(count):
         async with serving(data, tmp_path) as running:
-            await until(lambda: running.hub.newest["mill"].number == count)
+            await until(lambda: running.publisher.newest["mill"].number == count)
 
     asyncio.run(live(20))
     with contextlib.closing(sqlite3.connect(tmp_path / "state" / "history.sqlite")) as store:
@@ -417,7 +417,7 @@ def test_thirty_machines_get_through_a_broker_that_has_twenty_messages_in_flight
                 told = message(row[0], dict(zip(NAMES, row[1:].tolist(), strict=True)))
                 for k in range(30):
                     await plant.publish(f"plant/mill-{k + 1}", told, qos=1)
-            newest = running.hub.newest.values()
+            newest = running.publisher.newest.values()
             await until(lambda: min(one.time for one in newest) >= last)
 
     # A broker of its own each: once it has got acknowledgements, Mosquitto lets more be in flight.
@@ -483,13 +483,13 @@ def test_messages_over_tls_come_once_although_broker_and_service_go_away(model, 
             async with serving(data, tmp_path) as running:
                 await until(lambda: len(events_in(tmp_path, "connected")) >= 2)
                 await tell(rows[:10])
-                await until(lambda: running.hub.newest["mill"].number == 10)
+                await until(lambda: running.publisher.newest["mill"].number == 10)
 
         async def second():
             async with serving(data, tmp_path) as running, client() as panel:
-                await until(lambda: running.hub.newest["mill"].number == 30)
+                await until(lambda: running.publisher.newest["mill"].number == 30)
                 await tell(rows[25:])
-                await until(lambda: running.hub.newest["mill"].number == 40)
+                await until(lambda: running.publisher.newest["mill"].number == 40)
                 await panel.subscribe("thermojoint/#")
                 found = {}
                 async for one in panel.messages:
@@ -581,7 +581,7 @@ def opcua_day(model, tmp_path_factory):
     async def live():
         async with machine_of(plc, port) as play:
             async with serving(data, base) as running:
-                newest = running.hub.newest
+                newest = running.publisher.newest
                 found["before"] = newest["mill"]
                 await until(lambda: events_in(base, "connected"))
                 begun = time.monotonic()
@@ -611,7 +611,7 @@ def opcua_day(model, tmp_path_factory):
             await play(day()[60:100], 0.02)
             data.pop("opcua")
             async with serving(data, base) as running:
-                newest = running.hub.newest
+                newest = running.publisher.newest
                 await until(lambda: newest["mill"].time == START + 99.0)
                 await play(day()[100:], 0.002)
                 await until(lambda: newest["mill"].time == START + 119.0)

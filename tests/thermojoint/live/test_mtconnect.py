@@ -87,7 +87,7 @@ def test_every_sample_is_there_once_although_agent_and_service_go_away(model, ve
         data = file_of(model, agent.port, url=url, ca_file=certificate)
         await agent.tell(START, told(readings[0]))
         async with serving(data, tmp_path) as running:
-            newest = running.hub.newest
+            newest = running.publisher.newest
             await until(lambda: newest["mill"].number == 1)
             await tell(agent, readings, range(1, 40))
             await until(lambda: newest["mill"].number == 40)
@@ -97,9 +97,9 @@ def test_every_sample_is_there_once_although_agent_and_service_go_away(model, ve
             await until(lambda: newest["mill"].number == 70)
         await tell(agent, readings, range(70, 100))
         async with serving(data, tmp_path) as running:
-            await until(lambda: running.hub.newest["mill"].number == 100)
+            await until(lambda: running.publisher.newest["mill"].number == 100)
             await tell(agent, readings, range(100, 120))
-            await until(lambda: running.hub.newest["mill"].number == 120)
+            await until(lambda: running.publisher.newest["mill"].number == 120)
         await agent.end()
         return agent.asked
 
@@ -156,7 +156,7 @@ def test_what_an_agent_has_lost_is_a_hole_and_the_values_of_now_go_on(model, cau
         agent = await Agent(free_port(), UNITS, size=8).begin()
         await agent.tell(START, told(readings[0]))
         async with serving(file_of(model, agent.port), tmp_path) as running:
-            newest = running.hub.newest
+            newest = running.publisher.newest
             await until(lambda: newest["mill"].number == 1)
             await agent.end()
             await tell(agent, readings, range(1, 60))
@@ -186,11 +186,11 @@ def test_an_agent_without_streams_is_asked_again_and_again(model, tmp_path):
         data = file_of(model, agent.port)
         data["models"]["m"]["interval_s"] = 0.01
         async with serving(data, tmp_path) as running:
-            await until(lambda: running.hub.newest["mill"].number == 1)
+            await until(lambda: running.publisher.newest["mill"].number == 1)
             for k in range(1, 10):
                 await agent.tell(START + k / 100, told(readings[k]))
-            await until(lambda: running.hub.newest["mill"].number == 10)
-            found = running.hub.newest["mill"].readings
+            await until(lambda: running.publisher.newest["mill"].number == 10)
+            found = running.publisher.newest["mill"].readings
         await agent.end()
         return found
 

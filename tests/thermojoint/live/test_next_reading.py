@@ -105,7 +105,7 @@ def test_an_operator_sees_the_request_and_postpones_it(plant):
 
     async def live():
         async with serving(settings_of(port), folder) as running:
-            newest = running.hub.newest
+            newest = running.publisher.newest
             await until(lambda: newest["mill"].asked.axis)
             axis = newest["mill"].asked.axis
             url = f"http://127.0.0.1:{port}"
@@ -150,7 +150,7 @@ def test_an_operator_enters_the_reading_on_the_page(plant):
 
     async def live():
         async with serving(settings, folder) as running:
-            newest, url = running.hub.newest, f"http://127.0.0.1:{port}"
+            newest, url = running.publisher.newest, f"http://127.0.0.1:{port}"
             await until(lambda: newest["mill"].asked.axis)
             axis = newest["mill"].asked.axis
             async with httpx.AsyncClient(base_url=url, trust_env=False, timeout=PATIENCE_S) as one:

@@ -16,9 +16,9 @@ from thermojoint.live.access_store import open_access
 from thermojoint.live.accounts import Accounts
 from thermojoint.live.archive import Archive
 from thermojoint.live.audit import Audit
-from thermojoint.live.hub import Hub
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.opcua_values import variables_of
+from thermojoint.live.publisher import Publisher
 from thermojoint.live.settings import OpcuaServer
 from thermojoint.live.users import add_user
 from thermojoint.live.writers.opcua import Entry, open_server, serve_nodes
@@ -112,20 +112,20 @@ async def plant(base):
     add_user(folder / "users", "plant", "viewer", "plants-secret")
     add_user(folder / "users", "mill", "viewer", "mills-secret", ["mill-*"])
     keep(folder / "history.sqlite", [day(name) for name in MACHINES])
-    hub, port = Hub(), free_port()
-    hub.publish([publication(1, time.time(), name) for name in MACHINES])
+    publisher, port = Publisher(), free_port()
+    publisher.publish([publication(1, time.time(), name) for name in MACHINES])
     accounts = Accounts(open_access(folder), Audit(folder / "audit.jsonl"), folder / "users")
     server, nodes = await open_server(
         OpcuaServer(port=port, users=folder / "users"),
         Entry(accounts, folder, EventLog(), {}, Archive(folder / "history.sqlite")),
-        hub,
+        publisher,
         dict.fromkeys(MACHINES, (ABOUT.layout, 1)),
         [].append,
         {},
     )
-    serving = asyncio.create_task(serve_nodes(server, nodes, hub))
+    serving = asyncio.create_task(serve_nodes(server, nodes, publisher))
     try:
-        yield hub, port
+        yield publisher, port
     finally:
         serving.cancel()
         await asyncio.gather(serving, return_exceptions=True)
@@ -142,16 +142,16 @@ async def hears(client, where=ua.ObjectIds.Server):
 def test_a_value_that_becomes_bad_is_an_alarm_to_all_who_see_the_machine(tmp_path):
     async def live():
         async with (
-            plant(tmp_path) as (hub, port),
+            plant(tmp_path) as (publisher, port),
             await client_of(tmp_path, port, "plant", "plants-secret") as of_plant,
             await client_of(tmp_path, port, "mill", "mills-secret") as of_mill,
         ):
             everything, _ = await hears(of_plant)
             of_machine, _ = await hears(of_plant, "ns=2;s=mill-1")
             mills, _ = await hears(of_mill)
-            hub.publish([bad(2, "lathe-1"), bad(2, "mill-1")])
+            publisher.publish([bad(2, "lathe-1"), bad(2, "mill-1")])
             await until(lambda: len(everything.alarms()) == 2)
-            hub.publish([publication(3, time.time(), "mill-1")])
+            publisher.publish([publication(3, time.time(), "mill-1")])
             await until(lambda: len(everything.alarms()) == 3)
             await until(lambda: len(of_machine.alarms()) == len(mills.alarms()) == 2)
             # A client that comes later asks for what is active.

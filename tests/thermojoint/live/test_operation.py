@@ -142,7 +142,7 @@ def life(models, tmp_path_factory):
                     base_url=url, verify=trusted, trust_env=False, timeout=PATIENCE_S
                 )
 
-            await until(lambda: starts[0].hub.newest["mill"].number == 20)
+            await until(lambda: starts[0].publisher.newest["mill"].number == 20)
             digests = [starts[-1].floor.places["mill"].served.digest]
             # A broken file and a broken model change nothing.
             (folder / "model.json").write_text("nonsense")
@@ -343,7 +343,7 @@ def test_a_service_is_backed_up_while_it_runs_and_goes_on_where_it_is_restored(m
 
     async def live():
         async with running(file) as (starts, _):
-            await until(lambda: starts[0].hub.newest["mill"].number == 20)
+            await until(lambda: starts[0].publisher.newest["mill"].number == 20)
             digest = starts[0].floor.places["mill"].served.digest
             done = await asyncio.to_thread(called, "backup", file, "--out", base / "b.tar.gz")
             assert done.exit_code == 0, done.output

@@ -17,8 +17,8 @@ from repository import ROOT
 
 from estimator.quality import Quality
 from thermojoint.artefacts.errors import InputError
-from thermojoint.live.hub import Hub
 from thermojoint.live.limited_socket import listening
+from thermojoint.live.publisher import Publisher
 from thermojoint.live.settings import service_from_data
 from thermojoint.live.writers import shdr
 
@@ -27,10 +27,10 @@ STAMP = "2026-03-02T06:00:00.000000Z"
 
 
 @contextlib.asynccontextmanager
-async def adapter(hub, heartbeat=10.0, most=8):
+async def adapter(publisher, heartbeat=10.0, most=8):
     """The adapter at a port of its own."""
     taken = listening("shdr", "127.0.0.1", 0, most, most)
-    task = asyncio.create_task(shdr.serve_agents(hub, taken, heartbeat))
+    task = asyncio.create_task(shdr.serve_agents(publisher, taken, heartbeat))
     try:
         yield taken.getsockname()[1]
     finally:
@@ -48,22 +48,22 @@ async def read_until(reader, said):
 
 
 def hub_of(*publications):
-    hub = Hub()
-    hub.publish(publications)
-    return hub
+    publisher = Publisher()
+    publisher.publish(publications)
+    return publisher
 
 
 def test_an_agent_gets_every_value_and_an_answer_to_its_heartbeat():
     none = {"published": AT, "quality": Quality.BAD, "status": "no-sample"}
-    hub = hub_of(publication(3, AT), publication(0, math.nan, "mill-2", **none))
+    publisher = hub_of(publication(3, AT), publication(0, math.nan, "mill-2", **none))
 
     async def live():
-        async with adapter(hub) as port:
+        async with adapter(publisher) as port:
             reader, writer = await asyncio.open_connection("127.0.0.1", port)
             found = [await reader.readline() for _ in range(6)]
             writer.write(b"* PING\r\n")
             pong = await read_until(reader, "PONG")
-            hub.publish([publication(4, AT + 1.0)])
+            publisher.publish([publication(4, AT + 1.0)])
             later = await read_until(reader, "mill-1:thermal")
             writer.close()
         return {line.decode() for line in found}, pong, later
@@ -104,10 +104,10 @@ def test_a_reader_that_takes_nothing_is_disconnected_and_the_others_go_on(monkey
     monkeypatch.setattr(shdr, "READER_S", 0.2)
     layout = replace(LAYOUT, axes=tuple(f"axis{k}" for k in range(2000)))
     many = {"layout": layout, "displacement": [1.0] * 2000, "band": [1.0] * 2000}
-    hub = hub_of(publication(1, AT, **many))
+    publisher = hub_of(publication(1, AT, **many))
 
     async def live():
-        async with adapter(hub) as port:
+        async with adapter(publisher) as port:
             slow = socket.socket()
             slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
             slow.connect(("127.0.0.1", port))
@@ -119,12 +119,12 @@ def test_a_reader_that_takes_nothing_is_disconnected_and_the_others_go_on(monkey
                 nonlocal number
                 while True:
                     number += 1
-                    hub.publish([publication(number, AT + number, **many)])
+                    publisher.publish([publication(number, AT + number, **many)])
                     await asyncio.sleep(0.005)
 
             publishing = asyncio.create_task(publish())
             drained = asyncio.create_task(reader.read())
-            await until(lambda: len(hub._followers) == 1)
+            await until(lambda: len(publisher._subscriptions) == 1)
             publishing.cancel()
             assert not drained.done()
             drained.cancel()
@@ -136,10 +136,10 @@ def test_a_reader_that_takes_nothing_is_disconnected_and_the_others_go_on(monkey
 
 def test_connections_are_limited_and_an_agent_that_asks_no_longer_is_gone(monkeypatch):
     monkeypatch.setattr(shdr, "_MISSED", 0.2)
-    hub = hub_of(publication(1, AT))
+    publisher = hub_of(publication(1, AT))
 
     async def live():
-        async with adapter(hub, heartbeat=1.0, most=2) as port:
+        async with adapter(publisher, heartbeat=1.0, most=2) as port:
             opened = [await asyncio.open_connection("127.0.0.1", port) for _ in range(2)]
             for reader, _ in opened:
                 await read_until(reader, "thermal")
@@ -154,7 +154,7 @@ def test_connections_are_limited_and_an_agent_that_asks_no_longer_is_gone(monkey
             opened[1][1].write(b"x" * 5000 + b"\n")
             with contextlib.suppress(ConnectionError):
                 assert await opened[1][0].read() == b""
-            await until(lambda: not hub._followers)
+            await until(lambda: not publisher._subscriptions)
 
     asyncio.run(live())
 

@@ -210,7 +210,7 @@ def test_a_control_is_left_alone(enable, values, event, told, hand_made_model, t
                     for one in archive.events("mill", 0.0, 1e11, 1000)
                 )
             )
-            assert running.hub.newest["mill"].offset_mode != "follow"
+            assert running.publisher.newest["mill"].offset_mode != "follow"
         await played.server.stop()
 
     with warming_up(tmp_path):

@@ -174,7 +174,7 @@ class Site:
             take(body or b"")
         except ValueError as error:
             raise HTTPException(400, f"what the control says is no answer: {error}") from error
-        return JSONResponse({"handshake": self.sources.hub.newest[name].handshake})
+        return JSONResponse({"handshake": self.sources.publisher.newest[name].handshake})
 
     async def login(self, request: Request) -> Response:
         """Show the log-in page, or check a password or token."""
@@ -227,7 +227,7 @@ class Site:
     async def machines(self, request: Request) -> Response:
         """Return a summary of all machines."""
         read_parameters(request.query_params.multi_items(), {})
-        newest = self.sources.hub.newest
+        newest = self.sources.publisher.newest
         return JSONResponse(
             {
                 "now_s": time.time(),
@@ -254,7 +254,7 @@ class Site:
     async def latest(self, request: Request) -> Response:
         """Return the newest publication of a machine."""
         name = self._only_machine(request)
-        newest = _found(self.sources.hub.newest.get(name), _NOT_YET.format(name))
+        newest = _found(self.sources.publisher.newest.get(name), _NOT_YET.format(name))
         return JSONResponse(as_json(newest))
 
     async def history(self, request: Request) -> Response:
@@ -328,7 +328,7 @@ class Site:
         wanted = [given["machine"]] if "machine" in given else self._visible(request)
         body = self._whole if "machine" in given else self._short
         reader = Reader(frozenset(wanted), given.get("every_s", 1.0), request.scope["check"])
-        news = stream(self.sources.hub, reader, body)
+        news = stream(self.sources.publisher, reader, body)
         self.streams += 1
         return Counted(news, self._left)
 
@@ -359,7 +359,7 @@ class Site:
 
     async def health(self, request: Request) -> Response:
         """Return the number of machines by quality, without their names, and the disk."""
-        newest = self.sources.hub.newest.values()
+        newest = self.sources.publisher.newest.values()
         counts = {
             one.word: sum(publication.quality is one for publication in newest) for one in Quality
         }

@@ -11,8 +11,8 @@ from prometheus_client import CollectorRegistry
 from estimator.ranges import Range
 from thermojoint.live.archive import Archive
 from thermojoint.live.former_models import Deployment
-from thermojoint.live.hub import Hub
 from thermojoint.live.publication import Layout
+from thermojoint.live.publisher import Publisher
 from thermojoint.live.scene import Scene
 
 
@@ -39,7 +39,7 @@ class Sources:
     """Data shown by the server."""
 
     #: Newest publications.
-    hub: Hub
+    publisher: Publisher
     #: History and events.
     past: Archive
     #: Name to its constant data.

@@ -15,8 +15,8 @@ from typing import Any
 from starlette.responses import StreamingResponse
 
 from thermojoint.live.http.bodies import encoded
-from thermojoint.live.hub import Hub
 from thermojoint.live.publication import Publication
+from thermojoint.live.publisher import Publisher
 
 #: Interval of empty events when nothing changes, s: longer silence means a broken connection.
 BEAT_S = 3.0
@@ -39,21 +39,21 @@ class Reader:
 
 
 async def stream(
-    hub: Hub, reader: Reader, body: Callable[[Publication], bytes]
+    publisher: Publisher, reader: Reader, body: Callable[[Publication], bytes]
 ) -> AsyncIterator[bytes]:
     """Yield events until `LONGEST_S`: first the newest of each machine, then changed ones."""
     begun = time.monotonic()
     yield b"retry: 2000\n\n"
-    with hub.follow() as follower:
+    with publisher.subscribe() as subscription:
         while time.monotonic() - begun < LONGEST_S and reader.check() is not None:
             try:
                 async with asyncio.timeout(BEAT_S):
-                    changed = await follower.wait()
+                    changed = await subscription.wait()
             except TimeoutError:
                 changed = set()
             news = []
             for name in sorted(changed & reader.machines):
-                news.append(body(hub.newest[name]))
+                news.append(body(publisher.newest[name]))
                 if len(news) % AT_ONCE == 0:
                     await asyncio.sleep(0)
             if news or not changed:

@@ -22,8 +22,8 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.compensation.offsets.handshake import DIFFERS, STANDS, Answer
 from thermojoint.live.audit import Audit
 from thermojoint.live.floor import Floor, answer
-from thermojoint.live.hub import Hub
 from thermojoint.live.opcua_session import LOST, TIMEOUT_S, Reached, client_of, reached_of
+from thermojoint.live.publisher import Publisher
 from thermojoint.live.reconnecting import FIRST_S, next_delay
 from thermojoint.live.served import Served
 from thermojoint.live.settings import Service
@@ -67,7 +67,7 @@ class Writer:
     given: TargetFile
     #: Connection data of its server.
     reached: Reached
-    hub: Hub
+    publisher: Publisher
     floor: Floor
     audit: Audit
 
@@ -107,13 +107,13 @@ class Writer:
 
     async def _follow(self, client: Client) -> None:
         writes = writes_of(self.given, self.names)
-        levers = self.hub.newest[self.machine].layout.levers.tolist()
+        levers = self.publisher.newest[self.machine].layout.levers.tolist()
         last: list[float] | None = None
         changed = -math.inf
         for beats in itertools.count():
             found = await self._read(client, writes)
             clock = time.monotonic()
-            said = self.hub.newest[self.machine]
+            said = self.publisher.newest[self.machine]
             if (
                 last is None
                 or said.handshake == DIFFERS

@@ -15,9 +15,9 @@ import aiomqtt
 from thermojoint.live.audit import Audit
 from thermojoint.live.cancelling import cancelled
 from thermojoint.live.floor import Floor
-from thermojoint.live.hub import Hub
 from thermojoint.live.mqtt_session import Address, connected, is_behind, lost, publish
 from thermojoint.live.publication import as_json
+from thermojoint.live.publisher import Publisher
 from thermojoint.live.reconnecting import FIRST_S, next_delay
 from thermojoint.live.settings import MqttTopics
 from thermojoint.live.writers.mqtt_control import attend, beat
@@ -29,7 +29,7 @@ _AT_ONCE = 64
 
 
 async def write_topics(
-    hub: Hub,
+    publisher: Publisher,
     address: Address,
     topics: MqttTopics,
     floor: Floor,
@@ -40,7 +40,7 @@ async def write_topics(
 
     Parameters
     ----------
-    hub : Hub
+    publisher : Publisher
     address : Address
         Address of the broker.
     topics : MqttTopics
@@ -66,11 +66,11 @@ async def write_topics(
                     _any(
                         lost(client),
                         attend(client, topics.control_topic, floor, controls, written),
-                        beat(client, topics.heartbeat_topic, hub),
+                        beat(client, topics.heartbeat_topic, publisher),
                     )
                 )
                 try:
-                    await _publish(hub, client, topics.topic, watch)
+                    await _publish(publisher, client, topics.topic, watch)
                 finally:
                     await cancelled(watch)
                     await _say_goodbye(client, status_topic)
@@ -80,17 +80,19 @@ async def write_topics(
         delay = next_delay(delay)
 
 
-async def _publish(hub: Hub, client: aiomqtt.Client, topic: str, watch: asyncio.Task[None]) -> None:
+async def _publish(
+    publisher: Publisher, client: aiomqtt.Client, topic: str, watch: asyncio.Task[None]
+) -> None:
     """Publish until the connection is lost."""
-    with hub.follow() as follower:
+    with publisher.subscribe() as subscription:
         while True:
-            news = asyncio.ensure_future(follower.wait())
+            news = asyncio.ensure_future(subscription.wait())
             done, _ = await asyncio.wait({news, watch}, return_when=asyncio.FIRST_COMPLETED)
             if watch in done:
                 news.cancel()
                 await watch
             for k, machine in enumerate(sorted(await news)):
-                content = json.dumps(as_json(hub.newest[machine]), allow_nan=False)
+                content = json.dumps(as_json(publisher.newest[machine]), allow_nan=False)
                 publish(client, topic.replace("{machine}", machine), content.encode())
                 if (k + 1) % _AT_ONCE == 0:
                     while is_behind(client) and not watch.done():

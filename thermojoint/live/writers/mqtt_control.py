@@ -15,7 +15,7 @@ from pydantic import ValidationError
 
 from thermojoint.live.control_message import answer_of
 from thermojoint.live.floor import Floor, answer
-from thermojoint.live.hub import Hub
+from thermojoint.live.publisher import Publisher
 
 #: Interval at which the service's heartbeat is checked, s.
 _BEAT_S = 0.5
@@ -60,11 +60,11 @@ async def attend(
             answer(floor, machine, given, time.monotonic())
 
 
-async def beat(client: aiomqtt.Client, topic: str, hub: Hub) -> None:
+async def beat(client: aiomqtt.Client, topic: str, publisher: Publisher) -> None:
     """Publish the service's heartbeat at every change, until the connection is lost."""
     sent = -1
     while True:
-        if hub.heartbeat != sent:
-            sent = hub.heartbeat
+        if publisher.heartbeat != sent:
+            sent = publisher.heartbeat
             await client.publish(topic, json.dumps({"heartbeat": sent}), qos=0)
         await asyncio.sleep(_BEAT_S)

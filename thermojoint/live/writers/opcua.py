@@ -31,12 +31,12 @@ from thermojoint.live.companion_models import (
     load_models,
     object_item,
 )
-from thermojoint.live.hub import Hub
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.opcua_access import Door, restrict
 from thermojoint.live.opcua_internals import disconnect_ended, limit_callers, value_of
 from thermojoint.live.opcua_values import Variable, data_value, variables_of
 from thermojoint.live.publication import Layout
+from thermojoint.live.publisher import Publisher
 from thermojoint.live.settings import OpcuaServer
 from thermojoint.live.times import since_1970
 from thermojoint.live.trust_list import TrustList, contents_of
@@ -62,7 +62,7 @@ class Nodes:
 
 async def add_machines(
     server: Server,
-    hub: Hub,
+    publisher: Publisher,
     machines: Mapping[str, tuple[Layout, int]],
     readings: bool,
     given: Callable[[Arrival], object],
@@ -74,7 +74,7 @@ async def add_machines(
     ----------
     server : Server
         Initialised, but not started.
-    hub : Hub
+    publisher : Publisher
         With a publication of each machine.
     machines : mapping of str to (Layout, int)
         By name: layout, and number of readings in every sample.
@@ -124,7 +124,7 @@ async def add_machines(
                 k = layout.readings.index(variable.name)
                 take = _taken_by(given, machine, len(layout.readings), k)
                 space.set_attribute_value_setter(nodeid, ua.AttributeIds.Value, take)
-            told = partial(_told, hub, machine, variable)
+            told = partial(_told, publisher, machine, variable)
             space.set_attribute_value_callback(nodeid, ua.AttributeIds.Value, told)
             of[machine].append((variable, value_of(server, nodeid)))
     return of
@@ -135,8 +135,8 @@ def node_of(machine: str, variable: Variable, index: int) -> ua.NodeId:
     return ua.NodeId(".".join(filter(None, (machine, variable.folder, variable.name))), index)
 
 
-def _told(hub: Hub, machine: str, variable: Variable, *_: object) -> ua.DataValue:
-    latest = hub.newest[machine]
+def _told(publisher: Publisher, machine: str, variable: Variable, *_: object) -> ua.DataValue:
+    latest = publisher.newest[machine]
     return data_value(variable.kind, *variable.value(latest), latest)
 
 
@@ -230,12 +230,12 @@ async def _with_unit(
         await node.add_reference(units[unit], ua.ObjectIds.HasProperty, True, False)
 
 
-async def tell_subscribers(hub: Hub, nodes: Nodes) -> None:
+async def tell_subscribers(publisher: Publisher, nodes: Nodes) -> None:
     """Send new values to subscribers until cancelled."""
-    with hub.follow() as follower:
+    with publisher.subscribe() as subscription:
         while True:
-            for machine in await follower.wait():
-                latest = hub.newest[machine]
+            for machine in await subscription.wait():
+                latest = publisher.newest[machine]
                 for variable, attribute in nodes.of[machine]:
                     if attribute.datachange_callbacks:
                         value = data_value(variable.kind, *variable.value(latest), latest)
@@ -273,7 +273,7 @@ class Entry:
 async def open_server(
     section: OpcuaServer,
     entry: Entry,
-    hub: Hub,
+    publisher: Publisher,
     machines: Mapping[str, tuple[Layout, int]],
     given: Callable[[Arrival], object],
     identities: Mapping[str, Identity],
@@ -284,7 +284,7 @@ async def open_server(
     ----------
     section : OpcuaServer
     entry : Entry
-    hub, machines, given
+    publisher, machines, given
         As in `add_machines`.
     identities : dict of str to Identity
         Identities of the machines, for a companion specification.
@@ -320,7 +320,7 @@ async def open_server(
         companion = await load_models(server, section.companion, index, identities)
         spent = time.monotonic() - begun
         entry.log.say(time.time(), "companion", f"{section.companion} loaded in {spent:.2f} s")
-    variables = await add_machines(server, hub, machines, section.readings, given, companion)
+    variables = await add_machines(server, publisher, machines, section.readings, given, companion)
     kept = {
         node_of(machine, variable, index): (machine, variable)
         for machine, some in variables.items()
@@ -340,11 +340,13 @@ async def open_server(
     return server, Nodes(variables, alarms)
 
 
-async def serve_nodes(server: Server, nodes: Nodes, hub: Hub) -> None:
+async def serve_nodes(server: Server, nodes: Nodes, publisher: Publisher) -> None:
     """Send new values until the task is cancelled, then close the server."""
     try:
         await asyncio.gather(
-            tell_subscribers(hub, nodes), tell_alarms(nodes.alarms, hub), disconnect_ended(server)
+            tell_subscribers(publisher, nodes),
+            tell_alarms(nodes.alarms, publisher),
+            disconnect_ended(server),
         )
     finally:
         await server.stop()

@@ -16,11 +16,11 @@ from asyncua import ua, uamethod
 from asyncua.server import Server
 
 from estimator.quality import Quality
-from thermojoint.live.hub import Hub
 from thermojoint.live.opcua_access import Door
 from thermojoint.live.opcua_internals import send_event, subscribers
 from thermojoint.live.opcua_values import status_of
 from thermojoint.live.publication import Publication
+from thermojoint.live.publisher import Publisher
 
 #: Severity of an alarm, 1 to 1000 (Part 5: 667 to 1000 is high).
 SEVERITY = 700
@@ -76,13 +76,13 @@ async def add_alarms(
     return alarms
 
 
-async def tell_alarms(alarms: Alarms, hub: Hub) -> None:
+async def tell_alarms(alarms: Alarms, publisher: Publisher) -> None:
     """Send an alarm when a value becomes bad, changes its reason, or recovers; until cancelled."""
     told: dict[str, str] = {}
-    with hub.follow() as follower:
+    with publisher.subscribe() as subscription:
         while True:
-            for machine in await follower.wait():
-                latest = hub.newest[machine]
+            for machine in await subscription.wait():
+                latest = publisher.newest[machine]
                 status = latest.status if latest.quality is Quality.BAD else ""
                 if status == told.get(machine, ""):
                     continue

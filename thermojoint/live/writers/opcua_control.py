@@ -17,8 +17,8 @@ from asyncua.server import Server
 
 from thermojoint.artefacts.units import MICRO
 from thermojoint.compensation.offsets.handshake import Answer
-from thermojoint.live.hub import Hub
 from thermojoint.live.publication import Layout
+from thermojoint.live.publisher import Publisher
 from thermojoint.live.writers.opcua import NAMESPACE
 
 #: Interval at which the service's heartbeat is checked, s.
@@ -93,9 +93,9 @@ def answer_of(name: str, layout: Layout, value: Any) -> Answer:  # noqa: ANN401
     return Answer(acknowledged=[lever * said if name == one else math.nan for one, lever in levers])
 
 
-async def tell_heartbeat(server: Server, node: ua.NodeId, hub: Hub) -> None:
+async def tell_heartbeat(server: Server, node: ua.NodeId, publisher: Publisher) -> None:
     """Write the service's heartbeat into its variable until cancelled."""
     while True:
-        value = ua.DataValue(ua.Variant(hub.heartbeat % _WRAP, ua.VariantType.UInt32))
+        value = ua.DataValue(ua.Variant(publisher.heartbeat % _WRAP, ua.VariantType.UInt32))
         await server.write_attribute_value(node, value)
         await asyncio.sleep(_BEAT_S)

@@ -17,8 +17,8 @@ from datetime import UTC, datetime
 from estimator.quality import Quality
 from thermojoint.artefacts.arrays import Array
 from thermojoint.live.cancelling import cancelled
-from thermojoint.live.hub import Hub
 from thermojoint.live.publication import Publication
+from thermojoint.live.publisher import Publisher
 
 #: A reader that accepts no data for this long is disconnected, s.
 READER_S = 30.0
@@ -79,12 +79,12 @@ def _millimetres(array: Array, k: int) -> str:
     return f"{value:.7f}" if math.isfinite(value) else _NONE
 
 
-async def serve_agents(hub: Hub, listening: socket.socket, heartbeat: float) -> None:
+async def serve_agents(publisher: Publisher, listening: socket.socket, heartbeat: float) -> None:
     """Serve agents until the task is cancelled.
 
     Parameters
     ----------
-    hub : Hub
+    publisher : Publisher
     listening : socket
         Limits the connections.
     heartbeat : float
@@ -97,7 +97,7 @@ async def serve_agents(hub: Hub, listening: socket.socket, heartbeat: float) -> 
         task = asyncio.current_task()
         assert task is not None
         connected[task] = writer
-        telling = asyncio.create_task(_tell(hub, writer))
+        telling = asyncio.create_task(_tell(publisher, writer))
         asking = asyncio.create_task(_answer(reader, writer, heartbeat))
         try:
             await asyncio.wait((telling, asking), return_when=asyncio.FIRST_COMPLETED)
@@ -116,12 +116,12 @@ async def serve_agents(hub: Hub, listening: socket.socket, heartbeat: float) -> 
         await asyncio.gather(*connected, return_exceptions=True)
 
 
-async def _tell(hub: Hub, writer: asyncio.StreamWriter) -> None:
+async def _tell(publisher: Publisher, writer: asyncio.StreamWriter) -> None:
     """Send all values, then changed ones, as long as the agent accepts them."""
-    with hub.follow() as follower:
+    with publisher.subscribe() as subscription:
         while True:
-            for machine in await follower.wait():
-                writer.write("".join(lines_of(hub.newest[machine])).encode())
+            for machine in await subscription.wait():
+                writer.write("".join(lines_of(publisher.newest[machine])).encode())
                 async with asyncio.timeout(READER_S):
                     await writer.drain()
 

@@ -15,8 +15,8 @@ from thermojoint.live.publication import Publication
 
 
 @dataclass(eq=False)
-class Follower:
-    """A subscriber."""
+class Subscription:
+    """A subscription to new publications."""
 
     #: Machines with an unfetched publication.
     changed: set[str] = field(default_factory=set)
@@ -29,37 +29,37 @@ class Follower:
         changed, self.changed = self.changed, set()
         return changed
 
-    def tell(self, machines: Sequence[str]) -> None:
+    def notify(self, machines: Sequence[str]) -> None:
         """Note that machines have changed."""
         self.changed.update(machines)
         self._published.set()
 
 
 @dataclass(eq=False)
-class Hub:
+class Publisher:
     """Newest publications, shared; used only from the service's event loop."""
 
     #: Newest publication of each machine; to be changed by `publish` only.
     newest: dict[str, Publication] = field(default_factory=dict)
     #: Heartbeat, incremented while the service monitors its machines.
     heartbeat: int = 0
-    _followers: set[Follower] = field(default_factory=set)
+    _subscriptions: set[Subscription] = field(default_factory=set)
 
     def publish(self, publications: Sequence[Publication]) -> None:
         """Replace the newest publications of some machines, and notify the subscribers."""
         self.newest.update((publication.machine, publication) for publication in publications)
         machines = [publication.machine for publication in publications]
-        for follower in self._followers:
-            follower.tell(machines)
+        for subscription in self._subscriptions:
+            subscription.notify(machines)
 
     @contextmanager
-    def follow(self) -> Iterator[Follower]:
-        """Give a new subscriber; existing publications count as changed."""
-        follower = Follower()
+    def subscribe(self) -> Iterator[Subscription]:
+        """Give a new subscription; existing publications count as changed."""
+        subscription = Subscription()
         if self.newest:
-            follower.tell(list(self.newest))
-        self._followers.add(follower)
+            subscription.notify(list(self.newest))
+        self._subscriptions.add(subscription)
         try:
-            yield follower
+            yield subscription
         finally:
-            self._followers.discard(follower)
+            self._subscriptions.discard(subscription)
