@@ -27,22 +27,22 @@ from thermojoint.artefacts.tables.clock import Hands
 from thermojoint.live import floor as floors
 from thermojoint.live.arrivals import Arrival, Note
 from thermojoint.live.floor import Floor, Place
+from thermojoint.live.loaded_models import LoadedModel
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine import at_rest
 from thermojoint.live.metrics import fresh_metrics
 from thermojoint.live.readers import csv_pipe, mqtt, opcua
 from thermojoint.live.samples import Waiting
-from thermojoint.live.served import Served
 from thermojoint.live.settings import MqttSource, WatchdogSection
 from thermojoint.live.writers.opcua import probe_reading
 
 START = 1_772_431_200.0
 MACHINE = "mill"
-Door = Callable[[random.Random, Served, float, bool], list[Arrival | Note]]
+Door = Callable[[random.Random, LoadedModel, float, bool], list[Arrival | Note]]
 _LARGEST = 16_384
 
 
-def good_readings(model: Served, k: int) -> list[float]:
+def good_readings(model: LoadedModel, k: int) -> list[float]:
     """Return what a machine reads in a second that is well."""
     return [20.0 + 0.5 * n + math.sin(k / 50.0 + n) for n in range(model.intake.wanted)]
 
@@ -91,7 +91,9 @@ def times(draw: random.Random) -> Any:
     )
 
 
-def mqtt_door(draw: random.Random, model: Served, now: float, well: bool) -> list[Arrival | Note]:
+def mqtt_door(
+    draw: random.Random, model: LoadedModel, now: float, well: bool
+) -> list[Arrival | Note]:
     """One message: a topic and its payload."""
     names = model.intake.names
     topics = mqtt.topics_of(
@@ -130,7 +132,9 @@ def mqtt_door(draw: random.Random, model: Served, now: float, well: bool) -> lis
     return [mqtt.item_of(topics, topic, payload)]
 
 
-def csv_door(draw: random.Random, model: Served, now: float, well: bool) -> list[Arrival | Note]:
+def csv_door(
+    draw: random.Random, model: LoadedModel, now: float, well: bool
+) -> list[Arrival | Note]:
     """One line of a pipe."""
     names = {name: name for name in model.intake.names}
     pipe = csv_pipe.Pipe(MACHINE, Path("-"), names, model.intake.wanted, 0.0, follow=True)
@@ -154,7 +158,9 @@ def csv_door(draw: random.Random, model: Served, now: float, well: bool) -> list
     return csv_pipe.items_in(pipe, header, line, Hands())[0]
 
 
-def opcua_door(draw: random.Random, model: Served, now: float, well: bool) -> list[Arrival | Note]:
+def opcua_door(
+    draw: random.Random, model: LoadedModel, now: float, well: bool
+) -> list[Arrival | Note]:
     """One value of each variable, or one that is damaged; and one that a user writes."""
     count = len(model.intake.names)
     stamp = datetime.fromtimestamp(now, UTC)
@@ -181,14 +187,14 @@ def opcua_door(draw: random.Random, model: Served, now: float, well: bool) -> li
 DOORS: dict[str, Door] = {"mqtt": mqtt_door, "csv": csv_door, "opcua": opcua_door}
 
 
-def floor_of(model: Served) -> Floor:
+def floor_of(model: LoadedModel) -> Floor:
     """Return one machine that nobody keeps."""
     place = Place(model, 1, at_rest(MACHINE, model, START), None, 0.0)
     return Floor({MACHINE: place}, EventLog(), fresh_metrics(), 60.0, 1e9, WatchdogSection())
 
 
 def estimates(
-    door: Door, model: Served, count: int, seed: int, damaged: bool
+    door: Door, model: LoadedModel, count: int, seed: int, damaged: bool
 ) -> Iterator[tuple[float, ...]]:
     """Yield the estimates of a run, with damaged readings between the others or without."""
     draw, floor = random.Random(seed), floor_of(model)
@@ -218,7 +224,7 @@ def estimates(
         )
 
 
-def check(name: str, model: Served, count: int, seed: int) -> dict[str, Any]:
+def check(name: str, model: LoadedModel, count: int, seed: int) -> dict[str, Any]:
     """Return what a door made of its damaged readings: whether estimates differ, and the growth."""
     wells = list(estimates(DOORS[name], model, count, seed, damaged=False))
     tracemalloc.start()
@@ -237,7 +243,7 @@ def check(name: str, model: Served, count: int, seed: int) -> dict[str, Any]:
 
 def main() -> None:
     """Run it and print what was found as JSON; exit code 1 if anything failed."""
-    from thermojoint.live.served import served
+    from thermojoint.live.loaded_models import load_model
     from thermojoint.live.settings import ModelSection
 
     parser = options_of(__doc__)
@@ -246,7 +252,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     section = ModelSection(file=given.model.absolute())
-    model = served(section, Path("/nonexistent"))
+    model = load_model(section, Path("/nonexistent"))
     found = [check(name, model, given.count, given.seed) for name in DOORS]
     print(json.dumps({"count": given.count, "interfaces": found}, indent=2))
     sys.exit(not all(one["equal"] and one["grown_kb"] < 512.0 for one in found))

@@ -34,8 +34,8 @@ import numpy as np
 from benchmarks.study import MEASURED_LOG, learn, options_of, service, write_json
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.archive import Archive, History
+from thermojoint.live.loaded_models import load_model
 from thermojoint.live.publication import Columns
-from thermojoint.live.served import served
 from thermojoint.live.service import run
 from thermojoint.live.settings import read_service
 
@@ -226,7 +226,7 @@ def undisturbed(place: Path, lines: Sequence[str], killed: History) -> Iterator[
     text = (place / "whole.toml").read_text()
     given = read_service(place / "whole.toml").given.models["model"]
     models = {
-        served(given.model_copy(update={"file": path}), place / "kept").digest: path
+        load_model(given.model_copy(update={"file": path}), place / "kept").digest: path
         for path in place.glob("model*.json")
     }
     with closing(sqlite3.connect(place / "killed" / "history.sqlite")) as store:

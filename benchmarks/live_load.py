@@ -66,11 +66,11 @@ _HEARD = 50
 
 def names_of(model: Path) -> tuple[str, ...]:
     """Return what a machine with a model reads in every sample."""
-    from thermojoint.live.served import served
+    from thermojoint.live.loaded_models import load_model
     from thermojoint.live.settings import ModelSection
 
     with tempfile.TemporaryDirectory() as kept:
-        found = served(ModelSection(file=model), Path(kept)).intake
+        found = load_model(ModelSection(file=model), Path(kept)).intake
     return found.names[: found.wanted]
 
 

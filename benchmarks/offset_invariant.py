@@ -52,6 +52,7 @@ from thermojoint.compensation.offsets.settings import Settings, settings_from_da
 from thermojoint.live import floor as floors
 from thermojoint.live.arrivals import Arrival
 from thermojoint.live.floor import Floor
+from thermojoint.live.loaded_models import LoadedModel, lines_in
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine import Times
 from thermojoint.live.metrics import fresh_metrics
@@ -59,7 +60,6 @@ from thermojoint.live.opcua_values import offset_status_of
 from thermojoint.live.publication import Layout, Publication
 from thermojoint.live.running import restored_floor
 from thermojoint.live.samples import Rule
-from thermojoint.live.served import Served, lines_in
 from thermojoint.live.settings import Service, service_from_data
 from thermojoint.live.store import Batch, commit, open_store
 
@@ -122,13 +122,13 @@ def settings_of(
     return with_slopes(found, {"x": STROKE}, "offsets.toml")
 
 
-def served_with(
+def model_with(
     output: Settings | None, gain: float, handshake: HandshakeSettings | None = None
-) -> Served:
+) -> LoadedModel:
     """Return a model with settings of its output, and of the handshake with its control."""
     found = Gauge(gain)
     controls = () if output is None else output.output.names
-    return Served(
+    return LoadedModel(
         found,
         f"gauge {gain}",
         "gauge.json",
@@ -234,7 +234,7 @@ class Offsets(RuleBasedStateMachine):
         self.wall = START  # what the computer's clock says beyond it
         self.source = START  # what the source's clock says beyond it
         self.booted = 0.0
-        self.model = served_with(None, 1.0)
+        self.model = model_with(None, 1.0)
         self.store: sqlite3.Connection | None = None
         self.floor: Floor
         # By axis: what the control received last, and when; how fast, how far and in which steps it
@@ -422,7 +422,7 @@ class Offsets(RuleBasedStateMachine):
     @initialize(output=outputs, shakes=st.booleans())
     def begin(self, output: Settings | None, shakes: bool) -> None:
         """A new folder."""
-        self.model = served_with(output, 1.0, HANDSHAKE if shakes else None)
+        self.model = model_with(output, 1.0, HANDSHAKE if shakes else None)
         self.start()
 
     @rule(linked=st.booleans(), enabled=st.booleans(), clears=st.booleans())
@@ -531,7 +531,7 @@ class Offsets(RuleBasedStateMachine):
         # A control that is away would not know that nobody asks for its word any more.
         handshake = HANDSHAKE if shakes or self.away else None
         self.lie, self.told = 0.0, (-math.inf, False)
-        self.model = served_with(before.output if output is None else output[0], gain, handshake)
+        self.model = model_with(before.output if output is None else output[0], gain, handshake)
         self.unheard = {"X", "Z"}
         for one in self.model.layout.lines if handshake is not None else ():
             last, at = self.control.get(one.axis, (Line(), -math.inf))

@@ -18,9 +18,9 @@ from thermojoint.live.accounts import accounts_of
 from thermojoint.live.certificates import ending, http_identity, opcua_identity
 from thermojoint.live.consistency import contradictions
 from thermojoint.live.former_models import pinned
+from thermojoint.live.loaded_models import LoadedModel, load_models, models_by_machine
 from thermojoint.live.readers.reading import readers_of
 from thermojoint.live.scene import scene_of
-from thermojoint.live.served import Served, served_models, single
 from thermojoint.live.settings import Service
 from thermojoint.live.store import check_store, is_held
 from thermojoint.live.tokens import tokens_in
@@ -54,13 +54,13 @@ def _findings(service: Service, folder: Path) -> Findings:
         service = pinned(service)
     except InputError as error:
         refused.append(str(error))
-    models, unusable = served_models(service)
+    models, unusable = load_models(service)
     refused += [f"models.{name}: {reason}" for name, reason in unusable.items()]
     working = {name: one for name, one in service.machines.items() if one.model in models}
     service = replace(service, machines=working)
     checks: list[Callable[[], object]] = [
         partial(check_store, folder / "history.sqlite"),
-        partial(readers_of, service, single(models, service)),
+        partial(readers_of, service, models_by_machine(models, service)),
         *(partial(_check_scene, service, models, name) for name in models),
         *(partial(_check_target, service, models, name) for name in working),
         partial(_check_users, service),
@@ -102,13 +102,13 @@ def _copy(source: Path, target: Path) -> None:
             shutil.copy2(path, target / name)
 
 
-def _check_scene(service: Service, models: dict[str, Served], name: str) -> None:
+def _check_scene(service: Service, models: dict[str, LoadedModel], name: str) -> None:
     file, estimator = service.given.models[name].scene, models[name].estimator
     if file is not None:
         scene_of(file, estimator, estimator.initial_state)
 
 
-def _check_target(service: Service, models: dict[str, Served], name: str) -> None:
+def _check_target(service: Service, models: dict[str, LoadedModel], name: str) -> None:
     section = service.machines[name]
     if section.target is not None:
         from thermojoint.live.targets.writing import target_of

@@ -11,11 +11,11 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ThermojointError
 from thermojoint.artefacts.units import MICRO
 from thermojoint.compensation.offsets.usable import limit_without_band
-from thermojoint.live.served import Served
+from thermojoint.live.loaded_models import LoadedModel
 from thermojoint.live.settings import ServiceFile
 
 
-def contradictions(given: ServiceFile, models: Mapping[str, Served]) -> Iterator[str]:
+def contradictions(given: ServiceFile, models: Mapping[str, LoadedModel]) -> Iterator[str]:
     """Yield a warning for each setting by which values never stay good."""
     for name, model in models.items():
         if given.watchdog.uncertain_s < model.rule.interval:
@@ -36,7 +36,7 @@ def contradictions(given: ServiceFile, models: Mapping[str, Served]) -> Iterator
             )
 
 
-def _band_at_first(model: Served) -> Array:
+def _band_at_first(model: LoadedModel) -> Array:
     """Return the band of a first sample whose readings are all missing, or all zero, m."""
     count = len(model.estimator.channels)
     for value in (np.nan, 0.0):

@@ -13,6 +13,7 @@ import numpy as np
 from estimator.quality import Quality
 from thermojoint.compensation.offsets.handshake import STANDS, Answer, answered
 from thermojoint.live.arrivals import Arrival
+from thermojoint.live.loaded_models import LoadedModel
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine import (
     Machine,
@@ -30,7 +31,6 @@ from thermojoint.live.metrics import Metrics
 from thermojoint.live.next_reading import Request
 from thermojoint.live.publication import Publication, as_row
 from thermojoint.live.samples import Rule, arrived
-from thermojoint.live.served import Served
 from thermojoint.live.settings import WatchdogSection
 from thermojoint.live.store import Checkpoint, Hole, Received, Taken
 
@@ -45,7 +45,7 @@ class Place:
     """State of a machine in the service."""
 
     #: Model of the machine.
-    served: Served
+    model: LoadedModel
     #: Number of its era in the store.
     era: int
     #: State of the machine.
@@ -121,7 +121,7 @@ def absorb(floor: Floor, arrivals: Iterable[Arrival], now: float, clock: float) 
         place = floor.places.get(arrival.machine)
         if place is None:
             continue
-        rule = place.served.rule
+        rule = place.model.rule
         step = arrived(
             rule, place.machine.waiting, arrival.time, arrival.readings, (now, now + floor.ahead)
         )
@@ -160,15 +160,15 @@ def _sample(
     instant, now = sample[0], times.now
     before = place.machine.latest
     name = place.machine.name
-    if before.number and instant - before.time > _GAP * place.served.rule.interval:
+    if before.number and instant - before.time > _GAP * place.model.rule.interval:
         why = "the service was down" if place.fresh else "no readings"
         outcome.holes.append(Hole(name, before.time, instant, why))
         floor.log.say(now, "hole", f"{instant - before.time:.3f} s without samples: {why}", name)
-    age = age_of(place.served.rule, floor.behind, instant, now)
-    if not has_reading(place.served, place.served.intake.usable(sample[1])):
+    age = age_of(place.model.rule, floor.behind, instant, now)
+    if not has_reading(place.model, place.model.intake.usable(sample[1])):
         # A sample without any reading counts as silence, whatever its estimate.
         age = max(age, times.clock - place.heard)
-    place.machine, refusal = taken(place.served, place.machine, sample, times, age)
+    place.machine, refusal = taken(place.model, place.machine, sample, times, age)
     place.fresh = False
     latest = place.machine.latest
     if refusal:
@@ -185,16 +185,16 @@ def _sample(
     if times.clock - place.heard >= floor.watchdog.uncertain_s:
         # The sample was read late: its estimate is old.
         place.machine, published = silent(
-            place.served, place.machine, times.clock - place.heard, times, floor.watchdog
+            place.model, place.machine, times.clock - place.heard, times, floor.watchdog
         )
     place.reported, place.mode = (published.quality, published.status), published.offset_mode
     outcome.publications[name] = published
-    floor.metrics.samples.labels(place.served.file).inc()
+    floor.metrics.samples.labels(place.model.file).inc()
 
 
-def has_reading(served: Served, usable: Iterable[float]) -> bool:
+def has_reading(model: LoadedModel, usable: Iterable[float]) -> bool:
     """Return whether usable readings (`Intake.usable`) include one expected in every sample."""
-    return any(map(math.isfinite, islice(usable, served.rule.wanted)))
+    return any(map(math.isfinite, islice(usable, model.rule.wanted)))
 
 
 def _asked(floor: Floor, machine: str, before: Request, after: Request, now: float) -> None:
@@ -208,7 +208,7 @@ def _asked(floor: Floor, machine: str, before: Request, after: Request, now: flo
 def postpone(floor: Floor, machine: str, now: float) -> Publication | None:
     """Postpone the requested reading of a machine; return its publication, or None if none."""
     place = floor.places[machine]
-    before, place.machine = place.machine, postponed(place.served, place.machine)
+    before, place.machine = place.machine, postponed(place.model, place.machine)
     if place.machine is before:
         return None
     _asked(floor, machine, before.asked, place.machine.asked, now)
@@ -233,7 +233,7 @@ def age_of(rule: Rule, behind: float, instant: float, now: float) -> float:
 def received(floor: Floor, machines: Iterable[str], now: float) -> list[Received]:
     """Return the values that some controls are about to receive, to be stored first."""
     places = (floor.places[name] for name in machines)
-    messages = (received_of(place.served, place.machine, now) for place in places)
+    messages = (received_of(place.model, place.machine, now) for place in places)
     return [message for message in messages if message is not None]
 
 
@@ -242,14 +242,14 @@ def watch(floor: Floor, now: float, clock: float) -> list[Publication]:
     changed = []
     limits = floor.watchdog
     for place in floor.places.values():
-        age, output = clock - place.heard, place.served.output
+        age, output = clock - place.heard, place.model.output
         oldest = math.inf if output is None else output.trust.oldest
         changed_hands = _shake(floor, place, now, clock)
         broken = place.handshake not in ("", STANDS)
         if age < min(limits.uncertain_s, oldest) and not changed_hands and not broken:
             continue
         before = place.machine.output
-        machine, latest = silent(place.served, place.machine, age, Times(now, clock), limits)
+        machine, latest = silent(place.model, place.machine, age, Times(now, clock), limits)
         place.machine, after = machine, machine.output
         moved = (
             changed_hands
@@ -279,10 +279,10 @@ def watch(floor: Floor, now: float, clock: float) -> list[Publication]:
 
 def _shake(floor: Floor, place: Place, now: float, clock: float) -> bool:
     """Update the handshake of a machine; return whether it has changed since the last check."""
-    served, name = place.served, place.machine.name
-    if served.handshake is None:
+    model, name = place.model, place.machine.name
+    if model.handshake is None:
         return False
-    place.machine = shaken(served, place.machine, clock)
+    place.machine = shaken(model, place.machine, clock)
     state, before = place.machine.handshake.state, place.handshake
     place.handshake = state
     if state == before:
@@ -300,13 +300,13 @@ def answer(floor: Floor, machine: str, given: Answer, clock: float) -> None:
 
 def checkpoint_of(place: Place) -> Checkpoint:
     """Return the checkpoint of a machine; its list of samples is empty afterwards."""
-    rows = np.array([row for row, _ in place.rows]).reshape(-1, place.served.layout.width)
+    rows = np.array([row for row, _ in place.rows]).reshape(-1, place.model.layout.width)
     status = tuple(status for _, status in place.rows)
     place.rows = []
     return Checkpoint(
         place.era,
         place.machine.latest.number,
-        state_bytes(place.served, place.machine),
+        state_bytes(place.model, place.machine),
         rest_of(place.machine, place.position),
         rows,
         status,

@@ -39,11 +39,11 @@ from thermojoint.compensation.offsets.output import (
 )
 from thermojoint.compensation.offsets.output import restored as output_restored
 from thermojoint.compensation.offsets.usable import usable
+from thermojoint.live.loaded_models import LoadedModel
 from thermojoint.live.next_reading import Request, after_sample, ended
 from thermojoint.live.publication import NOTHING_ASKED, Layout, Publication, from_row
 from thermojoint.live.quality import REFUSED, quality_at, silent_status
 from thermojoint.live.samples import Waiting
-from thermojoint.live.served import Served
 from thermojoint.live.settings import WatchdogSection
 from thermojoint.live.store import Kept, Received
 
@@ -80,12 +80,12 @@ class Machine(NamedTuple):
     asked: Request = NOTHING_ASKED
 
 
-def at_rest(name: str, served: Served, now: float) -> Machine:
+def at_rest(name: str, model: LoadedModel, now: float) -> Machine:
     """Return a machine without any reading yet, at a time (s since 1970)."""
-    nothing = _nothing(name, served.layout, now)
-    output = at_zero(served.output.output) if served.output else None
-    start = served.estimator.initial_state()
-    handshake = begun(_corrections(served, output), -math.inf)
+    nothing = _nothing(name, model.layout, now)
+    output = at_zero(model.output.output) if model.output else None
+    start = model.estimator.initial_state()
+    handshake = begun(_corrections(model, output), -math.inf)
     return Machine(name, start, math.nan, output, handshake, Waiting(), nothing, nothing)
 
 
@@ -110,7 +110,7 @@ def _nothing(name: str, layout: Layout, now: float) -> Publication:
 
 
 def taken(
-    served: Served,
+    model: LoadedModel,
     machine: Machine,
     sample: tuple[float, tuple[float, ...]],
     times: Times,
@@ -120,12 +120,12 @@ def taken(
 
     Parameters
     ----------
-    served : Served
+    model : LoadedModel
         Its model.
     machine : Machine
         Machine before the sample; `waiting` is not changed.
     sample : (float, tuple of float)
-        Its instant, s since 1970, and its readings in the order of `served.intake.names`; NaN for
+        Its instant, s since 1970, and its readings in the order of `model.intake.names`; NaN for
         missing ones.
     times : Times
         Time of publication.
@@ -133,68 +133,68 @@ def taken(
         Age of the sample at that time, s.
     """
     (instant, readings), now = sample, times.now
-    machine = shaken(served, machine, times.clock)
-    given = served.intake.usable(readings)
-    values, cold = served.intake.convert(given, machine.cold)
+    machine = shaken(model, machine, times.clock)
+    given = model.intake.usable(readings)
+    values, cold = model.intake.convert(given, machine.cold)
     number = machine.latest.number + 1
     usable_readings = np.array(given)
     try:
-        state, estimate = served.estimator.sample(machine.state, instant, values)
+        state, estimate = model.estimator.sample(machine.state, instant, values)
     except ThermojointError as error:
         # The sample is stored, so that it is not read again; the estimate does not change.
-        machine = _cycled(served, machine, times.clock, None)
+        machine = _cycled(model, machine, times.clock, None)
         nothing = replace(
-            _nothing(machine.name, served.layout, now),
+            _nothing(machine.name, model.layout, now),
             number=number,
             time=instant,
             quality=Quality.UNCERTAIN,
             readings=usable_readings,
             status=REFUSED,
             asked=machine.asked,
-            **_for_control(served, machine),
+            **_for_control(model, machine),
         )
         return machine._replace(cold=cold, latest=nothing), str(error)
     words, reached = estimate.words, estimate.displacement
-    target = _followed(served, estimate) if _usable(served, age, estimate) else None
-    machine = _cycled(served, machine, times.clock, target)
+    target = _followed(model, estimate) if _usable(model, age, estimate) else None
+    machine = _cycled(model, machine, times.clock, target)
     asked = machine.asked
-    if served.asking is not None:
+    if model.asking is not None:
         # A refused reading needs confirmation: the request remains.
         refused = Status.READING_REFUSED in estimate.status
-        read = [] if refused else _read_axes(served, given)
-        asked = after_sample(served.asking, asked, instant, read, estimate.band, state)
+        read = [] if refused else _read_axes(model, given)
+        asked = after_sample(model.asking, asked, instant, read, estimate.band, state)
     latest = Publication(
         machine.name,
         number,
         instant,
         now,
         quality_of(words, reached),
-        served.layout,
+        model.layout,
         reached,
         estimate.band,
         details=estimate.details,
         readings=usable_readings,
         status=words,
         asked=asked,
-        **_for_control(served, machine),
+        **_for_control(model, machine),
     )
     machine = machine._replace(state=state, cold=cold, latest=latest, usable=latest, asked=asked)
     return machine, ""
 
 
-def _read_axes(served: Served, given: Sequence[float]) -> list[str]:
+def _read_axes(model: LoadedModel, given: Sequence[float]) -> list[str]:
     """Return the axes whose displacement is among the readings of a sample."""
-    wanted = served.intake.wanted
-    names = served.layout.readings[wanted:]
+    wanted = model.intake.wanted
+    names = model.layout.readings[wanted:]
     probed = zip(names, given[wanted:], strict=True)
     return [name.removesuffix("_um") for name, value in probed if math.isfinite(value)]
 
 
-def postponed(served: Served, machine: Machine) -> Machine:
+def postponed(model: LoadedModel, machine: Machine) -> Machine:
     """Return a machine with its request for a reading postponed; it is repeated later."""
-    if served.asking is None or not machine.asked.axis:
+    if model.asking is None or not machine.asked.axis:
         return machine
-    asked = ended(served.asking, machine.asked, machine.latest.time, "postponed")
+    asked = ended(model.asking, machine.asked, machine.latest.time, "postponed")
     latest = replace(machine.latest, asked=asked)
     return machine._replace(asked=asked, latest=latest)
 
@@ -210,21 +210,21 @@ def shown(machine: Machine) -> Publication:
 
 
 def silent(
-    served: Served, machine: Machine, age: float, times: Times, limits: WatchdogSection
+    model: LoadedModel, machine: Machine, age: float, times: Times, limits: WatchdogSection
 ) -> tuple[Machine, Publication]:
     """Return a machine and its publication some time (s) after its last usable sample.
 
     The offsets freeze and decay according to their settings: neither an estimate that is too old
     nor one without the control's handshake moves them.
     """
-    machine = shaken(served, machine, times.clock)
+    machine = shaken(model, machine, times.clock)
     if (
-        served.output is not None
+        model.output is not None
         and machine.output is not None
         and machine.output.used
-        and (age > served.output.trust.oldest or _handshake(served, machine) not in ("", STANDS))
+        and (age > model.output.trust.oldest or _handshake(model, machine) not in ("", STANDS))
     ):
-        machine = _cycled(served, machine, times.clock, None)
+        machine = _cycled(model, machine, times.clock, None)
     before = shown(machine)
     quality = quality_at(age, limits.uncertain_s, limits.bad_s) if before.number else Quality.BAD
     latest = replace(
@@ -232,23 +232,23 @@ def silent(
         published=times.now,
         quality=max(before.quality, quality),
         status=silent_status(before.status, quality) if before.number else before.status,
-        **_for_control(served, machine),
+        **_for_control(model, machine),
     )
     return machine, latest
 
 
-def shaken(served: Served, machine: Machine, clock: float) -> Machine:
+def shaken(model: LoadedModel, machine: Machine, clock: float) -> Machine:
     """Return a machine with its handshake updated to a time of the service's own clock (s).
 
     For a control that returns, the offsets continue from the ones in it.
     """
-    if served.handshake is None or served.output is None or machine.output is None:
+    if model.handshake is None or model.output is None or machine.output is None:
         return machine
-    handshake, output = judged(served.handshake, machine.handshake, clock), machine.output
-    acts = continued_from(machine.handshake, handshake, served.handshake)
+    handshake, output = judged(model.handshake, machine.handshake, clock), machine.output
+    acts = continued_from(machine.handshake, handshake, model.handshake)
     if acts is not None:
-        output = moved_to(served.output.output, output, acts, clock)
-        handshake = sent(served.handshake, handshake, _corrections(served, output), clock)
+        output = moved_to(model.output.output, output, acts, clock)
+        handshake = sent(model.handshake, handshake, _corrections(model, output), clock)
     return machine._replace(output=output, handshake=handshake)
 
 
@@ -258,31 +258,31 @@ def held(latest: Publication) -> Publication:
     return replace(latest, quality=max(latest.quality, Quality.UNCERTAIN), offset_mode=mode)
 
 
-def _cycled(served: Served, machine: Machine, clock: float, target: Array | None) -> Machine:
+def _cycled(model: LoadedModel, machine: Machine, clock: float, target: Array | None) -> Machine:
     """Return a machine after one cycle of its output, without a target if the handshake broke."""
-    if served.output is None or machine.output is None:
+    if model.output is None or machine.output is None:
         return machine
-    settings, handshake = served.output.output, machine.handshake
-    if _handshake(served, machine) not in ("", STANDS):
+    settings, handshake = model.output.output, machine.handshake
+    if _handshake(model, machine) not in ("", STANDS):
         target = None
     output = cycle(settings, machine.output, clock, target)
-    if served.handshake is not None:
-        handshake = sent(served.handshake, handshake, _corrections(served, output), clock)
+    if model.handshake is not None:
+        handshake = sent(model.handshake, handshake, _corrections(model, output), clock)
     return machine._replace(output=output, handshake=handshake)
 
 
-def _handshake(served: Served, machine: Machine) -> str:
+def _handshake(model: LoadedModel, machine: Machine) -> str:
     """Return the state of the handshake; empty if there is none."""
-    return "" if served.handshake is None or served.output is None else machine.handshake.state
+    return "" if model.handshake is None or model.output is None else machine.handshake.state
 
 
-def _for_control(served: Served, machine: Machine) -> dict[str, Any]:
+def _for_control(model: LoadedModel, machine: Machine) -> dict[str, Any]:
     """Return the control's part of a publication: offsets, slopes, their mode, the handshake."""
-    handshake = _handshake(served, machine)
-    if served.output is None or machine.output is None:
+    handshake = _handshake(model, machine)
+    if model.output is None or machine.output is None:
         empty = np.empty(0)
         return {"offsets": empty, "slopes": empty, "offset_mode": "", "handshake": handshake}
-    settings, output = served.output.output, machine.output
+    settings, output = model.output.output, machine.output
     return {
         "offsets": offsets_of(settings, output),
         "slopes": slopes_of(settings, output),
@@ -291,42 +291,42 @@ def _for_control(served: Served, machine: Machine) -> dict[str, Any]:
     }
 
 
-def _corrections(served: Served, output: OutputState | None) -> Array:
+def _corrections(model: LoadedModel, output: OutputState | None) -> Array:
     """Return the values of a handshake: offsets, and corrections by slopes at the far end, m."""
-    if served.output is None or output is None:
+    if model.output is None or output is None:
         return np.empty(0)
-    return corrections_of(served.output.output, output)
+    return corrections_of(model.output.output, output)
 
 
-def _usable(served: Served, age: float, last: Estimate | Publication) -> bool:
+def _usable(model: LoadedModel, age: float, last: Estimate | Publication) -> bool:
     """Whether an estimate of an age (s) may move an axis."""
-    if served.output is None or not np.isfinite(last.displacement).all():
+    if model.output is None or not np.isfinite(last.displacement).all():
         return False
-    band = band_along(served.output.output, served.layout.axes, last.band, _lines(served, last))
+    band = band_along(model.output.output, model.layout.axes, last.band, _lines(model, last))
     words = last.status if isinstance(last, Publication) else last.words
-    return usable(served.output.trust, age, band, words)
+    return usable(model.output.trust, age, band, words)
 
 
-def _followed(served: Served, estimate: Estimate) -> Array | None:
+def _followed(model: LoadedModel, estimate: Estimate) -> Array | None:
     """Return the targets of the offsets and slopes."""
-    if served.output is None:
+    if model.output is None:
         return None
-    lines = _lines(served, estimate)
-    places = {name: float(estimate.details[k]) for name, k in served.places.items()}
-    axes = served.layout.axes
-    return followed(served.output.output, axes, estimate.displacement, lines, places)
+    lines = _lines(model, estimate)
+    places = {name: float(estimate.details[k]) for name, k in model.places.items()}
+    axes = model.layout.axes
+    return followed(model.output.output, axes, estimate.displacement, lines, places)
 
 
-def _lines(served: Served, last: Estimate | Publication) -> Lines | None:
+def _lines(model: LoadedModel, last: Estimate | Publication) -> Lines | None:
     """Return the lines of an estimate, if the control receives any."""
-    if not served.layout.lines:
+    if not model.layout.lines:
         return None
-    return lines_of(served.layout.axes, served.layout.details, last.details)
+    return lines_of(model.layout.axes, model.layout.details, last.details)
 
 
-def state_bytes(served: Served, machine: Machine) -> bytes:
+def state_bytes(model: LoadedModel, machine: Machine) -> bytes:
     """Return the estimator's state in its stored form."""
-    return as_bytes(served.digest, np.concatenate(([machine.cold], machine.state)))
+    return as_bytes(model.digest, np.concatenate(([machine.cold], machine.state)))
 
 
 def rest_of(machine: Machine, position: Any) -> str:  # noqa: ANN401
@@ -334,16 +334,16 @@ def rest_of(machine: Machine, position: Any) -> str:  # noqa: ANN401
     return json.dumps({"at": position, "waiting": machine.waiting, "asked": machine.asked})
 
 
-def received_of(served: Served, machine: Machine, now: float) -> Received | None:
+def received_of(model: LoadedModel, machine: Machine, now: float) -> Received | None:
     """Return the offsets that the control receives, in stored form; None without offsets."""
-    if served.output is None or machine.output is None:
+    if model.output is None or machine.output is None:
         return None
-    content = content_of(served.output.output, machine.output)
-    if served.handshake is not None:
-        levers = served.output.output.channels.levers
+    content = content_of(model.output.output, machine.output)
+    if model.handshake is not None:
+        levers = model.output.output.channels.levers
         low, high = machine.handshake.low / levers, machine.handshake.high / levers
         axes = content["axes"]
-        slopes = [axes[one.axis]["slope"] for one in served.output.output.slopes]
+        slopes = [axes[one.axis]["slope"] for one in model.output.output.slopes]
         for k, value in enumerate([*axes.values(), *slopes]):
             value["sent"] = [float(low[k]), float(high[k])]
     return Received(machine.name, now, json.dumps(content))
@@ -351,7 +351,7 @@ def received_of(served: Served, machine: Machine, now: float) -> Received | None
 
 def restored(
     name: str,
-    served: Served,
+    model: LoadedModel,
     kept: Kept,
     last: Publication | None,
     received: Received | None,
@@ -365,7 +365,7 @@ def restored(
     Parameters
     ----------
     name : str
-    served : Served
+    model : LoadedModel
     kept : Kept
         Its stored data, possibly with other axes of the control.
     last : Publication or None
@@ -380,47 +380,47 @@ def restored(
     InputError
         The stored state does not fit the model: another model, or a damaged store.
     """
-    machine = at_rest(name, served, times.now)._replace(output=None)
+    machine = at_rest(name, model, times.now)._replace(output=None)
     if kept.state is not None and last is not None:
-        numbers = from_bytes(kept.state, served.digest, name)
+        numbers = from_bytes(kept.state, model.digest, name)
         state = completed(numbers[1:], machine.state)
         if state.size != machine.state.size:
             raise InputError(f"{name}: the state that is kept is damaged; give another folder")
         machine = machine._replace(
             cold=float(numbers[0]),
             state=state,
-            latest=_laid_out(last, served.layout),
-            usable=_laid_out(last, served.layout),
+            latest=_laid_out(last, model.layout),
+            usable=_laid_out(last, model.layout),
         )
     for later in kept.later:
         row = from_row(name, later.number, kept.layout, np.frombuffer(later.row), later.status)
         sample = row.time, tuple(row.readings.tolist())
-        machine, _ = taken(served, machine, sample, Times(row.published, math.nan), 0.0)
+        machine, _ = taken(model, machine, sample, Times(row.published, math.nan), 0.0)
     rest = json.loads(kept.newest)
-    output = _output(served, machine, received, times)
-    handshake = _handshake_begun(served, output, received, times.clock)
+    output = _output(model, machine, received, times)
+    handshake = _handshake_begun(model, output, received, times.clock)
     machine = machine._replace(
         output=output,
         handshake=handshake,
         waiting=_waiting(rest["waiting"]) if "waiting" in rest else Waiting(),
-        asked=Request(*rest.get("asked", ())) if served.asking else NOTHING_ASKED,
+        asked=Request(*rest.get("asked", ())) if model.asking else NOTHING_ASKED,
     )
-    latest = replace(machine.latest, asked=machine.asked, **_for_control(served, machine))
+    latest = replace(machine.latest, asked=machine.asked, **_for_control(model, machine))
     return machine._replace(latest=latest), rest.get("at")
 
 
 def _handshake_begun(
-    served: Served, output: OutputState | None, received: Received | None, clock: float
+    model: LoadedModel, output: OutputState | None, received: Received | None, clock: float
 ) -> Handshake:
     """Return the handshake of a restored machine, at a time (s).
 
     The control may still have values that it was sent before it last agreed.
     """
-    handshake = begun(_corrections(served, output), clock)
-    if served.output is None or received is None:
+    handshake = begun(_corrections(model, output), clock)
+    if model.output is None or received is None:
         return handshake
     axes = json.loads(received.content)["axes"]
-    settings = served.output.output
+    settings = model.output.output
     kept = [axes.get(name, {}) for name in settings.names]
     kept += [axes.get(one.axis, {}).get("slope", {}) for one in settings.slopes]
     # Axes without stored values have no range.
@@ -452,16 +452,16 @@ def _waiting(content: list[Any]) -> Waiting:
 
 
 def _output(
-    served: Served, machine: Machine, received: Received | None, times: Times
+    model: LoadedModel, machine: Machine, received: Received | None, times: Times
 ) -> OutputState | None:
     """Return the compensation output that continues from the values received last by the control.
 
     It follows only if the machine's last estimate is usable under the present settings; else it
     freezes and decays as if the estimate had become too old while the service ran.
     """
-    if served.output is None:
+    if model.output is None:
         return None
-    settings, trust, last = served.output.output, served.output.trust, machine.latest
+    settings, trust, last = model.output.output, model.output.trust, machine.latest
     if received is None:
         return at_zero(settings)
     silence = max(0.0, times.now - received.at)
@@ -470,7 +470,7 @@ def _output(
         return output
     age = times.now - last.published
     # An estimate from the future was made before the clock was set back, at an unknown time.
-    if age >= 0.0 and _usable(served, age, last):
+    if age >= 0.0 and _usable(model, age, last):
         return output
     frozen = cycle(settings, output, times.clock, None)
     return frozen._replace(unusable_since=times.clock - max(0.0, silence - trust.oldest))

@@ -64,9 +64,9 @@ def _writers(running: Running) -> list[Coroutine[Any, Any, None]]:
 
     found, audit = [], running.accounts.audit
     for name, place in running.floor.places.items():
-        target = target_of(running.service, name, place.served)
+        target = target_of(running.service, name, place.model)
         if target is not None:
-            names = place.served.layout.controls
+            names = place.model.layout.controls
             writer = Writer(name, names, *target, running.publisher, running.floor, audit)
             found.append(writer.run())
     return found
@@ -80,12 +80,12 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
     folder = service.folder
     machines = {
         name: About(
-            layout=place.served.layout,
-            kind=place.served.estimator.kind,
-            model=place.served.file,
+            layout=place.model.layout,
+            kind=place.model.estimator.kind,
+            model=place.model.file,
             since=running.archive.begun(name),
-            valid=place.served.ranges,
-            probes=tuple(place.served.layout.readings[place.served.rule.wanted :]),
+            valid=place.model.ranges,
+            probes=tuple(place.model.layout.readings[place.model.rule.wanted :]),
         )
         for name, place in running.floor.places.items()
     }
@@ -98,12 +98,12 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
         {
             name: partial(_residuals_of, place)
             for name, place in running.floor.places.items()
-            if place.served.residuals is not None
+            if place.model.residuals is not None
         },
         {
             name: partial(_handshake_of, place)
             for name, place in running.floor.places.items()
-            if place.served.handshake is not None
+            if place.model.handshake is not None
         },
         lambda name: former_of(read_record(folder), folder, name),
         partial(_roll_back, running),
@@ -133,7 +133,7 @@ def _postpone(running: Running, machine: str) -> bool:
 
 def _read(running: Running, machine: str, given: Mapping[str, float]) -> bool:
     """Queue displacement readings entered by an operator, um."""
-    names, now = running.floor.places[machine].served.layout.readings, time.time()
+    names, now = running.floor.places[machine].model.layout.readings, time.time()
     return _queue(running, Arrival(machine, now, [given.get(name) for name in names], now))
 
 
@@ -158,7 +158,7 @@ def _scenes(running: Running) -> dict[str, Scene]:
 
     machines, models = running.service.machines, running.service.given.models
     return {
-        name: scene_of(file, place.served.estimator, partial(_state_of, place))
+        name: scene_of(file, place.model.estimator, partial(_state_of, place))
         for name, place in running.floor.places.items()
         if (file := models[machines[name].model].scene) is not None
     }
@@ -170,21 +170,21 @@ def _residuals_of(place: Place) -> dict[str, float | None] | None:
     A faulty sensor is visible here before and after it is excluded; a deviation common to all
     sensors is the model's error.
     """
-    served, machine = place.served, place.machine
-    if served.residuals is None or machine.usable.number == 0:
+    model, machine = place.model, place.machine
+    if model.residuals is None or machine.usable.number == 0:
         return None
-    values, _ = served.intake.convert(tuple(machine.usable.readings.tolist()), machine.cold)
-    differences = served.residuals(served.estimator, machine.state, np.array(values)).tolist()
+    values, _ = model.intake.convert(tuple(machine.usable.readings.tolist()), machine.cold)
+    differences = model.residuals(model.estimator, machine.state, np.array(values)).tolist()
     return {
         name: round(value, 4) if math.isfinite(value) else None
-        for name, value in zip(served.layout.readings, differences, strict=False)
+        for name, value in zip(model.layout.readings, differences, strict=False)
     }
 
 
 def _handshake_of(place: Place) -> dict[str, Any]:
     """Return the handshake state of a machine's control."""
     handshake, clock = place.machine.handshake, time.monotonic()
-    layout = place.served.layout
+    layout = place.model.layout
     acts, axes = handshake.acknowledged / layout.levers, [one.axis for one in layout.lines]
     slopes = micrometres(axes, acts[len(layout.controls) :])
     return {
@@ -208,7 +208,7 @@ async def _opcua_server(running: Running, section: OpcuaServer) -> list[Coroutin
     from thermojoint.live.writers.opcua_control import add_controls, tell_heartbeat
 
     machines = {
-        name: (place.served.layout, place.served.rule.wanted)
+        name: (place.model.layout, place.model.rule.wanted)
         for name, place in running.floor.places.items()
     }
     service, log = running.service, running.floor.log
@@ -232,7 +232,7 @@ def _identities(running: Running) -> dict[str, Identity]:
 
     sections, places = running.service.machines, running.floor.places
     return {
-        name: Identity(section, place.served.file, place.served.digest)
+        name: Identity(section, place.model.file, place.model.digest)
         for name, place in places.items()
         if (section := sections[name].identification) is not None
     }
@@ -249,7 +249,7 @@ def _handshakes(service: Service, by: str) -> dict[str, HandshakeSection]:
 
 def _read_answer(floor: Floor, machine: str, body: bytes) -> None:
     """Receive the message of a control; raise ValueError if it is not an answer."""
-    _answer(floor, machine, answer_of(body, floor.places[machine].served.layout))
+    _answer(floor, machine, answer_of(body, floor.places[machine].model.layout))
 
 
 def _answer(floor: Floor, machine: str, given: Answer) -> None:

@@ -74,7 +74,7 @@ async def _renew(
             received=floors.received(running.floor, running.floor.places, now),
         )
         eras: list[Era] = [
-            (place.era, name, place.served.digest, layout_text(place.served.layout), now)
+            (place.era, name, place.model.digest, layout_text(place.model.layout), now)
             for name, place in running.floor.places.items()
         ]
         aside = path.with_name(f"{path.stem}.{round(now)}{path.suffix}")

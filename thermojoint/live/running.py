@@ -23,13 +23,13 @@ from thermojoint.live.archive import Archive
 from thermojoint.live.arrivals import Arrival, Note
 from thermojoint.live.disk_reserve import OVERHEAD, Room, close, lay_in, tend
 from thermojoint.live.floor import Floor, Place
+from thermojoint.live.loaded_models import LoadedModel, models_by_machine
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine import Machine, Times, rest_of, restored, shown, state_bytes
 from thermojoint.live.metrics import Metrics, fresh_metrics
 from thermojoint.live.publication import Publication
 from thermojoint.live.publisher import Publisher
 from thermojoint.live.quality import REFUSED
-from thermojoint.live.served import Served, single
 from thermojoint.live.settings import Service
 from thermojoint.live.store import (
     Batch,
@@ -112,7 +112,7 @@ class Running:
     def _per_hour(self) -> float:
         """Growth of the machines' store in an hour, bytes."""
         places = self.floor.places.values()
-        rows = sum(8.0 * one.served.layout.width / one.served.rule.interval for one in places)
+        rows = sum(8.0 * one.model.layout.width / one.model.rule.interval for one in places)
         return 3600.0 * OVERHEAD * rows
 
     async def tended(self) -> None:
@@ -135,7 +135,7 @@ class Running:
 
 @asynccontextmanager
 async def opened(
-    service: Service, models: dict[str, Served], stop: asyncio.Event, log: EventLog
+    service: Service, models: dict[str, LoadedModel], stop: asyncio.Event, log: EventLog
 ) -> AsyncIterator[Running]:
     """Give a service with its machines restored from the store, which is closed at the end."""
     service.folder.mkdir(parents=True, exist_ok=True)
@@ -175,7 +175,7 @@ async def opened(
 
 def restored_floor(
     service: Service,
-    models: dict[str, Served],
+    models: dict[str, LoadedModel],
     store: sqlite3.Connection,
     log: EventLog,
     metrics: Metrics,
@@ -193,16 +193,16 @@ def restored_floor(
 
 def _places(
     service: Service,
-    models: dict[str, Served],
+    models: dict[str, LoadedModel],
     store: sqlite3.Connection,
     log: EventLog,
     times: Times,
 ) -> dict[str, Place]:
     now, archive = times.now, Archive(service.folder / _STORE)
-    of, received = single(models, service), received_last(store)
+    of, received = models_by_machine(models, service), received_last(store)
     store.execute("BEGIN IMMEDIATE")
     eras = {
-        name: era_of(store, name, served.digest, served.layout, now) for name, served in of.items()
+        name: era_of(store, name, model.digest, model.layout, now) for name, model in of.items()
     }
     store.execute("COMMIT")
     before = {name: era_before(store, era) for name, era in eras.items()}
@@ -247,7 +247,7 @@ def _places(
     return by_name
 
 
-def _heard_last(archive: Archive, model: Served, machine: Machine) -> Publication:
+def _heard_last(archive: Archive, model: LoadedModel, machine: Machine) -> Publication:
     """Return the last usable sample with a reading, or the oldest of many without one."""
     last = machine.usable
     if last.number == 0 or floors.has_reading(model, last.readings.tolist()):
@@ -259,7 +259,7 @@ def _heard_last(archive: Archive, model: Served, machine: Machine) -> Publicatio
     return last
 
 
-def _read_on(kept: Kept, model: Served) -> str:
+def _read_on(kept: Kept, model: LoadedModel) -> str:
     """Return the position of a source, and waiting readings if the model has the same readings."""
     if kept.layout.readings == model.layout.readings:
         return kept.newest
@@ -267,7 +267,7 @@ def _read_on(kept: Kept, model: Served) -> str:
 
 
 def _moved(
-    model: Served, machine: Machine, position: object, kept: Kept, now: int
+    model: LoadedModel, machine: Machine, position: object, kept: Kept, now: int
 ) -> tuple[Checkpoint, Checkpoint]:
     """Return the last checkpoint of an era, and the first of the era that continues it."""
     number, state = machine.latest.number, state_bytes(model, machine)

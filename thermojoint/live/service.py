@@ -20,6 +20,7 @@ from thermojoint.live.changed_settings import note_settings
 from thermojoint.live.consistency import contradictions
 from thermojoint.live.floor import Place
 from thermojoint.live.former_models import note_deployments, pinned
+from thermojoint.live.loaded_models import LoadedModel, load_models, models_by_machine
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine import held
 from thermojoint.live.notify import tell_systemd
@@ -28,7 +29,6 @@ from thermojoint.live.publication import Publication
 from thermojoint.live.readers.reading import Reader, readers_of
 from thermojoint.live.recovery import is_damage, recover, recover_if_gone
 from thermojoint.live.running import Running, opened
-from thermojoint.live.served import Served, served_models, single
 from thermojoint.live.settings import Service
 from thermojoint.live.store import Batch, commit, forget, move_log
 
@@ -73,7 +73,7 @@ async def run(
     """
     log = EventLog()
     service, models = working(pinned(service), log)
-    readers = readers_of(service, single(models, service))
+    readers = readers_of(service, models_by_machine(models, service))
     # The models stay in memory: the garbage collector need not examine them.
     gc.collect()
     gc.freeze()
@@ -130,7 +130,7 @@ def announce_certificates(running: Running) -> None:
         running.floor.log.say(now, "certificate", line)
 
 
-def working(service: Service, log: EventLog) -> tuple[Service, dict[str, Served]]:
+def working(service: Service, log: EventLog) -> tuple[Service, dict[str, LoadedModel]]:
     """Return a service without the machines whose model cannot be opened, and the other models.
 
     Raises
@@ -138,7 +138,7 @@ def working(service: Service, log: EventLog) -> tuple[Service, dict[str, Served]
     InputError, ConvergenceError
         No model can be opened.
     """
-    models, refused = served_models(service)
+    models, refused = load_models(service)
     if not models:
         raise next(iter(refused.values()))
     for name, error in refused.items():

@@ -47,9 +47,9 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.quantities import column_named
 from thermojoint.artefacts.response import write_response
+from thermojoint.live.loaded_models import load_model
 from thermojoint.live.machine import Times, at_rest, taken
 from thermojoint.live.publication import as_json
-from thermojoint.live.served import served
 from thermojoint.live.settings import ModelSection
 from thermojoint.reduced.machine import along
 from thermojoint.reduced.physics import simulate_known
@@ -349,7 +349,7 @@ def test_a_control_that_interpolates_is_given_a_table(estimator, samples, tmp_pa
         offsets=tmp_path / "offsets.toml",
         reads="above-ambient",
     )
-    model = served(section, tmp_path / "kept")
+    model = load_model(section, tmp_path / "kept")
     machine = at_rest("mill", model, samples[0][0])
     for time, *values, place in samples[:20]:
         arrived = (*values, 1e3 * place, np.nan, np.nan)

@@ -181,8 +181,8 @@ def test_an_answer_says_a_slope_by_what_it_makes_at_the_far_end():
 def test_offsets_freeze_and_fade_without_the_control_and_go_on_from_what_it_cleared():
     given = {"rate_um_s": 1.0, "freeze_s": 5.0, "decay_s": 10.0, "recover_s": 3.0, "oldest_s": 9.0}
     output = offset_invariant.settings_of(given, two=False)
-    served = offset_invariant.served_with(output, 1.0, LIMITS)
-    place = Place(served, 1, at_rest("mill", served, START), None, START)
+    model = offset_invariant.model_with(output, 1.0, LIMITS)
+    place = Place(model, 1, at_rest("mill", model, START), None, START)
     floor = Floor({"mill": place}, EventLog(), fresh_metrics(), 60.0, 60.0, WatchdogSection())
     found, has = [], 0.0
     for k in range(120):

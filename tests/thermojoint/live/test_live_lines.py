@@ -24,9 +24,9 @@ from thermojoint.compensation.offsets.settings import read_settings, with_slopes
 from thermojoint.live.access_store import open_access
 from thermojoint.live.arrivals import Arrival
 from thermojoint.live.cancelling import cancelled
+from thermojoint.live.loaded_models import load_model
 from thermojoint.live.machine import Times, at_rest, restored
 from thermojoint.live.publication import Layout, as_json, as_row, from_row
-from thermojoint.live.served import served
 from thermojoint.live.settings import ModelSection, service_from_data
 from thermojoint.live.store import kept_of, layout_from, layout_text, open_store, received_last
 from thermojoint.live.targets.dry_run import writes
@@ -66,7 +66,7 @@ def opened(place, more="", offsets=OFFSETS):
     section = ModelSection(
         file=place / "model.json", interval_s=60.0, offsets=place / "other.toml", lateness_s=0.0
     )
-    return served(section, place / "kept")
+    return load_model(section, place / "kept")
 
 
 def readings(model, k):
@@ -80,7 +80,7 @@ def feed(floor, store, count):
     place = floor.places["mill"]
     for k in range(count):
         now = START + 60.0 * k
-        keep(floor, store, Arrival("mill", now, readings(place.served, k), now, position=k))
+        keep(floor, store, Arrival("mill", now, readings(place.model, k), now, position=k))
     return place.machine.latest
 
 

@@ -19,6 +19,7 @@ from thermojoint.live import floor as floors
 from thermojoint.live.archive import Archive
 from thermojoint.live.arrivals import Arrival
 from thermojoint.live.disk_reserve import SLICE, lay_in, tend
+from thermojoint.live.loaded_models import LoadedModel, load_model
 from thermojoint.live.log_lines import EventLog, limited, line_of
 from thermojoint.live.machine import Times, at_rest, restored, silent, taken
 from thermojoint.live.metrics import fresh_metrics
@@ -27,7 +28,6 @@ from thermojoint.live.rate_limit import AT_ONCE, LineLimit
 from thermojoint.live.recovery import is_damage
 from thermojoint.live.running import restored_floor
 from thermojoint.live.samples import Rule
-from thermojoint.live.served import Served, served
 from thermojoint.live.settings import ModelSection, WatchdogSection, service_from_data
 from thermojoint.live.store import (
     Batch,
@@ -56,10 +56,10 @@ START = 1_772_431_200.0
 
 
 @pytest.fixture(scope="module")
-def model(model, tmp_path_factory) -> Served:
+def model(model, tmp_path_factory) -> LoadedModel:
     base = tmp_path_factory.mktemp("machine")
     (base / "offsets.toml").write_text(OFFSETS)
-    return served(ModelSection(file=model, offsets=base / "offsets.toml"), base / "kept")
+    return load_model(ModelSection(file=model, offsets=base / "offsets.toml"), base / "kept")
 
 
 def readings(k):
@@ -252,7 +252,7 @@ def test_a_row_of_the_history_is_the_publication(model):
 
 def test_nothing_is_acknowledged_before_its_sample_is_kept(model, store, floor):
     place = floor.places["mill"]
-    place.served = replace(model, rule=Rule(1.0, 0.0, 0.0, 5))
+    place.model = replace(model, rule=Rule(1.0, 0.0, 0.0, 5))
     said = []
     first = Arrival("mill", START, (*readings(0)[:4], None), START, 0, lambda: said.append(1))
     rest = Arrival("mill", START, (*(None,) * 4, 20.0), START, 1, lambda: said.append(2))
@@ -449,7 +449,7 @@ class Deaf(offset_invariant.Gauge):
 @pytest.fixture
 def deaf():
     output = offset_invariant.settings_of({"oldest_s": 5.0, "freeze_s": 5.0, "decay_s": 5.0}, False)
-    return replace(offset_invariant.served_with(output, 1.0), estimator=Deaf(1.0))
+    return replace(offset_invariant.model_with(output, 1.0), estimator=Deaf(1.0))
 
 
 @pytest.mark.parametrize("nothing", [math.nan, -3276.8])

@@ -21,11 +21,11 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log_file import read_log
 from thermojoint.artefacts.tables.clock import Hands
 from thermojoint.live.arrivals import Arrival, Note
+from thermojoint.live.loaded_models import load_model
 from thermojoint.live.opcua_values import status_of, variables_of
 from thermojoint.live.publication import Layout
 from thermojoint.live.readers import csv_pipe, mqtt, opcua
 from thermojoint.live.readers.reading import called
-from thermojoint.live.served import served
 from thermojoint.live.settings import ModelSection, MqttSource
 
 NAMES = ("T1_degC", "T2_degC")
@@ -44,7 +44,7 @@ JSON = st.recursive(
 
 @pytest.fixture(scope="module")
 def model(model, tmp_path_factory):
-    return served(ModelSection(file=model), tmp_path_factory.mktemp("kept"))
+    return load_model(ModelSection(file=model), tmp_path_factory.mktemp("kept"))
 
 
 @pytest.mark.parametrize("door", DOORS)

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from repository import ROOT
 
-from benchmarks.offset_invariant import Gauge, served_with, settings_of
+from benchmarks.offset_invariant import Gauge, model_with, settings_of
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.settings.section import Section
 from thermojoint.live.certificates import own_identity
 from thermojoint.live.consistency import contradictions
+from thermojoint.live.loaded_models import load_model
 from thermojoint.live.secret import read_secret
-from thermojoint.live.served import served
 from thermojoint.live.settings import ModelSection, Secret, ServiceFile, service_from_data
 from thermojoint.live.users import (
     MOST_TRIALS,
@@ -163,13 +163,13 @@ def test_settings_that_keep_values_from_being_good_are_said(tmp_path, hand_made_
     given = service_from_data(GOOD | {"watchdog": watchdog}, "file", tmp_path)
     output = settings_of({}, False)
     narrow = replace(output, trust=replace(output.trust, widest_band=1e-8))
-    told = list(contradictions(given.given, {"m": served_with(narrow, 1.0)}))
+    told = list(contradictions(given.given, {"m": model_with(narrow, 1.0)}))
     assert len(told) == 2
     assert "between samples" in told[0]
     assert "widest_band_um 0.01 is narrower than the model's own band, 0.1 um" in told[1]
-    uneven = replace(served_with(narrow, 1.0), estimator=Banded(1e-7, 1e-9))
+    uneven = replace(model_with(narrow, 1.0), estimator=Banded(1e-7, 1e-9))
     assert list(contradictions(given.given, {"m": uneven})) == told
-    unknown = replace(served_with(narrow, 1.0), estimator=Banded(np.nan, np.nan))
+    unknown = replace(model_with(narrow, 1.0), estimator=Banded(np.nan, np.nan))
     assert "there is no band" in list(contradictions(given.given, {"m": unknown}))[1]
     write_assembly(assemble(hand_made_model, 60.0, 7200.0), tmp_path / "model.json")
     (tmp_path / "o.toml").write_text('oldest_s = 60.0\n[axes.X]\nfollows = "x"\n')
@@ -177,7 +177,7 @@ def test_settings_that_keep_values_from_being_good_are_said(tmp_path, hand_made_
         file=tmp_path / "model.json", interval_s=60.0, offsets=tmp_path / "o.toml"
     )
     with pytest.raises(InputError, match="offsets would never follow"):
-        served(section, tmp_path / "kept")
+        load_model(section, tmp_path / "kept")
 
 
 def test_a_service_runs_the_assembly_that_its_file_has(tmp_path, hand_made_model):
@@ -185,7 +185,7 @@ def test_a_service_runs_the_assembly_that_its_file_has(tmp_path, hand_made_model
     section, digests = ModelSection(file=tmp_path / "estimator.json"), []
     for length in (7200.0, 86400.0):
         write_assembly(assemble(hand_made_model, 2.0, length), section.file)
-        opened = served(section, tmp_path / "kept")
+        opened = load_model(section, tmp_path / "kept")
         assert opened.estimator.assembly.run_length_s == length
         digests.append(opened.digest)
     assert digests[0] != digests[1]

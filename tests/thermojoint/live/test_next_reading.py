@@ -14,8 +14,8 @@ from observed import SENSORS
 from estimator.interface import NextReading
 from estimator.joint_aware.model_file import write_observer
 from thermojoint.artefacts.errors import InputError
+from thermojoint.live.loaded_models import load_model
 from thermojoint.live.next_reading import Asking, Request, after_sample, ended
-from thermojoint.live.served import served
 from thermojoint.live.settings import ModelSection, NextReadingSection
 from thermojoint.live.users import add_user
 
@@ -66,7 +66,7 @@ def test_a_limit_that_no_reading_can_keep_is_refused(plant):
     folder, _ = plant
     section = ModelSection(file=folder / "model.h5", next_reading=NextReadingSection(above_um=0.2))
     with pytest.raises(InputError, match=r"next_reading.above_um: 0.2 um is below the .* larger"):
-        served(section, folder / "kept")
+        load_model(section, folder / "kept")
 
 
 def settings_of(port):

@@ -37,6 +37,7 @@ from thermojoint.live.http_session import (
     requested,
     whole,
 )
+from thermojoint.live.loaded_models import LoadedModel
 from thermojoint.live.mtconnect_documents import (
     Devices,
     Observation,
@@ -47,7 +48,6 @@ from thermojoint.live.mtconnect_documents import (
     document_of,
 )
 from thermojoint.live.reconnecting import FIRST_S, next_delay, shown
-from thermojoint.live.served import Served
 from thermojoint.live.settings import MtconnectSource
 
 #: Number of arrivals that are passed on at once.
@@ -388,7 +388,7 @@ def mtconnect_reader(
     source: MtconnectSource,
     ahead: float,
     names: Mapping[str, tuple[str, ...]],
-    models: Mapping[str, Served],
+    models: Mapping[str, LoadedModel],
 ) -> MtconnectReader:
     """Return the reader of a source; raises as `address_of`."""
     fed = {

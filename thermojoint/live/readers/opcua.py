@@ -20,10 +20,10 @@ from asyncua.common.node import Node
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.arrivals import Arrival, Note
+from thermojoint.live.loaded_models import LoadedModel
 from thermojoint.live.opcua_session import LOST, TIMEOUT_S, Reached, client_of, reached_of
 from thermojoint.live.readers.session import beside
 from thermojoint.live.reconnecting import FIRST_S, next_delay, shown
-from thermojoint.live.served import Served
 from thermojoint.live.settings import OpcuaSource, Service
 from thermojoint.live.times import since_1970
 
@@ -267,7 +267,7 @@ def opcua_reader(
     service: Service,
     source: OpcuaSource,
     names: Mapping[str, tuple[str, ...]],
-    models: Mapping[str, Served],
+    models: Mapping[str, LoadedModel],
 ) -> OpcuaReader:
     """Return the reader of a source.
 

@@ -8,8 +8,8 @@ from typing import Any, Protocol
 
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.live.arrivals import NEVER, Arrival, Note
+from thermojoint.live.loaded_models import LoadedModel
 from thermojoint.live.readers.csv_pipe import CLOCK, Pipe
-from thermojoint.live.served import Served
 from thermojoint.live.settings import CsvSource, MqttSource, MtconnectSource, OpcuaSource, Service
 from thermojoint.live.times import seconds_of
 
@@ -27,7 +27,7 @@ class Reader(Protocol):
         ...
 
 
-def readers_of(service: Service, models: Mapping[str, Served]) -> list[Reader]:
+def readers_of(service: Service, models: Mapping[str, LoadedModel]) -> list[Reader]:
     """Return the readers of a service.
 
     Raises
@@ -70,7 +70,7 @@ def readers_of(service: Service, models: Mapping[str, Served]) -> list[Reader]:
     return readers
 
 
-def called(model: Served, columns: Mapping[str, str], where: str) -> tuple[str, ...]:
+def called(model: LoadedModel, columns: Mapping[str, str], where: str) -> tuple[str, ...]:
     """Return the names of a model's readings in a source.
 
     Displacement readings are only used if the columns name them: a log that happens to contain the

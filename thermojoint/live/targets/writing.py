@@ -22,10 +22,10 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.compensation.offsets.handshake import DIFFERS, STANDS, Answer
 from thermojoint.live.audit import Audit
 from thermojoint.live.floor import Floor, answer
+from thermojoint.live.loaded_models import LoadedModel
 from thermojoint.live.opcua_session import LOST, TIMEOUT_S, Reached, client_of, reached_of
 from thermojoint.live.publisher import Publisher
 from thermojoint.live.reconnecting import FIRST_S, next_delay
-from thermojoint.live.served import Served
 from thermojoint.live.settings import Service
 from thermojoint.live.targets.control import in_units, next_value
 from thermojoint.live.targets.settings import TargetFile, Write, read_target, writes_of
@@ -35,7 +35,9 @@ from thermojoint.live.targets.settings import TargetFile, Write, read_target, wr
 AWAY_S = 3.0
 
 
-def target_of(service: Service, machine: str, served: Served) -> tuple[TargetFile, Reached] | None:
+def target_of(
+    service: Service, machine: str, model: LoadedModel
+) -> tuple[TargetFile, Reached] | None:
     """Return the target of a machine and how it is reached; None without one.
 
     Raises
@@ -46,7 +48,7 @@ def target_of(service: Service, machine: str, served: Served) -> tuple[TargetFil
     path = service.machines[machine].target
     if path is None:
         return None
-    given = read_target(path, served.output.output if served.output else None)
+    given = read_target(path, model.output.output if model.output else None)
     handshake = service.machines[machine].handshake
     if handshake is not None and given.every_s >= handshake.heartbeat_s:
         raise InputError(

@@ -49,7 +49,7 @@ async def attend(
         machine = machines.get(str(message.topic))
         if machine is None or message.retain:
             continue
-        layout = floor.places[machine].served.layout
+        layout = floor.places[machine].model.layout
         try:
             given = answer_of(message.payload[:_LARGEST], layout)
             written(f"write {message.topic} ({'enable' if given.enabled else 'disable'})", machine)

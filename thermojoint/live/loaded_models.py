@@ -31,8 +31,8 @@ TARGET_DIFFERS_UM = 10.0
 
 
 @dataclass(frozen=True, eq=False)
-class Served:
-    """A model with everything that its machines share."""
+class LoadedModel:
+    """An opened model with everything that its machines share."""
 
     #: Estimator of any kind.
     estimator: Estimator
@@ -52,7 +52,7 @@ class Served:
     layout: Layout
     #: Settings of the compensation output.
     output: Settings | None
-    #: Handshake with the control of a machine, added by `single`.
+    #: Handshake with the control of a machine, added by `models_by_machine`.
     handshake: HandshakeSettings | None = None
     #: Conditions for requesting displacement readings.
     asking: Asking | None = None
@@ -60,26 +60,26 @@ class Served:
     places: Mapping[str, int] = field(default_factory=dict)
 
 
-def served_models(service: Service) -> tuple[dict[str, Served], dict[str, ThermojointError]]:
+def load_models(service: Service) -> tuple[dict[str, LoadedModel], dict[str, ThermojointError]]:
     """Return the models of a service that can be opened, and the errors of the others."""
-    opened: dict[str, Served] = {}
+    opened: dict[str, LoadedModel] = {}
     refused: dict[str, ThermojointError] = {}
     for name, section in service.given.models.items():
         try:
-            opened[name] = served(section, service.folder / "models")
+            opened[name] = load_model(section, service.folder / "models")
         except ThermojointError as error:
             refused[name] = error
     return opened, refused
 
 
-def served(section: ModelSection, kept: Path) -> Served:
+def load_model(section: ModelSection, folder: Path) -> LoadedModel:
     """Open one model.
 
     Parameters
     ----------
     section : ModelSection
         Its section of the service's file.
-    kept : Path
+    folder : Path
         Folder of the assembled coefficients, with which a restarted service continues.
 
     Raises
@@ -93,7 +93,7 @@ def served(section: ModelSection, kept: Path) -> Served:
     kind = kind_of_file(path)
     model = kind.read(path)
     intake = kind.intake(model, section.reads == "above-ambient")
-    estimator, digest = _opened(kind, model, section, kept)
+    estimator, digest = _open_estimator(kind, model, section, folder)
     output = None
     if section.offsets is not None:
         strokes = kind.strokes(model)
@@ -112,7 +112,7 @@ def served(section: ModelSection, kept: Path) -> Served:
     )
     _warm_up(estimator, section.interval_s)
     rule = Rule(section.interval_s, section.lateness_s, section.hold_s, intake.wanted)
-    return Served(
+    return LoadedModel(
         estimator,
         digest,
         path.name,
@@ -170,40 +170,42 @@ def _check_axes(output: Settings, axes: tuple[str, ...], where: object) -> None:
             raise unknown_name("axis", name, axes, f"{where}: axes: the estimate has")
 
 
-def _opened(
+def _open_estimator(
     kind: Kind[Any, Any],
     model: Any,  # noqa: ANN401
     section: ModelSection,
-    kept: Path,
+    folder: Path,
 ) -> tuple[OpenedEstimator, str]:
     """Start the estimator, or reuse the coefficients of the same file and interval."""
     options = Options(section.interval_s, 60.0 * section.run_length_min)
-    made_of, fits = f"{kind.fingerprint(model)} {section.reads}", kind.paced
+    content, reusable = f"{kind.fingerprint(model)} {section.reads}", kind.paced
     if kind.assembled(model) and kind.carried:
         # The coefficients are in the file; another file of the same model has other ones.
-        made_of, fits = f"{kind.carried(started(kind, model, options))!r} {made_of}", False
-    if fits:
-        made_of = f"{section.interval_s!r} {section.run_length_min!r} {made_of}"
-    digest = hashlib.sha256(made_of.encode()).hexdigest()
-    own = kept / f"{digest[:32]}.json"
-    if fits and own.is_file():
-        return resumed(kind, model, options, own)[0], digest
+        content, reusable = f"{kind.carried(started(kind, model, options))!r} {content}", False
+    if reusable:
+        content = f"{section.interval_s!r} {section.run_length_min!r} {content}"
+    digest = hashlib.sha256(content.encode()).hexdigest()
+    coefficients = folder / f"{digest[:32]}.json"
+    if reusable and coefficients.is_file():
+        return resumed(kind, model, options, coefficients)[0], digest
     estimator = started(kind, model, options)
-    if fits:
-        own.parent.mkdir(parents=True, exist_ok=True)
-        save_state(estimator, estimator.initial_state(), own)
+    if reusable:
+        coefficients.parent.mkdir(parents=True, exist_ok=True)
+        save_state(estimator, estimator.initial_state(), coefficients)
     return estimator, digest
 
 
-def single(models: Mapping[str, Served], service: Service) -> dict[str, Served]:
-    """Return the model of every single machine, with the handshake of its control."""
+def models_by_machine(
+    models: Mapping[str, LoadedModel], service: Service
+) -> dict[str, LoadedModel]:
+    """Return the model of every machine, with the handshake of its control."""
     return {
-        name: replace(models[section.model], handshake=handshake_of(section.handshake))
+        name: replace(models[section.model], handshake=handshake_settings(section.handshake))
         for name, section in service.machines.items()
     }
 
 
-def handshake_of(section: HandshakeSection | None) -> HandshakeSettings | None:
+def handshake_settings(section: HandshakeSection | None) -> HandshakeSettings | None:
     """Return the limits of a handshake in SI; None without one."""
     if section is None:
         return None
