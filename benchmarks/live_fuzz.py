@@ -29,7 +29,7 @@ from thermojoint.live.arrivals import Arrival, Note
 from thermojoint.live.floor import Floor, Place
 from thermojoint.live.loaded_models import LoadedModel
 from thermojoint.live.log_lines import EventLog
-from thermojoint.live.machine import at_rest
+from thermojoint.live.machine_state import at_rest
 from thermojoint.live.metrics import fresh_metrics
 from thermojoint.live.readers import csv_pipe, mqtt, opcua
 from thermojoint.live.samples import Waiting
@@ -214,13 +214,13 @@ def estimates(
         floor.log.fetched()
         if k % 60 == 59:
             floors.checkpoint_of(place)
-        waiting: Waiting = place.machine.waiting
+        waiting: Waiting = place.state.waiting
         if len(waiting.cells) > 2 or len(place.rows) > 60 or len(floor.log.limit.seen) > 20:
             raise AssertionError(f"grows: {len(waiting.cells)} {len(place.rows)}")
         yield (
-            place.machine.latest.number,
-            place.machine.latest.time,
-            *place.machine.latest.displacement,
+            place.state.latest.number,
+            place.state.latest.time,
+            *place.state.latest.displacement,
         )
 
 

@@ -54,7 +54,7 @@ from thermojoint.live.arrivals import Arrival
 from thermojoint.live.floor import Floor
 from thermojoint.live.loaded_models import LoadedModel, lines_in
 from thermojoint.live.log_lines import EventLog
-from thermojoint.live.machine import Times
+from thermojoint.live.machine_state import Times
 from thermojoint.live.metrics import fresh_metrics
 from thermojoint.live.opcua_values import offset_status_of
 from thermojoint.live.publication import Layout, Publication
@@ -310,13 +310,13 @@ class Offsets(RuleBasedStateMachine):
     def absorb(self, readings: Sequence[tuple[float, float, float]], until: str = "") -> None:
         """Take readings (time by the source, value, kind); a kill may come before the end."""
         arrivals = [Arrival(MACHINE, at, told, self.times.now) for at, *told in readings]
-        before = self.floor.places[MACHINE].machine.latest.number
+        before = self.floor.places[MACHINE].state.latest.number
         outcome = floors.absorb(self.floor, arrivals, *self.times)
         if until == "before the commit":
             return
         changed = list(outcome.publications.values())
         self.keep(Batch(outcome.taken, (), (), outcome.holes, self.received(changed)))
-        said = self.floor.places[MACHINE].machine.latest
+        said = self.floor.places[MACHINE].state.latest
         if said.number != before:
             self.estimated = self.times.now, self.true
             self.late = max(0.0, self.times.now - said.time - 5.0 - INTERVAL)

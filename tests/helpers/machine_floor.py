@@ -3,7 +3,7 @@
 from thermojoint.live import floor as floors
 from thermojoint.live.floor import Floor, Place
 from thermojoint.live.log_lines import EventLog
-from thermojoint.live.machine import at_rest
+from thermojoint.live.machine_state import at_rest
 from thermojoint.live.metrics import fresh_metrics
 from thermojoint.live.settings import WatchdogSection
 from thermojoint.live.store import Batch, commit, era_of

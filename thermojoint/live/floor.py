@@ -15,8 +15,8 @@ from thermojoint.compensation.offsets.handshake import STANDS, Answer, answered
 from thermojoint.live.arrivals import Arrival
 from thermojoint.live.loaded_models import LoadedModel
 from thermojoint.live.log_lines import EventLog
-from thermojoint.live.machine import (
-    Machine,
+from thermojoint.live.machine_state import (
+    MachineState,
     Times,
     postponed,
     received_of,
@@ -49,7 +49,7 @@ class Place:
     #: Number of its era in the store.
     era: int
     #: State of the machine.
-    machine: Machine
+    state: MachineState
     #: Read position of its source.
     position: Any
     #: Time of its last usable sample, by the service's own clock, s.
@@ -123,7 +123,7 @@ def absorb(floor: Floor, arrivals: Iterable[Arrival], now: float, clock: float) 
             continue
         rule = place.model.rule
         step = arrived(
-            rule, place.machine.waiting, arrival.time, arrival.readings, (now, now + floor.ahead)
+            rule, place.state.waiting, arrival.time, arrival.readings, (now, now + floor.ahead)
         )
         floor.metrics.arrivals.labels(step.verdict).inc()
         place.position = arrival.position
@@ -134,7 +134,7 @@ def absorb(floor: Floor, arrivals: Iterable[Arrival], now: float, clock: float) 
             continue
         if not math.isnan(step.doubted):
             _refused(floor, replace(arrival, time=step.doubted), "ahead", now)
-        place.machine = place.machine._replace(waiting=step.waiting)
+        place.state = place.state._replace(waiting=step.waiting)
         if arrival.kept:
             place.waits_since = place.waits_since if place.unkept else clock
             place.unkept.append(arrival.kept)
@@ -144,7 +144,7 @@ def absorb(floor: Floor, arrivals: Iterable[Arrival], now: float, clock: float) 
             outcome.came.append(arrival.came)
             outcome.kept += place.unkept
             place.unkept = []
-            rest = rest_of(place.machine, place.position)
+            rest = rest_of(place.state, place.position)
             outcome.taken[-1] = outcome.taken[-1]._replace(rest=rest)
     return outcome
 
@@ -158,8 +158,8 @@ def _sample(
 ) -> None:
     """Process one sample of one machine."""
     instant, now = sample[0], times.now
-    before = place.machine.latest
-    name = place.machine.name
+    before = place.state.latest
+    name = place.state.name
     if before.number and instant - before.time > _GAP * place.model.rule.interval:
         why = "the service was down" if place.fresh else "no readings"
         outcome.holes.append(Hole(name, before.time, instant, why))
@@ -168,9 +168,9 @@ def _sample(
     if not has_reading(place.model, place.model.intake.usable(sample[1])):
         # A sample without any reading counts as silence, whatever its estimate.
         age = max(age, times.clock - place.heard)
-    place.machine, refusal = taken(place.model, place.machine, sample, times, age)
+    place.state, refusal = taken(place.model, place.state, sample, times, age)
     place.fresh = False
-    latest = place.machine.latest
+    latest = place.state.latest
     if refusal:
         floor.log.say(now, "sample-refused", refusal, name)
     else:
@@ -181,11 +181,11 @@ def _sample(
     row = as_row(latest)
     place.rows.append((row, latest.status))
     outcome.taken.append(Taken(place.era, latest.number, row.tobytes(), latest.status, "{}"))
-    published = shown(place.machine)
+    published = shown(place.state)
     if times.clock - place.heard >= floor.watchdog.uncertain_s:
         # The sample was read late: its estimate is old.
-        place.machine, published = silent(
-            place.model, place.machine, times.clock - place.heard, times, floor.watchdog
+        place.state, published = silent(
+            place.model, place.state, times.clock - place.heard, times, floor.watchdog
         )
     place.reported, place.mode = (published.quality, published.status), published.offset_mode
     outcome.publications[name] = published
@@ -208,11 +208,11 @@ def _asked(floor: Floor, machine: str, before: Request, after: Request, now: flo
 def postpone(floor: Floor, machine: str, now: float) -> Publication | None:
     """Postpone the requested reading of a machine; return its publication, or None if none."""
     place = floor.places[machine]
-    before, place.machine = place.machine, postponed(place.model, place.machine)
-    if place.machine is before:
+    before, place.state = place.state, postponed(place.model, place.state)
+    if place.state is before:
         return None
-    _asked(floor, machine, before.asked, place.machine.asked, now)
-    return shown(place.machine)
+    _asked(floor, machine, before.asked, place.state.asked, now)
+    return shown(place.state)
 
 
 def _refused(floor: Floor, arrival: Arrival, verdict: str, now: float) -> None:
@@ -233,7 +233,7 @@ def age_of(rule: Rule, behind: float, instant: float, now: float) -> float:
 def received(floor: Floor, machines: Iterable[str], now: float) -> list[Received]:
     """Return the values that some controls are about to receive, to be stored first."""
     places = (floor.places[name] for name in machines)
-    messages = (received_of(place.model, place.machine, now) for place in places)
+    messages = (received_of(place.model, place.state, now) for place in places)
     return [message for message in messages if message is not None]
 
 
@@ -248,9 +248,9 @@ def watch(floor: Floor, now: float, clock: float) -> list[Publication]:
         broken = place.handshake not in ("", STANDS)
         if age < min(limits.uncertain_s, oldest) and not changed_hands and not broken:
             continue
-        before = place.machine.output
-        machine, latest = silent(place.model, place.machine, age, Times(now, clock), limits)
-        place.machine, after = machine, machine.output
+        before = place.state.output
+        state, latest = silent(place.model, place.state, age, Times(now, clock), limits)
+        place.state, after = state, state.output
         moved = (
             changed_hands
             or latest.offset_mode != place.mode
@@ -265,13 +265,13 @@ def watch(floor: Floor, now: float, clock: float) -> list[Publication]:
                 now,
                 "silent",
                 f"{latest.quality.word}: no usable sample for {age:.0f} s",
-                machine.name,
+                state.name,
             )
         elif not moved:
             continue
         if after is not None and after is before:
             # Republished offsets count as received now: their rate is limited from here on.
-            place.machine = machine._replace(output=after._replace(time=clock))
+            place.state = state._replace(output=after._replace(time=clock))
         place.reported, place.mode = (latest.quality, latest.status), latest.offset_mode
         changed.append(latest)
     return changed
@@ -279,11 +279,11 @@ def watch(floor: Floor, now: float, clock: float) -> list[Publication]:
 
 def _shake(floor: Floor, place: Place, now: float, clock: float) -> bool:
     """Update the handshake of a machine; return whether it has changed since the last check."""
-    model, name = place.model, place.machine.name
+    model, name = place.model, place.state.name
     if model.handshake is None:
         return False
-    place.machine = shaken(model, place.machine, clock)
-    state, before = place.machine.handshake.state, place.handshake
+    place.state = shaken(model, place.state, clock)
+    state, before = place.state.handshake.state, place.handshake
     place.handshake = state
     if state == before:
         return False
@@ -294,8 +294,8 @@ def _shake(floor: Floor, place: Place, now: float, clock: float) -> bool:
 def answer(floor: Floor, machine: str, given: Answer, clock: float) -> None:
     """Receive an answer of a machine's control, at a time of the service's own clock (s)."""
     place = floor.places[machine]
-    handshake = answered(place.machine.handshake, given, clock)
-    place.machine = place.machine._replace(handshake=handshake)
+    handshake = answered(place.state.handshake, given, clock)
+    place.state = place.state._replace(handshake=handshake)
 
 
 def checkpoint_of(place: Place) -> Checkpoint:
@@ -305,9 +305,9 @@ def checkpoint_of(place: Place) -> Checkpoint:
     place.rows = []
     return Checkpoint(
         place.era,
-        place.machine.latest.number,
-        state_bytes(place.model, place.machine),
-        rest_of(place.machine, place.position),
+        place.state.latest.number,
+        state_bytes(place.model, place.state),
+        rest_of(place.state, place.position),
         rows,
         status,
     )
@@ -315,7 +315,7 @@ def checkpoint_of(place: Place) -> Checkpoint:
 
 def whole_checkpoint_of(place: Place) -> Checkpoint:
     """Return a checkpoint for a store without data of a machine: with at least one sample."""
-    latest = place.machine.latest
+    latest = place.state.latest
     if latest.number and not place.rows:
         place.rows = [(as_row(latest), latest.status)]
     return checkpoint_of(place)

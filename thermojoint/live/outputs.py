@@ -170,11 +170,11 @@ def _residuals_of(place: Place) -> dict[str, float | None] | None:
     A faulty sensor is visible here before and after it is excluded; a deviation common to all
     sensors is the model's error.
     """
-    model, machine = place.model, place.machine
-    if model.residuals is None or machine.usable.number == 0:
+    model, state = place.model, place.state
+    if model.residuals is None or state.usable.number == 0:
         return None
-    values, _ = model.intake.convert(tuple(machine.usable.readings.tolist()), machine.cold)
-    differences = model.residuals(model.estimator, machine.state, np.array(values)).tolist()
+    values, _ = model.intake.convert(tuple(state.usable.readings.tolist()), state.cold)
+    differences = model.residuals(model.estimator, state.estimator_state, np.array(values)).tolist()
     return {
         name: round(value, 4) if math.isfinite(value) else None
         for name, value in zip(model.layout.readings, differences, strict=False)
@@ -183,7 +183,7 @@ def _residuals_of(place: Place) -> dict[str, float | None] | None:
 
 def _handshake_of(place: Place) -> dict[str, Any]:
     """Return the handshake state of a machine's control."""
-    handshake, clock = place.machine.handshake, time.monotonic()
+    handshake, clock = place.state.handshake, time.monotonic()
     layout = place.model.layout
     acts, axes = handshake.acknowledged / layout.levers, [one.axis for one in layout.lines]
     slopes = micrometres(axes, acts[len(layout.controls) :])
@@ -200,7 +200,7 @@ def _handshake_of(place: Place) -> dict[str, Any]:
 
 
 def _state_of(place: Place) -> Array:
-    return place.machine.state
+    return place.state.estimator_state
 
 
 async def _opcua_server(running: Running, section: OpcuaServer) -> list[Coroutine[Any, Any, None]]:

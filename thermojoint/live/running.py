@@ -25,7 +25,14 @@ from thermojoint.live.disk_reserve import OVERHEAD, Room, close, lay_in, tend
 from thermojoint.live.floor import Floor, Place
 from thermojoint.live.loaded_models import LoadedModel, models_by_machine
 from thermojoint.live.log_lines import EventLog
-from thermojoint.live.machine import Machine, Times, rest_of, restored, shown, state_bytes
+from thermojoint.live.machine_state import (
+    MachineState,
+    Times,
+    rest_of,
+    restored,
+    shown,
+    state_bytes,
+)
 from thermojoint.live.metrics import Metrics, fresh_metrics
 from thermojoint.live.publication import Publication
 from thermojoint.live.publisher import Publisher
@@ -188,7 +195,7 @@ def restored_floor(
     # Silence is evaluated first, so that no control receives an offset from before it.
     silent = {publication.machine: publication for publication in floors.watch(floor, *times)}
     commit(store, Batch(received=floors.received(floor, places, times.now)))
-    return floor, [silent.get(name) or shown(place.machine) for name, place in places.items()]
+    return floor, [silent.get(name) or shown(place.state) for name, place in places.items()]
 
 
 def _places(
@@ -221,7 +228,7 @@ def _places(
             # Another model: its estimator starts anew, and the source is read from its position.
             kept = replace(kept, rest=_read_on(every[earlier], model))
         try:
-            machine, position = restored(name, model, kept, last, received.get(name), times)
+            state, position = restored(name, model, kept, last, received.get(name), times)
         except InputError as error:
             # Its estimator starts anew, its offsets continue. A new era begins, because in the old
             # one a state with fewer samples would not replace the refused one.
@@ -230,29 +237,29 @@ def _places(
                 eras[name] = new_era(store, name, model.digest, model.layout, now)
             kept, last = Kept(eras[name], model.layout, 0, None, "{}", ()), None
             every[eras[name]] = kept
-            machine, position = restored(name, model, kept, last, received.get(name), times)
+            state, position = restored(name, model, kept, last, received.get(name), times)
         if kept.era != eras[name]:
-            moved += _moved(model, machine, position, kept, eras[name])
+            moved += _moved(model, state, position, kept, eras[name])
             log.say(now, "moved", "other axes of the control; the estimator continues", name)
         heard = floors.since_heard(
-            _heard_last(archive, model, machine), model.rule, service.given.behind_s, times
+            _heard_last(archive, model, state), model.rule, service.given.behind_s, times
         )
         # Samples of another layout stay in their era.
         rows = [(np.frombuffer(taken.row), taken.status) for taken in every[eras[name]].later]
-        by_name[name] = Place(model, eras[name], machine, position, heard, rows=rows)
-        if machine.latest.number:
-            log.say(now, "restored", f"{machine.latest.number} samples, {len(rows)} again", name)
+        by_name[name] = Place(model, eras[name], state, position, heard, rows=rows)
+        if state.latest.number:
+            log.say(now, "restored", f"{state.latest.number} samples, {len(rows)} again", name)
     if moved:
         commit(store, Batch(checkpoints=moved))
     return by_name
 
 
-def _heard_last(archive: Archive, model: LoadedModel, machine: Machine) -> Publication:
+def _heard_last(archive: Archive, model: LoadedModel, state: MachineState) -> Publication:
     """Return the last usable sample with a reading, or the oldest of many without one."""
-    last = machine.usable
+    last = state.usable
     if last.number == 0 or floors.has_reading(model, last.readings.tolist()):
         return last
-    before = archive.samples(machine.name, (-math.inf, last.time), _LOOKED_AT, True)
+    before = archive.samples(state.name, (-math.inf, last.time), _LOOKED_AT, True)
     for last in before:
         if last.status != REFUSED and floors.has_reading(model, last.readings.tolist()):
             break
@@ -267,15 +274,15 @@ def _read_on(kept: Kept, model: LoadedModel) -> str:
 
 
 def _moved(
-    model: LoadedModel, machine: Machine, position: object, kept: Kept, now: int
+    model: LoadedModel, state: MachineState, position: object, kept: Kept, now: int
 ) -> tuple[Checkpoint, Checkpoint]:
     """Return the last checkpoint of an era, and the first of the era that continues it."""
-    number, state = machine.latest.number, state_bytes(model, machine)
-    rest = rest_of(machine, position)
+    number, content = state.latest.number, state_bytes(model, state)
+    rest = rest_of(state, position)
     rows = np.array([np.frombuffer(taken.row) for taken in kept.later])
     words = tuple(taken.status for taken in kept.later)
     none = np.empty((0, model.layout.width))
     return (
-        Checkpoint(kept.era, number, state, rest, rows.reshape(-1, kept.layout.width), words),
-        Checkpoint(now, number, state, rest, none, ()),
+        Checkpoint(kept.era, number, content, rest, rows.reshape(-1, kept.layout.width), words),
+        Checkpoint(now, number, content, rest, none, ()),
     )

@@ -22,7 +22,7 @@ from thermojoint.live.floor import Place
 from thermojoint.live.former_models import note_deployments, pinned
 from thermojoint.live.loaded_models import LoadedModel, load_models, models_by_machine
 from thermojoint.live.log_lines import EventLog
-from thermojoint.live.machine import held
+from thermojoint.live.machine_state import held
 from thermojoint.live.notify import tell_systemd
 from thermojoint.live.outputs import open_outputs
 from thermojoint.live.publication import Publication

@@ -48,7 +48,7 @@ from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.quantities import column_named
 from thermojoint.artefacts.response import write_response
 from thermojoint.live.loaded_models import load_model
-from thermojoint.live.machine import Times, at_rest, taken
+from thermojoint.live.machine_state import Times, at_rest, taken
 from thermojoint.live.publication import as_json
 from thermojoint.live.settings import ModelSection
 from thermojoint.reduced.machine import along

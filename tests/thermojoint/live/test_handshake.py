@@ -33,7 +33,7 @@ from thermojoint.live.cancelling import cancelled
 from thermojoint.live.control_message import answer_of
 from thermojoint.live.floor import Floor, Place
 from thermojoint.live.log_lines import EventLog
-from thermojoint.live.machine import at_rest
+from thermojoint.live.machine_state import at_rest
 from thermojoint.live.metrics import fresh_metrics
 from thermojoint.live.publication import AxisLine, Layout
 from thermojoint.live.settings import WatchdogSection
@@ -194,7 +194,7 @@ def test_offsets_freeze_and_fade_without_the_control_and_go_on_from_what_it_clea
             floors.answer(floor, "mill", said, now)
         floors.absorb(floor, [Arrival("mill", now, (20.0, 0.0), now)], now, now)
         changed = floors.watch(floor, now + 0.5, now + 0.5)
-        said = changed[-1] if changed else place.machine.latest
+        said = changed[-1] if changed else place.state.latest
         has = said.offsets[0] if said.handshake == STANDS else has
         found.append((said.offset_mode, said.handshake, 1e6 * said.offsets[0]))
     modes, states, offsets = zip(*found, strict=True)

@@ -25,7 +25,7 @@ from thermojoint.live.access_store import open_access
 from thermojoint.live.arrivals import Arrival
 from thermojoint.live.cancelling import cancelled
 from thermojoint.live.loaded_models import load_model
-from thermojoint.live.machine import Times, at_rest, restored
+from thermojoint.live.machine_state import Times, at_rest, restored
 from thermojoint.live.publication import Layout, as_json, as_row, from_row
 from thermojoint.live.settings import ModelSection, service_from_data
 from thermojoint.live.store import kept_of, layout_from, layout_text, open_store, received_last
@@ -81,7 +81,7 @@ def feed(floor, store, count):
     for k in range(count):
         now = START + 60.0 * k
         keep(floor, store, Arrival("mill", now, readings(place.model, k), now, position=k))
-    return place.machine.latest
+    return place.state.latest
 
 
 def correction(said, positions):

@@ -21,7 +21,7 @@ from thermojoint.live.arrivals import Arrival
 from thermojoint.live.disk_reserve import SLICE, lay_in, tend
 from thermojoint.live.loaded_models import LoadedModel, load_model
 from thermojoint.live.log_lines import EventLog, limited, line_of
-from thermojoint.live.machine import Times, at_rest, restored, silent, taken
+from thermojoint.live.machine_state import Times, at_rest, restored, silent, taken
 from thermojoint.live.metrics import fresh_metrics
 from thermojoint.live.publication import as_json, as_row, from_row
 from thermojoint.live.rate_limit import AT_ONCE, LineLimit
@@ -120,7 +120,7 @@ def test_a_sample_that_no_estimator_can_use_counts_and_changes_no_estimate(model
     other, refusal = taken(model, machine, *sampled(30, broken))
     assert "finite" in refusal
     assert other.latest.number == 31
-    np.testing.assert_array_equal(other.state, machine.state)
+    np.testing.assert_array_equal(other.estimator_state, machine.estimator_state)
     assert other.latest.quality is Quality.UNCERTAIN
     again, refusal = taken(model, other, *sampled(31))
     assert not refusal
@@ -170,11 +170,11 @@ def test_a_machine_goes_on_bit_for_bit_wherever_its_last_checkpoint_was(
     received = received_last(store)["mill"]
     machine, position = restored("mill", model, kept, last, received, at(39))
     assert position == 39
-    np.testing.assert_array_equal(machine.state, place.machine.state)
-    assert machine.waiting == place.machine.waiting
-    before = place.machine.output._replace(credit=0.0)
+    np.testing.assert_array_equal(machine.estimator_state, place.state.estimator_state)
+    assert machine.waiting == place.state.waiting
+    before = place.state.output._replace(credit=0.0)
     np.testing.assert_equal(machine.output._asdict(), before._asdict())
-    np.testing.assert_array_equal(as_row(machine.latest), as_row(place.machine.latest))
+    np.testing.assert_array_equal(as_row(machine.latest), as_row(place.state.latest))
     history = Archive(path).history("mill", 0.0, 1e11, 1000)
     np.testing.assert_array_equal(history.numbers, np.arange(1, 41))
 
@@ -331,7 +331,7 @@ def test_a_restart_with_another_resolution_keeps_the_offset(
     model, tmp_path, resolution, store, floor
 ):
     feed(floor, store, 0, 40)
-    before = floor.places["mill"].machine.latest.offsets[0]
+    before = floor.places["mill"].state.latest.offsets[0]
     assert abs(before) > 1e-6
     other = with_offsets(model, f"resolution_um = {resolution}\n{OFFSETS}", tmp_path)
     kept = kept_of(store, [floor.places["mill"].era])[floor.places["mill"].era]
@@ -396,9 +396,9 @@ def test_other_axes_of_the_control_leave_the_estimator_its_state(
     last = Archive(path).checkpointed("mill", place.era)
     received = received_last(store)["mill"]
     machine, _ = restored("mill", other, kept, last, received, at(50))
-    np.testing.assert_array_equal(machine.state, place.machine.state)
+    np.testing.assert_array_equal(machine.estimator_state, place.state.estimator_state)
     assert machine.latest.number == 50
-    assert machine.latest.offsets.tolist() == [place.machine.latest.offsets[0], 0.0]
+    assert machine.latest.offsets.tolist() == [place.state.latest.offsets[0], 0.0]
     # Nothing is kept of the era between.
     another = era_of(store, "mill", "another model", other.layout, START + 50)
     assert era_before(store, another) == (place.era, False)
@@ -408,14 +408,14 @@ def test_a_start_sends_what_the_control_received_last_and_goes_on_from_there(mod
     """After any time, with any model; what silence would have done since comes at the rate."""
     feed(floor, store, 0, 40)
     place = floor.places["mill"]
-    before = place.machine.latest.offsets
+    before = place.state.latest.offsets
     kept, received = kept_of(store, [place.era])[place.era], received_last(store)["mill"]
     machine, _ = restored("mill", model, kept, None, received, at(39 + 120))
     assert (machine.latest.offsets.tolist(), machine.latest.offset_mode) == (
         before.tolist(),
         "decay",
     )
-    running = place.machine
+    running = place.state
     for age in range(1, 122):
         running, expected = silent(model, running, age, at(39 + age), WatchdogSection())
     _, said = silent(model, machine, 121.0, at(39 + 121), WatchdogSection())
@@ -430,7 +430,7 @@ def test_a_start_sends_what_the_control_received_last_and_goes_on_from_there(mod
 def test_readings_that_come_late_move_no_offset_and_are_not_good(store, floor):
     """Fifteen hours of them at once: estimates of then, for the history."""
     feed(floor, store, 0, 40)
-    before = floor.places["mill"].machine.latest.offsets
+    before = floor.places["mill"].state.latest.offsets
     now = START + 54_000.0
     arrivals = [Arrival("mill", START + k, readings(k), now) for k in range(40, 400)]
     said = floors.absorb(floor, arrivals, now, START + 45.0).publications["mill"]

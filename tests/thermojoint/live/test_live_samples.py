@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from thermojoint.live.machine import _waiting
+from thermojoint.live.machine_state import _waiting
 from thermojoint.live.samples import Rule, Waiting, arrived
 
 PLAIN = Rule(interval=1.0, lateness=0.0, hold=0.0, wanted=2)

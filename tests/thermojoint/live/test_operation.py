@@ -362,7 +362,7 @@ def test_a_service_is_backed_up_while_it_runs_and_goes_on_where_it_is_restored(m
     async def again():
         async with running(restored / "service.toml") as (starts, _):
             place = starts[0].floor.places["mill"]
-            return place.machine.latest.number, place.model.digest
+            return place.state.latest.number, place.model.digest
 
     assert asyncio.run(again()) == (20, digest)
     assert not events_in(restored, "state-refused")

@@ -58,12 +58,12 @@ class Times(NamedTuple):
     clock: float
 
 
-class Machine(NamedTuple):
+class MachineState(NamedTuple):
     """State of a machine."""
 
     name: str
     #: State of its estimator.
-    state: Array
+    estimator_state: Array
     #: Temperature of the cold machine, in the unit of its readings; NaN if not known yet.
     cold: float
     #: State of its compensation output.
@@ -80,13 +80,13 @@ class Machine(NamedTuple):
     asked: Request = NOTHING_ASKED
 
 
-def at_rest(name: str, model: LoadedModel, now: float) -> Machine:
+def at_rest(name: str, model: LoadedModel, now: float) -> MachineState:
     """Return a machine without any reading yet, at a time (s since 1970)."""
     nothing = _nothing(name, model.layout, now)
     output = at_zero(model.output.output) if model.output else None
     start = model.estimator.initial_state()
     handshake = begun(_corrections(model, output), -math.inf)
-    return Machine(name, start, math.nan, output, handshake, Waiting(), nothing, nothing)
+    return MachineState(name, start, math.nan, output, handshake, Waiting(), nothing, nothing)
 
 
 def _nothing(name: str, layout: Layout, now: float) -> Publication:
@@ -111,19 +111,19 @@ def _nothing(name: str, layout: Layout, now: float) -> Publication:
 
 def taken(
     model: LoadedModel,
-    machine: Machine,
+    state: MachineState,
     sample: tuple[float, tuple[float, ...]],
     times: Times,
     age: float,
-) -> tuple[Machine, str]:
+) -> tuple[MachineState, str]:
     """Return a machine after one sample, and why the estimator refused the sample, or "".
 
     Parameters
     ----------
     model : LoadedModel
         Its model.
-    machine : Machine
-        Machine before the sample; `waiting` is not changed.
+    state : MachineState
+        State before the sample; `waiting` is not changed.
     sample : (float, tuple of float)
         Its instant, s since 1970, and its readings in the order of `model.intake.names`; NaN for
         missing ones.
@@ -133,38 +133,38 @@ def taken(
         Age of the sample at that time, s.
     """
     (instant, readings), now = sample, times.now
-    machine = shaken(model, machine, times.clock)
+    state = shaken(model, state, times.clock)
     given = model.intake.usable(readings)
-    values, cold = model.intake.convert(given, machine.cold)
-    number = machine.latest.number + 1
+    values, cold = model.intake.convert(given, state.cold)
+    number = state.latest.number + 1
     usable_readings = np.array(given)
     try:
-        state, estimate = model.estimator.sample(machine.state, instant, values)
+        estimator_state, estimate = model.estimator.sample(state.estimator_state, instant, values)
     except ThermojointError as error:
         # The sample is stored, so that it is not read again; the estimate does not change.
-        machine = _cycled(model, machine, times.clock, None)
+        state = _cycled(model, state, times.clock, None)
         nothing = replace(
-            _nothing(machine.name, model.layout, now),
+            _nothing(state.name, model.layout, now),
             number=number,
             time=instant,
             quality=Quality.UNCERTAIN,
             readings=usable_readings,
             status=REFUSED,
-            asked=machine.asked,
-            **_for_control(model, machine),
+            asked=state.asked,
+            **_for_control(model, state),
         )
-        return machine._replace(cold=cold, latest=nothing), str(error)
+        return state._replace(cold=cold, latest=nothing), str(error)
     words, reached = estimate.words, estimate.displacement
     target = _followed(model, estimate) if _usable(model, age, estimate) else None
-    machine = _cycled(model, machine, times.clock, target)
-    asked = machine.asked
+    state = _cycled(model, state, times.clock, target)
+    asked = state.asked
     if model.asking is not None:
         # A refused reading needs confirmation: the request remains.
         refused = Status.READING_REFUSED in estimate.status
         read = [] if refused else _read_axes(model, given)
-        asked = after_sample(model.asking, asked, instant, read, estimate.band, state)
+        asked = after_sample(model.asking, asked, instant, read, estimate.band, estimator_state)
     latest = Publication(
-        machine.name,
+        state.name,
         number,
         instant,
         now,
@@ -176,10 +176,12 @@ def taken(
         readings=usable_readings,
         status=words,
         asked=asked,
-        **_for_control(model, machine),
+        **_for_control(model, state),
     )
-    machine = machine._replace(state=state, cold=cold, latest=latest, usable=latest, asked=asked)
-    return machine, ""
+    state = state._replace(
+        estimator_state=estimator_state, cold=cold, latest=latest, usable=latest, asked=asked
+    )
+    return state, ""
 
 
 def _read_axes(model: LoadedModel, given: Sequence[float]) -> list[str]:
@@ -190,18 +192,18 @@ def _read_axes(model: LoadedModel, given: Sequence[float]) -> list[str]:
     return [name.removesuffix("_um") for name, value in probed if math.isfinite(value)]
 
 
-def postponed(model: LoadedModel, machine: Machine) -> Machine:
+def postponed(model: LoadedModel, state: MachineState) -> MachineState:
     """Return a machine with its request for a reading postponed; it is repeated later."""
-    if model.asking is None or not machine.asked.axis:
-        return machine
-    asked = ended(model.asking, machine.asked, machine.latest.time, "postponed")
-    latest = replace(machine.latest, asked=asked)
-    return machine._replace(asked=asked, latest=latest)
+    if model.asking is None or not state.asked.axis:
+        return state
+    asked = ended(model.asking, state.asked, state.latest.time, "postponed")
+    latest = replace(state.latest, asked=asked)
+    return state._replace(asked=asked, latest=latest)
 
 
-def shown(machine: Machine) -> Publication:
+def shown(state: MachineState) -> Publication:
     """Return the present publication of a machine: after a refused sample, the last estimate."""
-    latest, last = machine.latest, machine.usable
+    latest, last = state.latest, state.usable
     if latest.number == last.number or last.number == 0:
         return latest
     return replace(
@@ -210,46 +212,46 @@ def shown(machine: Machine) -> Publication:
 
 
 def silent(
-    model: LoadedModel, machine: Machine, age: float, times: Times, limits: WatchdogSection
-) -> tuple[Machine, Publication]:
+    model: LoadedModel, state: MachineState, age: float, times: Times, limits: WatchdogSection
+) -> tuple[MachineState, Publication]:
     """Return a machine and its publication some time (s) after its last usable sample.
 
     The offsets freeze and decay according to their settings: neither an estimate that is too old
     nor one without the control's handshake moves them.
     """
-    machine = shaken(model, machine, times.clock)
+    state = shaken(model, state, times.clock)
     if (
         model.output is not None
-        and machine.output is not None
-        and machine.output.used
-        and (age > model.output.trust.oldest or _handshake(model, machine) not in ("", STANDS))
+        and state.output is not None
+        and state.output.used
+        and (age > model.output.trust.oldest or _handshake(model, state) not in ("", STANDS))
     ):
-        machine = _cycled(model, machine, times.clock, None)
-    before = shown(machine)
+        state = _cycled(model, state, times.clock, None)
+    before = shown(state)
     quality = quality_at(age, limits.uncertain_s, limits.bad_s) if before.number else Quality.BAD
     latest = replace(
         before,
         published=times.now,
         quality=max(before.quality, quality),
         status=silent_status(before.status, quality) if before.number else before.status,
-        **_for_control(model, machine),
+        **_for_control(model, state),
     )
-    return machine, latest
+    return state, latest
 
 
-def shaken(model: LoadedModel, machine: Machine, clock: float) -> Machine:
+def shaken(model: LoadedModel, state: MachineState, clock: float) -> MachineState:
     """Return a machine with its handshake updated to a time of the service's own clock (s).
 
     For a control that returns, the offsets continue from the ones in it.
     """
-    if model.handshake is None or model.output is None or machine.output is None:
-        return machine
-    handshake, output = judged(model.handshake, machine.handshake, clock), machine.output
-    acts = continued_from(machine.handshake, handshake, model.handshake)
+    if model.handshake is None or model.output is None or state.output is None:
+        return state
+    handshake, output = judged(model.handshake, state.handshake, clock), state.output
+    acts = continued_from(state.handshake, handshake, model.handshake)
     if acts is not None:
         output = moved_to(model.output.output, output, acts, clock)
         handshake = sent(model.handshake, handshake, _corrections(model, output), clock)
-    return machine._replace(output=output, handshake=handshake)
+    return state._replace(output=output, handshake=handshake)
 
 
 def held(latest: Publication) -> Publication:
@@ -258,31 +260,33 @@ def held(latest: Publication) -> Publication:
     return replace(latest, quality=max(latest.quality, Quality.UNCERTAIN), offset_mode=mode)
 
 
-def _cycled(model: LoadedModel, machine: Machine, clock: float, target: Array | None) -> Machine:
+def _cycled(
+    model: LoadedModel, state: MachineState, clock: float, target: Array | None
+) -> MachineState:
     """Return a machine after one cycle of its output, without a target if the handshake broke."""
-    if model.output is None or machine.output is None:
-        return machine
-    settings, handshake = model.output.output, machine.handshake
-    if _handshake(model, machine) not in ("", STANDS):
+    if model.output is None or state.output is None:
+        return state
+    settings, handshake = model.output.output, state.handshake
+    if _handshake(model, state) not in ("", STANDS):
         target = None
-    output = cycle(settings, machine.output, clock, target)
+    output = cycle(settings, state.output, clock, target)
     if model.handshake is not None:
         handshake = sent(model.handshake, handshake, _corrections(model, output), clock)
-    return machine._replace(output=output, handshake=handshake)
+    return state._replace(output=output, handshake=handshake)
 
 
-def _handshake(model: LoadedModel, machine: Machine) -> str:
+def _handshake(model: LoadedModel, state: MachineState) -> str:
     """Return the state of the handshake; empty if there is none."""
-    return "" if model.handshake is None or model.output is None else machine.handshake.state
+    return "" if model.handshake is None or model.output is None else state.handshake.state
 
 
-def _for_control(model: LoadedModel, machine: Machine) -> dict[str, Any]:
+def _for_control(model: LoadedModel, state: MachineState) -> dict[str, Any]:
     """Return the control's part of a publication: offsets, slopes, their mode, the handshake."""
-    handshake = _handshake(model, machine)
-    if model.output is None or machine.output is None:
+    handshake = _handshake(model, state)
+    if model.output is None or state.output is None:
         empty = np.empty(0)
         return {"offsets": empty, "slopes": empty, "offset_mode": "", "handshake": handshake}
-    settings, output = model.output.output, machine.output
+    settings, output = model.output.output, state.output
     return {
         "offsets": offsets_of(settings, output),
         "slopes": slopes_of(settings, output),
@@ -324,29 +328,29 @@ def _lines(model: LoadedModel, last: Estimate | Publication) -> Lines | None:
     return lines_of(model.layout.axes, model.layout.details, last.details)
 
 
-def state_bytes(model: LoadedModel, machine: Machine) -> bytes:
+def state_bytes(model: LoadedModel, state: MachineState) -> bytes:
     """Return the estimator's state in its stored form."""
-    return as_bytes(model.digest, np.concatenate(([machine.cold], machine.state)))
+    return as_bytes(model.digest, np.concatenate(([state.cold], state.estimator_state)))
 
 
-def rest_of(machine: Machine, position: Any) -> str:  # noqa: ANN401
+def rest_of(state: MachineState, position: Any) -> str:  # noqa: ANN401
     """Return everything else that the next sample depends on, in its stored form: JSON."""
-    return json.dumps({"at": position, "waiting": machine.waiting, "asked": machine.asked})
+    return json.dumps({"at": position, "waiting": state.waiting, "asked": state.asked})
 
 
-def received_of(model: LoadedModel, machine: Machine, now: float) -> Received | None:
+def received_of(model: LoadedModel, state: MachineState, now: float) -> Received | None:
     """Return the offsets that the control receives, in stored form; None without offsets."""
-    if model.output is None or machine.output is None:
+    if model.output is None or state.output is None:
         return None
-    content = content_of(model.output.output, machine.output)
+    content = content_of(model.output.output, state.output)
     if model.handshake is not None:
         levers = model.output.output.channels.levers
-        low, high = machine.handshake.low / levers, machine.handshake.high / levers
+        low, high = state.handshake.low / levers, state.handshake.high / levers
         axes = content["axes"]
         slopes = [axes[one.axis]["slope"] for one in model.output.output.slopes]
         for k, value in enumerate([*axes.values(), *slopes]):
             value["sent"] = [float(low[k]), float(high[k])]
-    return Received(machine.name, now, json.dumps(content))
+    return Received(state.name, now, json.dumps(content))
 
 
 def restored(
@@ -356,7 +360,7 @@ def restored(
     last: Publication | None,
     received: Received | None,
     times: Times,
-) -> tuple[Machine, Any]:
+) -> tuple[MachineState, Any]:
     """Return a machine restored to its last stored sample, and the read position of its source.
 
     Samples since the last checkpoint run through the estimator again. The offsets continue from the
@@ -380,33 +384,33 @@ def restored(
     InputError
         The stored state does not fit the model: another model, or a damaged store.
     """
-    machine = at_rest(name, model, times.now)._replace(output=None)
+    state = at_rest(name, model, times.now)._replace(output=None)
     if kept.state is not None and last is not None:
         numbers = from_bytes(kept.state, model.digest, name)
-        state = completed(numbers[1:], machine.state)
-        if state.size != machine.state.size:
+        estimator_state = completed(numbers[1:], state.estimator_state)
+        if estimator_state.size != state.estimator_state.size:
             raise InputError(f"{name}: the state that is kept is damaged; give another folder")
-        machine = machine._replace(
+        state = state._replace(
             cold=float(numbers[0]),
-            state=state,
+            estimator_state=estimator_state,
             latest=_laid_out(last, model.layout),
             usable=_laid_out(last, model.layout),
         )
     for later in kept.later:
         row = from_row(name, later.number, kept.layout, np.frombuffer(later.row), later.status)
         sample = row.time, tuple(row.readings.tolist())
-        machine, _ = taken(model, machine, sample, Times(row.published, math.nan), 0.0)
+        state, _ = taken(model, state, sample, Times(row.published, math.nan), 0.0)
     rest = json.loads(kept.newest)
-    output = _output(model, machine, received, times)
+    output = _output(model, state, received, times)
     handshake = _handshake_begun(model, output, received, times.clock)
-    machine = machine._replace(
+    state = state._replace(
         output=output,
         handshake=handshake,
         waiting=_waiting(rest["waiting"]) if "waiting" in rest else Waiting(),
         asked=Request(*rest.get("asked", ())) if model.asking else NOTHING_ASKED,
     )
-    latest = replace(machine.latest, asked=machine.asked, **_for_control(model, machine))
-    return machine._replace(latest=latest), rest.get("at")
+    latest = replace(state.latest, asked=state.asked, **_for_control(model, state))
+    return state._replace(latest=latest), rest.get("at")
 
 
 def _handshake_begun(
@@ -452,7 +456,7 @@ def _waiting(content: list[Any]) -> Waiting:
 
 
 def _output(
-    model: LoadedModel, machine: Machine, received: Received | None, times: Times
+    model: LoadedModel, state: MachineState, received: Received | None, times: Times
 ) -> OutputState | None:
     """Return the compensation output that continues from the values received last by the control.
 
@@ -461,7 +465,7 @@ def _output(
     """
     if model.output is None:
         return None
-    settings, trust, last = model.output.output, model.output.trust, machine.latest
+    settings, trust, last = model.output.output, model.output.trust, state.latest
     if received is None:
         return at_zero(settings)
     silence = max(0.0, times.now - received.at)
