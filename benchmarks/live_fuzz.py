@@ -24,13 +24,13 @@ from asyncua import ua
 
 from benchmarks.study import options_of
 from thermojoint.artefacts.tables.clock import Hands
-from thermojoint.live import floor as floors
+from thermojoint.live import processing
 from thermojoint.live.arrivals import Arrival, Note
-from thermojoint.live.floor import Floor, Place
 from thermojoint.live.loaded_models import LoadedModel
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine_state import at_rest
 from thermojoint.live.metrics import fresh_metrics
+from thermojoint.live.processing import Fleet, Machine
 from thermojoint.live.readers import csv_pipe, mqtt, opcua
 from thermojoint.live.samples import Waiting
 from thermojoint.live.settings import MqttSource, WatchdogSection
@@ -187,18 +187,18 @@ def opcua_door(
 DOORS: dict[str, Door] = {"mqtt": mqtt_door, "csv": csv_door, "opcua": opcua_door}
 
 
-def floor_of(model: LoadedModel) -> Floor:
-    """Return one machine that nobody keeps."""
-    place = Place(model, 1, at_rest(MACHINE, model, START), None, 0.0)
-    return Floor({MACHINE: place}, EventLog(), fresh_metrics(), 60.0, 1e9, WatchdogSection())
+def fleet_of(model: LoadedModel) -> Fleet:
+    """Return a fleet of one machine without a store."""
+    mill = Machine(model, 1, at_rest(MACHINE, model, START), None, 0.0)
+    return Fleet({MACHINE: mill}, EventLog(), fresh_metrics(), 60.0, 1e9, WatchdogSection())
 
 
 def estimates(
     door: Door, model: LoadedModel, count: int, seed: int, damaged: bool
 ) -> Iterator[tuple[float, ...]]:
     """Yield the estimates of a run, with damaged readings between the others or without."""
-    draw, floor = random.Random(seed), floor_of(model)
-    place = floor.places[MACHINE]
+    draw, fleet = random.Random(seed), fleet_of(model)
+    mill = fleet.machines[MACHINE]
     for k in range(count):
         now = START + float(k)
         arrivals: list[Arrival | Note] = []
@@ -208,19 +208,19 @@ def estimates(
         arrivals += door(draw, model, now, True)
         for one in arrivals:
             if isinstance(one, Note):
-                floor.log.say(now, one.kind, one.text, one.machine)
+                fleet.log.say(now, one.kind, one.text, one.machine)
         given = [one for one in arrivals if isinstance(one, Arrival)]
-        floors.absorb(floor, given, now, float(k))
-        floor.log.fetched()
+        processing.absorb(fleet, given, now, float(k))
+        fleet.log.fetched()
         if k % 60 == 59:
-            floors.checkpoint_of(place)
-        waiting: Waiting = place.state.waiting
-        if len(waiting.cells) > 2 or len(place.rows) > 60 or len(floor.log.limit.seen) > 20:
-            raise AssertionError(f"grows: {len(waiting.cells)} {len(place.rows)}")
+            processing.checkpoint_of(mill)
+        waiting: Waiting = mill.state.waiting
+        if len(waiting.cells) > 2 or len(mill.rows) > 60 or len(fleet.log.limit.seen) > 20:
+            raise AssertionError(f"grows: {len(waiting.cells)} {len(mill.rows)}")
         yield (
-            place.state.latest.number,
-            place.state.latest.time,
-            *place.state.latest.displacement,
+            mill.state.latest.number,
+            mill.state.latest.time,
+            *mill.state.latest.displacement,
         )
 
 

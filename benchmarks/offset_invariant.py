@@ -49,16 +49,16 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.compensation.offsets.handshake import STANDS, Answer, HandshakeSettings
 from thermojoint.compensation.offsets.output import Limits
 from thermojoint.compensation.offsets.settings import Settings, settings_from_data, with_slopes
-from thermojoint.live import floor as floors
+from thermojoint.live import processing
 from thermojoint.live.arrivals import Arrival
-from thermojoint.live.floor import Floor
 from thermojoint.live.loaded_models import LoadedModel, lines_in
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine_state import Times
 from thermojoint.live.metrics import fresh_metrics
 from thermojoint.live.opcua_values import offset_status_of
+from thermojoint.live.processing import Fleet
 from thermojoint.live.publication import Layout, Publication
-from thermojoint.live.running import restored_floor
+from thermojoint.live.running import restored_fleet
 from thermojoint.live.samples import Rule
 from thermojoint.live.settings import Service, service_from_data
 from thermojoint.live.store import Batch, commit, open_store
@@ -236,7 +236,7 @@ class Offsets(RuleBasedStateMachine):
         self.booted = 0.0
         self.model = model_with(None, 1.0)
         self.store: sqlite3.Connection | None = None
-        self.floor: Floor
+        self.fleet: Fleet
         # By axis: what the control received last, and when; how fast, how far and in which steps it
         # may have moved since, by all settings in force; and the axes of which nothing was received
         # since a kill.
@@ -293,7 +293,7 @@ class Offsets(RuleBasedStateMachine):
         # Of processes that die, not of computers.
         self.store.execute("PRAGMA synchronous = OFF")
         models = {"gauge": self.model}
-        self.floor, newest = restored_floor(
+        self.fleet, newest = restored_fleet(
             self.service, models, self.store, EventLog(), _METRICS, self.times
         )
         for one in newest:
@@ -302,7 +302,7 @@ class Offsets(RuleBasedStateMachine):
     def watch(self) -> None:
         """Look at silences, as a service does every second."""
         self.answer()
-        changed = floors.watch(self.floor, *self.times)
+        changed = processing.watch(self.fleet, *self.times)
         self.keep(Batch(received=self.received(changed)))
         for one in changed:
             self.receive(one)
@@ -310,13 +310,13 @@ class Offsets(RuleBasedStateMachine):
     def absorb(self, readings: Sequence[tuple[float, float, float]], until: str = "") -> None:
         """Take readings (time by the source, value, kind); a kill may come before the end."""
         arrivals = [Arrival(MACHINE, at, told, self.times.now) for at, *told in readings]
-        before = self.floor.places[MACHINE].state.latest.number
-        outcome = floors.absorb(self.floor, arrivals, *self.times)
+        before = self.fleet.machines[MACHINE].state.latest.number
+        outcome = processing.absorb(self.fleet, arrivals, *self.times)
         if until == "before the commit":
             return
         changed = list(outcome.publications.values())
         self.keep(Batch(outcome.taken, (), (), outcome.holes, self.received(changed)))
-        said = self.floor.places[MACHINE].state.latest
+        said = self.fleet.machines[MACHINE].state.latest
         if said.number != before:
             self.estimated = self.times.now, self.true
             self.late = max(0.0, self.times.now - said.time - 5.0 - INTERVAL)
@@ -339,7 +339,7 @@ class Offsets(RuleBasedStateMachine):
 
     def received(self, changed: Sequence[Publication]) -> Any:
         """What is kept before it is published."""
-        return floors.received(self.floor, [one.machine for one in changed], self.times.now)
+        return processing.received(self.fleet, [one.machine for one in changed], self.times.now)
 
     def keep(self, batch: Batch) -> None:
         """Commit."""
@@ -364,8 +364,8 @@ class Offsets(RuleBasedStateMachine):
             has.append(one.lever * self.control[one.axis][0].slope + self.lie)
         self.counter += 1
         self.told = self.true, self.enabled
-        floors.answer(
-            self.floor, MACHINE, Answer(self.enabled, self.counter, has), self.times.clock
+        processing.answer(
+            self.fleet, MACHINE, Answer(self.enabled, self.counter, has), self.times.clock
         )
 
     def takes(self, said: Publication) -> bool:
@@ -499,9 +499,9 @@ class Offsets(RuleBasedStateMachine):
     @rule()
     def checkpoint(self) -> None:
         """The state is kept."""
-        place = self.floor.places[MACHINE]
-        if place.rows:
-            self.keep(Batch(checkpoints=[floors.checkpoint_of(place)]))
+        mill = self.fleet.machines[MACHINE]
+        if mill.rows:
+            self.keep(Batch(checkpoints=[processing.checkpoint_of(mill)]))
 
     @rule(
         until=st.sampled_from(["", "before the commit", "before the publication"]),

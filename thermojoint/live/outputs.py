@@ -15,8 +15,8 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.compensation.offsets.handshake import Answer
 from thermojoint.live.arrivals import Arrival
 from thermojoint.live.control_message import answer_of
-from thermojoint.live.floor import Floor, Place, answer, postpone
 from thermojoint.live.former_models import former_of, read_record, roll_back
+from thermojoint.live.processing import Fleet, Machine, answer, postpone
 from thermojoint.live.publication import micrometres
 from thermojoint.live.running import Running
 from thermojoint.live.settings import HandshakeSection, HttpServer, OpcuaServer, Service
@@ -40,7 +40,7 @@ async def open_outputs(running: Running) -> list[Coroutine[Any, Any, None]]:
         address, controls = address_of(mqtt, "mqtt"), _handshakes(service, "mqtt")
         audit = running.accounts.audit
         outputs.append(
-            write_topics(running.publisher, address, mqtt, running.floor, controls, audit)
+            write_topics(running.publisher, address, mqtt, running.fleet, controls, audit)
         )
     if service.given.opcua is not None:
         outputs += await _opcua_server(running, service.given.opcua)
@@ -63,11 +63,11 @@ def _writers(running: Running) -> list[Coroutine[Any, Any, None]]:
     from thermojoint.live.targets.writing import Writer, target_of
 
     found, audit = [], running.accounts.audit
-    for name, place in running.floor.places.items():
-        target = target_of(running.service, name, place.model)
+    for name, machine in running.fleet.machines.items():
+        target = target_of(running.service, name, machine.model)
         if target is not None:
-            names = place.model.layout.controls
-            writer = Writer(name, names, *target, running.publisher, running.floor, audit)
+            names = machine.model.layout.controls
+            writer = Writer(name, names, *target, running.publisher, running.fleet, audit)
             found.append(writer.run())
     return found
 
@@ -80,14 +80,14 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
     folder = service.folder
     machines = {
         name: About(
-            layout=place.model.layout,
-            kind=place.model.estimator.kind,
-            model=place.model.file,
+            layout=machine.model.layout,
+            kind=machine.model.estimator.kind,
+            model=machine.model.file,
             since=running.archive.begun(name),
-            valid=place.model.ranges,
-            probes=tuple(place.model.layout.readings[place.model.rule.wanted :]),
+            valid=machine.model.ranges,
+            probes=tuple(machine.model.layout.readings[machine.model.rule.wanted :]),
         )
-        for name, place in running.floor.places.items()
+        for name, machine in running.fleet.machines.items()
     }
     sources = Sources(
         running.publisher,
@@ -96,19 +96,19 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
         running.metrics.registry,
         _scenes(running),
         {
-            name: partial(_residuals_of, place)
-            for name, place in running.floor.places.items()
-            if place.model.residuals is not None
+            name: partial(_residuals_of, machine)
+            for name, machine in running.fleet.machines.items()
+            if machine.model.residuals is not None
         },
         {
-            name: partial(_handshake_of, place)
-            for name, place in running.floor.places.items()
-            if place.model.handshake is not None
+            name: partial(_handshake_of, machine)
+            for name, machine in running.fleet.machines.items()
+            if machine.model.handshake is not None
         },
         lambda name: former_of(read_record(folder), folder, name),
         partial(_roll_back, running),
         {
-            name: (one.user, partial(_read_answer, running.floor, name))
+            name: (one.user, partial(_read_answer, running.fleet, name))
             for name, one in _handshakes(service, "http").items()
         },
         partial(_postpone, running),
@@ -119,13 +119,13 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
         },
     )
     opened = open_http(section, sources, running.accounts, folder)
-    running.floor.log.say(time.time(), "listening", opened.url)
+    running.fleet.log.say(time.time(), "listening", opened.url)
     return serve_http(opened, running.stop)
 
 
 def _postpone(running: Running, machine: str) -> bool:
     """Postpone the requested displacement reading of a machine."""
-    changed = postpone(running.floor, machine, time.time())
+    changed = postpone(running.fleet, machine, time.time())
     if changed is not None:
         running.publisher.publish([changed])
     return changed is not None
@@ -133,7 +133,7 @@ def _postpone(running: Running, machine: str) -> bool:
 
 def _read(running: Running, machine: str, given: Mapping[str, float]) -> bool:
     """Queue displacement readings entered by an operator, um."""
-    names, now = running.floor.places[machine].model.layout.readings, time.time()
+    names, now = running.fleet.machines[machine].model.layout.readings, time.time()
     return _queue(running, Arrival(machine, now, [given.get(name) for name in names], now))
 
 
@@ -158,19 +158,19 @@ def _scenes(running: Running) -> dict[str, Scene]:
 
     machines, models = running.service.machines, running.service.given.models
     return {
-        name: scene_of(file, place.model.estimator, partial(_state_of, place))
-        for name, place in running.floor.places.items()
+        name: scene_of(file, machine.model.estimator, partial(_state_of, machine))
+        for name, machine in running.fleet.machines.items()
         if (file := models[machines[name].model].scene) is not None
     }
 
 
-def _residuals_of(place: Place) -> dict[str, float | None] | None:
+def _residuals_of(machine: Machine) -> dict[str, float | None] | None:
     """Return reading minus prediction of each sensor of a machine, K; None before the first sample.
 
     A faulty sensor is visible here before and after it is excluded; a deviation common to all
     sensors is the model's error.
     """
-    model, state = place.model, place.state
+    model, state = machine.model, machine.state
     if model.residuals is None or state.usable.number == 0:
         return None
     values, _ = model.intake.convert(tuple(state.usable.readings.tolist()), state.cold)
@@ -181,10 +181,10 @@ def _residuals_of(place: Place) -> dict[str, float | None] | None:
     }
 
 
-def _handshake_of(place: Place) -> dict[str, Any]:
+def _handshake_of(machine: Machine) -> dict[str, Any]:
     """Return the handshake state of a machine's control."""
-    handshake, clock = place.state.handshake, time.monotonic()
-    layout = place.model.layout
+    handshake, clock = machine.state.handshake, time.monotonic()
+    layout = machine.model.layout
     acts, axes = handshake.acknowledged / layout.levers, [one.axis for one in layout.lines]
     slopes = micrometres(axes, acts[len(layout.controls) :])
     return {
@@ -199,8 +199,8 @@ def _handshake_of(place: Place) -> dict[str, Any]:
     }
 
 
-def _state_of(place: Place) -> Array:
-    return place.state.estimator_state
+def _state_of(machine: Machine) -> Array:
+    return machine.state.estimator_state
 
 
 async def _opcua_server(running: Running, section: OpcuaServer) -> list[Coroutine[Any, Any, None]]:
@@ -208,10 +208,10 @@ async def _opcua_server(running: Running, section: OpcuaServer) -> list[Coroutin
     from thermojoint.live.writers.opcua_control import add_controls, tell_heartbeat
 
     machines = {
-        name: (place.model.layout, place.model.rule.wanted)
-        for name, place in running.floor.places.items()
+        name: (machine.model.layout, machine.model.rule.wanted)
+        for name, machine in running.fleet.machines.items()
     }
-    service, log = running.service, running.floor.log
+    service, log = running.service, running.fleet.log
     handshakes = _handshakes(service, "opcua")
     owners = {name: one.user for name, one in handshakes.items() if one.user is not None}
     entry = Entry(running.accounts, service.folder, log, owners, running.archive)
@@ -219,7 +219,7 @@ async def _opcua_server(running: Running, section: OpcuaServer) -> list[Coroutin
         section, entry, running.publisher, machines, partial(_queue, running), _identities(running)
     )
     controls = {name: machines[name][0] for name in handshakes}
-    heartbeat = await add_controls(server, controls, partial(_answer, running.floor))
+    heartbeat = await add_controls(server, controls, partial(_answer, running.fleet))
     return [
         serve_nodes(server, nodes, running.publisher),
         tell_heartbeat(server, heartbeat, running.publisher),
@@ -230,10 +230,10 @@ def _identities(running: Running) -> dict[str, Identity]:
     """Return the identifications of the machines that have one."""
     from thermojoint.live.companion_models import Identity
 
-    sections, places = running.service.machines, running.floor.places
+    sections, machines = running.service.machines, running.fleet.machines
     return {
-        name: Identity(section, place.model.file, place.model.digest)
-        for name, place in places.items()
+        name: Identity(section, machine.model.file, machine.model.digest)
+        for name, machine in machines.items()
         if (section := sections[name].identification) is not None
     }
 
@@ -247,10 +247,10 @@ def _handshakes(service: Service, by: str) -> dict[str, HandshakeSection]:
     }
 
 
-def _read_answer(floor: Floor, machine: str, body: bytes) -> None:
+def _read_answer(fleet: Fleet, machine: str, body: bytes) -> None:
     """Receive the message of a control; raise ValueError if it is not an answer."""
-    _answer(floor, machine, answer_of(body, floor.places[machine].model.layout))
+    _answer(fleet, machine, answer_of(body, fleet.machines[machine].model.layout))
 
 
-def _answer(floor: Floor, machine: str, given: Answer) -> None:
-    answer(floor, machine, given, time.monotonic())
+def _answer(fleet: Fleet, machine: str, given: Answer) -> None:
+    answer(fleet, machine, given, time.monotonic())

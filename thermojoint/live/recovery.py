@@ -15,7 +15,7 @@ from contextlib import closing, suppress
 from pathlib import Path
 
 from thermojoint.artefacts.errors import InputError
-from thermojoint.live import floor as floors
+from thermojoint.live import processing
 from thermojoint.live.disk_reserve import lay_in
 from thermojoint.live.running import Running
 from thermojoint.live.store import Batch, commit, identity_of, layout_text, open_store
@@ -66,19 +66,21 @@ async def _renew(
     async with running.mending:
         if running.store is not failed:
             return
-        places, path, now = running.floor.places.values(), running.archive.path, time.time()
-        rows = [place.rows for place in places]
-        checkpoint_of = floors.whole_checkpoint_of if source is None else floors.checkpoint_of
+        machines, path, now = running.fleet.machines.values(), running.archive.path, time.time()
+        rows = [machine.rows for machine in machines]
+        checkpoint_of = (
+            processing.whole_checkpoint_of if source is None else processing.checkpoint_of
+        )
         batch = Batch(
-            checkpoints=[checkpoint_of(place) for place in places],
-            received=floors.received(running.floor, running.floor.places, now),
+            checkpoints=[checkpoint_of(machine) for machine in machines],
+            received=processing.received(running.fleet, running.fleet.machines, now),
         )
         eras: list[Era] = [
-            (place.era, name, place.model.digest, layout_text(place.model.layout), now)
-            for name, place in running.floor.places.items()
+            (machine.era, name, machine.model.digest, layout_text(machine.model.layout), now)
+            for name, machine in running.fleet.machines.items()
         ]
         aside = path.with_name(f"{path.stem}.{round(now)}{path.suffix}")
-        running.floor.log.say(now, "store-recovered", f"{path} {why}; what is left of it: {aside}")
+        running.fleet.log.say(now, "store-recovered", f"{path} {why}; what is left of it: {aside}")
         try:
             # In one call: a commit between the two steps would be in neither store.
             await running.kept(
@@ -87,8 +89,8 @@ async def _renew(
             running.store = open_store(path, running.service.given.store.durable)
             lay_in(running.store, path)
         except (sqlite3.Error, OSError, InputError) as error:
-            for place, earlier in zip(places, rows, strict=True):
-                place.rows = earlier + place.rows
+            for machine, earlier in zip(machines, rows, strict=True):
+                machine.rows = earlier + machine.rows
             raise sqlite3.OperationalError(f"no new store: {error}") from error
         running.identity = identity_of(path)
         running.journal_end = running.round_from = running.behind = 0

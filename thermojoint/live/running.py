@@ -16,13 +16,12 @@ from typing import TypeVar
 import numpy as np
 
 from thermojoint.artefacts.errors import InputError
-from thermojoint.live import floor as floors
+from thermojoint.live import processing
 from thermojoint.live.access_store import NAME as ACCESS
 from thermojoint.live.accounts import Accounts, accounts_of
 from thermojoint.live.archive import Archive
 from thermojoint.live.arrivals import Arrival, Note
 from thermojoint.live.disk_reserve import OVERHEAD, Room, close, lay_in, tend
-from thermojoint.live.floor import Floor, Place
 from thermojoint.live.loaded_models import LoadedModel, models_by_machine
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine_state import (
@@ -34,6 +33,7 @@ from thermojoint.live.machine_state import (
     state_bytes,
 )
 from thermojoint.live.metrics import Metrics, fresh_metrics
+from thermojoint.live.processing import Fleet, Machine
 from thermojoint.live.publication import Publication
 from thermojoint.live.publisher import Publisher
 from thermojoint.live.quality import REFUSED
@@ -70,7 +70,7 @@ class Running:
     #: The service as defined by its file.
     service: Service
     #: Its machines.
-    floor: Floor
+    fleet: Fleet
     #: Newest publications.
     publisher: Publisher
     #: Stored history.
@@ -91,7 +91,7 @@ class Running:
     journal_end: int = 0
     #: Round of checkpoints: machines without one yet, the journal's end at the begin of the round,
     #: and the fraction of a machine that is due.
-    round: list[Place] = field(default_factory=list)
+    round: list[Machine] = field(default_factory=list)
     round_from: int = 0
     share: float = 0.0
     #: Last entry of the journal that is covered by a checkpoint of every machine.
@@ -118,8 +118,8 @@ class Running:
     @property
     def _per_hour(self) -> float:
         """Growth of the machines' store in an hour, bytes."""
-        places = self.floor.places.values()
-        rows = sum(8.0 * one.model.layout.width / one.model.rule.interval for one in places)
+        machines = self.fleet.machines.values()
+        rows = sum(8.0 * one.model.layout.width / one.model.rule.interval for one in machines)
         return 3600.0 * OVERHEAD * rows
 
     async def tended(self) -> None:
@@ -137,7 +137,7 @@ class Running:
         if self.room.full != before.full:
             what = "is full" if self.room.full else "has room again"
             text = f"{what}; the store's reserve lasts for {self.reserve_h:.1f} h"
-            self.floor.log.say(time.time(), "disk", text)
+            self.fleet.log.say(time.time(), "disk", text)
 
 
 @asynccontextmanager
@@ -157,10 +157,10 @@ async def opened(
         lay_in(store, path)
         metrics = fresh_metrics()
         times = Times(time.time(), time.monotonic())
-        floor, newest = restored_floor(service, models, store, log, metrics, times)
+        fleet, newest = restored_fleet(service, models, store, log, metrics, times)
         running = Running(
             service,
-            floor,
+            fleet,
             Publisher(),
             Archive(path),
             metrics,
@@ -180,31 +180,31 @@ async def opened(
             await running.kept(commit, Batch(events=log.fetched()))
 
 
-def restored_floor(
+def restored_fleet(
     service: Service,
     models: dict[str, LoadedModel],
     store: sqlite3.Connection,
     log: EventLog,
     metrics: Metrics,
     times: Times,
-) -> tuple[Floor, list[Publication]]:
+) -> tuple[Fleet, list[Publication]]:
     """Return the machines restored from the store, and their first publications."""
     given = service.given
-    places = _places(service, models, store, log, times)
-    floor = Floor(places, log, metrics, given.ahead_s, given.behind_s, given.watchdog)
+    machines = _restored_machines(service, models, store, log, times)
+    fleet = Fleet(machines, log, metrics, given.ahead_s, given.behind_s, given.watchdog)
     # Silence is evaluated first, so that no control receives an offset from before it.
-    silent = {publication.machine: publication for publication in floors.watch(floor, *times)}
-    commit(store, Batch(received=floors.received(floor, places, times.now)))
-    return floor, [silent.get(name) or shown(place.state) for name, place in places.items()]
+    silent = {publication.machine: publication for publication in processing.watch(fleet, *times)}
+    commit(store, Batch(received=processing.received(fleet, machines, times.now)))
+    return fleet, [silent.get(name) or shown(machine.state) for name, machine in machines.items()]
 
 
-def _places(
+def _restored_machines(
     service: Service,
     models: dict[str, LoadedModel],
     store: sqlite3.Connection,
     log: EventLog,
     times: Times,
-) -> dict[str, Place]:
+) -> dict[str, Machine]:
     now, archive = times.now, Archive(service.folder / _STORE)
     of, received = models_by_machine(models, service), received_last(store)
     store.execute("BEGIN IMMEDIATE")
@@ -214,7 +214,7 @@ def _places(
     store.execute("COMMIT")
     before = {name: era_before(store, era) for name, era in eras.items()}
     every = kept_of(store, [*eras.values(), *(era for era, _ in before.values() if era)])
-    by_name: dict[str, Place] = {}
+    by_name: dict[str, Machine] = {}
     moved: list[Checkpoint] = []
     for name, model in of.items():
         (earlier, continues), kept = before[name], every[eras[name]]
@@ -241,12 +241,12 @@ def _places(
         if kept.era != eras[name]:
             moved += _moved(model, state, position, kept, eras[name])
             log.say(now, "moved", "other axes of the control; the estimator continues", name)
-        heard = floors.since_heard(
+        heard = processing.since_heard(
             _heard_last(archive, model, state), model.rule, service.given.behind_s, times
         )
         # Samples of another layout stay in their era.
         rows = [(np.frombuffer(taken.row), taken.status) for taken in every[eras[name]].later]
-        by_name[name] = Place(model, eras[name], state, position, heard, rows=rows)
+        by_name[name] = Machine(model, eras[name], state, position, heard, rows=rows)
         if state.latest.number:
             log.say(now, "restored", f"{state.latest.number} samples, {len(rows)} again", name)
     if moved:
@@ -257,11 +257,11 @@ def _places(
 def _heard_last(archive: Archive, model: LoadedModel, state: MachineState) -> Publication:
     """Return the last usable sample with a reading, or the oldest of many without one."""
     last = state.usable
-    if last.number == 0 or floors.has_reading(model, last.readings.tolist()):
+    if last.number == 0 or processing.has_reading(model, last.readings.tolist()):
         return last
     before = archive.samples(state.name, (-math.inf, last.time), _LOOKED_AT, True)
     for last in before:
-        if last.status != REFUSED and floors.has_reading(model, last.readings.tolist()):
+        if last.status != REFUSED and processing.has_reading(model, last.readings.tolist()):
             break
     return last
 

@@ -1,4 +1,4 @@
-"""The service as tasks of one event loop: readers, floor, store, writers."""
+"""The service as tasks of one event loop: readers, processing, store, writers."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from contextlib import asynccontextmanager, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 
-from thermojoint.live import floor as floors
+from thermojoint.live import processing
 from thermojoint.live.arrivals import Arrival, Note
 from thermojoint.live.cancelling import cancelled
 from thermojoint.live.certificates import ending
 from thermojoint.live.changed_settings import note_settings
 from thermojoint.live.consistency import contradictions
-from thermojoint.live.floor import Place
 from thermojoint.live.former_models import note_deployments, pinned
 from thermojoint.live.loaded_models import LoadedModel, load_models, models_by_machine
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine_state import held
 from thermojoint.live.notify import tell_systemd
 from thermojoint.live.outputs import open_outputs
+from thermojoint.live.processing import Machine
 from thermojoint.live.publication import Publication
 from thermojoint.live.readers.reading import Reader, readers_of
 from thermojoint.live.recovery import is_damage, recover, recover_if_gone
@@ -82,7 +82,7 @@ async def run(
         note_changes(running)
         failed: list[BaseException] = []
         outputs = [asyncio.create_task(one) for one in await open_outputs(running)]
-        floor = running.floor
+        fleet = running.fleet
         sources = [asyncio.create_task(_read(running, reader)) for reader in readers]
         work = asyncio.create_task(_process(running))
         watch = asyncio.create_task(_watch(running))
@@ -90,7 +90,7 @@ async def run(
         tasks = [*outputs, work, watch]
         for task in tasks:
             task.add_done_callback(lambda ended: _note_failure(ended, failed, stop))
-        floor.log.say(time.time(), "ready", f"{len(floor.places)} machines")
+        fleet.log.say(time.time(), "ready", f"{len(fleet.machines)} machines")
         ready(running)
         tell_systemd("READY=1")
         try:
@@ -104,7 +104,7 @@ async def run(
             await asyncio.gather(work, return_exceptions=True)
             async with _tending(running):
                 await recover_if_gone(running)
-            await _checkpoint(running, list(floor.places.values()))
+            await _checkpoint(running, list(fleet.machines.values()))
         if failed:
             raise failed[0]
 
@@ -119,7 +119,7 @@ def note_changes(running: Running) -> None:
             audit.accepted("service", "start", change, machine)
     except OSError as error:
         # The service goes on: a full disk must not stop any machine.
-        running.floor.log.say(now, "audit", f"changes cannot be written down: {error}")
+        running.fleet.log.say(now, "audit", f"changes cannot be written down: {error}")
 
 
 def announce_certificates(running: Running) -> None:
@@ -127,7 +127,7 @@ def announce_certificates(running: Running) -> None:
     now = time.time()
     service = running.service
     for line in ending(service.given, service.folder, datetime.fromtimestamp(now, UTC)):
-        running.floor.log.say(now, "certificate", line)
+        running.fleet.log.say(now, "certificate", line)
 
 
 def working(service: Service, log: EventLog) -> tuple[Service, dict[str, LoadedModel]]:
@@ -151,7 +151,7 @@ def working(service: Service, log: EventLog) -> tuple[Service, dict[str, LoadedM
 
 async def _read(running: Running, reader: Reader) -> None:
     """Queue the arrivals of a reader until it ends."""
-    positions = {name: running.floor.places[name].position for name in reader.machines}
+    positions = {name: running.fleet.machines[name].position for name in reader.machines}
     try:
         async for block in reader.read(positions):
             if block:
@@ -159,7 +159,7 @@ async def _read(running: Running, reader: Reader) -> None:
     except Exception as error:
         # The other machines go on.
         text = f"{', '.join(reader.machines)[:100]}: read no more: {error}"
-        running.floor.log.say(time.time(), "source-failed", text)
+        running.fleet.log.say(time.time(), "source-failed", text)
         raise
 
 
@@ -183,7 +183,7 @@ def _note_failure(
 
 async def _process(running: Running) -> None:
     """Process arrivals, store the results, then publish them; an empty block ends the task."""
-    floor, queue = running.floor, running.arrivals
+    fleet, queue = running.fleet, running.arrivals
     while True:
         blocks = [await queue.get()]
         size = len(blocks[0])
@@ -192,15 +192,15 @@ async def _process(running: Running) -> None:
             size += len(blocks[-1])
         now = time.time()
         for item in (item for block in blocks for item in block if isinstance(item, Note)):
-            floor.log.say(now, item.kind, item.text, item.machine)
+            fleet.log.say(now, item.kind, item.text, item.machine)
             running.metrics.events.labels(item.kind).inc()
         arrivals = [
             arrival for block in blocks for arrival in block if isinstance(arrival, Arrival)
         ]
-        outcome = floors.absorb(floor, arrivals, now, time.monotonic())
-        events = floor.log.fetched()
+        outcome = processing.absorb(fleet, arrivals, now, time.monotonic())
+        events = fleet.log.fetched()
         if outcome.taken or events:
-            received = floors.received(floor, outcome.publications, now)
+            received = processing.received(fleet, outcome.publications, now)
             batch = Batch(outcome.taken, (), events, outcome.holes, received)
             with running.metrics.commit.time():
                 await _keep(running, batch)
@@ -226,11 +226,11 @@ async def _watch(running: Running) -> None:
         await asyncio.sleep(_WATCH_S)
         tell_systemd("WATCHDOG=1")
         now, clock = time.time(), time.monotonic()
-        await published(running, floors.watch(running.floor, now, clock))
+        await published(running, processing.watch(running.fleet, now, clock))
         running.publisher.heartbeat += 1
-        floors.count_qualities(running.floor)
-        floors.count_modes(running.floor, _WATCH_S)
-        await _release(running, floors.stalled(running.floor, clock))
+        processing.count_qualities(running.fleet)
+        processing.count_modes(running.fleet, _WATCH_S)
+        await _release(running, processing.stalled(running.fleet, clock))
         async with _tending(running):
             await recover_if_gone(running)
             await running.tended()
@@ -267,29 +267,29 @@ async def _tending(running: Running) -> AsyncIterator[None]:
 async def published(running: Running, changed: list[Publication]) -> None:
     """Publish changes caused by silence, after storing the offsets that the controls receive."""
     names = [publication.machine for publication in changed]
-    received = floors.received(running.floor, names, time.time())
+    received = processing.received(running.fleet, names, time.time())
     if received:
         await _keep(running, Batch(received=received))
     running.publisher.publish(changed)
 
 
-async def _release(running: Running, places: Sequence[Place]) -> None:
+async def _release(running: Running, machines: Sequence[Machine]) -> None:
     """Store arrivals that wait for a sample unassembled, and acknowledge them."""
-    if not places:
+    if not machines:
         return
-    # Counted for all places: a busy computer may have read some less than `STALLED_S` ago.
-    waiting = sum(len(place.unkept) for place in running.floor.places.values())
-    calls = [call for place in places for call in place.unkept]
-    for place in places:
-        place.unkept = []
+    # Counted for all machines: a busy computer may have read some less than `STALLED_S` ago.
+    waiting = sum(len(machine.unkept) for machine in running.fleet.machines.values())
+    calls = [call for machine in machines for call in machine.unkept]
+    for machine in machines:
+        machine.unkept = []
     if waiting >= _USUAL_IN_FLIGHT:
-        running.floor.log.say(
+        running.fleet.log.say(
             time.time(),
             "in-flight",
             f"{waiting} messages waited for others; a broker that sends no more than so many at "
             "a time needs a higher limit (Mosquitto: max_inflight_messages 0)",
         )
-    await _keep(running, Batch(checkpoints=[floors.checkpoint_of(one) for one in places]))
+    await _keep(running, Batch(checkpoints=[processing.checkpoint_of(one) for one in machines]))
     for call in calls:
         call()
 
@@ -298,20 +298,20 @@ async def _checkpoint_some(running: Running, every: float) -> None:
     """Store the states of some machines, so that each is stored once within a time (s)."""
     if not running.round:
         running.behind, running.round_from = running.round_from, running.journal_end
-        running.round = list(running.floor.places.values())
-    running.share += len(running.floor.places) * _WATCH_S / every
+        running.round = list(running.fleet.machines.values())
+    running.share += len(running.fleet.machines) * _WATCH_S / every
     count = int(running.share)
     running.share -= count
     due, running.round = running.round[:count], running.round[count:]
     await _checkpoint(running, due)
     oldest = 86400.0 * running.service.given.store.keep_days
-    eras = [place.era for place in due]
+    eras = [machine.era for machine in due]
     await running.kept(forget, running.behind, eras, oldest, time.time())
 
 
-async def _checkpoint(running: Running, places: Sequence[Place]) -> None:
-    checkpoints = [floors.checkpoint_of(place) for place in places if place.rows]
-    events = running.floor.log.fetched()
+async def _checkpoint(running: Running, machines: Sequence[Machine]) -> None:
+    checkpoints = [processing.checkpoint_of(machine) for machine in machines if machine.rows]
+    events = running.fleet.log.fetched()
     if checkpoints or events:
         await _keep(running, Batch(checkpoints=checkpoints, events=events))
 
@@ -326,7 +326,7 @@ async def _keep(running: Running, batch: Batch) -> None:
         try:
             running.journal_end = await running.kept(commit, batch)
         except sqlite3.DatabaseError as error:
-            log, newest = running.floor.log, running.publisher.newest
+            log, newest = running.fleet.log, running.publisher.newest
             if is_damage(error):
                 with suppress(sqlite3.DatabaseError):
                     await recover(running, store, error)

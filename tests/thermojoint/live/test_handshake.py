@@ -27,14 +27,14 @@ from thermojoint.compensation.offsets.handshake import (
     judged,
     sent,
 )
-from thermojoint.live import floor as floors
+from thermojoint.live import processing
 from thermojoint.live.arrivals import Arrival
 from thermojoint.live.cancelling import cancelled
 from thermojoint.live.control_message import answer_of
-from thermojoint.live.floor import Floor, Place
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine_state import at_rest
 from thermojoint.live.metrics import fresh_metrics
+from thermojoint.live.processing import Fleet, Machine
 from thermojoint.live.publication import AxisLine, Layout
 from thermojoint.live.settings import WatchdogSection
 from thermojoint.live.users import add_user
@@ -182,8 +182,8 @@ def test_offsets_freeze_and_fade_without_the_control_and_go_on_from_what_it_clea
     given = {"rate_um_s": 1.0, "freeze_s": 5.0, "decay_s": 10.0, "recover_s": 3.0, "oldest_s": 9.0}
     output = offset_invariant.settings_of(given, two=False)
     model = offset_invariant.model_with(output, 1.0, LIMITS)
-    place = Place(model, 1, at_rest("mill", model, START), None, START)
-    floor = Floor({"mill": place}, EventLog(), fresh_metrics(), 60.0, 60.0, WatchdogSection())
+    mill = Machine(model, 1, at_rest("mill", model, START), None, START)
+    fleet = Fleet({"mill": mill}, EventLog(), fresh_metrics(), 60.0, 60.0, WatchdogSection())
     found, has = [], 0.0
     for k in range(120):
         now = START + k
@@ -191,10 +191,10 @@ def test_offsets_freeze_and_fade_without_the_control_and_go_on_from_what_it_clea
         has = 0.0 if away else has
         if not away:
             said = Answer(True, k, (has,))
-            floors.answer(floor, "mill", said, now)
-        floors.absorb(floor, [Arrival("mill", now, (20.0, 0.0), now)], now, now)
-        changed = floors.watch(floor, now + 0.5, now + 0.5)
-        said = changed[-1] if changed else place.state.latest
+            processing.answer(fleet, "mill", said, now)
+        processing.absorb(fleet, [Arrival("mill", now, (20.0, 0.0), now)], now, now)
+        changed = processing.watch(fleet, now + 0.5, now + 0.5)
+        said = changed[-1] if changed else mill.state.latest
         has = said.offsets[0] if said.handshake == STANDS else has
         found.append((said.offset_mode, said.handshake, 1e6 * said.offsets[0]))
     modes, states, offsets = zip(*found, strict=True)
@@ -209,7 +209,7 @@ def test_offsets_freeze_and_fade_without_the_control_and_go_on_from_what_it_clea
     assert (modes[back], offsets[back]) == ("wait", 0.0)
     assert np.abs(np.diff(offsets[back:])).max() <= 1.1
     assert (modes[119], offsets[119]) == ("follow", pytest.approx(-20.0))
-    kinds = [event.text for event in floor.log.fetched() if event.kind == "handshake"]
+    kinds = [event.text for event in fleet.log.fetched() if event.kind == "handshake"]
     assert len(kinds) == 4
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from asyncua import ua
 from live_parts import PATIENCE_S, Broker, client_of, free_port, needs_broker, serving, until
-from machine_floor import floor_of, keep
+from machine_fleet import fleet_of, keep
 from machine_logs import along_log, as_csv
 from played_control import Played
 
@@ -76,12 +76,12 @@ def readings(model, k):
     return tuple(float(columns[name][k]) if name != "x_um" else None for name in names)
 
 
-def feed(floor, store, count):
-    place = floor.places["mill"]
+def feed(fleet, store, count):
+    mill = fleet.machines["mill"]
     for k in range(count):
         now = START + 60.0 * k
-        keep(floor, store, Arrival("mill", now, readings(place.model, k), now, position=k))
-    return place.state.latest
+        keep(fleet, store, Arrival("mill", now, readings(mill.model, k), now, position=k))
+    return mill.state.latest
 
 
 def correction(said, positions):
@@ -91,7 +91,7 @@ def correction(said, positions):
 
 def test_the_correction_cancels_the_displacement_at_every_position(place, tmp_path):
     model, store = opened(place), open_store(tmp_path / "history.sqlite")
-    said = feed(floor_of(model, store, START), store, 60)
+    said = feed(fleet_of(model, store, START), store, 60)
     told = as_json(said)
     details = told["details"]
     assert told["offset_mode"] == "follow"
@@ -119,9 +119,9 @@ def test_what_is_kept_of_a_machine_without_a_line_is_as_before(place):
 def test_a_start_continues_the_line_that_the_control_received_last(place, tmp_path, more):
     """With another P0 as well: K0 is another one, and the correction is the same everywhere."""
     store = open_store(tmp_path / "history.sqlite")
-    floor = floor_of(opened(place), store, START)
-    before = feed(floor, store, 60)
-    era = floor.places["mill"].era
+    fleet = fleet_of(opened(place), store, START)
+    before = feed(fleet, store, 60)
+    era = fleet.machines["mill"].era
     other = opened(place, more)
     kept, received = kept_of(store, [era])[era], received_last(store)["mill"]
     now = START + 60.0 * 60

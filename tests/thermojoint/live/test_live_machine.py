@@ -8,14 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from machine_floor import floor_of, keep
+from machine_fleet import fleet_of, keep
 from small_disk import fill, mounted
 
 from benchmarks import offset_invariant
 from estimator.quality import Quality
 from thermojoint.artefacts.errors import InputError
 from thermojoint.compensation.offsets.settings import read_settings
-from thermojoint.live import floor as floors
+from thermojoint.live import processing
 from thermojoint.live.archive import Archive
 from thermojoint.live.arrivals import Arrival
 from thermojoint.live.disk_reserve import SLICE, lay_in, tend
@@ -26,7 +26,7 @@ from thermojoint.live.metrics import fresh_metrics
 from thermojoint.live.publication import as_json, as_row, from_row
 from thermojoint.live.rate_limit import AT_ONCE, LineLimit
 from thermojoint.live.recovery import is_damage
-from thermojoint.live.running import restored_floor
+from thermojoint.live.running import restored_fleet
 from thermojoint.live.samples import Rule
 from thermojoint.live.settings import ModelSection, WatchdogSection, service_from_data
 from thermojoint.live.store import (
@@ -143,50 +143,50 @@ def store(path):
 
 
 @pytest.fixture
-def floor(model, store):
-    return floor_of(model, store, START)
+def fleet(model, store):
+    return fleet_of(model, store, START)
 
 
-def feed(floor, store, first, last):
+def feed(fleet, store, first, last):
     for k in range(first, last):
-        keep(floor, store, Arrival("mill", START + k, readings(k), START + k, position=k))
+        keep(fleet, store, Arrival("mill", START + k, readings(k), START + k, position=k))
 
 
-def checkpoint(floor, store):
-    commit(store, Batch(checkpoints=[floors.checkpoint_of(floor.places["mill"])]))
+def checkpoint(fleet, store):
+    commit(store, Batch(checkpoints=[processing.checkpoint_of(fleet.machines["mill"])]))
 
 
 @pytest.mark.parametrize("at_sample", [None, 0, 17, 40])
 def test_a_machine_goes_on_bit_for_bit_wherever_its_last_checkpoint_was(
-    model, at_sample, path, store, floor
+    model, at_sample, path, store, fleet
 ):
-    place = floor.places["mill"]
+    mill = fleet.machines["mill"]
     for end in (17, 40):
-        feed(floor, store, 0 if end == 17 else 17, end)
+        feed(fleet, store, 0 if end == 17 else 17, end)
         if at_sample in (0, end):
-            checkpoint(floor, store)
-    kept = kept_of(store, [place.era])[place.era]
-    last = Archive(path).checkpointed("mill", place.era)
+            checkpoint(fleet, store)
+    kept = kept_of(store, [mill.era])[mill.era]
+    last = Archive(path).checkpointed("mill", mill.era)
     received = received_last(store)["mill"]
     machine, position = restored("mill", model, kept, last, received, at(39))
     assert position == 39
-    np.testing.assert_array_equal(machine.estimator_state, place.state.estimator_state)
-    assert machine.waiting == place.state.waiting
-    before = place.state.output._replace(credit=0.0)
+    np.testing.assert_array_equal(machine.estimator_state, mill.state.estimator_state)
+    assert machine.waiting == mill.state.waiting
+    before = mill.state.output._replace(credit=0.0)
     np.testing.assert_equal(machine.output._asdict(), before._asdict())
-    np.testing.assert_array_equal(as_row(machine.latest), as_row(place.state.latest))
+    np.testing.assert_array_equal(as_row(machine.latest), as_row(mill.state.latest))
     history = Archive(path).history("mill", 0.0, 1e11, 1000)
     np.testing.assert_array_equal(history.numbers, np.arange(1, 41))
 
 
-def test_the_history_marks_what_is_missing_thins_and_forgets(path, store, floor):
-    place = floor.places["mill"]
-    feed(floor, store, 0, 100)
-    checkpoint(floor, store)
-    place.fresh = True
-    feed(floor, store, 150, 250)
-    checkpoint(floor, store)
-    feed(floor, store, 250, 260)
+def test_the_history_marks_what_is_missing_thins_and_forgets(path, store, fleet):
+    mill = fleet.machines["mill"]
+    feed(fleet, store, 0, 100)
+    checkpoint(fleet, store)
+    mill.fresh = True
+    feed(fleet, store, 150, 250)
+    checkpoint(fleet, store)
+    feed(fleet, store, 250, 260)
     archive = Archive(path)
     whole = archive.history("mill", 0.0, 1e11, 1000)
     assert [(one.since - START, one.until - START, one.why) for one in whole.holes] == [
@@ -200,7 +200,7 @@ def test_the_history_marks_what_is_missing_thins_and_forgets(path, store, floor)
     np.testing.assert_array_equal(part.columns.times - START, np.arange(160.0, 171.0))
     assert archive.latest("mill").number == 210
     end = store.execute("SELECT max(id) FROM journal").fetchone()[0]
-    forget(store, end - 10, [place.era], 30.0, START + 260.0)
+    forget(store, end - 10, [mill.era], 30.0, START + 260.0)
     left = archive.history("mill", 0.0, 1e11, 1000)
     np.testing.assert_array_equal(left.numbers, np.arange(101, 211))
     with pytest.raises(InputError, match="no machine named 'miller'"):
@@ -213,9 +213,9 @@ def test_the_history_marks_what_is_missing_thins_and_forgets(path, store, floor)
     assert log.stat().st_size == size
 
 
-def test_another_model_begins_anew(model, store, floor):
-    feed(floor, store, 0, 10)
-    era = floor.places["mill"].era
+def test_another_model_begins_anew(model, store, fleet):
+    feed(fleet, store, 0, 10)
+    era = fleet.machines["mill"].era
     assert era_of(store, "mill", model.digest, model.layout, START) == era
     other = era_of(store, "mill", "another", model.layout, START)
     assert other != era
@@ -223,22 +223,22 @@ def test_another_model_begins_anew(model, store, floor):
 
 
 def test_what_a_killed_service_had_of_a_former_model_stays_in_the_history(
-    model, path, store, floor
+    model, path, store, fleet
 ):
     def numbers():
         (end,) = store.execute("SELECT max(id) FROM journal").fetchone()
         forget(store, end, [], 1e6, START + 30.0)
         return Archive(path).history("mill", 0.0, 1e11, 1000).numbers.tolist()
 
-    feed(floor, store, 0, 10)
-    checkpoint(floor, store)
-    feed(floor, store, 10, 20)
+    feed(fleet, store, 0, 10)
+    checkpoint(fleet, store)
+    feed(fleet, store, 10, 20)
     former = list(range(1, 21))
     assert numbers() == former
-    floor = floor_of(replace(model, digest="another"), store, START)
-    feed(floor, store, 20, 30)
+    fleet = fleet_of(replace(model, digest="another"), store, START)
+    feed(fleet, store, 20, 30)
     assert numbers() == [*former, *range(1, 11)]
-    checkpoint(floor, store)
+    checkpoint(fleet, store)
     assert numbers() == [*former, *range(1, 11)]
     assert not store.execute("SELECT count(*) FROM journal").fetchone()[0]
 
@@ -250,17 +250,17 @@ def test_a_row_of_the_history_is_the_publication(model):
     assert as_json(back) == as_json(said) | {"offset_mode": None}
 
 
-def test_nothing_is_acknowledged_before_its_sample_is_kept(model, store, floor):
-    place = floor.places["mill"]
-    place.model = replace(model, rule=Rule(1.0, 0.0, 0.0, 5))
+def test_nothing_is_acknowledged_before_its_sample_is_kept(model, store, fleet):
+    mill = fleet.machines["mill"]
+    mill.model = replace(model, rule=Rule(1.0, 0.0, 0.0, 5))
     said = []
     first = Arrival("mill", START, (*readings(0)[:4], None), START, 0, lambda: said.append(1))
     rest = Arrival("mill", START, (*(None,) * 4, 20.0), START, 1, lambda: said.append(2))
-    outcome = floors.absorb(floor, [first], START, START)
+    outcome = processing.absorb(fleet, [first], START, START)
     assert not outcome.kept
-    outcome = floors.absorb(floor, [rest], START, START)
+    outcome = processing.absorb(fleet, [rest], START, START)
     assert len(outcome.kept) == len(outcome.taken) + 1 == 2
-    again = floors.absorb(floor, [first], START, START)
+    again = processing.absorb(fleet, [first], START, START)
     assert (len(again.kept), len(again.taken)) == (1, 0)
 
 
@@ -328,13 +328,13 @@ def test_refused_samples_neither_hold_an_offset_nor_hurry_it(model):
 
 @pytest.mark.parametrize("resolution", [0.1, 1.0, 10.0])
 def test_a_restart_with_another_resolution_keeps_the_offset(
-    model, tmp_path, resolution, store, floor
+    model, tmp_path, resolution, store, fleet
 ):
-    feed(floor, store, 0, 40)
-    before = floor.places["mill"].state.latest.offsets[0]
+    feed(fleet, store, 0, 40)
+    before = fleet.machines["mill"].state.latest.offsets[0]
     assert abs(before) > 1e-6
     other = with_offsets(model, f"resolution_um = {resolution}\n{OFFSETS}", tmp_path)
-    kept = kept_of(store, [floor.places["mill"].era])[floor.places["mill"].era]
+    kept = kept_of(store, [fleet.machines["mill"].era])[fleet.machines["mill"].era]
     machine, _ = restored("mill", other, kept, None, received_last(store)["mill"], at(40))
     assert machine.latest.offsets[0] == pytest.approx(before, abs=0.5e-6 * resolution * 1.001)
 
@@ -382,40 +382,40 @@ def test_a_store_goes_on_in_its_reserve_on_a_full_disk(tmp_path):
 
 
 def test_other_axes_of_the_control_leave_the_estimator_its_state(
-    model, tmp_path, path, store, floor
+    model, tmp_path, path, store, fleet
 ):
-    feed(floor, store, 0, 40)
-    checkpoint(floor, store)
-    feed(floor, store, 40, 50)
-    place = floor.places["mill"]
+    feed(fleet, store, 0, 40)
+    checkpoint(fleet, store)
+    feed(fleet, store, 40, 50)
+    mill = fleet.machines["mill"]
     other = with_offsets(model, OFFSETS + '\n[axes.Z]\nfollows = "y"\n', tmp_path)
     era = era_of(store, "mill", other.digest, other.layout, START + 50)
-    assert era != place.era
-    assert era_before(store, era) == (place.era, True)
-    kept = kept_of(store, [place.era])[place.era]
-    last = Archive(path).checkpointed("mill", place.era)
+    assert era != mill.era
+    assert era_before(store, era) == (mill.era, True)
+    kept = kept_of(store, [mill.era])[mill.era]
+    last = Archive(path).checkpointed("mill", mill.era)
     received = received_last(store)["mill"]
     machine, _ = restored("mill", other, kept, last, received, at(50))
-    np.testing.assert_array_equal(machine.estimator_state, place.state.estimator_state)
+    np.testing.assert_array_equal(machine.estimator_state, mill.state.estimator_state)
     assert machine.latest.number == 50
-    assert machine.latest.offsets.tolist() == [place.state.latest.offsets[0], 0.0]
+    assert machine.latest.offsets.tolist() == [mill.state.latest.offsets[0], 0.0]
     # Nothing is kept of the era between.
     another = era_of(store, "mill", "another model", other.layout, START + 50)
-    assert era_before(store, another) == (place.era, False)
+    assert era_before(store, another) == (mill.era, False)
 
 
-def test_a_start_sends_what_the_control_received_last_and_goes_on_from_there(model, store, floor):
+def test_a_start_sends_what_the_control_received_last_and_goes_on_from_there(model, store, fleet):
     """After any time, with any model; what silence would have done since comes at the rate."""
-    feed(floor, store, 0, 40)
-    place = floor.places["mill"]
-    before = place.state.latest.offsets
-    kept, received = kept_of(store, [place.era])[place.era], received_last(store)["mill"]
+    feed(fleet, store, 0, 40)
+    mill = fleet.machines["mill"]
+    before = mill.state.latest.offsets
+    kept, received = kept_of(store, [mill.era])[mill.era], received_last(store)["mill"]
     machine, _ = restored("mill", model, kept, None, received, at(39 + 120))
     assert (machine.latest.offsets.tolist(), machine.latest.offset_mode) == (
         before.tolist(),
         "decay",
     )
-    running = place.state
+    running = mill.state
     for age in range(1, 122):
         running, expected = silent(model, running, age, at(39 + age), WatchdogSection())
     _, said = silent(model, machine, 121.0, at(39 + 121), WatchdogSection())
@@ -427,13 +427,13 @@ def test_a_start_sends_what_the_control_received_last_and_goes_on_from_there(mod
     assert machine.latest.offsets.tolist() == before.tolist()
 
 
-def test_readings_that_come_late_move_no_offset_and_are_not_good(store, floor):
+def test_readings_that_come_late_move_no_offset_and_are_not_good(store, fleet):
     """Fifteen hours of them at once: estimates of then, for the history."""
-    feed(floor, store, 0, 40)
-    before = floor.places["mill"].state.latest.offsets
+    feed(fleet, store, 0, 40)
+    before = fleet.machines["mill"].state.latest.offsets
     now = START + 54_000.0
     arrivals = [Arrival("mill", START + k, readings(k), now) for k in range(40, 400)]
-    said = floors.absorb(floor, arrivals, now, START + 45.0).publications["mill"]
+    said = processing.absorb(fleet, arrivals, now, START + 45.0).publications["mill"]
     assert (said.quality, said.number, said.offset_mode) == (Quality.BAD, 400, "freeze")
     assert said.offsets.tolist() == before.tolist()
 
@@ -458,19 +458,19 @@ def test_samples_without_any_reading_are_silence(deaf, store, nothing):
 
     An error value of a logger is no reading.
     """
-    floor = floor_of(deaf, store, START)
+    fleet = fleet_of(deaf, store, START)
     found = []
     for k in range(100):
         told = (20.0 if k < 30 else nothing, 0.0 if k < 30 else nothing)
-        outcome = floors.absorb(floor, [Arrival("mill", START + k, told, START + k)], *at(k))
+        outcome = processing.absorb(fleet, [Arrival("mill", START + k, told, START + k)], *at(k))
         found.append(outcome.publications["mill"])
     assert (found[29].quality, found[29].offset_mode) == (Quality.GOOD, "follow")
     assert found[29].offsets[0] == pytest.approx(-20e-6)
     assert (found[36].offset_mode, found[45].quality) == ("freeze", Quality.UNCERTAIN)
     assert (found[99].quality, found[99].offset_mode) == (Quality.BAD, "decay")
     assert abs(found[99].offsets[0]) < 1e-6
-    floors.count_modes(floor, 1.0)
-    assert floor.metrics.registry.get_sample_value(
+    processing.count_modes(fleet, 1.0)
+    assert fleet.metrics.registry.get_sample_value(
         "thermojoint_offset_seconds_total", {"machine": "mill", "mode": "decay"}
     )
 
@@ -487,34 +487,34 @@ def started(model, store, path, log, k):
         "file",
         path.parent,
     )
-    return restored_floor(service, {"m": model}, store, log, fresh_metrics(), at(k))
+    return restored_fleet(service, {"m": model}, store, log, fresh_metrics(), at(k))
 
 
 @pytest.mark.parametrize("kept_at", [30, 60, 90])
 def test_a_restart_ends_no_silence(deaf, store, path, kept_at):
     """Of samples without any reading: it counts from the last one that had a reading."""
-    floor = floor_of(deaf, store, START)
+    fleet = fleet_of(deaf, store, START)
     for k in range(90):
         told = (20.0, 0.0) if k < 30 else (math.nan, math.nan)
-        keep(floor, store, Arrival("mill", START + k, told, START + k))
+        keep(fleet, store, Arrival("mill", START + k, told, START + k))
         if k + 1 == kept_at:
-            checkpoint(floor, store)
+            checkpoint(fleet, store)
     again, (said,) = started(deaf, store, path, EventLog(), 90)
-    assert again.places["mill"].heard == START + 29
+    assert again.machines["mill"].heard == START + 29
     assert (said.quality, said.offset_mode) == (Quality.BAD, "decay")
 
 
 def test_a_state_is_refused_once_and_those_after_it_are_kept(model, store, path):
-    floor, log = floor_of(model, store, START), EventLog()
-    feed(floor, store, 0, 50)
-    checkpoint(floor, store)
-    feed(floor, store, 50, 55)
+    fleet, log = fleet_of(model, store, START), EventLog()
+    feed(fleet, store, 0, 50)
+    checkpoint(fleet, store)
+    feed(fleet, store, 50, 55)
     store.execute("UPDATE states SET state = zeroblob(length(state))")
     for first in (60, 80):
-        floor, _ = started(model, store, path, log, first)
-        feed(floor, store, first, first + 10)
-        checkpoint(floor, store)
-    floor, (said,) = started(model, store, path, log, 100)
+        fleet, _ = started(model, store, path, log, first)
+        feed(fleet, store, first, first + 10)
+        checkpoint(fleet, store)
+    fleet, (said,) = started(model, store, path, log, 100)
     archive = Archive(path)
     events = [*archive.events("mill", 0.0, 1e11, 1000), *log.pending]
     assert [one.kind for one in events].count("state-refused") == 1
@@ -526,17 +526,17 @@ def test_a_state_is_refused_once_and_those_after_it_are_kept(model, store, path)
     ]
 
 
-def test_holes_and_eras_that_are_over_are_forgotten_like_the_rest(model, store, floor):
-    place = floor.places["mill"]
-    feed(floor, store, 0, 10)
-    feed(floor, store, 50, 60)
-    checkpoint(floor, store)
+def test_holes_and_eras_that_are_over_are_forgotten_like_the_rest(model, store, fleet):
+    mill = fleet.machines["mill"]
+    feed(fleet, store, 0, 10)
+    feed(fleet, store, 50, 60)
+    checkpoint(fleet, store)
     era = era_of(store, "mill", "another", model.layout, START + 100.0)
     for now in (START + 120.0, START + 200.0):
         forget(store, 0, [era], 90.0, now)
         left = [one[0] for one in store.execute("SELECT id FROM eras")]
         holes = store.execute("SELECT count(*) FROM holes").fetchone()[0]
-        assert (left, holes) == (([place.era, era], 1) if now < START + 190.0 else ([era], 0))
+        assert (left, holes) == (([mill.era, era], 1) if now < START + 190.0 else ([era], 0))
     assert not store.execute("SELECT count(*) FROM chunks").fetchone()[0]
 
 

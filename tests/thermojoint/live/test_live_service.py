@@ -176,7 +176,7 @@ def test_one_machines_bad_file_header_or_model_ends_no_other(model, expected, tm
     async def live():
         async with serving(data, tmp_path) as running:
             newest = running.publisher.newest
-            assert set(running.floor.places) == {"mill", "lathe"}
+            assert set(running.fleet.machines) == {"mill", "lathe"}
             await until(lambda: min(one.number for one in newest.values()) == 10)
             replaced("")
             await until(lambda: events_in(tmp_path, "source-replaced"))
@@ -211,7 +211,7 @@ def test_a_folder_is_one_services_and_a_store_that_others_hold_is_waited_for(mod
                 other.execute("BEGIN IMMEDIATE")
                 with (tmp_path / "log.csv").open("a") as file:
                     file.write("".join(lines[21:]))
-                log = running.floor.log
+                log = running.fleet.log
                 await until(lambda: any(one.kind == "store-waits" for one in log.pending))
                 assert newest["mill"].number == 20
                 other.execute("COMMIT")
@@ -253,8 +253,8 @@ def test_a_store_that_is_lost_while_the_service_runs_is_made_anew(
             await until(lambda: newest["mill"].number == before)
             if more:
                 # What came until now is in a checkpoint.
-                [place] = running.floor.places.values()
-                await until(lambda: not place.rows)
+                [machine] = running.fleet.machines.values()
+                await until(lambda: not machine.rows)
                 first = running.store
                 harm(path)
                 if harm is not _damage:
@@ -298,7 +298,7 @@ def test_a_full_disk_stops_nobody(model, expected, tmp_path):
             await until(lambda: newest["mill"].number == after)
             found.append((await client.get(f"http://127.0.0.1:{port}/healthz")).json())
             found[-1]["metrics"] = generate_latest(running.metrics.registry).decode()
-            await until(lambda: not next(iter(running.floor.places.values())).rows)
+            await until(lambda: not next(iter(running.fleet.machines.values())).rows)
 
     with mounted(tmp_path / "disk", 96) as disk:
         http = {"port": port, "security": "none", "token": secret(tmp_path, "token", 32 * "x")}

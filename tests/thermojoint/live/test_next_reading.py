@@ -182,6 +182,6 @@ def test_a_restart_keeps_the_request(plant):
 
     async def live():
         async with serving(settings_of(free_port()), folder) as running:
-            return running.floor.places["mill"].state.asked
+            return running.fleet.machines["mill"].state.asked
 
     assert asyncio.run(live()).outcome == "taken"

@@ -143,7 +143,7 @@ def life(models, tmp_path_factory):
                 )
 
             await until(lambda: starts[0].publisher.newest["mill"].number == 20)
-            digests = [starts[-1].floor.places["mill"].model.digest]
+            digests = [starts[-1].fleet.machines["mill"].model.digest]
             # A broken file and a broken model change nothing.
             (folder / "model.json").write_text("nonsense")
             reload.set()
@@ -158,7 +158,7 @@ def life(models, tmp_path_factory):
             (folder / "plant.key").write_bytes(plant_renewed.key.read_bytes())
             file.write_text(SERVICE.format(port=port, rate=30.0))
             await again()
-            digests.append(starts[-1].floor.places["mill"].model.digest)
+            digests.append(starts[-1].fleet.machines["mill"].model.digest)
             async with client() as browser:
                 answer = await browser.post("/machines/mill/rollback", headers=BEARER)
                 found["viewer"] = answer.status_code
@@ -168,13 +168,13 @@ def life(models, tmp_path_factory):
                 answer = await browser.post("/machines/mill/rollback")
                 found["engineer"] = answer.status_code
                 await until(lambda: len(starts) > count)
-            digests.append(starts[-1].floor.places["mill"].model.digest)
+            digests.append(starts[-1].fleet.machines["mill"].model.digest)
             # As the command does it.
             count = len(starts)
             asyncio.get_running_loop().add_signal_handler(signal.SIGHUP, reload.set)
             assert hang_up(folder / "state")
             await until(lambda: len(starts) > count)
-            digests.append(starts[-1].floor.places["mill"].model.digest)
+            digests.append(starts[-1].fleet.machines["mill"].model.digest)
             # What is put into the file later counts again.
             (folder / "model.json").write_bytes(models["old"] + b"\n")
             await again()
@@ -344,7 +344,7 @@ def test_a_service_is_backed_up_while_it_runs_and_goes_on_where_it_is_restored(m
     async def live():
         async with running(file) as (starts, _):
             await until(lambda: starts[0].publisher.newest["mill"].number == 20)
-            digest = starts[0].floor.places["mill"].model.digest
+            digest = starts[0].fleet.machines["mill"].model.digest
             done = await asyncio.to_thread(called, "backup", file, "--out", base / "b.tar.gz")
             assert done.exit_code == 0, done.output
             return digest
@@ -361,8 +361,8 @@ def test_a_service_is_backed_up_while_it_runs_and_goes_on_where_it_is_restored(m
 
     async def again():
         async with running(restored / "service.toml") as (starts, _):
-            place = starts[0].floor.places["mill"]
-            return place.state.latest.number, place.model.digest
+            mill = starts[0].fleet.machines["mill"]
+            return mill.state.latest.number, mill.model.digest
 
     assert asyncio.run(again()) == (20, digest)
     assert not events_in(restored, "state-refused")

@@ -21,9 +21,9 @@ from asyncua import Client, ua
 from thermojoint.artefacts.errors import InputError
 from thermojoint.compensation.offsets.handshake import DIFFERS, STANDS, Answer
 from thermojoint.live.audit import Audit
-from thermojoint.live.floor import Floor, answer
 from thermojoint.live.loaded_models import LoadedModel
 from thermojoint.live.opcua_session import LOST, TIMEOUT_S, Reached, client_of, reached_of
+from thermojoint.live.processing import Fleet, answer
 from thermojoint.live.publisher import Publisher
 from thermojoint.live.reconnecting import FIRST_S, next_delay
 from thermojoint.live.settings import Service
@@ -70,7 +70,7 @@ class Writer:
     #: Connection data of its server.
     reached: Reached
     publisher: Publisher
-    floor: Floor
+    fleet: Fleet
     audit: Audit
 
     async def run(self) -> None:
@@ -130,7 +130,7 @@ class Writer:
                 lever * write.quantity.metres * value
                 for write, lever, value in zip(writes, levers, found, strict=True)
             )
-            answer(self.floor, self.machine, Answer(enabled, beats, acts), clock)
+            answer(self.fleet, self.machine, Answer(enabled, beats, acts), clock)
             wanted = [*said.offsets.tolist(), *said.slopes.tolist()]
             goals = [
                 next_value(write.quantity, now, value, write.most)
@@ -174,4 +174,4 @@ class Writer:
             self._say("dry-run", f"would write {node} = {goal:g} {quantity.unit}, is {now:g}")
 
     def _say(self, kind: str, text: str) -> None:
-        self.floor.log.say(time.time(), kind, text, self.machine)
+        self.fleet.log.say(time.time(), kind, text, self.machine)

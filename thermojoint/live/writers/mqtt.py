@@ -14,8 +14,8 @@ import aiomqtt
 
 from thermojoint.live.audit import Audit
 from thermojoint.live.cancelling import cancelled
-from thermojoint.live.floor import Floor
 from thermojoint.live.mqtt_session import Address, connected, is_behind, lost, publish
+from thermojoint.live.processing import Fleet
 from thermojoint.live.publication import as_json
 from thermojoint.live.publisher import Publisher
 from thermojoint.live.reconnecting import FIRST_S, next_delay
@@ -32,7 +32,7 @@ async def write_topics(
     publisher: Publisher,
     address: Address,
     topics: MqttTopics,
-    floor: Floor,
+    fleet: Fleet,
     controls: Collection[str],
     audit: Audit,
 ) -> None:
@@ -45,14 +45,14 @@ async def write_topics(
         Address of the broker.
     topics : MqttTopics
         Settings.
-    floor : Floor
+    fleet : Fleet
         The machines; connections are noted in its log.
     controls : collection of str
         The machines whose controls answer by MQTT.
     audit : Audit
         Records their answers, without users: a broker does not identify the publisher.
     """
-    log, status_topic = floor.log, topics.status_topic
+    log, status_topic = fleet.log, topics.status_topic
     delay, where = FIRST_S, f"{address.host}:{address.port}"
     written = partial(audit.written, "mqtt", f"mqtt {where}")
     will = aiomqtt.Will(status_topic, _status("gone"), qos=1, retain=True)
@@ -65,7 +65,7 @@ async def write_topics(
                 watch = asyncio.create_task(
                     _any(
                         lost(client),
-                        attend(client, topics.control_topic, floor, controls, written),
+                        attend(client, topics.control_topic, fleet, controls, written),
                         beat(client, topics.heartbeat_topic, publisher),
                     )
                 )

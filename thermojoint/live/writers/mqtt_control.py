@@ -14,7 +14,7 @@ import aiomqtt
 from pydantic import ValidationError
 
 from thermojoint.live.control_message import answer_of
-from thermojoint.live.floor import Floor, answer
+from thermojoint.live.processing import Fleet, answer
 from thermojoint.live.publisher import Publisher
 
 #: Interval at which the service's heartbeat is checked, s.
@@ -27,7 +27,7 @@ Written = Callable[[str, str], None]
 
 
 async def attend(
-    client: aiomqtt.Client, pattern: str, floor: Floor, names: Collection[str], written: Written
+    client: aiomqtt.Client, pattern: str, fleet: Fleet, names: Collection[str], written: Written
 ) -> None:
     """Receive the messages of some machines' controls until the connection is lost.
 
@@ -36,7 +36,7 @@ async def attend(
     client : aiomqtt.Client
     pattern : str
         Pattern of the topics, with ``{machine}`` in place of the name.
-    floor : Floor
+    fleet : Fleet
     names : collection of str
         Names of the machines.
     written : callable
@@ -49,15 +49,15 @@ async def attend(
         machine = machines.get(str(message.topic))
         if machine is None or message.retain:
             continue
-        layout = floor.places[machine].model.layout
+        layout = fleet.machines[machine].model.layout
         try:
             given = answer_of(message.payload[:_LARGEST], layout)
             written(f"write {message.topic} ({'enable' if given.enabled else 'disable'})", machine)
         except ValidationError as error:
             text = f"what the control says is no answer: {error.errors()[0]['msg']}"
-            floor.log.say(time.time(), "malformed", text, machine)
+            fleet.log.say(time.time(), "malformed", text, machine)
         else:
-            answer(floor, machine, given, time.monotonic())
+            answer(fleet, machine, given, time.monotonic())
 
 
 async def beat(client: aiomqtt.Client, topic: str, publisher: Publisher) -> None:

@@ -41,8 +41,8 @@ _GAP = 1.5
 
 
 @dataclass(eq=False, slots=True)
-class Place:
-    """State of a machine in the service."""
+class Machine:
+    """A machine in the service."""
 
     #: Model of the machine.
     model: LoadedModel
@@ -86,11 +86,11 @@ class Outcome:
 
 
 @dataclass(frozen=True, eq=False)
-class Floor:
+class Fleet:
     """The machines of a service, with log and metrics."""
 
-    #: Machine to its place.
-    places: Mapping[str, Place]
+    #: Machines by name.
+    machines: Mapping[str, Machine]
     log: EventLog
     #: Metrics for Prometheus.
     metrics: Metrics
@@ -102,13 +102,13 @@ class Floor:
     watchdog: WatchdogSection
 
 
-def absorb(floor: Floor, arrivals: Iterable[Arrival], now: float, clock: float) -> Outcome:
+def absorb(fleet: Fleet, arrivals: Iterable[Arrival], now: float, clock: float) -> Outcome:
     """Run arrivals through their estimators.
 
     Parameters
     ----------
-    floor : Floor
-        Its places are updated.
+    fleet : Fleet
+        Its machines are updated.
     arrivals : iterable of Arrival
         In the order of arrival.
     now : float
@@ -118,78 +118,78 @@ def absorb(floor: Floor, arrivals: Iterable[Arrival], now: float, clock: float) 
     """
     outcome = Outcome()
     for arrival in arrivals:
-        place = floor.places.get(arrival.machine)
-        if place is None:
+        machine = fleet.machines.get(arrival.machine)
+        if machine is None:
             continue
-        rule = place.model.rule
+        rule = machine.model.rule
         step = arrived(
-            rule, place.state.waiting, arrival.time, arrival.readings, (now, now + floor.ahead)
+            rule, machine.state.waiting, arrival.time, arrival.readings, (now, now + fleet.ahead)
         )
-        floor.metrics.arrivals.labels(step.verdict).inc()
-        place.position = arrival.position
+        fleet.metrics.arrivals.labels(step.verdict).inc()
+        machine.position = arrival.position
         if step.verdict != "taken":
-            _refused(floor, arrival, step.verdict, now)
+            _refused(fleet, arrival, step.verdict, now)
             if arrival.kept:
                 outcome.kept.append(arrival.kept)
             continue
         if not math.isnan(step.doubted):
-            _refused(floor, replace(arrival, time=step.doubted), "ahead", now)
-        place.state = place.state._replace(waiting=step.waiting)
+            _refused(fleet, replace(arrival, time=step.doubted), "ahead", now)
+        machine.state = machine.state._replace(waiting=step.waiting)
         if arrival.kept:
-            place.waits_since = place.waits_since if place.unkept else clock
-            place.unkept.append(arrival.kept)
+            machine.waits_since = machine.waits_since if machine.unkept else clock
+            machine.unkept.append(arrival.kept)
         for sample in step.samples:
-            _sample(floor, place, sample, Times(now, clock), outcome)
+            _sample(fleet, machine, sample, Times(now, clock), outcome)
         if step.samples:
             outcome.came.append(arrival.came)
-            outcome.kept += place.unkept
-            place.unkept = []
-            rest = rest_of(place.state, place.position)
+            outcome.kept += machine.unkept
+            machine.unkept = []
+            rest = rest_of(machine.state, machine.position)
             outcome.taken[-1] = outcome.taken[-1]._replace(rest=rest)
     return outcome
 
 
 def _sample(
-    floor: Floor,
-    place: Place,
+    fleet: Fleet,
+    machine: Machine,
     sample: tuple[float, tuple[float, ...]],
     times: Times,
     outcome: Outcome,
 ) -> None:
     """Process one sample of one machine."""
     instant, now = sample[0], times.now
-    before = place.state.latest
-    name = place.state.name
-    if before.number and instant - before.time > _GAP * place.model.rule.interval:
-        why = "the service was down" if place.fresh else "no readings"
+    before = machine.state.latest
+    name = machine.state.name
+    if before.number and instant - before.time > _GAP * machine.model.rule.interval:
+        why = "the service was down" if machine.fresh else "no readings"
         outcome.holes.append(Hole(name, before.time, instant, why))
-        floor.log.say(now, "hole", f"{instant - before.time:.3f} s without samples: {why}", name)
-    age = age_of(place.model.rule, floor.behind, instant, now)
-    if not has_reading(place.model, place.model.intake.usable(sample[1])):
+        fleet.log.say(now, "hole", f"{instant - before.time:.3f} s without samples: {why}", name)
+    age = age_of(machine.model.rule, fleet.behind, instant, now)
+    if not has_reading(machine.model, machine.model.intake.usable(sample[1])):
         # A sample without any reading counts as silence, whatever its estimate.
-        age = max(age, times.clock - place.heard)
-    place.state, refusal = taken(place.model, place.state, sample, times, age)
-    place.fresh = False
-    latest = place.state.latest
+        age = max(age, times.clock - machine.heard)
+    machine.state, refusal = taken(machine.model, machine.state, sample, times, age)
+    machine.fresh = False
+    latest = machine.state.latest
     if refusal:
-        floor.log.say(now, "sample-refused", refusal, name)
+        fleet.log.say(now, "sample-refused", refusal, name)
     else:
-        place.heard = times.clock - age
+        machine.heard = times.clock - age
         if latest.status != before.status and before.number:
-            floor.log.say(now, "status", f"{latest.status}, was {before.status}", name)
-        _asked(floor, name, before.asked, latest.asked, now)
+            fleet.log.say(now, "status", f"{latest.status}, was {before.status}", name)
+        _asked(fleet, name, before.asked, latest.asked, now)
     row = as_row(latest)
-    place.rows.append((row, latest.status))
-    outcome.taken.append(Taken(place.era, latest.number, row.tobytes(), latest.status, "{}"))
-    published = shown(place.state)
-    if times.clock - place.heard >= floor.watchdog.uncertain_s:
+    machine.rows.append((row, latest.status))
+    outcome.taken.append(Taken(machine.era, latest.number, row.tobytes(), latest.status, "{}"))
+    published = shown(machine.state)
+    if times.clock - machine.heard >= fleet.watchdog.uncertain_s:
         # The sample was read late: its estimate is old.
-        place.state, published = silent(
-            place.model, place.state, times.clock - place.heard, times, floor.watchdog
+        machine.state, published = silent(
+            machine.model, machine.state, times.clock - machine.heard, times, fleet.watchdog
         )
-    place.reported, place.mode = (published.quality, published.status), published.offset_mode
+    machine.reported, machine.mode = (published.quality, published.status), published.offset_mode
     outcome.publications[name] = published
-    floor.metrics.samples.labels(place.model.file).inc()
+    fleet.metrics.samples.labels(machine.model.file).inc()
 
 
 def has_reading(model: LoadedModel, usable: Iterable[float]) -> bool:
@@ -197,32 +197,32 @@ def has_reading(model: LoadedModel, usable: Iterable[float]) -> bool:
     return any(map(math.isfinite, islice(usable, model.rule.wanted)))
 
 
-def _asked(floor: Floor, machine: str, before: Request, after: Request, now: float) -> None:
+def _asked(fleet: Fleet, name: str, before: Request, after: Request, now: float) -> None:
     """Log and count a request for a displacement reading, and its outcome."""
     if (after.axis, after.since, after.outcome) == (before.axis, before.since, before.outcome):
         return
-    floor.log.say(now, "next-reading", after.text, machine)
-    floor.metrics.next_readings.labels(machine, after.outcome).inc()
+    fleet.log.say(now, "next-reading", after.text, name)
+    fleet.metrics.next_readings.labels(name, after.outcome).inc()
 
 
-def postpone(floor: Floor, machine: str, now: float) -> Publication | None:
+def postpone(fleet: Fleet, name: str, now: float) -> Publication | None:
     """Postpone the requested reading of a machine; return its publication, or None if none."""
-    place = floor.places[machine]
-    before, place.state = place.state, postponed(place.model, place.state)
-    if place.state is before:
+    machine = fleet.machines[name]
+    before, machine.state = machine.state, postponed(machine.model, machine.state)
+    if machine.state is before:
         return None
-    _asked(floor, machine, before.asked, place.state.asked, now)
-    return shown(place.state)
+    _asked(fleet, name, before.asked, machine.state.asked, now)
+    return shown(machine.state)
 
 
-def _refused(floor: Floor, arrival: Arrival, verdict: str, now: float) -> None:
+def _refused(fleet: Fleet, arrival: Arrival, verdict: str, now: float) -> None:
     reasons = {
         "late": f"a reading of {arrival.time:.3f} s came after its sample was closed",
         "ahead": f"a reading's time {arrival.time:.3f} s is {arrival.time - now:.0f} s ahead of "
         "the clock",
         "no-time": f"{arrival.time!r} is not a time",
     }
-    floor.log.say(now, verdict, reasons[verdict], arrival.machine)
+    fleet.log.say(now, verdict, reasons[verdict], arrival.machine)
 
 
 def age_of(rule: Rule, behind: float, instant: float, now: float) -> float:
@@ -230,38 +230,38 @@ def age_of(rule: Rule, behind: float, instant: float, now: float) -> float:
     return max(0.0, now - instant - behind - rule.interval - rule.lateness)
 
 
-def received(floor: Floor, machines: Iterable[str], now: float) -> list[Received]:
+def received(fleet: Fleet, names: Iterable[str], now: float) -> list[Received]:
     """Return the values that some controls are about to receive, to be stored first."""
-    places = (floor.places[name] for name in machines)
-    messages = (received_of(place.model, place.state, now) for place in places)
+    machines = (fleet.machines[name] for name in names)
+    messages = (received_of(machine.model, machine.state, now) for machine in machines)
     return [message for message in messages if message is not None]
 
 
-def watch(floor: Floor, now: float, clock: float) -> list[Publication]:
+def watch(fleet: Fleet, now: float, clock: float) -> list[Publication]:
     """Return the publications whose quality or offsets have changed by silence."""
     changed = []
-    limits = floor.watchdog
-    for place in floor.places.values():
-        age, output = clock - place.heard, place.model.output
+    limits = fleet.watchdog
+    for machine in fleet.machines.values():
+        age, output = clock - machine.heard, machine.model.output
         oldest = math.inf if output is None else output.trust.oldest
-        changed_hands = _shake(floor, place, now, clock)
-        broken = place.handshake not in ("", STANDS)
+        changed_hands = _shake(fleet, machine, now, clock)
+        broken = machine.handshake not in ("", STANDS)
         if age < min(limits.uncertain_s, oldest) and not changed_hands and not broken:
             continue
-        before = place.state.output
-        state, latest = silent(place.model, place.state, age, Times(now, clock), limits)
-        place.state, after = state, state.output
+        before = machine.state.output
+        state, latest = silent(machine.model, machine.state, age, Times(now, clock), limits)
+        machine.state, after = state, state.output
         moved = (
             changed_hands
-            or latest.offset_mode != place.mode
+            or latest.offset_mode != machine.mode
             or (
                 before is not None
                 and after is not None
                 and not np.array_equal(before.steps, after.steps)
             )
         )
-        if (latest.quality, latest.status) != place.reported:
-            floor.log.say(
+        if (latest.quality, latest.status) != machine.reported:
+            fleet.log.say(
                 now,
                 "silent",
                 f"{latest.quality.word}: no usable sample for {age:.0f} s",
@@ -271,63 +271,63 @@ def watch(floor: Floor, now: float, clock: float) -> list[Publication]:
             continue
         if after is not None and after is before:
             # Republished offsets count as received now: their rate is limited from here on.
-            place.state = state._replace(output=after._replace(time=clock))
-        place.reported, place.mode = (latest.quality, latest.status), latest.offset_mode
+            machine.state = state._replace(output=after._replace(time=clock))
+        machine.reported, machine.mode = (latest.quality, latest.status), latest.offset_mode
         changed.append(latest)
     return changed
 
 
-def _shake(floor: Floor, place: Place, now: float, clock: float) -> bool:
+def _shake(fleet: Fleet, machine: Machine, now: float, clock: float) -> bool:
     """Update the handshake of a machine; return whether it has changed since the last check."""
-    model, name = place.model, place.state.name
+    model, name = machine.model, machine.state.name
     if model.handshake is None:
         return False
-    place.state = shaken(model, place.state, clock)
-    state, before = place.state.handshake.state, place.handshake
-    place.handshake = state
+    machine.state = shaken(model, machine.state, clock)
+    state, before = machine.state.handshake.state, machine.handshake
+    machine.handshake = state
     if state == before:
         return False
-    floor.log.say(now, "handshake", f"{state}, was {before or 'not begun'}", name)
+    fleet.log.say(now, "handshake", f"{state}, was {before or 'not begun'}", name)
     return True
 
 
-def answer(floor: Floor, machine: str, given: Answer, clock: float) -> None:
+def answer(fleet: Fleet, name: str, given: Answer, clock: float) -> None:
     """Receive an answer of a machine's control, at a time of the service's own clock (s)."""
-    place = floor.places[machine]
-    handshake = answered(place.state.handshake, given, clock)
-    place.state = place.state._replace(handshake=handshake)
+    machine = fleet.machines[name]
+    handshake = answered(machine.state.handshake, given, clock)
+    machine.state = machine.state._replace(handshake=handshake)
 
 
-def checkpoint_of(place: Place) -> Checkpoint:
+def checkpoint_of(machine: Machine) -> Checkpoint:
     """Return the checkpoint of a machine; its list of samples is empty afterwards."""
-    rows = np.array([row for row, _ in place.rows]).reshape(-1, place.model.layout.width)
-    status = tuple(status for _, status in place.rows)
-    place.rows = []
+    rows = np.array([row for row, _ in machine.rows]).reshape(-1, machine.model.layout.width)
+    status = tuple(status for _, status in machine.rows)
+    machine.rows = []
     return Checkpoint(
-        place.era,
-        place.state.latest.number,
-        state_bytes(place.model, place.state),
-        rest_of(place.state, place.position),
+        machine.era,
+        machine.state.latest.number,
+        state_bytes(machine.model, machine.state),
+        rest_of(machine.state, machine.position),
         rows,
         status,
     )
 
 
-def whole_checkpoint_of(place: Place) -> Checkpoint:
+def whole_checkpoint_of(machine: Machine) -> Checkpoint:
     """Return a checkpoint for a store without data of a machine: with at least one sample."""
-    latest = place.state.latest
-    if latest.number and not place.rows:
-        place.rows = [(as_row(latest), latest.status)]
-    return checkpoint_of(place)
+    latest = machine.state.latest
+    if latest.number and not machine.rows:
+        machine.rows = [(as_row(latest), latest.status)]
+    return checkpoint_of(machine)
 
 
-def count_qualities(floor: Floor) -> None:
+def count_qualities(fleet: Fleet) -> None:
     """Count the machines by quality."""
     counts = dict.fromkeys(Quality, 0)
-    for place in floor.places.values():
-        counts[place.reported[0]] += 1
+    for machine in fleet.machines.values():
+        counts[machine.reported[0]] += 1
     for quality, count in counts.items():
-        floor.metrics.quality.labels(quality.word).set(count)
+        fleet.metrics.quality.labels(quality.word).set(count)
 
 
 def since_heard(last: Publication, rule: Rule, behind: float, times: Times) -> float:
@@ -338,20 +338,20 @@ def since_heard(last: Publication, rule: Rule, behind: float, times: Times) -> f
     return times.clock - max(0.0, times.now - last.published) - age
 
 
-def stalled(floor: Floor, clock: float) -> list[Place]:
-    """Return the places whose arrivals have waited for a sample for `STALLED_S` or longer.
+def stalled(fleet: Fleet, clock: float) -> list[Machine]:
+    """Return the machines whose arrivals have waited for a sample for `STALLED_S` or longer.
 
     A broker whose messages are not acknowledged may stop sending, and then no sample is closed.
     """
     return [
-        place
-        for place in floor.places.values()
-        if place.unkept and clock - place.waits_since >= STALLED_S
+        machine
+        for machine in fleet.machines.values()
+        if machine.unkept and clock - machine.waits_since >= STALLED_S
     ]
 
 
-def count_modes(floor: Floor, seconds: float) -> None:
+def count_modes(fleet: Fleet, seconds: float) -> None:
     """Count how long the offsets of each machine have followed, frozen and faded."""
-    for name, place in floor.places.items():
-        if place.mode:
-            floor.metrics.modes.labels(name, place.mode).inc(seconds)
+    for name, machine in fleet.machines.items():
+        if machine.mode:
+            fleet.metrics.modes.labels(name, machine.mode).inc(seconds)
