@@ -210,7 +210,7 @@ def estimates(
             if isinstance(one, Note):
                 fleet.log.say(now, one.kind, one.text, one.machine)
         given = [one for one in arrivals if isinstance(one, Arrival)]
-        processing.absorb(fleet, given, now, float(k))
+        processing.process_arrivals(fleet, given, now, float(k))
         fleet.log.fetched()
         if k % 60 == 59:
             processing.checkpoint_of(mill)

@@ -302,7 +302,7 @@ class Offsets(RuleBasedStateMachine):
     def watch(self) -> None:
         """Look at silences, as a service does every second."""
         self.answer()
-        changed = processing.watch(self.fleet, *self.times)
+        changed = processing.check_silence(self.fleet, *self.times)
         self.keep(Batch(received=self.received(changed)))
         for one in changed:
             self.receive(one)
@@ -311,11 +311,11 @@ class Offsets(RuleBasedStateMachine):
         """Take readings (time by the source, value, kind); a kill may come before the end."""
         arrivals = [Arrival(MACHINE, at, told, self.times.now) for at, *told in readings]
         before = self.fleet.machines[MACHINE].state.latest.number
-        outcome = processing.absorb(self.fleet, arrivals, *self.times)
+        results = processing.process_arrivals(self.fleet, arrivals, *self.times)
         if until == "before the commit":
             return
-        changed = list(outcome.publications.values())
-        self.keep(Batch(outcome.taken, (), (), outcome.holes, self.received(changed)))
+        changed = list(results.publications.values())
+        self.keep(Batch(results.samples, (), (), results.holes, self.received(changed)))
         said = self.fleet.machines[MACHINE].state.latest
         if said.number != before:
             self.estimated = self.times.now, self.true
@@ -339,7 +339,9 @@ class Offsets(RuleBasedStateMachine):
 
     def received(self, changed: Sequence[Publication]) -> Any:
         """What is kept before it is published."""
-        return processing.received(self.fleet, [one.machine for one in changed], self.times.now)
+        return processing.received_offsets(
+            self.fleet, [one.machine for one in changed], self.times.now
+        )
 
     def keep(self, batch: Batch) -> None:
         """Commit."""
@@ -364,7 +366,7 @@ class Offsets(RuleBasedStateMachine):
             has.append(one.lever * self.control[one.axis][0].slope + self.lie)
         self.counter += 1
         self.told = self.true, self.enabled
-        processing.answer(
+        processing.receive_answer(
             self.fleet, MACHINE, Answer(self.enabled, self.counter, has), self.times.clock
         )
 

@@ -20,12 +20,12 @@ class Arrival:
     time: float
     #: One value for each of its readings; None if not delivered, NaN if reported as missing.
     readings: Sequence[float | None]
-    #: Time of arrival, s since 1970.
-    came: float
+    #: Time at which the service received them, s since 1970.
+    received_at: float
     #: Read position of the source after it; None for a source that cannot be read again.
     position: Any = None
     #: Called once the arrival is stored.
-    kept: Callable[[], None] | None = None
+    acknowledge: Callable[[], None] | None = None
 
 
 @dataclass(frozen=True, slots=True)

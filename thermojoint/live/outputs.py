@@ -16,7 +16,7 @@ from thermojoint.compensation.offsets.handshake import Answer
 from thermojoint.live.arrivals import Arrival
 from thermojoint.live.control_message import answer_of
 from thermojoint.live.former_models import former_of, read_record, roll_back
-from thermojoint.live.processing import Fleet, Machine, answer, postpone
+from thermojoint.live.processing import Fleet, Machine, postpone, receive_answer
 from thermojoint.live.publication import micrometres
 from thermojoint.live.running import Running
 from thermojoint.live.settings import HandshakeSection, HttpServer, OpcuaServer, Service
@@ -253,4 +253,4 @@ def _read_answer(fleet: Fleet, machine: str, body: bytes) -> None:
 
 
 def _answer(fleet: Fleet, machine: str, given: Answer) -> None:
-    answer(fleet, machine, given, time.monotonic())
+    receive_answer(fleet, machine, given, time.monotonic())

@@ -53,36 +53,36 @@ class Machine:
     #: Read position of its source.
     position: Any
     #: Time of its last usable sample, by the service's own clock, s.
-    heard: float
+    last_usable: float
     #: Whether no sample has arrived since the service started.
-    fresh: bool = True
+    awaits_first_sample: bool = True
     #: Quality and status as last published.
-    reported: tuple[Quality, str] = (Quality.BAD, "no-sample")
+    published_quality: tuple[Quality, str] = (Quality.BAD, "no-sample")
     #: Mode of the offsets as last published.
-    mode: str = ""
+    published_mode: str = ""
     #: State of the handshake at the last check; empty before the first.
-    handshake: str = ""
+    handshake_state: str = ""
     #: Samples since the last checkpoint.
     rows: list[tuple[Any, str]] = field(default_factory=list)
     #: Called once the next sample is stored.
-    unkept: list[Callable[[], None]] = field(default_factory=list)
+    acknowledgements: list[Callable[[], None]] = field(default_factory=list)
     #: Time of arrival of the first of them, by the service's own clock, s.
-    waits_since: float = math.inf
+    unacknowledged_since: float = math.inf
 
 
 @dataclass(eq=False)
-class Outcome:
-    """Result of arrivals."""
+class Results:
+    """Results of processing some arrivals."""
 
     #: To be stored in one transaction.
-    taken: list[Taken] = field(default_factory=list)
+    samples: list[Taken] = field(default_factory=list)
     holes: list[Hole] = field(default_factory=list)
     #: The newest of each machine, to be published afterwards.
     publications: dict[str, Publication] = field(default_factory=dict)
-    #: Functions called afterwards.
-    kept: list[Callable[[], None]] = field(default_factory=list)
-    #: Times of the arrivals of the samples, s since 1970.
-    came: list[float] = field(default_factory=list)
+    #: Called once these samples are stored.
+    acknowledgements: list[Callable[[], None]] = field(default_factory=list)
+    #: Times at which the arrivals that closed them were received, s since 1970.
+    receipt_times: list[float] = field(default_factory=list)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,9 @@ class Fleet:
     watchdog: WatchdogSection
 
 
-def absorb(fleet: Fleet, arrivals: Iterable[Arrival], now: float, clock: float) -> Outcome:
+def process_arrivals(
+    fleet: Fleet, arrivals: Iterable[Arrival], now: float, clock: float
+) -> Results:
     """Run arrivals through their estimators.
 
     Parameters
@@ -116,7 +118,7 @@ def absorb(fleet: Fleet, arrivals: Iterable[Arrival], now: float, clock: float) 
     clock : float
         Time of the service's own monotonic clock, s.
     """
-    outcome = Outcome()
+    results = Results()
     for arrival in arrivals:
         machine = fleet.machines.get(arrival.machine)
         if machine is None:
@@ -128,67 +130,70 @@ def absorb(fleet: Fleet, arrivals: Iterable[Arrival], now: float, clock: float) 
         fleet.metrics.arrivals.labels(step.verdict).inc()
         machine.position = arrival.position
         if step.verdict != "taken":
-            _refused(fleet, arrival, step.verdict, now)
-            if arrival.kept:
-                outcome.kept.append(arrival.kept)
+            _report_refusal(fleet, arrival, step.verdict, now)
+            if arrival.acknowledge:
+                results.acknowledgements.append(arrival.acknowledge)
             continue
         if not math.isnan(step.doubted):
-            _refused(fleet, replace(arrival, time=step.doubted), "ahead", now)
+            _report_refusal(fleet, replace(arrival, time=step.doubted), "ahead", now)
         machine.state = machine.state._replace(waiting=step.waiting)
-        if arrival.kept:
-            machine.waits_since = machine.waits_since if machine.unkept else clock
-            machine.unkept.append(arrival.kept)
+        if arrival.acknowledge:
+            machine.unacknowledged_since = (
+                machine.unacknowledged_since if machine.acknowledgements else clock
+            )
+            machine.acknowledgements.append(arrival.acknowledge)
         for sample in step.samples:
-            _sample(fleet, machine, sample, Times(now, clock), outcome)
+            _process_sample(fleet, machine, sample, Times(now, clock), results)
         if step.samples:
-            outcome.came.append(arrival.came)
-            outcome.kept += machine.unkept
-            machine.unkept = []
+            results.receipt_times.append(arrival.received_at)
+            results.acknowledgements += machine.acknowledgements
+            machine.acknowledgements = []
             rest = rest_of(machine.state, machine.position)
-            outcome.taken[-1] = outcome.taken[-1]._replace(rest=rest)
-    return outcome
+            results.samples[-1] = results.samples[-1]._replace(rest=rest)
+    return results
 
 
-def _sample(
+def _process_sample(
     fleet: Fleet,
     machine: Machine,
     sample: tuple[float, tuple[float, ...]],
     times: Times,
-    outcome: Outcome,
+    results: Results,
 ) -> None:
     """Process one sample of one machine."""
     instant, now = sample[0], times.now
     before = machine.state.latest
     name = machine.state.name
     if before.number and instant - before.time > _GAP * machine.model.rule.interval:
-        why = "the service was down" if machine.fresh else "no readings"
-        outcome.holes.append(Hole(name, before.time, instant, why))
+        why = "the service was down" if machine.awaits_first_sample else "no readings"
+        results.holes.append(Hole(name, before.time, instant, why))
         fleet.log.say(now, "hole", f"{instant - before.time:.3f} s without samples: {why}", name)
     age = age_of(machine.model.rule, fleet.behind, instant, now)
     if not has_reading(machine.model, machine.model.intake.usable(sample[1])):
         # A sample without any reading counts as silence, whatever its estimate.
-        age = max(age, times.clock - machine.heard)
+        age = max(age, times.clock - machine.last_usable)
     machine.state, refusal = taken(machine.model, machine.state, sample, times, age)
-    machine.fresh = False
+    machine.awaits_first_sample = False
     latest = machine.state.latest
     if refusal:
         fleet.log.say(now, "sample-refused", refusal, name)
     else:
-        machine.heard = times.clock - age
+        machine.last_usable = times.clock - age
         if latest.status != before.status and before.number:
             fleet.log.say(now, "status", f"{latest.status}, was {before.status}", name)
-        _asked(fleet, name, before.asked, latest.asked, now)
+        _report_request(fleet, name, before.asked, latest.asked, now)
     row = as_row(latest)
     machine.rows.append((row, latest.status))
-    outcome.taken.append(Taken(machine.era, latest.number, row.tobytes(), latest.status, "{}"))
+    results.samples.append(Taken(machine.era, latest.number, row.tobytes(), latest.status, "{}"))
     published = shown(machine.state)
-    if times.clock - machine.heard >= fleet.watchdog.uncertain_s:
+    if times.clock - machine.last_usable >= fleet.watchdog.uncertain_s:
         # The sample was read late: its estimate is old.
         machine.state, published = silent(
-            machine.model, machine.state, times.clock - machine.heard, times, fleet.watchdog
+            machine.model, machine.state, times.clock - machine.last_usable, times, fleet.watchdog
         )
-    machine.reported, machine.mode = (published.quality, published.status), published.offset_mode
-    outcome.publications[name] = published
+    machine.published_quality = published.quality, published.status
+    machine.published_mode = published.offset_mode
+    results.publications[name] = published
     fleet.metrics.samples.labels(machine.model.file).inc()
 
 
@@ -197,8 +202,8 @@ def has_reading(model: LoadedModel, usable: Iterable[float]) -> bool:
     return any(map(math.isfinite, islice(usable, model.rule.wanted)))
 
 
-def _asked(fleet: Fleet, name: str, before: Request, after: Request, now: float) -> None:
-    """Log and count a request for a displacement reading, and its outcome."""
+def _report_request(fleet: Fleet, name: str, before: Request, after: Request, now: float) -> None:
+    """Log and count a request for a displacement reading, and its results."""
     if (after.axis, after.since, after.outcome) == (before.axis, before.since, before.outcome):
         return
     fleet.log.say(now, "next-reading", after.text, name)
@@ -211,11 +216,11 @@ def postpone(fleet: Fleet, name: str, now: float) -> Publication | None:
     before, machine.state = machine.state, postponed(machine.model, machine.state)
     if machine.state is before:
         return None
-    _asked(fleet, name, before.asked, machine.state.asked, now)
+    _report_request(fleet, name, before.asked, machine.state.asked, now)
     return shown(machine.state)
 
 
-def _refused(fleet: Fleet, arrival: Arrival, verdict: str, now: float) -> None:
+def _report_refusal(fleet: Fleet, arrival: Arrival, verdict: str, now: float) -> None:
     reasons = {
         "late": f"a reading of {arrival.time:.3f} s came after its sample was closed",
         "ahead": f"a reading's time {arrival.time:.3f} s is {arrival.time - now:.0f} s ahead of "
@@ -230,68 +235,69 @@ def age_of(rule: Rule, behind: float, instant: float, now: float) -> float:
     return max(0.0, now - instant - behind - rule.interval - rule.lateness)
 
 
-def received(fleet: Fleet, names: Iterable[str], now: float) -> list[Received]:
+def received_offsets(fleet: Fleet, names: Iterable[str], now: float) -> list[Received]:
     """Return the values that some controls are about to receive, to be stored first."""
     machines = (fleet.machines[name] for name in names)
     messages = (received_of(machine.model, machine.state, now) for machine in machines)
     return [message for message in messages if message is not None]
 
 
-def watch(fleet: Fleet, now: float, clock: float) -> list[Publication]:
+def check_silence(fleet: Fleet, now: float, clock: float) -> list[Publication]:
     """Return the publications whose quality or offsets have changed by silence."""
     changed = []
     limits = fleet.watchdog
     for machine in fleet.machines.values():
-        age, output = clock - machine.heard, machine.model.output
+        age, output = clock - machine.last_usable, machine.model.output
         oldest = math.inf if output is None else output.trust.oldest
-        changed_hands = _shake(fleet, machine, now, clock)
-        broken = machine.handshake not in ("", STANDS)
-        if age < min(limits.uncertain_s, oldest) and not changed_hands and not broken:
+        handshake_changed = _check_handshake(fleet, machine, now, clock)
+        handshake_broken = machine.handshake_state not in ("", STANDS)
+        if age < min(limits.uncertain_s, oldest) and not handshake_changed and not handshake_broken:
             continue
         before = machine.state.output
         state, latest = silent(machine.model, machine.state, age, Times(now, clock), limits)
         machine.state, after = state, state.output
-        moved = (
-            changed_hands
-            or latest.offset_mode != machine.mode
+        offsets_changed = (
+            handshake_changed
+            or latest.offset_mode != machine.published_mode
             or (
                 before is not None
                 and after is not None
                 and not np.array_equal(before.steps, after.steps)
             )
         )
-        if (latest.quality, latest.status) != machine.reported:
+        if (latest.quality, latest.status) != machine.published_quality:
             fleet.log.say(
                 now,
                 "silent",
                 f"{latest.quality.word}: no usable sample for {age:.0f} s",
                 state.name,
             )
-        elif not moved:
+        elif not offsets_changed:
             continue
         if after is not None and after is before:
             # Republished offsets count as received now: their rate is limited from here on.
             machine.state = state._replace(output=after._replace(time=clock))
-        machine.reported, machine.mode = (latest.quality, latest.status), latest.offset_mode
+        machine.published_quality = latest.quality, latest.status
+        machine.published_mode = latest.offset_mode
         changed.append(latest)
     return changed
 
 
-def _shake(fleet: Fleet, machine: Machine, now: float, clock: float) -> bool:
+def _check_handshake(fleet: Fleet, machine: Machine, now: float, clock: float) -> bool:
     """Update the handshake of a machine; return whether it has changed since the last check."""
     model, name = machine.model, machine.state.name
     if model.handshake is None:
         return False
     machine.state = shaken(model, machine.state, clock)
-    state, before = machine.state.handshake.state, machine.handshake
-    machine.handshake = state
+    state, before = machine.state.handshake.state, machine.handshake_state
+    machine.handshake_state = state
     if state == before:
         return False
     fleet.log.say(now, "handshake", f"{state}, was {before or 'not begun'}", name)
     return True
 
 
-def answer(fleet: Fleet, name: str, given: Answer, clock: float) -> None:
+def receive_answer(fleet: Fleet, name: str, given: Answer, clock: float) -> None:
     """Receive an answer of a machine's control, at a time of the service's own clock (s)."""
     machine = fleet.machines[name]
     handshake = answered(machine.state.handshake, given, clock)
@@ -313,7 +319,7 @@ def checkpoint_of(machine: Machine) -> Checkpoint:
     )
 
 
-def whole_checkpoint_of(machine: Machine) -> Checkpoint:
+def full_checkpoint_of(machine: Machine) -> Checkpoint:
     """Return a checkpoint for a store without data of a machine: with at least one sample."""
     latest = machine.state.latest
     if latest.number and not machine.rows:
@@ -325,12 +331,12 @@ def count_qualities(fleet: Fleet) -> None:
     """Count the machines by quality."""
     counts = dict.fromkeys(Quality, 0)
     for machine in fleet.machines.values():
-        counts[machine.reported[0]] += 1
+        counts[machine.published_quality[0]] += 1
     for quality, count in counts.items():
         fleet.metrics.quality.labels(quality.word).set(count)
 
 
-def since_heard(last: Publication, rule: Rule, behind: float, times: Times) -> float:
+def last_usable_clock(last: Publication, rule: Rule, behind: float, times: Times) -> float:
     """Return the time of the last usable sample by the service's own clock; -inf for none."""
     if last.number == 0 or math.isnan(last.published):
         return -math.inf
@@ -338,7 +344,7 @@ def since_heard(last: Publication, rule: Rule, behind: float, times: Times) -> f
     return times.clock - max(0.0, times.now - last.published) - age
 
 
-def stalled(fleet: Fleet, clock: float) -> list[Machine]:
+def stalled_machines(fleet: Fleet, clock: float) -> list[Machine]:
     """Return the machines whose arrivals have waited for a sample for `STALLED_S` or longer.
 
     A broker whose messages are not acknowledged may stop sending, and then no sample is closed.
@@ -346,12 +352,12 @@ def stalled(fleet: Fleet, clock: float) -> list[Machine]:
     return [
         machine
         for machine in fleet.machines.values()
-        if machine.unkept and clock - machine.waits_since >= STALLED_S
+        if machine.acknowledgements and clock - machine.unacknowledged_since >= STALLED_S
     ]
 
 
 def count_modes(fleet: Fleet, seconds: float) -> None:
     """Count how long the offsets of each machine have followed, frozen and faded."""
     for name, machine in fleet.machines.items():
-        if machine.mode:
-            fleet.metrics.modes.labels(name, machine.mode).inc(seconds)
+        if machine.published_mode:
+            fleet.metrics.modes.labels(name, machine.published_mode).inc(seconds)

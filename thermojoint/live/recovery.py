@@ -69,11 +69,11 @@ async def _renew(
         machines, path, now = running.fleet.machines.values(), running.archive.path, time.time()
         rows = [machine.rows for machine in machines]
         checkpoint_of = (
-            processing.whole_checkpoint_of if source is None else processing.checkpoint_of
+            processing.full_checkpoint_of if source is None else processing.checkpoint_of
         )
         batch = Batch(
             checkpoints=[checkpoint_of(machine) for machine in machines],
-            received=processing.received(running.fleet, running.fleet.machines, now),
+            received=processing.received_offsets(running.fleet, running.fleet.machines, now),
         )
         eras: list[Era] = [
             (machine.era, name, machine.model.digest, layout_text(machine.model.layout), now)

@@ -193,8 +193,10 @@ def restored_fleet(
     machines = _restored_machines(service, models, store, log, times)
     fleet = Fleet(machines, log, metrics, given.ahead_s, given.behind_s, given.watchdog)
     # Silence is evaluated first, so that no control receives an offset from before it.
-    silent = {publication.machine: publication for publication in processing.watch(fleet, *times)}
-    commit(store, Batch(received=processing.received(fleet, machines, times.now)))
+    silent = {
+        publication.machine: publication for publication in processing.check_silence(fleet, *times)
+    }
+    commit(store, Batch(received=processing.received_offsets(fleet, machines, times.now)))
     return fleet, [silent.get(name) or shown(machine.state) for name, machine in machines.items()]
 
 
@@ -241,12 +243,12 @@ def _restored_machines(
         if kept.era != eras[name]:
             moved += _moved(model, state, position, kept, eras[name])
             log.say(now, "moved", "other axes of the control; the estimator continues", name)
-        heard = processing.since_heard(
-            _heard_last(archive, model, state), model.rule, service.given.behind_s, times
+        last_usable = processing.last_usable_clock(
+            _last_usable_sample(archive, model, state), model.rule, service.given.behind_s, times
         )
         # Samples of another layout stay in their era.
         rows = [(np.frombuffer(taken.row), taken.status) for taken in every[eras[name]].later]
-        by_name[name] = Machine(model, eras[name], state, position, heard, rows=rows)
+        by_name[name] = Machine(model, eras[name], state, position, last_usable, rows=rows)
         if state.latest.number:
             log.say(now, "restored", f"{state.latest.number} samples, {len(rows)} again", name)
     if moved:
@@ -254,7 +256,7 @@ def _restored_machines(
     return by_name
 
 
-def _heard_last(archive: Archive, model: LoadedModel, state: MachineState) -> Publication:
+def _last_usable_sample(archive: Archive, model: LoadedModel, state: MachineState) -> Publication:
     """Return the last usable sample with a reading, or the oldest of many without one."""
     last = state.usable
     if last.number == 0 or processing.has_reading(model, last.readings.tolist()):

@@ -197,19 +197,19 @@ async def _process(running: Running) -> None:
         arrivals = [
             arrival for block in blocks for arrival in block if isinstance(arrival, Arrival)
         ]
-        outcome = processing.absorb(fleet, arrivals, now, time.monotonic())
+        results = processing.process_arrivals(fleet, arrivals, now, time.monotonic())
         events = fleet.log.fetched()
-        if outcome.taken or events:
-            received = processing.received(fleet, outcome.publications, now)
-            batch = Batch(outcome.taken, (), events, outcome.holes, received)
+        if results.samples or events:
+            received = processing.received_offsets(fleet, results.publications, now)
+            batch = Batch(results.samples, (), events, results.holes, received)
             with running.metrics.commit.time():
                 await _keep(running, batch)
-        running.publisher.publish(list(outcome.publications.values()))
-        for call in outcome.kept:
+        running.publisher.publish(list(results.publications.values()))
+        for call in results.acknowledgements:
             call()
         now = time.time()
-        for came in outcome.came:
-            running.metrics.latency.observe(max(0.0, now - came))
+        for received_at in results.receipt_times:
+            running.metrics.latency.observe(max(0.0, now - received_at))
         running.metrics.waiting.set(queue.qsize())
         for _ in blocks:
             queue.task_done()
@@ -226,11 +226,11 @@ async def _watch(running: Running) -> None:
         await asyncio.sleep(_WATCH_S)
         tell_systemd("WATCHDOG=1")
         now, clock = time.time(), time.monotonic()
-        await published(running, processing.watch(running.fleet, now, clock))
+        await published(running, processing.check_silence(running.fleet, now, clock))
         running.publisher.heartbeat += 1
         processing.count_qualities(running.fleet)
         processing.count_modes(running.fleet, _WATCH_S)
-        await _release(running, processing.stalled(running.fleet, clock))
+        await _release(running, processing.stalled_machines(running.fleet, clock))
         async with _tending(running):
             await recover_if_gone(running)
             await running.tended()
@@ -267,7 +267,7 @@ async def _tending(running: Running) -> AsyncIterator[None]:
 async def published(running: Running, changed: list[Publication]) -> None:
     """Publish changes caused by silence, after storing the offsets that the controls receive."""
     names = [publication.machine for publication in changed]
-    received = processing.received(running.fleet, names, time.time())
+    received = processing.received_offsets(running.fleet, names, time.time())
     if received:
         await _keep(running, Batch(received=received))
     running.publisher.publish(changed)
@@ -278,10 +278,10 @@ async def _release(running: Running, machines: Sequence[Machine]) -> None:
     if not machines:
         return
     # Counted for all machines: a busy computer may have read some less than `STALLED_S` ago.
-    waiting = sum(len(machine.unkept) for machine in running.fleet.machines.values())
-    calls = [call for machine in machines for call in machine.unkept]
+    waiting = sum(len(machine.acknowledgements) for machine in running.fleet.machines.values())
+    calls = [call for machine in machines for call in machine.acknowledgements]
     for machine in machines:
-        machine.unkept = []
+        machine.acknowledgements = []
     if waiting >= _USUAL_IN_FLIGHT:
         running.fleet.log.say(
             time.time(),

@@ -183,7 +183,7 @@ def test_the_history_marks_what_is_missing_thins_and_forgets(path, store, fleet)
     mill = fleet.machines["mill"]
     feed(fleet, store, 0, 100)
     checkpoint(fleet, store)
-    mill.fresh = True
+    mill.awaits_first_sample = True
     feed(fleet, store, 150, 250)
     checkpoint(fleet, store)
     feed(fleet, store, 250, 260)
@@ -256,12 +256,12 @@ def test_nothing_is_acknowledged_before_its_sample_is_kept(model, store, fleet):
     said = []
     first = Arrival("mill", START, (*readings(0)[:4], None), START, 0, lambda: said.append(1))
     rest = Arrival("mill", START, (*(None,) * 4, 20.0), START, 1, lambda: said.append(2))
-    outcome = processing.absorb(fleet, [first], START, START)
-    assert not outcome.kept
-    outcome = processing.absorb(fleet, [rest], START, START)
-    assert len(outcome.kept) == len(outcome.taken) + 1 == 2
-    again = processing.absorb(fleet, [first], START, START)
-    assert (len(again.kept), len(again.taken)) == (1, 0)
+    results = processing.process_arrivals(fleet, [first], START, START)
+    assert not results.acknowledgements
+    results = processing.process_arrivals(fleet, [rest], START, START)
+    assert len(results.acknowledgements) == len(results.samples) + 1 == 2
+    again = processing.process_arrivals(fleet, [first], START, START)
+    assert (len(again.acknowledgements), len(again.samples)) == (1, 0)
 
 
 def test_an_event_is_one_line_however_it_is_called():
@@ -433,7 +433,7 @@ def test_readings_that_come_late_move_no_offset_and_are_not_good(store, fleet):
     before = fleet.machines["mill"].state.latest.offsets
     now = START + 54_000.0
     arrivals = [Arrival("mill", START + k, readings(k), now) for k in range(40, 400)]
-    said = processing.absorb(fleet, arrivals, now, START + 45.0).publications["mill"]
+    said = processing.process_arrivals(fleet, arrivals, now, START + 45.0).publications["mill"]
     assert (said.quality, said.number, said.offset_mode) == (Quality.BAD, 400, "freeze")
     assert said.offsets.tolist() == before.tolist()
 
@@ -462,8 +462,10 @@ def test_samples_without_any_reading_are_silence(deaf, store, nothing):
     found = []
     for k in range(100):
         told = (20.0 if k < 30 else nothing, 0.0 if k < 30 else nothing)
-        outcome = processing.absorb(fleet, [Arrival("mill", START + k, told, START + k)], *at(k))
-        found.append(outcome.publications["mill"])
+        results = processing.process_arrivals(
+            fleet, [Arrival("mill", START + k, told, START + k)], *at(k)
+        )
+        found.append(results.publications["mill"])
     assert (found[29].quality, found[29].offset_mode) == (Quality.GOOD, "follow")
     assert found[29].offsets[0] == pytest.approx(-20e-6)
     assert (found[36].offset_mode, found[45].quality) == ("freeze", Quality.UNCERTAIN)
@@ -500,7 +502,7 @@ def test_a_restart_ends_no_silence(deaf, store, path, kept_at):
         if k + 1 == kept_at:
             checkpoint(fleet, store)
     again, (said,) = started(deaf, store, path, EventLog(), 90)
-    assert again.machines["mill"].heard == START + 29
+    assert again.machines["mill"].last_usable == START + 29
     assert (said.quality, said.offset_mode) == (Quality.BAD, "decay")
 
 

@@ -91,13 +91,13 @@ class MqttReader:
 
     def _take(self, client: Sequence[aiomqtt.Client], message: Any) -> None:  # noqa: ANN401
         """Queue one message; called by the client."""
-        kept = partial(_acknowledged, client, message) if message.qos else None
+        acknowledge_message = partial(_acknowledged, client, message) if message.qos else None
         if len(self._found) >= self.most:
             # Not acknowledged: the broker sends it again after the next connection.
             return
-        item = item_of(self.topics, message.topic, message.payload, kept)
-        if isinstance(item, Note) and kept:
-            kept()
+        item = item_of(self.topics, message.topic, message.payload, acknowledge_message)
+        if isinstance(item, Note) and acknowledge_message:
+            acknowledge_message()
         self._put(item)
 
     def _put(self, item: Arrival | Note) -> None:
@@ -111,10 +111,13 @@ def _acknowledged(client: Sequence[aiomqtt.Client], message: Any) -> None:  # no
 
 
 def item_of(
-    topics: Topics, topic: str, payload: bytes, kept: Callable[[], None] | None = None
+    topics: Topics,
+    topic: str,
+    payload: bytes,
+    acknowledge_message: Callable[[], None] | None = None,
 ) -> Arrival | Note:
     """Return the readings of one message, or a note of its fault."""
-    came = clock.time()
+    received_at = clock.time()
     match = topics.pattern.fullmatch(topic)
     # A topic without a machine's name belongs to the only machine.
     words = match.groupdict() if match else {}
@@ -130,7 +133,7 @@ def item_of(
         readings = _readings(content, names, words.get("reading"))
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         return Note("malformed", f"a message has no readings: {_short(error)}", machine)
-    return Arrival(machine, time, readings, came, kept=kept)
+    return Arrival(machine, time, readings, received_at, acknowledge=acknowledge_message)
 
 
 def _short(error: Exception) -> str:

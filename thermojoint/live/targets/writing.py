@@ -23,7 +23,7 @@ from thermojoint.compensation.offsets.handshake import DIFFERS, STANDS, Answer
 from thermojoint.live.audit import Audit
 from thermojoint.live.loaded_models import LoadedModel
 from thermojoint.live.opcua_session import LOST, TIMEOUT_S, Reached, client_of, reached_of
-from thermojoint.live.processing import Fleet, answer
+from thermojoint.live.processing import Fleet, receive_answer
 from thermojoint.live.publisher import Publisher
 from thermojoint.live.reconnecting import FIRST_S, next_delay
 from thermojoint.live.settings import Service
@@ -130,7 +130,7 @@ class Writer:
                 lever * write.quantity.metres * value
                 for write, lever, value in zip(writes, levers, found, strict=True)
             )
-            answer(self.fleet, self.machine, Answer(enabled, beats, acts), clock)
+            receive_answer(self.fleet, self.machine, Answer(enabled, beats, acts), clock)
             wanted = [*said.offsets.tolist(), *said.slopes.tolist()]
             goals = [
                 next_value(write.quantity, now, value, write.most)

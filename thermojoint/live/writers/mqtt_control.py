@@ -14,7 +14,7 @@ import aiomqtt
 from pydantic import ValidationError
 
 from thermojoint.live.control_message import answer_of
-from thermojoint.live.processing import Fleet, answer
+from thermojoint.live.processing import Fleet, receive_answer
 from thermojoint.live.publisher import Publisher
 
 #: Interval at which the service's heartbeat is checked, s.
@@ -57,7 +57,7 @@ async def attend(
             text = f"what the control says is no answer: {error.errors()[0]['msg']}"
             fleet.log.say(time.time(), "malformed", text, machine)
         else:
-            answer(fleet, machine, given, time.monotonic())
+            receive_answer(fleet, machine, given, time.monotonic())
 
 
 async def beat(client: aiomqtt.Client, topic: str, publisher: Publisher) -> None:
