@@ -28,7 +28,7 @@ from thermojoint.live import processing
 from thermojoint.live.arrivals import Arrival, Note
 from thermojoint.live.loaded_models import LoadedModel
 from thermojoint.live.log_lines import EventLog
-from thermojoint.live.machine_state import at_rest
+from thermojoint.live.machine_state import initial_state
 from thermojoint.live.metrics import fresh_metrics
 from thermojoint.live.processing import Fleet, Machine
 from thermojoint.live.readers import csv_pipe, mqtt, opcua
@@ -189,7 +189,7 @@ DOORS: dict[str, Door] = {"mqtt": mqtt_door, "csv": csv_door, "opcua": opcua_doo
 
 def fleet_of(model: LoadedModel) -> Fleet:
     """Return a fleet of one machine without a store."""
-    mill = Machine(model, 1, at_rest(MACHINE, model, START), None, 0.0)
+    mill = Machine(model, 1, initial_state(MACHINE, model, START), None, 0.0)
     return Fleet({MACHINE: mill}, EventLog(), fresh_metrics(), 60.0, 1e9, WatchdogSection())
 
 

@@ -2,7 +2,7 @@
 
 from thermojoint.live import processing
 from thermojoint.live.log_lines import EventLog
-from thermojoint.live.machine_state import at_rest
+from thermojoint.live.machine_state import initial_state
 from thermojoint.live.metrics import fresh_metrics
 from thermojoint.live.processing import Fleet, Machine
 from thermojoint.live.settings import WatchdogSection
@@ -11,7 +11,7 @@ from thermojoint.live.store import Batch, commit, era_of
 
 def fleet_of(model, store, now):
     era = era_of(store, "mill", model.digest, model.layout, now)
-    mill = Machine(model, era, at_rest("mill", model, now), None, now)
+    mill = Machine(model, era, initial_state("mill", model, now), None, now)
     return Fleet({"mill": mill}, EventLog(), fresh_metrics(), 60.0, 60.0, WatchdogSection())
 
 

@@ -37,7 +37,7 @@ from thermojoint.compensation.offsets.output import (
     offsets_of,
     slopes_of,
 )
-from thermojoint.compensation.offsets.output import restored as output_restored
+from thermojoint.compensation.offsets.output import restored as restore_output
 from thermojoint.compensation.offsets.usable import usable
 from thermojoint.live.loaded_models import LoadedModel
 from thermojoint.live.next_reading import Request, after_sample, ended
@@ -80,16 +80,16 @@ class MachineState(NamedTuple):
     asked: Request = NOTHING_ASKED
 
 
-def at_rest(name: str, model: LoadedModel, now: float) -> MachineState:
+def initial_state(name: str, model: LoadedModel, now: float) -> MachineState:
     """Return a machine without any reading yet, at a time (s since 1970)."""
-    nothing = _nothing(name, model.layout, now)
+    nothing = _empty_publication(name, model.layout, now)
     output = at_zero(model.output.output) if model.output else None
     start = model.estimator.initial_state()
     handshake = begun(_corrections(model, output), -math.inf)
     return MachineState(name, start, math.nan, output, handshake, Waiting(), nothing, nothing)
 
 
-def _nothing(name: str, layout: Layout, now: float) -> Publication:
+def _empty_publication(name: str, layout: Layout, now: float) -> Publication:
     """Return the publication of a machine without any data, at a time (s since 1970)."""
     unknown = np.full(len(layout.axes), np.nan)
     return Publication(
@@ -109,7 +109,7 @@ def _nothing(name: str, layout: Layout, now: float) -> Publication:
     )
 
 
-def taken(
+def process_sample(
     model: LoadedModel,
     state: MachineState,
     sample: tuple[float, tuple[float, ...]],
@@ -133,7 +133,7 @@ def taken(
         Age of the sample at that time, s.
     """
     (instant, readings), now = sample, times.now
-    state = shaken(model, state, times.clock)
+    state = update_handshake(model, state, times.clock)
     given = model.intake.usable(readings)
     values, cold = model.intake.convert(given, state.cold)
     number = state.latest.number + 1
@@ -142,21 +142,21 @@ def taken(
         estimator_state, estimate = model.estimator.sample(state.estimator_state, instant, values)
     except ThermojointError as error:
         # The sample is stored, so that it is not read again; the estimate does not change.
-        state = _cycled(model, state, times.clock, None)
+        state = _cycle_output(model, state, times.clock, None)
         nothing = replace(
-            _nothing(state.name, model.layout, now),
+            _empty_publication(state.name, model.layout, now),
             number=number,
             time=instant,
             quality=Quality.UNCERTAIN,
             readings=usable_readings,
             status=REFUSED,
             asked=state.asked,
-            **_for_control(model, state),
+            **_control_values(model, state),
         )
         return state._replace(cold=cold, latest=nothing), str(error)
     words, reached = estimate.words, estimate.displacement
-    target = _followed(model, estimate) if _usable(model, age, estimate) else None
-    state = _cycled(model, state, times.clock, target)
+    target = _targets(model, estimate) if _is_usable(model, age, estimate) else None
+    state = _cycle_output(model, state, times.clock, target)
     asked = state.asked
     if model.asking is not None:
         # A refused reading needs confirmation: the request remains.
@@ -176,7 +176,7 @@ def taken(
         readings=usable_readings,
         status=words,
         asked=asked,
-        **_for_control(model, state),
+        **_control_values(model, state),
     )
     state = state._replace(
         estimator_state=estimator_state, cold=cold, latest=latest, usable=latest, asked=asked
@@ -192,7 +192,7 @@ def _read_axes(model: LoadedModel, given: Sequence[float]) -> list[str]:
     return [name.removesuffix("_um") for name, value in probed if math.isfinite(value)]
 
 
-def postponed(model: LoadedModel, state: MachineState) -> MachineState:
+def postpone_reading(model: LoadedModel, state: MachineState) -> MachineState:
     """Return a machine with its request for a reading postponed; it is repeated later."""
     if model.asking is None or not state.asked.axis:
         return state
@@ -201,7 +201,7 @@ def postponed(model: LoadedModel, state: MachineState) -> MachineState:
     return state._replace(asked=asked, latest=latest)
 
 
-def shown(state: MachineState) -> Publication:
+def publication_of(state: MachineState) -> Publication:
     """Return the present publication of a machine: after a refused sample, the last estimate."""
     latest, last = state.latest, state.usable
     if latest.number == last.number or last.number == 0:
@@ -211,7 +211,7 @@ def shown(state: MachineState) -> Publication:
     )
 
 
-def silent(
+def after_silence(
     model: LoadedModel, state: MachineState, age: float, times: Times, limits: WatchdogSection
 ) -> tuple[MachineState, Publication]:
     """Return a machine and its publication some time (s) after its last usable sample.
@@ -219,27 +219,27 @@ def silent(
     The offsets freeze and decay according to their settings: neither an estimate that is too old
     nor one without the control's handshake moves them.
     """
-    state = shaken(model, state, times.clock)
+    state = update_handshake(model, state, times.clock)
     if (
         model.output is not None
         and state.output is not None
         and state.output.used
-        and (age > model.output.trust.oldest or _handshake(model, state) not in ("", STANDS))
+        and (age > model.output.trust.oldest or _handshake_state(model, state) not in ("", STANDS))
     ):
-        state = _cycled(model, state, times.clock, None)
-    before = shown(state)
+        state = _cycle_output(model, state, times.clock, None)
+    before = publication_of(state)
     quality = quality_at(age, limits.uncertain_s, limits.bad_s) if before.number else Quality.BAD
     latest = replace(
         before,
         published=times.now,
         quality=max(before.quality, quality),
         status=silent_status(before.status, quality) if before.number else before.status,
-        **_for_control(model, state),
+        **_control_values(model, state),
     )
     return state, latest
 
 
-def shaken(model: LoadedModel, state: MachineState, clock: float) -> MachineState:
+def update_handshake(model: LoadedModel, state: MachineState, clock: float) -> MachineState:
     """Return a machine with its handshake updated to a time of the service's own clock (s).
 
     For a control that returns, the offsets continue from the ones in it.
@@ -254,20 +254,20 @@ def shaken(model: LoadedModel, state: MachineState, clock: float) -> MachineStat
     return state._replace(output=output, handshake=handshake)
 
 
-def held(latest: Publication) -> Publication:
+def with_held_offsets(latest: Publication) -> Publication:
     """Return a publication for times when nothing can be stored: the offsets are held."""
     mode = "freeze" if latest.offset_mode == "follow" else latest.offset_mode
     return replace(latest, quality=max(latest.quality, Quality.UNCERTAIN), offset_mode=mode)
 
 
-def _cycled(
+def _cycle_output(
     model: LoadedModel, state: MachineState, clock: float, target: Array | None
 ) -> MachineState:
     """Return a machine after one cycle of its output, without a target if the handshake broke."""
     if model.output is None or state.output is None:
         return state
     settings, handshake = model.output.output, state.handshake
-    if _handshake(model, state) not in ("", STANDS):
+    if _handshake_state(model, state) not in ("", STANDS):
         target = None
     output = cycle(settings, state.output, clock, target)
     if model.handshake is not None:
@@ -275,14 +275,14 @@ def _cycled(
     return state._replace(output=output, handshake=handshake)
 
 
-def _handshake(model: LoadedModel, state: MachineState) -> str:
+def _handshake_state(model: LoadedModel, state: MachineState) -> str:
     """Return the state of the handshake; empty if there is none."""
     return "" if model.handshake is None or model.output is None else state.handshake.state
 
 
-def _for_control(model: LoadedModel, state: MachineState) -> dict[str, Any]:
+def _control_values(model: LoadedModel, state: MachineState) -> dict[str, Any]:
     """Return the control's part of a publication: offsets, slopes, their mode, the handshake."""
-    handshake = _handshake(model, state)
+    handshake = _handshake_state(model, state)
     if model.output is None or state.output is None:
         empty = np.empty(0)
         return {"offsets": empty, "slopes": empty, "offset_mode": "", "handshake": handshake}
@@ -302,7 +302,7 @@ def _corrections(model: LoadedModel, output: OutputState | None) -> Array:
     return corrections_of(model.output.output, output)
 
 
-def _usable(model: LoadedModel, age: float, last: Estimate | Publication) -> bool:
+def _is_usable(model: LoadedModel, age: float, last: Estimate | Publication) -> bool:
     """Whether an estimate of an age (s) may move an axis."""
     if model.output is None or not np.isfinite(last.displacement).all():
         return False
@@ -311,7 +311,7 @@ def _usable(model: LoadedModel, age: float, last: Estimate | Publication) -> boo
     return usable(model.output.trust, age, band, words)
 
 
-def _followed(model: LoadedModel, estimate: Estimate) -> Array | None:
+def _targets(model: LoadedModel, estimate: Estimate) -> Array | None:
     """Return the targets of the offsets and slopes."""
     if model.output is None:
         return None
@@ -338,7 +338,7 @@ def rest_of(state: MachineState, position: Any) -> str:  # noqa: ANN401
     return json.dumps({"at": position, "waiting": state.waiting, "asked": state.asked})
 
 
-def received_of(model: LoadedModel, state: MachineState, now: float) -> Received | None:
+def received_record(model: LoadedModel, state: MachineState, now: float) -> Received | None:
     """Return the offsets that the control receives, in stored form; None without offsets."""
     if model.output is None or state.output is None:
         return None
@@ -353,7 +353,7 @@ def received_of(model: LoadedModel, state: MachineState, now: float) -> Received
     return Received(state.name, now, json.dumps(content))
 
 
-def restored(
+def restore_state(
     name: str,
     model: LoadedModel,
     kept: Kept,
@@ -384,7 +384,7 @@ def restored(
     InputError
         The stored state does not fit the model: another model, or a damaged store.
     """
-    state = at_rest(name, model, times.now)._replace(output=None)
+    state = initial_state(name, model, times.now)._replace(output=None)
     if kept.state is not None and last is not None:
         numbers = from_bytes(kept.state, model.digest, name)
         estimator_state = completed(numbers[1:], state.estimator_state)
@@ -393,27 +393,27 @@ def restored(
         state = state._replace(
             cold=float(numbers[0]),
             estimator_state=estimator_state,
-            latest=_laid_out(last, model.layout),
-            usable=_laid_out(last, model.layout),
+            latest=_with_layout(last, model.layout),
+            usable=_with_layout(last, model.layout),
         )
     for later in kept.later:
         row = from_row(name, later.number, kept.layout, np.frombuffer(later.row), later.status)
         sample = row.time, tuple(row.readings.tolist())
-        state, _ = taken(model, state, sample, Times(row.published, math.nan), 0.0)
+        state, _ = process_sample(model, state, sample, Times(row.published, math.nan), 0.0)
     rest = json.loads(kept.newest)
-    output = _output(model, state, received, times)
-    handshake = _handshake_begun(model, output, received, times.clock)
+    output = _restore_output(model, state, received, times)
+    handshake = _restore_handshake(model, output, received, times.clock)
     state = state._replace(
         output=output,
         handshake=handshake,
-        waiting=_waiting(rest["waiting"]) if "waiting" in rest else Waiting(),
+        waiting=_waiting_from(rest["waiting"]) if "waiting" in rest else Waiting(),
         asked=Request(*rest.get("asked", ())) if model.asking else NOTHING_ASKED,
     )
-    latest = replace(state.latest, asked=state.asked, **_for_control(model, state))
+    latest = replace(state.latest, asked=state.asked, **_control_values(model, state))
     return state._replace(latest=latest), rest.get("at")
 
 
-def _handshake_begun(
+def _restore_handshake(
     model: LoadedModel, output: OutputState | None, received: Received | None, clock: float
 ) -> Handshake:
     """Return the handshake of a restored machine, at a time (s).
@@ -434,7 +434,7 @@ def _handshake_begun(
     return handshake._replace(low=low, high=high)
 
 
-def _laid_out(last: Publication, layout: Layout) -> Publication:
+def _with_layout(last: Publication, layout: Layout) -> Publication:
     """Return a publication for changed axes of the control, which have no offset."""
     if last.layout == layout:
         return last
@@ -442,7 +442,7 @@ def _laid_out(last: Publication, layout: Layout) -> Publication:
     return replace(last, layout=layout, offsets=offsets, slopes=slopes)
 
 
-def _waiting(content: list[Any]) -> Waiting:
+def _waiting_from(content: list[Any]) -> Waiting:
     before, newest, cells, held, phase, probed, doubted = content
     return Waiting(
         before,
@@ -455,7 +455,7 @@ def _waiting(content: list[Any]) -> Waiting:
     )
 
 
-def _output(
+def _restore_output(
     model: LoadedModel, state: MachineState, received: Received | None, times: Times
 ) -> OutputState | None:
     """Return the compensation output that continues from the values received last by the control.
@@ -469,12 +469,12 @@ def _output(
     if received is None:
         return at_zero(settings)
     silence = max(0.0, times.now - received.at)
-    output = output_restored(settings, json.loads(received.content), times.clock, silence)
+    output = restore_output(settings, json.loads(received.content), times.clock, silence)
     if not output.used or not math.isnan(output.unusable_since):
         return output
     age = times.now - last.published
     # An estimate from the future was made before the clock was set back, at an unknown time.
-    if age >= 0.0 and _usable(model, age, last):
+    if age >= 0.0 and _is_usable(model, age, last):
         return output
     frozen = cycle(settings, output, times.clock, None)
     return frozen._replace(unusable_since=times.clock - max(0.0, silence - trust.oldest))

@@ -18,14 +18,14 @@ from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine_state import (
     MachineState,
     Times,
-    postponed,
-    received_of,
+    after_silence,
+    postpone_reading,
+    process_sample,
+    publication_of,
+    received_record,
     rest_of,
-    shaken,
-    shown,
-    silent,
     state_bytes,
-    taken,
+    update_handshake,
 )
 from thermojoint.live.metrics import Metrics
 from thermojoint.live.next_reading import Request
@@ -172,7 +172,7 @@ def _process_sample(
     if not has_reading(machine.model, machine.model.intake.usable(sample[1])):
         # A sample without any reading counts as silence, whatever its estimate.
         age = max(age, times.clock - machine.last_usable)
-    machine.state, refusal = taken(machine.model, machine.state, sample, times, age)
+    machine.state, refusal = process_sample(machine.model, machine.state, sample, times, age)
     machine.awaits_first_sample = False
     latest = machine.state.latest
     if refusal:
@@ -185,10 +185,10 @@ def _process_sample(
     row = as_row(latest)
     machine.rows.append((row, latest.status))
     results.samples.append(Taken(machine.era, latest.number, row.tobytes(), latest.status, "{}"))
-    published = shown(machine.state)
+    published = publication_of(machine.state)
     if times.clock - machine.last_usable >= fleet.watchdog.uncertain_s:
         # The sample was read late: its estimate is old.
-        machine.state, published = silent(
+        machine.state, published = after_silence(
             machine.model, machine.state, times.clock - machine.last_usable, times, fleet.watchdog
         )
     machine.published_quality = published.quality, published.status
@@ -213,11 +213,11 @@ def _report_request(fleet: Fleet, name: str, before: Request, after: Request, no
 def postpone(fleet: Fleet, name: str, now: float) -> Publication | None:
     """Postpone the requested reading of a machine; return its publication, or None if none."""
     machine = fleet.machines[name]
-    before, machine.state = machine.state, postponed(machine.model, machine.state)
+    before, machine.state = machine.state, postpone_reading(machine.model, machine.state)
     if machine.state is before:
         return None
     _report_request(fleet, name, before.asked, machine.state.asked, now)
-    return shown(machine.state)
+    return publication_of(machine.state)
 
 
 def _report_refusal(fleet: Fleet, arrival: Arrival, verdict: str, now: float) -> None:
@@ -238,7 +238,7 @@ def age_of(rule: Rule, behind: float, instant: float, now: float) -> float:
 def received_offsets(fleet: Fleet, names: Iterable[str], now: float) -> list[Received]:
     """Return the values that some controls are about to receive, to be stored first."""
     machines = (fleet.machines[name] for name in names)
-    messages = (received_of(machine.model, machine.state, now) for machine in machines)
+    messages = (received_record(machine.model, machine.state, now) for machine in machines)
     return [message for message in messages if message is not None]
 
 
@@ -254,7 +254,7 @@ def check_silence(fleet: Fleet, now: float, clock: float) -> list[Publication]:
         if age < min(limits.uncertain_s, oldest) and not handshake_changed and not handshake_broken:
             continue
         before = machine.state.output
-        state, latest = silent(machine.model, machine.state, age, Times(now, clock), limits)
+        state, latest = after_silence(machine.model, machine.state, age, Times(now, clock), limits)
         machine.state, after = state, state.output
         offsets_changed = (
             handshake_changed
@@ -288,7 +288,7 @@ def _check_handshake(fleet: Fleet, machine: Machine, now: float, clock: float) -
     model, name = machine.model, machine.state.name
     if model.handshake is None:
         return False
-    machine.state = shaken(model, machine.state, clock)
+    machine.state = update_handshake(model, machine.state, clock)
     state, before = machine.state.handshake.state, machine.handshake_state
     machine.handshake_state = state
     if state == before:

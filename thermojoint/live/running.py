@@ -27,9 +27,9 @@ from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine_state import (
     MachineState,
     Times,
+    publication_of,
     rest_of,
-    restored,
-    shown,
+    restore_state,
     state_bytes,
 )
 from thermojoint.live.metrics import Metrics, fresh_metrics
@@ -197,7 +197,9 @@ def restored_fleet(
         publication.machine: publication for publication in processing.check_silence(fleet, *times)
     }
     commit(store, Batch(received=processing.received_offsets(fleet, machines, times.now)))
-    return fleet, [silent.get(name) or shown(machine.state) for name, machine in machines.items()]
+    return fleet, [
+        silent.get(name) or publication_of(machine.state) for name, machine in machines.items()
+    ]
 
 
 def _restored_machines(
@@ -230,7 +232,7 @@ def _restored_machines(
             # Another model: its estimator starts anew, and the source is read from its position.
             kept = replace(kept, rest=_read_on(every[earlier], model))
         try:
-            state, position = restored(name, model, kept, last, received.get(name), times)
+            state, position = restore_state(name, model, kept, last, received.get(name), times)
         except InputError as error:
             # Its estimator starts anew, its offsets continue. A new era begins, because in the old
             # one a state with fewer samples would not replace the refused one.
@@ -239,7 +241,7 @@ def _restored_machines(
                 eras[name] = new_era(store, name, model.digest, model.layout, now)
             kept, last = Kept(eras[name], model.layout, 0, None, "{}", ()), None
             every[eras[name]] = kept
-            state, position = restored(name, model, kept, last, received.get(name), times)
+            state, position = restore_state(name, model, kept, last, received.get(name), times)
         if kept.era != eras[name]:
             moved += _moved(model, state, position, kept, eras[name])
             log.say(now, "moved", "other axes of the control; the estimator continues", name)

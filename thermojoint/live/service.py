@@ -21,7 +21,7 @@ from thermojoint.live.consistency import contradictions
 from thermojoint.live.former_models import note_deployments, pinned
 from thermojoint.live.loaded_models import LoadedModel, load_models, models_by_machine
 from thermojoint.live.log_lines import EventLog
-from thermojoint.live.machine_state import held
+from thermojoint.live.machine_state import with_held_offsets
 from thermojoint.live.notify import tell_systemd
 from thermojoint.live.outputs import open_outputs
 from thermojoint.live.processing import Machine
@@ -334,7 +334,9 @@ async def _keep(running: Running, batch: Batch) -> None:
                     batch = replace(batch, checkpoints=())
                     continue
             log.say(time.time(), "store-waits", f"{running.archive.path}: {error}")
-            running.publisher.publish([held(publication) for publication in newest.values()])
+            running.publisher.publish(
+                [with_held_offsets(publication) for publication in newest.values()]
+            )
             if running.stop.is_set():
                 return
             await asyncio.sleep(_AGAIN_S)

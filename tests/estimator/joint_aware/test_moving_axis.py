@@ -48,7 +48,7 @@ from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.quantities import column_named
 from thermojoint.artefacts.response import write_response
 from thermojoint.live.loaded_models import load_model
-from thermojoint.live.machine_state import Times, at_rest, taken
+from thermojoint.live.machine_state import Times, initial_state, process_sample
 from thermojoint.live.publication import as_json
 from thermojoint.live.settings import ModelSection
 from thermojoint.reduced.machine import along
@@ -350,10 +350,10 @@ def test_a_control_that_interpolates_is_given_a_table(estimator, samples, tmp_pa
         reads="above-ambient",
     )
     model = load_model(section, tmp_path / "kept")
-    machine = at_rest("mill", model, samples[0][0])
+    machine = initial_state("mill", model, samples[0][0])
     for time, *values, place in samples[:20]:
         arrived = (*values, 1e3 * place, np.nan, np.nan)
-        machine, _ = taken(model, machine, (time, arrived), Times(time, time), 0.0)
+        machine, _ = process_sample(model, machine, (time, arrived), Times(time, time), 0.0)
     said = as_json(machine.latest)
     for axis, at in (("low", -100), ("high", 200)):
         displacement = said["details"][f"x_at_{at}_um"]

@@ -32,7 +32,7 @@ from thermojoint.live.arrivals import Arrival
 from thermojoint.live.cancelling import cancelled
 from thermojoint.live.control_message import answer_of
 from thermojoint.live.log_lines import EventLog
-from thermojoint.live.machine_state import at_rest
+from thermojoint.live.machine_state import initial_state
 from thermojoint.live.metrics import fresh_metrics
 from thermojoint.live.processing import Fleet, Machine
 from thermojoint.live.publication import AxisLine, Layout
@@ -182,7 +182,7 @@ def test_offsets_freeze_and_fade_without_the_control_and_go_on_from_what_it_clea
     given = {"rate_um_s": 1.0, "freeze_s": 5.0, "decay_s": 10.0, "recover_s": 3.0, "oldest_s": 9.0}
     output = offset_invariant.settings_of(given, two=False)
     model = offset_invariant.model_with(output, 1.0, LIMITS)
-    mill = Machine(model, 1, at_rest("mill", model, START), None, START)
+    mill = Machine(model, 1, initial_state("mill", model, START), None, START)
     fleet = Fleet({"mill": mill}, EventLog(), fresh_metrics(), 60.0, 60.0, WatchdogSection())
     found, has = [], 0.0
     for k in range(120):

@@ -25,7 +25,7 @@ from thermojoint.live.access_store import open_access
 from thermojoint.live.arrivals import Arrival
 from thermojoint.live.cancelling import cancelled
 from thermojoint.live.loaded_models import load_model
-from thermojoint.live.machine_state import Times, at_rest, restored
+from thermojoint.live.machine_state import Times, initial_state, restore_state
 from thermojoint.live.publication import Layout, as_json, as_row, from_row
 from thermojoint.live.settings import ModelSection, service_from_data
 from thermojoint.live.store import kept_of, layout_from, layout_text, open_store, received_last
@@ -110,7 +110,7 @@ def test_the_correction_cancels_the_displacement_at_every_position(place, tmp_pa
 
 def test_what_is_kept_of_a_machine_without_a_line_is_as_before(place):
     plain = opened(place, offsets=OFFSETS.partition("[axes.X.slope]")[0])
-    assert not {"slopes_um_per_m", "P0_mm"} & {*as_json(at_rest("mill", plain, START).latest)}
+    assert not {"slopes_um_per_m", "P0_mm"} & {*as_json(initial_state("mill", plain, START).latest)}
     layout = opened(place).layout
     assert layout_from(layout_text(layout)) == layout
 
@@ -125,7 +125,7 @@ def test_a_start_continues_the_line_that_the_control_received_last(place, tmp_pa
     other = opened(place, more)
     kept, received = kept_of(store, [era])[era], received_last(store)["mill"]
     now = START + 60.0 * 60
-    machine, _ = restored("mill", other, kept, None, received, Times(now, now))
+    machine, _ = restore_state("mill", other, kept, None, received, Times(now, now))
     positions = np.linspace(-0.15, 0.25, 9)
     step = 0.5 * (0.1e-6 + 1e-6 * np.abs(positions - other.layout.lines[0].reference))
     moved = correction(machine.latest, positions) - correction(before, positions)

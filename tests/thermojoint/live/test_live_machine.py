@@ -21,7 +21,13 @@ from thermojoint.live.arrivals import Arrival
 from thermojoint.live.disk_reserve import SLICE, lay_in, tend
 from thermojoint.live.loaded_models import LoadedModel, load_model
 from thermojoint.live.log_lines import EventLog, limited, line_of
-from thermojoint.live.machine_state import Times, at_rest, restored, silent, taken
+from thermojoint.live.machine_state import (
+    Times,
+    after_silence,
+    initial_state,
+    process_sample,
+    restore_state,
+)
 from thermojoint.live.metrics import fresh_metrics
 from thermojoint.live.publication import as_json, as_row, from_row
 from thermojoint.live.rate_limit import AT_ONCE, LineLimit
@@ -78,23 +84,23 @@ def sampled(k, given=None):
 
 
 def after(model, count):
-    machine = at_rest("mill", model, START)
+    machine = initial_state("mill", model, START)
     for k in range(count):
-        machine, refusal = taken(model, machine, *sampled(k))
+        machine, refusal = process_sample(model, machine, *sampled(k))
         assert not refusal
     return machine
 
 
 def test_a_machine_of_which_nothing_is_known_says_so(model):
-    said = at_rest("mill", model, START).latest
+    said = initial_state("mill", model, START).latest
     told = as_json(said)
     assert (told["quality"], told["time"], told["displacement_um"]) == (
         "bad",
         None,
         {"x": None, "y": None},
     )
-    machine = at_rest("mill", model, START)
-    assert silent(model, machine, 1e9, at(0), WatchdogSection())[1].quality is Quality.BAD
+    machine = initial_state("mill", model, START)
+    assert after_silence(model, machine, 1e9, at(0), WatchdogSection())[1].quality is Quality.BAD
 
 
 def test_silence_makes_the_last_value_uncertain_then_bad_and_the_offsets_freeze_and_decay(model):
@@ -103,7 +109,9 @@ def test_silence_makes_the_last_value_uncertain_then_bad_and_the_offsets_freeze_
     assert abs(before) > 1e-6
     found = {}
     for age in range(1, 200):
-        machine, found[age] = silent(model, machine, float(age), at(60 + age), WatchdogSection())
+        machine, found[age] = after_silence(
+            model, machine, float(age), at(60 + age), WatchdogSection()
+        )
     assert found[9].quality is machine.latest.quality
     assert (found[10].quality, found[60].quality) == (Quality.UNCERTAIN, Quality.BAD)
     assert found[10].status.endswith("silent")
@@ -117,12 +125,12 @@ def test_silence_makes_the_last_value_uncertain_then_bad_and_the_offsets_freeze_
 def test_a_sample_that_no_estimator_can_use_counts_and_changes_no_estimate(model):
     machine = after(model, 30)
     broken = (math.nan, *readings(30)[1:])
-    other, refusal = taken(model, machine, *sampled(30, broken))
+    other, refusal = process_sample(model, machine, *sampled(30, broken))
     assert "finite" in refusal
     assert other.latest.number == 31
     np.testing.assert_array_equal(other.estimator_state, machine.estimator_state)
     assert other.latest.quality is Quality.UNCERTAIN
-    again, refusal = taken(model, other, *sampled(31))
+    again, refusal = process_sample(model, other, *sampled(31))
     assert not refusal
     assert again.latest.quality is machine.latest.quality
 
@@ -168,7 +176,7 @@ def test_a_machine_goes_on_bit_for_bit_wherever_its_last_checkpoint_was(
     kept = kept_of(store, [mill.era])[mill.era]
     last = Archive(path).checkpointed("mill", mill.era)
     received = received_last(store)["mill"]
-    machine, position = restored("mill", model, kept, last, received, at(39))
+    machine, position = restore_state("mill", model, kept, last, received, at(39))
     assert position == 39
     np.testing.assert_array_equal(machine.estimator_state, mill.state.estimator_state)
     assert machine.waiting == mill.state.waiting
@@ -315,12 +323,12 @@ def test_refused_samples_neither_hold_an_offset_nor_hurry_it(model):
     """The output's clock is the service's own: refused samples and silence freeze alike."""
     machine, alone = after(model, 60), after(model, 60)
     for k in range(60, 110):
-        machine, refusal = taken(model, machine, *sampled(k, (math.nan, *readings(k)[1:])))
+        machine, refusal = process_sample(model, machine, *sampled(k, (math.nan, *readings(k)[1:])))
         assert refusal
     for age in (20.0, 50.0, 51.0, 60.0, 100.0):
-        _, expected = silent(model, alone, age, at(59 + age), WatchdogSection())
+        _, expected = after_silence(model, alone, age, at(59 + age), WatchdogSection())
         if age > 50.0:
-            machine, said = silent(model, machine, age, at(59 + age), WatchdogSection())
+            machine, said = after_silence(model, machine, age, at(59 + age), WatchdogSection())
             assert machine.output.time == START + 59 + age
             # The refused ones froze it at their first, the silence only when it was noticed.
             assert abs(said.offsets[0]) <= abs(expected.offsets[0])
@@ -335,7 +343,7 @@ def test_a_restart_with_another_resolution_keeps_the_offset(
     assert abs(before) > 1e-6
     other = with_offsets(model, f"resolution_um = {resolution}\n{OFFSETS}", tmp_path)
     kept = kept_of(store, [fleet.machines["mill"].era])[fleet.machines["mill"].era]
-    machine, _ = restored("mill", other, kept, None, received_last(store)["mill"], at(40))
+    machine, _ = restore_state("mill", other, kept, None, received_last(store)["mill"], at(40))
     assert machine.latest.offsets[0] == pytest.approx(before, abs=0.5e-6 * resolution * 1.001)
 
 
@@ -395,7 +403,7 @@ def test_other_axes_of_the_control_leave_the_estimator_its_state(
     kept = kept_of(store, [mill.era])[mill.era]
     last = Archive(path).checkpointed("mill", mill.era)
     received = received_last(store)["mill"]
-    machine, _ = restored("mill", other, kept, last, received, at(50))
+    machine, _ = restore_state("mill", other, kept, last, received, at(50))
     np.testing.assert_array_equal(machine.estimator_state, mill.state.estimator_state)
     assert machine.latest.number == 50
     assert machine.latest.offsets.tolist() == [mill.state.latest.offsets[0], 0.0]
@@ -410,19 +418,19 @@ def test_a_start_sends_what_the_control_received_last_and_goes_on_from_there(mod
     mill = fleet.machines["mill"]
     before = mill.state.latest.offsets
     kept, received = kept_of(store, [mill.era])[mill.era], received_last(store)["mill"]
-    machine, _ = restored("mill", model, kept, None, received, at(39 + 120))
+    machine, _ = restore_state("mill", model, kept, None, received, at(39 + 120))
     assert (machine.latest.offsets.tolist(), machine.latest.offset_mode) == (
         before.tolist(),
         "decay",
     )
     running = mill.state
     for age in range(1, 122):
-        running, expected = silent(model, running, age, at(39 + age), WatchdogSection())
-    _, said = silent(model, machine, 121.0, at(39 + 121), WatchdogSection())
+        running, expected = after_silence(model, running, age, at(39 + age), WatchdogSection())
+    _, said = after_silence(model, machine, 121.0, at(39 + 121), WatchdogSection())
     assert said.offsets == pytest.approx(expected.offsets, abs=3e-7)
     other = replace(model, digest="another model")
     nothing = kept_of(store, [era_of(store, "mill", other.digest, other.layout, START)])
-    machine, _ = restored("mill", other, *nothing.values(), None, received, at(41))
+    machine, _ = restore_state("mill", other, *nothing.values(), None, received, at(41))
     assert (machine.latest.number, machine.latest.offset_mode) == (0, "freeze")
     assert machine.latest.offsets.tolist() == before.tolist()
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from thermojoint.live.machine_state import _waiting
+from thermojoint.live.machine_state import _waiting_from
 from thermojoint.live.samples import Rule, Waiting, arrived
 
 PLAIN = Rule(interval=1.0, lateness=0.0, hold=0.0, wanted=2)
@@ -53,10 +53,10 @@ def test_one_reading_from_the_future_shuts_nobody_out_and_two_are_believed():
             waiting, samples = step.waiting, samples + [at for at, _ in step.samples]
             assert (step.doubted == 155.0) == (k == 4)
     assert samples == [100.0 + k for k in range(8)]
-    assert _waiting(json.loads(json.dumps(waiting))) == waiting
+    assert _waiting_from(json.loads(json.dumps(waiting))) == waiting
     for time in (155.0, 156.0):
         step = arrived(PLAIN, waiting, time, (1.0, 2.0), (108.0, 168.0))
-        assert _waiting(json.loads(json.dumps(step.waiting))) == step.waiting
+        assert _waiting_from(json.loads(json.dumps(step.waiting))) == step.waiting
         waiting = step.waiting
     assert [at for at, _ in step.samples] == [155.0, 156.0]
 
@@ -145,7 +145,7 @@ def test_a_stream_that_is_interrupted_leads_to_the_same_samples(rule, told, cut)
     """What waits goes through the store and back in between."""
     _, whole, _ = run(rule, told)
     waiting, first, _ = run(rule, told[:cut])
-    _, second, _ = run(rule, told[cut:], _waiting(json.loads(json.dumps(waiting))))
+    _, second, _ = run(rule, told[cut:], _waiting_from(json.loads(json.dumps(waiting))))
     np.testing.assert_equal(first + second, whole)
 
 
