@@ -32,7 +32,7 @@ from thermojoint.live.machine_state import initial_state
 from thermojoint.live.metrics import fresh_metrics
 from thermojoint.live.processing import Fleet, Machine
 from thermojoint.live.readers import csv_pipe, mqtt, opcua
-from thermojoint.live.samples import Waiting
+from thermojoint.live.samples import AssemblyState
 from thermojoint.live.settings import MqttSource, WatchdogSection
 from thermojoint.live.writers.opcua import probe_reading
 
@@ -214,9 +214,9 @@ def estimates(
         fleet.log.fetched()
         if k % 60 == 59:
             processing.checkpoint_of(mill)
-        waiting: Waiting = mill.state.waiting
-        if len(waiting.cells) > 2 or len(mill.rows) > 60 or len(fleet.log.limit.seen) > 20:
-            raise AssertionError(f"grows: {len(waiting.cells)} {len(mill.rows)}")
+        assembly: AssemblyState = mill.state.assembly
+        if len(assembly.open_samples) > 2 or len(mill.rows) > 60 or len(fleet.log.limit.seen) > 20:
+            raise AssertionError(f"grows: {len(assembly.open_samples)} {len(mill.rows)}")
         yield (
             mill.state.latest.number,
             mill.state.latest.time,

@@ -59,7 +59,7 @@ from thermojoint.live.opcua_values import offset_status_of
 from thermojoint.live.processing import Fleet
 from thermojoint.live.publication import Layout, Publication
 from thermojoint.live.running import restored_fleet
-from thermojoint.live.samples import Rule
+from thermojoint.live.samples import AssemblyRule
 from thermojoint.live.settings import Service, service_from_data
 from thermojoint.live.store import Batch, commit, open_store
 
@@ -135,7 +135,7 @@ def model_with(
         of_columns(("T1_K", "T2_K"), 2),
         (),
         None,
-        Rule(INTERVAL, 0.0, 0.0, 2),
+        AssemblyRule(INTERVAL, 0.0, 0.0, 2),
         Layout(found.axes, controls, found.details, ("T1_K", "T2_K"), lines_in(output)),
         output,
         handshake,

@@ -23,7 +23,7 @@ from thermojoint.compensation.offsets.handshake import HandshakeSettings
 from thermojoint.compensation.offsets.settings import Settings, read_settings, with_slopes
 from thermojoint.live.next_reading import Asking
 from thermojoint.live.publication import AxisLine, Layout
-from thermojoint.live.samples import Rule
+from thermojoint.live.samples import AssemblyRule
 from thermojoint.live.settings import HandshakeSection, ModelSection, Service
 
 #: Default tolerance of the handshake with a target, um.
@@ -47,7 +47,7 @@ class LoadedModel:
     #: (estimator, state, sample) to reading minus model; None for a kind without residuals.
     residuals: Callable[[Any, Array, Array], Array] | None
     #: Rule for assembling samples.
-    rule: Rule
+    rule: AssemblyRule
     #: Names of the published values.
     layout: Layout
     #: Settings of the compensation output.
@@ -111,7 +111,7 @@ def load_model(section: ModelSection, folder: Path) -> LoadedModel:
         lines=lines_in(output),
     )
     _warm_up(estimator, section.interval_s)
-    rule = Rule(section.interval_s, section.lateness_s, section.hold_s, intake.wanted)
+    rule = AssemblyRule(section.interval_s, section.lateness_s, section.hold_s, intake.wanted)
     return LoadedModel(
         estimator,
         digest,

@@ -43,7 +43,7 @@ from thermojoint.live.loaded_models import LoadedModel
 from thermojoint.live.next_reading import Request, after_sample, ended
 from thermojoint.live.publication import NOTHING_ASKED, Layout, Publication, from_row
 from thermojoint.live.quality import REFUSED, quality_at, silent_status
-from thermojoint.live.samples import Waiting
+from thermojoint.live.samples import AssemblyState
 from thermojoint.live.settings import WatchdogSection
 from thermojoint.live.store import Kept, Received
 
@@ -71,7 +71,7 @@ class MachineState(NamedTuple):
     #: Handshake with its control; without effect if the settings have none.
     handshake: Handshake
     #: Readings not assigned to a sample yet.
-    waiting: Waiting
+    assembly: AssemblyState
     #: The newest publication.
     latest: Publication
     #: The newest publication with an estimate.
@@ -86,7 +86,7 @@ def initial_state(name: str, model: LoadedModel, now: float) -> MachineState:
     output = at_zero(model.output.output) if model.output else None
     start = model.estimator.initial_state()
     handshake = begun(_corrections(model, output), -math.inf)
-    return MachineState(name, start, math.nan, output, handshake, Waiting(), nothing, nothing)
+    return MachineState(name, start, math.nan, output, handshake, AssemblyState(), nothing, nothing)
 
 
 def _empty_publication(name: str, layout: Layout, now: float) -> Publication:
@@ -123,7 +123,7 @@ def process_sample(
     model : LoadedModel
         Its model.
     state : MachineState
-        State before the sample; `waiting` is not changed.
+        State before the sample; `assembly` is not changed.
     sample : (float, tuple of float)
         Its instant, s since 1970, and its readings in the order of `model.intake.names`; NaN for
         missing ones.
@@ -188,8 +188,8 @@ def _read_axes(model: LoadedModel, given: Sequence[float]) -> list[str]:
     """Return the axes whose displacement is among the readings of a sample."""
     wanted = model.intake.wanted
     names = model.layout.readings[wanted:]
-    probed = zip(names, given[wanted:], strict=True)
-    return [name.removesuffix("_um") for name, value in probed if math.isfinite(value)]
+    last_occasional = zip(names, given[wanted:], strict=True)
+    return [name.removesuffix("_um") for name, value in last_occasional if math.isfinite(value)]
 
 
 def postpone_reading(model: LoadedModel, state: MachineState) -> MachineState:
@@ -335,7 +335,7 @@ def state_bytes(model: LoadedModel, state: MachineState) -> bytes:
 
 def rest_of(state: MachineState, position: Any) -> str:  # noqa: ANN401
     """Return everything else that the next sample depends on, in its stored form: JSON."""
-    return json.dumps({"at": position, "waiting": state.waiting, "asked": state.asked})
+    return json.dumps({"at": position, "waiting": state.assembly, "asked": state.asked})
 
 
 def received_record(model: LoadedModel, state: MachineState, now: float) -> Received | None:
@@ -406,7 +406,7 @@ def restore_state(
     state = state._replace(
         output=output,
         handshake=handshake,
-        waiting=_waiting_from(rest["waiting"]) if "waiting" in rest else Waiting(),
+        assembly=_assembly_from(rest["waiting"]) if "waiting" in rest else AssemblyState(),
         asked=Request(*rest.get("asked", ())) if model.asking else NOTHING_ASKED,
     )
     latest = replace(state.latest, asked=state.asked, **_control_values(model, state))
@@ -442,16 +442,16 @@ def _with_layout(last: Publication, layout: Layout) -> Publication:
     return replace(last, layout=layout, offsets=offsets, slopes=slopes)
 
 
-def _waiting_from(content: list[Any]) -> Waiting:
-    before, newest, cells, held, phase, probed, doubted = content
-    return Waiting(
+def _assembly_from(content: list[Any]) -> AssemblyState:
+    before, newest, open_samples, held, phase, last_occasional, unconfirmed = content
+    return AssemblyState(
         before,
         newest,
-        tuple((instant, tuple(values)) for instant, values in cells),
+        tuple((instant, tuple(values)) for instant, values in open_samples),
         tuple((since, value) for since, value in held),
         phase,
-        probed,
-        None if doubted is None else (doubted[0], tuple(doubted[1])),
+        last_occasional,
+        None if unconfirmed is None else (unconfirmed[0], tuple(unconfirmed[1])),
     )
 
 

@@ -30,7 +30,7 @@ from thermojoint.live.machine_state import (
 from thermojoint.live.metrics import Metrics
 from thermojoint.live.next_reading import Request
 from thermojoint.live.publication import Publication, as_row
-from thermojoint.live.samples import Rule, arrived
+from thermojoint.live.samples import AssemblyRule, assemble
 from thermojoint.live.settings import WatchdogSection
 from thermojoint.live.store import Checkpoint, Hole, Received, Taken
 
@@ -124,8 +124,8 @@ def process_arrivals(
         if machine is None:
             continue
         rule = machine.model.rule
-        step = arrived(
-            rule, machine.state.waiting, arrival.time, arrival.readings, (now, now + fleet.ahead)
+        step = assemble(
+            rule, machine.state.assembly, arrival.time, arrival.readings, (now, now + fleet.ahead)
         )
         fleet.metrics.arrivals.labels(step.verdict).inc()
         machine.position = arrival.position
@@ -134,9 +134,9 @@ def process_arrivals(
             if arrival.acknowledge:
                 results.acknowledgements.append(arrival.acknowledge)
             continue
-        if not math.isnan(step.doubted):
-            _report_refusal(fleet, replace(arrival, time=step.doubted), "ahead", now)
-        machine.state = machine.state._replace(waiting=step.waiting)
+        if not math.isnan(step.unconfirmed):
+            _report_refusal(fleet, replace(arrival, time=step.unconfirmed), "ahead", now)
+        machine.state = machine.state._replace(assembly=step.state)
         if arrival.acknowledge:
             machine.unacknowledged_since = (
                 machine.unacknowledged_since if machine.acknowledgements else clock
@@ -230,7 +230,7 @@ def _report_refusal(fleet: Fleet, arrival: Arrival, verdict: str, now: float) ->
     fleet.log.say(now, verdict, reasons[verdict], arrival.machine)
 
 
-def age_of(rule: Rule, behind: float, instant: float, now: float) -> float:
+def age_of(rule: AssemblyRule, behind: float, instant: float, now: float) -> float:
     """Return the present age of a sample beyond the allowed delay of its source, s."""
     return max(0.0, now - instant - behind - rule.interval - rule.lateness)
 
@@ -336,7 +336,7 @@ def count_qualities(fleet: Fleet) -> None:
         fleet.metrics.quality.labels(quality.word).set(count)
 
 
-def last_usable_clock(last: Publication, rule: Rule, behind: float, times: Times) -> float:
+def last_usable_clock(last: Publication, rule: AssemblyRule, behind: float, times: Times) -> float:
     """Return the time of the last usable sample by the service's own clock; -inf for none."""
     if last.number == 0 or math.isnan(last.published):
         return -math.inf

@@ -18,14 +18,14 @@ from typing import NamedTuple
 #: Readings of a machine at one time: None if not delivered, NaN if reported as missing.
 Readings = Sequence[float | None]
 #: Instant and readings of an open sample.
-Cell = tuple[float, tuple[float | None, ...]]
+OpenSample = tuple[float, tuple[float | None, ...]]
 #: Times before 1970 or after 2200 are refused.
-LATEST = 7.3e9
+LATEST_TIME = 7.3e9
 #: The phase of the instants is rounded to this part of an interval.
 _PARTS = 16.0
 
 
-class Rule(NamedTuple):
+class AssemblyRule(NamedTuple):
     """Rules for assembling samples."""
 
     #: Interval of the instants, s.
@@ -38,7 +38,7 @@ class Rule(NamedTuple):
     wanted: int
 
 
-class Waiting(NamedTuple):
+class AssemblyState(NamedTuple):
     """Readings not yet assigned to a sample."""
 
     #: Instant of the last sample, s; NaN before the first.
@@ -46,31 +46,31 @@ class Waiting(NamedTuple):
     #: Latest time of a reading, s; -inf before the first.
     newest: float = -math.inf
     #: Open samples, oldest first.
-    cells: tuple[Cell, ...] = ()
+    open_samples: tuple[OpenSample, ...] = ()
     #: Time and last value of each reading; empty if none is held.
     held: tuple[tuple[float, float], ...] = ()
     #: Offset of the instants from multiples of the interval, s; NaN before the first reading.
     phase: float = math.nan
     #: Latest time of an occasional reading, s; -inf before the first.
-    probed: float = -math.inf
+    last_occasional: float = -math.inf
     #: Time and readings from the future, which count once another reading confirms them.
-    doubted: Cell | None = None
+    unconfirmed: OpenSample | None = None
 
 
-class Arrived(NamedTuple):
+class AssemblyStep(NamedTuple):
     """Result of arriving readings."""
 
     #: State after them.
-    waiting: Waiting
+    state: AssemblyState
     #: Instant and readings of every closed sample; NaN for missing readings.
     samples: list[tuple[float, tuple[float, ...]]]
     #: ``taken``, ``late`` (its sample is closed), ``ahead`` (later than the limit), ``no-time``.
     verdict: str
     #: Time of an unconfirmed reading from the future that is dropped, s; NaN for none.
-    doubted: float = math.nan
+    unconfirmed: float = math.nan
 
 
-def phase_of(rule: Rule, time: float) -> float:
+def phase_of(rule: AssemblyRule, time: float) -> float:
     """Return the phase (s) of instants that begin at a time.
 
     It is a multiple of a sixteenth of the interval: the difference of two instants then equals, to
@@ -80,18 +80,18 @@ def phase_of(rule: Rule, time: float) -> float:
     return math.floor(_PARTS * part + 0.5) / _PARTS * rule.interval
 
 
-def instant_of(rule: Rule, phase: float, time: float) -> float:
+def instant_of(rule: AssemblyRule, phase: float, time: float) -> float:
     """Return the instant (s) that a time belongs to."""
     return math.floor((time - phase) / rule.interval + 0.5) * rule.interval + phase
 
 
-def arrived(
-    rule: Rule,
-    waiting: Waiting,
+def assemble(
+    rule: AssemblyRule,
+    state: AssemblyState,
     time: float,
     readings: Readings,
     clock: tuple[float, float] = (math.inf, math.inf),
-) -> Arrived:
+) -> AssemblyStep:
     """Assign the readings of one time to samples.
 
     A reading from the future closes no sample until a second one confirms its time: a single wrong
@@ -99,8 +99,8 @@ def arrived(
 
     Parameters
     ----------
-    rule : Rule
-    waiting : Waiting
+    rule : AssemblyRule
+    state : AssemblyState
         State before them.
     time : float
         Time by the source's clock, s since 1970.
@@ -110,73 +110,75 @@ def arrived(
         The present time, and the latest accepted time, s.
     """
     now, limit = clock
-    if not 0.0 <= time <= LATEST:
-        return Arrived(waiting, [], "no-time")
+    if not 0.0 <= time <= LATEST_TIME:
+        return AssemblyStep(state, [], "no-time")
     if time > limit:
-        return Arrived(waiting, [], "ahead")
-    if time > max(now, waiting.newest) + 2.0 * rule.interval + rule.lateness:
-        return _doubted(rule, waiting, time, readings, limit)
-    if waiting.doubted is not None:
-        step = arrived(rule, waiting._replace(doubted=None), time, readings, clock)
-        return step._replace(doubted=waiting.doubted[0])
-    phase = phase_of(rule, time) if math.isnan(waiting.phase) else waiting.phase
+        return AssemblyStep(state, [], "ahead")
+    if time > max(now, state.newest) + 2.0 * rule.interval + rule.lateness:
+        return _await_confirmation(rule, state, time, readings, limit)
+    if state.unconfirmed is not None:
+        step = assemble(rule, state._replace(unconfirmed=None), time, readings, clock)
+        return step._replace(unconfirmed=state.unconfirmed[0])
+    phase = phase_of(rule, time) if math.isnan(state.phase) else state.phase
     instant = instant_of(rule, phase, time)
-    probed = waiting.probed
+    last_occasional = state.last_occasional
     if all(value is None for value in readings[: rule.wanted]):
-        if time <= probed:
-            return Arrived(waiting, [], "late")
-        probed = time
-        if not math.isnan(waiting.last):
+        if time <= last_occasional:
+            return AssemblyStep(state, [], "late")
+        last_occasional = time
+        if not math.isnan(state.last):
             # An occasional reading joins the next sample.
-            instant = max(instant, instant_of(rule, phase, waiting.last + rule.interval))
-    if instant <= waiting.last:
-        return Arrived(waiting, [], "late")
-    cells = _merged(waiting.cells, instant, tuple(readings))
-    last, held, newest = waiting.last, waiting.held, max(waiting.newest, time)
+            instant = max(instant, instant_of(rule, phase, state.last + rule.interval))
+    if instant <= state.last:
+        return AssemblyStep(state, [], "late")
+    open_samples = _merged(state.open_samples, instant, tuple(readings))
+    last, held, newest = state.last, state.held, max(state.newest, time)
     samples = []
-    while cells and _closes(rule, last, newest, *cells[0]):
-        (last, values), *rest = cells
-        cells = tuple(rest)
+    while open_samples and _is_complete(rule, last, newest, *open_samples[0]):
+        (last, values), *rest = open_samples
+        open_samples = tuple(rest)
         if rule.hold > 0.0:
-            values, held = _filled(rule, held, last, values)
+            values, held = _with_held_values(rule, held, last, values)
         samples.append((last, tuple(math.nan if value is None else value for value in values)))
-    return Arrived(Waiting(last, newest, cells, held, phase, probed), samples, "taken")
+    return AssemblyStep(
+        AssemblyState(last, newest, open_samples, held, phase, last_occasional), samples, "taken"
+    )
 
 
-def _doubted(
-    rule: Rule, waiting: Waiting, time: float, readings: Readings, limit: float
-) -> Arrived:
+def _await_confirmation(
+    rule: AssemblyRule, state: AssemblyState, time: float, readings: Readings, limit: float
+) -> AssemblyStep:
     """Set a reading from the future aside, or accept it together with the previous one."""
-    before, rest = waiting.doubted, waiting._replace(doubted=None)
+    before, rest = state.unconfirmed, state._replace(unconfirmed=None)
     if before is None or time < before[0] - 0.5 * rule.interval:
-        return Arrived(waiting._replace(doubted=(time, tuple(readings))), [], "taken")
-    first = arrived(rule, rest, *before, (math.inf, limit))
-    second = arrived(rule, first.waiting, time, readings, (math.inf, limit))
+        return AssemblyStep(state._replace(unconfirmed=(time, tuple(readings))), [], "taken")
+    first = assemble(rule, rest, *before, (math.inf, limit))
+    second = assemble(rule, first.state, time, readings, (math.inf, limit))
     return second._replace(samples=first.samples + second.samples)
 
 
 def _merged(
-    cells: tuple[Cell, ...], instant: float, readings: tuple[float | None, ...]
-) -> tuple[Cell, ...]:
-    """Return the cells with readings added to one; of a repeated reading the last counts."""
-    if not cells:  # as usual
+    open_samples: tuple[OpenSample, ...], instant: float, readings: tuple[float | None, ...]
+) -> tuple[OpenSample, ...]:
+    """Return the open samples with readings added to one; of a repeated reading the last counts."""
+    if not open_samples:  # as usual
         return ((instant, readings),)
-    merged = dict(cells)
+    merged = dict(open_samples)
     before = merged.get(instant, readings)
     merged[instant] = tuple(b if a is None else a for a, b in zip(readings, before, strict=True))
     return tuple(sorted(merged.items()))
 
 
-def _closes(
-    rule: Rule, last: float, newest: float, instant: float, values: tuple[float | None, ...]
+def _is_complete(
+    rule: AssemblyRule, last: float, newest: float, instant: float, values: tuple[float | None, ...]
 ) -> bool:
-    """Return whether the oldest cell is complete, or its readings are overdue."""
+    """Return whether the oldest open sample is complete, or its readings are overdue."""
     half = 0.5 * rule.interval
     if newest >= instant + half + rule.lateness:
         return True
     if None in values[: rule.wanted]:
         return False
-    # The cell is complete, but readings of an older one may still be in transit.
+    # It is complete, but readings of an older one may still be in transit.
     return (
         rule.lateness <= 0.0
         or math.isnan(last)
@@ -185,8 +187,8 @@ def _closes(
     )
 
 
-def _filled(
-    rule: Rule,
+def _with_held_values(
+    rule: AssemblyRule,
     held: tuple[tuple[float, float], ...],
     instant: float,
     values: tuple[float | None, ...],

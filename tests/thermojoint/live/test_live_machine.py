@@ -33,7 +33,7 @@ from thermojoint.live.publication import as_json, as_row, from_row
 from thermojoint.live.rate_limit import AT_ONCE, LineLimit
 from thermojoint.live.recovery import is_damage
 from thermojoint.live.running import restored_fleet
-from thermojoint.live.samples import Rule
+from thermojoint.live.samples import AssemblyRule
 from thermojoint.live.settings import ModelSection, WatchdogSection, service_from_data
 from thermojoint.live.store import (
     Batch,
@@ -179,7 +179,7 @@ def test_a_machine_goes_on_bit_for_bit_wherever_its_last_checkpoint_was(
     machine, position = restore_state("mill", model, kept, last, received, at(39))
     assert position == 39
     np.testing.assert_array_equal(machine.estimator_state, mill.state.estimator_state)
-    assert machine.waiting == mill.state.waiting
+    assert machine.assembly == mill.state.assembly
     before = mill.state.output._replace(credit=0.0)
     np.testing.assert_equal(machine.output._asdict(), before._asdict())
     np.testing.assert_array_equal(as_row(machine.latest), as_row(mill.state.latest))
@@ -260,7 +260,7 @@ def test_a_row_of_the_history_is_the_publication(model):
 
 def test_nothing_is_acknowledged_before_its_sample_is_kept(model, store, fleet):
     mill = fleet.machines["mill"]
-    mill.model = replace(model, rule=Rule(1.0, 0.0, 0.0, 5))
+    mill.model = replace(model, rule=AssemblyRule(1.0, 0.0, 0.0, 5))
     said = []
     first = Arrival("mill", START, (*readings(0)[:4], None), START, 0, lambda: said.append(1))
     rest = Arrival("mill", START, (*(None,) * 4, 20.0), START, 1, lambda: said.append(2))

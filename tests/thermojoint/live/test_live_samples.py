@@ -8,22 +8,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from thermojoint.live.machine_state import _waiting_from
-from thermojoint.live.samples import Rule, Waiting, arrived
+from thermojoint.live.machine_state import _assembly_from
+from thermojoint.live.samples import AssemblyRule, AssemblyState, assemble
 
-PLAIN = Rule(interval=1.0, lateness=0.0, hold=0.0, wanted=2)
+PLAIN = AssemblyRule(interval=1.0, lateness=0.0, hold=0.0, wanted=2)
 NAN = math.nan
 
 
-def run(rule, told, waiting=None):
+def run(rule, told, state=None):
     """All samples that a stream leads to, and the verdicts."""
-    waiting, samples, verdicts = waiting or Waiting(), [], []
+    state, samples, verdicts = state or AssemblyState(), [], []
     for time, values in told:
-        step = arrived(rule, waiting, time, values)
-        waiting = step.waiting
+        step = assemble(rule, state, time, values)
+        state = step.state
         samples += step.samples
         verdicts.append(step.verdict)
-    return waiting, samples, verdicts
+    return state, samples, verdicts
 
 
 def test_a_whole_sample_is_closed_at_once_at_the_nearest_instant():
@@ -46,18 +46,18 @@ def test_readings_that_come_one_by_one_are_one_sample():
 
 
 def test_one_reading_from_the_future_shuts_nobody_out_and_two_are_believed():
-    waiting, samples = Waiting(), []
+    state, samples = AssemblyState(), []
     for k in range(8):
         for time in [100.0 + k, 155.0] if k == 3 else [100.0 + k]:
-            step = arrived(PLAIN, waiting, time, (1.0, 2.0), (100.0 + k, 160.0 + k))
-            waiting, samples = step.waiting, samples + [at for at, _ in step.samples]
-            assert (step.doubted == 155.0) == (k == 4)
+            step = assemble(PLAIN, state, time, (1.0, 2.0), (100.0 + k, 160.0 + k))
+            state, samples = step.state, samples + [at for at, _ in step.samples]
+            assert (step.unconfirmed == 155.0) == (k == 4)
     assert samples == [100.0 + k for k in range(8)]
-    assert _waiting_from(json.loads(json.dumps(waiting))) == waiting
+    assert _assembly_from(json.loads(json.dumps(state))) == state
     for time in (155.0, 156.0):
-        step = arrived(PLAIN, waiting, time, (1.0, 2.0), (108.0, 168.0))
-        assert _waiting_from(json.loads(json.dumps(step.waiting))) == step.waiting
-        waiting = step.waiting
+        step = assemble(PLAIN, state, time, (1.0, 2.0), (108.0, 168.0))
+        assert _assembly_from(json.loads(json.dumps(step.state))) == step.state
+        state = step.state
     assert [at for at, _ in step.samples] == [155.0, 156.0]
 
 
@@ -103,14 +103,14 @@ def test_a_probe_reading_joins_the_next_sample_and_holds_for_no_other():
 
 @pytest.mark.parametrize("time", [NAN, math.inf, -1.0, 1e300])
 def test_what_is_no_time_changes_nothing(time):
-    waiting, samples, verdicts = run(PLAIN, [(time, (1.0, 2.0))])
-    assert (waiting, samples, verdicts) == (Waiting(), [], ["no-time"])
+    state, samples, verdicts = run(PLAIN, [(time, (1.0, 2.0))])
+    assert (state, samples, verdicts) == (AssemblyState(), [], ["no-time"])
 
 
 def test_a_time_ahead_of_the_clock_does_not_shut_out_those_that_follow():
-    step = arrived(PLAIN, Waiting(), 5e9, (1.0, 2.0), (1e9, 1e9))
+    step = assemble(PLAIN, AssemblyState(), 5e9, (1.0, 2.0), (1e9, 1e9))
     assert step.verdict == "ahead"
-    assert run(PLAIN, [(100.0, (1.0, 2.0))], step.waiting)[1]
+    assert run(PLAIN, [(100.0, (1.0, 2.0))], step.state)[1]
 
 
 STREAMS = st.lists(
@@ -121,7 +121,7 @@ STREAMS = st.lists(
     max_size=60,
 )
 RULES = st.builds(
-    Rule,
+    AssemblyRule,
     interval=st.sampled_from([0.5, 1.0, 3.0]),
     lateness=st.sampled_from([0.0, 1.0, 7.0]),
     hold=st.sampled_from([0.0, 2.0]),
@@ -131,12 +131,12 @@ RULES = st.builds(
 
 @given(RULES, STREAMS)
 def test_samples_come_in_order_each_instant_once_and_none_is_older_than_a_late_one(rule, told):
-    waiting, samples, verdicts = run(rule, told)
+    state, samples, verdicts = run(rule, told)
     at = [instant for instant, _ in samples]
     assert at == sorted(set(at))
     apart = np.diff(at) / rule.interval
     np.testing.assert_allclose(apart, np.rint(apart), atol=1e-9)
-    assert len(waiting.cells) <= rule.lateness / rule.interval + 3
+    assert len(state.open_samples) <= rule.lateness / rule.interval + 3
     assert verdicts.count("taken") >= len(samples)
 
 
@@ -144,8 +144,8 @@ def test_samples_come_in_order_each_instant_once_and_none_is_older_than_a_late_o
 def test_a_stream_that_is_interrupted_leads_to_the_same_samples(rule, told, cut):
     """What waits goes through the store and back in between."""
     _, whole, _ = run(rule, told)
-    waiting, first, _ = run(rule, told[:cut])
-    _, second, _ = run(rule, told[cut:], _waiting_from(json.loads(json.dumps(waiting))))
+    state, first, _ = run(rule, told[:cut])
+    _, second, _ = run(rule, told[cut:], _assembly_from(json.loads(json.dumps(state))))
     np.testing.assert_equal(first + second, whole)
 
 
@@ -153,10 +153,10 @@ def test_a_stream_that_is_interrupted_leads_to_the_same_samples(rule, told, cut)
 def test_told_twice_changes_no_sample(rule, told):
     """As a broker does that was not acknowledged."""
     _, once, _ = run(rule, told)
-    waiting, samples = Waiting(), []
+    state, samples = AssemblyState(), []
     for one in told:
         for _ in range(2):
-            step = arrived(rule, waiting, *one)
-            waiting = step.waiting
+            step = assemble(rule, state, *one)
+            state = step.state
             samples += step.samples
     np.testing.assert_equal(samples, once)
