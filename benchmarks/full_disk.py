@@ -26,12 +26,12 @@ from thermojoint.live.publication import Layout
 from thermojoint.live.store import (
     Batch,
     Checkpoint,
-    Taken,
+    StoredSample,
+    checkpoint_wal,
     commit,
     era_of,
-    forget,
-    move_log,
     open_store,
+    prune,
 )
 
 #: Numbers in a row; interval of checkpoints, s; size of a state, bytes.
@@ -79,7 +79,7 @@ def measured(folder: Path, machines: int, hours: float) -> dict[str, float | int
     said, second, end, behind, round_from = room.reserve / per_hour, 0, 0, 0, 0
     with suppress(sqlite3.OperationalError):
         while True:
-            batch = Batch([Taken(era, second + 1, row, "ok", _REST) for era in eras])
+            batch = Batch([StoredSample(era, second + 1, row, "ok", _REST) for era in eras])
             end = commit(store, batch)
             second += 1
             tend(store, path, per_hour * hours)
@@ -91,11 +91,11 @@ def measured(folder: Path, machines: int, hours: float) -> dict[str, float | int
                 commit(store, Batch(checkpoints=points))
             if second % _CHECKPOINT_S == 0:
                 behind, round_from = round_from, end
-            forget(store, behind, due, 7.0 * 86400.0, float(second))
+            prune(store, behind, due, 7.0 * 86400.0, float(second))
             if second % 10 == 0:
-                move_log(path)
+                checkpoint_wal(path)
     (folder / "filler").unlink()
-    commit(store, Batch([Taken(era, second + 2, row, "ok", _REST) for era in eras]))
+    commit(store, Batch([StoredSample(era, second + 2, row, "ok", _REST) for era in eras]))
     ((last,),) = store.execute("SELECT max(number) FROM journal")
     ((whole,),) = store.execute("PRAGMA integrity_check")
     store.close()

@@ -211,8 +211,8 @@ def differences(whole: History, killed: History) -> list[str]:
             found.append(f"{name}: {rows} values")
     if whole.status != killed.status:
         found.append("status")
-    if whole.holes or killed.holes:
-        found.append(f"holes: {len(whole.holes)} and {len(killed.holes)}")
+    if whole.gaps or killed.gaps:
+        found.append(f"holes: {len(whole.gaps)} and {len(killed.gaps)}")
     return found
 
 
@@ -255,7 +255,7 @@ def together(parts: Sequence[History]) -> History:
         columns=Columns(*map(np.concatenate, columns)),
         numbers=np.concatenate([one.numbers for one in parts]),
         status=tuple(word for one in parts for word in one.status),
-        holes=tuple(hole for one in parts for hole in one.holes),
+        gaps=tuple(hole for one in parts for hole in one.gaps),
     )
 
 

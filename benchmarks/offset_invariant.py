@@ -315,7 +315,7 @@ class Offsets(RuleBasedStateMachine):
         if until == "before the commit":
             return
         changed = list(results.publications.values())
-        self.keep(Batch(results.samples, (), (), results.holes, self.received(changed)))
+        self.keep(Batch(results.samples, (), (), results.gaps, self.received(changed)))
         said = self.fleet.machines[MACHINE].state.latest
         if said.number != before:
             self.estimated = self.times.now, self.true

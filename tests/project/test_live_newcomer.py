@@ -86,7 +86,7 @@ def test_every_command_of_the_page_works_and_a_kill_changes_nothing(tmp_path):
             one.wait()
     history = archive.history("mill", 0.0, 1e11, 10_000)
     np.testing.assert_array_equal(history.numbers, np.arange(1, len(history.numbers) + 1))
-    assert not history.holes
+    assert not history.gaps
     assert float(np.abs(history.columns.displacement[:, 1]).max()) > 30e-6
 
 

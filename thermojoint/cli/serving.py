@@ -113,7 +113,7 @@ def rollback(
     from thermojoint.live.former_models import SHOWN, read_record, roll_back
     from thermojoint.live.publication import iso_time
     from thermojoint.live.settings import read_service
-    from thermojoint.live.store import hang_up
+    from thermojoint.live.store import send_sighup
 
     given = read_service(service)
     if show:
@@ -126,7 +126,7 @@ def rollback(
     target = roll_back(given, machine, to)
     what = f"rollback to model {target.file} {target.fingerprint[:SHOWN]}"
     audited(given, what, machine)
-    follows = "reloads now" if hang_up(given.folder) else "follows at its next start"
+    follows = "reloads now" if send_sighup(given.folder) else "follows at its next start"
     print(f"{machine}: {what}; the service {follows}")
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.publication import Columns, Layout, Publication, columns_of, from_row
-from thermojoint.live.store import IN_NO_CHUNK, Event, Hole, layout_from, spread
+from thermojoint.live.store import IN_NO_CHUNK, Event, Gap, expanded_runs, layout_from
 
 #: Largest number of rows in one answer.
 MOST_ROWS = 20_000
@@ -36,7 +36,7 @@ class History:
     #: Status of each sample in words.
     status: tuple[str, ...]
     #: Times without samples within the span.
-    holes: tuple[Hole, ...]
+    gaps: tuple[Gap, ...]
     #: Thinning factor; 1 if nothing was left out.
     every: int
 
@@ -73,8 +73,8 @@ class Archive:
                 for number, row, status in recent
                 if number % every == 0
             ]
-            holes = tuple(
-                Hole(*row)
+            gaps = tuple(
+                Gap(*row)
                 for row in store.execute(
                     "SELECT machine, since, until, why FROM holes "
                     "WHERE machine = ? AND until >= ? AND since <= ? ORDER BY since",
@@ -90,7 +90,7 @@ class Archive:
             columns_of(layout, rows[inside]),
             numbers[inside],
             tuple(words[k] for k in inside),
-            holes,
+            gaps,
             every,
         )
 
@@ -228,7 +228,7 @@ def _chunks(
         (*eras, span[1], span[0]),
     ):
         table = np.frombuffer(rows, dtype="<f8").reshape(count, -1)
-        yield number, table, spread(json.loads(status), count)
+        yield number, table, expanded_runs(json.loads(status), count)
 
 
 def _in_order(

@@ -22,7 +22,7 @@ from thermojoint.live.loaded_models import LoadedModel, load_models, models_by_m
 from thermojoint.live.readers.reading import readers_of
 from thermojoint.live.scene import scene_of
 from thermojoint.live.settings import Service
-from thermojoint.live.store import check_store, is_held
+from thermojoint.live.store import check_store, is_locked
 from thermojoint.live.tokens import tokens_in
 from thermojoint.live.trust_list import contents_of
 
@@ -80,7 +80,7 @@ def taken_addresses(service: Service) -> list[str]:
     file = service.given
     sections = (("opcua", file.opcua), ("http", file.http), ("shdr", file.shdr))
     given = [(name, one.address, one.port) for name, one in sections if one is not None]
-    if is_held(service.folder):
+    if is_locked(service.folder):
         return []
     busy = []
     for name, address, port in given:

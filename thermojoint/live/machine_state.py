@@ -45,7 +45,7 @@ from thermojoint.live.publication import NOTHING_ASKED, Layout, Publication, fro
 from thermojoint.live.quality import REFUSED, quality_at, silent_status
 from thermojoint.live.samples import AssemblyState
 from thermojoint.live.settings import WatchdogSection
-from thermojoint.live.store import Kept, Received
+from thermojoint.live.store import ReceivedOffsets, StoredEra
 
 
 class Times(NamedTuple):
@@ -338,7 +338,7 @@ def rest_of(state: MachineState, position: Any) -> str:  # noqa: ANN401
     return json.dumps({"at": position, "waiting": state.assembly, "asked": state.asked})
 
 
-def received_record(model: LoadedModel, state: MachineState, now: float) -> Received | None:
+def received_record(model: LoadedModel, state: MachineState, now: float) -> ReceivedOffsets | None:
     """Return the offsets that the control receives, in stored form; None without offsets."""
     if model.output is None or state.output is None:
         return None
@@ -350,15 +350,15 @@ def received_record(model: LoadedModel, state: MachineState, now: float) -> Rece
         slopes = [axes[one.axis]["slope"] for one in model.output.output.slopes]
         for k, value in enumerate([*axes.values(), *slopes]):
             value["sent"] = [float(low[k]), float(high[k])]
-    return Received(state.name, now, json.dumps(content))
+    return ReceivedOffsets(state.name, now, json.dumps(content))
 
 
 def restore_state(
     name: str,
     model: LoadedModel,
-    kept: Kept,
+    stored: StoredEra,
     last: Publication | None,
-    received: Received | None,
+    received: ReceivedOffsets | None,
     times: Times,
 ) -> tuple[MachineState, Any]:
     """Return a machine restored to its last stored sample, and the read position of its source.
@@ -370,11 +370,11 @@ def restore_state(
     ----------
     name : str
     model : LoadedModel
-    kept : Kept
+    stored : StoredEra
         Its stored data, possibly with other axes of the control.
     last : Publication or None
         The sample of the checkpoint.
-    received : Received or None
+    received : ReceivedOffsets or None
         The values received last by the control.
     times : Times
         Present time.
@@ -385,8 +385,8 @@ def restore_state(
         The stored state does not fit the model: another model, or a damaged store.
     """
     state = initial_state(name, model, times.now)._replace(output=None)
-    if kept.state is not None and last is not None:
-        numbers = from_bytes(kept.state, model.digest, name)
+    if stored.state is not None and last is not None:
+        numbers = from_bytes(stored.state, model.digest, name)
         estimator_state = completed(numbers[1:], state.estimator_state)
         if estimator_state.size != state.estimator_state.size:
             raise InputError(f"{name}: the state that is kept is damaged; give another folder")
@@ -396,11 +396,11 @@ def restore_state(
             latest=_with_layout(last, model.layout),
             usable=_with_layout(last, model.layout),
         )
-    for later in kept.later:
-        row = from_row(name, later.number, kept.layout, np.frombuffer(later.row), later.status)
+    for later in stored.later:
+        row = from_row(name, later.number, stored.layout, np.frombuffer(later.row), later.status)
         sample = row.time, tuple(row.readings.tolist())
         state, _ = process_sample(model, state, sample, Times(row.published, math.nan), 0.0)
-    rest = json.loads(kept.newest)
+    rest = json.loads(stored.newest)
     output = _restore_output(model, state, received, times)
     handshake = _restore_handshake(model, output, received, times.clock)
     state = state._replace(
@@ -414,7 +414,7 @@ def restore_state(
 
 
 def _restore_handshake(
-    model: LoadedModel, output: OutputState | None, received: Received | None, clock: float
+    model: LoadedModel, output: OutputState | None, received: ReceivedOffsets | None, clock: float
 ) -> Handshake:
     """Return the handshake of a restored machine, at a time (s).
 
@@ -425,10 +425,10 @@ def _restore_handshake(
         return handshake
     axes = json.loads(received.content)["axes"]
     settings = model.output.output
-    kept = [axes.get(name, {}) for name in settings.names]
-    kept += [axes.get(one.axis, {}).get("slope", {}) for one in settings.slopes]
+    stored = [axes.get(name, {}) for name in settings.names]
+    stored += [axes.get(one.axis, {}).get("slope", {}) for one in settings.slopes]
     # Axes without stored values have no range.
-    ranges = np.array([one.get("sent", [np.nan, np.nan]) for one in kept])
+    ranges = np.array([one.get("sent", [np.nan, np.nan]) for one in stored])
     ranges *= settings.channels.levers[:, None]
     low, high = np.fmin(handshake.low, ranges[:, 0]), np.fmax(handshake.high, ranges[:, 1])
     return handshake._replace(low=low, high=high)
@@ -456,7 +456,7 @@ def _assembly_from(content: list[Any]) -> AssemblyState:
 
 
 def _restore_output(
-    model: LoadedModel, state: MachineState, received: Received | None, times: Times
+    model: LoadedModel, state: MachineState, received: ReceivedOffsets | None, times: Times
 ) -> OutputState | None:
     """Return the compensation output that continues from the values received last by the control.
 

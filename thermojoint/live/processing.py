@@ -32,11 +32,11 @@ from thermojoint.live.next_reading import Request
 from thermojoint.live.publication import Publication, as_row
 from thermojoint.live.samples import AssemblyRule, assemble
 from thermojoint.live.settings import WatchdogSection
-from thermojoint.live.store import Checkpoint, Hole, Received, Taken
+from thermojoint.live.store import Checkpoint, Gap, ReceivedOffsets, StoredSample
 
 #: Arrivals that have waited for a sample for this time, s, are stored unassembled.
 STALLED_S = 2.0
-#: A gap longer than this many intervals is a hole in the history.
+#: A time longer than this many intervals is a gap in the history.
 _GAP = 1.5
 
 
@@ -75,8 +75,8 @@ class Results:
     """Results of processing some arrivals."""
 
     #: To be stored in one transaction.
-    samples: list[Taken] = field(default_factory=list)
-    holes: list[Hole] = field(default_factory=list)
+    samples: list[StoredSample] = field(default_factory=list)
+    gaps: list[Gap] = field(default_factory=list)
     #: The newest of each machine, to be published afterwards.
     publications: dict[str, Publication] = field(default_factory=dict)
     #: Called once these samples are stored.
@@ -166,7 +166,7 @@ def _process_sample(
     name = machine.state.name
     if before.number and instant - before.time > _GAP * machine.model.rule.interval:
         why = "the service was down" if machine.awaits_first_sample else "no readings"
-        results.holes.append(Hole(name, before.time, instant, why))
+        results.gaps.append(Gap(name, before.time, instant, why))
         fleet.log.say(now, "hole", f"{instant - before.time:.3f} s without samples: {why}", name)
     age = age_of(machine.model.rule, fleet.behind, instant, now)
     if not has_reading(machine.model, machine.model.intake.usable(sample[1])):
@@ -184,7 +184,9 @@ def _process_sample(
         _report_request(fleet, name, before.asked, latest.asked, now)
     row = as_row(latest)
     machine.rows.append((row, latest.status))
-    results.samples.append(Taken(machine.era, latest.number, row.tobytes(), latest.status, "{}"))
+    results.samples.append(
+        StoredSample(machine.era, latest.number, row.tobytes(), latest.status, "{}")
+    )
     published = publication_of(machine.state)
     if times.clock - machine.last_usable >= fleet.watchdog.uncertain_s:
         # The sample was read late: its estimate is old.
@@ -235,7 +237,7 @@ def age_of(rule: AssemblyRule, behind: float, instant: float, now: float) -> flo
     return max(0.0, now - instant - behind - rule.interval - rule.lateness)
 
 
-def received_offsets(fleet: Fleet, names: Iterable[str], now: float) -> list[Received]:
+def received_offsets(fleet: Fleet, names: Iterable[str], now: float) -> list[ReceivedOffsets]:
     """Return the values that some controls are about to receive, to be stored first."""
     machines = (fleet.machines[name] for name in names)
     messages = (received_record(machine.model, machine.state, now) for machine in machines)

@@ -83,7 +83,7 @@ async def _renew(
         running.fleet.log.say(now, "store-recovered", f"{path} {why}; what is left of it: {aside}")
         try:
             # In one call: a commit between the two steps would be in neither store.
-            await running.kept(
+            await running.run_on_store(
                 lambda store: _put(store, _written(path, source, eras, batch), path, aside)
             )
             running.store = open_store(path, running.service.given.store.durable)

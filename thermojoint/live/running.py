@@ -41,16 +41,16 @@ from thermojoint.live.settings import Service
 from thermojoint.live.store import (
     Batch,
     Checkpoint,
-    Kept,
+    StoredEra,
     commit,
     era_before,
     era_of,
     identity_of,
-    kept_of,
+    last_received,
     locked,
     new_era,
     open_store,
-    received_last,
+    stored_eras,
 )
 
 #: Largest number of queued blocks of arrivals; beyond it the readers wait.
@@ -105,7 +105,7 @@ class Running:
     #: Space for the store, at the last check.
     room: Room = field(default_factory=Room)
 
-    async def kept(self, work: Callable[..., Result], *arguments: object) -> Result:
+    async def run_on_store(self, work: Callable[..., Result], *arguments: object) -> Result:
         """Run a function on the store, after all earlier ones."""
         loop = asyncio.get_running_loop()
         return await loop.run_in_executor(self.keeper, work, self.store, *arguments)
@@ -131,7 +131,7 @@ class Running:
             The reserve is used up, or the store is damaged.
         """
         before, wanted = self.room, self._per_hour * self.service.given.store.reserve_h
-        self.room = await self.kept(tend, self.archive.path, wanted)
+        self.room = await self.run_on_store(tend, self.archive.path, wanted)
         self.metrics.disk_full.set(self.room.full)
         self.metrics.reserve.set(3600.0 * self.reserve_h)
         if self.room.full != before.full:
@@ -177,7 +177,7 @@ async def opened(
         yield running
         log.say(time.time(), "stop", "all that was read is kept")
         with suppress(sqlite3.DatabaseError):
-            await running.kept(commit, Batch(events=log.fetched()))
+            await running.run_on_store(commit, Batch(events=log.fetched()))
 
 
 def restored_fleet(
@@ -210,40 +210,40 @@ def _restored_machines(
     times: Times,
 ) -> dict[str, Machine]:
     now, archive = times.now, Archive(service.folder / _STORE)
-    of, received = models_by_machine(models, service), received_last(store)
+    of, received = models_by_machine(models, service), last_received(store)
     store.execute("BEGIN IMMEDIATE")
     eras = {
         name: era_of(store, name, model.digest, model.layout, now) for name, model in of.items()
     }
     store.execute("COMMIT")
     before = {name: era_before(store, era) for name, era in eras.items()}
-    every = kept_of(store, [*eras.values(), *(era for era, _ in before.values() if era)])
+    every = stored_eras(store, [*eras.values(), *(era for era, _ in before.values() if era)])
     by_name: dict[str, Machine] = {}
     moved: list[Checkpoint] = []
     for name, model in of.items():
-        (earlier, continues), kept = before[name], every[eras[name]]
-        last = archive.checkpointed(name, kept.era)
-        fresh = kept.state is None and not kept.later
+        (earlier, continues), stored = before[name], every[eras[name]]
+        last = archive.checkpointed(name, stored.era)
+        fresh = stored.state is None and not stored.later
         if last is None and earlier is not None and continues:
             last = archive.checkpointed(name, earlier)
             if fresh:
-                kept = every[earlier]
+                stored = every[earlier]
         elif fresh and earlier is not None:
             # Another model: its estimator starts anew, and the source is read from its position.
-            kept = replace(kept, rest=_read_on(every[earlier], model))
+            stored = replace(stored, rest=_read_on(every[earlier], model))
         try:
-            state, position = restore_state(name, model, kept, last, received.get(name), times)
+            state, position = restore_state(name, model, stored, last, received.get(name), times)
         except InputError as error:
             # Its estimator starts anew, its offsets continue. A new era begins, because in the old
             # one a state with fewer samples would not replace the refused one.
             log.say(now, "state-refused", str(error), name)
-            if kept.era == eras[name]:
+            if stored.era == eras[name]:
                 eras[name] = new_era(store, name, model.digest, model.layout, now)
-            kept, last = Kept(eras[name], model.layout, 0, None, "{}", ()), None
-            every[eras[name]] = kept
-            state, position = restore_state(name, model, kept, last, received.get(name), times)
-        if kept.era != eras[name]:
-            moved += _moved(model, state, position, kept, eras[name])
+            stored, last = StoredEra(eras[name], model.layout, 0, None, "{}", ()), None
+            every[eras[name]] = stored
+            state, position = restore_state(name, model, stored, last, received.get(name), times)
+        if stored.era != eras[name]:
+            moved += _moved(model, state, position, stored, eras[name])
             log.say(now, "moved", "other axes of the control; the estimator continues", name)
         last_usable = processing.last_usable_clock(
             _last_usable_sample(archive, model, state), model.rule, service.given.behind_s, times
@@ -270,23 +270,23 @@ def _last_usable_sample(archive: Archive, model: LoadedModel, state: MachineStat
     return last
 
 
-def _read_on(kept: Kept, model: LoadedModel) -> str:
+def _read_on(stored: StoredEra, model: LoadedModel) -> str:
     """Return the position of a source, and waiting readings if the model has the same readings."""
-    if kept.layout.readings == model.layout.readings:
-        return kept.newest
-    return json.dumps({"at": json.loads(kept.newest).get("at")})
+    if stored.layout.readings == model.layout.readings:
+        return stored.newest
+    return json.dumps({"at": json.loads(stored.newest).get("at")})
 
 
 def _moved(
-    model: LoadedModel, state: MachineState, position: object, kept: Kept, now: int
+    model: LoadedModel, state: MachineState, position: object, stored: StoredEra, now: int
 ) -> tuple[Checkpoint, Checkpoint]:
     """Return the last checkpoint of an era, and the first of the era that continues it."""
     number, content = state.latest.number, state_bytes(model, state)
     rest = rest_of(state, position)
-    rows = np.array([np.frombuffer(taken.row) for taken in kept.later])
-    words = tuple(taken.status for taken in kept.later)
+    rows = np.array([np.frombuffer(taken.row) for taken in stored.later])
+    words = tuple(taken.status for taken in stored.later)
     none = np.empty((0, model.layout.width))
     return (
-        Checkpoint(kept.era, number, content, rest, rows.reshape(-1, kept.layout.width), words),
+        Checkpoint(stored.era, number, content, rest, rows.reshape(-1, stored.layout.width), words),
         Checkpoint(now, number, content, rest, none, ()),
     )

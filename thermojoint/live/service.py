@@ -30,7 +30,7 @@ from thermojoint.live.readers.reading import Reader, readers_of
 from thermojoint.live.recovery import is_damage, recover, recover_if_gone
 from thermojoint.live.running import Running, opened
 from thermojoint.live.settings import Service
-from thermojoint.live.store import Batch, commit, forget, move_log
+from thermojoint.live.store import Batch, checkpoint_wal, commit, prune
 
 #: Number of arrivals that are processed at once; others wait.
 _AT_ONCE = 32
@@ -201,7 +201,7 @@ async def _process(running: Running) -> None:
         events = fleet.log.fetched()
         if results.samples or events:
             received = processing.received_offsets(fleet, results.publications, now)
-            batch = Batch(results.samples, (), events, results.holes, received)
+            batch = Batch(results.samples, (), events, results.gaps, received)
             with running.metrics.commit.time():
                 await _keep(running, batch)
         running.publisher.publish(list(results.publications.values()))
@@ -248,7 +248,7 @@ async def shorten_log(running: Running) -> None:
     path = running.archive.path
     log = path.with_name(path.name + "-wal")
     async with _tending(running):
-        await asyncio.to_thread(move_log, path)
+        await asyncio.to_thread(checkpoint_wal, path)
     running.metrics.log_size.set(log.stat().st_size if log.exists() else 0)
 
 
@@ -306,7 +306,7 @@ async def _checkpoint_some(running: Running, every: float) -> None:
     await _checkpoint(running, due)
     oldest = 86400.0 * running.service.given.store.keep_days
     eras = [machine.era for machine in due]
-    await running.kept(forget, running.behind, eras, oldest, time.time())
+    await running.run_on_store(prune, running.behind, eras, oldest, time.time())
 
 
 async def _checkpoint(running: Running, machines: Sequence[Machine]) -> None:
@@ -324,7 +324,7 @@ async def _keep(running: Running, batch: Batch) -> None:
     while True:
         store = running.store
         try:
-            running.journal_end = await running.kept(commit, batch)
+            running.journal_end = await running.run_on_store(commit, batch)
         except sqlite3.DatabaseError as error:
             log, newest = running.fleet.log, running.publisher.newest
             if is_damage(error):

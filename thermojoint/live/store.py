@@ -38,11 +38,11 @@ _LOCK = "lock"
 #: Number of passes of moving the log: each pass has less to move.
 _PASSES = 2
 #: Longest time for which a writer waits for another one, s.
-_PATIENCE_S = 10.0
+_BUSY_TIMEOUT_S = 10.0
 #: Size of the write-ahead log from which a commit moves it, bytes.
-_LONGEST_LOG = 64_000_000
+_LARGEST_WAL = 64_000_000
 #: Number of entries of the journal, and of chunks of a past era, deleted at once.
-MOST_FORGOTTEN, _MOST_CHUNKS = 5_000, 50
+MOST_PRUNED, _MOST_CHUNKS = 5_000, 50
 #: Statement to add a chunk of `_chunk`; condition for a sample of the journal in no chunk yet.
 _ADD_CHUNK = (
     "INSERT INTO chunks (era, first, last, number, count, rows, status) "
@@ -79,7 +79,7 @@ CREATE TABLE IF NOT EXISTS received (
 """
 
 
-class Taken(NamedTuple):
+class StoredSample(NamedTuple):
     """A processed sample."""
 
     #: Era of its machine: `era_of`.
@@ -98,7 +98,7 @@ class Taken(NamedTuple):
 class Checkpoint:
     """A state, and the samples since the last checkpoint."""
 
-    #: As in `Taken`, for the last sample; the same for `number` and `rest`.
+    #: As in `StoredSample`, for the last sample; the same for `number` and `rest`.
     era: int
     number: int
     #: State of the estimator.
@@ -119,7 +119,7 @@ class Event(NamedTuple):
     text: str
 
 
-class Hole(NamedTuple):
+class Gap(NamedTuple):
     """A time span (s since 1970) without samples of a machine, and its reason."""
 
     machine: str
@@ -128,7 +128,7 @@ class Hole(NamedTuple):
     why: str
 
 
-class Received(NamedTuple):
+class ReceivedOffsets(NamedTuple):
     """Last values received by the control of a machine, under any model and settings."""
 
     machine: str
@@ -142,15 +142,15 @@ class Received(NamedTuple):
 class Batch:
     """Content of one transaction."""
 
-    taken: Sequence[Taken] = ()
+    samples: Sequence[StoredSample] = ()
     checkpoints: Sequence[Checkpoint] = ()
     events: Sequence[Event] = ()
-    holes: Sequence[Hole] = ()
-    received: Sequence[Received] = ()
+    gaps: Sequence[Gap] = ()
+    received: Sequence[ReceivedOffsets] = ()
 
 
 @dataclass(frozen=True)
-class Kept:
+class StoredEra:
     """Stored data of an era."""
 
     #: Number of the era.
@@ -161,14 +161,14 @@ class Kept:
     number: int
     #: State of the estimator at the checkpoint; None before the first.
     state: bytes | None
-    #: As in `Taken`, at the checkpoint.
+    #: As in `StoredSample`, at the checkpoint.
     rest: str
     #: The samples since the checkpoint, in order.
-    later: tuple[Taken, ...]
+    later: tuple[StoredSample, ...]
 
     @property
     def newest(self) -> str:
-        """Dependencies of the next sample besides the state: `Taken.rest` of the last one."""
+        """What the next sample depends on besides the state: `rest` of the last sample."""
         return self.later[-1].rest if self.later else self.rest
 
 
@@ -194,7 +194,7 @@ def locked(folder: Path) -> Iterator[None]:
         yield
 
 
-def is_held(folder: Path) -> bool:
+def is_locked(folder: Path) -> bool:
     """Return whether a service runs on a folder."""
     if not (folder / _LOCK).exists():
         return False
@@ -205,17 +205,17 @@ def is_held(folder: Path) -> bool:
         return True
 
 
-def hang_up(folder: Path) -> bool:
+def send_sighup(folder: Path) -> bool:
     """Send SIGHUP to the service that runs on a folder; return whether one does."""
-    process = holder(folder)
+    process = lock_owner(folder)
     if process is not None:
         os.kill(process, signal.SIGHUP)
     return process is not None
 
 
-def holder(folder: Path) -> int | None:
+def lock_owner(folder: Path) -> int | None:
     """Return the process of the service that runs on a folder; None without one."""
-    return int((folder / _LOCK).read_text()) if is_held(folder) else None
+    return int((folder / _LOCK).read_text()) if is_locked(folder) else None
 
 
 def open_store(path: Path, durable: bool = False) -> sqlite3.Connection:
@@ -236,12 +236,12 @@ def open_store(path: Path, durable: bool = False) -> sqlite3.Connection:
     """
     with _as_store(path):
         store = sqlite3.connect(
-            path, isolation_level=None, check_same_thread=False, timeout=_PATIENCE_S
+            path, isolation_level=None, check_same_thread=False, timeout=_BUSY_TIMEOUT_S
         )
         store.execute("PRAGMA journal_mode = WAL")
         store.execute(f"PRAGMA synchronous = {'FULL' if durable else 'NORMAL'}")
         # The service moves the log itself: commits that do so, from this size on, take longer.
-        stay_within(store, _LONGEST_LOG)
+        stay_within(store, _LARGEST_WAL)
         store.executescript(_TABLES + RESERVE)
         store.execute(
             "INSERT OR IGNORE INTO meta VALUES ('schema_version', ?)", (str(SCHEMA_VERSION),)
@@ -348,20 +348,20 @@ def era_before(store: sqlite3.Connection, era: int) -> tuple[int | None, bool]:
     ) == now
 
 
-def kept_of(store: sqlite3.Connection, eras: Iterable[int]) -> dict[int, Kept]:
+def stored_eras(store: sqlite3.Connection, eras: Iterable[int]) -> dict[int, StoredEra]:
     """Return the stored data of some eras."""
     states = {
         era: (number, state, rest)
         for era, number, state, rest in store.execute("SELECT era, number, state, rest FROM states")
     }
-    later: dict[int, list[Taken]] = {}
+    later: dict[int, list[StoredSample]] = {}
     for row in store.execute("SELECT era, number, row, status, rest FROM journal ORDER BY id"):
-        taken = Taken(*row)
+        taken = StoredSample(*row)
         if taken.number > states.get(taken.era, (0,))[0]:
             later.setdefault(taken.era, []).append(taken)
     layouts = dict(store.execute("SELECT id, layout FROM eras"))
     return {
-        era: Kept(
+        era: StoredEra(
             era,
             layout_from(layouts[era]),
             *states.get(era, (0, None, "{}")),
@@ -371,10 +371,10 @@ def kept_of(store: sqlite3.Connection, eras: Iterable[int]) -> dict[int, Kept]:
     }
 
 
-def received_last(store: sqlite3.Connection) -> dict[str, Received]:
+def last_received(store: sqlite3.Connection) -> dict[str, ReceivedOffsets]:
     """Return the values that the control of each machine received last."""
     rows = store.execute("SELECT machine, at, content FROM received")
-    return {row[0]: Received(*row) for row in rows}
+    return {row[0]: ReceivedOffsets(*row) for row in rows}
 
 
 def commit(store: sqlite3.Connection, batch: Batch) -> int:
@@ -383,7 +383,7 @@ def commit(store: sqlite3.Connection, batch: Batch) -> int:
     try:
         store.executemany(
             "INSERT INTO journal (era, number, row, status, rest) VALUES (?, ?, ?, ?, ?)",
-            batch.taken,
+            batch.samples,
         )
         store.executemany(
             # A state that waited for a new store does not replace a newer one.
@@ -403,7 +403,7 @@ def commit(store: sqlite3.Connection, batch: Batch) -> int:
             "INSERT INTO events (time, machine, kind, text) VALUES (?, ?, ?, ?)", batch.events
         )
         store.executemany(
-            "INSERT INTO holes (machine, since, until, why) VALUES (?, ?, ?, ?)", batch.holes
+            "INSERT INTO holes (machine, since, until, why) VALUES (?, ?, ?, ?)", batch.gaps
         )
         # Axes removed from the settings keep their last values.
         store.executemany(
@@ -439,13 +439,13 @@ def _runs(words: Sequence[str]) -> list[tuple[int, str]]:
     return [(k, word) for k, word in enumerate(words) if k == 0 or words[k - 1] != word]
 
 
-def spread(runs: Sequence[tuple[int, str]], count: int) -> list[str]:
+def expanded_runs(runs: Sequence[tuple[int, str]], count: int) -> list[str]:
     """Return the status of each row of a chunk."""
     ends = [*(first for first, _ in runs[1:]), count]
     return [word for (first, word), end in zip(runs, ends, strict=True) for _ in range(first, end)]
 
 
-def forget(
+def prune(
     store: sqlite3.Connection, journal_until: int, eras: Iterable[int], oldest: float, now: float
 ) -> None:
     """Delete data no longer needed in small portions, because commits wait meanwhile.
@@ -454,22 +454,22 @@ def forget(
     ----------
     store : Connection
     journal_until : int
-        Last entry of the journal that is in a checkpoint of every machine; up to `MOST_FORGOTTEN`
+        Last entry of the journal that is in a checkpoint of every machine; up to `MOST_PRUNED`
         entries are deleted. Entries in no checkpoint are kept: their machine has another model
         since a kill, or is not served.
     eras : iterable of int
         Eras whose history is pruned now.
     oldest : float
-        Time for which history, holes and events are kept, s.
+        Time for which history, gaps and events are kept, s.
     now : float
         Present time, s since 1970.
     """
     store.execute("BEGIN IMMEDIATE")
-    _move_ended(store, journal_until)
+    _move_ended_eras(store, journal_until)
     store.execute(
         "DELETE FROM journal WHERE id IN "
         f"(SELECT id FROM journal WHERE id <= ? AND NOT {IN_NO_CHUNK} ORDER BY id LIMIT ?)",
-        (journal_until, MOST_FORGOTTEN),
+        (journal_until, MOST_PRUNED),
     )
     # The condition on `first` uses the index: otherwise every chunk of an era would be read.
     store.executemany(
@@ -480,18 +480,18 @@ def forget(
     )
     store.execute("DELETE FROM events WHERE time < ?", (now - oldest,))
     store.execute("DELETE FROM holes WHERE until < ?", (now - oldest,))
-    _forget_era(store, now - oldest)
+    _prune_era(store, now - oldest)
     store.execute("COMMIT")
 
 
-def _move_ended(store: sqlite3.Connection, until: int) -> None:
+def _move_ended_eras(store: sqlite3.Connection, until: int) -> None:
     """Move samples of ended eras into chunks: a later era has a state, so no checkpoint will."""
     ended = store.execute(
         f"SELECT id, era, number, row, status FROM journal WHERE id <= ? AND {IN_NO_CHUNK} AND "
         "EXISTS (SELECT 1 FROM eras AS own JOIN eras AS next ON next.machine = own.machine AND "
         "next.id > own.id JOIN states ON states.era = next.id WHERE own.id = journal.era) "
         "ORDER BY era, number LIMIT ?",
-        (until, MOST_FORGOTTEN),
+        (until, MOST_PRUNED),
     ).fetchall()
     for era, samples in groupby(ended, key=itemgetter(1)):
         ids, _, numbers, rows, words = zip(*samples, strict=True)
@@ -500,7 +500,7 @@ def _move_ended(store: sqlite3.Connection, until: int) -> None:
         store.executemany("DELETE FROM journal WHERE id = ?", [(one,) for one in ids])
 
 
-def _forget_era(store: sqlite3.Connection, before: float) -> None:
+def _prune_era(store: sqlite3.Connection, before: float) -> None:
     """Delete part of an era whose successor began before a time (s since 1970)."""
     over = store.execute(
         "SELECT one.id FROM eras AS one JOIN eras AS next "
@@ -518,9 +518,9 @@ def _forget_era(store: sqlite3.Connection, before: float) -> None:
             store.execute(f"DELETE FROM {table} WHERE {key} = ?", over)
 
 
-def move_log(path: Path) -> None:
+def checkpoint_wal(path: Path) -> None:
     """Move the write-ahead log into the file by a separate connection, while others write."""
-    with closing(sqlite3.connect(path, timeout=_PATIENCE_S)) as own:
+    with closing(sqlite3.connect(path, timeout=_BUSY_TIMEOUT_S)) as own:
         for _ in range(_PASSES):
             own.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
 

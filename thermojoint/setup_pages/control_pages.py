@@ -26,7 +26,7 @@ from thermojoint.compensation.offsets.usable import UNUSABLE
 from thermojoint.live.access_store import open_access
 from thermojoint.live.secret import create_private
 from thermojoint.live.settings import Secret, Service, read_service
-from thermojoint.live.store import hang_up, holder
+from thermojoint.live.store import lock_owner, send_sighup
 from thermojoint.live.targets.settings import CONTROLS, read_target
 from thermojoint.live.tokens import add_token, revoke_token, tokens_in
 from thermojoint.setup_pages.place import ExistsError, Given, Place, chosen, one
@@ -224,7 +224,7 @@ def _switch(place: Place, on: bool) -> None:
         new = f"{ENABLE} = {str(on).lower()}\n{text}"
     write_text(place.path(TARGET), new)
     if (service := _service(place)) is not None:
-        hang_up(service.folder)
+        send_sighup(service.folder)
 
 
 def show_try(place: Place, given: Given) -> dict[str, Any]:
@@ -343,7 +343,7 @@ def _process(place: Place, service: Service | None) -> int | None:
     # Testing the lock could make a starting service detect another one.
     if own is not None and own.poll() is None:
         return own.pid
-    return holder(service.folder) if service is not None else None
+    return lock_owner(service.folder) if service is not None else None
 
 
 def is_running(place: Place) -> bool:

@@ -28,7 +28,7 @@ from thermojoint.live.loaded_models import load_model
 from thermojoint.live.machine_state import Times, initial_state, restore_state
 from thermojoint.live.publication import Layout, as_json, as_row, from_row
 from thermojoint.live.settings import ModelSection, service_from_data
-from thermojoint.live.store import kept_of, layout_from, layout_text, open_store, received_last
+from thermojoint.live.store import last_received, layout_from, layout_text, open_store, stored_eras
 from thermojoint.live.targets.dry_run import writes
 from thermojoint.live.targets.linuxcnc import files_for
 from thermojoint.live.targets.settings import lines_of, read_target
@@ -123,7 +123,7 @@ def test_a_start_continues_the_line_that_the_control_received_last(place, tmp_pa
     before = feed(fleet, store, 60)
     era = fleet.machines["mill"].era
     other = opened(place, more)
-    kept, received = kept_of(store, [era])[era], received_last(store)["mill"]
+    kept, received = stored_eras(store, [era])[era], last_received(store)["mill"]
     now = START + 60.0 * 60
     machine, _ = restore_state("mill", other, kept, None, received, Times(now, now))
     positions = np.linspace(-0.15, 0.25, 9)

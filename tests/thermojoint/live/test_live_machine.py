@@ -38,15 +38,15 @@ from thermojoint.live.settings import ModelSection, WatchdogSection, service_fro
 from thermojoint.live.store import (
     Batch,
     Event,
-    Taken,
+    StoredSample,
+    checkpoint_wal,
     commit,
     era_before,
     era_of,
-    forget,
-    kept_of,
-    move_log,
+    last_received,
     open_store,
-    received_last,
+    prune,
+    stored_eras,
 )
 
 OFFSETS = """
@@ -173,9 +173,9 @@ def test_a_machine_goes_on_bit_for_bit_wherever_its_last_checkpoint_was(
         feed(fleet, store, 0 if end == 17 else 17, end)
         if at_sample in (0, end):
             checkpoint(fleet, store)
-    kept = kept_of(store, [mill.era])[mill.era]
+    kept = stored_eras(store, [mill.era])[mill.era]
     last = Archive(path).checkpointed("mill", mill.era)
-    received = received_last(store)["mill"]
+    received = last_received(store)["mill"]
     machine, position = restore_state("mill", model, kept, last, received, at(39))
     assert position == 39
     np.testing.assert_array_equal(machine.estimator_state, mill.state.estimator_state)
@@ -197,7 +197,7 @@ def test_the_history_marks_what_is_missing_thins_and_forgets(path, store, fleet)
     feed(fleet, store, 250, 260)
     archive = Archive(path)
     whole = archive.history("mill", 0.0, 1e11, 1000)
-    assert [(one.since - START, one.until - START, one.why) for one in whole.holes] == [
+    assert [(one.since - START, one.until - START, one.why) for one in whole.gaps] == [
         (99.0, 150.0, "the service was down")
     ]
     thinned = archive.history("mill", 0.0, 1e11, 50)
@@ -208,12 +208,12 @@ def test_the_history_marks_what_is_missing_thins_and_forgets(path, store, fleet)
     np.testing.assert_array_equal(part.columns.times - START, np.arange(160.0, 171.0))
     assert archive.latest("mill").number == 210
     end = store.execute("SELECT max(id) FROM journal").fetchone()[0]
-    forget(store, end - 10, [mill.era], 30.0, START + 260.0)
+    prune(store, end - 10, [mill.era], 30.0, START + 260.0)
     left = archive.history("mill", 0.0, 1e11, 1000)
     np.testing.assert_array_equal(left.numbers, np.arange(101, 211))
     with pytest.raises(InputError, match="no machine named 'miller'"):
         archive.history("miller", 0.0, 1e11, 1000)
-    move_log(path)
+    checkpoint_wal(path)
     # All of it is in the file: the next commit begins it anew.
     log = path.with_name(path.name + "-wal")
     size = log.stat().st_size
@@ -227,7 +227,7 @@ def test_another_model_begins_anew(model, store, fleet):
     assert era_of(store, "mill", model.digest, model.layout, START) == era
     other = era_of(store, "mill", "another", model.layout, START)
     assert other != era
-    assert kept_of(store, [other])[other].state is None
+    assert stored_eras(store, [other])[other].state is None
 
 
 def test_what_a_killed_service_had_of_a_former_model_stays_in_the_history(
@@ -235,7 +235,7 @@ def test_what_a_killed_service_had_of_a_former_model_stays_in_the_history(
 ):
     def numbers():
         (end,) = store.execute("SELECT max(id) FROM journal").fetchone()
-        forget(store, end, [], 1e6, START + 30.0)
+        prune(store, end, [], 1e6, START + 30.0)
         return Archive(path).history("mill", 0.0, 1e11, 1000).numbers.tolist()
 
     feed(fleet, store, 0, 10)
@@ -342,8 +342,8 @@ def test_a_restart_with_another_resolution_keeps_the_offset(
     before = fleet.machines["mill"].state.latest.offsets[0]
     assert abs(before) > 1e-6
     other = with_offsets(model, f"resolution_um = {resolution}\n{OFFSETS}", tmp_path)
-    kept = kept_of(store, [fleet.machines["mill"].era])[fleet.machines["mill"].era]
-    machine, _ = restore_state("mill", other, kept, None, received_last(store)["mill"], at(40))
+    kept = stored_eras(store, [fleet.machines["mill"].era])[fleet.machines["mill"].era]
+    machine, _ = restore_state("mill", other, kept, None, last_received(store)["mill"], at(40))
     assert machine.latest.offsets[0] == pytest.approx(before, abs=0.5e-6 * resolution * 1.001)
 
 
@@ -361,7 +361,7 @@ def test_a_full_disk_is_no_damage(store):
 
 def test_a_store_goes_on_in_its_reserve_on_a_full_disk(tmp_path):
     """For all of it, and then it loses nothing; with room again it has a reserve again."""
-    batch = Batch(taken=[Taken(1, k, bytes(8 * 20), "ok", "{}") for k in range(1000)])
+    batch = Batch(samples=[StoredSample(1, k, bytes(8 * 20), "ok", "{}") for k in range(1000)])
     wanted, stored, rooms = 3 * SLICE, 0, []
     with mounted(tmp_path / "disk", 96) as disk:
         path = disk / "history.sqlite"
@@ -400,9 +400,9 @@ def test_other_axes_of_the_control_leave_the_estimator_its_state(
     era = era_of(store, "mill", other.digest, other.layout, START + 50)
     assert era != mill.era
     assert era_before(store, era) == (mill.era, True)
-    kept = kept_of(store, [mill.era])[mill.era]
+    kept = stored_eras(store, [mill.era])[mill.era]
     last = Archive(path).checkpointed("mill", mill.era)
-    received = received_last(store)["mill"]
+    received = last_received(store)["mill"]
     machine, _ = restore_state("mill", other, kept, last, received, at(50))
     np.testing.assert_array_equal(machine.estimator_state, mill.state.estimator_state)
     assert machine.latest.number == 50
@@ -417,7 +417,7 @@ def test_a_start_sends_what_the_control_received_last_and_goes_on_from_there(mod
     feed(fleet, store, 0, 40)
     mill = fleet.machines["mill"]
     before = mill.state.latest.offsets
-    kept, received = kept_of(store, [mill.era])[mill.era], received_last(store)["mill"]
+    kept, received = stored_eras(store, [mill.era])[mill.era], last_received(store)["mill"]
     machine, _ = restore_state("mill", model, kept, None, received, at(39 + 120))
     assert (machine.latest.offsets.tolist(), machine.latest.offset_mode) == (
         before.tolist(),
@@ -429,7 +429,7 @@ def test_a_start_sends_what_the_control_received_last_and_goes_on_from_there(mod
     _, said = after_silence(model, machine, 121.0, at(39 + 121), WatchdogSection())
     assert said.offsets == pytest.approx(expected.offsets, abs=3e-7)
     other = replace(model, digest="another model")
-    nothing = kept_of(store, [era_of(store, "mill", other.digest, other.layout, START)])
+    nothing = stored_eras(store, [era_of(store, "mill", other.digest, other.layout, START)])
     machine, _ = restore_state("mill", other, *nothing.values(), None, received, at(41))
     assert (machine.latest.number, machine.latest.offset_mode) == (0, "freeze")
     assert machine.latest.offsets.tolist() == before.tolist()
@@ -529,7 +529,7 @@ def test_a_state_is_refused_once_and_those_after_it_are_kept(model, store, path)
     events = [*archive.events("mill", 0.0, 1e11, 1000), *log.pending]
     assert [one.kind for one in events].count("state-refused") == 1
     assert said.number == 20
-    forget(store, 10**6, [], 1e9, START)
+    prune(store, 10**6, [], 1e9, START)
     history = archive.history("mill", 0.0, 1e11, 1000)
     assert history.columns.times.tolist() == [
         START + k for k in (*range(55), *range(60, 70), *range(80, 90))
@@ -543,7 +543,7 @@ def test_holes_and_eras_that_are_over_are_forgotten_like_the_rest(model, store, 
     checkpoint(fleet, store)
     era = era_of(store, "mill", "another", model.layout, START + 100.0)
     for now in (START + 120.0, START + 200.0):
-        forget(store, 0, [era], 90.0, now)
+        prune(store, 0, [era], 90.0, now)
         left = [one[0] for one in store.execute("SELECT id FROM eras")]
         holes = store.execute("SELECT count(*) FROM holes").fetchone()[0]
         assert (left, holes) == (([mill.era, era], 1) if now < START + 190.0 else ([era], 0))

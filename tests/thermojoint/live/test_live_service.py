@@ -124,7 +124,7 @@ def test_lines_are_estimated_as_the_estimator_says_and_once_over_three_lives(
         lived_to_its_end(model, tmp_path, rows[:end])
     history = history_in(tmp_path)
     assert_says(history, expected)
-    assert not history.holes
+    assert not history.gaps
 
 
 def test_another_model_starts_anew_where_the_one_before_it_stopped(
@@ -205,7 +205,7 @@ def test_a_folder_is_one_services_and_a_store_that_others_hold_is_waited_for(mod
                     pass
             newest = running.publisher.newest
             await until(lambda: newest["mill"].number == 20)
-            await running.kept(lambda store: store.execute("PRAGMA busy_timeout = 20"))
+            await running.run_on_store(lambda store: store.execute("PRAGMA busy_timeout = 20"))
             path = tmp_path / "state" / "history.sqlite"
             with contextlib.closing(sqlite3.connect(path, isolation_level=None)) as other:
                 other.execute("BEGIN IMMEDIATE")
@@ -273,7 +273,7 @@ def test_a_store_that_is_lost_while_the_service_runs_is_made_anew(
         history.columns.displacement, expected[40 - len(history.numbers) : 40]
     )
     asyncio.run(live(40, more=False))
-    assert not history_in(tmp_path).holes
+    assert not history_in(tmp_path).gaps
 
 
 def test_a_full_disk_stops_nobody(model, expected, tmp_path):
@@ -504,7 +504,7 @@ def test_messages_over_tls_come_once_although_broker_and_service_go_away(model, 
         found = asyncio.run(second())
     history = history_in(tmp_path)
     assert_says(history, expected[:40])
-    assert not history.holes
+    assert not history.gaps
     last = found["thermojoint/mill/displacement"]
     assert last["displacement_um"]["x"] == pytest.approx(1e6 * expected[39, 0], abs=1e-3)
     assert found["thermojoint/service"] == {"state": "running"}
@@ -639,7 +639,7 @@ def test_a_machine_that_tells_opcua_is_estimated_sample_by_sample(opcua_day, exp
 
 def test_what_came_while_the_service_was_away_is_read_from_the_machines_history(opcua_day):
     base, _ = opcua_day
-    assert not [one for one in history_in(base).holes if one.since >= START]
+    assert not [one for one in history_in(base).gaps if one.since >= START]
 
 
 class Late(HistoryDict):

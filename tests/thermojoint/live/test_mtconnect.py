@@ -105,7 +105,7 @@ def test_every_sample_is_there_once_although_agent_and_service_go_away(model, ve
 
     asked = asyncio.run(live())
     history = history_in(tmp_path)
-    assert not history.holes
+    assert not history.gaps
     times = START + np.arange(120.0)
     np.testing.assert_array_equal(history.columns.times, times)
     expected = estimated(model, np.column_stack([times, readings]))
@@ -143,7 +143,7 @@ def test_a_service_that_is_killed_reads_the_agents_buffer_on(model, tmp_path):
 
     asyncio.run(live())
     history = history_in(tmp_path)
-    assert not history.holes
+    assert not history.gaps
     np.testing.assert_array_equal(history.columns.times, START + np.arange(300.0))
     np.testing.assert_array_equal(history.columns.readings, readings)
 
@@ -172,7 +172,7 @@ def test_what_an_agent_has_lost_is_a_hole_and_the_values_of_now_go_on(model, cau
         return found
 
     np.testing.assert_array_equal(asyncio.run(live()), readings[61])
-    [hole] = history_in(tmp_path).holes
+    [hole] = history_in(tmp_path).gaps
     assert hole.since == START
     assert bool(events_in(tmp_path, "overrun")) == (cause == "overrun")
 

@@ -28,7 +28,7 @@ from thermojoint.live.former_models import SHOWN, fingerprint_of, read_record
 from thermojoint.live.reloading import serve_file
 from thermojoint.live.service import shorten_log
 from thermojoint.live.settings import HttpServer, read_service
-from thermojoint.live.store import hang_up
+from thermojoint.live.store import send_sighup
 from thermojoint.live.targets.settings import read_target
 from thermojoint.live.users import add_user
 from thermojoint.models.assembly import assemble
@@ -172,7 +172,7 @@ def life(models, tmp_path_factory):
             # As the command does it.
             count = len(starts)
             asyncio.get_running_loop().add_signal_handler(signal.SIGHUP, reload.set)
-            assert hang_up(folder / "state")
+            assert send_sighup(folder / "state")
             await until(lambda: len(starts) > count)
             digests.append(starts[-1].fleet.machines["mill"].model.digest)
             # What is put into the file later counts again.

@@ -88,8 +88,7 @@ def history_body(machine: str, history: History) -> dict[str, Any]:
         "machine": machine,
         "every": history.every,
         "holes": [
-            {"since_s": hole.since, "until_s": hole.until, "why": hole.why}
-            for hole in history.holes
+            {"since_s": gap.since, "until_s": gap.until, "why": gap.why} for gap in history.gaps
         ],
         "time_s": _numbers(columns.times, 3),
         "quality": [Quality(int(quality)).word for quality in columns.quality],
