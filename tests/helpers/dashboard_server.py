@@ -117,11 +117,13 @@ class Running:
         self.url, self.publisher, self.token = opened.url, publisher, TOKEN
         #: Name to its constant data, which a test may change.
         self.machines = machines
-        # The gate is the outermost of what the application consists of.
+        # The access control is the outermost of what the application consists of.
         self.server = opened.server
         app = opened.server.config.app
-        self.door = next(one.kwargs["door"] for one in app.user_middleware if "door" in one.kwargs)
-        self.accounts = self.door.accounts
+        self.access = next(
+            one.kwargs["access"] for one in app.user_middleware if "access" in one.kwargs
+        )
+        self.accounts = self.access.accounts
         self._loop, self._stop = loop, stop
 
     def audit(self):
@@ -133,7 +135,7 @@ class Running:
 
     def forget_failures(self):
         """Nobody has shown a wrong token."""
-        self.door.failures.levels.clear()
+        self.access.failures.levels.clear()
 
     def drop_connections(self):
         """Whoever is connected is so no more."""

@@ -19,7 +19,7 @@ from thermojoint.live.rights import Principal
 from thermojoint.live.secret import read_secret
 from thermojoint.live.settings import Service
 from thermojoint.live.tokens import token_of
-from thermojoint.live.users import Gate, principal_of, read_users
+from thermojoint.live.users import PasswordCheck, principal_of, read_users
 
 #: Smallest length of a token of the settings: so many random characters cannot be guessed.
 SHORTEST_TOKEN = 32
@@ -36,13 +36,13 @@ class Accounts:
     users_file: Path | None = None
     #: Token of the settings, by its digest.
     given: Mapping[str, Principal] = field(default_factory=dict)
-    gate: Gate = field(default_factory=lambda: Gate({}))
+    passwords: PasswordCheck = field(default_factory=lambda: PasswordCheck({}))
     _read: int = -1
 
     def by_password(self, name: str, password: str) -> Principal | None:
         """Return the rights of a user; None if the password is wrong."""
         self._refresh()
-        return self.gate.admitted(name, password, time.monotonic())
+        return self.passwords.principal(name, password, time.monotonic())
 
     def by_token(self, token: str) -> Principal | None:
         """Return the rights of a token; None if it is unknown, revoked or expired."""
@@ -61,7 +61,7 @@ class Accounts:
     def by_credential(self, credential: str) -> Principal | None:
         """Return the present rights of a credential; None if it has ended."""
         self._refresh()
-        for name, user in self.gate.users.items():
+        for name, user in self.passwords.users.items():
             found = principal_of(name, user)
             if found.credential == credential:
                 return found
@@ -93,7 +93,7 @@ class Accounts:
         with suppress(OSError, InputError):
             changed = self.users_file.stat().st_mtime_ns
             if changed != self._read:
-                self.gate.users = read_users(self.users_file)
+                self.passwords.users = read_users(self.users_file)
                 self._read = changed
 
 
@@ -119,11 +119,11 @@ def accounts_of(service: Service) -> Accounts:
         token = read_secret(http.token, "http.token")
         given = {digest_of(token): Principal("http.token", credential=checked(token))}
     users = service.users_file
-    gate = Gate({} if users is None else read_users(users))
+    passwords = PasswordCheck({} if users is None else read_users(users))
     store = open_access(service.folder)
     with suppress(sqlite3.OperationalError):
         lay_in(store, service.folder / ACCESS, RESERVE_SIZE)
-    return Accounts(store, audit_of(service), users, given, gate)
+    return Accounts(store, audit_of(service), users, given, passwords)
 
 
 def checked(token: str) -> str:

@@ -23,7 +23,7 @@ from asyncua.ua.ua_binary import struct_from_binary
 
 from thermojoint.live.accounts import Accounts
 from thermojoint.live.log_lines import EventLog
-from thermojoint.live.opcua_internals import limit, watch_callers
+from thermojoint.live.opcua_internals import enforce_access, limit
 from thermojoint.live.rights import Principal, Role
 from thermojoint.live.settings import OpcuaServer
 from thermojoint.live.trust_list import TrustList
@@ -43,7 +43,7 @@ _ANYBODY = Principal("anybody")
 
 
 @dataclass
-class Known(User):
+class LoggedInUser(User):
     """A user who has logged in."""
 
     #: Rights at that time.
@@ -52,7 +52,7 @@ class Known(User):
     origin: str = "opcua"
 
 
-class Rules(SimpleRoleRuleset):
+class RequestRules(SimpleRoleRuleset):
     """Logged-in users may read, browse, subscribe and write; nobody may add nodes.
 
     The only method that may be called is the refresh of alarms.
@@ -63,15 +63,15 @@ class Rules(SimpleRoleRuleset):
         self._allowed = set(map(ua.NodeId, USER_TYPES)) - {_CALL}
 
     def check_validity(self, user: User | None, action_type_id: ua.NodeId, body: Any) -> bool:  # noqa: ANN401
-        """Return whether a user may make a request; `Door` then checks the nodes."""
-        if action_type_id == _CALL and isinstance(user, Known):
+        """Return whether a user may make a request; `AccessControl` then checks the nodes."""
+        if action_type_id == _CALL and isinstance(user, LoggedInUser):
             called = struct_from_binary(ua.CallParameters, body.copy()).MethodsToCall
             return all(one.MethodId in _CALLED for one in called)
-        return isinstance(user, Known) and action_type_id in self._allowed
+        return isinstance(user, LoggedInUser) and action_type_id in self._allowed
 
 
 @dataclass(eq=False)
-class Door(UserManager):
+class AccessControl(UserManager):
     """Checks user, password and client certificate at a log-in, and rights on machines."""
 
     #: Users, and the audit log.
@@ -115,12 +115,14 @@ class Door(UserManager):
             self.accounts.audit.refused(shown, origin, "login", why)
             self.log.say(time.time(), "refused", f"OPC UA: user {shown!r} at {self.peer}: {why}")
             return None
-        return Known(role=UserRole.User, name=principal.name, principal=principal, origin=origin)
+        return LoggedInUser(
+            role=UserRole.User, name=principal.name, principal=principal, origin=origin
+        )
 
     def refusal(self, user: User, node: ua.NodeId, role: Role) -> str:
         """Return why a user may not read or write a node now; empty if it is allowed."""
         machine = self.machine_of(node)
-        if not isinstance(user, Known) or machine is None:
+        if not isinstance(user, LoggedInUser) or machine is None:
             return ""
         principal: Principal | None = user.principal
         if user.principal.credential:
@@ -134,7 +136,11 @@ class Door(UserManager):
     def hides(self, user: User, node: ua.NodeId) -> bool:
         """Return whether a node belongs to a machine that does not exist for a user."""
         machine = self.machine_of(node)
-        return machine is not None and isinstance(user, Known) and not user.principal.sees(machine)
+        return (
+            machine is not None
+            and isinstance(user, LoggedInUser)
+            and not user.principal.sees(machine)
+        )
 
     def machine_of(self, node: ua.NodeId) -> str | None:
         """Return the machine of a node (``NAME`` or ``NAME.Folder.name``); None for other nodes."""
@@ -144,7 +150,7 @@ class Door(UserManager):
 
     def has_ended(self, user: User) -> bool:
         """Return whether a user was removed, or the password changed, since the log-in."""
-        credential = user.principal.credential if isinstance(user, Known) else ""
+        credential = user.principal.credential if isinstance(user, LoggedInUser) else ""
         return bool(credential) and self.accounts.by_credential(credential) is None
 
     def before_write(self, event: ServerItemCallback, service: object) -> None:
@@ -159,7 +165,7 @@ class Door(UserManager):
             return
         for one in event.request_params.NodesToWrite:
             why = self.refusal(event.user, one.NodeId, "operator")
-            if not why and not isinstance(event.user, Known):
+            if not why and not isinstance(event.user, LoggedInUser):
                 why = "not logged in"
             if not why and self.machine_of(one.NodeId) is None:
                 why = "it is of no machine"
@@ -177,7 +183,7 @@ class Door(UserManager):
 
     def after_read(self, event: ServerItemCallback, service: object) -> None:
         """Replace the values of machines that the user may not see."""
-        if not isinstance(event.user, Known) or event.user.principal.sees_all:
+        if not isinstance(event.user, LoggedInUser) or event.user.principal.sees_all:
             return
         for k, one in enumerate(event.request_params.NodesToRead):
             if self.refusal(event.user, one.NodeId, "viewer"):
@@ -193,17 +199,17 @@ class Door(UserManager):
             self.accounts.audit.written(who, origin, what, machine)
 
 
-def restrict(server: Server, door: Door, section: OpcuaServer) -> None:
+def restrict(server: Server, access: AccessControl, section: OpcuaServer) -> None:
     """Set security (Basic256Sha256, or none at all) and limits of a server, before it starts."""
     policy = ua.SecurityPolicyType.NoSecurity
     if section.security == "sign-and-encrypt":
         policy = ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt
-    server.set_security_policy([policy], permission_ruleset=Rules())
-    token = ua.UserNameIdentityToken if door.asks else ua.AnonymousIdentityToken
+    server.set_security_policy([policy], permission_ruleset=RequestRules())
+    token = ua.UserNameIdentityToken if access.asks else ua.AnonymousIdentityToken
     server.set_identity_tokens([token])
-    server.subscribe_server_callback(CallbackType.PreWrite, door.before_write)
-    server.subscribe_server_callback(CallbackType.PostWrite, door.after_write)
-    server.subscribe_server_callback(CallbackType.PostRead, door.after_read)
+    server.subscribe_server_callback(CallbackType.PreWrite, access.before_write)
+    server.subscribe_server_callback(CallbackType.PostWrite, access.after_write)
+    server.subscribe_server_callback(CallbackType.PostRead, access.after_read)
     server.allow_remote_admin(False)
     server.limits = TransportLimits(
         max_recv_buffer=65535,
@@ -212,4 +218,4 @@ def restrict(server: Server, door: Door, section: OpcuaServer) -> None:
         max_message_size=_LARGEST,
     )
     limit(server, section.most_sessions, section.most_subscriptions, section.most_items)
-    watch_callers(server, door)
+    enforce_access(server, access)

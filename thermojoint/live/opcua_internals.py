@@ -38,7 +38,7 @@ def value_of(server: Server, nodeid: ua.NodeId) -> Any:  # noqa: ANN401
 def limit(server: Server, sessions: int, subscriptions: int, items: int) -> None:
     """Limit the resources of a server, before it starts."""
     inner = server.iserver
-    # `limit_callers` does the counting; connections that it aborts vanish a moment later.
+    # `limit_connections` does the counting; connections that it aborts vanish a moment later.
     inner.max_connections = sessions + 4 * _MOST_WAITING
     inner.max_pending_activation_seconds = _LOGIN_S
     inner.max_session_timeout_ms = _SESSION_MS
@@ -49,7 +49,7 @@ def limit(server: Server, sessions: int, subscriptions: int, items: int) -> None
     _cap_items(inner, items)
 
 
-class Callers(list[Any]):
+class Connections(list[Any]):
     """Connections of a server; clients that have not logged in cannot block those that have."""
 
     def __init__(self, sessions: int) -> None:
@@ -80,10 +80,10 @@ def _host(one: Any) -> str:  # noqa: ANN401
     return str(one.peer_name[0]) if one.peer_name else ""
 
 
-def limit_callers(server: Server, sessions: int) -> None:
+def limit_connections(server: Server, sessions: int) -> None:
     """Limit the connections of a server that has just started."""
     assert server.bserver is not None
-    server.bserver.clients = Callers(sessions)
+    server.bserver.clients = Connections(sessions)
 
 
 def subscribers(server: Server) -> Iterator[tuple[User, Any]]:
@@ -100,7 +100,7 @@ async def send_event(subscription: Any, event: Any) -> None:  # noqa: ANN401
     await subscription.monitored_item_srv.trigger_event(event)
 
 
-class Watched(Protocol):
+class Access(Protocol):
     """Interface that checks users and their rights on nodes."""
 
     peer: str
@@ -122,22 +122,22 @@ async def disconnect_ended(server: Server) -> None:
                 one.transport.abort()
 
 
-def watch_callers(server: Server, door: Watched) -> None:
-    """Pass the address of each log-in to a door, and hide nodes that a user may not see."""
+def enforce_access(server: Server, access: Access) -> None:
+    """Pass on the address of each log-in, and hide nodes that a user may not see."""
     inner = server.iserver
     decrypt, service = inner.decrypt_user_token, inner.subscription_service
     create, begin = service.create_monitored_items, inner.create_session
 
     def decrypt_of(session: Any, token: ua.UserNameIdentityToken) -> tuple[str, str]:  # noqa: ANN401
         # The name of a session is the address of its connection.
-        door.peer = str(session.name[0]) if session.name else ""
+        access.peer = str(session.name[0]) if session.name else ""
         return decrypt(session, token)
 
     async def create_seen(params: ua.CreateMonitoredItemsParameters) -> Any:  # noqa: ANN401
         owner = getattr(service.subscriptions.get(params.SubscriptionId), "session_id", None)
         for session in list(inner._external_sessions.values()):
             if session.session_id == owner and any(
-                door.refusal(session.user, item.ItemToMonitor.NodeId, "viewer")
+                access.refusal(session.user, item.ItemToMonitor.NodeId, "viewer")
                 for item in params.ItemsToCreate
             ):
                 raise ServiceError(ua.StatusCodes.BadUserAccessDenied)
@@ -152,14 +152,16 @@ def watch_callers(server: Server, door: Watched) -> None:
             results = await browse(params)
             for one in results:
                 one.References = [
-                    found for found in one.References if not door.hides(session.user, found.NodeId)
+                    found
+                    for found in one.References
+                    if not access.hides(session.user, found.NodeId)
                 ]
             return results
 
         async def translate_seen(params: list[ua.BrowsePath]) -> list[ua.BrowsePathResult]:
             results = await translate(params)
             for one in results:
-                if any(door.hides(session.user, found.TargetId) for found in one.Targets):
+                if any(access.hides(session.user, found.TargetId) for found in one.Targets):
                     one.Targets, one.StatusCode = [], ua.StatusCode(ua.StatusCodes.BadNoMatch)
             return results
 
@@ -167,7 +169,7 @@ def watch_callers(server: Server, door: Watched) -> None:
             results = []
             for node in params.NodesToRead:
                 code = ua.StatusCodes.BadUserAccessDenied
-                if not door.refusal(session.user, node.NodeId, "viewer"):
+                if not access.refusal(session.user, node.NodeId, "viewer"):
                     try:
                         results += await read_history(replace(params, NodesToRead=[node]))
                         continue

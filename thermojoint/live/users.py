@@ -166,15 +166,15 @@ def principal_of(name: str, user: UserLine) -> Principal:
 
 
 @dataclass(eq=False)
-class Gate:
-    """Checks passwords, and slows down guessing."""
+class PasswordCheck:
+    """Check of passwords that slows down guessing."""
 
     users: Mapping[str, UserLine]
     _right: dict[str, bytes] = field(default_factory=dict)
     _trials: list[float] = field(default_factory=list)
     _key: bytes = field(default_factory=lambda: secrets.token_bytes(32))
 
-    def admitted(self, name: str, password: str, clock: float) -> Principal | None:
+    def principal(self, name: str, password: str, clock: float) -> Principal | None:
         """Return the rights of a user; None if the password is wrong or too many were tried.
 
         Parameters

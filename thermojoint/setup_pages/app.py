@@ -21,8 +21,8 @@ from thermojoint.artefacts.errors import ThermojointError
 from thermojoint.live.dashboard.assets import Asset, packed
 from thermojoint.live.dashboard.assets import asset as dashboard_asset
 from thermojoint.live.dashboard.pages import page_templates
+from thermojoint.live.http.access import body_of, refused
 from thermojoint.live.http.app import asset_answer
-from thermojoint.live.http.gate import body_of, refused
 from thermojoint.setup_pages import case_pages, control_pages, log_pages
 from thermojoint.setup_pages.gate import Gate, Key
 from thermojoint.setup_pages.place import SHOWN, ExistsError, Given, Place

@@ -11,7 +11,7 @@ from starlette.datastructures import Headers
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from thermojoint.live.http.gate import oversized, refused, ticket_of, with_headers
+from thermojoint.live.http.access import oversized, refused, ticket_of, with_headers
 from thermojoint.live.http.hosts import misdirected
 
 

@@ -31,11 +31,11 @@ from thermojoint.live import limited_socket
 from thermojoint.live.accounts import SHORTEST_TOKEN, checked
 from thermojoint.live.certificates import HTTP_LASTS, own_certificate
 from thermojoint.live.descriptors import RESERVE
-from thermojoint.live.http import gate, timeouts
+from thermojoint.live.http import access, timeouts
 from thermojoint.live.http.bodies import Words, summary
 from thermojoint.live.http.parameters import moment, read_parameters, whole_number
-from thermojoint.live.http.rates import MOST_CLIENTS, Buckets, client_of
 from thermojoint.live.http.stream import Reader, stream
+from thermojoint.live.http.token_buckets import MOST_CLIENTS, TokenBuckets, client_of
 from thermojoint.live.publication import as_json
 from thermojoint.live.publisher import Publisher
 from thermojoint.live.scene import Scene
@@ -264,7 +264,7 @@ def test_wrong_tokens_are_counted_and_the_right_one_still_passes(floor, ask):
     wrong = {"authorization": f"Bearer {'guess' * 10}"}
     codes = [
         httpx.get(f"{floor.url}/metrics", headers=wrong).status_code
-        for _ in range(int(gate.WRONG_TOKENS) + 2)
+        for _ in range(int(access.WRONG_TOKENS) + 2)
     ]
     assert codes[0] == 401
     assert codes[-1] == 429
@@ -299,7 +299,7 @@ def test_headers_let_nothing_in_from_elsewhere(ask):
 
 @given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=200))
 def test_no_client_gets_more_than_its_bucket_and_what_flows_in(pauses):
-    buckets, now, passed = Buckets(2.0, 5.0), 0.0, 0
+    buckets, now, passed = TokenBuckets(2.0, 5.0), 0.0, 0
     for pause in pauses:
         now += pause
         passed += buckets.take("one", now) == 0.0
@@ -307,7 +307,7 @@ def test_no_client_gets_more_than_its_bucket_and_what_flows_in(pauses):
 
 
 def test_many_clients_take_no_more_room_than_some():
-    buckets = Buckets(1.0, 1.0)
+    buckets = TokenBuckets(1.0, 1.0)
     for k in range(2 * MOST_CLIENTS):
         buckets.take(str(k), 0.0)
     assert len(buckets.levels) == MOST_CLIENTS

@@ -20,7 +20,7 @@ from thermojoint.live.secret import read_secret
 from thermojoint.live.settings import ModelSection, Secret, ServiceFile, service_from_data
 from thermojoint.live.users import (
     MOST_TRIALS,
-    Gate,
+    PasswordCheck,
     UserLine,
     add_user,
     hashed,
@@ -234,13 +234,13 @@ def test_the_file_of_users_is_its_owners_alone(tmp_path):
 
 def test_guessing_passwords_ends_soon_and_does_not_lock_out_who_is_known():
     users = {"panel": UserLine("viewer", hashed("panel-secret"))}
-    known = Gate(users, _trials=[1.0] * (MOST_TRIALS - 1))
-    assert known.admitted("panel", "panel-secret", 1.0).role == "viewer"
-    assert known.admitted("panel", "wrong-secret", 1.0) is None
-    assert known.admitted("panel", "panel-secret", 1.0).role == "viewer"
-    fresh = Gate(users, _trials=known._trials)
-    assert fresh.admitted("panel", "panel-secret", 2.0) is None
-    assert fresh.admitted("panel", "panel-secret", 100.0).role == "viewer"
+    known = PasswordCheck(users, _trials=[1.0] * (MOST_TRIALS - 1))
+    assert known.principal("panel", "panel-secret", 1.0).role == "viewer"
+    assert known.principal("panel", "wrong-secret", 1.0) is None
+    assert known.principal("panel", "panel-secret", 1.0).role == "viewer"
+    fresh = PasswordCheck(users, _trials=known._trials)
+    assert fresh.principal("panel", "panel-secret", 2.0) is None
+    assert fresh.principal("panel", "panel-secret", 100.0).role == "viewer"
 
 
 def test_the_services_own_key_is_its_alone_and_stays(tmp_path):

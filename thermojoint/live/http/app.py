@@ -25,10 +25,9 @@ from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.live.dashboard.assets import Asset, asset
 from thermojoint.live.dashboard.pages import page
 from thermojoint.live.former_models import SHOWN
-from thermojoint.live.http.bodies import Words, about_body, events_body, history_body, summary
-from thermojoint.live.http.gate import (
-    Door,
-    Gate,
+from thermojoint.live.http.access import (
+    AccessControl,
+    AccessMiddleware,
     body_of,
     client,
     origin,
@@ -36,6 +35,7 @@ from thermojoint.live.http.gate import (
     too_many,
     wrong_secret,
 )
+from thermojoint.live.http.bodies import Words, about_body, events_body, history_body, summary
 from thermojoint.live.http.parameters import moment, number, one_of, read_parameters, whole_number
 from thermojoint.live.http.sources import Sources
 from thermojoint.live.http.stream import Counted, Reader, stream
@@ -75,7 +75,7 @@ class Site:
     #: Data shown.
     sources: Sources
     #: Access control.
-    door: Door
+    access: AccessControl
     #: `most_streams`, `streams`: largest and present number of streams.
     most_streams: int
     streams: int = 0
@@ -169,7 +169,7 @@ class Site:
             raise self._refused(request, 403, "control", why)
         body = await body_of(request, LARGEST_LOGIN)
         try:
-            audit = self.door.accounts.audit
+            audit = self.access.accounts.audit
             audit.written(request.user.name, origin(request.scope), "control", name)
             take(body or b"")
         except ValueError as error:
@@ -180,8 +180,8 @@ class Site:
         """Show the log-in page, or check a password or token."""
         if request.method != "POST":
             return HTMLResponse(page("login", wrong=False))
-        door = self.door
-        waiting = door.failures.wait(client(request.scope), time.monotonic())
+        access = self.access
+        waiting = access.failures.wait(client(request.scope), time.monotonic())
         if waiting > 0.0:
             return too_many(waiting)
         body = await body_of(request, LARGEST_LOGIN)
@@ -189,22 +189,22 @@ class Site:
             raise HTTPException(413, "the body is too large; send name and password alone")
         given = parse_qs(body.decode("utf-8", "replace"), max_num_fields=4)
         name, secret = (given.get(key, [""])[0].strip() for key in ("name", "token"))
-        accounts = door.accounts
+        accounts = access.accounts
         found = accounts.by_password(name, secret) if name else accounts.by_token(secret)
         if found is None:
-            answer = wrong_secret(door, request.scope, name, "login")
+            answer = wrong_secret(access, request.scope, name, "login")
             return answer or HTMLResponse(page("login", wrong=True), 401)
         try:
-            ticket = accounts.begin(found, door.session)
+            ticket = accounts.begin(found, access.session)
             accounts.audit.accepted(found.name, origin(request.scope), "login")
         except (sqlite3.Error, OSError) as error:
             return refused(503, f"the log-in cannot be kept or audited now ({error})")
         done = RedirectResponse("/", 303)
         done.set_cookie(
-            door.cookie,
+            access.cookie,
             ticket,
-            max_age=int(door.session),
-            secure=door.secure,
+            max_age=int(access.session),
+            secure=access.secure,
             httponly=True,
             samesite="strict",
         )
@@ -212,11 +212,11 @@ class Site:
 
     async def logout(self, request: Request) -> Response:
         """End the session, here and in the browser."""
-        self.door.accounts.end(request.cookies.get(self.door.cookie, ""))
-        self.door.accounts.audit.accepted(request.user.name, origin(request.scope), "logout")
+        self.access.accounts.end(request.cookies.get(self.access.cookie, ""))
+        self.access.accounts.audit.accepted(request.user.name, origin(request.scope), "logout")
         done = RedirectResponse("/login", 303)
         done.delete_cookie(
-            self.door.cookie, secure=self.door.secure, httponly=True, samesite="strict"
+            self.access.cookie, secure=self.access.secure, httponly=True, samesite="strict"
         )
         return done
 
@@ -338,14 +338,14 @@ class Site:
     def _refused(self, request: Request, status: int, what: str, why: str) -> HTTPException:
         """Return the refusal of a user's attempt on a machine, which is audited."""
         name, who = request.path_params["machine"], request.user.name
-        self.door.accounts.audit.refused(who, origin(request.scope), what, why, name)
+        self.access.accounts.audit.refused(who, origin(request.scope), what, why, name)
         return HTTPException(status, why)
 
     def _accept(self, request: Request, what: str) -> None:
         """Audit an action of a user on a machine; it is refused if it cannot be audited."""
         name, who = request.path_params["machine"], request.user.name
         try:
-            self.door.accounts.audit.accepted(who, origin(request.scope), what, name)
+            self.access.accounts.audit.accepted(who, origin(request.scope), what, name)
         except OSError as error:
             raise HTTPException(503, f"this cannot be audited now ({error})") from error
 
@@ -423,13 +423,13 @@ async def _none(request: Request, error: Exception) -> Response:
     return refused(error.status_code, text, **(error.headers or {}))
 
 
-def make_app(sources: Sources, door: Door, most_streams: int) -> Starlette:
+def make_app(sources: Sources, access: AccessControl, most_streams: int) -> Starlette:
     """Return the application."""
-    site = Site(sources, door, most_streams)
+    site = Site(sources, access, most_streams)
     made = Starlette(
         routes=site.routes(),
         middleware=[
-            Middleware(Gate, door=door),
+            Middleware(AccessMiddleware, access=access),
             Middleware(GZipMiddleware, minimum_size=1000, compresslevel=4),
         ],
         exception_handlers={InputError: _wrong, HTTPException: _none},

@@ -14,12 +14,12 @@ from starlette.applications import Starlette
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.accounts import Accounts
 from thermojoint.live.certificates import Identity, http_identity
+from thermojoint.live.http.access import BURST_S, LARGEST_HEAD, AccessControl
 from thermojoint.live.http.app import make_app
-from thermojoint.live.http.gate import BURST_S, LARGEST_HEAD, Door
 from thermojoint.live.http.hosts import hosts_of
-from thermojoint.live.http.rates import Buckets
 from thermojoint.live.http.sources import Sources
 from thermojoint.live.http.timeouts import PatientProtocol, Server
+from thermojoint.live.http.token_buckets import TokenBuckets
 from thermojoint.live.limited_socket import listening
 from thermojoint.live.settings import HttpServer, is_loopback
 from thermojoint.live.tokens import tokens_in
@@ -120,14 +120,14 @@ def open_http(section: HttpServer, sources: Sources, accounts: Accounts, folder:
     if not (accounts.given or accounts.users_file or tokens_in(accounts.store)):
         raise InputError("http: no one could log in; name a token or a file of users")
     own = http_identity(section, folder) if secure else None
-    door = Door(
+    access = AccessControl(
         accounts,
         hosts_of(section, own.certificate if own else None),
         secure,
         3600.0 * section.session_hours,
-        Buckets(section.requests_per_s, max(1.0, BURST_S * section.requests_per_s)),
+        TokenBuckets(section.requests_per_s, max(1.0, BURST_S * section.requests_per_s)),
     )
-    app = make_app(sources, door, section.most_streams)
+    app = make_app(sources, access, section.most_streams)
     server = make_server(app, section, own)
     most = _most_connections(section)
     taken = listening("http", section.address, section.port, most, section.most_per_address)

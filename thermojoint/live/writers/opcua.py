@@ -32,8 +32,8 @@ from thermojoint.live.companion_models import (
     object_item,
 )
 from thermojoint.live.log_lines import EventLog
-from thermojoint.live.opcua_access import Door, restrict
-from thermojoint.live.opcua_internals import disconnect_ended, limit_callers, value_of
+from thermojoint.live.opcua_access import AccessControl, restrict
+from thermojoint.live.opcua_internals import disconnect_ended, limit_connections, value_of
 from thermojoint.live.opcua_values import Variable, data_value, variables_of
 from thermojoint.live.publication import Layout
 from thermojoint.live.publisher import Publisher
@@ -310,9 +310,9 @@ async def open_server(
         await server.load_certificate(own.certificate)
         await server.load_private_key(own.key)
     trust = TrustList(section.trusted, entry.folder / "rejected")
-    door = Door(entry.accounts, asks, trust, entry.log, entry.controls, machines)
-    server.iserver.set_user_manager(door)
-    restrict(server, door, section)
+    access = AccessControl(entry.accounts, asks, trust, entry.log, entry.controls, machines)
+    server.iserver.set_user_manager(access)
+    restrict(server, access, section)
     index = await server.register_namespace(NAMESPACE)
     companion = None
     if section.companion != "none":
@@ -334,9 +334,9 @@ async def open_server(
         raise InputError(
             f"opcua: {section.address}:{section.port}: {error.strerror}; take another port"
         ) from error
-    limit_callers(server, section.most_sessions)
+    limit_connections(server, section.most_sessions)
     folders = () if companion is None else (companion.machines,)
-    alarms = await add_alarms(server, door, index, folders)
+    alarms = await add_alarms(server, access, index, folders)
     return server, Nodes(variables, alarms)
 
 

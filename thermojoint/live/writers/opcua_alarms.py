@@ -16,7 +16,7 @@ from asyncua import ua, uamethod
 from asyncua.server import Server
 
 from estimator.quality import Quality
-from thermojoint.live.opcua_access import Door
+from thermojoint.live.opcua_access import AccessControl
 from thermojoint.live.opcua_internals import send_event, subscribers
 from thermojoint.live.opcua_values import status_of
 from thermojoint.live.publication import Publication
@@ -34,7 +34,7 @@ class Alarms:
 
     server: Server
     #: Checks which users may see a machine.
-    door: Door
+    access: AccessControl
     #: Index of the service's namespace.
     index: int
     #: Prototype with all fields of the type.
@@ -46,14 +46,14 @@ class Alarms:
 
 
 async def add_alarms(
-    server: Server, door: Door, index: int, folders: tuple[ua.NodeId, ...]
+    server: Server, access: AccessControl, index: int, folders: tuple[ua.NodeId, ...]
 ) -> Alarms:
     """Enable the machines of a server to emit events, and its clients to request active ones."""
     generator = await server.get_event_generator(ua.ObjectIds.OffNormalAlarmType)
-    for machine in door.machines:
+    for machine in access.machines:
         node = server.get_node(ua.NodeId(machine, index))
         await node.set_event_notifier([ua.EventNotifier.SubscribeToEvents])
-    alarms = Alarms(server, door, index, generator.event, {}, (_SERVER, *folders))
+    alarms = Alarms(server, access, index, generator.event, {}, (_SERVER, *folders))
     bounds = [
         await server.get_event_generator(kind)
         for kind in (ua.ObjectIds.RefreshStartEventType, ua.ObjectIds.RefreshEndEventType)
@@ -98,7 +98,7 @@ async def tell_alarms(alarms: Alarms, publisher: Publisher) -> None:
 async def _send(alarms: Alarms, event: Any, only: int | None = None) -> None:  # noqa: ANN401
     for user, subscription in subscribers(alarms.server):
         wanted = only is None or subscription.data.SubscriptionId == only
-        if wanted and not alarms.door.hides(user, event.SourceNode):
+        if wanted and not alarms.access.hides(user, event.SourceNode):
             for emitter in (event.SourceNode, *alarms.above):
                 event.emitting_node = emitter
                 await send_event(subscription, event)

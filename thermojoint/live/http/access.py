@@ -15,7 +15,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from thermojoint.live.accounts import Accounts
 from thermojoint.live.dashboard.assets import OPEN
 from thermojoint.live.http.hosts import misdirected
-from thermojoint.live.http.rates import MOST_CLIENTS, Buckets, client_of
+from thermojoint.live.http.token_buckets import MOST_CLIENTS, TokenBuckets, client_of
 from thermojoint.live.rights import Principal
 
 #: Longest address with its parameters, and all headers together, bytes.
@@ -43,7 +43,7 @@ HEADERS = {
 
 
 @dataclass(eq=False)
-class Door:
+class AccessControl:
     """Access rights and rate limits."""
 
     #: Users, tokens and sessions.
@@ -55,9 +55,11 @@ class Door:
     #: Time for which a browser stays logged in, s.
     session: float
     #: `requests`, `failures`: requests and refused log-ins of each client.
-    requests: Buckets
-    failures: Buckets = field(default_factory=lambda: Buckets(1.0 / FORGOTTEN_S, WRONG_TOKENS))
-    _heard: dict[tuple[str, str], None] = field(default_factory=dict)
+    requests: TokenBuckets
+    failures: TokenBuckets = field(
+        default_factory=lambda: TokenBuckets(1.0 / FORGOTTEN_S, WRONG_TOKENS)
+    )
+    _audited_tokens: dict[tuple[str, str], None] = field(default_factory=dict)
 
     @property
     def cookie(self) -> str:
@@ -67,11 +69,11 @@ class Door:
     def note_token(self, principal: Principal, scope: Scope) -> None:
         """Audit a token at its first use from an address."""
         key = (principal.credential, client(scope))
-        if key not in self._heard:
+        if key not in self._audited_tokens:
             self.accounts.audit.accepted(principal.name, origin(scope), "token")
-            self._heard[key] = None
-            if len(self._heard) > MOST_CLIENTS:
-                del self._heard[next(iter(self._heard))]
+            self._audited_tokens[key] = None
+            if len(self._audited_tokens) > MOST_CLIENTS:
+                del self._audited_tokens[next(iter(self._audited_tokens))]
 
 
 def refused(status: int, text: str, **headers: str) -> Response:
@@ -102,11 +104,11 @@ def origin(scope: Scope) -> str:
     return f"http {peer[0]}" if peer else "http"
 
 
-def wrong_secret(door: Door, scope: Scope, who: str, what: str) -> Response | None:
+def wrong_secret(access: AccessControl, scope: Scope, who: str, what: str) -> Response | None:
     """Note a wrong password or token; return a response if it is one too many."""
-    waiting = door.failures.take(client(scope), time.monotonic())
+    waiting = access.failures.take(client(scope), time.monotonic())
     why = "too many wrong ones" if waiting > 0.0 else "wrong, revoked or expired"
-    door.accounts.audit.refused(who, origin(scope), what, why)
+    access.accounts.audit.refused(who, origin(scope), what, why)
     return too_many(waiting) if waiting > 0.0 else None
 
 
@@ -139,40 +141,40 @@ def oversized(scope: Scope, headers: Headers) -> Response | None:
     return None
 
 
-class Gate:
+class AccessMiddleware:
     """Wrapper of an application: refuses requests, and adds the headers to every response."""
 
-    def __init__(self, app: ASGIApp, door: Door) -> None:
-        self.app, self.door = app, door
+    def __init__(self, app: ASGIApp, access: AccessControl) -> None:
+        self.app, self.access = app, access
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer one request."""
         if scope["type"] != "http":
             return
         try:
-            answer = self._stopped(scope)
+            answer = self._refusal(scope)
         except (sqlite3.Error, OSError) as error:
             answer = refused(503, f"log-ins cannot be checked or audited now ({error})")
-        await (answer or self.app)(scope, receive, with_headers(send, self.door.secure))
+        await (answer or self.app)(scope, receive, with_headers(send, self.access.secure))
 
-    def _stopped(self, scope: Scope) -> Response | None:
+    def _refusal(self, scope: Scope) -> Response | None:
         """Return the response to a request that is refused; None if it may pass."""
-        waiting = self.door.requests.take(client(scope), time.monotonic())
+        waiting = self.access.requests.take(client(scope), time.monotonic())
         if waiting > 0.0:
             return too_many(waiting)
         headers = Headers(scope=scope)
         refusal = oversized(scope, headers)
         if refusal is not None:
             return refusal
-        elsewhere = misdirected(headers, scope, self.door.hosts)
+        elsewhere = misdirected(headers, scope, self.access.hosts)
         if elsewhere is not None:
             status, why = elsewhere
             if status == 403:
-                self.door.accounts.audit.refused("", origin(scope), scope["path"][:40], why)
+                self.access.accounts.audit.refused("", origin(scope), scope["path"][:40], why)
             return refused(status, why)
         if self._is_open(scope):
             return None
-        return self._unknown(scope, headers)
+        return self._authenticate(scope, headers)
 
     def _is_open(self, scope: Scope) -> bool:
         path = scope["path"]
@@ -180,21 +182,21 @@ class Gate:
             return True
         return path.startswith("/assets/") and path.rpartition("/")[2] in OPEN
 
-    def _unknown(self, scope: Scope, headers: Headers) -> Response | None:
+    def _authenticate(self, scope: Scope, headers: Headers) -> Response | None:
         """Return the response to a request without a valid session or token."""
-        accounts = self.door.accounts
+        accounts = self.access.accounts
         scheme, _, token = headers.get("authorization", "").partition(" ")
-        check = partial(accounts.by_session, ticket_of(scope, self.door.cookie))
+        check = partial(accounts.by_session, ticket_of(scope, self.access.cookie))
         principal = check()
         if principal is None and scheme.lower() == "bearer":
             check = partial(accounts.by_token, token.strip())
             principal = check()
             if principal is None:
-                answer = wrong_secret(self.door, scope, "", "token")
+                answer = wrong_secret(self.access, scope, "", "token")
                 if answer is not None:
                     return answer
             else:
-                self.door.note_token(principal, scope)
+                self.access.note_token(principal, scope)
         if principal is not None:
             # `check` is called again while a stream lasts.
             scope["user"], scope["check"] = principal, check

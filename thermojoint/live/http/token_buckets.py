@@ -11,7 +11,7 @@ MOST_CLIENTS = 4096
 
 
 @dataclass
-class Buckets:
+class TokenBuckets:
     """Token buckets, one per client, full at first."""
 
     #: Tokens per second.
