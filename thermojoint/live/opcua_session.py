@@ -22,7 +22,7 @@ LOST = (OSError, TimeoutError, asyncio.TimeoutError, ua.UaError, ConnectionError
 
 
 @dataclass(frozen=True)
-class Reached:
+class Endpoint:
     """Connection data of a server; secrets are never displayed."""
 
     url: str
@@ -33,10 +33,10 @@ class Reached:
     password: str | None
 
     def __repr__(self) -> str:
-        return f"Reached({self.url})"
+        return f"Endpoint({self.url})"
 
 
-def reached_of(given: OpcuaAddress, folder: Path, where: str) -> Reached:
+def endpoint_of(given: OpcuaAddress, folder: Path, where: str) -> Endpoint:
     """Return the connection data of a server; `folder` has the service's own certificate.
 
     Raises
@@ -56,23 +56,23 @@ def reached_of(given: OpcuaAddress, folder: Path, where: str) -> Reached:
         own = own_identity(folder, ())
     if given.password is not None:
         password = read_secret(given.password, f"{where}.password")
-    return Reached(given.url, own, server, given.user, password)
+    return Endpoint(given.url, own, server, given.user, password)
 
 
-async def client_of(reached: Reached) -> Client:
+async def client_of(endpoint: Endpoint) -> Client:
     """Return a client that is not connected yet."""
-    client = Client(reached.url, timeout=TIMEOUT_S)
+    client = Client(endpoint.url, timeout=TIMEOUT_S)
     client.application_uri = APPLICATION
     client.name = client.description = "thermojoint"
-    if reached.own is not None and reached.server is not None:
+    if endpoint.own is not None and endpoint.server is not None:
         await client.set_security(
             SecurityPolicyBasic256Sha256,
-            certificate=reached.own.certificate,
-            private_key=reached.own.key,
-            server_certificate=str(reached.server),
+            certificate=endpoint.own.certificate,
+            private_key=endpoint.own.key,
+            server_certificate=str(endpoint.server),
             mode=ua.MessageSecurityMode.SignAndEncrypt,
         )
-    if reached.user is not None:
-        client.set_user(reached.user)
-        client.set_password(reached.password or "")
+    if endpoint.user is not None:
+        client.set_user(endpoint.user)
+        client.set_password(endpoint.password or "")
     return client

@@ -204,8 +204,8 @@ def _state_of(machine: Machine) -> Array:
 
 
 async def _opcua_server(running: Running, section: OpcuaServer) -> list[Coroutine[Any, Any, None]]:
-    from thermojoint.live.writers.opcua import Entry, open_server, serve_nodes
-    from thermojoint.live.writers.opcua_control import add_controls, tell_heartbeat
+    from thermojoint.live.writers.opcua import ServerContext, open_server, serve_nodes
+    from thermojoint.live.writers.opcua_control import add_controls, write_heartbeat
 
     machines = {
         name: (machine.model.layout, machine.model.rule.wanted)
@@ -214,15 +214,20 @@ async def _opcua_server(running: Running, section: OpcuaServer) -> list[Coroutin
     service, log = running.service, running.fleet.log
     handshakes = _handshakes(service, "opcua")
     owners = {name: one.user for name, one in handshakes.items() if one.user is not None}
-    entry = Entry(running.accounts, service.folder, log, owners, running.archive)
+    context = ServerContext(running.accounts, service.folder, log, owners, running.archive)
     server, nodes = await open_server(
-        section, entry, running.publisher, machines, partial(_queue, running), _identities(running)
+        section,
+        context,
+        running.publisher,
+        machines,
+        partial(_queue, running),
+        _identities(running),
     )
     controls = {name: machines[name][0] for name in handshakes}
     heartbeat = await add_controls(server, controls, partial(_answer, running.fleet))
     return [
         serve_nodes(server, nodes, running.publisher),
-        tell_heartbeat(server, heartbeat, running.publisher),
+        write_heartbeat(server, heartbeat, running.publisher),
     ]
 
 

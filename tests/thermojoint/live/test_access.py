@@ -34,7 +34,7 @@ from thermojoint.live.rate_limit import AT_ONCE
 from thermojoint.live.settings import OpcuaServer
 from thermojoint.live.tokens import add_token, revoke_token, tokens_in
 from thermojoint.live.users import add_user, read_users, remove_user
-from thermojoint.live.writers.opcua import Entry, open_server, serve_nodes
+from thermojoint.live.writers.opcua import ServerContext, open_server, serve_nodes
 
 WEEK = 7 * 86400.0
 SERVICE = """
@@ -390,8 +390,10 @@ def plant(tmp_path_factory):
 
     async def live():
         machines = dict.fromkeys(("mill-1", "lathe-1"), (ABOUT.layout, 1))
-        entry = Entry(accounts, folder, EventLog(), {}, Archive(folder / "history.sqlite"))
-        server, nodes = await open_server(section, entry, publisher, machines, given.append, {})
+        context = ServerContext(
+            accounts, folder, EventLog(), {}, Archive(folder / "history.sqlite")
+        )
+        server, nodes = await open_server(section, context, publisher, machines, given.append, {})
         serving = asyncio.create_task(serve_nodes(server, nodes, publisher))
         at = (port, server_certificate)
         clients = {"panel": panel, "unknown": unknown, "expired": expired, "early": early}

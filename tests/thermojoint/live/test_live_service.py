@@ -42,7 +42,7 @@ from thermojoint.live.archive import Archive
 from thermojoint.live.arrivals import Arrival
 from thermojoint.live.certificates import own_identity
 from thermojoint.live.disk_reserve import SLICE
-from thermojoint.live.opcua_session import Reached
+from thermojoint.live.opcua_session import Endpoint
 from thermojoint.live.readers.opcua import OpcuaReader
 from thermojoint.live.service import run
 from thermojoint.live.settings import read_service
@@ -663,8 +663,8 @@ def test_a_history_is_read_to_its_end_also_if_it_is_stored_late_or_comes_in_part
             await server.iserver.enable_history_data_change(node, timedelta(days=3650), 10_000)
             for k in range(1, 6):
                 await server.write_attribute_value(node.nodeid, _value(float(k), START + k))
-            reached = Reached(f"opc.tcp://127.0.0.1:{port}", None, None, None, None)
-            reader = OpcuaReader(reached, {"ns=2;s=T": ("mill", 0)}, {"mill": 1}, 100, 50.0)
+            endpoint = Endpoint(f"opc.tcp://127.0.0.1:{port}", None, None, None, None)
+            reader = OpcuaReader(endpoint, {"ns=2;s=T": ("mill", 0)}, {"mill": 1}, 100, 50.0)
             async with contextlib.aclosing(reader.read({"mill": START})) as arrivals:
                 async for some in arrivals:
                     found += [one.time for one in some if isinstance(one, Arrival)]

@@ -21,7 +21,7 @@ from thermojoint.live.opcua_values import variables_of
 from thermojoint.live.publisher import Publisher
 from thermojoint.live.settings import OpcuaServer
 from thermojoint.live.users import add_user
-from thermojoint.live.writers.opcua import Entry, open_server, serve_nodes
+from thermojoint.live.writers.opcua import ServerContext, open_server, serve_nodes
 from thermojoint.live.writers.opcua_history import _MOST, ArchiveHistory
 
 AT = 1_772_431_200.0
@@ -117,7 +117,7 @@ async def plant(base):
     accounts = Accounts(open_access(folder), Audit(folder / "audit.jsonl"), folder / "users")
     server, nodes = await open_server(
         OpcuaServer(port=port, users=folder / "users"),
-        Entry(accounts, folder, EventLog(), {}, Archive(folder / "history.sqlite")),
+        ServerContext(accounts, folder, EventLog(), {}, Archive(folder / "history.sqlite")),
         publisher,
         dict.fromkeys(MACHINES, (ABOUT.layout, 1)),
         [].append,

@@ -21,7 +21,7 @@ from asyncua.common.node import Node
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.arrivals import Arrival, Note
 from thermojoint.live.loaded_models import LoadedModel
-from thermojoint.live.opcua_session import LOST, TIMEOUT_S, Reached, client_of, reached_of
+from thermojoint.live.opcua_session import LOST, TIMEOUT_S, Endpoint, client_of, endpoint_of
 from thermojoint.live.readers.session import beside
 from thermojoint.live.reconnecting import FIRST_S, next_delay, shown
 from thermojoint.live.settings import OpcuaSource, Service
@@ -46,7 +46,7 @@ _QUEUE = 1000
 class OpcuaReader:
     """All machines of one server."""
 
-    reached: Reached
+    endpoint: Endpoint
     #: Node id to machine and reading.
     nodes: Mapping[str, tuple[str, int]]
     #: Readings of each machine.
@@ -85,12 +85,12 @@ class OpcuaReader:
         delay = FIRST_S
         while True:
             try:
-                client = await client_of(self.reached)
+                client = await client_of(self.endpoint)
                 async with client:
                     delay = FIRST_S
                     await self._listen(client)
             except LOST as error:
-                self._put(Note("disconnected", f"OPC UA {self.reached.url}: {shown(error)}"))
+                self._put(Note("disconnected", f"OPC UA {self.endpoint.url}: {shown(error)}"))
             await asyncio.sleep(delay)
             delay = next_delay(delay)
 
@@ -111,7 +111,7 @@ class OpcuaReader:
                     self._put(
                         Note("unreadable", f"{node.nodeid.to_string()}: {result.name}", machine)
                     )
-        self._put(Note("connected", f"OPC UA {self.reached.url}"))
+        self._put(Note("connected", f"OPC UA {self.endpoint.url}"))
         stored = await self._stored(client, nodes, places)
         for nodeid, value in sorted(stored, key=lambda item: _time(item[1])):
             self._take(places, nodeid, value)
@@ -286,6 +286,6 @@ def opcua_reader(
             ua.NodeId.from_string(name)
         except ua.UaError as error:
             raise InputError(f"source.node: {name!r} is not a node id; give ns=2;s=NAME") from error
-    reached = reached_of(source, service.folder, "source")
+    endpoint = endpoint_of(source, service.folder, "source")
     counts = {machine: len(called) for machine, called in names.items()}
-    return OpcuaReader(reached, nodes, counts, source.most_waiting, source.publishing_ms)
+    return OpcuaReader(endpoint, nodes, counts, source.most_waiting, source.publishing_ms)

@@ -22,7 +22,7 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.compensation.offsets.handshake import DIFFERS, STANDS, Answer
 from thermojoint.live.audit import Audit
 from thermojoint.live.loaded_models import LoadedModel
-from thermojoint.live.opcua_session import LOST, TIMEOUT_S, Reached, client_of, reached_of
+from thermojoint.live.opcua_session import LOST, TIMEOUT_S, Endpoint, client_of, endpoint_of
 from thermojoint.live.processing import Fleet, receive_answer
 from thermojoint.live.publisher import Publisher
 from thermojoint.live.reconnecting import FIRST_S, next_delay
@@ -37,7 +37,7 @@ AWAY_S = 3.0
 
 def target_of(
     service: Service, machine: str, model: LoadedModel
-) -> tuple[TargetFile, Reached] | None:
+) -> tuple[TargetFile, Endpoint] | None:
     """Return the target of a machine and how it is reached; None without one.
 
     Raises
@@ -56,7 +56,7 @@ def target_of(
             f"{handshake.heartbeat_s:g} of machines.{machine}: no offset would follow; make it "
             "shorter"
         )
-    return given, reached_of(given, service.folder, str(path))
+    return given, endpoint_of(given, service.folder, str(path))
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,7 @@ class Writer:
     names: tuple[str, ...]
     given: TargetFile
     #: Connection data of its server.
-    reached: Reached
+    endpoint: Endpoint
     publisher: Publisher
     fleet: Fleet
     audit: Audit
@@ -78,7 +78,7 @@ class Writer:
         delay = FIRST_S
         while True:
             try:
-                async with await client_of(self.reached) as client:
+                async with await client_of(self.endpoint) as client:
                     await self._check(client)
                     delay = FIRST_S
                     self._say("connected", f"target {self.given.url}")

@@ -40,7 +40,7 @@ from thermojoint.live.publisher import Publisher
 from thermojoint.live.settings import OpcuaServer
 from thermojoint.live.times import since_1970
 from thermojoint.live.trust_list import TrustList, contents_of
-from thermojoint.live.writers.opcua_alarms import Alarms, add_alarms, tell_alarms
+from thermojoint.live.writers.opcua_alarms import Alarms, add_alarms, send_alarms
 from thermojoint.live.writers.opcua_history import ArchiveHistory, is_kept
 
 #: The service's namespace; its nodes are ``ns=2;s=NAME.Displacement.x``.
@@ -230,7 +230,7 @@ async def _with_unit(
         await node.add_reference(units[unit], ua.ObjectIds.HasProperty, True, False)
 
 
-async def tell_subscribers(publisher: Publisher, nodes: Nodes) -> None:
+async def notify_subscribers(publisher: Publisher, nodes: Nodes) -> None:
     """Send new values to subscribers until cancelled."""
     with publisher.subscribe() as subscription:
         while True:
@@ -255,7 +255,7 @@ def fresh_server(section: OpcuaServer) -> Server:
 
 
 @dataclass(frozen=True, eq=False)
-class Entry:
+class ServerContext:
     """Access control of the server."""
 
     #: Users, and the audit log.
@@ -272,7 +272,7 @@ class Entry:
 
 async def open_server(
     section: OpcuaServer,
-    entry: Entry,
+    context: ServerContext,
     publisher: Publisher,
     machines: Mapping[str, tuple[Layout, int]],
     given: Callable[[Arrival], object],
@@ -283,7 +283,7 @@ async def open_server(
     Parameters
     ----------
     section : OpcuaServer
-    entry : Entry
+    context : ServerContext
     publisher, machines, given
         As in `add_machines`.
     identities : dict of str to Identity
@@ -295,7 +295,7 @@ async def open_server(
         There are no users, a file is unusable, or the address is in use.
     """
     encrypted = section.security == "sign-and-encrypt"
-    asks = entry.accounts.users_file is not None
+    asks = context.accounts.users_file is not None
     if not asks and encrypted:
         raise InputError(
             "opcua: no one could log in; name a file of users, and add them: thermojoint users"
@@ -305,12 +305,12 @@ async def open_server(
     server = fresh_server(section)
     await server.init()
     if encrypted:
-        own = opcua_identity(section, entry.folder)
+        own = opcua_identity(section, context.folder)
         await server.set_application_uri(application_uri(own))
         await server.load_certificate(own.certificate)
         await server.load_private_key(own.key)
-    trust = TrustList(section.trusted, entry.folder / "rejected")
-    access = AccessControl(entry.accounts, asks, trust, entry.log, entry.controls, machines)
+    trust = TrustList(section.trusted, context.folder / "rejected")
+    access = AccessControl(context.accounts, asks, trust, context.log, context.controls, machines)
     server.iserver.set_user_manager(access)
     restrict(server, access, section)
     index = await server.register_namespace(NAMESPACE)
@@ -319,7 +319,7 @@ async def open_server(
         begun = time.monotonic()
         companion = await load_models(server, section.companion, index, identities)
         spent = time.monotonic() - begun
-        entry.log.say(time.time(), "companion", f"{section.companion} loaded in {spent:.2f} s")
+        context.log.say(time.time(), "companion", f"{section.companion} loaded in {spent:.2f} s")
     variables = await add_machines(server, publisher, machines, section.readings, given, companion)
     kept = {
         node_of(machine, variable, index): (machine, variable)
@@ -327,7 +327,7 @@ async def open_server(
         for variable, _ in some
         if is_kept(variable)
     }
-    server.iserver.history_manager.set_storage(ArchiveHistory(entry.archive, kept))
+    server.iserver.history_manager.set_storage(ArchiveHistory(context.archive, kept))
     try:
         await server.start()
     except OSError as error:
@@ -344,8 +344,8 @@ async def serve_nodes(server: Server, nodes: Nodes, publisher: Publisher) -> Non
     """Send new values until the task is cancelled, then close the server."""
     try:
         await asyncio.gather(
-            tell_subscribers(publisher, nodes),
-            tell_alarms(nodes.alarms, publisher),
+            notify_subscribers(publisher, nodes),
+            send_alarms(nodes.alarms, publisher),
             disconnect_ended(server),
         )
     finally:

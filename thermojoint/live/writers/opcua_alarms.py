@@ -67,7 +67,7 @@ async def add_alarms(
             return ua.StatusCode(ua.StatusCodes.BadSubscriptionIdInvalid)
         await bounds[0].trigger(subscription_id=subscription)
         for event in list(alarms.active.values()):
-            await _send(alarms, event, subscription)
+            await _send_event(alarms, event, subscription)
         await bounds[1].trigger(subscription_id=subscription)
         return None
 
@@ -76,26 +76,26 @@ async def add_alarms(
     return alarms
 
 
-async def tell_alarms(alarms: Alarms, publisher: Publisher) -> None:
+async def send_alarms(alarms: Alarms, publisher: Publisher) -> None:
     """Send an alarm when a value becomes bad, changes its reason, or recovers; until cancelled."""
-    told: dict[str, str] = {}
+    sent_status: dict[str, str] = {}
     with publisher.subscribe() as subscription:
         while True:
             for machine in await subscription.wait():
                 latest = publisher.newest[machine]
                 status = latest.status if latest.quality is Quality.BAD else ""
-                if status == told.get(machine, ""):
+                if status == sent_status.get(machine, ""):
                     continue
-                told[machine] = status
+                sent_status[machine] = status
                 event = alarm_of(alarms, latest, bool(status))
                 if status:
                     alarms.active[machine] = event
                 else:
                     alarms.active.pop(machine, None)
-                await _send(alarms, event)
+                await _send_event(alarms, event)
 
 
-async def _send(alarms: Alarms, event: Any, only: int | None = None) -> None:  # noqa: ANN401
+async def _send_event(alarms: Alarms, event: Any, only: int | None = None) -> None:  # noqa: ANN401
     for user, subscription in subscribers(alarms.server):
         wanted = only is None or subscription.data.SubscriptionId == only
         if wanted and not alarms.access.hides(user, event.SourceNode):

@@ -93,7 +93,7 @@ def answer_of(name: str, layout: Layout, value: Any) -> Answer:  # noqa: ANN401
     return Answer(acknowledged=[lever * said if name == one else math.nan for one, lever in levers])
 
 
-async def tell_heartbeat(server: Server, node: ua.NodeId, publisher: Publisher) -> None:
+async def write_heartbeat(server: Server, node: ua.NodeId, publisher: Publisher) -> None:
     """Write the service's heartbeat into its variable until cancelled."""
     while True:
         value = ua.DataValue(ua.Variant(publisher.heartbeat % _WRAP, ua.VariantType.UInt32))
