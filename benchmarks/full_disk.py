@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.study import options_of
-from thermojoint.live.disk_reserve import OVERHEAD, lay_in, tend
+from thermojoint.live.disk_reserve import OVERHEAD, adjust_reserve, preallocate
 from thermojoint.live.publication import Layout
 from thermojoint.live.store import (
     Batch,
@@ -67,11 +67,11 @@ def measured(folder: Path, machines: int, hours: float) -> dict[str, float | int
     """Return how long the reserve lasted, in hours of samples."""
     path = folder / "history.sqlite"
     store = open_store(path)
-    lay_in(store, path)
+    preallocate(store, path)
     per_hour = 3600.0 * OVERHEAD * 8.0 * _WIDTH * machines
-    room = tend(store, path, per_hour * hours)
+    room = adjust_reserve(store, path, per_hour * hours)
     while room.reserve < per_hour * hours:
-        room = tend(store, path, per_hour * hours)
+        room = adjust_reserve(store, path, per_hour * hours)
     layout = Layout(("x",), (), (), tuple(map(str, range(15))))
     eras = [era_of(store, f"mill-{k}", "model", layout, 0.0) for k in range(machines)]
     fill(folder / "filler")
@@ -82,7 +82,7 @@ def measured(folder: Path, machines: int, hours: float) -> dict[str, float | int
             batch = Batch([StoredSample(era, second + 1, row, "ok", _REST) for era in eras])
             end = commit(store, batch)
             second += 1
-            tend(store, path, per_hour * hours)
+            adjust_reserve(store, path, per_hour * hours)
             due = eras[second % _CHECKPOINT_S :: _CHECKPOINT_S]
             if second > _CHECKPOINT_S and due:
                 rows[:, 0] = np.arange(second - _CHECKPOINT_S, second)

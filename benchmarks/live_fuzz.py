@@ -211,7 +211,7 @@ def estimates(
                 fleet.log.say(now, one.kind, one.text, one.machine)
         given = [one for one in arrivals if isinstance(one, Arrival)]
         processing.process_arrivals(fleet, given, now, float(k))
-        fleet.log.fetched()
+        fleet.log.take_pending()
         if k % 60 == 59:
             processing.checkpoint_of(mill)
         assembly: AssemblyState = mill.state.assembly

@@ -19,4 +19,4 @@ def keep(fleet, store, arrival):
     """What arrived is taken when it was told, and committed."""
     results = processing.process_arrivals(fleet, [arrival], arrival.time, arrival.time)
     told = processing.received_offsets(fleet, results.publications, arrival.time)
-    commit(store, Batch(results.samples, (), fleet.log.fetched(), results.gaps, told))
+    commit(store, Batch(results.samples, (), fleet.log.take_pending(), results.gaps, told))

@@ -7,7 +7,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from thermojoint.artefacts.errors import InputError
-from thermojoint.live.disk_reserve import RESERVE, is_full, stay_within
+from thermojoint.live.disk_reserve import RESERVE, is_full, limit_writes
 from thermojoint.live.secret import create_private
 
 #: Name of the file in the folder of a service.
@@ -42,7 +42,7 @@ def open_access(folder: Path) -> sqlite3.Connection:
         )
         store.execute("PRAGMA journal_mode = WAL")
         store.execute("PRAGMA synchronous = NORMAL")
-        stay_within(store, RESERVE_SIZE)
+        limit_writes(store, RESERVE_SIZE)
         store.executescript(_TABLES + RESERVE)
     except (sqlite3.Error, OSError) as error:
         if folder.exists() and is_full(path):

@@ -14,7 +14,7 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.live.access_store import NAME as ACCESS
 from thermojoint.live.access_store import RESERVE_SIZE, digest_of, open_access
 from thermojoint.live.audit import NAME, Audit
-from thermojoint.live.disk_reserve import lay_in
+from thermojoint.live.disk_reserve import preallocate
 from thermojoint.live.rights import Principal
 from thermojoint.live.secret import read_secret
 from thermojoint.live.settings import Service
@@ -122,7 +122,7 @@ def accounts_of(service: Service) -> Accounts:
     passwords = PasswordCheck({} if users is None else read_users(users))
     store = open_access(service.folder)
     with suppress(sqlite3.OperationalError):
-        lay_in(store, service.folder / ACCESS, RESERVE_SIZE)
+        preallocate(store, service.folder / ACCESS, RESERVE_SIZE)
     return Accounts(store, audit_of(service), users, given, passwords)
 
 

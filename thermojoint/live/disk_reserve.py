@@ -24,7 +24,7 @@ _MARGIN = 4 * SLICE
 RESERVE = "CREATE TABLE IF NOT EXISTS reserve (id INTEGER PRIMARY KEY, room BLOB NOT NULL);"
 
 
-class Room(NamedTuple):
+class DiskSpace(NamedTuple):
     """Space for a store."""
 
     #: Whether the disk is full, up to a margin.
@@ -35,10 +35,10 @@ class Room(NamedTuple):
 
 def is_full(path: Path) -> bool:
     """Return whether the disk of a file is full, up to a margin."""
-    return _free(path) < _MARGIN
+    return _free_space(path) < _MARGIN
 
 
-def stay_within(store: sqlite3.Connection, log: int) -> None:
+def limit_writes(store: sqlite3.Connection, log: int) -> None:
     """Make a connection write as little as possible, because the disk may be full.
 
     Deleted content is not overwritten, no temporary files are written, and the write-ahead log is
@@ -50,17 +50,17 @@ def stay_within(store: sqlite3.Connection, log: int) -> None:
     store.execute(f"PRAGMA journal_size_limit = {log}")
 
 
-def lay_in(store: sqlite3.Connection, path: Path, size: int = 2 * SLICE) -> None:
+def preallocate(store: sqlite3.Connection, path: Path, size: int = 2 * SLICE) -> None:
     """Give a file free pages with a total size (bytes), and its write-ahead log that length.
 
     On a full disk the store stays as it was.
     """
     if not is_full(path):
-        row = _grow(store, size)
+        row = _add_row(store, size)
         store.execute("DELETE FROM reserve WHERE id = ?", (row,))
 
 
-def close(store: sqlite3.Connection, path: Path) -> None:
+def close_store(store: sqlite3.Connection, path: Path) -> None:
     """Close a store; on a full disk its write-ahead log is kept: there is no room for a new one."""
     with ExitStack() as last:
         if path.exists() and is_full(path):
@@ -72,7 +72,7 @@ def close(store: sqlite3.Connection, path: Path) -> None:
         store.close()
 
 
-def tend(store: sqlite3.Connection, path: Path, wanted: float) -> Room:
+def adjust_reserve(store: sqlite3.Connection, path: Path, wanted: float) -> DiskSpace:
     """Adjust the reserve of a store by one slice towards the wanted size; return the space.
 
     Parameters
@@ -89,7 +89,7 @@ def tend(store: sqlite3.Connection, path: Path, wanted: float) -> Room:
     sqlite3.OperationalError
         The reserve is used up, or another program locks the file.
     """
-    full, size = is_full(path), _rows(store)
+    full, size = is_full(path), _reserve_size(store)
     if full:
         # Afterwards the whole log is in the file, so that the next commit restarts it. If the
         # reserve was used up, the log waits for space.
@@ -98,22 +98,22 @@ def tend(store: sqlite3.Connection, path: Path, wanted: float) -> Room:
         if _free_pages(store) < SLICE // 2:
             store.execute("DELETE FROM reserve WHERE id = (SELECT max(id) FROM reserve)")
     else:
-        if size < min(wanted, (_free(path) + size) / 2.0):
-            _grow(store, SLICE)
+        if size < min(wanted, (_free_space(path) + size) / 2.0):
+            _add_row(store, SLICE)
         # A row uses the free pages first, and then extends the file.
         if _free_pages(store) < SLICE // 2:
-            lay_in(store, path, SLICE)
-    return Room(full, _rows(store) + _free_pages(store))
+            preallocate(store, path, SLICE)
+    return DiskSpace(full, _reserve_size(store) + _free_pages(store))
 
 
-def _grow(store: sqlite3.Connection, size: int) -> int:
+def _add_row(store: sqlite3.Connection, size: int) -> int:
     """Add a row of a size (bytes) and write its blocks to the file; return its number."""
     row = store.execute("INSERT INTO reserve (room) VALUES (zeroblob(?))", (size,)).lastrowid
     store.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
     return int(row or 0)
 
 
-def _rows(store: sqlite3.Connection) -> int:
+def _reserve_size(store: sqlite3.Connection) -> int:
     """Return the size of the rows without content, bytes."""
     ((count,),) = store.execute("SELECT count(*) FROM reserve")
     return int(count * SLICE)
@@ -126,7 +126,7 @@ def _free_pages(store: sqlite3.Connection) -> int:
     return int(pages * size)
 
 
-def _free(path: Path) -> int:
+def _free_space(path: Path) -> int:
     """Return the free space on the disk of a file, bytes."""
     disk = os.statvfs(path.parent)
     return disk.f_bavail * disk.f_frsize

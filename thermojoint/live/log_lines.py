@@ -43,7 +43,7 @@ class EventLog:
             LOGGER.info("%s", line_of(kind, text, machine))
             self.pending.append(Event(time, machine, kind, text))
 
-    def fetched(self) -> list[Event]:
+    def take_pending(self) -> list[Event]:
         """Return the events to be stored, and clear them."""
         lines, self.pending = self.pending, []
         return lines

@@ -7,7 +7,7 @@ import socket
 from contextlib import suppress
 
 
-def tell_systemd(state: str) -> None:
+def notify_systemd(state: str) -> None:
     """Send a state, e.g. ``READY=1``, to the socket that the environment names."""
     address = os.environ.get("NOTIFY_SOCKET", "")
     if not address.startswith(("/", "@")):

@@ -114,7 +114,7 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
         partial(_postpone, running),
         partial(_read, running),
         lambda: {
-            "disk": "full" if running.room.full else "ok",
+            "disk": "full" if running.disk_space.full else "ok",
             "reserve_h": round(running.reserve_h, 1),
         },
     )

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live import processing
-from thermojoint.live.disk_reserve import lay_in
+from thermojoint.live.disk_reserve import preallocate
 from thermojoint.live.running import Running
 from thermojoint.live.store import Batch, commit, identity_of, layout_text, open_store
 
@@ -32,7 +32,7 @@ def is_damage(error: sqlite3.Error) -> bool:
     return closed or getattr(error, "sqlite_errorcode", 0) & 0xFF in _DAMAGE
 
 
-async def recover_if_gone(running: Running) -> None:
+async def recover_if_replaced(running: Running) -> None:
     """Continue in a copy if the store was deleted or replaced.
 
     Raises
@@ -44,7 +44,7 @@ async def recover_if_gone(running: Running) -> None:
     running.identity = running.identity or present
     if present != running.identity:
         why = "was deleted or replaced; its content is in a new one"
-        await asyncio.shield(_renew(running, running.store, why, running.store))
+        await asyncio.shield(_replace_store(running, running.store, why, running.store))
 
 
 async def recover(running: Running, failed: sqlite3.Connection, error: sqlite3.Error) -> None:
@@ -56,14 +56,14 @@ async def recover(running: Running, failed: sqlite3.Connection, error: sqlite3.E
         There is no space for the new store; another call tries again.
     """
     why = f"is damaged ({error}); a new one begins with the states of now"
-    await asyncio.shield(_renew(running, failed, why, None))
+    await asyncio.shield(_replace_store(running, failed, why, None))
 
 
-async def _renew(
+async def _replace_store(
     running: Running, failed: sqlite3.Connection, why: str, source: sqlite3.Connection | None
 ) -> None:
     """Continue in a new store; shielded, so that it is completed if the service ends meanwhile."""
-    async with running.mending:
+    async with running.recovery_lock:
         if running.store is not failed:
             return
         machines, path, now = running.fleet.machines.values(), running.archive.path, time.time()
@@ -84,42 +84,44 @@ async def _renew(
         try:
             # In one call: a commit between the two steps would be in neither store.
             await running.run_on_store(
-                lambda store: _put(store, _written(path, source, eras, batch), path, aside)
+                lambda store: _swap_files(
+                    store, _write_store(path, source, eras, batch), path, aside
+                )
             )
             running.store = open_store(path, running.service.given.store.durable)
-            lay_in(running.store, path)
+            preallocate(running.store, path)
         except (sqlite3.Error, OSError, InputError) as error:
             for machine, earlier in zip(machines, rows, strict=True):
                 machine.rows = earlier + machine.rows
             raise sqlite3.OperationalError(f"no new store: {error}") from error
         running.identity = identity_of(path)
-        running.journal_end = running.round_from = running.behind = 0
-        running.round = []
+        running.journal_end = running.round_start = running.checkpointed_until = 0
+        running.checkpoint_round = []
 
 
-def _written(
+def _write_store(
     path: Path, source: sqlite3.Connection | None, eras: Sequence[Era], batch: Batch
 ) -> Path:
     """Write a new store beside the existing one."""
-    new = path.with_name(f"{path.name}.new")
+    new_path = path.with_name(f"{path.name}.new")
     for suffix in ("", "-wal", "-shm"):
-        new.with_name(new.name + suffix).unlink(missing_ok=True)
+        new_path.with_name(new_path.name + suffix).unlink(missing_ok=True)
     if source is not None:
-        with closing(sqlite3.connect(new)) as target:
+        with closing(sqlite3.connect(new_path)) as target:
             source.backup(target)
-    with closing(open_store(new)) as target:
+    with closing(open_store(new_path)) as target:
         target.executemany("INSERT OR IGNORE INTO eras VALUES (?, ?, ?, ?, ?)", eras)
         commit(target, batch)
-    return new
+    return new_path
 
 
-def _put(store: sqlite3.Connection, new: Path, path: Path, aside: Path) -> None:
+def _swap_files(store: sqlite3.Connection, new_path: Path, path: Path, aside: Path) -> None:
     """Set a store aside and put the new one in its place."""
     # Closing deletes the log by its name, so it must come before the new store has that name.
     with suppress(sqlite3.Error):
         store.close()
     for suffix in ("", "-wal", "-shm"):
-        left = path.with_name(path.name + suffix)
-        if left.exists():
-            left.replace(aside.with_name(aside.name + suffix))
-    new.replace(path)
+        file = path.with_name(path.name + suffix)
+        if file.exists():
+            file.replace(aside.with_name(aside.name + suffix))
+    new_path.replace(path)

@@ -21,7 +21,13 @@ from thermojoint.live.access_store import NAME as ACCESS
 from thermojoint.live.accounts import Accounts, accounts_of
 from thermojoint.live.archive import Archive
 from thermojoint.live.arrivals import Arrival, Note
-from thermojoint.live.disk_reserve import OVERHEAD, Room, close, lay_in, tend
+from thermojoint.live.disk_reserve import (
+    OVERHEAD,
+    DiskSpace,
+    adjust_reserve,
+    close_store,
+    preallocate,
+)
 from thermojoint.live.loaded_models import LoadedModel, models_by_machine
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine_state import (
@@ -79,41 +85,41 @@ class Running:
     metrics: Metrics
     #: Users, tokens and sessions.
     accounts: Accounts
-    #: Used in `keeper` only.
+    #: Used in `store_thread` only.
     store: sqlite3.Connection
     #: One thread, so that batches are stored in order.
-    keeper: ThreadPoolExecutor
+    store_thread: ThreadPoolExecutor
     #: Queue of arrivals from the readers.
     arrivals: asyncio.Queue[list[Arrival | Note]]
     #: Set when the service is to end.
     stop: asyncio.Event
     #: Last entry of the store's journal.
     journal_end: int = 0
-    #: Round of checkpoints: machines without one yet, the journal's end at the begin of the round,
+    #: Round of checkpoints: machines without one yet, the journal's end when the round began,
     #: and the fraction of a machine that is due.
-    round: list[Machine] = field(default_factory=list)
-    round_from: int = 0
-    share: float = 0.0
+    checkpoint_round: list[Machine] = field(default_factory=list)
+    round_start: int = 0
+    due_share: float = 0.0
     #: Last entry of the journal that is covered by a checkpoint of every machine.
-    behind: int = 0
+    checkpointed_until: int = 0
     #: Makes the service read its file again.
     reload: Callable[[], None] = lambda: None
     #: Identifies the store's file among others of its name.
     identity: tuple[int, ...] | None = None
     #: Held while a store is replaced.
-    mending: asyncio.Lock = field(default_factory=asyncio.Lock)
+    recovery_lock: asyncio.Lock = field(default_factory=asyncio.Lock)
     #: Space for the store, at the last check.
-    room: Room = field(default_factory=Room)
+    disk_space: DiskSpace = field(default_factory=DiskSpace)
 
     async def run_on_store(self, work: Callable[..., Result], *arguments: object) -> Result:
         """Run a function on the store, after all earlier ones."""
         loop = asyncio.get_running_loop()
-        return await loop.run_in_executor(self.keeper, work, self.store, *arguments)
+        return await loop.run_in_executor(self.store_thread, work, self.store, *arguments)
 
     @property
     def reserve_h(self) -> float:
         """Time for which the store's reserve lasts, h."""
-        return self.room.reserve / self._per_hour
+        return self.disk_space.reserve / self._per_hour
 
     @property
     def _per_hour(self) -> float:
@@ -122,7 +128,7 @@ class Running:
         rows = sum(8.0 * one.model.layout.width / one.model.rule.interval for one in machines)
         return 3600.0 * OVERHEAD * rows
 
-    async def tended(self) -> None:
+    async def maintain_reserve(self) -> None:
         """Adjust the store's reserve, and log when the disk becomes full or has room again.
 
         Raises
@@ -130,12 +136,12 @@ class Running:
         sqlite3.DatabaseError
             The reserve is used up, or the store is damaged.
         """
-        before, wanted = self.room, self._per_hour * self.service.given.store.reserve_h
-        self.room = await self.run_on_store(tend, self.archive.path, wanted)
-        self.metrics.disk_full.set(self.room.full)
+        before, wanted = self.disk_space, self._per_hour * self.service.given.store.reserve_h
+        self.disk_space = await self.run_on_store(adjust_reserve, self.archive.path, wanted)
+        self.metrics.disk_full.set(self.disk_space.full)
         self.metrics.reserve.set(3600.0 * self.reserve_h)
-        if self.room.full != before.full:
-            what = "is full" if self.room.full else "has room again"
+        if self.disk_space.full != before.full:
+            what = "is full" if self.disk_space.full else "has room again"
             text = f"{what}; the store's reserve lasts for {self.reserve_h:.1f} h"
             self.fleet.log.say(time.time(), "disk", text)
 
@@ -149,12 +155,12 @@ async def opened(
     path = service.folder / _STORE
     with locked(service.folder), ExitStack() as ends:
         accounts = accounts_of(service)
-        ends.callback(close, accounts.store, service.folder / ACCESS)
-        keeper = ThreadPoolExecutor(1, "keeper")
+        ends.callback(close_store, accounts.store, service.folder / ACCESS)
+        store_thread = ThreadPoolExecutor(1, "store")
         store = open_store(path, service.given.store.durable)
         ends.callback(store.close)
-        ends.callback(keeper.shutdown, wait=True)
-        lay_in(store, path)
+        ends.callback(store_thread.shutdown, wait=True)
+        preallocate(store, path)
         metrics = fresh_metrics()
         times = Times(time.time(), time.monotonic())
         fleet, newest = restored_fleet(service, models, store, log, metrics, times)
@@ -166,18 +172,18 @@ async def opened(
             metrics,
             accounts,
             store,
-            keeper,
+            store_thread,
             asyncio.Queue(_MOST_BLOCKS),
             stop,
             identity=identity_of(path),
         )
-        ends.callback(lambda: close(running.store, path))
+        ends.callback(lambda: close_store(running.store, path))
         log.say(times.now, "start", f"store {path}")
         running.publisher.publish(newest)
         yield running
         log.say(time.time(), "stop", "all that was read is kept")
         with suppress(sqlite3.DatabaseError):
-            await running.run_on_store(commit, Batch(events=log.fetched()))
+            await running.run_on_store(commit, Batch(events=log.take_pending()))
 
 
 def restored_fleet(

@@ -22,12 +22,12 @@ from thermojoint.live.former_models import note_deployments, pinned
 from thermojoint.live.loaded_models import LoadedModel, load_models, models_by_machine
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine_state import with_held_offsets
-from thermojoint.live.notify import tell_systemd
+from thermojoint.live.notify import notify_systemd
 from thermojoint.live.outputs import open_outputs
 from thermojoint.live.processing import Machine
 from thermojoint.live.publication import Publication
 from thermojoint.live.readers.reading import Reader, readers_of
-from thermojoint.live.recovery import is_damage, recover, recover_if_gone
+from thermojoint.live.recovery import is_damage, recover, recover_if_replaced
 from thermojoint.live.running import Running, opened
 from thermojoint.live.settings import Service
 from thermojoint.live.store import Batch, checkpoint_wal, commit, prune
@@ -37,13 +37,13 @@ _AT_ONCE = 32
 #: Time in which arrivals are gathered for the next commit, s: commits of one sample are costly.
 _GATHER_S = 0.01
 #: Interval of checks for silence and of checkpoints, s.
-_WATCH_S = 1.0
+_MONITOR_S = 1.0
 #: Interval at which the store's write-ahead log is moved into its file, s.
-_SHORTEN_S = 10.0
+_LOG_CHECKPOINT_S = 10.0
 #: Interval at which the expiry of the certificates is checked, s.
-_ANNOUNCE_S = 86400.0
+_CERTIFICATE_CHECK_S = 86400.0
 #: Delay before the store is tried again, s.
-_AGAIN_S = 1.0
+_RETRY_S = 1.0
 #: Unacknowledged messages that a broker sends by default.
 _USUAL_IN_FLIGHT = 20
 
@@ -72,44 +72,44 @@ async def run(
         Something in the file is unusable: a model, a certificate, an address in use.
     """
     log = EventLog()
-    service, models = working(pinned(service), log)
+    service, models = without_unusable_models(pinned(service), log)
     readers = readers_of(service, models_by_machine(models, service))
     # The models stay in memory: the garbage collector need not examine them.
     gc.collect()
     gc.freeze()
     async with opened(service, models, stop, log) as running:
         running.reload = reload
-        note_changes(running)
+        audit_changes(running)
         failed: list[BaseException] = []
         outputs = [asyncio.create_task(one) for one in await open_outputs(running)]
         fleet = running.fleet
-        sources = [asyncio.create_task(_read(running, reader)) for reader in readers]
+        sources = [asyncio.create_task(_queue_arrivals(running, reader)) for reader in readers]
         work = asyncio.create_task(_process(running))
-        watch = asyncio.create_task(_watch(running))
-        ended = asyncio.create_task(_ended(running, sources, failed))
+        watch = asyncio.create_task(_monitor(running))
+        ended = asyncio.create_task(_stop_after_sources(running, sources, failed))
         tasks = [*outputs, work, watch]
         for task in tasks:
             task.add_done_callback(lambda ended: _note_failure(ended, failed, stop))
         fleet.log.say(time.time(), "ready", f"{len(fleet.machines)} machines")
         ready(running)
-        tell_systemd("READY=1")
+        notify_systemd("READY=1")
         try:
             await stop.wait()
         finally:
-            tell_systemd("STOPPING=1")
+            notify_systemd("STOPPING=1")
             await cancelled(*sources, ended, watch, *outputs)
             # Earlier arrivals are still processed; an empty block ends the queue.
             if not work.done():
                 await running.arrivals.put([])
             await asyncio.gather(work, return_exceptions=True)
-            async with _tending(running):
-                await recover_if_gone(running)
+            async with _store_maintenance(running):
+                await recover_if_replaced(running)
             await _checkpoint(running, list(fleet.machines.values()))
         if failed:
             raise failed[0]
 
 
-def note_changes(running: Running) -> None:
+def audit_changes(running: Running) -> None:
     """Write changed settings and models into the audit log."""
     audit, now = running.accounts.audit, time.time()
     try:
@@ -130,7 +130,9 @@ def announce_certificates(running: Running) -> None:
         running.fleet.log.say(now, "certificate", line)
 
 
-def working(service: Service, log: EventLog) -> tuple[Service, dict[str, LoadedModel]]:
+def without_unusable_models(
+    service: Service, log: EventLog
+) -> tuple[Service, dict[str, LoadedModel]]:
     """Return a service without the machines whose model cannot be opened, and the other models.
 
     Raises
@@ -149,7 +151,7 @@ def working(service: Service, log: EventLog) -> tuple[Service, dict[str, LoadedM
     return Service(service.given, machines), models
 
 
-async def _read(running: Running, reader: Reader) -> None:
+async def _queue_arrivals(running: Running, reader: Reader) -> None:
     """Queue the arrivals of a reader until it ends."""
     positions = {name: running.fleet.machines[name].position for name in reader.machines}
     try:
@@ -163,7 +165,7 @@ async def _read(running: Running, reader: Reader) -> None:
         raise
 
 
-async def _ended(
+async def _stop_after_sources(
     running: Running, sources: Sequence[asyncio.Task[None]], failed: list[BaseException]
 ) -> None:
     """End the service when every source has ended; it fails if one of them has failed."""
@@ -198,12 +200,12 @@ async def _process(running: Running) -> None:
             arrival for block in blocks for arrival in block if isinstance(arrival, Arrival)
         ]
         results = processing.process_arrivals(fleet, arrivals, now, time.monotonic())
-        events = fleet.log.fetched()
+        events = fleet.log.take_pending()
         if results.samples or events:
             received = processing.received_offsets(fleet, results.publications, now)
             batch = Batch(results.samples, (), events, results.gaps, received)
             with running.metrics.commit.time():
-                await _keep(running, batch)
+                await _commit(running, batch)
         running.publisher.publish(list(results.publications.values()))
         for call in results.acknowledgements:
             call()
@@ -218,42 +220,42 @@ async def _process(running: Running) -> None:
         await asyncio.sleep(_GATHER_S if queue.empty() else 0.0)
 
 
-async def _watch(running: Running) -> None:
+async def _monitor(running: Running) -> None:
     """Check for silence, store states at intervals, and prune the store."""
     settings = running.service.given.store
-    shortened, announced = time.monotonic(), -math.inf
+    log_checkpointed, announced = time.monotonic(), -math.inf
     while True:
-        await asyncio.sleep(_WATCH_S)
-        tell_systemd("WATCHDOG=1")
+        await asyncio.sleep(_MONITOR_S)
+        notify_systemd("WATCHDOG=1")
         now, clock = time.time(), time.monotonic()
-        await published(running, processing.check_silence(running.fleet, now, clock))
+        await publish_changes(running, processing.check_silence(running.fleet, now, clock))
         running.publisher.heartbeat += 1
         processing.count_qualities(running.fleet)
-        processing.count_modes(running.fleet, _WATCH_S)
-        await _release(running, processing.stalled_machines(running.fleet, clock))
-        async with _tending(running):
-            await recover_if_gone(running)
-            await running.tended()
+        processing.count_modes(running.fleet, _MONITOR_S)
+        await _acknowledge_stalled(running, processing.stalled_machines(running.fleet, clock))
+        async with _store_maintenance(running):
+            await recover_if_replaced(running)
+            await running.maintain_reserve()
             await _checkpoint_some(running, settings.checkpoint_s)
-        if clock - announced >= _ANNOUNCE_S:
+        if clock - announced >= _CERTIFICATE_CHECK_S:
             announced = clock
             announce_certificates(running)
-        if clock - shortened >= _SHORTEN_S:
-            shortened = clock
-            await shorten_log(running)
+        if clock - log_checkpointed >= _LOG_CHECKPOINT_S:
+            log_checkpointed = clock
+            await checkpoint_store_log(running)
 
 
-async def shorten_log(running: Running) -> None:
+async def checkpoint_store_log(running: Running) -> None:
     """Move the store's write-ahead log into its file, and update the metric of its size."""
     path = running.archive.path
     log = path.with_name(path.name + "-wal")
-    async with _tending(running):
+    async with _store_maintenance(running):
         await asyncio.to_thread(checkpoint_wal, path)
     running.metrics.log_size.set(log.stat().st_size if log.exists() else 0)
 
 
 @asynccontextmanager
-async def _tending(running: Running) -> AsyncIterator[None]:
+async def _store_maintenance(running: Running) -> AsyncIterator[None]:
     """Context for deferrable work on the store; a damaged store is replaced."""
     store = running.store
     try:
@@ -264,16 +266,16 @@ async def _tending(running: Running) -> AsyncIterator[None]:
                 await recover(running, store, error)
 
 
-async def published(running: Running, changed: list[Publication]) -> None:
+async def publish_changes(running: Running, changed: list[Publication]) -> None:
     """Publish changes caused by silence, after storing the offsets that the controls receive."""
     names = [publication.machine for publication in changed]
     received = processing.received_offsets(running.fleet, names, time.time())
     if received:
-        await _keep(running, Batch(received=received))
+        await _commit(running, Batch(received=received))
     running.publisher.publish(changed)
 
 
-async def _release(running: Running, machines: Sequence[Machine]) -> None:
+async def _acknowledge_stalled(running: Running, machines: Sequence[Machine]) -> None:
     """Store arrivals that wait for a sample unassembled, and acknowledge them."""
     if not machines:
         return
@@ -289,34 +291,37 @@ async def _release(running: Running, machines: Sequence[Machine]) -> None:
             f"{waiting} messages waited for others; a broker that sends no more than so many at "
             "a time needs a higher limit (Mosquitto: max_inflight_messages 0)",
         )
-    await _keep(running, Batch(checkpoints=[processing.checkpoint_of(one) for one in machines]))
+    await _commit(running, Batch(checkpoints=[processing.checkpoint_of(one) for one in machines]))
     for call in calls:
         call()
 
 
 async def _checkpoint_some(running: Running, every: float) -> None:
     """Store the states of some machines, so that each is stored once within a time (s)."""
-    if not running.round:
-        running.behind, running.round_from = running.round_from, running.journal_end
-        running.round = list(running.fleet.machines.values())
-    running.share += len(running.fleet.machines) * _WATCH_S / every
-    count = int(running.share)
-    running.share -= count
-    due, running.round = running.round[:count], running.round[count:]
+    if not running.checkpoint_round:
+        running.checkpointed_until, running.round_start = running.round_start, running.journal_end
+        running.checkpoint_round = list(running.fleet.machines.values())
+    running.due_share += len(running.fleet.machines) * _MONITOR_S / every
+    count = int(running.due_share)
+    running.due_share -= count
+    due, running.checkpoint_round = (
+        running.checkpoint_round[:count],
+        running.checkpoint_round[count:],
+    )
     await _checkpoint(running, due)
     oldest = 86400.0 * running.service.given.store.keep_days
     eras = [machine.era for machine in due]
-    await running.run_on_store(prune, running.behind, eras, oldest, time.time())
+    await running.run_on_store(prune, running.checkpointed_until, eras, oldest, time.time())
 
 
 async def _checkpoint(running: Running, machines: Sequence[Machine]) -> None:
     checkpoints = [processing.checkpoint_of(machine) for machine in machines if machine.rows]
-    events = running.fleet.log.fetched()
+    events = running.fleet.log.take_pending()
     if checkpoints or events:
-        await _keep(running, Batch(checkpoints=checkpoints, events=events))
+        await _commit(running, Batch(checkpoints=checkpoints, events=events))
 
 
-async def _keep(running: Running, batch: Batch) -> None:
+async def _commit(running: Running, batch: Batch) -> None:
     """Store a batch; wait while the store's reserve is used up or another program locks the file.
 
     Meanwhile nothing new is published, and the controls hold the values received last.
@@ -339,9 +344,9 @@ async def _keep(running: Running, batch: Batch) -> None:
             )
             if running.stop.is_set():
                 return
-            await asyncio.sleep(_AGAIN_S)
-            # `_watch` itself may be waiting here.
+            await asyncio.sleep(_RETRY_S)
+            # `_monitor` itself may be waiting here.
             with suppress(sqlite3.DatabaseError):
-                await running.tended()
+                await running.maintain_reserve()
         else:
             return

@@ -29,7 +29,7 @@ import numpy as np
 from estimator.interface import Channel
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
-from thermojoint.live.disk_reserve import RESERVE, is_full, stay_within
+from thermojoint.live.disk_reserve import RESERVE, is_full, limit_writes
 from thermojoint.live.publication import AxisLine, Layout
 
 SCHEMA_VERSION = 2
@@ -241,7 +241,7 @@ def open_store(path: Path, durable: bool = False) -> sqlite3.Connection:
         store.execute("PRAGMA journal_mode = WAL")
         store.execute(f"PRAGMA synchronous = {'FULL' if durable else 'NORMAL'}")
         # The service moves the log itself: commits that do so, from this size on, take longer.
-        stay_within(store, _LARGEST_WAL)
+        limit_writes(store, _LARGEST_WAL)
         store.executescript(_TABLES + RESERVE)
         store.execute(
             "INSERT OR IGNORE INTO meta VALUES ('schema_version', ?)", (str(SCHEMA_VERSION),)

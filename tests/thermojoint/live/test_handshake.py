@@ -209,7 +209,7 @@ def test_offsets_freeze_and_fade_without_the_control_and_go_on_from_what_it_clea
     assert (modes[back], offsets[back]) == ("wait", 0.0)
     assert np.abs(np.diff(offsets[back:])).max() <= 1.1
     assert (modes[119], offsets[119]) == ("follow", pytest.approx(-20.0))
-    kinds = [event.text for event in fleet.log.fetched() if event.kind == "handshake"]
+    kinds = [event.text for event in fleet.log.take_pending() if event.kind == "handshake"]
     assert len(kinds) == 4
 
 

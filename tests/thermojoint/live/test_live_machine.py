@@ -18,7 +18,7 @@ from thermojoint.compensation.offsets.settings import read_settings
 from thermojoint.live import processing
 from thermojoint.live.archive import Archive
 from thermojoint.live.arrivals import Arrival
-from thermojoint.live.disk_reserve import SLICE, lay_in, tend
+from thermojoint.live.disk_reserve import SLICE, adjust_reserve, preallocate
 from thermojoint.live.loaded_models import LoadedModel, load_model
 from thermojoint.live.log_lines import EventLog, limited, line_of
 from thermojoint.live.machine_state import (
@@ -366,14 +366,14 @@ def test_a_store_goes_on_in_its_reserve_on_a_full_disk(tmp_path):
     with mounted(tmp_path / "disk", 96) as disk:
         path = disk / "history.sqlite"
         store = open_store(path)
-        lay_in(store, path)
+        preallocate(store, path)
         for _ in range(10):
-            room = tend(store, path, wanted)
+            room = adjust_reserve(store, path, wanted)
         assert (room.full, room.reserve >= wanted) == (False, True)
         filler = fill(disk)
         with contextlib.suppress(sqlite3.OperationalError):
             while True:
-                rooms.append(tend(store, path, wanted))
+                rooms.append(adjust_reserve(store, path, wanted))
                 commit(store, batch)
                 stored += 1000
         assert all(room.full for room in rooms)
@@ -383,7 +383,7 @@ def test_a_store_goes_on_in_its_reserve_on_a_full_disk(tmp_path):
         filler.unlink()
         commit(store, batch)
         for _ in range(10):
-            room = tend(store, path, wanted)
+            room = adjust_reserve(store, path, wanted)
         assert (room.full, room.reserve >= wanted) == (False, True)
         assert store.execute("PRAGMA integrity_check").fetchone() == ("ok",)
         store.close()

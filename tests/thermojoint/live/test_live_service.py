@@ -292,7 +292,7 @@ def test_a_full_disk_stops_nobody(model, expected, tmp_path):
                 fill(disk)
             else:
                 (disk / "filler").unlink()
-            await until(lambda: running.room.full is full)
+            await until(lambda: running.disk_space.full is full)
             with log.open("a") as file:
                 file.write("".join(lines[before + 1 : after + 1]))
             await until(lambda: newest["mill"].number == after)

@@ -26,7 +26,7 @@ from thermojoint.live.backup import back_up, restore
 from thermojoint.live.certificates import ANNOUNCED, HTTP_LASTS, ending, own_certificate
 from thermojoint.live.former_models import SHOWN, fingerprint_of, read_record
 from thermojoint.live.reloading import serve_file
-from thermojoint.live.service import shorten_log
+from thermojoint.live.service import checkpoint_store_log
 from thermojoint.live.settings import HttpServer, read_service
 from thermojoint.live.store import send_sighup
 from thermojoint.live.targets.settings import read_target
@@ -257,7 +257,7 @@ def test_a_reload_that_cannot_even_be_checked_ends_no_service(models, tmp_path, 
 def test_the_size_of_the_write_ahead_log_is_a_metric(models, tmp_path):
     async def live():
         async with running(plant(tmp_path, models, free_port())) as (starts, _):
-            await shorten_log(starts[0])
+            await checkpoint_store_log(starts[0])
             (sample,) = starts[0].metrics.log_size.collect()[0].samples
             return sample.value
 
