@@ -31,7 +31,7 @@ from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine_state import initial_state
 from thermojoint.live.metrics import fresh_metrics
 from thermojoint.live.processing import Fleet, Machine
-from thermojoint.live.readers import csv_pipe, mqtt, opcua
+from thermojoint.live.readers import csv_lines, mqtt, opcua
 from thermojoint.live.samples import AssemblyState
 from thermojoint.live.settings import MqttSource, WatchdogSection
 from thermojoint.live.writers.opcua import probe_reading
@@ -137,11 +137,11 @@ def csv_door(
 ) -> list[Arrival | Note]:
     """One line of a pipe."""
     names = {name: name for name in model.intake.names}
-    pipe = csv_pipe.Pipe(MACHINE, Path("-"), names, model.intake.wanted, 0.0, follow=True)
+    reader = csv_lines.CsvReader(MACHINE, Path("-"), names, model.intake.wanted, 0.0, follow=True)
     cells = [repr(now), *map(repr, good_readings(model, int(now - START)))]
     line = ",".join(cells).encode()
     first = ",".join(("time_s", *model.intake.names[: model.intake.wanted]))
-    header = csv_pipe.header_of([first, line.decode()], pipe)
+    header = csv_lines.header_of([first, line.decode()], reader)
     if not well:
         kind = draw.randrange(5)
         if kind == 0:
@@ -155,7 +155,7 @@ def csv_door(
         else:
             cells[0] = '"' + "9" * 400
         line = line if kind == 0 else ",".join(cells).encode("utf-8", "replace")
-    return csv_pipe.items_in(pipe, header, line, Hands())[0]
+    return csv_lines.items_in(reader, header, line, Hands())[0]
 
 
 def opcua_door(

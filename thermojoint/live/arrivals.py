@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 #: Name of a reading that no source delivers.
-NEVER = "\0"
+NOT_DELIVERED = "\0"
 
 
 @dataclass(frozen=True, slots=True)

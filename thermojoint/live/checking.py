@@ -19,7 +19,7 @@ from thermojoint.live.certificates import ending, http_identity, opcua_identity
 from thermojoint.live.consistency import contradictions
 from thermojoint.live.former_models import pinned
 from thermojoint.live.loaded_models import LoadedModel, load_models, models_by_machine
-from thermojoint.live.readers.reading import readers_of
+from thermojoint.live.readers.reader import readers_of
 from thermojoint.live.scene import scene_of
 from thermojoint.live.settings import Service
 from thermojoint.live.store import check_store, is_locked

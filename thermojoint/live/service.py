@@ -26,7 +26,7 @@ from thermojoint.live.notify import notify_systemd
 from thermojoint.live.outputs import open_outputs
 from thermojoint.live.processing import Machine
 from thermojoint.live.publication import Publication
-from thermojoint.live.readers.reading import Reader, readers_of
+from thermojoint.live.readers.reader import Reader, readers_of
 from thermojoint.live.recovery import is_damage, recover, recover_if_replaced
 from thermojoint.live.running import Running, opened
 from thermojoint.live.settings import Service

@@ -24,8 +24,8 @@ from thermojoint.live.arrivals import Arrival, Note
 from thermojoint.live.loaded_models import load_model
 from thermojoint.live.opcua_values import status_of, variables_of
 from thermojoint.live.publication import Layout
-from thermojoint.live.readers import csv_pipe, mqtt, opcua
-from thermojoint.live.readers.reading import called
+from thermojoint.live.readers import csv_lines, mqtt, opcua
+from thermojoint.live.readers.reader import source_names
 from thermojoint.live.settings import ModelSection, MqttSource
 
 NAMES = ("T1_degC", "T2_degC")
@@ -70,17 +70,17 @@ def test_any_topic_is_of_a_machine_or_a_note(topic):
     assert isinstance(found, Arrival) == (topic == "hall/mill")
 
 
-def pipe_of(path, *names, **called):
+def pipe_of(path, *names, **source_names):
     """A pipe that ends with its file."""
-    named = {name: name for name in names} | called
-    return csv_pipe.Pipe("mill", path, named, len(names), 0.0, follow=False)
+    named = {name: name for name in names} | source_names
+    return csv_lines.CsvReader("mill", path, named, len(names), 0.0, follow=False)
 
 
-def read(pipe, position=None):
+def read(reader, position=None):
     """What a stream says: arrivals, and notes."""
 
     async def whole():
-        return [one async for some in pipe.read({pipe.machine: position}) for one in some]
+        return [one async for some in reader.read({reader.machine: position}) for one in some]
 
     found = asyncio.run(whole())
     arrivals = [one for one in found if isinstance(one, Arrival)]
@@ -91,18 +91,18 @@ def test_a_later_row_shows_the_decimal_sign_of_a_stream(tmp_path):
     """The machine rests in its first row, and ``1.500`` is no 1.5 rpm beside ``20,5`` °C."""
     path = tmp_path / "log.csv"
     path.write_text("time_s;T1_degC;n_rpm\n0;20;0\n10;20,5;1.500\n20;21;1.500\n")
-    pipe = pipe_of(path, "T1_degC", "n_rpm")
-    arrivals, _ = read(pipe)
+    reader = pipe_of(path, "T1_degC", "n_rpm")
+    arrivals, _ = read(reader)
     assert [list(one.readings) for one in arrivals] == [[20.0, 0.0], [20.5, 1500.0], [21.0, 1500.0]]
-    rest, _ = read(pipe, json.loads(json.dumps(arrivals[1].position)))
+    rest, _ = read(reader, json.loads(json.dumps(arrivals[1].position)))
     assert [list(one.readings) for one in rest] == [[21.0, 1500.0]]
 
 
 @given(st.binary(max_size=200))
 def test_any_line_is_a_row_or_a_note(line):
-    pipe = pipe_of(Path("-"), *NAMES)
-    header = csv_pipe.header_of(["T2_degC,time_s,T1_degC,other", "20,1,20,a"], pipe)
-    found, _ = csv_pipe.items_in(pipe, header, line.replace(b"\n", b""), Hands())
+    reader = pipe_of(Path("-"), *NAMES)
+    header = csv_lines.header_of(["T2_degC,time_s,T1_degC,other", "20,1,20,a"], reader)
+    found, _ = csv_lines.items_in(reader, header, line.replace(b"\n", b""), Hands())
     assert all(isinstance(one, Arrival | Note) for one in found)
 
 
@@ -114,8 +114,8 @@ def test_a_stream_in_any_dialect_gives_the_samples_of_the_file(
 ):
     path = tmp_path_factory.mktemp("log") / "log.csv"
     path.write_bytes(dialect(samples, "utf-8"))
-    pipe = pipe_of(path, "T1_degC", "x_um", "n_rpm")
-    log, (arrivals, notes) = read_log([path]), read(pipe)
+    reader = pipe_of(path, "T1_degC", "x_um", "n_rpm")
+    log, (arrivals, notes) = read_log([path]), read(reader)
     assert [one.kind for one in notes] == ["source-read"]
     np.testing.assert_array_equal([one.time for one in arrivals], log.times)
     for column, told in zip(
@@ -124,7 +124,7 @@ def test_a_stream_in_any_dialect_gives_the_samples_of_the_file(
         np.testing.assert_array_equal(column.to_si(told), log.at(column.name))
     # Read on from any kept sample it is the rest.
     cut %= len(samples)
-    rest, _ = read(pipe, json.loads(json.dumps(arrivals[cut].position)))
+    rest, _ = read(reader, json.loads(json.dumps(arrivals[cut].position)))
     assert [(one.time, one.readings) for one in rest] == [
         (one.time, one.readings) for one in arrivals[cut + 1 :]
     ]
@@ -273,7 +273,7 @@ def test_readings_of_the_displacement_are_read_only_where_the_columns_name_them(
     log = replace(model, intake=of_columns(("T1_degC", "x_um"), 1))
     lines, found = ["time_s,T1_degC,x_um\n", "1,20.0,35.0\n", "2,20.0,35.0\n"], []
     for columns in ({}, {"x_um": "x_um"}):
-        names = dict(zip(log.intake.names, called(log, columns, "columns"), strict=True))
-        pipe = csv_pipe.Pipe("mill", Path("x.csv"), names, 1, 0.0, True)
-        found.append(csv_pipe.header_of(lines, pipe).places[1] is None)
+        names = dict(zip(log.intake.names, source_names(log, columns, "columns"), strict=True))
+        reader = csv_lines.CsvReader("mill", Path("x.csv"), names, 1, 0.0, True)
+        found.append(csv_lines.header_of(lines, reader).places[1] is None)
     assert found == [True, False]

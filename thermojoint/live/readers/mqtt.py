@@ -23,7 +23,7 @@ import aiomqtt
 
 from thermojoint.live.arrivals import Arrival, Note
 from thermojoint.live.mqtt_session import Address, acknowledge, address_of, connected, lost
-from thermojoint.live.readers.session import beside
+from thermojoint.live.readers.session import background_session
 from thermojoint.live.reconnecting import FIRST_S, next_delay
 from thermojoint.live.settings import MqttSource
 from thermojoint.live.times import seconds_of
@@ -53,9 +53,9 @@ class MqttReader:
     address: Address
     topics: Topics
     #: Largest number of queued messages.
-    most: int
-    _found: deque[Arrival | Note] = field(default_factory=deque)
-    _came: asyncio.Event = field(default_factory=asyncio.Event)
+    most_waiting: int
+    _queue: deque[Arrival | Note] = field(default_factory=deque)
+    _received: asyncio.Event = field(default_factory=asyncio.Event)
 
     @property
     def machines(self) -> Sequence[str]:
@@ -64,12 +64,12 @@ class MqttReader:
 
     async def read(self, positions: Mapping[str, Any]) -> AsyncIterator[list[Arrival | Note]]:
         """Yield messages until cancelled; reconnect whenever the connection is lost."""
-        async with beside(self._stay_connected(), self._came) as heard:
+        async with background_session(self._stay_connected(), self._received) as next_arrival:
             while True:
-                await heard()
-                while self._found:
-                    count = min(len(self._found), _AT_ONCE)
-                    yield [self._found.popleft() for _ in range(count)]
+                await next_arrival()
+                while self._queue:
+                    count = min(len(self._queue), _AT_ONCE)
+                    yield [self._queue.popleft() for _ in range(count)]
 
     async def _stay_connected(self) -> None:
         delay, where = FIRST_S, f"{self.address.host}:{self.address.port}"
@@ -77,32 +77,32 @@ class MqttReader:
             client: list[aiomqtt.Client] = []
             try:
                 async with connected(
-                    self.address, "reads", on_message=partial(self._take, client)
+                    self.address, "reads", on_message=partial(self._receive, client)
                 ) as session:
                     client.append(session)
                     await session.subscribe(self.topics.filter, qos=1)
-                    self._put(Note("connected", f"MQTT broker {where}"))
+                    self._enqueue(Note("connected", f"MQTT broker {where}"))
                     delay = FIRST_S
                     await lost(session)
             except aiomqtt.MqttError as error:
-                self._put(Note("disconnected", f"MQTT broker {where}: {error}"))
+                self._enqueue(Note("disconnected", f"MQTT broker {where}: {error}"))
             await asyncio.sleep(delay)
             delay = next_delay(delay)
 
-    def _take(self, client: Sequence[aiomqtt.Client], message: Any) -> None:  # noqa: ANN401
+    def _receive(self, client: Sequence[aiomqtt.Client], message: Any) -> None:  # noqa: ANN401
         """Queue one message; called by the client."""
         acknowledge_message = partial(_acknowledged, client, message) if message.qos else None
-        if len(self._found) >= self.most:
+        if len(self._queue) >= self.most_waiting:
             # Not acknowledged: the broker sends it again after the next connection.
             return
         item = item_of(self.topics, message.topic, message.payload, acknowledge_message)
         if isinstance(item, Note) and acknowledge_message:
             acknowledge_message()
-        self._put(item)
+        self._enqueue(item)
 
-    def _put(self, item: Arrival | Note) -> None:
-        self._found.append(item)
-        self._came.set()
+    def _enqueue(self, item: Arrival | Note) -> None:
+        self._queue.append(item)
+        self._received.set()
 
 
 def _acknowledged(client: Sequence[aiomqtt.Client], message: Any) -> None:  # noqa: ANN401

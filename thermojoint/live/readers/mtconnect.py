@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 from urllib.parse import quote
 
 from thermojoint.artefacts.quantities import Place
-from thermojoint.live.arrivals import NEVER, Arrival, Note
+from thermojoint.live.arrivals import NOT_DELIVERED, Arrival, Note
 from thermojoint.live.http_session import (
     LOST,
     TIMEOUT_S,
@@ -240,7 +240,7 @@ def places_of(
             notes.append(Note("unreadable", f"the agent has no device {one.device}", machine))
             continue
         for k, (reading, name) in enumerate(zip(one.readings, one.items, strict=True)):
-            if name == NEVER:
+            if name == NOT_DELIVERED:
                 continue
             if name not in items:
                 text = f"device {one.device} has no data item {name}"

@@ -22,7 +22,7 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.live.arrivals import Arrival, Note
 from thermojoint.live.loaded_models import LoadedModel
 from thermojoint.live.opcua_session import LOST, TIMEOUT_S, Endpoint, client_of, endpoint_of
-from thermojoint.live.readers.session import beside
+from thermojoint.live.readers.session import background_session
 from thermojoint.live.reconnecting import FIRST_S, next_delay, shown
 from thermojoint.live.settings import OpcuaSource, Service
 from thermojoint.live.times import since_1970
@@ -52,11 +52,11 @@ class OpcuaReader:
     #: Readings of each machine.
     counts: Mapping[str, int]
     #: Largest number of queued values.
-    most: int
+    most_waiting: int
     #: Interval of the server's publications.
     publishing_ms: float
-    _found: deque[Arrival | Note] = field(default_factory=deque)
-    _came: asyncio.Event = field(default_factory=asyncio.Event)
+    _queue: deque[Arrival | Note] = field(default_factory=deque)
+    _received: asyncio.Event = field(default_factory=asyncio.Event)
     _newest: dict[tuple[str, int], float] = field(default_factory=dict)
 
     @property
@@ -73,11 +73,11 @@ class OpcuaReader:
             if isinstance(at, int | float)
             for k in range(self.counts[machine])
         }
-        async with beside(self._stay_connected(), self._came) as heard:
+        async with background_session(self._stay_connected(), self._received) as next_arrival:
             while True:
-                await heard()
-                arrivals = in_order(self._found)
-                self._found.clear()
+                await next_arrival()
+                arrivals = in_order(self._queue)
+                self._queue.clear()
                 for k in range(0, len(arrivals), _AT_ONCE):
                     yield arrivals[k : k + _AT_ONCE]
 
@@ -90,7 +90,7 @@ class OpcuaReader:
                     delay = FIRST_S
                     await self._listen(client)
             except LOST as error:
-                self._put(Note("disconnected", f"OPC UA {self.endpoint.url}: {shown(error)}"))
+                self._enqueue(Note("disconnected", f"OPC UA {self.endpoint.url}: {shown(error)}"))
             await asyncio.sleep(delay)
             delay = next_delay(delay)
 
@@ -108,23 +108,23 @@ class OpcuaReader:
             for node, result in zip(some, results, strict=True):
                 if isinstance(result, ua.StatusCode):
                     machine, _ = places[node.nodeid]
-                    self._put(
+                    self._enqueue(
                         Note("unreadable", f"{node.nodeid.to_string()}: {result.name}", machine)
                     )
-        self._put(Note("connected", f"OPC UA {self.endpoint.url}"))
-        stored = await self._stored(client, nodes, places)
+        self._enqueue(Note("connected", f"OPC UA {self.endpoint.url}"))
+        stored = await self._missed_values(client, nodes, places)
         for nodeid, value in sorted(stored, key=lambda item: _time(item[1])):
-            self._take(places, nodeid, value)
+            self._receive(places, nodeid, value)
         # Then the values that have arrived meanwhile.
         for nodeid, value in missed:
-            self._take(places, nodeid, value)
-        handler.take = lambda nodeid, value: self._take(places, nodeid, value)
+            self._receive(places, nodeid, value)
+        handler.take = lambda nodeid, value: self._receive(places, nodeid, value)
         while True:
             await asyncio.sleep(_ALIVE_S)
             async with asyncio.timeout(TIMEOUT_S):
                 await client.nodes.server_state.read_value()
 
-    async def _stored(
+    async def _missed_values(
         self, client: Client, nodes: Sequence[Node], places: Mapping[ua.NodeId, tuple[str, int]]
     ) -> list[tuple[ua.NodeId, ua.DataValue]]:
         """Return the history of every variable since its last reading, up to its present value."""
@@ -162,7 +162,7 @@ class OpcuaReader:
             await asyncio.sleep(_AGAIN_S if wanted and not more else 0.0)
         return [(nodeid, value) for nodeid, values in found.items() for value in values]
 
-    def _take(
+    def _receive(
         self, places: Mapping[ua.NodeId, tuple[str, int]], nodeid: ua.NodeId, value: ua.DataValue
     ) -> None:
         machine, k = places[nodeid]
@@ -171,12 +171,12 @@ class OpcuaReader:
             self._newest[machine, k] = max(item.time, self._newest.get((machine, k), 0.0))
         else:
             item = replace(item, text=f"{nodeid.to_string()}: {item.text}")
-        if len(self._found) < self.most:
-            self._put(item)
+        if len(self._queue) < self.most_waiting:
+            self._enqueue(item)
 
-    def _put(self, item: Arrival | Note) -> None:
-        self._found.append(item)
-        self._came.set()
+    def _enqueue(self, item: Arrival | Note) -> None:
+        self._queue.append(item)
+        self._received.set()
 
 
 def in_order(items: Iterable[Arrival | Note]) -> list[Arrival | Note]:
@@ -195,12 +195,12 @@ def in_order(items: Iterable[Arrival | Note]) -> list[Arrival | Note]:
         merged[key] = (
             item
             if before is None
-            else replace(before, readings=_both(before.readings, item.readings))
+            else replace(before, readings=_merged(before.readings, item.readings))
         )
     return [*ordered, *sorted(merged.values(), key=lambda arrival: arrival.time)]
 
 
-def _both(first: Sequence[float | None], second: Sequence[float | None]) -> list[float | None]:
+def _merged(first: Sequence[float | None], second: Sequence[float | None]) -> list[float | None]:
     return [b if a is None else a for a, b in zip(first, second, strict=True)]
 
 

@@ -11,29 +11,29 @@ from thermojoint.live.cancelling import cancelled
 
 
 @asynccontextmanager
-async def beside(
-    staying: Coroutine[Any, Any, None], came: asyncio.Event
+async def background_session(
+    connection: Coroutine[Any, Any, None], received: asyncio.Event
 ) -> AsyncIterator[Callable[[], Awaitable[None]]]:
     """Run a session in the background; give a function that waits for the next arrival.
 
     Parameters
     ----------
-    staying : coroutine
+    connection : coroutine
         Keeps the connection and ends only by an error, which the function raises; cancelled at the
         end of the context.
-    came : Event
+    received : Event
         Set when something has arrived.
     """
-    session = asyncio.create_task(staying)
-    session.add_done_callback(lambda _: came.set())
+    session = asyncio.create_task(connection)
+    session.add_done_callback(lambda _: received.set())
 
-    async def heard() -> None:
-        await came.wait()
-        came.clear()
+    async def next_arrival() -> None:
+        await received.wait()
+        received.clear()
         if session.done():
             session.result()
 
     try:
-        yield heard
+        yield next_arrival
     finally:
         await cancelled(session)

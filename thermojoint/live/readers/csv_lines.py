@@ -27,24 +27,24 @@ from thermojoint.artefacts.tables.clock import Hands
 from thermojoint.artefacts.tables.layout import HEAD, Layout, layout_of
 from thermojoint.artefacts.tables.source import OR_CP1252, encoding_of
 from thermojoint.artefacts.tables.stream import decimal_in, row_of
-from thermojoint.live.arrivals import NEVER, Arrival, Note
+from thermojoint.live.arrivals import NOT_DELIVERED, Arrival, Note
 
 #: Name of the clock.
 CLOCK = "time_s"
 #: Longest line, bytes.
 LONGEST_LINE = 65_536
 #: Interval at which a file is checked for new lines, s.
-_LOOK_S = 0.1
+_POLL_S = 0.1
 _BLOCK = 1 << 16
 #: Number of rows passed on at once.
-_ROWS = 256
+_BLOCK_ROWS = 256
 #: Number of malformed lines tolerated before the first row.
-_PATIENCE = 8
+_MOST_MALFORMED = 8
 
 
 @dataclass(frozen=True)
-class Pipe:
-    """Source of the lines of one machine."""
+class CsvReader:
+    """Reader of the lines of one machine."""
 
     machine: str
     #: ``-`` for standard input.
@@ -78,9 +78,9 @@ class Pipe:
             The header lacks the required columns.
         """
         if str(self.path) == "-" or _is_pipe(self.path):
-            blocks = _stream(self)
+            blocks = _read_stream(self)
         else:
-            blocks = _file(self, positions.get(self.machine))
+            blocks = _read_file(self, positions.get(self.machine))
         async for block in blocks:
             yield block
 
@@ -96,7 +96,7 @@ class Header:
     places: tuple[Place | None, ...]
 
 
-def header_of(lines: Sequence[str], pipe: Pipe) -> Header:
+def header_of(lines: Sequence[str], reader: CsvReader) -> Header:
     """Return the header of a table of which no more lines can be awaited.
 
     Raises
@@ -104,65 +104,67 @@ def header_of(lines: Sequence[str], pipe: Pipe) -> Header:
     InputError
         There is no header, no clock, or a reading is missing.
     """
-    layout = _layout(lines, pipe, whole=True)
+    layout = _layout(lines, reader, whole=True)
     assert layout is not None
-    return _header(layout, pipe)
+    return _header(layout, reader)
 
 
-def _layout(lines: Sequence[str], pipe: Pipe, whole: bool) -> Layout | None:
-    others = {theirs: ours for ours, theirs in pipe.names.items() if theirs not in (ours, NEVER)}
-    later = pipe.readings[pipe.wanted :]
+def _layout(lines: Sequence[str], reader: CsvReader, whole: bool) -> Layout | None:
+    others = {
+        theirs: ours for ours, theirs in reader.names.items() if theirs not in (ours, NOT_DELIVERED)
+    }
+    later = reader.readings[reader.wanted :]
     renamed = {theirs: ours for theirs, ours in others.items() if ours not in later}
-    layout = layout_of(lines, str(pipe.path), renamed, whole)
+    layout = layout_of(lines, str(reader.path), renamed, whole)
     there = (
         {} if layout is None else {name: others[name] for name in layout.names if name in others}
     )
-    return layout_of(lines, str(pipe.path), renamed | there, whole) if there else layout
+    return layout_of(lines, str(reader.path), renamed | there, whole) if there else layout
 
 
-def _header(layout: Layout, pipe: Pipe) -> Header:
+def _header(layout: Layout, reader: CsvReader) -> Header:
     columns = [column.name for column in layout.columns]
     places = tuple(
-        None if pipe.names[reading] == NEVER else place_of(reading, columns)
-        for reading in pipe.readings
+        None if reader.names[reading] == NOT_DELIVERED else place_of(reading, columns)
+        for reading in reader.readings
     )
     lacking = [
         name
-        for name, place in zip(pipe.readings[: pipe.wanted], places, strict=False)
+        for name, place in zip(reader.readings[: reader.wanted], places, strict=False)
         if place is None
     ]
     if lacking:
         raise InputError(
-            f"{pipe.path}: columns {', '.join(layout.dialect.given)[:200]}; no "
+            f"{reader.path}: columns {', '.join(layout.dialect.given)[:200]}; no "
             f"{', '.join(lacking)}; add it, or name it under columns"
         )
     return Header(layout, places)
 
 
-class _Beginning(NamedTuple):
+class _FirstLines(NamedTuple):
     """The first lines of a table, up to the detection of its header."""
 
     #: Lines; malformed ones are replaced by empty ones.
     lines: tuple[str, ...] = ()
     #: Number of malformed lines.
-    refused: int = 0
+    malformed: int = 0
 
 
 def _with_line(
-    before: _Beginning, line: bytes, pipe: Pipe
-) -> tuple[_Beginning, Header | Note | None]:
+    before: _FirstLines, line: bytes, reader: CsvReader
+) -> tuple[_FirstLines, Header | Note | None]:
     """Return the beginning with one more line, and the header or a note if available."""
     if not before.lines and encoding_of(line) != _ENCODING:
-        raise InputError(f"{pipe.path}: text in UTF-16; write it as UTF-8 where it is streamed")
+        raise InputError(f"{reader.path}: text in UTF-16; write it as UTF-8 where it is streamed")
     lines = (*before.lines, _text(line))
     try:
-        layout = _layout(lines, pipe, len(lines) >= HEAD)
+        layout = _layout(lines, reader, len(lines) >= HEAD)
     except InputError as error:
-        if before.refused + 1 >= _PATIENCE:
+        if before.malformed + 1 >= _MOST_MALFORMED:
             raise
-        left = _Beginning((*before.lines, "\n"), before.refused + 1)
-        return left, Note("malformed", str(error), pipe.machine)
-    return before._replace(lines=lines), None if layout is None else _header(layout, pipe)
+        left = _FirstLines((*before.lines, "\n"), before.malformed + 1)
+        return left, Note("malformed", str(error), reader.machine)
+    return before._replace(lines=lines), None if layout is None else _header(layout, reader)
 
 
 _ENCODING = encoding_of(b"")
@@ -172,106 +174,112 @@ def _text(line: bytes) -> str:
     return line.decode(_ENCODING, OR_CP1252)
 
 
-def _read_note(pipe: Pipe, header: Header) -> Note:
+def _read_note(reader: CsvReader, header: Header) -> Note:
     """Return a note of how a stream is read, in the words of all commands."""
     layout = header.layout
-    record = Record(str(pipe.path), layout.form, layout.columns, layout.ignored, notes=layout.notes)
-    return Note("source-read", "; ".join(line.strip() for line in begun(record)), pipe.machine)
+    record = Record(
+        str(reader.path), layout.form, layout.columns, layout.ignored, notes=layout.notes
+    )
+    return Note("source-read", "; ".join(line.strip() for line in begun(record)), reader.machine)
 
 
-async def _file(pipe: Pipe, position: Any) -> AsyncIterator[list[Arrival | Note]]:  # noqa: ANN401
+async def _read_file(reader: CsvReader, position: Any) -> AsyncIterator[list[Arrival | Note]]:  # noqa: ANN401
     missing_noted = False
     while True:
         try:
-            file = pipe.path.open("rb")
+            file = reader.path.open("rb")
         except OSError as error:
-            if not pipe.follow:
-                raise InputError(f"{pipe.path}: cannot be read; give a CSV") from error
+            if not reader.follow:
+                raise InputError(f"{reader.path}: cannot be read; give a CSV") from error
             if not missing_noted:
                 missing_noted = True
-                yield [Note("source-missing", f"{pipe.path}: {error.strerror}", pipe.machine)]
-            await asyncio.sleep(_LOOK_S)
+                yield [Note("source-missing", f"{reader.path}: {error.strerror}", reader.machine)]
+            await asyncio.sleep(_POLL_S)
             continue
         missing_noted = False
         with file:
             try:
-                async for block in _whole_lines(pipe, file, position):
+                async for block in _read_rows(reader, file, position):
                     yield block
             except InputError as error:
                 # The header is wrong: this machine waits for another file, the others continue.
-                yield [Note("source-refused", str(error), pipe.machine)]
-                if not pipe.follow:
+                yield [Note("source-refused", str(error), reader.machine)]
+                if not reader.follow:
                     raise
                 size = os.fstat(file.fileno()).st_size
-                while not _replaced(pipe.path, file, size):
-                    await asyncio.sleep(_LOOK_S)
-        if not pipe.follow:
+                while not _replaced(reader.path, file, size):
+                    await asyncio.sleep(_POLL_S)
+        if not reader.follow:
             return
         # The file was replaced by another one.
         position = None
 
 
-async def _whole_lines(
-    pipe: Pipe,
+async def _read_rows(
+    reader: CsvReader,
     file: BinaryIO,
     position: Any,  # noqa: ANN401
 ) -> AsyncIterator[list[Arrival | Note]]:
     """Yield the rows of a file until it ends, or until another file takes its name."""
     header: Header | None = None
-    async for begun_with in _begun(pipe, file):
-        if isinstance(begun_with, Note):
-            yield [begun_with]
+    async for header_or_note in _read_header(reader, file):
+        if isinstance(header_or_note, Note):
+            yield [header_or_note]
         else:
-            header = begun_with
+            header = header_or_note
     if header is None:
         return
-    yield [_read_note(pipe, header)]
+    yield [_read_note(reader, header)]
     file.seek(0)
     first = b"".join(file.readline(LONGEST_LINE) for _ in range(header.layout.dialect.first))
     at, hands = len(first), Hands()
-    if _goes_on(position, first, file):
-        at, hands = int(position["offset"]), _hands_of(position)
+    if _continues(position, first, file):
+        at, hands = int(position["offset"]), _clock_state_of(position)
         header = _in_decimal(header, header.layout.dialect.decimal or position.get("decimal", ""))
     file.seek(at)
     mark = {"sum": crc32(first)}
-    rest, dropping = b"", False
+    rest, skipping = b"", False
     while True:
         block = file.read(_BLOCK)
         if not block:
-            if not pipe.follow:
-                if rest and not dropping:
-                    header = _learned(header, rest)
-                    items, hands = items_in(pipe, header, rest, hands)
-                    yield _placed(items, mark | _after(rest, at + len(rest)), header, hands)
+            if not reader.follow:
+                if rest and not skipping:
+                    header = _with_decimal_of(header, rest)
+                    items, hands = items_in(reader, header, rest, hands)
+                    yield _with_position(
+                        items, mark | _position_after(rest, at + len(rest)), header, hands
+                    )
                 return
-            if _replaced(pipe.path, file, at + len(rest)):
-                yield [Note("source-replaced", f"{pipe.path}: another file", pipe.machine)]
+            if _replaced(reader.path, file, at + len(rest)):
+                yield [Note("source-replaced", f"{reader.path}: another file", reader.machine)]
                 return
-            await asyncio.sleep(_LOOK_S)
+            await asyncio.sleep(_POLL_S)
             continue
         lines = (rest + block).split(b"\n")
         rest = lines.pop()
         arrivals: list[Arrival | Note] = []
         for line in lines:
             at += len(line) + 1
-            if dropping:
-                dropping = False
+            if skipping:
+                skipping = False
             else:
-                header = _learned(header, line)
-                items, hands = items_in(pipe, header, line, hands)
-                arrivals += _placed(items, mark | _after(line + b"\n", at), header, hands)
+                header = _with_decimal_of(header, line)
+                items, hands = items_in(reader, header, line, hands)
+                arrivals += _with_position(
+                    items, mark | _position_after(line + b"\n", at), header, hands
+                )
         if len(rest) > LONGEST_LINE:
             at += len(rest)
             rest = b""
-            if not dropping:
-                arrivals.append(_too_long(pipe))
-            dropping = True
-        for k in range(0, len(arrivals), _ROWS):
-            yield arrivals[k : k + _ROWS]
+            if not skipping:
+                arrivals.append(_too_long_note(reader))
+            skipping = True
+        for k in range(0, len(arrivals), _BLOCK_ROWS):
+            yield arrivals[k : k + _BLOCK_ROWS]
         await asyncio.sleep(0)
 
 
-def _placed(
+def _with_position(
     items: list[Arrival | Note], position: dict[str, Any], header: Header, hands: Hands
 ) -> list[Arrival | Note]:
     """Return the content of a line with the position after it and the state of its clock."""
@@ -284,14 +292,14 @@ def _placed(
     ]
 
 
-def _hands_of(position: Mapping[str, Any]) -> Hands:
+def _clock_state_of(position: Mapping[str, Any]) -> Hands:
     """Return the state of the clock in a position, which may lack it if the clock needs none."""
     usual = Hands()
     kept = position.get("clock", usual)
     return Hands(*(old if hand is None else hand for hand, old in zip(kept, usual, strict=True)))
 
 
-def _learned(header: Header, line: bytes) -> Header:
+def _with_decimal_of(header: Header, line: bytes) -> Header:
     """Return the header with the decimal sign shown by a line, unless it is known already."""
     if header.layout.dialect.decimal:
         return header
@@ -302,12 +310,12 @@ def _in_decimal(header: Header, decimal: str) -> Header:
     return replace(header, layout=header.layout.with_decimal(decimal))
 
 
-def _after(line: bytes, offset: int) -> dict[str, int]:
+def _position_after(line: bytes, offset: int) -> dict[str, int]:
     """Return the position after a line, which identifies the file among ones with its header."""
     return {"offset": offset, "last": len(line), "crc": crc32(line)}
 
 
-def _goes_on(position: Any, first: bytes, file: BinaryIO) -> bool:  # noqa: ANN401
+def _continues(position: Any, first: bytes, file: BinaryIO) -> bool:  # noqa: ANN401
     """Return whether a stored position belongs to a file."""
     if not isinstance(position, dict) or position.get("sum") != crc32(first):
         return False
@@ -318,33 +326,33 @@ def _goes_on(position: Any, first: bytes, file: BinaryIO) -> bool:  # noqa: ANN4
     return crc32(file.read(last)) == position["crc"]
 
 
-async def _begun(pipe: Pipe, file: BinaryIO) -> AsyncIterator[Header | Note]:
+async def _read_header(reader: CsvReader, file: BinaryIO) -> AsyncIterator[Header | Note]:
     """Yield the header of a file as soon as its first lines give it, and notes of malformed lines.
 
     The generator ends without a header if the file has none, or if another file takes its name
     before.
     """
-    beginning = _Beginning()
+    beginning = _FirstLines()
     while True:
         at = file.tell()
         line = file.readline(LONGEST_LINE)
         if len(line) >= LONGEST_LINE and not line.endswith(b"\n"):
-            raise InputError(f"{pipe.path}: the first line is not a header; give a CSV")
-        if line.endswith(b"\n") or (line and not pipe.follow):
-            beginning, header_or_note = _with_line(beginning, line, pipe)
+            raise InputError(f"{reader.path}: the first line is not a header; give a CSV")
+        if line.endswith(b"\n") or (line and not reader.follow):
+            beginning, header_or_note = _with_line(beginning, line, reader)
             if header_or_note is not None:
                 yield header_or_note
             if isinstance(header_or_note, Header):
                 return
             continue
         file.seek(at)
-        if not pipe.follow:
+        if not reader.follow:
             if beginning.lines:
-                yield header_of(beginning.lines, pipe)
+                yield header_of(beginning.lines, reader)
             return
-        if _replaced(pipe.path, file, at):
+        if _replaced(reader.path, file, at):
             return
-        await asyncio.sleep(_LOOK_S)
+        await asyncio.sleep(_POLL_S)
 
 
 def _replaced(path: Path, file: BinaryIO, read: int) -> bool:
@@ -366,15 +374,15 @@ def _is_pipe(path: Path) -> bool:
         return False
 
 
-async def _stream(pipe: Pipe) -> AsyncIterator[list[Arrival | Note]]:
+async def _read_stream(reader: CsvReader) -> AsyncIterator[list[Arrival | Note]]:
     """Yield the rows of a pipe until it ends; a FIFO is opened again for its next writer."""
     loop = asyncio.get_running_loop()
     while True:
-        if str(pipe.path) == "-":
+        if str(reader.path) == "-":
             source = os.fdopen(os.dup(sys.stdin.fileno()), "rb", buffering=0)
         else:
             # Opened without waiting for a writer; the event loop waits instead.
-            handle = os.open(pipe.path, os.O_RDONLY | os.O_NONBLOCK)
+            handle = os.open(reader.path, os.O_RDONLY | os.O_NONBLOCK)
             source = os.fdopen(handle, "rb", buffering=0)
         lines = asyncio.StreamReader(limit=2 * LONGEST_LINE, loop=loop)
         transport, _ = await loop.connect_read_pipe(
@@ -382,33 +390,33 @@ async def _stream(pipe: Pipe) -> AsyncIterator[list[Arrival | Note]]:
             source,
         )
         header: Header | None = None
-        beginning, hands = _Beginning(), Hands()
+        beginning, hands = _FirstLines(), Hands()
         try:
             while True:
                 line = await _line_of(lines)
                 if line == b"":
                     break
                 if line is None:
-                    yield [_too_long(pipe)]
+                    yield [_too_long_note(reader)]
                 elif header is not None:
-                    header = _learned(header, line)
-                    items, hands = items_in(pipe, header, line, hands)
+                    header = _with_decimal_of(header, line)
+                    items, hands = items_in(reader, header, line, hands)
                     yield items
                 else:
-                    beginning, header_or_note = _with_line(beginning, line, pipe)
+                    beginning, header_or_note = _with_line(beginning, line, reader)
                     if isinstance(header_or_note, Note):
                         yield [header_or_note]
                     elif header_or_note is not None:
                         header = header_or_note
-                        yield [_read_note(pipe, header)]
+                        yield [_read_note(reader, header)]
                         for row in beginning.lines[header.layout.dialect.first :]:
-                            items, hands = items_in(pipe, header, row.encode(), hands)
+                            items, hands = items_in(reader, header, row.encode(), hands)
                             yield items
         finally:
             transport.close()
-        if str(pipe.path) == "-" or not pipe.follow:
+        if str(reader.path) == "-" or not reader.follow:
             return
-        await asyncio.sleep(_LOOK_S)
+        await asyncio.sleep(_POLL_S)
 
 
 async def _line_of(lines: asyncio.StreamReader) -> bytes | None:
@@ -431,28 +439,28 @@ async def _line_of(lines: asyncio.StreamReader) -> bytes | None:
 
 
 def items_in(
-    pipe: Pipe, header: Header, line: bytes, hands: Hands
+    reader: CsvReader, header: Header, line: bytes, hands: Hands
 ) -> tuple[list[Arrival | Note], Hands]:
     """Return the content of a line, and the state of its clock."""
     try:
         row = row_of(_text(line).rstrip("\r\n"), header.layout, header.places, hands)
     except (InputError, ValueError, OverflowError) as error:
-        text = f"{pipe.path}: a line is not a row: {error}"
-        return [Note("malformed", text, pipe.machine)], hands
+        text = f"{reader.path}: a line is not a row: {error}"
+        return [Note("malformed", text, reader.machine)], hands
     if row is None:
         return [], hands
     readings: Sequence[float | None] = [
-        None if k >= pipe.wanted and math.isnan(reading) else reading
+        None if k >= reader.wanted and math.isnan(reading) else reading
         for k, reading in enumerate(row.readings)
     ]
-    time = row.time + (0.0 if header.layout.clock.dated else pipe.starts)
-    arrival = Arrival(pipe.machine, time, readings, clock.time())
+    time = row.time + (0.0 if header.layout.clock.dated else reader.starts)
+    arrival = Arrival(reader.machine, time, readings, clock.time())
     if not row.note:
         return [arrival], row.hands
-    return [Note("clock", f"{pipe.path}: {row.note}", pipe.machine), arrival], row.hands
+    return [Note("clock", f"{reader.path}: {row.note}", reader.machine), arrival], row.hands
 
 
-def _too_long(pipe: Pipe) -> Note:
+def _too_long_note(reader: CsvReader) -> Note:
     return Note(
-        "malformed", f"{pipe.path}: a line is longer than {LONGEST_LINE} bytes", pipe.machine
+        "malformed", f"{reader.path}: a line is longer than {LONGEST_LINE} bytes", reader.machine
     )

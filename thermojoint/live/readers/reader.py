@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from thermojoint.artefacts.errors import InputError, unknown_name
-from thermojoint.live.arrivals import NEVER, Arrival, Note
+from thermojoint.live.arrivals import NOT_DELIVERED, Arrival, Note
 from thermojoint.live.loaded_models import LoadedModel
-from thermojoint.live.readers.csv_pipe import CLOCK, Pipe
+from thermojoint.live.readers.csv_lines import CLOCK, CsvReader
 from thermojoint.live.settings import CsvSource, MqttSource, MtconnectSource, OpcuaSource, Service
 from thermojoint.live.times import seconds_of
 
@@ -48,13 +48,13 @@ def readers_of(service: Service, models: Mapping[str, LoadedModel]) -> list[Read
         if isinstance(source, CsvSource) and CLOCK in columns:
             clock[CLOCK] = columns.pop(CLOCK)
         names = {
-            machine: called(model, columns, f"sources.{name}.columns")
+            machine: source_names(model, columns, f"sources.{name}.columns")
             for machine, model in fed.items()
         }
         if isinstance(source, CsvSource):
             for machine, model in fed.items():
                 own = dict(zip(model.intake.names, names[machine], strict=True)) | clock
-                readers.append(_pipe(source, machine, own, model.intake.wanted))
+                readers.append(_csv_reader(source, machine, own, model.intake.wanted))
         elif isinstance(source, MqttSource):
             from thermojoint.live.readers.mqtt import mqtt_reader
 
@@ -70,7 +70,7 @@ def readers_of(service: Service, models: Mapping[str, LoadedModel]) -> list[Read
     return readers
 
 
-def called(model: LoadedModel, columns: Mapping[str, str], where: str) -> tuple[str, ...]:
+def source_names(model: LoadedModel, columns: Mapping[str, str], where: str) -> tuple[str, ...]:
     """Return the names of a model's readings in a source.
 
     Displacement readings are only used if the columns name them: a log that happens to contain the
@@ -85,10 +85,14 @@ def called(model: LoadedModel, columns: Mapping[str, str], where: str) -> tuple[
         if name not in model.intake.names:
             raise unknown_name("reading", name, model.intake.names, where)
     asked = model.intake.names[model.intake.wanted :]
-    return tuple(columns.get(name, NEVER if name in asked else name) for name in model.intake.names)
+    return tuple(
+        columns.get(name, NOT_DELIVERED if name in asked else name) for name in model.intake.names
+    )
 
 
-def _pipe(source: CsvSource, machine: str, names: Mapping[str, str], wanted: int) -> Pipe:
+def _csv_reader(
+    source: CsvSource, machine: str, names: Mapping[str, str], wanted: int
+) -> CsvReader:
     starts = 0.0
     if source.starts is not None:
         try:
@@ -98,4 +102,4 @@ def _pipe(source: CsvSource, machine: str, names: Mapping[str, str], wanted: int
                 f"starts = {source.starts!r}: no time; write it as 2026-03-02T06:00:00Z"
             ) from error
     path = Path(str(source.path).replace("{machine}", machine))
-    return Pipe(machine, path, names, wanted, starts, source.follow)
+    return CsvReader(machine, path, names, wanted, starts, source.follow)
