@@ -27,13 +27,18 @@ from thermojoint.live.mtconnect_documents import (
     document_of,
 )
 from thermojoint.live.readers import mtconnect
-from thermojoint.live.readers.mtconnect import Fed, Held, MtconnectReader, played
+from thermojoint.live.readers.mtconnect import (
+    Held,
+    ItemMapping,
+    MtconnectReader,
+    values_at_instants,
+)
 from thermojoint.live.settings import service_from_data
 
 NAMES = ("a_degC", "b_degC", "T1_degC", "T2_degC", "ambient_degC")
 UNITS = dict.fromkeys(NAMES, 'units="CELSIUS"')
 START = 1_772_431_200.0
-FED = Fed("mill", ("T1_degC", "x_um"), ("T1_degC", "x_um"), 1, 1.0)
+MAPPING = ItemMapping("mill", ("T1_degC", "x_um"), ("T1_degC", "x_um"), 1, 1.0)
 
 
 @pytest.fixture(autouse=True)
@@ -199,9 +204,11 @@ def test_an_agent_without_streams_is_asked_again_and_again(model, tmp_path):
 
 def reader_of(port, units, **more):
     names = tuple(more.pop("names", units))
-    fed = Fed("M-1", names, tuple(f"{name}_name" for name in names), len(names), 1.0)
+    mapping = ItemMapping("M-1", names, tuple(f"{name}_name" for name in names), len(names), 1.0)
     address = address_of(f"http://127.0.0.1:{port}", None, "source")
-    return MtconnectReader("agent", address, {"mill": fed}, more.get("unchanged", math.inf), 60.0)
+    return MtconnectReader(
+        "agent", address, {"mill": mapping}, more.get("unchanged", math.inf), 60.0
+    )
 
 
 def arrivals_of(units, steps, **more):
@@ -321,7 +328,7 @@ def test_instants_have_what_was_last_observed_however_documents_are_cut(gaps, cu
     times = START + np.cumsum(gaps)
     rows = [Observation(str(k % 2), k + 1, time, float(k)) for k, time in enumerate(times)]
     held = Held(1, 1, START, 0, (math.nan, math.nan), (START, START))
-    fed = FED._replace(wanted=2)
+    mapping = MAPPING._replace(wanted=2)
     found, first, last = [], 0, len(rows)
     for k, row in enumerate(rows):
         if k not in cuts and k + 1 < last:
@@ -330,7 +337,7 @@ def test_instants_have_what_was_last_observed_however_documents_are_cut(gaps, cu
         pieces = [rows[one : min(one + count, k + 1)] for one in range(first, k + 1, count)]
         for piece in pieces:
             header = Header(1, row.time, 100, piece[-1].sequence + 1, k + 1)
-            *instants, (held, _) = played(fed, held, Streams(header, tuple(piece)))
+            *instants, (held, _) = values_at_instants(mapping, held, Streams(header, tuple(piece)))
             found += [(instant, one.values) for one, instant in instants]
         first = k + 1
     assert [instant for instant, _ in found] == [
@@ -347,8 +354,8 @@ def test_an_occasional_reading_counts_once():
     held = Held(1, 1, START, 0, (20.0, math.nan), (START, START))
     rows = (Observation("1", 1, START + 0.5, 7.0), Observation("0", 2, START + 1.5, 21.0))
     found = [
-        mtconnect.arrival_of("mill", FED, one, instant, math.inf).readings
-        for one, instant in played(FED, held, Streams(header, rows))
+        mtconnect.arrival_of("mill", MAPPING, one, instant, math.inf).readings
+        for one, instant in values_at_instants(MAPPING, held, Streams(header, rows))
         if instant is not None
     ]
     assert found == [[20.0, None], [20.0, 7.0], [21.0, None]]
@@ -356,13 +363,13 @@ def test_an_occasional_reading_counts_once():
 
 def test_a_position_of_other_readings_or_of_another_device_is_not_used():
     held = Held(1, 7, START, 3, (20.0, math.nan), (START, START))
-    position = mtconnect.arrival_of("mill", FED, held, START + 2.0, math.inf).position
-    again = mtconnect.held_of(position, FED)
-    assert (again.instance, again.next, again.due(FED)) == (1, 7, START + 3.0)
-    for other in (FED._replace(device="x"), FED._replace(items=("T2", "x_um"))):
+    position = mtconnect.arrival_of("mill", MAPPING, held, START + 2.0, math.inf).position
+    again = mtconnect.held_of(position, MAPPING)
+    assert (again.instance, again.next, again.due(MAPPING)) == (1, 7, START + 3.0)
+    for other in (MAPPING._replace(device="x"), MAPPING._replace(items=("T2", "x_um"))):
         assert mtconnect.held_of(position, other) is None
     for damaged in (None, 5, "x", [1, 2], [*position[:-1], [["a", "b", 1.0]] * 2]):
-        assert mtconnect.held_of(damaged, FED) is None
+        assert mtconnect.held_of(damaged, MAPPING) is None
 
 
 BOMB = (

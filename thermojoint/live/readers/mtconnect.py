@@ -66,8 +66,8 @@ class OverrunError(UnusableError):
     """The agent no longer has the next observation."""
 
 
-class Fed(NamedTuple):
-    """A machine in its source."""
+class ItemMapping(NamedTuple):
+    """Data items of a device that are the readings of a machine."""
 
     #: Name or uuid of the device.
     device: str
@@ -95,9 +95,9 @@ class Held(NamedTuple):
     #: Times of their last observations, s since 1970.
     since: tuple[float, ...]
 
-    def due(self, fed: Fed) -> float:
+    def due(self, mapping: ItemMapping) -> float:
         """Return the instant of the next arrival, s since 1970."""
-        return self.start + fed.interval * self.number
+        return self.start + mapping.interval * self.number
 
 
 #: Data item to (machine, reading, conversion).
@@ -110,7 +110,7 @@ class MtconnectReader:
 
     url: str
     address: Address
-    fed: Mapping[str, Fed]
+    mappings: Mapping[str, ItemMapping]
     #: Longest time for which a value may stay without a new observation, s.
     unchanged: float
     #: Documents further in the future are refused, s.
@@ -119,14 +119,14 @@ class MtconnectReader:
     @property
     def machines(self) -> Sequence[str]:
         """Machines of the source."""
-        return tuple(self.fed)
+        return tuple(self.mappings)
 
     async def read(self, positions: Mapping[str, Any]) -> AsyncIterator[list[Arrival | Note]]:
         """Yield readings until cancelled; reconnect whenever the connection is lost."""
         held = {
             machine: found
-            for machine, fed in self.fed.items()
-            if (found := held_of(positions.get(machine), fed))
+            for machine, mapping in self.mappings.items()
+            if (found := held_of(positions.get(machine), mapping))
         }
         delay = FIRST_S
         while True:
@@ -145,10 +145,10 @@ class MtconnectReader:
 
     async def _connected(self, held: dict[str, Held]) -> AsyncGenerator[list[Arrival | Note], None]:
         """Yield the readings of one connection; `held` is updated."""
-        devices = await self._asked("/probe", ())
+        devices = await self._request("/probe", ())
         if not isinstance(devices, Devices):
             raise UnusableError("the agent tells no devices")
-        places, notes = places_of(self.fed, devices)
+        places, notes = places_of(self.mappings, devices)
         if not places:
             raise UnusableError("; ".join(note.text for note in notes)[:200])
         yield [*notes, Note("connected", f"MTConnect {self.url}")]
@@ -156,17 +156,17 @@ class MtconnectReader:
         path = f"path={quote(f'//DataItem[{ids}]')}"
         query = path if len(path) <= _LONGEST else ""
         instance = devices.header.instance
-        if {one.instance for one in held.values()} != {instance} or set(held) != set(self.fed):
-            streams = _observed(await self._asked(f"/current?{query}", places), instance)
-            for machine, some in observed(streams, places, self.fed).items():
-                held[machine] = begun(self.fed[machine], held.get(machine), some)
+        if {one.instance for one in held.values()} != {instance} or set(held) != set(self.mappings):
+            streams = _checked_streams(await self._request(f"/current?{query}", places), instance)
+            for machine, some in streams_by_machine(streams, places, self.mappings).items():
+                held[machine] = initial_values(self.mappings[machine], held.get(machine), some)
             for block in self._blocks(held, places, streams._replace(observations=())):
                 yield block
         count = min(devices.header.size or 100, _MOST)
         first = min(one.next for one in held.values())
         async with aclosing(self._documents(f"{query}&count={count}", first, places)) as documents:
             async for document in documents:
-                streams = _observed(document, instance)
+                streams = _checked_streams(document, instance)
                 if streams.faults:
                     yield [Note("malformed", fault) for fault in streams.faults[:_AT_ONCE]]
                 for block in self._blocks(held, places, streams):
@@ -177,30 +177,32 @@ class MtconnectReader:
     ) -> Iterator[list[Arrival | Note]]:
         """Yield the arrivals of a document; `held` is updated."""
         created, now = streams.header.created, clock.time()
-        for machine, found in observed(streams, places, self.fed).items():
-            fed, before = self.fed[machine], held[machine]
+        for machine, found in streams_by_machine(streams, places, self.mappings).items():
+            mapping, before = self.mappings[machine], held[machine]
             if before.number == 0 and created < before.start:
                 # No arrival has used these instants yet: they may begin earlier.
                 before = before._replace(start=created)
-            due = before.due(fed)
-            if created > now + self.ahead or created < due - 2.0 * fed.interval:
+            due = before.due(mapping)
+            if created > now + self.ahead or created < due - 2.0 * mapping.interval:
                 # The agent's clock was set: the common rules refuse this time with a message.
-                held[machine] = taken(fed, before, found, due)
-                yield [arrival_of(machine, fed, held[machine], created, self.unchanged)]
+                held[machine] = with_observations(mapping, before, found, due)
+                yield [arrival_of(machine, mapping, held[machine], created, self.unchanged)]
                 continue
             block: list[Arrival | Note] = []
-            for after, instant in played(fed, before, found):
+            for after, instant in values_at_instants(mapping, before, found):
                 if instant is None:
                     held[machine] = after
                 else:
-                    block.append(arrival_of(machine, fed, after, instant, self.unchanged))
+                    block.append(arrival_of(machine, mapping, after, instant, self.unchanged))
                 if len(block) == _AT_ONCE:
                     yield block
                     block = []
             if block:
                 yield block
 
-    async def _asked(self, target: str, places: Places | tuple[()]) -> Devices | Streams | Refused:
+    async def _request(
+        self, target: str, places: Places | tuple[()]
+    ) -> Devices | Streams | Refused:
         async with requested(self.address, target, TIMEOUT_S) as response:
             content = await whole(response)
             if response.status != 200 and not content.lstrip().startswith(b"<"):
@@ -211,7 +213,7 @@ class MtconnectReader:
         self, query: str, first: int, places: Places
     ) -> AsyncGenerator[Devices | Streams | Refused, None]:
         """Yield documents from an observation on, by a stream or by one request each."""
-        seconds = min(fed.interval for fed in self.fed.values())
+        seconds = min(mapping.interval for mapping in self.mappings.values())
         interval = round(min(max(1000.0 * seconds, _SHORTEST_MS), _LONGEST_MS))
         silence = TIMEOUT_S + 2e-3 * interval
         while True:
@@ -229,12 +231,12 @@ class MtconnectReader:
 
 
 def places_of(
-    fed: Mapping[str, Fed], devices: Devices
+    mappings: Mapping[str, ItemMapping], devices: Devices
 ) -> tuple[dict[str, list[tuple[str, int, Place]]], list[Note]]:
     """Return the readings that belong to each data item, and notes of missing data items."""
     places: dict[str, list[tuple[str, int, Place]]] = {}
     notes = []
-    for machine, one in fed.items():
+    for machine, one in mappings.items():
         items = devices.devices.get(one.device)
         if items is None:
             notes.append(Note("unreadable", f"the agent has no device {one.device}", machine))
@@ -255,7 +257,7 @@ def places_of(
     return places, notes
 
 
-def _observed(document: Devices | Streams | Refused, instance: int) -> Streams:
+def _checked_streams(document: Devices | Streams | Refused, instance: int) -> Streams:
     if isinstance(document, Refused):
         kind = OverrunError if "OUT_OF_RANGE" in document.codes else UnusableError
         raise kind(document.text or "refused")
@@ -266,7 +268,9 @@ def _observed(document: Devices | Streams | Refused, instance: int) -> Streams:
     return document
 
 
-def observed(streams: Streams, places: Places, machines: Iterable[str]) -> dict[str, Streams]:
+def streams_by_machine(
+    streams: Streams, places: Places, machines: Iterable[str]
+) -> dict[str, Streams]:
     """Return a document for each machine: its observations by reading, in the reading's unit."""
     found: dict[str, list[Observation]] = {machine: [] for machine in machines}
     for one in streams.observations:
@@ -276,34 +280,37 @@ def observed(streams: Streams, places: Places, machines: Iterable[str]) -> dict[
     return {machine: streams._replace(observations=tuple(some)) for machine, some in found.items()}
 
 
-def begun(fed: Fed, before: Held | None, streams: Streams) -> Held:
+def initial_values(mapping: ItemMapping, before: Held | None, streams: Streams) -> Held:
     """Return the held values after a document of all current observations.
 
     Instants continue earlier ones, if any, because the estimator's instants keep their phase.
     """
-    header, count = streams.header, len(fed.readings)
+    header, count = streams.header, len(mapping.readings)
     start, number = header.created, 0
     if before is not None:
         start = before.start
-        number = max(before.number, math.ceil((header.created - start) / fed.interval))
+        number = max(before.number, math.ceil((header.created - start) / mapping.interval))
     nothing = (math.nan,) * count
     held = Held(header.instance, 0, start, number, nothing, (header.created,) * count)
     for one in streams.observations:
-        held = _with(held, one, min(one.time, header.created))
-    return held._replace(next=header.next, values=_kept(held.values, fed.wanted))
+        held = _with_observation(held, one, min(one.time, header.created))
+    return held._replace(next=header.next, values=_without_occasional(held.values, mapping.wanted))
 
 
-def taken(fed: Fed, held: Held, streams: Streams, since: float) -> Held:
+def with_observations(mapping: ItemMapping, held: Held, streams: Streams, since: float) -> Held:
     """Return the held values after all observations of a document."""
     for one in streams.observations:
         if one.sequence >= held.next:
-            held = _with(held, one, since)
+            held = _with_observation(held, one, since)
     return held._replace(
-        next=max(held.next, streams.header.next), values=_kept(held.values, fed.wanted)
+        next=max(held.next, streams.header.next),
+        values=_without_occasional(held.values, mapping.wanted),
     )
 
 
-def played(fed: Fed, held: Held, streams: Streams) -> Iterator[tuple[Held, float | None]]:
+def values_at_instants(
+    mapping: ItemMapping, held: Held, streams: Streams
+) -> Iterator[tuple[Held, float | None]]:
     """Yield the held values with each instant of a document, and finally without an instant.
 
     Observations count from the first instant at or after their time, which is at most the time of
@@ -314,34 +321,34 @@ def played(fed: Fed, held: Held, streams: Streams) -> Iterator[tuple[Held, float
         if one.sequence < held.next:
             continue
         time = min(one.time, header.created)
-        held = _later(fed, held, time)
-        while held.due(fed) < time:
-            held = yield from _instant(fed, held)
-        held = _with(held, one, held.due(fed))._replace(next=one.sequence + 1)
+        held = _skip_gap(mapping, held, time)
+        while held.due(mapping) < time:
+            held = yield from _instant(mapping, held)
+        held = _with_observation(held, one, held.due(mapping))._replace(next=one.sequence + 1)
     held = held._replace(next=max(held.next, header.next))
     if header.next > header.last:
-        held = _later(fed, held, header.created)
-        while held.due(fed) <= header.created:
-            held = yield from _instant(fed, held)
+        held = _skip_gap(mapping, held, header.created)
+        while held.due(mapping) <= header.created:
+            held = yield from _instant(mapping, held)
     yield held, None
 
 
-def _later(fed: Fed, held: Held, time: float) -> Held:
+def _skip_gap(mapping: ItemMapping, held: Held, time: float) -> Held:
     """Skip the instants of a gap before a time."""
-    late = time - held.due(fed)
+    late = time - held.due(mapping)
     if late <= _GAP_S:
         return held
-    return held._replace(number=held.number + math.floor(late / fed.interval))
+    return held._replace(number=held.number + math.floor(late / mapping.interval))
 
 
-def _instant(fed: Fed, held: Held) -> Generator[tuple[Held, float], None, Held]:
+def _instant(mapping: ItemMapping, held: Held) -> Generator[tuple[Held, float], None, Held]:
     """Yield one instant; return the held values after it."""
     after = held._replace(number=held.number + 1)
-    yield after, held.due(fed)
-    return after._replace(values=_kept(after.values, fed.wanted))
+    yield after, held.due(mapping)
+    return after._replace(values=_without_occasional(after.values, mapping.wanted))
 
 
-def _with(held: Held, one: Observation, since: float) -> Held:
+def _with_observation(held: Held, one: Observation, since: float) -> Held:
     k = int(one.item)
     return held._replace(
         values=(*held.values[:k], one.value, *held.values[k + 1 :]),
@@ -349,28 +356,30 @@ def _with(held: Held, one: Observation, since: float) -> Held:
     )
 
 
-def _kept(values: tuple[float, ...], wanted: int) -> tuple[float, ...]:
+def _without_occasional(values: tuple[float, ...], wanted: int) -> tuple[float, ...]:
     """Return the values that are held further; an occasional one counts once."""
     return (*values[:wanted], *(math.nan for _ in values[wanted:]))
 
 
-def arrival_of(machine: str, fed: Fed, held: Held, instant: float, unchanged: float) -> Arrival:
+def arrival_of(
+    machine: str, mapping: ItemMapping, held: Held, instant: float, unchanged: float
+) -> Arrival:
     """Return the arrival of the values held at an instant."""
     readings: list[float | None] = [
         value if instant - since <= unchanged else math.nan
-        for value, since in zip(held.values[: fed.wanted], held.since, strict=False)
+        for value, since in zip(held.values[: mapping.wanted], held.since, strict=False)
     ]
-    readings += [None if math.isnan(value) else value for value in held.values[fed.wanted :]]
-    kept = _kept(held.values, fed.wanted)
+    readings += [None if math.isnan(value) else value for value in held.values[mapping.wanted :]]
+    kept = _without_occasional(held.values, mapping.wanted)
     items = [
         [name, None if math.isnan(value) else value, since]
-        for name, value, since in zip(fed.items, kept, held.since, strict=True)
+        for name, value, since in zip(mapping.items, kept, held.since, strict=True)
     ]
-    position = [fed.device, held.instance, held.next, held.due(fed), items]
+    position = [mapping.device, held.instance, held.next, held.due(mapping), items]
     return Arrival(machine, instant, readings, clock.time(), position)
 
 
-def held_of(position: Any, fed: Fed) -> Held | None:  # noqa: ANN401
+def held_of(position: Any, mapping: ItemMapping) -> Held | None:  # noqa: ANN401
     """Return the held values of a position; None if it is of another source or other readings."""
     try:
         device, instance, following, due, items = position
@@ -379,7 +388,7 @@ def held_of(position: Any, fed: Fed) -> Held | None:  # noqa: ANN401
         since = tuple(float(since) for _, _, since in items)
     except (TypeError, ValueError):
         return None
-    if (device, names) != (fed.device, fed.items):
+    if (device, names) != (mapping.device, mapping.items):
         return None
     return Held(int(instance), int(following), float(due), 0, values, since)
 
@@ -391,8 +400,8 @@ def mtconnect_reader(
     models: Mapping[str, LoadedModel],
 ) -> MtconnectReader:
     """Return the reader of a source; raises as `address_of`."""
-    fed = {
-        machine: Fed(
+    mappings = {
+        machine: ItemMapping(
             source.device.replace("{machine}", machine),
             models[machine].intake.names,
             called,
@@ -403,4 +412,4 @@ def mtconnect_reader(
     }
     address = address_of(source.url, source.ca_file, "source")
     unchanged = math.inf if source.unchanged_s is None else source.unchanged_s
-    return MtconnectReader(source.url, address, fed, unchanged, ahead)
+    return MtconnectReader(source.url, address, mappings, unchanged, ahead)
