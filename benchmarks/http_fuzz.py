@@ -278,8 +278,8 @@ def serve(folder: Path) -> None:
     from thermojoint.live.archive import Archive
     from thermojoint.live.audit import Audit
     from thermojoint.live.http import timeouts
+    from thermojoint.live.http.backend import Backend, MachineInfo
     from thermojoint.live.http.server import open_http, serve_http
-    from thermojoint.live.http.sources import About, Sources
     from thermojoint.live.publication import Layout, Publication, as_row
     from thermojoint.live.publisher import Publisher
     from thermojoint.live.rights import Principal
@@ -318,12 +318,12 @@ def serve(folder: Path) -> None:
     )
     publisher = Publisher()
     publisher.publish(run[-1:])
-    about = About(layout, "fchs", "model.json", now)
-    sources = Sources(
+    about = MachineInfo(layout, "fchs", "model.json", now)
+    backend = Backend(
         publisher, Archive(folder / "store.db"), {"mill-1": about}, CollectorRegistry(), {}, {}
     )
     section = HttpServer(port=0, requests_per_s=1e4)
-    opened = open_http(section, sources, accounts, folder)
+    opened = open_http(section, backend, accounts, folder)
     print(opened.socket.getsockname()[1], flush=True)
     # As the service does: what stays for good is not looked through for garbage again and again,
     # which leaves the garbage collector time for connections that are over.

@@ -19,8 +19,8 @@ from thermojoint.live.access_store import digest_of, open_access
 from thermojoint.live.accounts import Accounts
 from thermojoint.live.archive import Archive
 from thermojoint.live.audit import Audit
+from thermojoint.live.http.backend import Backend, MachineInfo
 from thermojoint.live.http.server import open_http, serve_http
-from thermojoint.live.http.sources import About, Sources
 from thermojoint.live.publication import Layout, Publication, as_row
 from thermojoint.live.publisher import Publisher
 from thermojoint.live.rights import Principal
@@ -32,7 +32,7 @@ READER = Principal("http.token", credential=digest_of(TOKEN))
 
 
 LAYOUT = Layout(("x", "y"), ("X",), (Channel("heat_spindle", "W"),), ("T1_degC", "T2_degC"))
-ABOUT = About(LAYOUT, "joint-aware", "mill.h5", 1.7e9)
+ABOUT = MachineInfo(LAYOUT, "joint-aware", "mill.h5", 1.7e9)
 BEARER = {"authorization": f"Bearer {TOKEN}"}
 
 
@@ -105,7 +105,7 @@ def keep(path, runs, events=()):
 
 def about(estimator, layout, since):
     """What stays of a machine."""
-    return About(
+    return MachineInfo(
         layout, estimator.kind, "model.h5", since, kind_of(estimator).ranges(estimator.model)
     )
 
@@ -167,10 +167,10 @@ def serving(
         folder / "users",
         {digest_of(TOKEN): READER},
     )
-    sources = Sources(
+    backend = Backend(
         publisher, archive, machines, registry, scenes or {}, residuals or {}, handshakes
     )
-    opened = open_http(section, sources, accounts, folder)
+    opened = open_http(section, backend, accounts, folder)
     ready, found = threading.Event(), []
 
     async def run():

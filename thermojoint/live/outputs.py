@@ -73,13 +73,13 @@ def _writers(running: Running) -> list[Coroutine[Any, Any, None]]:
 
 
 def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, None]:
+    from thermojoint.live.http.backend import Backend, MachineInfo
     from thermojoint.live.http.server import open_http, serve_http
-    from thermojoint.live.http.sources import About, Sources
 
     service = running.service
     folder = service.folder
     machines = {
-        name: About(
+        name: MachineInfo(
             layout=machine.model.layout,
             kind=machine.model.estimator.kind,
             model=machine.model.file,
@@ -89,7 +89,7 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
         )
         for name, machine in running.fleet.machines.items()
     }
-    sources = Sources(
+    backend = Backend(
         running.publisher,
         running.archive,
         machines,
@@ -118,7 +118,7 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
             "reserve_h": round(running.reserve_h, 1),
         },
     )
-    opened = open_http(section, sources, running.accounts, folder)
+    opened = open_http(section, backend, running.accounts, folder)
     running.fleet.log.say(time.time(), "listening", opened.url)
     return serve_http(opened, running.stop)
 

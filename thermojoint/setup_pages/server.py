@@ -8,7 +8,7 @@ from pathlib import Path
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.http.hosts import hosts_of
-from thermojoint.live.http.server import Opened, make_server, serve_http
+from thermojoint.live.http.server import BoundServer, make_server, serve_http
 from thermojoint.live.limited_socket import listening
 from thermojoint.live.settings import HttpServer
 from thermojoint.setup_pages.app import make_app
@@ -43,7 +43,7 @@ async def _served(folder: Path, port: int) -> None:
     socket = listening("--port", section.address, port, _MOST_CONNECTIONS, _MOST_CONNECTIONS)
     key = Key(hosts_of(section, None), socket.getsockname()[1])
     place = Place(folder, Jobs(folder))
-    opened = Opened(make_server(make_app(place, key), section, None), socket)
+    opened = BoundServer(make_server(make_app(place, key), section, None), socket)
     loop, stop = asyncio.get_running_loop(), asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stop.set)

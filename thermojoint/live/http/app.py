@@ -35,10 +35,16 @@ from thermojoint.live.http.access import (
     too_many,
     wrong_secret,
 )
-from thermojoint.live.http.bodies import Words, about_body, events_body, history_body, summary
+from thermojoint.live.http.backend import Backend
+from thermojoint.live.http.bodies import (
+    MessageCache,
+    events_body,
+    history_body,
+    machine_body,
+    summary,
+)
 from thermojoint.live.http.parameters import moment, number, one_of, read_parameters, whole_number
-from thermojoint.live.http.sources import Sources
-from thermojoint.live.http.stream import Counted, Reader, stream
+from thermojoint.live.http.stream import CountedStream, Subscriber, stream
 from thermojoint.live.publication import as_json
 from thermojoint.live.scene import Scene
 
@@ -69,18 +75,18 @@ def asset_answer(request: Request, content: Asset | None) -> Response:
 
 
 @dataclass(eq=False)
-class Site:
+class Handlers:
     """Handlers of requests."""
 
     #: Data shown.
-    sources: Sources
+    backend: Backend
     #: Access control.
     access: AccessControl
     #: `most_streams`, `streams`: largest and present number of streams.
     most_streams: int
     streams: int = 0
-    _whole: Words = field(default_factory=lambda: Words(as_json))
-    _short: Words = field(default_factory=lambda: Words(summary))
+    _publications: MessageCache = field(default_factory=lambda: MessageCache(as_json))
+    _summaries: MessageCache = field(default_factory=lambda: MessageCache(summary))
     _reading: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(READERS))
 
     def routes(self) -> list[Route]:
@@ -118,18 +124,18 @@ class Site:
         """Return the page of one machine."""
         name = self._machine(request)
         engineer = not request.user.refusal("engineer", name)
-        former = self.sources.former(name) if engineer else None
+        former = self.backend.former(name) if engineer else None
         return HTMLResponse(page("machine", machine=name, former=former))
 
     async def rollback(self, request: Request) -> Response:
         """Roll a machine back to its former model."""
         name = self._machine(request)
-        former, why = self.sources.former(name), request.user.refusal("engineer", name)
+        former, why = self.backend.former(name), request.user.refusal("engineer", name)
         if why or former is None:
             why = why or "no former model is kept"
             raise self._refused(request, 403 if former else 404, "rollback", why)
         self._accept(request, f"rollback to model {former.file} {former.fingerprint[:SHOWN]}")
-        self.sources.roll_back(name)
+        self.backend.roll_back(name)
         return RedirectResponse(f"/machines/{name}", 303)
 
     async def postpone(self, request: Request) -> Response:
@@ -138,7 +144,7 @@ class Site:
         if why := request.user.refusal("operator", name):
             raise self._refused(request, 403, "postpone", why)
         self._accept(request, "postpone the next reading")
-        self.sources.postpone(name)
+        self.backend.postpone(name)
         return RedirectResponse(f"/machines/{name}", 303)
 
     async def read(self, request: Request) -> Response:
@@ -146,14 +152,14 @@ class Site:
         name = self._machine(request)
         if why := request.user.refusal("operator", name):
             raise self._refused(request, 403, "reading", why)
-        readers = dict.fromkeys(self.sources.machines[name].probes, number(*READ_UM))
+        parsers = dict.fromkeys(self.backend.machines[name].probes, number(*READ_UM))
         body = await body_of(request, LARGEST_LOGIN) or b""
         pairs = parse_qsl(body.decode("utf-8", "replace"), keep_blank_values=True)
-        if not (readers and pairs):
-            raise InputError(f"no reading; {name} takes: {', '.join(readers) or 'none'}")
-        given = read_parameters(pairs, readers)
+        if not (parsers and pairs):
+            raise InputError(f"no reading; {name} takes: {', '.join(parsers) or 'none'}")
+        given = read_parameters(pairs, parsers)
         self._accept(request, "reading of " + ", ".join(f"{k} = {v:g}" for k, v in given.items()))
-        if not self.sources.read(name, given):
+        if not self.backend.read(name, given):
             raise HTTPException(503, "too many readings wait; enter it again in a moment")
         return RedirectResponse(f"/machines/{name}", 303)
 
@@ -161,7 +167,7 @@ class Site:
         """Receive an answer of a machine's control: the handshake."""
         name = self._machine(request)
         why = f'{name}: no control answers here; set handshake.by = "http"'
-        owner, take = _found(self.sources.controls.get(name), why)
+        owner, take = _or_404(self.backend.controls.get(name), why)
         why = request.user.refusal("operator", name)
         if owner not in (None, request.user.name):
             why = f"only {owner} writes for the control"
@@ -174,7 +180,7 @@ class Site:
             take(body or b"")
         except ValueError as error:
             raise HTTPException(400, f"what the control says is no answer: {error}") from error
-        return JSONResponse({"handshake": self.sources.publisher.newest[name].handshake})
+        return JSONResponse({"handshake": self.backend.publisher.newest[name].handshake})
 
     async def login(self, request: Request) -> Response:
         """Show the log-in page, or check a password or token."""
@@ -227,14 +233,14 @@ class Site:
     async def machines(self, request: Request) -> Response:
         """Return a summary of all machines."""
         read_parameters(request.query_params.multi_items(), {})
-        newest = self.sources.publisher.newest
+        newest = self.backend.publisher.newest
         return JSONResponse(
             {
                 "now_s": time.time(),
                 "machines": [
                     {"machine": name, "kind": about.kind, "model": about.model}
                     | (summary(newest[name]) if name in newest else {})
-                    for name, about in self.sources.machines.items()
+                    for name, about in self.backend.machines.items()
                     if request.user.sees(name)
                 ],
             }
@@ -244,17 +250,17 @@ class Site:
         """Return the constant data of a machine."""
         name = self._only_machine(request)
         further: dict[str, Collection[str]] = {
-            "scene": self.sources.scenes,
-            "residuals": self.sources.residuals,
-            "handshake": self.sources.handshakes,
+            "scene": self.backend.scenes,
+            "residuals": self.backend.residuals,
+            "handshake": self.backend.handshakes,
         }
         offers = [page for page in further if name in further[page]]
-        return JSONResponse(about_body(name, self.sources.machines[name], offers))
+        return JSONResponse(machine_body(name, self.backend.machines[name], offers))
 
     async def latest(self, request: Request) -> Response:
         """Return the newest publication of a machine."""
         name = self._only_machine(request)
-        newest = _found(self.sources.publisher.newest.get(name), _NOT_YET.format(name))
+        newest = _or_404(self.backend.publisher.newest.get(name), _NOT_YET.format(name))
         return JSONResponse(as_json(newest))
 
     async def history(self, request: Request) -> Response:
@@ -265,7 +271,7 @@ class Site:
         )
         async with self._reading:
             history = await anyio.to_thread.run_sync(
-                self.sources.past.history, name, since, until, given.get("points", 720)
+                self.backend.archive.history, name, since, until, given.get("points", 720)
             )
         return JSONResponse(history_body(name, history))
 
@@ -285,7 +291,7 @@ class Site:
 
         async with self._reading:
             events = await anyio.to_thread.run_sync(
-                self.sources.past.events, given.get("machine"), since, until, most, seen
+                self.backend.archive.events, given.get("machine"), since, until, most, seen
             )
         return JSONResponse(events_body(events))
 
@@ -297,21 +303,21 @@ class Site:
     async def fields(self, request: Request) -> Response:
         """Return the fields of the newest state at every point of the shape."""
         name = self._only_machine(request)
-        return JSONResponse(_found(self._scene(name).fields(), _NOT_YET.format(name)))
+        return JSONResponse(_or_404(self._scene(name).fields(), _NOT_YET.format(name)))
 
     async def residuals(self, request: Request) -> Response:
         """Return the residuals (reading minus model) of the newest sample."""
         name = self._only_machine(request)
         why = f"{name} has an estimator that does not expect readings"
-        residuals = _found(self.sources.residuals.get(name), why)()
-        body = {"machine": name, "residuals_K": _found(residuals, _NOT_YET.format(name))}
+        residuals = _or_404(self.backend.residuals.get(name), why)()
+        body = {"machine": name, "residuals_K": _or_404(residuals, _NOT_YET.format(name))}
         return JSONResponse(body)
 
     async def handshake(self, request: Request) -> Response:
         """Return the handshake state of a machine's control."""
         name = self._only_machine(request)
         why = f"{name} has no handshake with its control"
-        return JSONResponse({"machine": name, **_found(self.sources.handshakes.get(name), why)()})
+        return JSONResponse({"machine": name, **_or_404(self.backend.handshakes.get(name), why)()})
 
     async def stream(self, request: Request) -> Response:
         """Return a stream of new samples."""
@@ -326,13 +332,15 @@ class Site:
                 429, f"{self.streams} streams are open already; close one", **{"retry-after": "10"}
             )
         wanted = [given["machine"]] if "machine" in given else self._visible(request)
-        body = self._whole if "machine" in given else self._short
-        reader = Reader(frozenset(wanted), given.get("every_s", 1.0), request.scope["check"])
-        news = stream(self.sources.publisher, reader, body)
+        body = self._publications if "machine" in given else self._summaries
+        subscriber = Subscriber(
+            frozenset(wanted), given.get("every_s", 1.0), request.scope["check"]
+        )
+        news = stream(self.backend.publisher, subscriber, body)
         self.streams += 1
-        return Counted(news, self._left)
+        return CountedStream(news, self._stream_closed)
 
-    def _left(self) -> None:
+    def _stream_closed(self) -> None:
         self.streams -= 1
 
     def _refused(self, request: Request, status: int, what: str, why: str) -> HTTPException:
@@ -354,22 +362,22 @@ class Site:
         if not request.user.sees_all:
             raise HTTPException(403, "the metrics are of all machines; log in as a user of all")
         return Response(
-            generate_latest(self.sources.registry), headers={"content-type": CONTENT_TYPE_LATEST}
+            generate_latest(self.backend.registry), headers={"content-type": CONTENT_TYPE_LATEST}
         )
 
     async def health(self, request: Request) -> Response:
         """Return the number of machines by quality, without their names, and the disk."""
-        newest = self.sources.publisher.newest.values()
+        newest = self.backend.publisher.newest.values()
         counts = {
             one.word: sum(publication.quality is one for publication in newest) for one in Quality
         }
-        disk = self.sources.disk()
+        disk = self.backend.disk()
         poor = counts[Quality.BAD.word] or disk.get("disk") == "full"
         return JSONResponse({"status": "degraded" if poor else "ok", "machines": counts} | disk)
 
     def _visible(self, request: Request) -> list[str]:
         """Return the machines that a user may see."""
-        return [name for name in self.sources.machines if request.user.sees(name)]
+        return [name for name in self.backend.machines if request.user.sees(name)]
 
     def _machine(self, request: Request) -> str:
         """Return the machine of a URL."""
@@ -385,11 +393,11 @@ class Site:
         return name
 
     def _span(
-        self, request: Request, usual: float, **readers: Callable[[str], Any]
+        self, request: Request, usual: float, **parsers: Callable[[str], Any]
     ) -> tuple[float, float, dict[str, Any]]:
         """Return start and end, s since 1970, and the other parameters."""
         given = read_parameters(
-            request.query_params.multi_items(), {"since": moment, "until": moment} | readers
+            request.query_params.multi_items(), {"since": moment, "until": moment} | parsers
         )
         until = given.get("until", time.time())
         since = given.get("since", max(0.0, until - usual))
@@ -399,21 +407,21 @@ class Site:
 
     def _scene(self, name: str) -> Scene:
         why = f"{name} has no picture in 3-D; give the service a scene file"
-        return _found(self.sources.scenes.get(name), why)
+        return _or_404(self.backend.scenes.get(name), why)
 
 
-def _found(content: Content | None, why: str) -> Content:
+def _or_404(content: Content | None, why: str) -> Content:
     """Return content; refuse the request if there is none."""
     if content is None:
         raise HTTPException(404, why)
     return content
 
 
-async def _wrong(request: Request, error: Exception) -> Response:
+async def _bad_request(request: Request, error: Exception) -> Response:
     return refused(400, str(error))
 
 
-async def _none(request: Request, error: Exception) -> Response:
+async def _http_error(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)
     ours = {
         "Not Found": "no such address; docs/dashboard.md lists them",
@@ -423,16 +431,16 @@ async def _none(request: Request, error: Exception) -> Response:
     return refused(error.status_code, text, **(error.headers or {}))
 
 
-def make_app(sources: Sources, access: AccessControl, most_streams: int) -> Starlette:
+def make_app(backend: Backend, access: AccessControl, most_streams: int) -> Starlette:
     """Return the application."""
-    site = Site(sources, access, most_streams)
+    handlers = Handlers(backend, access, most_streams)
     made = Starlette(
-        routes=site.routes(),
+        routes=handlers.routes(),
         middleware=[
             Middleware(AccessMiddleware, access=access),
             Middleware(GZipMiddleware, minimum_size=1000, compresslevel=4),
         ],
-        exception_handlers={InputError: _wrong, HTTPException: _none},
+        exception_handlers={InputError: _bad_request, HTTPException: _http_error},
     )
     # It would redirect to the host named in the request.
     made.router.redirect_slashes = False

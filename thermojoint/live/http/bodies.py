@@ -15,7 +15,7 @@ from estimator.quality import Quality
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.units import MEGA, MILLI
 from thermojoint.live.archive import History
-from thermojoint.live.http.sources import About
+from thermojoint.live.http.backend import MachineInfo
 from thermojoint.live.publication import Publication, iso_time, micrometres
 from thermojoint.live.store import Event
 
@@ -40,25 +40,25 @@ def summary(publication: Publication) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, eq=False)
-class Words:
+class MessageCache:
     """Messages of publications, formatted once for all listeners."""
 
     #: Publication to the content of its message.
     body: Callable[[Publication], dict[str, Any]]
     #: Machine to its newest publication and its message.
-    kept: dict[str, tuple[Publication, bytes]] = field(default_factory=dict)
+    cached: dict[str, tuple[Publication, bytes]] = field(default_factory=dict)
 
     def __call__(self, publication: Publication) -> bytes:
         """Return a publication as JSON."""
-        before = self.kept.get(publication.machine)
+        before = self.cached.get(publication.machine)
         if before is not None and before[0] is publication:
             return before[1]
-        words = encoded(self.body(publication))
-        self.kept[publication.machine] = (publication, words)
-        return words
+        message = encoded(self.body(publication))
+        self.cached[publication.machine] = (publication, message)
+        return message
 
 
-def about_body(machine: str, about: About, offers: Collection[str]) -> dict[str, Any]:
+def machine_body(machine: str, about: MachineInfo, offers: Collection[str]) -> dict[str, Any]:
     """Return the constant data of a machine, and its further addresses."""
     layout = about.layout
     references = {line.axis: line.reference / MILLI for line in layout.lines}

@@ -10,14 +10,14 @@ from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.live.times import seconds_of
 
 #: Parses one value; raises InputError with the expected form.
-Reader = Callable[[str], Any]
+Parser = Callable[[str], Any]
 
 #: Times are between 1970 and 9999.
 LATEST = 253402300799.0
 
 
 def read_parameters(
-    given: Iterable[tuple[str, str]], readers: Mapping[str, Reader]
+    given: Iterable[tuple[str, str]], parsers: Mapping[str, Parser]
 ) -> dict[str, Any]:
     """Return the values of the parameters that were given.
 
@@ -28,12 +28,12 @@ def read_parameters(
     """
     parameters: dict[str, Any] = {}
     for name, value in given:
-        if name not in readers:
-            raise unknown_name("parameter", shown(name), readers, "address")
+        if name not in parsers:
+            raise unknown_name("parameter", shown(name), parsers, "address")
         if name in parameters:
             raise InputError(f"{name} appears twice in the address; give it once")
         try:
-            parameters[name] = readers[name](value)
+            parameters[name] = parsers[name](value)
         except InputError as error:
             raise InputError(f"{name}: {error}") from error
     return parameters
@@ -55,22 +55,22 @@ def moment(text: str) -> float:
     return value
 
 
-def whole_number(low: int, high: int) -> Reader:
+def whole_number(low: int, high: int) -> Parser:
     """Return a parser for whole numbers from `low` to `high`."""
 
-    def read(text: str) -> int:
+    def parse(text: str) -> int:
         value = int(text) if text.isascii() and text.isdigit() and len(text) < 10 else low - 1
         if not low <= value <= high:
             raise InputError(f"{shown(text)} is not a whole number from {low} to {high}")
         return value
 
-    return read
+    return parse
 
 
-def number(low: float, high: float) -> Reader:
+def number(low: float, high: float) -> Parser:
     """Return a parser for numbers from `low` to `high`."""
 
-    def read(text: str) -> float:
+    def parse(text: str) -> float:
         try:
             value = float(text)
         except ValueError:
@@ -79,18 +79,18 @@ def number(low: float, high: float) -> Reader:
             raise InputError(f"{shown(text)} is not a number from {low:g} to {high:g}")
         return value
 
-    return read
+    return parse
 
 
-def one_of(*known: str) -> Reader:
+def one_of(*known: str) -> Parser:
     """Return a parser for one of some words."""
 
-    def read(text: str) -> str:
+    def parse(text: str) -> str:
         if text not in known:
             raise InputError(f"{shown(text)} is not one of {', '.join(known)}")
         return text
 
-    return read
+    return parse
 
 
 def shown(text: str) -> str:

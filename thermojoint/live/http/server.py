@@ -16,8 +16,8 @@ from thermojoint.live.accounts import Accounts
 from thermojoint.live.certificates import Identity, http_identity
 from thermojoint.live.http.access import BURST_S, LARGEST_HEAD, AccessControl
 from thermojoint.live.http.app import make_app
+from thermojoint.live.http.backend import Backend
 from thermojoint.live.http.hosts import hosts_of
-from thermojoint.live.http.sources import Sources
 from thermojoint.live.http.timeouts import PatientProtocol, Server
 from thermojoint.live.http.token_buckets import TokenBuckets
 from thermojoint.live.limited_socket import listening
@@ -77,7 +77,7 @@ def make_server(app: Starlette, section: HttpServer, own: Identity | None) -> Se
 
 
 @dataclass(frozen=True, eq=False)
-class Opened:
+class BoundServer:
     """A server with a bound address, ready to run."""
 
     server: Server
@@ -92,14 +92,16 @@ class Opened:
         return f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"
 
 
-def open_http(section: HttpServer, sources: Sources, accounts: Accounts, folder: Path) -> Opened:
+def open_http(
+    section: HttpServer, backend: Backend, accounts: Accounts, folder: Path
+) -> BoundServer:
     """Read the certificate and bind the address.
 
     Parameters
     ----------
     section : HttpServer
         Settings.
-    sources : Sources
+    backend : Backend
         Data shown.
     accounts : Accounts
         Users, tokens and sessions.
@@ -127,31 +129,31 @@ def open_http(section: HttpServer, sources: Sources, accounts: Accounts, folder:
         3600.0 * section.session_hours,
         TokenBuckets(section.requests_per_s, max(1.0, BURST_S * section.requests_per_s)),
     )
-    app = make_app(sources, access, section.most_streams)
+    app = make_app(backend, access, section.most_streams)
     server = make_server(app, section, own)
     most = _most_connections(section)
     taken = listening("http", section.address, section.port, most, section.most_per_address)
-    return Opened(server, taken)
+    return BoundServer(server, taken)
 
 
 def _most_connections(section: HttpServer) -> int:
     return max(MOST_CONNECTIONS, section.most_per_address) + section.most_streams
 
 
-async def serve_http(opened: Opened, stop: asyncio.Event) -> None:
+async def serve_http(bound: BoundServer, stop: asyncio.Event) -> None:
     """Serve until `stop` is set or the task is cancelled."""
 
     async def stopped() -> None:
         await stop.wait()
-        opened.server.should_exit = True
+        bound.server.should_exit = True
 
     waiting = asyncio.create_task(stopped())
     try:
-        await opened.server.serve([opened.socket])
+        await bound.server.serve([bound.socket])
     finally:
         waiting.cancel()
-        if opened.server.started:
+        if bound.server.started:
             # A cancelled server leaves its socket to the event loop: at a reload the next server
             # gets the same descriptor, and no client would be answered.
-            await opened.server.shutdown([opened.socket])
-        opened.socket.close()
+            await bound.server.shutdown([bound.socket])
+        bound.socket.close()

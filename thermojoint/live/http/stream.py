@@ -27,7 +27,7 @@ AT_ONCE = 64
 
 
 @dataclass(frozen=True)
-class Reader:
+class Subscriber:
     """Reader of a stream."""
 
     #: Requested machines.
@@ -39,42 +39,42 @@ class Reader:
 
 
 async def stream(
-    publisher: Publisher, reader: Reader, body: Callable[[Publication], bytes]
+    publisher: Publisher, subscriber: Subscriber, body: Callable[[Publication], bytes]
 ) -> AsyncIterator[bytes]:
     """Yield events until `LONGEST_S`: first the newest of each machine, then changed ones."""
     begun = time.monotonic()
     yield b"retry: 2000\n\n"
     with publisher.subscribe() as subscription:
-        while time.monotonic() - begun < LONGEST_S and reader.check() is not None:
+        while time.monotonic() - begun < LONGEST_S and subscriber.check() is not None:
             try:
                 async with asyncio.timeout(BEAT_S):
                     changed = await subscription.wait()
             except TimeoutError:
                 changed = set()
-            news = []
-            for name in sorted(changed & reader.machines):
-                news.append(body(publisher.newest[name]))
-                if len(news) % AT_ONCE == 0:
+            messages = []
+            for name in sorted(changed & subscriber.machines):
+                messages.append(body(publisher.newest[name]))
+                if len(messages) % AT_ONCE == 0:
                     await asyncio.sleep(0)
-            if news or not changed:
+            if messages or not changed:
                 now = encoded(time.time())
                 yield b'event: news\ndata: {"now_s":%b,"publications":[%b]}\n\n' % (
                     now,
-                    b",".join(news),
+                    b",".join(messages),
                 )
-            await asyncio.sleep(reader.every)
+            await asyncio.sleep(subscriber.every)
 
 
-class Counted(StreamingResponse):
+class CountedStream(StreamingResponse):
     """A stream that reports its end, however it ends."""
 
-    def __init__(self, content: Any, left: Callable[[], None]) -> None:  # noqa: ANN401
+    def __init__(self, content: Any, on_close: Callable[[], None]) -> None:  # noqa: ANN401
         super().__init__(content, media_type="text/event-stream")
-        self._left = left
+        self._on_close = on_close
 
     async def __call__(self, *given: Any) -> None:  # noqa: ANN401
         """Send until the reader disconnects."""
         try:
             await super().__call__(*given)
         finally:
-            self._left()
+            self._on_close()

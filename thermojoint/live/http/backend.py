@@ -1,4 +1,4 @@
-"""Data sources of the HTTP server."""
+"""What the HTTP server shows of the service, and the actions that it offers."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from thermojoint.live.scene import Scene
 
 
 @dataclass(frozen=True)
-class About:
+class MachineInfo:
     """Constant data of a machine while the service runs."""
 
     #: Names of its published values.
@@ -35,15 +35,15 @@ class About:
 
 
 @dataclass(frozen=True, eq=False)
-class Sources:
-    """Data shown by the server."""
+class Backend:
+    """Data and actions of the service."""
 
     #: Newest publications.
     publisher: Publisher
     #: History and events.
-    past: Archive
+    archive: Archive
     #: Name to its constant data.
-    machines: Mapping[str, About]
+    machines: Mapping[str, MachineInfo]
     #: Metrics for Prometheus.
     registry: CollectorRegistry
     #: 3-D scenes of the machines that have one.
