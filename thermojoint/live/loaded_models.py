@@ -21,7 +21,7 @@ from thermojoint.artefacts.errors import InputError, ThermojointError, unknown_n
 from thermojoint.artefacts.units import MICRO
 from thermojoint.compensation.offsets.handshake import HandshakeSettings
 from thermojoint.compensation.offsets.settings import Settings, read_settings, with_slopes
-from thermojoint.live.next_reading import Asking
+from thermojoint.live.next_reading import RequestLimits
 from thermojoint.live.publication import AxisLine, Layout
 from thermojoint.live.samples import AssemblyRule
 from thermojoint.live.settings import HandshakeSection, ModelSection, Service
@@ -55,7 +55,7 @@ class LoadedModel:
     #: Handshake with the control of a machine, added by `models_by_machine`.
     handshake: HandshakeSettings | None = None
     #: Conditions for requesting displacement readings.
-    asking: Asking | None = None
+    request_limits: RequestLimits | None = None
     #: Indices of the details that are displacements at axis positions, by name.
     places: Mapping[str, int] = field(default_factory=dict)
 
@@ -122,7 +122,7 @@ def load_model(section: ModelSection, folder: Path) -> LoadedModel:
         rule,
         layout,
         output,
-        asking=_asking(kind, estimator, section),
+        request_limits=_request_limits(kind, estimator, section),
         places=places,
     )
 
@@ -141,18 +141,20 @@ def _warm_up(estimator: Estimator, interval: float) -> None:
             state, _ = estimator.sample(state, k * interval, [0.0] * len(estimator.channels))
 
 
-def _asking(
+def _request_limits(
     kind: Kind[Any, Any], estimator: OpenedEstimator, section: ModelSection
-) -> Asking | None:
+) -> RequestLimits | None:
     """Return the conditions for requesting readings; refuse a limit that none can satisfy."""
-    given, ask = section.next_reading, kind.next_reading
+    given, next_reading = section.next_reading, kind.next_reading
     if given is None:
         return None
     limit = MICRO * given.above_um
     checked_limit(kind, estimator, limit, f"{section.file}: next_reading.above_um")
-    if ask is None:
+    if next_reading is None:
         return None
-    return Asking(limit, 60.0 * given.interval_min, lambda state: ask(estimator, state, limit))
+    return RequestLimits(
+        limit, 60.0 * given.interval_min, lambda state: next_reading(estimator, state, limit)
+    )
 
 
 def _check_age(output: Settings, section: ModelSection) -> None:

@@ -40,8 +40,8 @@ from thermojoint.compensation.offsets.output import (
 from thermojoint.compensation.offsets.output import restored as restore_output
 from thermojoint.compensation.offsets.usable import usable
 from thermojoint.live.loaded_models import LoadedModel
-from thermojoint.live.next_reading import Request, after_sample, ended
-from thermojoint.live.publication import NOTHING_ASKED, Layout, Publication, from_row
+from thermojoint.live.next_reading import ReadingRequest, after_sample, ended
+from thermojoint.live.publication import NO_REQUEST, Layout, Publication, from_row
 from thermojoint.live.quality import REFUSED, quality_at, silent_status
 from thermojoint.live.samples import AssemblyState
 from thermojoint.live.settings import WatchdogSection
@@ -77,7 +77,7 @@ class MachineState(NamedTuple):
     #: The newest publication with an estimate.
     usable: Publication
     #: The requested displacement reading.
-    asked: Request = NOTHING_ASKED
+    request: ReadingRequest = NO_REQUEST
 
 
 def initial_state(name: str, model: LoadedModel, now: float) -> MachineState:
@@ -150,19 +150,21 @@ def process_sample(
             quality=Quality.UNCERTAIN,
             readings=usable_readings,
             status=REFUSED,
-            asked=state.asked,
+            request=state.request,
             **_control_values(model, state),
         )
         return state._replace(cold=cold, latest=nothing), str(error)
     words, reached = estimate.words, estimate.displacement
     target = _targets(model, estimate) if _is_usable(model, age, estimate) else None
     state = _cycle_output(model, state, times.clock, target)
-    asked = state.asked
-    if model.asking is not None:
+    request = state.request
+    if model.request_limits is not None:
         # A refused reading needs confirmation: the request remains.
         refused = Status.READING_REFUSED in estimate.status
         read = [] if refused else _read_axes(model, given)
-        asked = after_sample(model.asking, asked, instant, read, estimate.band, estimator_state)
+        request = after_sample(
+            model.request_limits, request, instant, read, estimate.band, estimator_state
+        )
     latest = Publication(
         state.name,
         number,
@@ -175,11 +177,11 @@ def process_sample(
         details=estimate.details,
         readings=usable_readings,
         status=words,
-        asked=asked,
+        request=request,
         **_control_values(model, state),
     )
     state = state._replace(
-        estimator_state=estimator_state, cold=cold, latest=latest, usable=latest, asked=asked
+        estimator_state=estimator_state, cold=cold, latest=latest, usable=latest, request=request
     )
     return state, ""
 
@@ -194,11 +196,11 @@ def _read_axes(model: LoadedModel, given: Sequence[float]) -> list[str]:
 
 def postpone_reading(model: LoadedModel, state: MachineState) -> MachineState:
     """Return a machine with its request for a reading postponed; it is repeated later."""
-    if model.asking is None or not state.asked.axis:
+    if model.request_limits is None or not state.request.axis:
         return state
-    asked = ended(model.asking, state.asked, state.latest.time, "postponed")
-    latest = replace(state.latest, asked=asked)
-    return state._replace(asked=asked, latest=latest)
+    request = ended(model.request_limits, state.request, state.latest.time, "postponed")
+    latest = replace(state.latest, request=request)
+    return state._replace(request=request, latest=latest)
 
 
 def publication_of(state: MachineState) -> Publication:
@@ -335,7 +337,7 @@ def state_bytes(model: LoadedModel, state: MachineState) -> bytes:
 
 def rest_of(state: MachineState, position: Any) -> str:  # noqa: ANN401
     """Return everything else that the next sample depends on, in its stored form: JSON."""
-    return json.dumps({"at": position, "waiting": state.assembly, "asked": state.asked})
+    return json.dumps({"at": position, "waiting": state.assembly, "asked": state.request})
 
 
 def received_record(model: LoadedModel, state: MachineState, now: float) -> ReceivedOffsets | None:
@@ -407,9 +409,9 @@ def restore_state(
         output=output,
         handshake=handshake,
         assembly=_assembly_from(rest["waiting"]) if "waiting" in rest else AssemblyState(),
-        asked=Request(*rest.get("asked", ())) if model.asking else NOTHING_ASKED,
+        request=ReadingRequest(*rest.get("asked", ())) if model.request_limits else NO_REQUEST,
     )
-    latest = replace(state.latest, asked=state.asked, **_control_values(model, state))
+    latest = replace(state.latest, request=state.request, **_control_values(model, state))
     return state._replace(latest=latest), rest.get("at")
 
 

@@ -17,7 +17,7 @@ from thermojoint.artefacts.units import MEGA
 
 
 @dataclass(frozen=True)
-class Asking:
+class RequestLimits:
     """Conditions for requesting readings."""
 
     #: Largest half-width of the band, m.
@@ -25,10 +25,10 @@ class Asking:
     #: Shortest time between two requests, s.
     interval: float
     #: Function of the estimator's state that returns the reading to take, or None.
-    ask: Callable[[Array], NextReading | None]
+    next_reading: Callable[[Array], NextReading | None]
 
 
-class Request(NamedTuple):
+class ReadingRequest(NamedTuple):
     """The present request of a machine, or its last one."""
 
     #: Axis to be read; empty without a request.
@@ -39,7 +39,7 @@ class Request(NamedTuple):
     band: float = math.nan
     narrowed: float = math.nan
     #: No request before this time, s since 1970.
-    quiet: float = -math.inf
+    not_before: float = -math.inf
     #: ``asked``, or how the last request ended: ``taken``, ``postponed``, ``withdrawn``; empty
     #: before the first.
     outcome: str = ""
@@ -68,19 +68,19 @@ class Request(NamedTuple):
 
 
 def after_sample(
-    asking: Asking,
-    request: Request,
+    request_limits: RequestLimits,
+    request: ReadingRequest,
     instant: float,
     read: Collection[str],
     band: Array,
     state: Array,
-) -> Request:
+) -> ReadingRequest:
     """Return the request after a sample.
 
     Parameters
     ----------
-    asking : Asking
-    request : Request
+    request_limits : RequestLimits
+    request : ReadingRequest
         Request before the sample.
     instant : float
         Instant of the sample, s since 1970.
@@ -92,19 +92,23 @@ def after_sample(
         State of the estimator after the sample.
     """
     if request.axis in read:
-        return ended(asking, request, instant, "taken")
-    wide = bool((band > asking.limit).any())
-    if not request.axis and (not wide or instant < request.quiet):
+        return ended(request_limits, request, instant, "taken")
+    wide = bool((band > request_limits.limit).any())
+    if not request.axis and (not wide or instant < request.not_before):
         return request
-    asked = asking.ask(state) if wide else None
-    if asked is None or asked.due > 0.0:
-        return ended(asking, request, instant, "withdrawn") if request.axis else request
+    reading = request_limits.next_reading(state) if wide else None
+    if reading is None or reading.due > 0.0:
+        return ended(request_limits, request, instant, "withdrawn") if request.axis else request
     if request.axis:
         return request
-    axis = axis_name(asked.axis)
-    return Request(axis, instant, asked.band, asked.narrowed, request.quiet, "asked")
+    axis = axis_name(reading.axis)
+    return ReadingRequest(
+        axis, instant, reading.band, reading.narrowed, request.not_before, "asked"
+    )
 
 
-def ended(asking: Asking, request: Request, instant: float, outcome: str) -> Request:
+def ended(
+    request_limits: RequestLimits, request: ReadingRequest, instant: float, outcome: str
+) -> ReadingRequest:
     """End the request, and suppress further ones for some time."""
-    return request._replace(axis="", quiet=instant + asking.interval, outcome=outcome)
+    return request._replace(axis="", not_before=instant + request_limits.interval, outcome=outcome)

@@ -142,7 +142,7 @@ def variables_of(layout: Layout, readings: bool, wanted: int) -> Iterator[Variab
     yield Variable("", "Status", "", text, _good(lambda p: p.status))
     yield Variable("", "Handshake", "", text, _good(lambda p: p.handshake))
     yield Variable("", "Quality", "", text, _good(lambda p: p.quality.word))
-    yield Variable("", "NextReading", "", text, _good(lambda p: p.asked.axis))
+    yield Variable("", "NextReading", "", text, _good(lambda p: p.request.axis))
     yield Variable("", "SampleNumber", "", ua.VariantType.UInt64, _good(lambda p: p.number))
 
 

@@ -28,7 +28,7 @@ from thermojoint.live.machine_state import (
     update_handshake,
 )
 from thermojoint.live.metrics import Metrics
-from thermojoint.live.next_reading import Request
+from thermojoint.live.next_reading import ReadingRequest
 from thermojoint.live.publication import Publication, as_row
 from thermojoint.live.samples import AssemblyRule, assemble
 from thermojoint.live.settings import WatchdogSection
@@ -181,7 +181,7 @@ def _process_sample(
         machine.last_usable = times.clock - age
         if latest.status != before.status and before.number:
             fleet.log.say(now, "status", f"{latest.status}, was {before.status}", name)
-        _report_request(fleet, name, before.asked, latest.asked, now)
+        _report_request(fleet, name, before.request, latest.request, now)
     row = as_row(latest)
     machine.rows.append((row, latest.status))
     results.samples.append(
@@ -204,7 +204,9 @@ def has_reading(model: LoadedModel, usable: Iterable[float]) -> bool:
     return any(map(math.isfinite, islice(usable, model.rule.wanted)))
 
 
-def _report_request(fleet: Fleet, name: str, before: Request, after: Request, now: float) -> None:
+def _report_request(
+    fleet: Fleet, name: str, before: ReadingRequest, after: ReadingRequest, now: float
+) -> None:
     """Log and count a request for a displacement reading, and its results."""
     if (after.axis, after.since, after.outcome) == (before.axis, before.since, before.outcome):
         return
@@ -218,7 +220,7 @@ def postpone(fleet: Fleet, name: str, now: float) -> Publication | None:
     before, machine.state = machine.state, postpone_reading(machine.model, machine.state)
     if machine.state is before:
         return None
-    _report_request(fleet, name, before.asked, machine.state.asked, now)
+    _report_request(fleet, name, before.request, machine.state.request, now)
     return publication_of(machine.state)
 
 

@@ -15,9 +15,9 @@ from estimator.interface import Channel
 from estimator.quality import Quality
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.units import MEGA, MILLI
-from thermojoint.live.next_reading import Request
+from thermojoint.live.next_reading import ReadingRequest
 
-NOTHING_ASKED = Request()
+NO_REQUEST = ReadingRequest()
 #: Number of values in a row before the arrays: time, published, quality.
 _LEADING = 3
 
@@ -98,7 +98,7 @@ class Publication:
     #: (`thermojoint.compensation.offsets.handshake.Handshake`); empty where there is none.
     handshake: str = ""
     #: The requested displacement reading; none in the history.
-    asked: Request = NOTHING_ASKED
+    request: ReadingRequest = NO_REQUEST
     #: Shape (lines,): slopes that the control receives, m/m.
     slopes: Array = field(default_factory=lambda: np.empty(0))
 
@@ -141,7 +141,7 @@ def as_json(publication: Publication) -> dict[str, Any]:
         **_lines(layout, publication.slopes),
         "offset_mode": publication.offset_mode or None,
         "handshake": publication.handshake or None,
-        "next_reading": publication.asked.content,
+        "next_reading": publication.request.content,
         "details": {
             detail_name(channel): _number(detail_scale(channel) * value)
             for channel, value in zip(layout.details, publication.details.tolist(), strict=True)

@@ -15,7 +15,7 @@ from estimator.interface import NextReading
 from estimator.joint_aware.model_file import write_observer
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.loaded_models import load_model
-from thermojoint.live.next_reading import Asking, Request, after_sample, ended
+from thermojoint.live.next_reading import ReadingRequest, RequestLimits, after_sample, ended
 from thermojoint.live.settings import ModelSection, NextReadingSection
 from thermojoint.live.users import add_user
 
@@ -23,32 +23,35 @@ WIDE, NARROW, STATE = np.array([3e-6, 1e-6]), np.array([1e-6, 1e-6]), np.empty(0
 ASKED = NextReading("x", 0.0, 3e-6, 1e-6)
 
 
-def asking(answer=ASKED):
-    return Asking(2e-6, 600.0, lambda state: answer)
+def request_limits(answer=ASKED):
+    return RequestLimits(2e-6, 600.0, lambda state: answer)
 
 
 def test_a_request_stands_until_its_axis_is_read_and_the_next_one_waits():
-    one = after_sample(asking(), Request(), 100.0, (), WIDE, STATE)
+    one = after_sample(request_limits(), ReadingRequest(), 100.0, (), WIDE, STATE)
     assert (one.axis, one.outcome, one.since) == ("x", "asked", 100.0)
-    assert after_sample(asking(), one, 102.0, ("y",), WIDE, STATE) == one
-    taken = after_sample(asking(), one, 104.0, ("x",), WIDE, STATE)
+    assert after_sample(request_limits(), one, 102.0, ("y",), WIDE, STATE) == one
+    taken = after_sample(request_limits(), one, 104.0, ("x",), WIDE, STATE)
     assert (taken.axis, taken.outcome) == ("", "taken")
-    assert after_sample(asking(), taken, 703.0, (), WIDE, STATE) == taken
-    assert after_sample(asking(), taken, 704.0, (), WIDE, STATE).axis == "x"
+    assert after_sample(request_limits(), taken, 703.0, (), WIDE, STATE) == taken
+    assert after_sample(request_limits(), taken, 704.0, (), WIDE, STATE).axis == "x"
 
 
 def test_a_request_is_withdrawn_once_the_band_is_narrow_again():
-    one = after_sample(asking(), Request(), 100.0, (), WIDE, STATE)
-    assert after_sample(asking(), one, 102.0, (), NARROW, STATE).outcome == "withdrawn"
-    later = asking(ASKED._replace(due=600.0))
-    assert after_sample(later, Request(), 100.0, (), WIDE, STATE) == Request()
+    one = after_sample(request_limits(), ReadingRequest(), 100.0, (), WIDE, STATE)
+    assert after_sample(request_limits(), one, 102.0, (), NARROW, STATE).outcome == "withdrawn"
+    later = request_limits(ASKED._replace(due=600.0))
+    assert after_sample(later, ReadingRequest(), 100.0, (), WIDE, STATE) == ReadingRequest()
 
 
 def test_nothing_is_asked_for_where_the_band_is_unknown_or_narrow():
     for band in (NARROW, np.full(2, math.nan)):
-        assert after_sample(asking(), Request(), 100.0, (), band, STATE) == Request()
-    postponed = ended(asking(), Request("x", 100.0), 200.0, "postponed")
-    assert after_sample(asking(), postponed, 500.0, (), WIDE, STATE).axis == ""
+        assert (
+            after_sample(request_limits(), ReadingRequest(), 100.0, (), band, STATE)
+            == ReadingRequest()
+        )
+    postponed = ended(request_limits(), ReadingRequest("x", 100.0), 200.0, "postponed")
+    assert after_sample(request_limits(), postponed, 500.0, (), WIDE, STATE).axis == ""
 
 
 @pytest.fixture(scope="module")
@@ -106,8 +109,8 @@ def test_an_operator_sees_the_request_and_postpones_it(plant):
     async def live():
         async with serving(settings_of(port), folder) as running:
             newest = running.publisher.newest
-            await until(lambda: newest["mill"].asked.axis)
-            axis = newest["mill"].asked.axis
+            await until(lambda: newest["mill"].request.axis)
+            axis = newest["mill"].request.axis
             url = f"http://127.0.0.1:{port}"
             async with httpx.AsyncClient(base_url=url, trust_env=False, timeout=PATIENCE_S) as one:
                 assert (await one.post("/machines/mill/next-reading")).status_code in (303, 401)
@@ -117,19 +120,19 @@ def test_an_operator_sees_the_request_and_postpones_it(plant):
                 assert told["axis"] == axis
                 assert told["narrowed_um"] < told["band_um"]
                 assert (await one.post("/machines/mill/next-reading")).status_code == 303
-                assert newest["mill"].asked.outcome == "postponed"
+                assert newest["mill"].request.outcome == "postponed"
                 metrics = (await one.get("/metrics")).text
                 assert 'next_readings_total{machine="mill",outcome="postponed"} 1.0' in metrics
             with log.open("a") as more:
                 more.write("\n".join(lines[90:]) + "\n")
             # A minute of samples later it asks again, and takes what is read.
-            await until(lambda: newest["mill"].asked.axis)
+            await until(lambda: newest["mill"].request.axis)
             last = start + samples[-1][0]
             more_lines = [f"{last + 2.0},{','.join(map(str, samples[-1][1:]))},"]
             read = ["3.0" if name == axis else "" for name in ("x", "y")]
             with log.open("a") as more:
                 more.write(more_lines[0] + ",".join(read) + "\n")
-            await until(lambda: newest["mill"].asked.outcome == "taken")
+            await until(lambda: newest["mill"].request.outcome == "taken")
 
     asyncio.run(live())
     texts = events_in(folder, "next-reading")
@@ -151,8 +154,8 @@ def test_an_operator_enters_the_reading_on_the_page(plant):
     async def live():
         async with serving(settings, folder) as running:
             newest, url = running.publisher.newest, f"http://127.0.0.1:{port}"
-            await until(lambda: newest["mill"].asked.axis)
-            axis = newest["mill"].asked.axis
+            await until(lambda: newest["mill"].request.axis)
+            axis = newest["mill"].request.axis
             async with httpx.AsyncClient(base_url=url, trust_env=False, timeout=PATIENCE_S) as one:
 
                 async def entered(text, reading=f"{axis}_um"):
@@ -169,7 +172,7 @@ def test_an_operator_enters_the_reading_on_the_page(plant):
             with log.open("a") as more:
                 for now in (time.time() + 0.1, time.time() + 2.1):
                     more.write(f"{now:.3f},{','.join(map(str, samples[-1][1:]))}\n")
-            await until(lambda: newest["mill"].asked.outcome == "taken")
+            await until(lambda: newest["mill"].request.outcome == "taken")
             return axis
 
     axis = asyncio.run(live())
@@ -182,6 +185,6 @@ def test_a_restart_keeps_the_request(plant):
 
     async def live():
         async with serving(settings_of(free_port()), folder) as running:
-            return running.fleet.machines["mill"].state.asked
+            return running.fleet.machines["mill"].state.request
 
     assert asyncio.run(live()).outcome == "taken"
