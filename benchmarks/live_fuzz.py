@@ -12,12 +12,12 @@ from __future__ import annotations
 
 import json
 import math
-import random
 import sys
 import tracemalloc
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
+from random import Random
 from typing import Any
 
 from asyncua import ua
@@ -38,7 +38,7 @@ from thermojoint.live.writers.opcua import probe_reading
 
 START = 1_772_431_200.0
 MACHINE = "mill"
-Door = Callable[[random.Random, LoadedModel, float, bool], list[Arrival | Note]]
+Door = Callable[[Random, LoadedModel, float, bool], list[Arrival | Note]]
 _LARGEST = 16_384
 
 
@@ -47,7 +47,7 @@ def good_readings(model: LoadedModel, k: int) -> list[float]:
     return [20.0 + 0.5 * n + math.sin(k / 50.0 + n) for n in range(model.intake.wanted)]
 
 
-def values(draw: random.Random) -> Any:
+def values(draw: Random) -> Any:
     """Return something that is no reading."""
     return draw.choice(
         [
@@ -69,7 +69,7 @@ def values(draw: random.Random) -> Any:
     )
 
 
-def times(draw: random.Random) -> Any:
+def times(draw: Random) -> Any:
     """Return something that is no time of now."""
     return draw.choice(
         [
@@ -91,9 +91,7 @@ def times(draw: random.Random) -> Any:
     )
 
 
-def mqtt_door(
-    draw: random.Random, model: LoadedModel, now: float, well: bool
-) -> list[Arrival | Note]:
+def mqtt_door(draw: Random, model: LoadedModel, now: float, well: bool) -> list[Arrival | Note]:
     """One message: a topic and its payload."""
     names = model.intake.names
     topics = mqtt.topics_of(
@@ -132,9 +130,7 @@ def mqtt_door(
     return [mqtt.item_of(topics, topic, payload)]
 
 
-def csv_door(
-    draw: random.Random, model: LoadedModel, now: float, well: bool
-) -> list[Arrival | Note]:
+def csv_door(draw: Random, model: LoadedModel, now: float, well: bool) -> list[Arrival | Note]:
     """One line of a pipe."""
     names = {name: name for name in model.intake.names}
     reader = csv_lines.CsvReader(MACHINE, Path("-"), names, model.intake.wanted, 0.0, follow=True)
@@ -158,9 +154,7 @@ def csv_door(
     return csv_lines.items_in(reader, header, line, Hands())[0]
 
 
-def opcua_door(
-    draw: random.Random, model: LoadedModel, now: float, well: bool
-) -> list[Arrival | Note]:
+def opcua_door(draw: Random, model: LoadedModel, now: float, well: bool) -> list[Arrival | Note]:
     """One value of each variable, or one that is damaged; and one that a user writes."""
     count = len(model.intake.names)
     stamp = datetime.fromtimestamp(now, UTC)
@@ -197,7 +191,7 @@ def estimates(
     door: Door, model: LoadedModel, count: int, seed: int, damaged: bool
 ) -> Iterator[tuple[float, ...]]:
     """Yield the estimates of a run, with damaged readings between the others or without."""
-    draw, fleet = random.Random(seed), fleet_of(model)
+    draw, fleet = Random(seed), fleet_of(model)
     mill = fleet.machines[MACHINE]
     for k in range(count):
         now = START + float(k)
@@ -210,7 +204,7 @@ def estimates(
             if isinstance(one, Note):
                 fleet.log.say(now, one.kind, one.text, one.machine)
         given = [one for one in arrivals if isinstance(one, Arrival)]
-        processing.process_arrivals(fleet, given, now, float(k))
+        processing.process(fleet, given, now, float(k))
         fleet.log.take_pending()
         if k % 60 == 59:
             processing.checkpoint_of(mill)

@@ -311,7 +311,7 @@ class Offsets(RuleBasedStateMachine):
         """Take readings (time by the source, value, kind); a kill may come before the end."""
         arrivals = [Arrival(MACHINE, at, told, self.times.now) for at, *told in readings]
         before = self.fleet.machines[MACHINE].state.latest.number
-        results = processing.process_arrivals(self.fleet, arrivals, *self.times)
+        results = processing.process(self.fleet, arrivals, *self.times)
         if until == "before the commit":
             return
         changed = list(results.publications.values())

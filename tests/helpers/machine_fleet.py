@@ -17,6 +17,6 @@ def fleet_of(model, store, now):
 
 def keep(fleet, store, arrival):
     """What arrived is taken when it was told, and committed."""
-    results = processing.process_arrivals(fleet, [arrival], arrival.time, arrival.time)
+    results = processing.process(fleet, [arrival], arrival.time, arrival.time)
     told = processing.received_offsets(fleet, results.publications, arrival.time)
     commit(store, Batch(results.samples, (), fleet.log.take_pending(), results.gaps, told))

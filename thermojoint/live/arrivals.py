@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 #: Name of a reading that no source delivers.
-NOT_DELIVERED = "\0"
+ABSENT = "\0"
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from thermojoint.live.accounts import accounts_of
 from thermojoint.live.certificates import ending, http_identity, opcua_identity
 from thermojoint.live.consistency import contradictions
 from thermojoint.live.former_models import pinned
-from thermojoint.live.loaded_models import LoadedModel, load_models, models_by_machine
+from thermojoint.live.loaded_models import LoadedModel, load_models, machine_models
 from thermojoint.live.readers.reader import readers_of
 from thermojoint.live.scene import scene_of
 from thermojoint.live.settings import Service
@@ -60,7 +60,7 @@ def _findings(service: Service, folder: Path) -> Findings:
     service = replace(service, machines=working)
     checks: list[Callable[[], object]] = [
         partial(check_store, folder / "history.sqlite"),
-        partial(readers_of, service, models_by_machine(models, service)),
+        partial(readers_of, service, machine_models(models, service)),
         *(partial(_check_scene, service, models, name) for name in models),
         *(partial(_check_target, service, models, name) for name in working),
         partial(_check_users, service),

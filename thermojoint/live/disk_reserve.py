@@ -60,7 +60,7 @@ def preallocate(store: sqlite3.Connection, path: Path, size: int = 2 * SLICE) ->
         store.execute("DELETE FROM reserve WHERE id = ?", (row,))
 
 
-def close_store(store: sqlite3.Connection, path: Path) -> None:
+def close(store: sqlite3.Connection, path: Path) -> None:
     """Close a store; on a full disk its write-ahead log is kept: there is no room for a new one."""
     with ExitStack() as last:
         if path.exists() and is_full(path):

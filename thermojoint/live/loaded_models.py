@@ -52,7 +52,7 @@ class LoadedModel:
     layout: Layout
     #: Settings of the compensation output.
     output: Settings | None
-    #: Handshake with the control of a machine, added by `models_by_machine`.
+    #: Handshake with the control of a machine, added by `machine_models`.
     handshake: HandshakeSettings | None = None
     #: Conditions for requesting displacement readings.
     request_limits: RequestLimits | None = None
@@ -197,9 +197,7 @@ def _open_estimator(
     return estimator, digest
 
 
-def models_by_machine(
-    models: Mapping[str, LoadedModel], service: Service
-) -> dict[str, LoadedModel]:
+def machine_models(models: Mapping[str, LoadedModel], service: Service) -> dict[str, LoadedModel]:
     """Return the model of every machine, with the handshake of its control."""
     return {
         name: replace(models[section.model], handshake=handshake_settings(section.handshake))

@@ -68,7 +68,7 @@ class ReadingRequest(NamedTuple):
 
 
 def after_sample(
-    request_limits: RequestLimits,
+    limits: RequestLimits,
     request: ReadingRequest,
     instant: float,
     read: Collection[str],
@@ -79,7 +79,7 @@ def after_sample(
 
     Parameters
     ----------
-    request_limits : RequestLimits
+    limits : RequestLimits
     request : ReadingRequest
         Request before the sample.
     instant : float
@@ -92,13 +92,13 @@ def after_sample(
         State of the estimator after the sample.
     """
     if request.axis in read:
-        return ended(request_limits, request, instant, "taken")
-    wide = bool((band > request_limits.limit).any())
+        return ended(limits, request, instant, "taken")
+    wide = bool((band > limits.limit).any())
     if not request.axis and (not wide or instant < request.not_before):
         return request
-    reading = request_limits.next_reading(state) if wide else None
+    reading = limits.next_reading(state) if wide else None
     if reading is None or reading.due > 0.0:
-        return ended(request_limits, request, instant, "withdrawn") if request.axis else request
+        return ended(limits, request, instant, "withdrawn") if request.axis else request
     if request.axis:
         return request
     axis = axis_name(reading.axis)
@@ -108,7 +108,7 @@ def after_sample(
 
 
 def ended(
-    request_limits: RequestLimits, request: ReadingRequest, instant: float, outcome: str
+    limits: RequestLimits, request: ReadingRequest, instant: float, outcome: str
 ) -> ReadingRequest:
     """End the request, and suppress further ones for some time."""
-    return request._replace(axis="", not_before=instant + request_limits.interval, outcome=outcome)
+    return request._replace(axis="", not_before=instant + limits.interval, outcome=outcome)

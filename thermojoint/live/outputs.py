@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 async def open_outputs(running: Running) -> list[Coroutine[Any, Any, None]]:
     """Open the output interfaces, and return the coroutines that serve them."""
-    service, outputs = running.service, []
+    service, publisher, outputs = running.service, running.publisher, []
     mqtt, shdr = service.given.mqtt, service.given.shdr
     if mqtt is not None:
         from thermojoint.live.mqtt_session import address_of
@@ -39,9 +39,7 @@ async def open_outputs(running: Running) -> list[Coroutine[Any, Any, None]]:
 
         address, controls = address_of(mqtt, "mqtt"), _handshakes(service, "mqtt")
         audit = running.accounts.audit
-        outputs.append(
-            write_topics(running.publisher, address, mqtt, running.fleet, controls, audit)
-        )
+        outputs.append(write_topics(publisher, address, mqtt, running.fleet, controls, audit))
     if service.given.opcua is not None:
         outputs += await _opcua_server(running, service.given.opcua)
     if any(machine.target for machine in service.machines.values()):
@@ -54,7 +52,7 @@ async def open_outputs(running: Running) -> list[Coroutine[Any, Any, None]]:
 
         most = shdr.most_connections
         taken = listening("shdr", shdr.address, shdr.port, most, most)
-        outputs.append(serve_agents(running.publisher, taken, shdr.heartbeat_s))
+        outputs.append(serve_agents(publisher, taken, shdr.heartbeat_s))
     return outputs
 
 
@@ -78,7 +76,8 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
 
     service = running.service
     folder = service.folder
-    machines = {
+    machines = running.fleet.machines.items()
+    about = {
         name: MachineInfo(
             layout=machine.model.layout,
             kind=machine.model.estimator.kind,
@@ -87,24 +86,16 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
             valid=machine.model.ranges,
             probes=tuple(machine.model.layout.readings[machine.model.rule.wanted :]),
         )
-        for name, machine in running.fleet.machines.items()
+        for name, machine in machines
     }
     backend = Backend(
         running.publisher,
         running.archive,
-        machines,
+        about,
         running.metrics.registry,
         _scenes(running),
-        {
-            name: partial(_residuals_of, machine)
-            for name, machine in running.fleet.machines.items()
-            if machine.model.residuals is not None
-        },
-        {
-            name: partial(_handshake_of, machine)
-            for name, machine in running.fleet.machines.items()
-            if machine.model.handshake is not None
-        },
+        {name: partial(_residuals_of, one) for name, one in machines if one.model.residuals},
+        {name: partial(_handshake_of, one) for name, one in machines if one.model.handshake},
         lambda name: former_of(read_record(folder), folder, name),
         partial(_roll_back, running),
         {
@@ -211,24 +202,16 @@ async def _opcua_server(running: Running, section: OpcuaServer) -> list[Coroutin
         name: (machine.model.layout, machine.model.rule.wanted)
         for name, machine in running.fleet.machines.items()
     }
-    service, log = running.service, running.fleet.log
+    service, log, publisher = running.service, running.fleet.log, running.publisher
     handshakes = _handshakes(service, "opcua")
     owners = {name: one.user for name, one in handshakes.items() if one.user is not None}
     context = ServerContext(running.accounts, service.folder, log, owners, running.archive)
     server, nodes = await open_server(
-        section,
-        context,
-        running.publisher,
-        machines,
-        partial(_queue, running),
-        _identities(running),
+        section, context, publisher, machines, partial(_queue, running), _identities(running)
     )
     controls = {name: machines[name][0] for name in handshakes}
     heartbeat = await add_controls(server, controls, partial(_answer, running.fleet))
-    return [
-        serve_nodes(server, nodes, running.publisher),
-        write_heartbeat(server, heartbeat, running.publisher),
-    ]
+    return [serve_nodes(server, nodes, publisher), write_heartbeat(server, heartbeat, publisher)]
 
 
 def _identities(running: Running) -> dict[str, Identity]:

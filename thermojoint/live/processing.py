@@ -102,9 +102,7 @@ class Fleet:
     watchdog: WatchdogSection
 
 
-def process_arrivals(
-    fleet: Fleet, arrivals: Iterable[Arrival], now: float, clock: float
-) -> Results:
+def process(fleet: Fleet, arrivals: Iterable[Arrival], now: float, clock: float) -> Results:
     """Run arrivals through their estimators.
 
     Parameters
@@ -138,9 +136,8 @@ def process_arrivals(
             _report_refusal(fleet, replace(arrival, time=step.unconfirmed), "ahead", now)
         machine.state = machine.state._replace(assembly=step.state)
         if arrival.acknowledge:
-            machine.unacknowledged_since = (
-                machine.unacknowledged_since if machine.acknowledgements else clock
-            )
+            if not machine.acknowledgements:
+                machine.unacknowledged_since = clock
             machine.acknowledgements.append(arrival.acknowledge)
         for sample in step.samples:
             _process_sample(fleet, machine, sample, Times(now, clock), results)
@@ -207,7 +204,7 @@ def has_reading(model: LoadedModel, usable: Iterable[float]) -> bool:
 def _report_request(
     fleet: Fleet, name: str, before: ReadingRequest, after: ReadingRequest, now: float
 ) -> None:
-    """Log and count a request for a displacement reading, and its results."""
+    """Log and count a request for a displacement reading, and its outcome."""
     if (after.axis, after.since, after.outcome) == (before.axis, before.since, before.outcome):
         return
     fleet.log.say(now, "next-reading", after.text, name)
@@ -308,8 +305,14 @@ def receive_answer(fleet: Fleet, name: str, given: Answer, clock: float) -> None
     machine.state = machine.state._replace(handshake=handshake)
 
 
-def checkpoint_of(machine: Machine) -> Checkpoint:
-    """Return the checkpoint of a machine; its list of samples is empty afterwards."""
+def checkpoint_of(machine: Machine, full: bool = False) -> Checkpoint:
+    """Return the checkpoint of a machine; its list of samples is empty afterwards.
+
+    A full one is for a store without data of the machine: it has at least one sample.
+    """
+    latest = machine.state.latest
+    if full and latest.number and not machine.rows:
+        machine.rows = [(as_row(latest), latest.status)]
     rows = np.array([row for row, _ in machine.rows]).reshape(-1, machine.model.layout.width)
     status = tuple(status for _, status in machine.rows)
     machine.rows = []
@@ -321,14 +324,6 @@ def checkpoint_of(machine: Machine) -> Checkpoint:
         rows,
         status,
     )
-
-
-def full_checkpoint_of(machine: Machine) -> Checkpoint:
-    """Return a checkpoint for a store without data of a machine: with at least one sample."""
-    latest = machine.state.latest
-    if latest.number and not machine.rows:
-        machine.rows = [(as_row(latest), latest.status)]
-    return checkpoint_of(machine)
 
 
 def count_qualities(fleet: Fleet) -> None:

@@ -68,11 +68,8 @@ async def _replace_store(
             return
         machines, path, now = running.fleet.machines.values(), running.archive.path, time.time()
         rows = [machine.rows for machine in machines]
-        checkpoint_of = (
-            processing.full_checkpoint_of if source is None else processing.checkpoint_of
-        )
         batch = Batch(
-            checkpoints=[checkpoint_of(machine) for machine in machines],
+            checkpoints=[processing.checkpoint_of(one, source is None) for one in machines],
             received=processing.received_offsets(running.fleet, running.fleet.machines, now),
         )
         eras: list[Era] = [
@@ -84,9 +81,7 @@ async def _replace_store(
         try:
             # In one call: a commit between the two steps would be in neither store.
             await running.run_on_store(
-                lambda store: _swap_files(
-                    store, _write_store(path, source, eras, batch), path, aside
-                )
+                lambda store: _swap(store, _write(path, source, eras, batch), path, aside)
             )
             running.store = open_store(path, running.service.given.store.durable)
             preallocate(running.store, path)
@@ -96,10 +91,10 @@ async def _replace_store(
             raise sqlite3.OperationalError(f"no new store: {error}") from error
         running.identity = identity_of(path)
         running.journal_end = running.round_start = running.checkpointed_until = 0
-        running.checkpoint_round = []
+        running.pending = []
 
 
-def _write_store(
+def _write(
     path: Path, source: sqlite3.Connection | None, eras: Sequence[Era], batch: Batch
 ) -> Path:
     """Write a new store beside the existing one."""
@@ -115,7 +110,7 @@ def _write_store(
     return new_path
 
 
-def _swap_files(store: sqlite3.Connection, new_path: Path, path: Path, aside: Path) -> None:
+def _swap(store: sqlite3.Connection, new_path: Path, path: Path, aside: Path) -> None:
     """Set a store aside and put the new one in its place."""
     # Closing deletes the log by its name, so it must come before the new store has that name.
     with suppress(sqlite3.Error):

@@ -21,14 +21,8 @@ from thermojoint.live.access_store import NAME as ACCESS
 from thermojoint.live.accounts import Accounts, accounts_of
 from thermojoint.live.archive import Archive
 from thermojoint.live.arrivals import Arrival, Note
-from thermojoint.live.disk_reserve import (
-    OVERHEAD,
-    DiskSpace,
-    adjust_reserve,
-    close_store,
-    preallocate,
-)
-from thermojoint.live.loaded_models import LoadedModel, models_by_machine
+from thermojoint.live.disk_reserve import OVERHEAD, DiskSpace, adjust_reserve, close, preallocate
+from thermojoint.live.loaded_models import LoadedModel, machine_models
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine_state import (
     MachineState,
@@ -97,9 +91,9 @@ class Running:
     journal_end: int = 0
     #: Round of checkpoints: machines without one yet, the journal's end when the round began,
     #: and the fraction of a machine that is due.
-    checkpoint_round: list[Machine] = field(default_factory=list)
+    pending: list[Machine] = field(default_factory=list)
     round_start: int = 0
-    due_share: float = 0.0
+    due: float = 0.0
     #: Last entry of the journal that is covered by a checkpoint of every machine.
     checkpointed_until: int = 0
     #: Makes the service read its file again.
@@ -155,7 +149,7 @@ async def opened(
     path = service.folder / _STORE
     with locked(service.folder), ExitStack() as ends:
         accounts = accounts_of(service)
-        ends.callback(close_store, accounts.store, service.folder / ACCESS)
+        ends.callback(close, accounts.store, service.folder / ACCESS)
         store_thread = ThreadPoolExecutor(1, "store")
         store = open_store(path, service.given.store.durable)
         ends.callback(store.close)
@@ -177,7 +171,7 @@ async def opened(
             stop,
             identity=identity_of(path),
         )
-        ends.callback(lambda: close_store(running.store, path))
+        ends.callback(lambda: close(running.store, path))
         log.say(times.now, "start", f"store {path}")
         running.publisher.publish(newest)
         yield running
@@ -199,13 +193,9 @@ def restored_fleet(
     machines = _restored_machines(service, models, store, log, times)
     fleet = Fleet(machines, log, metrics, given.ahead_s, given.behind_s, given.watchdog)
     # Silence is evaluated first, so that no control receives an offset from before it.
-    silent = {
-        publication.machine: publication for publication in processing.check_silence(fleet, *times)
-    }
+    silent = {one.machine: one for one in processing.check_silence(fleet, *times)}
     commit(store, Batch(received=processing.received_offsets(fleet, machines, times.now)))
-    return fleet, [
-        silent.get(name) or publication_of(machine.state) for name, machine in machines.items()
-    ]
+    return fleet, [silent.get(name) or publication_of(one.state) for name, one in machines.items()]
 
 
 def _restored_machines(
@@ -216,7 +206,7 @@ def _restored_machines(
     times: Times,
 ) -> dict[str, Machine]:
     now, archive = times.now, Archive(service.folder / _STORE)
-    of, received = models_by_machine(models, service), last_received(store)
+    of, received = machine_models(models, service), last_received(store)
     store.execute("BEGIN IMMEDIATE")
     eras = {
         name: era_of(store, name, model.digest, model.layout, now) for name, model in of.items()

@@ -19,7 +19,7 @@ from thermojoint.live.certificates import ending
 from thermojoint.live.changed_settings import note_settings
 from thermojoint.live.consistency import contradictions
 from thermojoint.live.former_models import note_deployments, pinned
-from thermojoint.live.loaded_models import LoadedModel, load_models, models_by_machine
+from thermojoint.live.loaded_models import LoadedModel, load_models, machine_models
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine_state import with_held_offsets
 from thermojoint.live.notify import notify_systemd
@@ -72,8 +72,8 @@ async def run(
         Something in the file is unusable: a model, a certificate, an address in use.
     """
     log = EventLog()
-    service, models = without_unusable_models(pinned(service), log)
-    readers = readers_of(service, models_by_machine(models, service))
+    service, models = usable_part(pinned(service), log)
+    readers = readers_of(service, machine_models(models, service))
     # The models stay in memory: the garbage collector need not examine them.
     gc.collect()
     gc.freeze()
@@ -130,9 +130,7 @@ def announce_certificates(running: Running) -> None:
         running.fleet.log.say(now, "certificate", line)
 
 
-def without_unusable_models(
-    service: Service, log: EventLog
-) -> tuple[Service, dict[str, LoadedModel]]:
+def usable_part(service: Service, log: EventLog) -> tuple[Service, dict[str, LoadedModel]]:
     """Return a service without the machines whose model cannot be opened, and the other models.
 
     Raises
@@ -199,7 +197,7 @@ async def _process(running: Running) -> None:
         arrivals = [
             arrival for block in blocks for arrival in block if isinstance(arrival, Arrival)
         ]
-        results = processing.process_arrivals(fleet, arrivals, now, time.monotonic())
+        results = processing.process(fleet, arrivals, now, time.monotonic())
         events = fleet.log.take_pending()
         if results.samples or events:
             received = processing.received_offsets(fleet, results.publications, now)
@@ -298,16 +296,13 @@ async def _acknowledge_stalled(running: Running, machines: Sequence[Machine]) ->
 
 async def _checkpoint_some(running: Running, every: float) -> None:
     """Store the states of some machines, so that each is stored once within a time (s)."""
-    if not running.checkpoint_round:
+    if not running.pending:
         running.checkpointed_until, running.round_start = running.round_start, running.journal_end
-        running.checkpoint_round = list(running.fleet.machines.values())
-    running.due_share += len(running.fleet.machines) * _MONITOR_S / every
-    count = int(running.due_share)
-    running.due_share -= count
-    due, running.checkpoint_round = (
-        running.checkpoint_round[:count],
-        running.checkpoint_round[count:],
-    )
+        running.pending = list(running.fleet.machines.values())
+    running.due += len(running.fleet.machines) * _MONITOR_S / every
+    count = int(running.due)
+    running.due -= count
+    due, running.pending = running.pending[:count], running.pending[count:]
     await _checkpoint(running, due)
     oldest = 86400.0 * running.service.given.store.keep_days
     eras = [machine.era for machine in due]
@@ -339,9 +334,7 @@ async def _commit(running: Running, batch: Batch) -> None:
                     batch = replace(batch, checkpoints=())
                     continue
             log.say(time.time(), "store-waits", f"{running.archive.path}: {error}")
-            running.publisher.publish(
-                [with_held_offsets(publication) for publication in newest.values()]
-            )
+            running.publisher.publish([with_held_offsets(one) for one in newest.values()])
             if running.stop.is_set():
                 return
             await asyncio.sleep(_RETRY_S)

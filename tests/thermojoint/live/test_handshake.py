@@ -192,7 +192,7 @@ def test_offsets_freeze_and_fade_without_the_control_and_go_on_from_what_it_clea
         if not away:
             said = Answer(True, k, (has,))
             processing.receive_answer(fleet, "mill", said, now)
-        processing.process_arrivals(fleet, [Arrival("mill", now, (20.0, 0.0), now)], now, now)
+        processing.process(fleet, [Arrival("mill", now, (20.0, 0.0), now)], now, now)
         changed = processing.check_silence(fleet, now + 0.5, now + 0.5)
         said = changed[-1] if changed else mill.state.latest
         has = said.offsets[0] if said.handshake == STANDS else has

@@ -32,7 +32,7 @@ from thermojoint.live.accounts import SHORTEST_TOKEN, checked
 from thermojoint.live.certificates import HTTP_LASTS, own_certificate
 from thermojoint.live.descriptors import RESERVE
 from thermojoint.live.http import access, timeouts
-from thermojoint.live.http.bodies import MessageCache, summary
+from thermojoint.live.http.bodies import Messages, summary
 from thermojoint.live.http.parameters import moment, read_parameters, whole_number
 from thermojoint.live.http.stream import Subscriber, stream
 from thermojoint.live.http.token_buckets import MOST_CLIENTS, TokenBuckets, client_of
@@ -94,7 +94,7 @@ def test_an_overview_says_the_same_in_fewer_words():
 
 
 def test_what_is_said_is_put_into_words_once_for_all_who_listen():
-    words, one = MessageCache(as_json), publication(1, 1.0)
+    words, one = Messages(as_json), publication(1, 1.0)
     assert words(one) is words(one)
     assert json.loads(words(again(one, status="ok")))["status"] == "ok"
     assert len(words.cached) == 1
@@ -406,7 +406,7 @@ def test_a_slow_reader_gets_the_newest_and_holds_nothing():
         publisher = Publisher()
         publisher.publish([publication(1, 1.0)])
         found = stream(
-            publisher, Subscriber(frozenset(["mill-1"]), 0.0, lambda: True), MessageCache(as_json)
+            publisher, Subscriber(frozenset(["mill-1"]), 0.0, lambda: True), Messages(as_json)
         )
         await anext(found)
         first = json.loads((await anext(found)).split(b"data: ")[1])
@@ -423,7 +423,7 @@ def test_a_slow_reader_gets_the_newest_and_holds_nothing():
 def test_a_stream_without_news_goes_on_telling_the_time():
     async def idle():
         found = stream(
-            Publisher(), Subscriber(frozenset(["mill-1"]), 0.0, lambda: True), MessageCache(as_json)
+            Publisher(), Subscriber(frozenset(["mill-1"]), 0.0, lambda: True), Messages(as_json)
         )
         await anext(found)
         beat = json.loads((await anext(found)).split(b"data: ")[1])

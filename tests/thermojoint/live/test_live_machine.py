@@ -264,11 +264,11 @@ def test_nothing_is_acknowledged_before_its_sample_is_kept(model, store, fleet):
     said = []
     first = Arrival("mill", START, (*readings(0)[:4], None), START, 0, lambda: said.append(1))
     rest = Arrival("mill", START, (*(None,) * 4, 20.0), START, 1, lambda: said.append(2))
-    results = processing.process_arrivals(fleet, [first], START, START)
+    results = processing.process(fleet, [first], START, START)
     assert not results.acknowledgements
-    results = processing.process_arrivals(fleet, [rest], START, START)
+    results = processing.process(fleet, [rest], START, START)
     assert len(results.acknowledgements) == len(results.samples) + 1 == 2
-    again = processing.process_arrivals(fleet, [first], START, START)
+    again = processing.process(fleet, [first], START, START)
     assert (len(again.acknowledgements), len(again.samples)) == (1, 0)
 
 
@@ -441,7 +441,7 @@ def test_readings_that_come_late_move_no_offset_and_are_not_good(store, fleet):
     before = fleet.machines["mill"].state.latest.offsets
     now = START + 54_000.0
     arrivals = [Arrival("mill", START + k, readings(k), now) for k in range(40, 400)]
-    said = processing.process_arrivals(fleet, arrivals, now, START + 45.0).publications["mill"]
+    said = processing.process(fleet, arrivals, now, START + 45.0).publications["mill"]
     assert (said.quality, said.number, said.offset_mode) == (Quality.BAD, 400, "freeze")
     assert said.offsets.tolist() == before.tolist()
 
@@ -470,9 +470,7 @@ def test_samples_without_any_reading_are_silence(deaf, store, nothing):
     found = []
     for k in range(100):
         told = (20.0 if k < 30 else nothing, 0.0 if k < 30 else nothing)
-        results = processing.process_arrivals(
-            fleet, [Arrival("mill", START + k, told, START + k)], *at(k)
-        )
+        results = processing.process(fleet, [Arrival("mill", START + k, told, START + k)], *at(k))
         found.append(results.publications["mill"])
     assert (found[29].quality, found[29].offset_mode) == (Quality.GOOD, "follow")
     assert found[29].offsets[0] == pytest.approx(-20e-6)

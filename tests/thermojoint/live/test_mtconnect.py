@@ -27,12 +27,7 @@ from thermojoint.live.mtconnect_documents import (
     document_of,
 )
 from thermojoint.live.readers import mtconnect
-from thermojoint.live.readers.mtconnect import (
-    Held,
-    ItemMapping,
-    MtconnectReader,
-    values_at_instants,
-)
+from thermojoint.live.readers.mtconnect import Held, ItemMapping, MtconnectReader, at_instants
 from thermojoint.live.settings import service_from_data
 
 NAMES = ("a_degC", "b_degC", "T1_degC", "T2_degC", "ambient_degC")
@@ -337,7 +332,7 @@ def test_instants_have_what_was_last_observed_however_documents_are_cut(gaps, cu
         pieces = [rows[one : min(one + count, k + 1)] for one in range(first, k + 1, count)]
         for piece in pieces:
             header = Header(1, row.time, 100, piece[-1].sequence + 1, k + 1)
-            *instants, (held, _) = values_at_instants(mapping, held, Streams(header, tuple(piece)))
+            *instants, (held, _) = at_instants(mapping, held, Streams(header, tuple(piece)))
             found += [(instant, one.values) for one, instant in instants]
         first = k + 1
     assert [instant for instant, _ in found] == [
@@ -355,7 +350,7 @@ def test_an_occasional_reading_counts_once():
     rows = (Observation("1", 1, START + 0.5, 7.0), Observation("0", 2, START + 1.5, 21.0))
     found = [
         mtconnect.arrival_of("mill", MAPPING, one, instant, math.inf).readings
-        for one, instant in values_at_instants(MAPPING, held, Streams(header, rows))
+        for one, instant in at_instants(MAPPING, held, Streams(header, rows))
         if instant is not None
     ]
     assert found == [[20.0, None], [20.0, 7.0], [21.0, None]]

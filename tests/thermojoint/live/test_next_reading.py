@@ -23,35 +23,32 @@ WIDE, NARROW, STATE = np.array([3e-6, 1e-6]), np.array([1e-6, 1e-6]), np.empty(0
 ASKED = NextReading("x", 0.0, 3e-6, 1e-6)
 
 
-def request_limits(answer=ASKED):
+def limits(answer=ASKED):
     return RequestLimits(2e-6, 600.0, lambda state: answer)
 
 
 def test_a_request_stands_until_its_axis_is_read_and_the_next_one_waits():
-    one = after_sample(request_limits(), ReadingRequest(), 100.0, (), WIDE, STATE)
+    one = after_sample(limits(), ReadingRequest(), 100.0, (), WIDE, STATE)
     assert (one.axis, one.outcome, one.since) == ("x", "asked", 100.0)
-    assert after_sample(request_limits(), one, 102.0, ("y",), WIDE, STATE) == one
-    taken = after_sample(request_limits(), one, 104.0, ("x",), WIDE, STATE)
+    assert after_sample(limits(), one, 102.0, ("y",), WIDE, STATE) == one
+    taken = after_sample(limits(), one, 104.0, ("x",), WIDE, STATE)
     assert (taken.axis, taken.outcome) == ("", "taken")
-    assert after_sample(request_limits(), taken, 703.0, (), WIDE, STATE) == taken
-    assert after_sample(request_limits(), taken, 704.0, (), WIDE, STATE).axis == "x"
+    assert after_sample(limits(), taken, 703.0, (), WIDE, STATE) == taken
+    assert after_sample(limits(), taken, 704.0, (), WIDE, STATE).axis == "x"
 
 
 def test_a_request_is_withdrawn_once_the_band_is_narrow_again():
-    one = after_sample(request_limits(), ReadingRequest(), 100.0, (), WIDE, STATE)
-    assert after_sample(request_limits(), one, 102.0, (), NARROW, STATE).outcome == "withdrawn"
-    later = request_limits(ASKED._replace(due=600.0))
+    one = after_sample(limits(), ReadingRequest(), 100.0, (), WIDE, STATE)
+    assert after_sample(limits(), one, 102.0, (), NARROW, STATE).outcome == "withdrawn"
+    later = limits(ASKED._replace(due=600.0))
     assert after_sample(later, ReadingRequest(), 100.0, (), WIDE, STATE) == ReadingRequest()
 
 
 def test_nothing_is_asked_for_where_the_band_is_unknown_or_narrow():
     for band in (NARROW, np.full(2, math.nan)):
-        assert (
-            after_sample(request_limits(), ReadingRequest(), 100.0, (), band, STATE)
-            == ReadingRequest()
-        )
-    postponed = ended(request_limits(), ReadingRequest("x", 100.0), 200.0, "postponed")
-    assert after_sample(request_limits(), postponed, 500.0, (), WIDE, STATE).axis == ""
+        assert after_sample(limits(), ReadingRequest(), 100.0, (), band, STATE) == ReadingRequest()
+    postponed = ended(limits(), ReadingRequest("x", 100.0), 200.0, "postponed")
+    assert after_sample(limits(), postponed, 500.0, (), WIDE, STATE).axis == ""
 
 
 @pytest.fixture(scope="module")

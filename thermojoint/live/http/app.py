@@ -36,13 +36,7 @@ from thermojoint.live.http.access import (
     wrong_secret,
 )
 from thermojoint.live.http.backend import Backend
-from thermojoint.live.http.bodies import (
-    MessageCache,
-    events_body,
-    history_body,
-    machine_body,
-    summary,
-)
+from thermojoint.live.http.bodies import Messages, events_body, history_body, machine_body, summary
 from thermojoint.live.http.parameters import moment, number, one_of, read_parameters, whole_number
 from thermojoint.live.http.stream import CountedStream, Subscriber, stream
 from thermojoint.live.publication import as_json
@@ -85,8 +79,8 @@ class Handlers:
     #: `most_streams`, `streams`: largest and present number of streams.
     most_streams: int
     streams: int = 0
-    _publications: MessageCache = field(default_factory=lambda: MessageCache(as_json))
-    _summaries: MessageCache = field(default_factory=lambda: MessageCache(summary))
+    _publications: Messages = field(default_factory=lambda: Messages(as_json))
+    _summaries: Messages = field(default_factory=lambda: Messages(summary))
     _reading: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(READERS))
 
     def routes(self) -> list[Route]:

@@ -40,7 +40,7 @@ def summary(publication: Publication) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, eq=False)
-class MessageCache:
+class Messages:
     """Messages of publications, formatted once for all listeners."""
 
     #: Publication to the content of its message.

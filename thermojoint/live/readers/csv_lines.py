@@ -27,7 +27,7 @@ from thermojoint.artefacts.tables.clock import Hands
 from thermojoint.artefacts.tables.layout import HEAD, Layout, layout_of
 from thermojoint.artefacts.tables.source import OR_CP1252, encoding_of
 from thermojoint.artefacts.tables.stream import decimal_in, row_of
-from thermojoint.live.arrivals import NOT_DELIVERED, Arrival, Note
+from thermojoint.live.arrivals import ABSENT, Arrival, Note
 
 #: Name of the clock.
 CLOCK = "time_s"
@@ -110,9 +110,7 @@ def header_of(lines: Sequence[str], reader: CsvReader) -> Header:
 
 
 def _layout(lines: Sequence[str], reader: CsvReader, whole: bool) -> Layout | None:
-    others = {
-        theirs: ours for ours, theirs in reader.names.items() if theirs not in (ours, NOT_DELIVERED)
-    }
+    others = {theirs: ours for ours, theirs in reader.names.items() if theirs not in (ours, ABSENT)}
     later = reader.readings[reader.wanted :]
     renamed = {theirs: ours for theirs, ours in others.items() if ours not in later}
     layout = layout_of(lines, str(reader.path), renamed, whole)
@@ -125,7 +123,7 @@ def _layout(lines: Sequence[str], reader: CsvReader, whole: bool) -> Layout | No
 def _header(layout: Layout, reader: CsvReader) -> Header:
     columns = [column.name for column in layout.columns]
     places = tuple(
-        None if reader.names[reading] == NOT_DELIVERED else place_of(reading, columns)
+        None if reader.names[reading] == ABSENT else place_of(reading, columns)
         for reading in reader.readings
     )
     lacking = [
@@ -246,9 +244,7 @@ async def _read_rows(
                 if rest and not skipping:
                     header = _with_decimal_of(header, rest)
                     items, hands = items_in(reader, header, rest, hands)
-                    yield _with_position(
-                        items, mark | _position_after(rest, at + len(rest)), header, hands
-                    )
+                    yield _positioned(items, mark | _position(rest, at + len(rest)), header, hands)
                 return
             if _replaced(reader.path, file, at + len(rest)):
                 yield [Note("source-replaced", f"{reader.path}: another file", reader.machine)]
@@ -265,9 +261,7 @@ async def _read_rows(
             else:
                 header = _with_decimal_of(header, line)
                 items, hands = items_in(reader, header, line, hands)
-                arrivals += _with_position(
-                    items, mark | _position_after(line + b"\n", at), header, hands
-                )
+                arrivals += _positioned(items, mark | _position(line + b"\n", at), header, hands)
         if len(rest) > LONGEST_LINE:
             at += len(rest)
             rest = b""
@@ -279,7 +273,7 @@ async def _read_rows(
         await asyncio.sleep(0)
 
 
-def _with_position(
+def _positioned(
     items: list[Arrival | Note], position: dict[str, Any], header: Header, hands: Hands
 ) -> list[Arrival | Note]:
     """Return the content of a line with the position after it and the state of its clock."""
@@ -310,7 +304,7 @@ def _in_decimal(header: Header, decimal: str) -> Header:
     return replace(header, layout=header.layout.with_decimal(decimal))
 
 
-def _position_after(line: bytes, offset: int) -> dict[str, int]:
+def _position(line: bytes, offset: int) -> dict[str, int]:
     """Return the position after a line, which identifies the file among ones with its header."""
     return {"offset": offset, "last": len(line), "crc": crc32(line)}
 

@@ -91,13 +91,13 @@ class MqttReader:
 
     def _receive(self, client: Sequence[aiomqtt.Client], message: Any) -> None:  # noqa: ANN401
         """Queue one message; called by the client."""
-        acknowledge_message = partial(_acknowledged, client, message) if message.qos else None
+        confirm = partial(_acknowledged, client, message) if message.qos else None
         if len(self._queue) >= self.most_waiting:
             # Not acknowledged: the broker sends it again after the next connection.
             return
-        item = item_of(self.topics, message.topic, message.payload, acknowledge_message)
-        if isinstance(item, Note) and acknowledge_message:
-            acknowledge_message()
+        item = item_of(self.topics, message.topic, message.payload, confirm)
+        if isinstance(item, Note) and confirm:
+            confirm()
         self._enqueue(item)
 
     def _enqueue(self, item: Arrival | Note) -> None:
@@ -111,10 +111,7 @@ def _acknowledged(client: Sequence[aiomqtt.Client], message: Any) -> None:  # no
 
 
 def item_of(
-    topics: Topics,
-    topic: str,
-    payload: bytes,
-    acknowledge_message: Callable[[], None] | None = None,
+    topics: Topics, topic: str, payload: bytes, confirm: Callable[[], None] | None = None
 ) -> Arrival | Note:
     """Return the readings of one message, or a note of its fault."""
     received_at = clock.time()
@@ -133,7 +130,7 @@ def item_of(
         readings = _readings(content, names, words.get("reading"))
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         return Note("malformed", f"a message has no readings: {_short(error)}", machine)
-    return Arrival(machine, time, readings, received_at, acknowledge=acknowledge_message)
+    return Arrival(machine, time, readings, received_at, acknowledge=confirm)
 
 
 def _short(error: Exception) -> str:

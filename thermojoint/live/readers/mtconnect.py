@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 from urllib.parse import quote
 
 from thermojoint.artefacts.quantities import Place
-from thermojoint.live.arrivals import NOT_DELIVERED, Arrival, Note
+from thermojoint.live.arrivals import ABSENT, Arrival, Note
 from thermojoint.live.http_session import (
     LOST,
     TIMEOUT_S,
@@ -145,7 +145,7 @@ class MtconnectReader:
 
     async def _connected(self, held: dict[str, Held]) -> AsyncGenerator[list[Arrival | Note], None]:
         """Yield the readings of one connection; `held` is updated."""
-        devices = await self._request("/probe", ())
+        devices = await self._get("/probe", ())
         if not isinstance(devices, Devices):
             raise UnusableError("the agent tells no devices")
         places, notes = places_of(self.mappings, devices)
@@ -157,8 +157,8 @@ class MtconnectReader:
         query = path if len(path) <= _LONGEST else ""
         instance = devices.header.instance
         if {one.instance for one in held.values()} != {instance} or set(held) != set(self.mappings):
-            streams = _checked_streams(await self._request(f"/current?{query}", places), instance)
-            for machine, some in streams_by_machine(streams, places, self.mappings).items():
+            streams = _checked_streams(await self._get(f"/current?{query}", places), instance)
+            for machine, some in by_machine(streams, places, self.mappings).items():
                 held[machine] = initial_values(self.mappings[machine], held.get(machine), some)
             for block in self._blocks(held, places, streams._replace(observations=())):
                 yield block
@@ -177,7 +177,7 @@ class MtconnectReader:
     ) -> Iterator[list[Arrival | Note]]:
         """Yield the arrivals of a document; `held` is updated."""
         created, now = streams.header.created, clock.time()
-        for machine, found in streams_by_machine(streams, places, self.mappings).items():
+        for machine, found in by_machine(streams, places, self.mappings).items():
             mapping, before = self.mappings[machine], held[machine]
             if before.number == 0 and created < before.start:
                 # No arrival has used these instants yet: they may begin earlier.
@@ -189,7 +189,7 @@ class MtconnectReader:
                 yield [arrival_of(machine, mapping, held[machine], created, self.unchanged)]
                 continue
             block: list[Arrival | Note] = []
-            for after, instant in values_at_instants(mapping, before, found):
+            for after, instant in at_instants(mapping, before, found):
                 if instant is None:
                     held[machine] = after
                 else:
@@ -200,9 +200,7 @@ class MtconnectReader:
             if block:
                 yield block
 
-    async def _request(
-        self, target: str, places: Places | tuple[()]
-    ) -> Devices | Streams | Refused:
+    async def _get(self, target: str, places: Places | tuple[()]) -> Devices | Streams | Refused:
         async with requested(self.address, target, TIMEOUT_S) as response:
             content = await whole(response)
             if response.status != 200 and not content.lstrip().startswith(b"<"):
@@ -242,7 +240,7 @@ def places_of(
             notes.append(Note("unreadable", f"the agent has no device {one.device}", machine))
             continue
         for k, (reading, name) in enumerate(zip(one.readings, one.items, strict=True)):
-            if name == NOT_DELIVERED:
+            if name == ABSENT:
                 continue
             if name not in items:
                 text = f"device {one.device} has no data item {name}"
@@ -268,9 +266,7 @@ def _checked_streams(document: Devices | Streams | Refused, instance: int) -> St
     return document
 
 
-def streams_by_machine(
-    streams: Streams, places: Places, machines: Iterable[str]
-) -> dict[str, Streams]:
+def by_machine(streams: Streams, places: Places, machines: Iterable[str]) -> dict[str, Streams]:
     """Return a document for each machine: its observations by reading, in the reading's unit."""
     found: dict[str, list[Observation]] = {machine: [] for machine in machines}
     for one in streams.observations:
@@ -294,7 +290,7 @@ def initial_values(mapping: ItemMapping, before: Held | None, streams: Streams) 
     held = Held(header.instance, 0, start, number, nothing, (header.created,) * count)
     for one in streams.observations:
         held = _with_observation(held, one, min(one.time, header.created))
-    return held._replace(next=header.next, values=_without_occasional(held.values, mapping.wanted))
+    return held._replace(next=header.next, values=_still_held(held.values, mapping.wanted))
 
 
 def with_observations(mapping: ItemMapping, held: Held, streams: Streams, since: float) -> Held:
@@ -303,12 +299,11 @@ def with_observations(mapping: ItemMapping, held: Held, streams: Streams, since:
         if one.sequence >= held.next:
             held = _with_observation(held, one, since)
     return held._replace(
-        next=max(held.next, streams.header.next),
-        values=_without_occasional(held.values, mapping.wanted),
+        next=max(held.next, streams.header.next), values=_still_held(held.values, mapping.wanted)
     )
 
 
-def values_at_instants(
+def at_instants(
     mapping: ItemMapping, held: Held, streams: Streams
 ) -> Iterator[tuple[Held, float | None]]:
     """Yield the held values with each instant of a document, and finally without an instant.
@@ -345,7 +340,7 @@ def _instant(mapping: ItemMapping, held: Held) -> Generator[tuple[Held, float], 
     """Yield one instant; return the held values after it."""
     after = held._replace(number=held.number + 1)
     yield after, held.due(mapping)
-    return after._replace(values=_without_occasional(after.values, mapping.wanted))
+    return after._replace(values=_still_held(after.values, mapping.wanted))
 
 
 def _with_observation(held: Held, one: Observation, since: float) -> Held:
@@ -356,7 +351,7 @@ def _with_observation(held: Held, one: Observation, since: float) -> Held:
     )
 
 
-def _without_occasional(values: tuple[float, ...], wanted: int) -> tuple[float, ...]:
+def _still_held(values: tuple[float, ...], wanted: int) -> tuple[float, ...]:
     """Return the values that are held further; an occasional one counts once."""
     return (*values[:wanted], *(math.nan for _ in values[wanted:]))
 
@@ -370,7 +365,7 @@ def arrival_of(
         for value, since in zip(held.values[: mapping.wanted], held.since, strict=False)
     ]
     readings += [None if math.isnan(value) else value for value in held.values[mapping.wanted :]]
-    kept = _without_occasional(held.values, mapping.wanted)
+    kept = _still_held(held.values, mapping.wanted)
     items = [
         [name, None if math.isnan(value) else value, since]
         for name, value, since in zip(mapping.items, kept, held.since, strict=True)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from thermojoint.artefacts.errors import InputError, unknown_name
-from thermojoint.live.arrivals import NOT_DELIVERED, Arrival, Note
+from thermojoint.live.arrivals import ABSENT, Arrival, Note
 from thermojoint.live.loaded_models import LoadedModel
 from thermojoint.live.readers.csv_lines import CLOCK, CsvReader
 from thermojoint.live.settings import CsvSource, MqttSource, MtconnectSource, OpcuaSource, Service
@@ -54,7 +54,7 @@ def readers_of(service: Service, models: Mapping[str, LoadedModel]) -> list[Read
         if isinstance(source, CsvSource):
             for machine, model in fed.items():
                 own = dict(zip(model.intake.names, names[machine], strict=True)) | clock
-                readers.append(_csv_reader(source, machine, own, model.intake.wanted))
+                readers.append(_csv(source, machine, own, model.intake.wanted))
         elif isinstance(source, MqttSource):
             from thermojoint.live.readers.mqtt import mqtt_reader
 
@@ -86,13 +86,11 @@ def source_names(model: LoadedModel, columns: Mapping[str, str], where: str) -> 
             raise unknown_name("reading", name, model.intake.names, where)
     asked = model.intake.names[model.intake.wanted :]
     return tuple(
-        columns.get(name, NOT_DELIVERED if name in asked else name) for name in model.intake.names
+        columns.get(name, ABSENT if name in asked else name) for name in model.intake.names
     )
 
 
-def _csv_reader(
-    source: CsvSource, machine: str, names: Mapping[str, str], wanted: int
-) -> CsvReader:
+def _csv(source: CsvSource, machine: str, names: Mapping[str, str], wanted: int) -> CsvReader:
     starts = 0.0
     if source.starts is not None:
         try:
