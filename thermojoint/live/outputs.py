@@ -43,7 +43,7 @@ async def open_outputs(running: Running) -> list[Coroutine[Any, Any, None]]:
     if service.given.opcua is not None:
         outputs += await _opcua_server(running, service.given.opcua)
     if any(machine.target for machine in service.machines.values()):
-        outputs += _writers(running)
+        outputs += _target_writers(running)
     if service.given.http is not None:
         outputs.append(_http_server(running, service.given.http))
     if shdr is not None:
@@ -56,16 +56,16 @@ async def open_outputs(running: Running) -> list[Coroutine[Any, Any, None]]:
     return outputs
 
 
-def _writers(running: Running) -> list[Coroutine[Any, Any, None]]:
+def _target_writers(running: Running) -> list[Coroutine[Any, Any, None]]:
     """Return the writers into the controls of the machines with a target."""
-    from thermojoint.live.targets.writing import Writer, target_of
+    from thermojoint.live.targets.writing import TargetWriter, target_of
 
     found, audit = [], running.accounts.audit
     for name, machine in running.fleet.machines.items():
         target = target_of(running.service, name, machine.model)
         if target is not None:
             names = machine.model.layout.controls
-            writer = Writer(name, names, *target, running.publisher, running.fleet, audit)
+            writer = TargetWriter(name, names, *target, running.publisher, running.fleet, audit)
             found.append(writer.run())
     return found
 
@@ -103,7 +103,7 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
             for name, one in _handshakes(service, "http").items()
         },
         partial(_postpone, running),
-        partial(_read, running),
+        partial(_queue_readings, running),
         lambda: {
             "disk": "full" if running.disk_space.full else "ok",
             "reserve_h": round(running.reserve_h, 1),
@@ -122,7 +122,7 @@ def _postpone(running: Running, machine: str) -> bool:
     return changed is not None
 
 
-def _read(running: Running, machine: str, given: Mapping[str, float]) -> bool:
+def _queue_readings(running: Running, machine: str, given: Mapping[str, float]) -> bool:
     """Queue displacement readings entered by an operator, um."""
     names, now = running.fleet.machines[machine].model.layout.readings, time.time()
     return _queue(running, Arrival(machine, now, [given.get(name) for name in names], now))

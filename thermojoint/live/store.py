@@ -43,6 +43,17 @@ _BUSY_TIMEOUT_S = 10.0
 _LARGEST_WAL = 64_000_000
 #: Number of entries of the journal, and of chunks of a past era, deleted at once.
 MOST_PRUNED, _MOST_CHUNKS = 5_000, 50
+_ADD_SAMPLE = "INSERT INTO journal (era, number, row, status, rest) VALUES (?, ?, ?, ?, ?)"
+#: A state that waited for a new store does not replace a newer one.
+_PUT_STATE = (
+    "INSERT INTO states VALUES (?, ?, ?, ?) ON CONFLICT DO UPDATE SET number = excluded.number, "
+    "state = excluded.state, rest = excluded.rest WHERE excluded.number >= number"
+)
+#: Axes removed from the settings keep their last values.
+_PUT_RECEIVED = (
+    "INSERT INTO received VALUES (?, ?, ?) ON CONFLICT DO UPDATE SET at = excluded.at, "
+    "content = json_patch(content, excluded.content)"
+)
 #: Statement to add a chunk of `_chunk`; condition for a sample of the journal in no chunk yet.
 _ADD_CHUNK = (
     "INSERT INTO chunks (era, first, last, number, count, rows, status) "
@@ -381,36 +392,15 @@ def commit(store: sqlite3.Connection, batch: Batch) -> int:
     """Store a batch in one transaction; return the number of the journal's last entry."""
     store.execute("BEGIN IMMEDIATE")
     try:
-        store.executemany(
-            "INSERT INTO journal (era, number, row, status, rest) VALUES (?, ?, ?, ?, ?)",
-            batch.samples,
-        )
-        store.executemany(
-            # A state that waited for a new store does not replace a newer one.
-            "INSERT INTO states VALUES (?, ?, ?, ?) ON CONFLICT DO UPDATE SET "
-            "number = excluded.number, state = excluded.state, rest = excluded.rest "
-            "WHERE excluded.number >= number",
-            [
-                (checkpoint.era, checkpoint.number, checkpoint.state, checkpoint.rest)
-                for checkpoint in batch.checkpoints
-            ],
-        )
-        store.executemany(
-            _ADD_CHUNK,
-            [_chunk(checkpoint) for checkpoint in batch.checkpoints if len(checkpoint.rows)],
-        )
-        store.executemany(
-            "INSERT INTO events (time, machine, kind, text) VALUES (?, ?, ?, ?)", batch.events
-        )
-        store.executemany(
-            "INSERT INTO holes (machine, since, until, why) VALUES (?, ?, ?, ?)", batch.gaps
-        )
-        # Axes removed from the settings keep their last values.
-        store.executemany(
-            "INSERT INTO received VALUES (?, ?, ?) ON CONFLICT DO UPDATE SET at = excluded.at, "
-            "content = json_patch(content, excluded.content)",
-            batch.received,
-        )
+        for statement, rows in (
+            (_ADD_SAMPLE, batch.samples),
+            (_PUT_STATE, [(one.era, one.number, one.state, one.rest) for one in batch.checkpoints]),
+            (_ADD_CHUNK, [_chunk(one) for one in batch.checkpoints if len(one.rows)]),
+            ("INSERT INTO events (time, machine, kind, text) VALUES (?, ?, ?, ?)", batch.events),
+            ("INSERT INTO holes (machine, since, until, why) VALUES (?, ?, ?, ?)", batch.gaps),
+            (_PUT_RECEIVED, batch.received),
+        ):
+            store.executemany(statement, rows)
         store.execute("COMMIT")
     except BaseException:
         # On a full disk SQLite has rolled back already.

@@ -81,7 +81,7 @@ def test_a_writer_that_is_cancelled_as_a_value_arrives_ends(tmp_path, monkeypatc
 
     async def live():
         said = SimpleNamespace(log=SimpleNamespace(say=lambda *_: None))
-        writer = writing.Writer("mill", ("Z",), given, None, None, said, None)
+        writer = writing.TargetWriter("mill", ("Z",), given, None, None, said, None)
         tasks.append(asyncio.create_task(writer.run()))
         done, _ = await asyncio.wait(tasks[:1], timeout=5.0)
         tasks[0].cancel()

@@ -60,7 +60,7 @@ def target_of(
 
 
 @dataclass(frozen=True, eq=False)
-class Writer:
+class TargetWriter:
     """Writer into one control."""
 
     machine: str
@@ -81,13 +81,13 @@ class Writer:
                 async with await client_of(self.endpoint) as client:
                     await self._check(client)
                     delay = FIRST_S
-                    self._say("connected", f"target {self.given.url}")
-                    await self._follow(client)
+                    self._log("connected", f"target {self.given.url}")
+                    await self._write_offsets(client)
             except InputError as error:
-                self._say("target-refused", str(error))
+                self._log("target-refused", str(error))
             except LOST as error:
                 text = str(error) or type(error).__name__
-                self._say("disconnected", f"target {self.given.url}: {text}")
+                self._log("disconnected", f"target {self.given.url}: {text}")
             await asyncio.sleep(delay)
             delay = next_delay(delay)
 
@@ -107,18 +107,18 @@ class Writer:
                         "the machine stands"
                     )
 
-    async def _follow(self, client: Client) -> None:
+    async def _write_offsets(self, client: Client) -> None:
         writes = writes_of(self.given, self.names)
         levers = self.publisher.newest[self.machine].layout.levers.tolist()
         last: list[float] | None = None
         changed = -math.inf
-        for beats in itertools.count():
+        for heartbeat in itertools.count():
             found = await self._read(client, writes)
             clock = time.monotonic()
-            said = self.publisher.newest[self.machine]
+            published = self.publisher.newest[self.machine]
             if (
                 last is None
-                or said.handshake == DIFFERS
+                or published.handshake == DIFFERS
                 or any(
                     abs(one - other) > 0.5 * write.quantity.step
                     for write, one, other in zip(writes, found, last, strict=True)
@@ -126,20 +126,20 @@ class Writer:
             ):
                 changed = clock
             enabled = self.given.enable and clock - changed > AWAY_S
-            acts = tuple(
+            in_force = tuple(
                 lever * write.quantity.metres * value
                 for write, lever, value in zip(writes, levers, found, strict=True)
             )
-            receive_answer(self.fleet, self.machine, Answer(enabled, beats, acts), clock)
-            wanted = [*said.offsets.tolist(), *said.slopes.tolist()]
+            receive_answer(self.fleet, self.machine, Answer(enabled, heartbeat, in_force), clock)
+            wanted = [*published.offsets.tolist(), *published.slopes.tolist()]
             goals = [
                 next_value(write.quantity, now, value, write.most)
                 for write, now, value in zip(writes, found, wanted, strict=True)
             ]
             last = found
             if not self.given.enable:
-                self._show(writes, found, goals)
-            elif enabled and said.handshake == STANDS and goals != found:
+                self._log_dry_run(writes, found, goals)
+            elif enabled and published.handshake == STANDS and goals != found:
                 await self._write(client, writes, goals)
                 last = goals
             await asyncio.sleep(self.given.every_s)
@@ -165,13 +165,13 @@ class Writer:
             async with asyncio.timeout(TIMEOUT_S):
                 await client.get_node(node).write_value(ua.DataValue(value))
 
-    def _show(
+    def _log_dry_run(
         self, writes: Sequence[Write], found: Sequence[float], goals: Sequence[float]
     ) -> None:
         """Log the writes that would be made, at the limited rate of the log."""
         for (quantity, name, _), now, goal in zip(writes, found, goals, strict=True):
             node = self.given.node(quantity, name)
-            self._say("dry-run", f"would write {node} = {goal:g} {quantity.unit}, is {now:g}")
+            self._log("dry-run", f"would write {node} = {goal:g} {quantity.unit}, is {now:g}")
 
-    def _say(self, kind: str, text: str) -> None:
+    def _log(self, kind: str, text: str) -> None:
         self.fleet.log.say(time.time(), kind, text, self.machine)

@@ -20,7 +20,7 @@ from thermojoint.live.publication import as_json
 from thermojoint.live.publisher import Publisher
 from thermojoint.live.reconnecting import FIRST_S, next_delay
 from thermojoint.live.settings import MqttTopics
-from thermojoint.live.writers.mqtt_control import attend, beat
+from thermojoint.live.writers.mqtt_control import publish_heartbeat, receive_answers
 
 #: Pause before the next machine if the network is slow, s.
 _PAUSE_S = 0.01
@@ -54,7 +54,7 @@ async def write_topics(
     """
     log, status_topic = fleet.log, topics.status_topic
     delay, where = FIRST_S, f"{address.host}:{address.port}"
-    written = partial(audit.written, "mqtt", f"mqtt {where}")
+    record = partial(audit.written, "mqtt", f"mqtt {where}")
     will = aiomqtt.Will(status_topic, _status("gone"), qos=1, retain=True)
     while True:
         try:
@@ -63,17 +63,17 @@ async def write_topics(
                 await client.publish(status_topic, _status("running"), qos=1, retain=True)
                 delay = FIRST_S
                 watch = asyncio.create_task(
-                    _any(
+                    _first_to_end(
                         lost(client),
-                        attend(client, topics.control_topic, fleet, controls, written),
-                        beat(client, topics.heartbeat_topic, publisher),
+                        receive_answers(client, topics.control_topic, fleet, controls, record),
+                        publish_heartbeat(client, topics.heartbeat_topic, publisher),
                     )
                 )
                 try:
                     await _publish(publisher, client, topics.topic, watch)
                 finally:
                     await cancelled(watch)
-                    await _say_goodbye(client, status_topic)
+                    await _publish_stopped(client, status_topic)
         except aiomqtt.MqttError as error:
             log.say(time.time(), "disconnected", f"MQTT broker {where}, to publish: {error}")
         await asyncio.sleep(delay)
@@ -99,7 +99,7 @@ async def _publish(
                         await asyncio.sleep(_PAUSE_S)
 
 
-async def _any(*endless: Coroutine[Any, Any, None]) -> None:
+async def _first_to_end(*endless: Coroutine[Any, Any, None]) -> None:
     """Run endless coroutines; raise the error of the first that ends."""
     tasks = [asyncio.ensure_future(one) for one in endless]
     try:
@@ -111,7 +111,7 @@ async def _any(*endless: Coroutine[Any, Any, None]) -> None:
             raise error
 
 
-async def _say_goodbye(client: aiomqtt.Client, status_topic: str) -> None:
+async def _publish_stopped(client: aiomqtt.Client, status_topic: str) -> None:
     with suppress(aiomqtt.MqttError):
         await client.publish(status_topic, _status("stopped"), qos=1, retain=True, timeout=1.0)
 

@@ -18,16 +18,16 @@ from thermojoint.live.processing import Fleet, receive_answer
 from thermojoint.live.publisher import Publisher
 
 #: Interval at which the service's heartbeat is checked, s.
-_BEAT_S = 0.5
+_HEARTBEAT_S = 0.5
 #: Largest answer, bytes.
 _LARGEST = 16_384
 
 #: Records a written value and its machine.
-Written = Callable[[str, str], None]
+Record = Callable[[str, str], None]
 
 
-async def attend(
-    client: aiomqtt.Client, pattern: str, fleet: Fleet, names: Collection[str], written: Written
+async def receive_answers(
+    client: aiomqtt.Client, pattern: str, fleet: Fleet, names: Collection[str], record: Record
 ) -> None:
     """Receive the messages of some machines' controls until the connection is lost.
 
@@ -39,7 +39,7 @@ async def attend(
     fleet : Fleet
     names : collection of str
         Names of the machines.
-    written : callable
+    record : callable
         Records a message and its machine; an OSError refuses the message.
     """
     machines = {pattern.replace("{machine}", name): name for name in names}
@@ -52,7 +52,7 @@ async def attend(
         layout = fleet.machines[machine].model.layout
         try:
             given = answer_of(message.payload[:_LARGEST], layout)
-            written(f"write {message.topic} ({'enable' if given.enabled else 'disable'})", machine)
+            record(f"write {message.topic} ({'enable' if given.enabled else 'disable'})", machine)
         except ValidationError as error:
             text = f"what the control says is no answer: {error.errors()[0]['msg']}"
             fleet.log.say(time.time(), "malformed", text, machine)
@@ -60,11 +60,11 @@ async def attend(
             receive_answer(fleet, machine, given, time.monotonic())
 
 
-async def beat(client: aiomqtt.Client, topic: str, publisher: Publisher) -> None:
+async def publish_heartbeat(client: aiomqtt.Client, topic: str, publisher: Publisher) -> None:
     """Publish the service's heartbeat at every change, until the connection is lost."""
     sent = -1
     while True:
         if publisher.heartbeat != sent:
             sent = publisher.heartbeat
             await client.publish(topic, json.dumps({"heartbeat": sent}), qos=0)
-        await asyncio.sleep(_BEAT_S)
+        await asyncio.sleep(_HEARTBEAT_S)
