@@ -33,10 +33,10 @@ def answer_of(payload: bytes, layout: Layout) -> Answer:
         The message is not an answer.
     """
     message = ControlMessage.model_validate_json(payload, strict=True)
-    said = [message.offsets_um.get(axis) for axis in layout.controls]
-    said += [message.slopes_um_per_m.get(line.axis) for line in layout.lines]
+    acknowledged = [message.offsets_um.get(axis) for axis in layout.controls]
+    acknowledged += [message.slopes_um_per_m.get(line.axis) for line in layout.lines]
     metres = tuple(
         math.nan if one is None else MICRO * lever * one
-        for one, lever in zip(said, layout.levers.tolist(), strict=True)
+        for one, lever in zip(acknowledged, layout.levers.tolist(), strict=True)
     )
     return Answer(message.enable, message.heartbeat, metres)

@@ -23,7 +23,7 @@ class LimitedSocket(socket.socket):
             listening.family, listening.type, listening.proto, fileno=listening.detach()
         )
         self.most, self.most_of_one = most, most_of_one
-        self.taken: list[tuple[str, socket.socket]] = []
+        self.connections: list[tuple[str, socket.socket]] = []
 
     def accept(self) -> tuple[socket.socket, Any]:
         """Return the next connection.
@@ -35,13 +35,13 @@ class LimitedSocket(socket.socket):
         """
         connection, address = super().accept()
         host = str(address[0])
-        self.taken = [one for one in self.taken if one[1].fileno() >= 0]
-        same = sum(one[0] == host for one in self.taken)
-        full = len(self.taken) >= self.most or same >= self.most_of_one
+        self.connections = [one for one in self.connections if one[1].fileno() >= 0]
+        same = sum(one[0] == host for one in self.connections)
+        full = len(self.connections) >= self.most or same >= self.most_of_one
         if full or not is_spare(connection.fileno()):
             connection.close()
             raise ConnectionAbortedError
-        self.taken.append((host, connection))
+        self.connections.append((host, connection))
         return connection, address
 
 
@@ -55,10 +55,10 @@ def listening(where: str, address: str, port: int, most: int, most_of_one: int) 
     """
     family = socket.AF_INET6 if ":" in address else socket.AF_INET
     try:
-        taken = socket.create_server((address, port), family=family)
+        bound = socket.create_server((address, port), family=family)
     except OSError as error:
         raise InputError(
             f"{where}: cannot listen at {address}:{port} ({error.strerror}); give an address of "
             "this computer and a port that is free"
         ) from error
-    return LimitedSocket(taken, most, most_of_one)
+    return LimitedSocket(bound, most, most_of_one)

@@ -140,11 +140,11 @@ async def lost(client: aiomqtt.Client) -> None:
     MqttError
         Always, when the connection is lost.
     """
-    gone = asyncio.shield(client._disconnected)
+    disconnection = asyncio.shield(client._disconnected)
     while True:
         try:
             async with asyncio.timeout(2.0 * KEEPALIVE_S):
-                await asyncio.shield(gone)
+                await asyncio.shield(disconnection)
         except TimeoutError:
             # A response shows that the broker is alive; a timeout is an error.
             await client.unsubscribe("thermojoint/is-anybody-there", timeout=TIMEOUT_S)

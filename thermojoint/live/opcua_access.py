@@ -77,7 +77,7 @@ class AccessControl(UserManager):
     #: Users, and the audit log.
     accounts: Accounts
     #: False: anybody may read.
-    asks: bool
+    requires_login: bool
     #: Trust list for the clients' certificates.
     trust: TrustList
     #: Log of refused log-ins.
@@ -100,7 +100,7 @@ class AccessControl(UserManager):
         origin, shown = f"opcua {self.peer}".strip(), str(username or "")[:40]
         why = self.trust.refusal(certificate, datetime.now(UTC))
         principal = _ANYBODY
-        if not why and self.asks:
+        if not why and self.requires_login:
             if isinstance(password, bytes):
                 password = password.decode("utf-8", "replace")
             found = self.accounts.by_password(username or "", password or "")
@@ -205,7 +205,7 @@ def restrict(server: Server, access: AccessControl, section: OpcuaServer) -> Non
     if section.security == "sign-and-encrypt":
         policy = ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt
     server.set_security_policy([policy], permission_ruleset=RequestRules())
-    token = ua.UserNameIdentityToken if access.asks else ua.AnonymousIdentityToken
+    token = ua.UserNameIdentityToken if access.requires_login else ua.AnonymousIdentityToken
     server.set_identity_tokens([token])
     server.subscribe_server_callback(CallbackType.PreWrite, access.before_write)
     server.subscribe_server_callback(CallbackType.PostWrite, access.after_write)

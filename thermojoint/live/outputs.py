@@ -51,8 +51,8 @@ async def open_outputs(running: Running) -> list[Coroutine[Any, Any, None]]:
         from thermojoint.live.writers.shdr import serve_agents
 
         most = shdr.most_connections
-        taken = listening("shdr", shdr.address, shdr.port, most, most)
-        outputs.append(serve_agents(publisher, taken, shdr.heartbeat_s))
+        bound_socket = listening("shdr", shdr.address, shdr.port, most, most)
+        outputs.append(serve_agents(publisher, bound_socket, shdr.heartbeat_s))
     return outputs
 
 

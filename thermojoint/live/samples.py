@@ -196,8 +196,8 @@ def _with_held_values(
     """Return readings completed by held values, and the values held afterwards."""
     before = held or ((-math.inf, math.nan),) * len(values)
     filled = tuple(
-        kept if value is None and k < rule.wanted and instant - since <= rule.hold else value
-        for k, (value, (since, kept)) in enumerate(zip(values, before, strict=True))
+        last_value if value is None and k < rule.wanted and instant - since <= rule.hold else value
+        for k, (value, (since, last_value)) in enumerate(zip(values, before, strict=True))
     )
     after = tuple(
         old if value is None else (instant, value)

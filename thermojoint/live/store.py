@@ -499,11 +499,11 @@ def _prune_era(store: sqlite3.Connection, before: float) -> None:
     ).fetchone()
     if over is None:
         return
-    gone = store.execute(
+    deleted = store.execute(
         "DELETE FROM chunks WHERE id IN (SELECT id FROM chunks WHERE era = ? LIMIT ?)",
         (*over, _MOST_CHUNKS),
     )
-    if gone.rowcount < _MOST_CHUNKS:
+    if deleted.rowcount < _MOST_CHUNKS:
         for table, key in (("states", "era"), ("journal", "era"), ("eras", "id")):
             store.execute(f"DELETE FROM {table} WHERE {key} = ?", over)
 

@@ -107,9 +107,9 @@ def _derived(password: str, salt: bytes, n: int, r: int, p: int) -> bytes:
     return hashlib.scrypt(password.encode(), salt=salt, n=n, r=r, p=p, maxmem=256 * n * r, dklen=32)
 
 
-def is_password(password: str, kept: str) -> bool:
+def is_password(password: str, stored_hash: str) -> bool:
     """Return whether a hash belongs to a password."""
-    match = _HASH.fullmatch(kept)
+    match = _HASH.fullmatch(stored_hash)
     if match is None or len(password) > _LONGEST:
         return False
     n, r, p = (int(number) for number in match.groups()[:3])
@@ -184,9 +184,9 @@ class PasswordCheck:
             The service's own clock, s.
         """
         user = self.users.get(name)
-        kept = user.password if user else f"scrypt${_N}${_R}${_P}${'0' * 32}${'0' * 64}"
+        stored_hash = user.password if user else f"scrypt${_N}${_R}${_P}${'0' * 32}${'0' * 64}"
         # A verified password is not hashed again the next time.
-        mark = hmac.digest(self._key, f"{name}\0{password}\0{kept}".encode(), "sha256")
+        mark = hmac.digest(self._key, f"{name}\0{password}\0{stored_hash}".encode(), "sha256")
         if user and hmac.compare_digest(self._right.get(name, b""), mark):
             return principal_of(name, user)
         self._trials = [trial for trial in self._trials if clock - trial < TRIALS_S]
@@ -194,7 +194,7 @@ class PasswordCheck:
             return None
         self._trials.append(clock)
         # An unknown name takes as long as a wrong password.
-        if not is_password(password, kept) or user is None:
+        if not is_password(password, stored_hash) or user is None:
             return None
         self._trials.pop()
         self._right[name] = mark

@@ -132,8 +132,8 @@ def open_http(
     app = make_app(backend, access, section.most_streams)
     server = make_server(app, section, own)
     most = _most_connections(section)
-    taken = listening("http", section.address, section.port, most, section.most_per_address)
-    return BoundServer(server, taken)
+    bound_socket = listening("http", section.address, section.port, most, section.most_per_address)
+    return BoundServer(server, bound_socket)
 
 
 def _most_connections(section: HttpServer) -> int:

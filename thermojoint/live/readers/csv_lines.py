@@ -289,8 +289,8 @@ def _positioned(
 def _clock_state_of(position: Mapping[str, Any]) -> Hands:
     """Return the state of the clock in a position, which may lack it if the clock needs none."""
     usual = Hands()
-    kept = position.get("clock", usual)
-    return Hands(*(old if hand is None else hand for hand, old in zip(kept, usual, strict=True)))
+    stored = position.get("clock", usual)
+    return Hands(*(old if hand is None else hand for hand, old in zip(stored, usual, strict=True)))
 
 
 def _with_decimal_of(header: Header, line: bytes) -> Header:

@@ -365,10 +365,10 @@ def arrival_of(
         for value, since in zip(held.values[: mapping.wanted], held.since, strict=False)
     ]
     readings += [None if math.isnan(value) else value for value in held.values[mapping.wanted :]]
-    kept = _still_held(held.values, mapping.wanted)
+    still_held = _still_held(held.values, mapping.wanted)
     items = [
         [name, None if math.isnan(value) else value, since]
-        for name, value, since in zip(mapping.items, kept, held.since, strict=True)
+        for name, value, since in zip(mapping.items, still_held, held.since, strict=True)
     ]
     position = [mapping.device, held.instance, held.next, held.due(mapping), items]
     return Arrival(machine, instant, readings, clock.time(), position)

@@ -38,7 +38,7 @@ def writes(given: TargetFile, lines: Iterable[str], where: str) -> Iterator[tupl
     every = writes_of(given, given.axes)
     values = dict.fromkeys((write[:2] for write in every), 0.0)
     first = None
-    for row, times in _lasting(csv.DictReader(lines), given.every_s, where):
+    for row, times in _with_validity(csv.DictReader(lines), given.every_s, where):
         first = times[0] if first is None else first
         goals = {}
         for axis, section in given.slopes.items():
@@ -52,7 +52,7 @@ def writes(given: TargetFile, lines: Iterable[str], where: str) -> Iterator[tupl
             is_slope = quantity is given.control.slope
             column = f"slope_{axis}_um_per_m" if is_slope else f"offset_{axis}_um"
             goals[quantity, axis] = MICRO * _number(row, column, where)
-        for time in _moments(first, given.every_s, times):
+        for time in _write_times(first, given.every_s, times):
             before = dict(values)
             for quantity, axis, most in every:
                 now, goal = before[quantity, axis], goals[quantity, axis]
@@ -66,7 +66,7 @@ def writes(given: TargetFile, lines: Iterable[str], where: str) -> Iterator[tupl
         raise InputError(f"{where}: no rows; give what 'compensate' writes")
 
 
-def _lasting(
+def _with_validity(
     rows: Iterable[Mapping[str, str]], every: float, where: str
 ) -> Iterator[tuple[Mapping[str, str], tuple[float, float]]]:
     """Yield the rows, each with the start and end (s) of its validity.
@@ -85,7 +85,7 @@ def _lasting(
         yield held[0], (held[1], held[1] + every)
 
 
-def _moments(first: float, every: float, times: tuple[float, float]) -> Iterator[float]:
+def _write_times(first: float, every: float, times: tuple[float, float]) -> Iterator[float]:
     """Yield the times (s) of the writes between two times, the second one excluded."""
     # Rounding errors must neither drop a write nor repeat it.
     index = math.ceil((times[0] - first) / every - 1e-9)

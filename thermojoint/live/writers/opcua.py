@@ -41,7 +41,7 @@ from thermojoint.live.settings import OpcuaServer
 from thermojoint.live.times import since_1970
 from thermojoint.live.trust_list import TrustList, contents_of
 from thermojoint.live.writers.opcua_alarms import Alarms, add_alarms, send_alarms
-from thermojoint.live.writers.opcua_history import ArchiveHistory, is_kept
+from thermojoint.live.writers.opcua_history import ArchiveHistory, is_archived
 
 #: The service's namespace; its nodes are ``ns=2;s=NAME.Displacement.x``.
 NAMESPACE = "urn:thermojoint:live:machines"
@@ -55,7 +55,7 @@ class Nodes:
     """The variables of every machine in a server's address space."""
 
     #: Machine to its (variable, value attribute).
-    of: Mapping[str, list[tuple[Variable, Any]]]
+    variables: Mapping[str, list[tuple[Variable, Any]]]
     #: Alarms of the machines.
     alarms: Alarms
 
@@ -68,7 +68,7 @@ async def add_machines(
     given: Callable[[Arrival], object],
     companion: Companion | None = None,
 ) -> dict[str, list[tuple[Variable, Any]]]:
-    """Add the objects of all machines; return their variables, in the form of `Nodes.of`.
+    """Add the objects of all machines; return their variables, in the form of `Nodes.variables`.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ async def add_machines(
     if companion is None:
         await server.nodes.objects.add_folder(root, f"{index}:Machines")
     units: dict[str, ua.NodeId] = {}
-    of: dict[str, list[tuple[Variable, Any]]] = {}
+    added: dict[str, list[tuple[Variable, Any]]] = {}
     for machine, (layout, wanted) in machines.items():
         at = _object(machine, machine, root, index)
         monitoring = _object(f"{machine}.Monitoring", "Monitoring", at[0], index)
@@ -116,18 +116,18 @@ async def add_machines(
         ]
         for result in await session.add_nodes(items):
             result.StatusCode.check()
-        of[machine] = []
+        added[machine] = []
         for nodeid, variable in zip(ids, variables, strict=True):
             if variable.unit:
                 await _with_unit(server, units, nodeid, variable.unit, index)
             if variable.writable:
                 k = layout.readings.index(variable.name)
-                take = _taken_by(given, machine, len(layout.readings), k)
+                take = _write_handler(given, machine, len(layout.readings), k)
                 space.set_attribute_value_setter(nodeid, ua.AttributeIds.Value, take)
-            told = partial(_told, publisher, machine, variable)
-            space.set_attribute_value_callback(nodeid, ua.AttributeIds.Value, told)
-            of[machine].append((variable, value_of(server, nodeid)))
-    return of
+            read_current = partial(_current_value, publisher, machine, variable)
+            space.set_attribute_value_callback(nodeid, ua.AttributeIds.Value, read_current)
+            added[machine].append((variable, value_of(server, nodeid)))
+    return added
 
 
 def node_of(machine: str, variable: Variable, index: int) -> ua.NodeId:
@@ -135,12 +135,14 @@ def node_of(machine: str, variable: Variable, index: int) -> ua.NodeId:
     return ua.NodeId(".".join(filter(None, (machine, variable.folder, variable.name))), index)
 
 
-def _told(publisher: Publisher, machine: str, variable: Variable, *_: object) -> ua.DataValue:
+def _current_value(
+    publisher: Publisher, machine: str, variable: Variable, *_: object
+) -> ua.DataValue:
     latest = publisher.newest[machine]
     return data_value(variable.kind, *variable.value(latest), latest)
 
 
-def _taken_by(
+def _write_handler(
     given: Callable[[Arrival], object], machine: str, count: int, k: int
 ) -> Callable[[Any, Any, ua.DataValue], None]:
     def take(node: Any, attribute: Any, written: ua.DataValue) -> None:  # noqa: ANN401
@@ -186,7 +188,7 @@ def _variable(
     nodeid: ua.NodeId, variable: Variable, parent: ua.NodeId, index: int
 ) -> ua.AddNodesItem:
     access = ua.AccessLevel.CurrentRead.mask
-    if is_kept(variable):
+    if is_archived(variable):
         access |= ua.AccessLevel.HistoryRead.mask
     if variable.writable:
         access |= ua.AccessLevel.CurrentWrite.mask
@@ -205,7 +207,7 @@ def _variable(
             ValueRank=-1,
             AccessLevel=access,
             UserAccessLevel=access,
-            Historizing=is_kept(variable),
+            Historizing=is_archived(variable),
         ),
     )
 
@@ -236,7 +238,7 @@ async def notify_subscribers(publisher: Publisher, nodes: Nodes) -> None:
         while True:
             for machine in await subscription.wait():
                 latest = publisher.newest[machine]
-                for variable, attribute in nodes.of[machine]:
+                for variable, attribute in nodes.variables[machine]:
                     if attribute.datachange_callbacks:
                         value = data_value(variable.kind, *variable.value(latest), latest)
                         for handle, call in list(attribute.datachange_callbacks.items()):
@@ -295,8 +297,8 @@ async def open_server(
         There are no users, a file is unusable, or the address is in use.
     """
     encrypted = section.security == "sign-and-encrypt"
-    asks = context.accounts.users_file is not None
-    if not asks and encrypted:
+    requires_login = context.accounts.users_file is not None
+    if not requires_login and encrypted:
         raise InputError(
             "opcua: no one could log in; name a file of users, and add them: thermojoint users"
         )
@@ -310,7 +312,9 @@ async def open_server(
         await server.load_certificate(own.certificate)
         await server.load_private_key(own.key)
     trust = TrustList(section.trusted, context.folder / "rejected")
-    access = AccessControl(context.accounts, asks, trust, context.log, context.controls, machines)
+    access = AccessControl(
+        context.accounts, requires_login, trust, context.log, context.controls, machines
+    )
     server.iserver.set_user_manager(access)
     restrict(server, access, section)
     index = await server.register_namespace(NAMESPACE)
@@ -321,13 +325,13 @@ async def open_server(
         spent = time.monotonic() - begun
         context.log.say(time.time(), "companion", f"{section.companion} loaded in {spent:.2f} s")
     variables = await add_machines(server, publisher, machines, section.readings, given, companion)
-    kept = {
+    archived = {
         node_of(machine, variable, index): (machine, variable)
         for machine, some in variables.items()
         for variable, _ in some
-        if is_kept(variable)
+        if is_archived(variable)
     }
-    server.iserver.history_manager.set_storage(ArchiveHistory(context.archive, kept))
+    server.iserver.history_manager.set_storage(ArchiveHistory(context.archive, archived))
     try:
         await server.start()
     except OSError as error:

@@ -26,10 +26,12 @@ _BEAT_S = 0.5
 _WRAP = 1 << 32
 
 #: Receives a value written by the control of a machine.
-Take = Callable[[str, Answer], None]
+AnswerHandler = Callable[[str, Answer], None]
 
 
-async def add_controls(server: Server, controls: Mapping[str, Layout], take: Take) -> ua.NodeId:
+async def add_controls(
+    server: Server, controls: Mapping[str, Layout], receive: AnswerHandler
+) -> ua.NodeId:
     """Add the variables that controls write; return the node of the service's heartbeat.
 
     Parameters
@@ -38,7 +40,7 @@ async def add_controls(server: Server, controls: Mapping[str, Layout], take: Tak
         Contains the machines already.
     controls : mapping of str to Layout
         Machine to the layout of the values that its control receives.
-    take : callable
+    receive : callable
     """
     index = await server.get_namespace_index(NAMESPACE)
     heartbeat = ua.NodeId("Heartbeat", index)
@@ -59,17 +61,17 @@ async def add_controls(server: Server, controls: Mapping[str, Layout], take: Tak
             node = await folder.add_variable(at, f"{index}:{name}", *start)
             await node.set_writable()
             server.iserver.aspace.add_datachange_callback(
-                at, ua.AttributeIds.Value, _written_by(machine, name, layout, take)
+                at, ua.AttributeIds.Value, _write_handler(machine, name, layout, receive)
             )
     return heartbeat
 
 
-def _written_by(
-    machine: str, name: str, layout: Layout, take: Take
+def _write_handler(
+    machine: str, name: str, layout: Layout, receive: AnswerHandler
 ) -> Callable[[Any, ua.DataValue], Awaitable[None]]:
     async def on_write(handle: Any, written: ua.DataValue) -> None:  # noqa: ANN401
         # A value marked as bad arrives as None.
-        take(machine, answer_of(name, layout, written.Value.Value if written.Value else None))
+        receive(machine, answer_of(name, layout, written.Value.Value if written.Value else None))
 
     return on_write
 
@@ -88,9 +90,11 @@ def answer_of(name: str, layout: Layout, value: Any) -> Answer:  # noqa: ANN401
         return Answer(enabled=bool(value))
     if name == "Heartbeat":
         return Answer(heartbeat=value)
-    said = math.nan if value is None else MICRO * value
+    metres = math.nan if value is None else MICRO * value
     levers = zip(acknowledged(layout), layout.levers.tolist(), strict=True)
-    return Answer(acknowledged=[lever * said if name == one else math.nan for one, lever in levers])
+    return Answer(
+        acknowledged=[lever * metres if name == one else math.nan for one, lever in levers]
+    )
 
 
 async def write_heartbeat(server: Server, node: ua.NodeId, publisher: Publisher) -> None:

@@ -75,6 +75,6 @@ def _seconds(time: datetime | None, otherwise: float) -> float:
     return otherwise if time is None or time.year < _FIRST_YEAR else since_1970(time)
 
 
-def is_kept(variable: Variable) -> bool:
+def is_archived(variable: Variable) -> bool:
     """Return whether the archive has the values of a variable."""
     return bool(variable.folder) or variable.name in ("Status", "Quality", "SampleNumber")
