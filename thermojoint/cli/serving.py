@@ -46,10 +46,10 @@ def serve(
     require("serve", "serve", *_LIBRARIES)
     if check:
         from thermojoint import console
-        from thermojoint.live.checking import checked, taken_addresses
+        from thermojoint.live.checking import addresses_in_use, checked
 
         findings = checked(given)
-        refused = findings.refused + taken_addresses(given)
+        refused = findings.refused + addresses_in_use(given)
         console.warn(findings.warnings)
         if refused:
             raise InputErrors("\n".join(refused))

@@ -65,7 +65,7 @@ class Audit:
         try:
             self._append(line)
         except OSError:
-            self._put_aside(line)
+            self._write_spare(line)
 
     def written(
         self, who: str, origin: str, what: str, machine: str | None, value: str = ""
@@ -96,7 +96,7 @@ class Audit:
 
     def _append(self, line: bytes) -> None:
         """Append a line, after those in the preallocated file."""
-        earlier = self._aside()
+        earlier = self._spare_lines()
         lines = earlier + line
         if self.path.exists() and self.path.stat().st_size + len(lines) > self.largest:
             self._rotate()
@@ -121,14 +121,14 @@ class Audit:
         """The preallocated file."""
         return self.path.with_suffix(".spare")
 
-    def _aside(self) -> bytes:
+    def _spare_lines(self) -> bytes:
         """Return the lines in the preallocated file."""
         return self._spare.read_bytes().rstrip(b"\0") if self._spare.exists() else b""
 
-    def _put_aside(self, line: bytes) -> None:
+    def _write_spare(self, line: bytes) -> None:
         """Write a line into the free part of the preallocated file."""
         with self._spare.open("r+b") as file:
-            used, size = len(self._aside()), file.seek(0, os.SEEK_END)
+            used, size = len(self._spare_lines()), file.seek(0, os.SEEK_END)
             if used + len(line) > size:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             file.seek(used)

@@ -80,7 +80,7 @@ def back_up(file: Path, out: Path) -> list[str]:
     for path in targets:
         named += _named(read_target(path), f"{path}: ")
     places = {
-        one.path: _place(one.path, base, k)
+        one.path: _archive_name(one.path, base, k)
         for k, one in enumerate(named)
         if not one.secret and one.path.exists()
     }
@@ -91,7 +91,7 @@ def back_up(file: Path, out: Path) -> list[str]:
         with tarfile.open(part, "w:gz", compresslevel=3) as tar:
             for path, place in settings.items():
                 written = Path(scratch) / "settings.toml"
-                written.write_text(_moved(path, place, places | settings), "utf-8")
+                written.write_text(_with_archive_names(path, place, places | settings), "utf-8")
                 _add(tar, written, place, digests)
             for path, place in places.items():
                 for member in [path] if path.is_file() else sorted(path.rglob("*")):
@@ -145,14 +145,14 @@ def _named(value: Any, above: str = "", secret: bool = False) -> Iterator[Named]
             yield from _named(one, f"{above}{name}.", isinstance(value, Secret))
 
 
-def _place(path: Path, base: Path, number: int) -> str:
+def _archive_name(path: Path, base: Path, number: int) -> str:
     """Return the name in the backup: relative to the settings' file, or in a folder of its own."""
     if path.resolve().is_relative_to(base) and path.resolve() != base:
         return path.resolve().relative_to(base).as_posix()
     return f"files/{number}/{path.name}"
 
 
-def _moved(file: Path, name: str, places: dict[Path, str]) -> str:
+def _with_archive_names(file: Path, name: str, places: dict[Path, str]) -> str:
     """Return settings, stored as `name`, with the names of the files in the backup."""
     text, base = toml.read_text(file, "settings"), file.resolve().parent
     for raw in set(_strings(toml.parse(text, str(file)))):

@@ -46,12 +46,12 @@ def opcua_identity(section: OpcuaServer, folder: Path) -> Identity:
     InputError
         The key is readable by others, or the certificate cannot be read or is not currently valid.
     """
-    return _given(section, "opcua") or own_identity(folder, section.host_names)
+    return _configured(section, "opcua") or own_identity(folder, section.host_names)
 
 
 def http_identity(section: HttpServer, folder: Path) -> Identity:
     """Return the certificate of the HTTP server; see `opcua_identity`."""
-    return _given(section, "http") or own_certificate(folder, section)
+    return _configured(section, "http") or own_certificate(folder, section)
 
 
 def application_uri(identity: Identity) -> str:
@@ -75,7 +75,7 @@ def _alternative_names(certificate: Path) -> x509.SubjectAlternativeName:
         return x509.SubjectAlternativeName([])
 
 
-def _given(section: Certified, where: str) -> Identity | None:
+def _configured(section: Certified, where: str) -> Identity | None:
     if section.certificate_file is None or section.key_file is None:
         return None
     identity = Identity(section.certificate_file, section.key_file)
@@ -109,7 +109,7 @@ def own_certificate(folder: Path, section: HttpServer, now: datetime | None = No
     now = now or datetime.now(UTC)
     own = ("localhost", socket.gethostname(), "127.0.0.1", "::1", section.address)
     names = list(_names(*own, *section.host_names))
-    if not (identity.key.is_file() and _lasts(identity.certificate, names, now)):
+    if not (identity.key.is_file() and _is_current(identity.certificate, names, now)):
         key = ec.generate_private_key(ec.SECP256R1())
         usage = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH])
         builder = _builder(key, names, now, HTTP_LASTS).add_extension(usage, critical=False)
@@ -117,7 +117,7 @@ def own_certificate(folder: Path, section: HttpServer, now: datetime | None = No
     return identity
 
 
-def _lasts(path: Path, names: Sequence[x509.GeneralName], now: datetime) -> bool:
+def _is_current(path: Path, names: Sequence[x509.GeneralName], now: datetime) -> bool:
     """Return whether a certificate has these names and does not expire soon."""
     try:
         certificate, named = certificate_in(path), _alternative_names(path)
@@ -144,7 +144,7 @@ def _checked(identity: Identity, where: str, remedy: str, others: int) -> Identi
     return identity
 
 
-def ending(given: ServiceFile, folder: Path, now: datetime) -> Iterator[str]:
+def expiry_warnings(given: ServiceFile, folder: Path, now: datetime) -> Iterator[str]:
     """Yield one line for each certificate of a service that is unreadable or expires soon."""
     sections = (
         ("opcua", given.opcua, "certificate.pem"),

@@ -14,7 +14,7 @@ from thermojoint.artefacts.settings import toml
 from thermojoint.live.settings import Service
 
 
-def note_settings(service: Service) -> Iterator[str]:
+def record_settings(service: Service) -> Iterator[str]:
     """Yield every setting that has changed since the last start, and store the present ones.
 
     Settings of the offsets count as well. Secrets are not included, only their locations.

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from thermojoint.artefacts.errors import InputError, ThermojointError
 from thermojoint.live.accounts import accounts_of
-from thermojoint.live.certificates import ending, http_identity, opcua_identity
+from thermojoint.live.certificates import expiry_warnings, http_identity, opcua_identity
 from thermojoint.live.consistency import contradictions
 from thermojoint.live.former_models import pinned
 from thermojoint.live.loaded_models import LoadedModel, load_models, machine_models
@@ -54,15 +54,15 @@ def _findings(service: Service, folder: Path) -> Findings:
         service = pinned(service)
     except InputError as error:
         refused.append(str(error))
-    models, unusable = load_models(service)
-    refused += [f"models.{name}: {reason}" for name, reason in unusable.items()]
-    working = {name: one for name, one in service.machines.items() if one.model in models}
-    service = replace(service, machines=working)
+    models, refused_models = load_models(service)
+    refused += [f"models.{name}: {reason}" for name, reason in refused_models.items()]
+    usable = {name: one for name, one in service.machines.items() if one.model in models}
+    service = replace(service, machines=usable)
     checks: list[Callable[[], object]] = [
         partial(check_store, folder / "history.sqlite"),
         partial(readers_of, service, machine_models(models, service)),
         *(partial(_check_scene, service, models, name) for name in models),
-        *(partial(_check_target, service, models, name) for name in working),
+        *(partial(_check_target, service, models, name) for name in usable),
         partial(_check_users, service),
         partial(_check_interfaces, service),
     ]
@@ -71,11 +71,11 @@ def _findings(service: Service, folder: Path) -> Findings:
             check()
         except ThermojointError as error:
             refused += str(error).splitlines()
-    soon = ending(service.given, service.folder, datetime.now(UTC))
+    soon = expiry_warnings(service.given, service.folder, datetime.now(UTC))
     return Findings(refused, [*contradictions(service.given, models), *soon])
 
 
-def taken_addresses(service: Service) -> list[str]:
+def addresses_in_use(service: Service) -> list[str]:
     """Return the addresses in use by other programs; none while the service itself runs."""
     file = service.given
     sections = (("opcua", file.opcua), ("http", file.http), ("shdr", file.shdr))

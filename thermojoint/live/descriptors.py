@@ -14,7 +14,7 @@ def raise_limit() -> None:
     resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
 
 
-def is_spare(descriptor: int) -> bool:
+def leaves_reserve(descriptor: int) -> bool:
     """Return whether a new connection leaves the reserve; the lowest free number is used first."""
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     return soft == resource.RLIM_INFINITY or descriptor < soft - RESERVE

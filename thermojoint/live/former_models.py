@@ -20,7 +20,7 @@ from thermojoint.artefacts.files import whole_file, write_text
 from thermojoint.live.settings import Service
 
 #: Number of remembered models per machine, including the present one.
-_MOST = 5
+_MOST_REMEMBERED = 5
 #: Number of displayed characters of a fingerprint, which also name the folder of a copy.
 SHOWN = 12
 #: Suffix of the name of a section added by `pinned`.
@@ -122,7 +122,7 @@ def fingerprints(service: Service) -> dict[str, str]:
     return {name: fingerprint_of(one.file) for name, one in models if one.file.is_file()}
 
 
-def note_deployments(service: Service, now: float) -> Iterator[tuple[str, str]]:
+def record_deployments(service: Service, now: float) -> Iterator[tuple[str, str]]:
     """Record the models that the machines run with; yield each machine whose model has changed.
 
     Parameters
@@ -147,18 +147,18 @@ def note_deployments(service: Service, now: float) -> Iterator[tuple[str, str]]:
             was = f"{known[-1].file} {known[-1].fingerprint[:SHOWN]}" if known else "none"
             yield name, f"model {file.name} {fingerprint[:SHOWN]}, was {was}"
             known.append(Deployment(fingerprint, file.name, now))
-            del known[:-_MOST]
+            del known[:-_MOST_REMEMBERED]
         if not _PINNED.search(section.model):
             # The settings' file has changed, or the machine was never rolled back.
             record.pins.pop(name, None)
-        copy = _place(service.folder, fingerprint, file.name)
+        copy = _copy_path(service.folder, fingerprint, file.name)
         if not copy.exists():
             copy.parent.mkdir(parents=True, exist_ok=True)
             with whole_file(copy) as part:
                 shutil.copyfile(file, part)
     if json.dumps(record) != before:
         _write(service.folder, record)
-        _forget_copies(service.folder, record)
+        _delete_unused_copies(service.folder, record)
 
 
 def former_of(record: Record, folder: Path, machine: str) -> Deployment | None:
@@ -167,7 +167,7 @@ def former_of(record: Record, folder: Path, machine: str) -> Deployment | None:
     others = [
         one
         for one in known
-        if one.fingerprint != known[-1].fingerprint and _place(folder, *one[:2]).exists()
+        if one.fingerprint != known[-1].fingerprint and _copy_path(folder, *one[:2]).exists()
     ]
     return others[-1] if others else None
 
@@ -209,16 +209,16 @@ def _path(folder: Path) -> Path:
     return folder / "models" / "deployments.json"
 
 
-def _place(folder: Path, fingerprint: str, file: str) -> Path:
+def _copy_path(folder: Path, fingerprint: str, file: str) -> Path:
     return folder / "models" / "former" / fingerprint[: 2 * SHOWN] / file
 
 
 def _copy(record: Record, folder: Path, machine: str, fingerprint: str) -> Path | None:
-    """Return the copy of a former model of a machine; None if it is gone."""
+    """Return the copy of a former model of a machine; None if it is missing."""
     for one in record.deployments.get(machine, []):
-        place = _place(folder, *one[:2])
-        if one.fingerprint == fingerprint and place.exists():
-            return place
+        path = _copy_path(folder, *one[:2])
+        if one.fingerprint == fingerprint and path.exists():
+            return path
     return None
 
 
@@ -226,9 +226,9 @@ def _write(folder: Path, record: Record) -> None:
     write_text(_path(folder), json.dumps(record._asdict()))
 
 
-def _forget_copies(folder: Path, record: Record) -> None:
+def _delete_unused_copies(folder: Path, record: Record) -> None:
     """Delete the copies that belong to no deployment."""
     known = {one.fingerprint[: 2 * SHOWN] for each in record.deployments.values() for one in each}
-    for place in (folder / "models" / "former").iterdir():
-        if place.name not in known:
-            shutil.rmtree(place, ignore_errors=True)
+    for path in (folder / "models" / "former").iterdir():
+        if path.name not in known:
+            shutil.rmtree(path, ignore_errors=True)

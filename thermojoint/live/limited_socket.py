@@ -6,7 +6,7 @@ import socket
 from typing import Any
 
 from thermojoint.artefacts.errors import InputError
-from thermojoint.live.descriptors import is_spare
+from thermojoint.live.descriptors import leaves_reserve
 
 
 class LimitedSocket(socket.socket):
@@ -38,7 +38,7 @@ class LimitedSocket(socket.socket):
         self.connections = [one for one in self.connections if one[1].fileno() >= 0]
         same = sum(one[0] == host for one in self.connections)
         full = len(self.connections) >= self.most or same >= self.most_of_one
-        if full or not is_spare(connection.fileno()):
+        if full or not leaves_reserve(connection.fileno()):
             connection.close()
             raise ConnectionAbortedError
         self.connections.append((host, connection))

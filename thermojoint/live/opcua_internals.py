@@ -15,7 +15,7 @@ from asyncua.common.utils import ServiceError
 from asyncua.crypto.permission_rules import User
 from asyncua.server import Server
 
-from thermojoint.live.descriptors import is_spare
+from thermojoint.live.descriptors import leaves_reserve
 from thermojoint.live.rights import Role
 
 #: A silent session ends after this time, ms; the shortest publishing interval, ms.
@@ -62,7 +62,7 @@ class Connections(list[Any]):
         waiting = [other for other in self if not _is_in(other)]
         same = [other for other in waiting if _host(other) == _host(one)]
         connection = one.transport.get_extra_info("socket")
-        if len(self) - len(waiting) >= self.sessions or not is_spare(connection.fileno()):
+        if len(self) - len(waiting) >= self.sessions or not leaves_reserve(connection.fileno()):
             one.transport.abort()
         elif len(same) >= _MOST_OF_ONE:
             same[0].transport.abort()

@@ -15,10 +15,10 @@ from datetime import UTC, datetime
 from thermojoint.live import processing
 from thermojoint.live.arrivals import Arrival, Note
 from thermojoint.live.cancelling import cancelled
-from thermojoint.live.certificates import ending
-from thermojoint.live.changed_settings import note_settings
+from thermojoint.live.certificates import expiry_warnings
+from thermojoint.live.changed_settings import record_settings
 from thermojoint.live.consistency import contradictions
-from thermojoint.live.former_models import note_deployments, pinned
+from thermojoint.live.former_models import pinned, record_deployments
 from thermojoint.live.loaded_models import LoadedModel, load_models, machine_models
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.machine_state import with_held_offsets
@@ -113,9 +113,9 @@ def audit_changes(running: Running) -> None:
     """Write changed settings and models into the audit log."""
     audit, now = running.accounts.audit, time.time()
     try:
-        for change in note_settings(running.service):
+        for change in record_settings(running.service):
             audit.accepted("service", "start", change)
-        for machine, change in note_deployments(running.service, now):
+        for machine, change in record_deployments(running.service, now):
             audit.accepted("service", "start", change, machine)
     except OSError as error:
         # The service goes on: a full disk must not stop any machine.
@@ -126,7 +126,7 @@ def announce_certificates(running: Running) -> None:
     """Log the certificates that expire soon."""
     now = time.time()
     service = running.service
-    for line in ending(service.given, service.folder, datetime.fromtimestamp(now, UTC)):
+    for line in expiry_warnings(service.given, service.folder, datetime.fromtimestamp(now, UTC)):
         running.fleet.log.say(now, "certificate", line)
 
 

@@ -23,7 +23,7 @@ from typer.testing import CliRunner
 from thermojoint.artefacts.errors import InputError
 from thermojoint.cli.app import app
 from thermojoint.live.backup import back_up, restore
-from thermojoint.live.certificates import ANNOUNCED, HTTP_LASTS, ending, own_certificate
+from thermojoint.live.certificates import ANNOUNCED, HTTP_LASTS, expiry_warnings, own_certificate
 from thermojoint.live.former_models import SHOWN, fingerprint_of, read_record
 from thermojoint.live.reloading import serve_file
 from thermojoint.live.service import checkpoint_store_log
@@ -327,8 +327,8 @@ def test_a_backup_that_is_damaged_anywhere_restores_nothing(models, tmp_path):
 def test_the_end_of_a_certificate_is_announced_a_month_before(models, tmp_path):
     given = read_service(plant(tmp_path, models, 0)).given
     end = datetime.now(UTC) + HTTP_LASTS
-    assert not list(ending(given, tmp_path, end - ANNOUNCED - timedelta(days=1)))
-    (line,) = ending(given, tmp_path, end - timedelta(days=10))
+    assert not list(expiry_warnings(given, tmp_path, end - ANNOUNCED - timedelta(days=1)))
+    (line,) = expiry_warnings(given, tmp_path, end - timedelta(days=10))
     assert "plant.pem ends on" in line
 
 
