@@ -41,47 +41,33 @@ def fresh_metrics() -> Metrics:
     """Return metrics at zero."""
     registry = CollectorRegistry()
     ProcessCollector(registry=registry)
+
+    def counter(name: str, text: str, *labels: str) -> Counter:
+        return Counter(name, text, labels, registry=registry)
+
+    def gauge(name: str, text: str, *labels: str) -> Gauge:
+        return Gauge(name, text, labels, registry=registry)
+
+    def histogram(name: str, text: str) -> Histogram:
+        return Histogram(name, text, buckets=_SECONDS, registry=registry)
+
+    arrivals = "Readings that arrived: taken, late, ahead, no-time."
+    modes = "Time in which offsets followed, froze, decayed or waited."
+    next_readings = "Displacement readings: asked, taken, postponed, withdrawn."
+    latency = "From the arrival of a sample to its publication."
+    reserve = "How long the store can go on within its file."
     return Metrics(
         registry,
-        Counter("thermojoint_samples", "Samples taken.", ["model"], registry=registry),
-        Counter(
-            "thermojoint_arrivals",
-            "Readings that arrived: taken, late, ahead, no-time.",
-            ["verdict"],
-            registry=registry,
-        ),
-        Counter("thermojoint_events", "Events by kind.", ["kind"], registry=registry),
-        Histogram(
-            "thermojoint_latency_seconds",
-            "From the arrival of a sample to its publication.",
-            buckets=_SECONDS,
-            registry=registry,
-        ),
-        Histogram(
-            "thermojoint_commit_seconds",
-            "One transaction of the store.",
-            buckets=_SECONDS,
-            registry=registry,
-        ),
-        Gauge("thermojoint_machines", "Machines by quality.", ["quality"], registry=registry),
-        Counter(
-            "thermojoint_offset_seconds",
-            "Time in which offsets followed, froze, decayed or waited.",
-            ["machine", "mode"],
-            registry=registry,
-        ),
-        Counter(
-            "thermojoint_next_readings",
-            "Displacement readings: asked, taken, postponed, withdrawn.",
-            ["machine", "outcome"],
-            registry=registry,
-        ),
-        Gauge("thermojoint_waiting", "Arrivals that wait for their turn.", registry=registry),
-        Gauge("thermojoint_store_log_bytes", "Size of the write-ahead log.", registry=registry),
-        Gauge("thermojoint_disk_full", "1 if the disk of the store is full.", registry=registry),
-        Gauge(
-            "thermojoint_store_reserve_seconds",
-            "How long the store can go on within its file.",
-            registry=registry,
-        ),
+        counter("thermojoint_samples", "Samples taken.", "model"),
+        counter("thermojoint_arrivals", arrivals, "verdict"),
+        counter("thermojoint_events", "Events by kind.", "kind"),
+        histogram("thermojoint_latency_seconds", latency),
+        histogram("thermojoint_commit_seconds", "One transaction of the store."),
+        gauge("thermojoint_machines", "Machines by quality.", "quality"),
+        counter("thermojoint_offset_seconds", modes, "machine", "mode"),
+        counter("thermojoint_next_readings", next_readings, "machine", "outcome"),
+        gauge("thermojoint_waiting", "Arrivals that wait for their turn."),
+        gauge("thermojoint_store_log_bytes", "Size of the write-ahead log."),
+        gauge("thermojoint_disk_full", "1 if the disk of the store is full."),
+        gauge("thermojoint_store_reserve_seconds", reserve),
     )
