@@ -43,7 +43,7 @@ _ANYBODY = Principal("anybody")
 
 
 @dataclass
-class LoggedInUser(User):
+class OpcuaUser(User):
     """A user who has logged in."""
 
     #: Rights at that time.
@@ -64,10 +64,10 @@ class RequestRules(SimpleRoleRuleset):
 
     def check_validity(self, user: User | None, action_type_id: ua.NodeId, body: Any) -> bool:  # noqa: ANN401
         """Return whether a user may make a request; `AccessControl` then checks the nodes."""
-        if action_type_id == _CALL and isinstance(user, LoggedInUser):
+        if action_type_id == _CALL and isinstance(user, OpcuaUser):
             called = struct_from_binary(ua.CallParameters, body.copy()).MethodsToCall
             return all(one.MethodId in _CALLED for one in called)
-        return isinstance(user, LoggedInUser) and action_type_id in self._allowed
+        return isinstance(user, OpcuaUser) and action_type_id in self._allowed
 
 
 @dataclass(eq=False)
@@ -115,14 +115,14 @@ class AccessControl(UserManager):
             self.accounts.audit.refused(shown, origin, "login", why)
             self.log.say(time.time(), "refused", f"OPC UA: user {shown!r} at {self.peer}: {why}")
             return None
-        return LoggedInUser(
+        return OpcuaUser(
             role=UserRole.User, name=principal.name, principal=principal, origin=origin
         )
 
     def refusal(self, user: User, node: ua.NodeId, role: Role) -> str:
         """Return why a user may not read or write a node now; empty if it is allowed."""
         machine = self.machine_of(node)
-        if not isinstance(user, LoggedInUser) or machine is None:
+        if not isinstance(user, OpcuaUser) or machine is None:
             return ""
         principal: Principal | None = user.principal
         if user.principal.credential:
@@ -137,9 +137,7 @@ class AccessControl(UserManager):
         """Return whether a node belongs to a machine that does not exist for a user."""
         machine = self.machine_of(node)
         return (
-            machine is not None
-            and isinstance(user, LoggedInUser)
-            and not user.principal.sees(machine)
+            machine is not None and isinstance(user, OpcuaUser) and not user.principal.sees(machine)
         )
 
     def machine_of(self, node: ua.NodeId) -> str | None:
@@ -150,7 +148,7 @@ class AccessControl(UserManager):
 
     def has_ended(self, user: User) -> bool:
         """Return whether a user was removed, or the password changed, since the log-in."""
-        credential = user.principal.credential if isinstance(user, LoggedInUser) else ""
+        credential = user.principal.credential if isinstance(user, OpcuaUser) else ""
         return bool(credential) and self.accounts.by_credential(credential) is None
 
     def before_write(self, event: ServerItemCallback, service: object) -> None:
@@ -165,7 +163,7 @@ class AccessControl(UserManager):
             return
         for one in event.request_params.NodesToWrite:
             why = self.refusal(event.user, one.NodeId, "operator")
-            if not why and not isinstance(event.user, LoggedInUser):
+            if not why and not isinstance(event.user, OpcuaUser):
                 why = "not logged in"
             if not why and self.machine_of(one.NodeId) is None:
                 why = "it is of no machine"
@@ -183,7 +181,7 @@ class AccessControl(UserManager):
 
     def after_read(self, event: ServerItemCallback, service: object) -> None:
         """Replace the values of machines that the user may not see."""
-        if not isinstance(event.user, LoggedInUser) or event.user.principal.sees_all:
+        if not isinstance(event.user, OpcuaUser) or event.user.principal.sees_all:
             return
         for k, one in enumerate(event.request_params.NodesToRead):
             if self.refusal(event.user, one.NodeId, "viewer"):

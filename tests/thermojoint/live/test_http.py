@@ -35,7 +35,7 @@ from thermojoint.live.http import access, timeouts
 from thermojoint.live.http.bodies import Messages, summary
 from thermojoint.live.http.parameters import moment, read_parameters, whole_number
 from thermojoint.live.http.stream import Subscriber, stream
-from thermojoint.live.http.token_buckets import MOST_CLIENTS, TokenBuckets, client_of
+from thermojoint.live.http.token_buckets import MOST_CLIENTS, RateLimit, client_of
 from thermojoint.live.publication import as_json
 from thermojoint.live.publisher import Publisher
 from thermojoint.live.scene import Scene
@@ -299,7 +299,7 @@ def test_headers_let_nothing_in_from_elsewhere(ask):
 
 @given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=200))
 def test_no_client_gets_more_than_its_bucket_and_what_flows_in(pauses):
-    buckets, now, passed = TokenBuckets(2.0, 5.0), 0.0, 0
+    buckets, now, passed = RateLimit(2.0, 5.0), 0.0, 0
     for pause in pauses:
         now += pause
         passed += buckets.take("one", now) == 0.0
@@ -307,7 +307,7 @@ def test_no_client_gets_more_than_its_bucket_and_what_flows_in(pauses):
 
 
 def test_many_clients_take_no_more_room_than_some():
-    buckets = TokenBuckets(1.0, 1.0)
+    buckets = RateLimit(1.0, 1.0)
     for k in range(2 * MOST_CLIENTS):
         buckets.take(str(k), 0.0)
     assert len(buckets.levels) == MOST_CLIENTS

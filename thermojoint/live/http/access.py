@@ -15,7 +15,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from thermojoint.live.accounts import Accounts
 from thermojoint.live.dashboard.assets import OPEN
 from thermojoint.live.http.hosts import misdirected
-from thermojoint.live.http.token_buckets import MOST_CLIENTS, TokenBuckets, client_of
+from thermojoint.live.http.token_buckets import MOST_CLIENTS, RateLimit, client_of
 from thermojoint.live.rights import Principal
 
 #: Longest address with its parameters, and all headers together, bytes.
@@ -55,10 +55,8 @@ class AccessControl:
     #: Time for which a browser stays logged in, s.
     session: float
     #: `requests`, `failures`: requests and refused log-ins of each client.
-    requests: TokenBuckets
-    failures: TokenBuckets = field(
-        default_factory=lambda: TokenBuckets(1.0 / FORGOTTEN_S, WRONG_TOKENS)
-    )
+    requests: RateLimit
+    failures: RateLimit = field(default_factory=lambda: RateLimit(1.0 / FORGOTTEN_S, WRONG_TOKENS))
     _audited_tokens: dict[tuple[str, str], None] = field(default_factory=dict)
 
     @property

@@ -327,10 +327,8 @@ class Handlers:
             )
         wanted = [given["machine"]] if "machine" in given else self._visible(request)
         body = self._publications if "machine" in given else self._summaries
-        subscriber = Subscriber(
-            frozenset(wanted), given.get("every_s", 1.0), request.scope["check"]
-        )
-        news = stream(self.backend.publisher, subscriber, body)
+        every, check = given.get("every_s", 1.0), request.scope["check"]
+        news = stream(self.backend.publisher, Subscriber(frozenset(wanted), every, check), body)
         self.streams += 1
         return CountedStream(news, self._stream_closed)
 

@@ -19,7 +19,7 @@ from thermojoint.live.http.app import make_app
 from thermojoint.live.http.backend import Backend
 from thermojoint.live.http.hosts import hosts_of
 from thermojoint.live.http.timeouts import PatientProtocol, Server
-from thermojoint.live.http.token_buckets import TokenBuckets
+from thermojoint.live.http.token_buckets import RateLimit
 from thermojoint.live.limited_socket import listening
 from thermojoint.live.settings import HttpServer, is_loopback
 from thermojoint.live.tokens import tokens_in
@@ -127,7 +127,7 @@ def open_http(
         hosts_of(section, own.certificate if own else None),
         secure,
         3600.0 * section.session_hours,
-        TokenBuckets(section.requests_per_s, max(1.0, BURST_S * section.requests_per_s)),
+        RateLimit(section.requests_per_s, max(1.0, BURST_S * section.requests_per_s)),
     )
     app = make_app(backend, access, section.most_streams)
     server = make_server(app, section, own)

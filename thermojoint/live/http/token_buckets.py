@@ -11,8 +11,8 @@ MOST_CLIENTS = 4096
 
 
 @dataclass
-class TokenBuckets:
-    """Token buckets, one per client, full at first."""
+class RateLimit:
+    """Rate limit by token buckets, one per client, full at first."""
 
     #: Tokens per second.
     rate: float

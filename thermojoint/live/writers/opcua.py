@@ -124,7 +124,7 @@ async def add_machines(
                 k = layout.readings.index(variable.name)
                 take = _write_handler(given, machine, len(layout.readings), k)
                 space.set_attribute_value_setter(nodeid, ua.AttributeIds.Value, take)
-            read_current = partial(_current_value, publisher, machine, variable)
+            read_current = partial(_current, publisher, machine, variable)
             space.set_attribute_value_callback(nodeid, ua.AttributeIds.Value, read_current)
             added[machine].append((variable, value_of(server, nodeid)))
     return added
@@ -135,9 +135,7 @@ def node_of(machine: str, variable: Variable, index: int) -> ua.NodeId:
     return ua.NodeId(".".join(filter(None, (machine, variable.folder, variable.name))), index)
 
 
-def _current_value(
-    publisher: Publisher, machine: str, variable: Variable, *_: object
-) -> ua.DataValue:
+def _current(publisher: Publisher, machine: str, variable: Variable, *_: object) -> ua.DataValue:
     latest = publisher.newest[machine]
     return data_value(variable.kind, *variable.value(latest), latest)
 
@@ -297,8 +295,8 @@ async def open_server(
         There are no users, a file is unusable, or the address is in use.
     """
     encrypted = section.security == "sign-and-encrypt"
-    requires_login = context.accounts.users_file is not None
-    if not requires_login and encrypted:
+    login = context.accounts.users_file is not None
+    if not login and encrypted:
         raise InputError(
             "opcua: no one could log in; name a file of users, and add them: thermojoint users"
         )
@@ -312,9 +310,7 @@ async def open_server(
         await server.load_certificate(own.certificate)
         await server.load_private_key(own.key)
     trust = TrustList(section.trusted, context.folder / "rejected")
-    access = AccessControl(
-        context.accounts, requires_login, trust, context.log, context.controls, machines
-    )
+    access = AccessControl(context.accounts, login, trust, context.log, context.controls, machines)
     server.iserver.set_user_manager(access)
     restrict(server, access, section)
     index = await server.register_namespace(NAMESPACE)
