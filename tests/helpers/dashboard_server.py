@@ -120,9 +120,8 @@ class Running:
         # The access control is the outermost of what the application consists of.
         self.server = opened.server
         app = opened.server.config.app
-        self.access = next(
-            one.kwargs["access"] for one in app.user_middleware if "access" in one.kwargs
-        )
+        given = [one.kwargs for one in app.user_middleware]
+        self.access = next(one["access"] for one in given if "access" in one)
         self.accounts = self.access.accounts
         self._loop, self._stop = loop, stop
 

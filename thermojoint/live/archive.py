@@ -27,13 +27,11 @@ MOST_ROWS = 20_000
 class History:
     """Samples of a machine in a time span, oldest first."""
 
-    #: Names of the columns.
     layout: Layout
     #: The samples whose number is a multiple of `every`.
     columns: Columns
     #: Shape (n,): times of the samples.
     numbers: NDArray[np.int64]
-    #: Status of each sample in words.
     status: tuple[str, ...]
     #: Times without samples within the span.
     gaps: tuple[Gap, ...]

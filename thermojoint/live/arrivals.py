@@ -14,7 +14,6 @@ ABSENT = "\0"
 class Arrival:
     """Readings of one machine at one time."""
 
-    #: Name of the machine.
     machine: str
     #: Time by the source's clock, s since 1970.
     time: float

@@ -32,7 +32,6 @@ class Deployment(NamedTuple):
 
     #: SHA-256 of its file.
     fingerprint: str
-    #: Name of the file.
     file: str
     #: Time of deployment, s since 1970.
     since: float

@@ -42,11 +42,9 @@ class LoadedModel:
     file: str
     #: Readings of its machines.
     intake: Intake
-    #: Calibrated ranges.
     ranges: tuple[Range, ...]
     #: (estimator, state, sample) to reading minus model; None for a kind without residuals.
     residuals: Callable[[Any, Array, Array], Array] | None
-    #: Rule for assembling samples.
     rule: AssemblyRule
     #: Names of the published values.
     layout: Layout
@@ -54,7 +52,6 @@ class LoadedModel:
     output: Settings | None
     #: Handshake with the control of a machine, added by `machine_models`.
     handshake: HandshakeSettings | None = None
-    #: Conditions for requesting displacement readings.
     request_limits: RequestLimits | None = None
     #: Indices of the details that are displacements at axis positions, by name.
     places: Mapping[str, int] = field(default_factory=dict)

@@ -62,11 +62,9 @@ class MachineState(NamedTuple):
     """State of a machine."""
 
     name: str
-    #: State of its estimator.
     estimator_state: Array
     #: Temperature of the cold machine, in the unit of its readings; NaN if not known yet.
     cold: float
-    #: State of its compensation output.
     output: OutputState | None
     #: Handshake with its control; without effect if the settings have none.
     handshake: Handshake
@@ -76,7 +74,6 @@ class MachineState(NamedTuple):
     latest: Publication
     #: The newest publication with an estimate.
     usable: Publication
-    #: The requested displacement reading.
     request: ReadingRequest = NO_REQUEST
 
 

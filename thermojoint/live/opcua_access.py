@@ -74,17 +74,13 @@ class RequestRules(SimpleRoleRuleset):
 class AccessControl(UserManager):
     """Checks user, password and client certificate at a log-in, and rights on machines."""
 
-    #: Users, and the audit log.
     accounts: Accounts
     #: False: anybody may read.
     requires_login: bool
-    #: Trust list for the clients' certificates.
     trust: TrustList
-    #: Log of refused log-ins.
     log: EventLog
     #: Machine to the only user who may write its control's side of the handshake.
     controls: Mapping[str, str]
-    #: Names of the machines.
     machines: Collection[str]
     #: Address of the client that is logging in.
     peer: str = ""

@@ -44,11 +44,9 @@ _GAP = 1.5
 class Machine:
     """A machine in the service."""
 
-    #: Model of the machine.
     model: LoadedModel
     #: Number of its era in the store.
     era: int
-    #: State of the machine.
     state: MachineState
     #: Read position of its source.
     position: Any
@@ -92,7 +90,6 @@ class Fleet:
     #: Machines by name.
     machines: Mapping[str, Machine]
     log: EventLog
-    #: Metrics for Prometheus.
     metrics: Metrics
     #: Readings further in the future are refused, s.
     ahead: float

@@ -68,7 +68,6 @@ class Layout:
 class Publication:
     """Values published for one machine at one instant."""
 
-    #: Name of the machine.
     machine: str
     #: Number of the sample, counted from 1; 0 before the first.
     number: int

@@ -69,15 +69,10 @@ class Running:
 
     #: The service as defined by its file.
     service: Service
-    #: Its machines.
     fleet: Fleet
-    #: Newest publications.
     publisher: Publisher
-    #: Stored history.
     archive: Archive
-    #: Metrics for Prometheus.
     metrics: Metrics
-    #: Users, tokens and sessions.
     accounts: Accounts
     #: Used in `store_thread` only.
     store: sqlite3.Connection

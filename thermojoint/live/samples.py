@@ -60,7 +60,6 @@ class AssemblyState(NamedTuple):
 class AssemblyStep(NamedTuple):
     """Result of arriving readings."""
 
-    #: State after them.
     state: AssemblyState
     #: Instant and readings of every closed sample; NaN for missing readings.
     samples: list[tuple[float, tuple[float, ...]]]

@@ -164,7 +164,6 @@ class Batch:
 class StoredEra:
     """Stored data of an era."""
 
-    #: Number of the era.
     era: int
     #: Columns of each sample.
     layout: Layout

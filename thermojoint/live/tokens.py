@@ -22,7 +22,6 @@ _USED_S = 60.0
 class Token:
     """A token without its secret."""
 
-    #: Its name and rights.
     principal: Principal
     #: Times, s since 1970.
     created: float

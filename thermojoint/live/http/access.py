@@ -46,7 +46,6 @@ HEADERS = {
 class AccessControl:
     """Access rights and rate limits."""
 
-    #: Users, tokens and sessions.
     accounts: Accounts
     #: Host names of the service.
     hosts: frozenset[str]

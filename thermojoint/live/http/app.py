@@ -72,9 +72,7 @@ def asset_answer(request: Request, content: Asset | None) -> Response:
 class Handlers:
     """Handlers of requests."""
 
-    #: Data shown.
     backend: Backend
-    #: Access control.
     access: AccessControl
     #: `most_streams`, `streams`: largest and present number of streams.
     most_streams: int

@@ -20,9 +20,7 @@ from thermojoint.live.scene import Scene
 class MachineInfo:
     """Constant data of a machine while the service runs."""
 
-    #: Names of its published values.
     layout: Layout
-    #: Kind of its estimator.
     kind: str
     #: Name of the model's file.
     model: str
@@ -38,13 +36,9 @@ class MachineInfo:
 class Backend:
     """Data and actions of the service."""
 
-    #: Newest publications.
     publisher: Publisher
-    #: History and events.
     archive: Archive
-    #: Name to its constant data.
     machines: Mapping[str, MachineInfo]
-    #: Metrics for Prometheus.
     registry: CollectorRegistry
     #: 3-D scenes of the machines that have one.
     scenes: Mapping[str, Scene]

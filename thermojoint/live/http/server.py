@@ -81,7 +81,6 @@ class BoundServer:
     """A server with a bound address, ready to run."""
 
     server: Server
-    #: Its listening socket.
     socket: socket.socket
 
     @property

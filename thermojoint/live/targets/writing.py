@@ -67,7 +67,6 @@ class TargetWriter:
     #: Axes of the offsets.
     names: tuple[str, ...]
     given: TargetFile
-    #: Connection data of its server.
     endpoint: Endpoint
     publisher: Publisher
     fleet: Fleet

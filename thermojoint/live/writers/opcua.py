@@ -56,7 +56,6 @@ class Nodes:
 
     #: Machine to its (variable, value attribute).
     variables: Mapping[str, list[tuple[Variable, Any]]]
-    #: Alarms of the machines.
     alarms: Alarms
 
 
@@ -258,15 +257,12 @@ def fresh_server(section: OpcuaServer) -> Server:
 class ServerContext:
     """Access control of the server."""
 
-    #: Users, and the audit log.
     accounts: Accounts
     #: Folder of the service, with its certificate and rejected client certificates.
     folder: Path
-    #: Log of refused log-ins.
     log: EventLog
     #: Machine to the only user who may write its control's side of the handshake.
     controls: Mapping[str, str]
-    #: Stored history.
     archive: Archive
 
 

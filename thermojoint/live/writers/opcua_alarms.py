@@ -33,7 +33,6 @@ class Alarms:
     """Alarms of a server."""
 
     server: Server
-    #: Checks which users may see a machine.
     access: AccessControl
     #: Index of the service's namespace.
     index: int
