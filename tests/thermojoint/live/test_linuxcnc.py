@@ -25,11 +25,11 @@ from thermojoint.live.targets.linuxcnc_component import (
     RETURN,
     Axis,
     Limits,
-    Word,
+    Message,
     goal_of,
-    moved,
+    message_of,
     state_of,
-    word_of,
+    stepped,
 )
 
 #: What a late loop of the component makes up for, and one step.
@@ -124,35 +124,35 @@ def test_a_control_follows_returns_when_the_service_is_killed_and_follows_again(
 def test_a_word_that_is_none_is_refused(value):
     said = {"publications": [{"handshake": "stands", "offsets_um": {"Z": value}}]}
     with pytest.raises(ValueError, match="limit"):
-        word_of(said, 2.0, LIMITS, Word(1.0, None))
+        message_of(said, 2.0, LIMITS, Message(1.0, None))
 
 
 def test_without_the_handshake_the_last_good_word_ages():
     stands = {"publications": [{"handshake": "stands", "offsets_um": {"Z": 3.0}}]}
     broken = {"publications": [{"handshake": "disabled", "offsets_um": {"Z": 2.0}}]}
-    word = word_of(stands, 2.0, LIMITS, Word(1.0, None))
-    assert word == Word(2.0, {"z": 3.0})
-    assert word_of({"publications": []}, 5.0, LIMITS, word) == Word(5.0, {"z": 3.0})
-    lost = word_of(broken, 5.0, LIMITS, word)
+    message = message_of(stands, 2.0, LIMITS, Message(1.0, None))
+    assert message == Message(2.0, {"z": 3.0})
+    assert message_of({"publications": []}, 5.0, LIMITS, message) == Message(5.0, {"z": 3.0})
+    lost = message_of(broken, 5.0, LIMITS, message)
     states = [state_of(True, clock, lost, LIMITS) for clock in (5.0, 71.9, 72.1)]
     assert states == [HOLD, HOLD, RETURN]
-    assert state_of(True, 2.1, word, LIMITS) == FOLLOW
-    assert state_of(False, 2.1, word, LIMITS) == RETURN
+    assert state_of(True, 2.1, message, LIMITS) == FOLLOW
+    assert state_of(False, 2.1, message, LIMITS) == RETURN
 
 
 def test_an_axis_that_the_service_no_longer_names_stays():
-    word = Word(0.0, {"z": -12.0})
-    assert [goal_of(FOLLOW, word, letter, 30) for letter in "zx"] == [-120, 30]
-    assert [goal_of(state, word, "x", 30) for state in (HOLD, RETURN)] == [30, 0]
+    message = Message(0.0, {"z": -12.0})
+    assert [goal_of(FOLLOW, message, letter, 30) for letter in "zx"] == [-120, 30]
+    assert [goal_of(state, message, "x", 30) for state in (HOLD, RETURN)] == [30, 0]
 
 
 def test_a_step_waits_until_the_control_has_taken_the_last_one():
     """And one that it has lost, for it was off, is made good a second later."""
-    first = moved(Axis(100, 0, 0.0), 0, 30, 4, 0.05)
+    first = stepped(Axis(100, 0, 0.0), 0, 30, 4, 0.05)
     assert first == Axis(104, 4, 0.05)
-    assert moved(first, 0, 30, 4, 0.1) == first
-    assert moved(first, 4, 30, 4, 0.1) == Axis(108, 8, 0.1)
-    assert moved(first, 0, 30, 4, 1.2) == Axis(108, 4, 1.2)
+    assert stepped(first, 0, 30, 4, 0.1) == first
+    assert stepped(first, 4, 30, 4, 0.1) == Axis(108, 8, 0.1)
+    assert stepped(first, 0, 30, 4, 1.2) == Axis(108, 4, 1.2)
 
 
 @pytest.fixture
@@ -210,7 +210,7 @@ def test_the_component_finds_the_service(
     words = found[tmp_path / "cnc" / "thermojoint.hal"].split()
     assert f"--url={url}" in words
     assert f"--token-file={tmp_path}/token" in words
-    (certificate,) = (word for word in words if word.startswith("--ca-file="))
+    (certificate,) = (message for message in words if message.startswith("--ca-file="))
     assert certificate.startswith(f"--ca-file={tmp_path}/")
     assert certificate.endswith("/http_certificate.pem")
 

@@ -59,7 +59,7 @@ class Limits(NamedTuple):
     hold: float
 
 
-class Word(NamedTuple):
+class Message(NamedTuple):
     """Last message of the service: its time (s), and offsets by axis (µm) or None without any."""
 
     at: float
@@ -74,19 +74,19 @@ class Axis(NamedTuple):
     since: float
 
 
-def word_of(said: Mapping[str, Any], clock: float, limits: Limits, before: Word) -> Word:
+def message_of(data: Mapping[str, Any], clock: float, limits: Limits, before: Message) -> Message:
     """Return the newest message of the service after an event.
 
     While the handshake is broken it has no offsets, and the time of the last one with offsets.
 
     Parameters
     ----------
-    said : mapping
+    data : mapping
         Data of the event; without a publication nothing has changed.
     clock : float
         Time, s.
     limits : Limits
-    before : Word
+    before : Message
 
     Raises
     ------
@@ -94,33 +94,33 @@ def word_of(said: Mapping[str, Any], clock: float, limits: Limits, before: Word)
         An offset is missing, not a number, or beyond the limit.
     """
     offsets = before.offsets
-    for one in said["publications"]:
+    for one in data["publications"]:
         stands = one["handshake"] in (None, "stands")
         offsets = {a.lower(): value for a, value in one["offsets_um"].items()} if stands else None
         for value in (offsets or {}).values():
             number = isinstance(value, (int, float)) and not isinstance(value, bool)
             if not number or not abs(value) <= limits.largest:
                 raise ValueError(f"offsets {one['offsets_um']} µm: not within the limit")
-    return Word(before.at if offsets is None else clock, offsets)
+    return Message(before.at if offsets is None else clock, offsets)
 
 
-def state_of(on: bool, clock: float, word: Word, limits: Limits) -> str:
+def state_of(on: bool, clock: float, message: Message, limits: Limits) -> str:
     """Return the state of the offsets at a time (s)."""
-    silence = clock - word.at
-    if on and word.offsets is not None and silence <= limits.silence:
+    silence = clock - message.at
+    if on and message.offsets is not None and silence <= limits.silence:
         return FOLLOW
     return HOLD if on and silence <= limits.silence + limits.hold else RETURN
 
 
-def goal_of(state: str, word: Word, letter: str, requested: int) -> int:
+def goal_of(state: str, message: Message, letter: str, requested: int) -> int:
     """Return the target of an axis, counts; an axis without an offset from the service stays."""
-    offset = (word.offsets or {}).get(letter)
+    offset = (message.offsets or {}).get(letter)
     if state == FOLLOW and offset is not None:
         return round(PER_UM * offset)
     return 0 if state == RETURN else requested
 
 
-def moved(axis: Axis, request: int, goal: int, allowed: int, clock: float) -> Axis:
+def stepped(axis: Axis, request: int, goal: int, allowed: int, clock: float) -> Axis:
     """Return an axis one cycle later.
 
     Parameters
@@ -144,18 +144,18 @@ class Connection:
     ----------
     axes : tuple of str
         Letters of the axes.
-    word : Word
+    message : Message
         The newest message; changed by `listen`.
     differs : bool
         Whether the service disagrees with the offsets in force.
-    enabled, acting : bool, dict of str to float
+    enabled, in_force : bool, dict of str to float
         Whether the control enables the offsets, and the offsets in force, µm; sent by `answer`.
     """
 
     def __init__(self, given: argparse.Namespace, limits: Limits, axes: tuple[str, ...]) -> None:
-        self.axes, self.word, self._limits = axes, Word(time.monotonic(), None), limits
+        self.axes, self.message, self._limits = axes, Message(time.monotonic(), None), limits
         self.differs = False
-        self.enabled, self.acting = False, dict.fromkeys(axes, 0.0)
+        self.enabled, self.in_force = False, dict.fromkeys(axes, 0.0)
         self._given = given
 
     def listen(self) -> None:
@@ -166,27 +166,29 @@ class Connection:
                 with self._open(f"stream?machine={self._given.machine}&every_s=0.1") as stream:
                     for line in stream:
                         if line.startswith(b"data:"):
-                            said = json.loads(line[5:])
+                            data = json.loads(line[5:])
                             self.differs = any(
-                                one["handshake"] == "differs" for one in said["publications"]
+                                one["handshake"] == "differs" for one in data["publications"]
                             )
-                            self.word = word_of(said, time.monotonic(), self._limits, self.word)
+                            self.message = message_of(
+                                data, time.monotonic(), self._limits, self.message
+                            )
                             delay = FIRST_S
             except Exception as error:  # after any error the offsets are held, then return to zero
                 print(f"thermojoint: {error}", file=sys.stderr, flush=True)
-            self.word = Word(self.word.at, None)
+            self.message = Message(self.message.at, None)
             time.sleep(delay)
             delay = min(2.0 * delay, LONGEST_S)
 
     def answer(self) -> None:
         """Send the control's side of the handshake to the service, endlessly."""
-        beats = 0
+        heartbeat = 0
         while True:
             time.sleep(ANSWER_S)
-            beats = (beats + 1) % (1 << 31)
-            offsets = {axis.upper(): round(value, 4) for axis, value in self.acting.items()}
-            said = {"enable": self.enabled, "heartbeat": beats, "offsets_um": offsets}
-            with suppress(Exception), self._open("control", json.dumps(said).encode()):
+            heartbeat = (heartbeat + 1) % (1 << 31)
+            offsets = {axis.upper(): round(value, 4) for axis, value in self.in_force.items()}
+            data = {"enable": self.enabled, "heartbeat": heartbeat, "offsets_um": offsets}
+            with suppress(Exception), self._open("control", json.dumps(data).encode()):
                 pass
 
     def _open(self, what: str, body: bytes | None = None) -> Any:  # noqa: ANN401
@@ -216,7 +218,7 @@ def arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def lives(pid: int) -> bool:
+def is_alive(pid: int) -> bool:
     """Return whether a process exists and is not a zombie."""
     try:
         return ") Z" not in Path(f"/proc/{pid}/stat").read_text("utf-8")
@@ -244,7 +246,7 @@ def linked(hal: Any, axes: tuple[str, ...]) -> Any:  # noqa: ANN401
             former = name
     if component is None:
         raise SystemExit("too many components of this name; start the control again")
-    if former and lives(hal.get_value(f"{former}.pid")):
+    if former and is_alive(hal.get_value(f"{former}.pid")):
         raise SystemExit(f"{former} runs already")
     component.newpin("pid", hal.HAL_U32, hal.HAL_OUT)
     for pin, kind in kinds.items():
@@ -279,20 +281,20 @@ def run(hal: Any, component: Any, service: Connection, limits: Limits, scale: fl
         Length of one count in the units of the control.
     """
     axes: dict[str, Axis] = {}
-    clock, away, credit, beats = time.monotonic(), -AWAY_S, 0.0, 0
+    clock, away, credit, heartbeat = time.monotonic(), -AWAY_S, 0.0, 0
     while True:
         before, clock = clock, time.monotonic()
         # A delayed loop makes up for a few periods only.
         credit += PER_UM * limits.rate * (clock - before)
         credit = min(credit, max(1.0, MOST_PERIODS * PERIOD_S * PER_UM * limits.rate))
-        word = service.word
-        state = state_of(bool(component["on"]), clock, word, limits)
+        message = service.message
+        state = state_of(bool(component["on"]), clock, message, limits)
         farthest = 0
         for letter in service.axes:
             read = (hal.get_value(f"axis.{letter}.eoffset{name}") for name in WATCHED)
-            counts, request, acts = read
+            counts, request, offset_in_force = read
             requested = round(request / scale)
-            service.acting[letter] = acts / (scale * PER_UM)
+            service.in_force[letter] = offset_in_force / (scale * PER_UM)
             axis = axes.get(letter) or Axis(counts, requested, clock)
             zero = state == RETURN and requested == 0
             enabled = bool(component[f"{letter}.enable"])
@@ -300,19 +302,19 @@ def run(hal: Any, component: Any, service: Connection, limits: Limits, scale: fl
             component[f"{letter}.enable"], component[f"{letter}.clear"] = not zero, zero
             # Changes of the counts before the control is enabled are lost.
             if enabled and not zero:
-                goal = goal_of(state, word, letter, requested)
-                axis = moved(axis, requested, goal, int(credit), clock)
+                goal = goal_of(state, message, letter, requested)
+                axis = stepped(axis, requested, goal, int(credit), clock)
             farthest = max(farthest, abs(axis.counts - counts))
             axes[letter] = axis
             component[f"{letter}.counts"] = axis.counts
         credit -= farthest
-        beats = (beats + 1) % (1 << 31)
+        heartbeat = (heartbeat + 1) % (1 << 31)
         # A control that is switched off loses its offset, which the service must notice. If the
         # service disagrees with the offsets in force, it continues from them as well.
         if service.differs or not all(hal.get_value(name) for name in READY):
             away = clock
         service.enabled = bool(component["on"]) and clock - away > AWAY_S
-        component["following"], component["heartbeat"] = state == FOLLOW, beats
+        component["following"], component["heartbeat"] = state == FOLLOW, heartbeat
         time.sleep(PERIOD_S)
 
 
