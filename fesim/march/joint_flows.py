@@ -67,8 +67,8 @@ class Flows(NamedTuple):
     solved: NDArray[np.float32]
     #: Shape (m,): work array: conductance times area times temperature jump, W.
     driving: Array
-    #: Shapes (m,), (m,) and (3, m): flows of the last step, NaN before the first, their change in it,
-    #: and their differences of order 2 to 4, W; recorded for `MANY` contact elements or more.
+    #: Shapes (m,), (m,) and (3, m): flows of the last step, NaN before the first, their change in
+    #: it, and their differences of order 2 to 4, W; recorded for `MANY` contact elements or more.
     last: Array
     change: Array
     further: Array

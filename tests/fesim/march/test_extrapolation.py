@@ -1,6 +1,7 @@
 """The first guess of a step, by backward differences of the steps before."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from hypothesis import given, settings
@@ -17,7 +18,7 @@ from fesim.march.track import joined
 def predicted(values):
     """Expected change after the last row of values (steps, n), each recorded as a step."""
     change, further = np.zeros(values.shape[1]), np.zeros((FURTHER, values.shape[1]))
-    for before, after in zip(values, values[1:], strict=False):
+    for before, after in pairwise(values):
         last, change = change, after - before
         differ(last, change, further)
     ahead = np.empty_like(change)
