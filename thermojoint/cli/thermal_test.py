@@ -86,6 +86,7 @@ def iso230_3(  # noqa: PLR0913 - the options of a command
     from thermojoint.standards.iso230_3 import report
     from thermojoint.standards.iso230_3.evaluation import evaluate, with_uncertainties
     from thermojoint.standards.iso230_3.instruments import Instruments, read_instruments
+    from thermojoint.standards.iso230_3.period import runs_at_first
 
     arguments.check_outputs(
         {
@@ -125,6 +126,14 @@ def iso230_3(  # noqa: PLR0913 - the options of a command
     content = report.parameters_json(evaluation, given.name)
     arguments.write_json(parameters, content)
     say(read)
+    if read and begin is None and test is not Protocol.ETVE and runs_at_first(record):
+        console.warn(
+            [
+                f"{given}: the machine already runs in the first reading; what it had grown before "
+                "is not in the parameters. Let the record begin before the run, or give "
+                "--begin-min to say that it does"
+            ]
+        )
     results.show_test(console.out(parameters), test.heading, content)
     console.wrote(out, parameters)
 

@@ -329,6 +329,19 @@ def test_of_two_speeds_the_one_that_runs_in_the_test_is_named(command, log, tmp_
     assert command("iso230-3", both, "--test", "etve")[0] == 0
 
 
+def test_a_log_that_begins_while_the_machine_runs_is_warned_of(command, log, tmp_path):
+    """What it grew before is missing: 63 of 100 um after an hour."""
+    head, *rows = log.read_text().splitlines()
+    late, warning = tmp_path / "late.csv", "already runs in the first reading"
+    late.write_text("\n".join([head, *rows[180:]]))
+    spindle = ("--test", "spindle")
+    code, _, errors = command("iso230-3", late, *spindle)
+    assert (code, warning in errors) == (0, True)
+    assert warning not in command("iso230-3", late, *spindle, "--begin-min", "90")[2]
+    assert warning not in command("iso230-3", late, "--test", "etve")[2]
+    assert warning not in command("iso230-3", log, *spindle)[2]
+
+
 def test_a_column_of_another_quantity_is_refused(log):
     with pytest.raises(InputError, match="'n_rpm' is a speed, not a length"):
         log_record(read_log([log]), {"X1": "n_rpm"})

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.artefacts.errors import InputError
 from thermojoint.standards.iso230_3.record import Record
 
@@ -31,11 +31,16 @@ def whole(record: Record) -> Period:
     return Period(float(record.times[0]), float(record.times[-1]))
 
 
+def moves(drive: Array) -> Flags:
+    """Return when a drive (n,) moves: by more than `STANDSTILL` of its largest magnitude."""
+    size = np.abs(np.nan_to_num(drive))
+    return np.asarray(size > STANDSTILL * size.max(initial=0.0))
+
+
 def running(times: Array, drive: Array) -> Period:
     """Return the period from the first to the last motion.
 
-    Stops in between, as in a spectrum of speeds, are included. Less than `STANDSTILL` of the
-    largest magnitude is no motion.
+    Stops in between, as in a spectrum of speeds, are included.
 
     Parameters
     ----------
@@ -49,11 +54,15 @@ def running(times: Array, drive: Array) -> Period:
     InputError
         There is no motion.
     """
-    size = np.abs(np.nan_to_num(drive))
-    moving = np.flatnonzero(size > STANDSTILL * size.max(initial=0.0))
+    moving = np.flatnonzero(moves(drive))
     if not moving.size:
         raise InputError("drive: zero throughout; name the column of the speed, or give the period")
     return Period(float(times[max(moving[0] - 1, 0)]), float(times[moving[-1]]))
+
+
+def runs_at_first(record: Record) -> bool:
+    """Return whether the drive of a record moves in its first sample."""
+    return record.drive is not None and bool(moves(record.drive)[0])
 
 
 def asked_for(record: Record, usual: Period, begin: float | None, end: float | None) -> Period:
