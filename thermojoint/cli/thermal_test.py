@@ -129,9 +129,9 @@ def iso230_3(  # noqa: PLR0913 - the options of a command
     if read and begin is None and test is not Protocol.ETVE and runs_at_first(record):
         console.warn(
             [
-                f"{given}: the machine already runs in the first reading; what it had grown before "
-                "is not in the parameters. Let the record begin before the run, or give "
-                "--begin-min to say that it does"
+                f"{given}: the machine already runs in the first reading, so growth before it is "
+                "missing from the parameters; start the record earlier, or give --begin-min if "
+                "the run begins there"
             ]
         )
     results.show_test(console.out(parameters), test.heading, content)

@@ -68,12 +68,22 @@ def test_the_running_period_is_from_the_first_to_the_last_motion():
     assert running(record.times, stops).begin == period.begin
 
 
-def test_a_measured_speed_that_is_never_quite_zero_stands_still():
+def test_a_measured_speed_that_is_never_quite_zero_stands_still(tmp_path):
     """The jitter of an encoder once began the period in the first sample."""
-    record = warm_up()
+    record, path = warm_up(), tmp_path / "log.csv"
     measured = 3000.0 * record.drive + np.resize([1.5, -0.5, 0.0], record.times.shape)
     for drive in (measured, -measured):
-        assert running(record.times, drive) == running(record.times, record.drive)
+        rows = "".join(f"{t:g},{v:g},1\n" for t, v in zip(record.times, drive, strict=True))
+        path.write_text("time_s,n_rpm,x_um\n" + rows)
+        logged = log_record(read_log([path]))
+        assert running(logged.times, logged.drive) == running(record.times, record.drive)
+
+
+def test_a_simulated_test_runs_however_little_it_is_driven_at_first():
+    """Heat inputs of 1 and friction of hundreds of watts are one signal."""
+    record = warm_up()
+    unequal = record.drive * np.where(record.times < HOUR, 1.0, 500.0)
+    assert running(record.times, unequal) == running(record.times, record.drive)
 
 
 def test_what_still_moves_at_the_end_is_told_relative_to_the_first_hour():

@@ -6,12 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from thermojoint.artefacts.arrays import Array, Flags
+from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.standards.iso230_3.record import Record
-
-#: Share of the largest magnitude of a drive that is no motion: the jitter of a measured speed.
-STANDSTILL = 0.01
 
 
 class Period(NamedTuple):
@@ -31,12 +28,6 @@ def whole(record: Record) -> Period:
     return Period(float(record.times[0]), float(record.times[-1]))
 
 
-def moves(drive: Array) -> Flags:
-    """Return when a drive (n,) moves: by more than `STANDSTILL` of its largest magnitude."""
-    size = np.abs(np.nan_to_num(drive))
-    return np.asarray(size > STANDSTILL * size.max(initial=0.0))
-
-
 def running(times: Array, drive: Array) -> Period:
     """Return the period from the first to the last motion.
 
@@ -54,7 +45,7 @@ def running(times: Array, drive: Array) -> Period:
     InputError
         There is no motion.
     """
-    moving = np.flatnonzero(moves(drive))
+    moving = np.flatnonzero(np.nan_to_num(drive) != 0.0)
     if not moving.size:
         raise InputError("drive: zero throughout; name the column of the speed, or give the period")
     return Period(float(times[max(moving[0] - 1, 0)]), float(times[moving[-1]]))
@@ -62,7 +53,7 @@ def running(times: Array, drive: Array) -> Period:
 
 def runs_at_first(record: Record) -> bool:
     """Return whether the drive of a record moves in its first sample."""
-    return record.drive is not None and bool(moves(record.drive)[0])
+    return record.drive is not None and bool(np.nan_to_num(record.drive[0]) != 0.0)
 
 
 def asked_for(record: Record, usual: Period, begin: float | None, end: float | None) -> Period:

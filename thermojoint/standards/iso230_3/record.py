@@ -27,6 +27,8 @@ TURNS = {"x": "A", "y": "B", "z": "C"}
 MOST_PROBES = 6
 #: Celsius' zero, K.
 _ICE = 273.15
+#: Share of the largest magnitude of a measured speed that is no motion but its jitter.
+STANDSTILL = 0.01
 #: An axis with a smaller displacement (m) or rotation (rad) counts as unmoved, e.g. across a plane
 #: of symmetry.
 STILL = 1e-12
@@ -163,10 +165,16 @@ def log_record(
                 log, log.of("temperature") if temperatures is None else temperatures
             ).items()
         },
-        drive=None if speed is None else log.at(speed),
+        drive=None if speed is None else _without_jitter(log.at(speed)),
         drives=tuple(unnamed),
         began=float(log.times[0]) if tells_date(float(log.times[0])) else math.nan,
     )
+
+
+def _without_jitter(speed: Array) -> Array:
+    """Return a measured speed (n,) that is zero up to `STANDSTILL` of its largest magnitude."""
+    size = np.abs(np.nan_to_num(speed))
+    return np.where(size > STANDSTILL * size.max(initial=0.0), speed, 0.0)
 
 
 def _by_base(log: Log, names: Iterable[str]) -> dict[str, str]:
