@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from estimator.joint_aware import odometers
+from estimator.joint_aware import unreported_motion
 from estimator.joint_aware.displacement_readings import ModelError
 from estimator.joint_aware.observer import Observer
 from estimator.joint_aware.observer_state import ObserverState
@@ -15,7 +15,7 @@ from thermojoint.artefacts.arrays import Array
 
 #: Half-width of the 95 % interval, in standard deviations.
 WIDTH = 1.96
-#: Share by which travel that odometers have not reported may widen a band: as `Observer.unsettled`.
+#: Share by which unreported motion of axes may widen a band: as `Observer.unsettled`.
 WIDENED = math.sqrt(2.0) - 1.0
 
 
@@ -64,8 +64,13 @@ def of_pending_jump(observer: Observer, after: ObserverState) -> Array:
     return np.abs(band.tangent @ (after.linear - after.pending.linear))
 
 
-def of_unreported_travel(data: Precomputed, after: ObserverState) -> Array:
-    """Return the half-width (axes,) due to travel that odometers have not reported, m."""
-    if not after.away.any() or (travel := data.unreported_travel) is None:
+def of_unreported_motion(data: Precomputed, after: ObserverState) -> Array:
+    """Return the half-width (axes,) due to the heat of unreported motion of the axes, m."""
+    absences = after.absences
+    if not absences.away.any() or (motion := data.unreported_motion) is None:
         return np.zeros(data.observer.model.band.steady.size)
-    return odometers.half_width(travel, after, data.observer.model.step)
+    model, count = data.observer.model, data.observer.system.decay.size
+    relaxed = after.linear[model.modes.rates.size : count]
+    present = after.linear[count : count + model.power.size] / model.power
+    level = np.abs(np.append(relaxed, present)).max() / model.calibrated.heat
+    return unreported_motion.half_width(motion, absences, model.step, float(level))

@@ -292,6 +292,7 @@ def _lines(estimator: JointAware) -> tuple[dict[str, Any], list[Table]]:
         "asked_of": [(start, end) for start, end in pairwise(ends)],
         "sloped": [(estimator.axes.index(axis), at) for axis, at in sloped.items()],
         "strokes": [(one.reference, one.high - one.low) for one in strokes.values()],
+        "line_of": [sloped.get(axis, -1) for axis in estimator.axes],
         "several": len(moving) > 1,
     }
     tables = [
@@ -315,6 +316,7 @@ def outputs(estimator: JointAware) -> tuple[Variable, ...]:
     pairs = _pairs(estimator) if len(model.moving_axes) > 1 else []
     return (
         *listed("here", "m", axes),
+        *listed("here_band", "m", axes),
         *listed("slope", "m/m", sloped),
         *listed("slope_band", "m/m", sloped),
         *listed("P0", "m", sloped),
@@ -325,14 +327,15 @@ def outputs(estimator: JointAware) -> tuple[Variable, ...]:
 
 def compared(estimator: JointAware) -> tuple[Compared, ...]:
     """Return those that the self-test compares; slopes by their effect over the stroke."""
+    model = estimator.model
     lengths = {
         f"slope_{identifier(axis)}": stroke.high - stroke.low
-        for axis, stroke in estimator.model.strokes.items()
+        for axis, stroke in model.strokes.items()
     }
     return tuple(
         Compared(one, lengths[one.name], LINE_HELD) if one.name in lengths else Compared(one)
         for one in outputs(estimator)
-        if one.name.startswith("here_") or one.name in lengths
+        if one.name in lengths or one.name in {f"here_{identifier(axis)}" for axis in model.axes}
     )
 
 

@@ -48,4 +48,6 @@ def _before_any_sample(observer: Observer, factor: Array, slip_knowledge: float)
         odometer_age=np.zeros(ways),
         away=np.zeros(2 * ways),
         back=np.zeros(2 * ways),
+        position_away=np.zeros(len(model.positions)),
+        position_back=np.zeros(len(model.positions)),
     )

@@ -20,6 +20,20 @@ from thermojoint.reduced.physics import JointState
 KNOWN, UNKNOWN, TRACKED = 0.0, 1.0, 2.0
 #: Number of parts of the model error in the states of all versions; the others come at the end.
 _FIRST = 2
+#: Parts that later versions added, at the end of a flat state.
+_LATER = ("steps", "odometer_age", "away", "back", "position_away", "position_back")
+
+
+class Absences(NamedTuple):
+    """How long readings of axes were missing, s, while that has an effect, and are back.
+
+    Both of shape (2 c + x,): of the c odometers that report the missed travel, of odometers that
+    were reset, and of the x positions.
+    """
+
+    away: Array
+    #: While no reading is missing.
+    back: Array
 
 
 class ObserverState(NamedTuple):
@@ -65,11 +79,20 @@ class ObserverState(NamedTuple):
     #: they and all readings are back; of those that report the missed travel, then of reset ones.
     away: Array
     back: Array
+    #: Shape (x,): the same of the positions.
+    position_away: Array
+    position_back: Array
 
     @property
     def joint(self) -> JointState:
         """State of the joint."""
         return JointState(self.gap, self.slip, self.pressure, self.change)
+
+    @property
+    def absences(self) -> Absences:
+        """Absences of the readings of axes."""
+        away = np.concatenate([self.away, self.position_away])
+        return Absences(away, np.concatenate([self.back, self.position_back]))
 
     def flat(self) -> Array:
         """Return the whole state as one array; `Layout.views` are its parts."""
@@ -85,7 +108,7 @@ class ObserverState(NamedTuple):
         parts = self._asdict()
         error, pending = parts.pop("model_error")._asdict(), parts.pop("pending")._asdict()
         errors = [(f"model_error.{name}", one) for name, one in error.items()]
-        last = [(name, parts.pop(name)) for name in ("steps", "odometer_age", "away", "back")]
+        last = [(name, parts.pop(name)) for name in _LATER]
         parts["watch"] = np.array(parts["watch"])
         parts |= dict(errors[:_FIRST])
         parts |= {f"pending.{name}": one for name, one in pending.items()}

@@ -1,7 +1,7 @@
-"""Odometers of moving axes: dropouts and resets, and the doubt of the displacement they leave.
+"""Odometers of moving axes: dropouts and resets.
 
 Where an odometer is missing, its axis has travelled the distance between its positions, or more. It
-reports the rest when it returns, unless it was reset meanwhile. `dropouts.unreported_travel` is the
+reports the rest when it returns, unless it was reset meanwhile. `unreported_motion` has the
 uncertainty meanwhile and afterwards.
 """
 
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from estimator.joint_aware.dropouts import SLACK, Dropouts
 from estimator.joint_aware.observer import Observer
 from estimator.joint_aware.observer_state import ObserverState
 from thermojoint.artefacts.arrays import Array, Flags
@@ -72,29 +71,3 @@ def after_reset(before: ObserverState, reset: Flags) -> ObserverState:
         away=np.append(np.where(lost, 0.0, reporting), np.where(lost, reporting, never)),
         back=np.append(back, np.where(lost, 0.0, since)),
     )
-
-
-def dropout_times(
-    before: ObserverState, elapsed: float, whole: bool, longest: float
-) -> tuple[Array, Array]:
-    """Return for how long odometers were missing, and are back, (2 c,) each, s.
-
-    Zero where it has no effect any more, `longest` (s) after the return. Only samples with all
-    readings, `whole`, count for the return.
-    """
-    age = before.odometer_age
-    missing = np.append(age > 0.0, np.zeros(age.size, dtype=bool))
-    away = before.away + elapsed * missing
-    back = np.where(missing, 0.0, before.back + elapsed * whole)
-    counts = (away > 0.0) & (back <= longest * (1.0 + SLACK))
-    return away * counts, back * counts
-
-
-def half_width(travel: Dropouts, after: ObserverState, step: float) -> Array:
-    """Return the half-width (axes,), m, due to travel that odometers have not reported.
-
-    `step` (s) is the one of the table `travel`.
-    """
-    pairs = enumerate(zip(after.away / step, after.back / step, strict=True))
-    each = [travel.of(k, away, back) for k, (away, back) in pairs if away > 0.0]
-    return np.sum(each, axis=0) if each else np.zeros(travel.left.shape[-1])

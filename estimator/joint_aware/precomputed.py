@@ -12,13 +12,14 @@ from estimator.interface import Channel
 from estimator.joint_aware import (
     compiled_sample,
     displacement_readings,
-    dropouts,
     fault_isolation,
     initial_states,
     innovation_gate,
     power_readings,
+    unreported_motion,
 )
 from estimator.joint_aware.channels import sample_channels
+from estimator.joint_aware.dropouts import Dropouts
 from estimator.joint_aware.observer import Observer
 from estimator.joint_aware.observer_state import Layout
 from fesim.march.kernel import owned
@@ -75,11 +76,11 @@ class Precomputed:
         return power_readings.most_power(self.observer)
 
     @cached_property
-    def unreported_travel(self) -> dropouts.Dropouts | None:
-        """Uncertainty due to unreported travel, m; None without odometers or known speeds."""
+    def unreported_motion(self) -> Dropouts | None:
+        """Uncertainty due to unreported motion, m; None without axes or known speeds."""
         model = self.observer.model
-        known = model.ways and model.calibrated.speeds
-        return dropouts.unreported_travel(self.observer) if known else None
+        known = model.moving_axes and model.calibrated.speeds
+        return unreported_motion.unreported_motion(self.observer) if known else None
 
     @cached_property
     def place(self) -> compiled_sample.Place | None:

@@ -121,9 +121,10 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
     start = _start(estimator)
     slowest = 1.0 / float(model.modes.rates.min())
     counted = 2 * len(model.ways) + (moving if model.ways else 0)
-    ways = estimator.precomputed.unreported_travel
-    own = way.state + counted + len(model.powers) + (0 if ways is None else 2 * len(ways.left))
-    looked_up = (2 + axes) * (count + 1 + (0 if ways is None else len(ways.left)))
+    motion = estimator.precomputed.unreported_motion
+    cases = 0 if motion is None else len(motion.left)
+    own = way.state + counted + len(model.powers) + moving + 2 * cases
+    looked_up = (2 + axes) * (count + 1 + cases)
     judged = _judging(estimator, linear, contacts)
     judged += Operations(0, 6 * len(start.known) + looked_up)
     return Contents(
@@ -152,7 +153,8 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             "means": model.band.seen.size,
             "explained": 1.0 - float(model.band.allowed),
             "starts": len(start.known),
-            "untold": () if ways is None else ways.left.shape,
+            "unreported": () if motion is None else motion.left.shape,
+            "calibrated_heat": model.calibrated.heat,
             "absences": _without(estimator).uncertainty.left.shape,
             "error_kept": estimator.observer.lasting_on(model.step),
             "followed": start.followed,
@@ -302,18 +304,18 @@ def _tables(
         *(_days_told(band) if band.seen.size else ()),
         *(
             ()
-            if estimator.precomputed.unreported_travel is None
-            else _unreported_travel(estimator.precomputed.unreported_travel)
+            if estimator.precomputed.unreported_motion is None
+            else _unreported_motion(estimator.precomputed.unreported_motion)
         ),
         Table("tolerance", "Of the gap equations, m.", np.array(tolerance)),
     ]
 
 
-def _unreported_travel(ways: Dropouts) -> tuple[Table, Table, Table]:
+def _unreported_motion(motion: Dropouts) -> tuple[Table, Table, Table]:
     return (
-        Table("away_way", "Samples without an odometer, at most.", ways.away),
-        Table("back_way", "Samples since then, at least; 0 before.", ways.back),
-        Table("remains_way", "Of each that tells, and of each set anew, m.", ways.left),
+        Table("away_motion", "Samples without an odometer or position, at most.", motion.away),
+        Table("back_motion", "Samples since then, at least; 0 before.", motion.back),
+        Table("remains_motion", "Of odometers, those set anew, positions twice, m.", motion.left),
     )
 
 

@@ -17,12 +17,13 @@ from estimator.joint_aware import (
     displacement_readings,
     odometers,
     power_readings,
+    unreported_motion,
 )
 from estimator.joint_aware.compiled_sample import Results, empty_results
 from estimator.joint_aware.displacement_readings import ModelError, mean_of
 from estimator.joint_aware.innovation_gate import GatedSample, gate_readings
 from estimator.joint_aware.observer import Moment, Observer
-from estimator.joint_aware.observer_state import ObserverState, unpacked
+from estimator.joint_aware.observer_state import Absences, ObserverState, unpacked
 from estimator.joint_aware.precomputed import Precomputed
 from estimator.joint_aware.sample_values import SampleValues
 from thermojoint.artefacts.arrays import Array, Flags
@@ -147,7 +148,8 @@ def process_any(
     settled = observer.equilibrium(prediction, linear, loads)
     elapsed = moment.length * moment.steps
     begun = before.begun if moment.steps else np.array(moment.time)
-    away, back = _dropout_times(data, before, elapsed, bool(used.accepted.all()))
+    absences = _absences(data, before, read, elapsed, bool(used.accepted.all()))
+    reported, positions = 2 * len(observer.model.ways), slice(2 * len(observer.model.ways), None)
     error = displacement_readings.later(before.model_error, elapsed, data.forgetting)
     refused = False
     if np.isfinite(probed).any():
@@ -177,8 +179,10 @@ def process_any(
         pending=used.pending,
         steps=np.array(float(moment.steps)),
         odometer_age=before.odometer_age,
-        away=away,
-        back=back,
+        away=absences.away[:reported],
+        back=absences.back[:reported],
+        position_away=absences.away[positions],
+        position_back=absences.back[positions],
     )
     moved = settled.displacement
     # One long interval is a gap; two in a row are the sampling interval.
@@ -209,15 +213,18 @@ def _corrected_by_probe(
     )
 
 
-def _dropout_times(
-    data: Precomputed, before: ObserverState, elapsed: float, whole: bool
-) -> tuple[Array, Array]:
-    """`odometers.dropout_times`; the table is made at the first dropout."""
-    missing = before.away.any() or before.odometer_age.any()
-    if not missing or (travel := data.unreported_travel) is None:
-        return np.zeros_like(before.away), np.zeros_like(before.away)
-    longest = travel.back[-1] * data.observer.model.step
-    return odometers.dropout_times(before, elapsed, whole, longest)
+def _absences(
+    data: Precomputed, before: ObserverState, read: SampleValues, elapsed: float, whole: bool
+) -> Absences:
+    """`unreported_motion.absences_after`; the table is made at the first absence."""
+    last, positions = before.absences, len(before.position_away)
+    unplaced = np.isnan(read.factors[read.factors.size - positions :])
+    unread = before.odometer_age > 0.0
+    missing = np.concatenate([unread, np.zeros_like(unread), unplaced])
+    if not (last.away.any() or missing.any()) or (motion := data.unreported_motion) is None:
+        return Absences(np.zeros_like(last.away), np.zeros_like(last.away))
+    longest = motion.back[-1] * data.observer.model.step
+    return unreported_motion.absences_after(last, missing, elapsed, whole, longest)
 
 
 def results_of(observer: Observer, processed: Processed) -> Results:

@@ -21,6 +21,8 @@ from dataclasses import dataclass, field
 
 import pytest
 
+from estimator.export.structured_text import st_files
+
 #: No name may be one: words of ST and Instruction List, types, standard functions and blocks.
 _WORDS = """
     ABS ACOS ACTION ADD AND ANDN ANY ARRAY ASIN AT ATAN BOOL BY BYTE CAL CASE CONCAT
@@ -547,3 +549,32 @@ def run(files, name, folder, flags=FLAGS):
     assert done.returncode == 0, done.stdout + done.stderr
     figures = re.findall(r"^([a-z ]+?) (-?[\d.e+-]+)$", done.stdout, re.M)
     return {key: float(value) for key, value in figures}
+
+
+def called(program, folder, calls, more=()):
+    """Outputs of a function block in calls of it: inputs beyond the recorded sample by name."""
+    name, outputs = program.name.lower(), [one.name for one in program.interface.outputs]
+    names = ["status", *more, *outputs]
+    lines = []
+    for row, call in zip(program.kept.samples.tolist(), calls, strict=False):
+        names_in = [f"reading_{one.name}" for one in program.interface.inputs]
+        given = {"reset": 0} | dict(zip(names_in, row[1:], strict=True))
+        # An input that is not given keeps what it had.
+        given |= {"interval": row[0]} if program.interface.timed else {}
+        given |= call
+        lines += [f"one.v_{key.lower()} = {value};" for key, value in given.items()]
+        lines.append(f"fb_{name}(&one);")
+        lines += [f'printf("%.17g ", (double)one.v_{key.lower()});' for key in names]
+        lines.append('puts("");')
+    body = "\n".join(lines)
+    text = in_c(st_files(program)[f"{program.name}.st"])
+    text += f"\nstatic fb_{name}_t one;\nint main(void) {{ begin_fb_{name}(&one);\n{body} }}\n"
+    (folder / "calls.c").write_text(text, encoding="utf-8")
+    command = ["gcc", *FLAGS, "calls.c", "-lm", "-o", "calls"]
+    subprocess.run(command, cwd=folder, check=True)
+    done = subprocess.run(["./calls"], cwd=folder, check=True, capture_output=True, text=True)
+    rows = [line.split() for line in done.stdout.splitlines()]
+    return [
+        {key: int(value) if key in ("status", *more) else float(value) for key, value in pairs}
+        for pairs in (zip(names, row, strict=True) for row in rows)
+    ]

@@ -131,11 +131,14 @@ def lines_in(output: Settings | None) -> tuple[AxisLine, ...]:
 
 
 def _warm_up(estimator: Estimator, interval: float) -> None:
-    """Compile by samples without effect, so that no machine waits for it later."""
+    """Compile, and compute tables, by samples without effect: no machine waits for it later.
+
+    In the last one all readings are missing.
+    """
     state = estimator.initial_state()
-    for k in range(3):
+    for k, value in enumerate((0.0, 0.0, 0.0, math.nan)):
         with suppress(ThermojointError):
-            state, _ = estimator.sample(state, k * interval, [0.0] * len(estimator.channels))
+            state, _ = estimator.sample(state, k * interval, [value] * len(estimator.channels))
 
 
 def _request_limits(

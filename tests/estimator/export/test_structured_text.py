@@ -12,7 +12,7 @@ from exported import PRECISIONS, compiled, needs_gcc, with_no_step
 from machine_logs import machine_log
 from matiec import needs_matiec, selftest_by_matiec
 from observed import estimates, faulty, that_is_surprised, that_knows_days
-from structured_text import FLAGS, Translator, parsed, run
+from structured_text import FLAGS, Translator, called, parsed, run
 
 from estimator.columns import samples_of
 from estimator.export.program import Precision
@@ -107,7 +107,7 @@ def test_matiec_compiles_it_and_it_is_the_same(kind, request, tmp_path):
 
 
 def test_a_joint_that_needs_more_newton_steps_stays_and_says_so(joint_aware_program, tmp_path):
-    last = told(with_no_step(joint_aware_program), tmp_path, [{}] * 40, ("newton_steps",))[-1]
+    last = called(with_no_step(joint_aware_program), tmp_path, [{}] * 40, ("newton_steps",))[-1]
     assert last["status"] & joint_aware.NOT_SETTLED
     assert last["newton_steps"] == -1
     assert math.isfinite(last["displacement_x"])
@@ -118,39 +118,10 @@ def test_readings_that_are_back_leave_the_band_of_the_program_in_c(joint_aware_p
     rows = joint_aware_program.kept.samples[:90, 1:].copy()
     rows[20:40, 0] = rows[60:65] = -1e9
     calls = [{f"reading_{one.name}": v for one, v in zip(inputs, row, strict=True)} for row in rows]
-    found = told(joint_aware_program, tmp_path, calls)
+    found = called(joint_aware_program, tmp_path, calls)
     expected = list(compiled(joint_aware_program, tmp_path / "c")(rows.tolist()))
     assert [one["band_x"] for one in found] == pytest.approx([one.band[0] for one in expected])
     assert found[66]["band_x"] > found[59]["band_x"] > 2.0 * found[10]["band_x"]
-
-
-def told(program, folder, calls, more=()):
-    """What the function block says in calls of it: inputs beyond the recorded sample by name."""
-    name, outputs = program.name.lower(), [one.name for one in program.interface.outputs]
-    names = ["status", *more, *outputs]
-    lines = []
-    for row, call in zip(program.kept.samples.tolist(), calls, strict=False):
-        names_in = [f"reading_{one.name}" for one in program.interface.inputs]
-        given = {"reset": 0} | dict(zip(names_in, row[1:], strict=True))
-        # An input that is not given keeps what it had.
-        given |= {"interval": row[0]} if program.interface.timed else {}
-        given |= call
-        lines += [f"one.v_{key.lower()} = {value};" for key, value in given.items()]
-        lines.append(f"fb_{name}(&one);")
-        lines += [f'printf("%.17g ", (double)one.v_{key.lower()});' for key in names]
-        lines.append('puts("");')
-    body = "\n".join(lines)
-    text = structured_text.in_c(st_files(program)[f"{program.name}.st"])
-    text += f"\nstatic fb_{name}_t one;\nint main(void) {{ begin_fb_{name}(&one);\n{body} }}\n"
-    (folder / "calls.c").write_text(text, encoding="utf-8")
-    command = ["gcc", *FLAGS, "calls.c", "-lm", "-o", "calls"]
-    subprocess.run(command, cwd=folder, check=True)
-    done = subprocess.run(["./calls"], cwd=folder, check=True, capture_output=True, text=True)
-    rows = [line.split() for line in done.stdout.splitlines()]
-    return [
-        {key: int(value) if key in ("status", *more) else float(value) for key, value in pairs}
-        for pairs in (zip(names, row, strict=True) for row in rows)
-    ]
 
 
 def test_on_a_warm_machine_a_reading_may_be_missing(estimator, stepped, tmp_path):
@@ -159,7 +130,7 @@ def test_on_a_warm_machine_a_reading_may_be_missing(estimator, stepped, tmp_path
     rows[:, 2] = math.nan
     names = [f"reading_{one.name}" for one in program.interface.inputs]
     read = np.nan_to_num(rows[:, 1:], nan=-1e9).tolist()
-    found = told(program, tmp_path, [dict(zip(names, row, strict=True)) for row in read])
+    found = called(program, tmp_path, [dict(zip(names, row, strict=True)) for row in read])
     _, there = estimates(estimator, rows.tolist(), estimator.warm_state())
     for one, other in zip(found, there, strict=True):
         assert one["displacement_x"] == pytest.approx(other.displacement[0], rel=0.0, abs=3e-6)
@@ -182,7 +153,7 @@ def test_faulty_sensors_are_left_out_as_in_python(estimator, stepped, tmp_path):
     rows = np.nan_to_num(np.vstack((lying, away, warm))[:, 1:], nan=-1e9).tolist()
     calls = [dict(zip(names, row, strict=True)) for row in rows]
     calls[len(healthy)]["reset"] = calls[-len(warm)]["reset"] = 1
-    found = told(program, tmp_path, calls)
+    found = called(program, tmp_path, calls)
     there = [one for run in (lying, away, warm) for one in estimates(estimator, run.tolist())[1]]
     gone = Status.READING_MISSING | Status.SENSOR_DISTRUSTED
     flagged = [bool(one["status"] & gone) for one in found]
@@ -201,7 +172,7 @@ def test_what_is_no_temperature_is_left_out_and_the_next_sample_covers_the_gap(f
         fchs, Precision.DOUBLE, "spindle", [(DT * k, k, 0.1, 0.2) for k in range(1, 8)]
     )
     bad = [{"reading_T1": value} for value in ("NAN", "INFINITY", "-6000.0")]
-    found = told(program, tmp_path, [{}, *bad, {"interval": 0.0}, {}, {"reset": 1}])
+    found = called(program, tmp_path, [{}, *bad, {"interval": 0.0}, {}, {"reset": 1}])
     assert [one["status"] for one in found[1:5]] == [0x8000] * 4
     assert {one["displacement_x"] for one in found[1:5]} == {found[0]["displacement_x"]}
     # The good sample comes four intervals after the last good one: that of 0 s does not count.
@@ -224,7 +195,7 @@ def test_missing_readings_a_pause_and_a_warm_machine_are_said_as_in_python(learn
     calls = [{}, {names[0]: "NAN"}, {names[0]: 10272.15}, *[dict.fromkeys(names, 1e31)] * 2]
     read = np.array(samples)
     read[1:3, 1] = read[3:5, 1:] = math.nan
-    found = told(program, tmp_path, [*calls, {}, {}, {}, {}])
+    found = called(program, tmp_path, [*calls, {}, {}, {}, {}])
     plain = replace(learned, model=replace(learned.model, log_end=None))
     there = [one for _, one in follow(plain, read.tolist(), plain.initial_state())]
     assert [one["status"] for one in found] == [int(one.status) for one in there]

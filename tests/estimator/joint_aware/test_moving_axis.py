@@ -24,6 +24,13 @@ from in_process import run
 from matiec import needs_matiec, selftest_by_both
 from moving_knee import moving
 from observed import assert_goes_on, estimates, observer
+from unseen_motion import (
+    assert_function_block,
+    assert_held,
+    course,
+    rows_of,
+    without_positions,
+)
 
 from calibrate.joint_aware.calibration import Effort, calibrate_joint_aware, machine_of
 from calibrate.joint_aware.linear_joint import with_linear_joint
@@ -35,6 +42,7 @@ from estimator.estimate_table import read_estimate
 from estimator.export.program import Precision
 from estimator.exporting import export_program
 from estimator.interface import Status
+from estimator.joint_aware import unreported_motion
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.kind import KIND
 from estimator.joint_aware.model_file import fingerprint, read_observer, write_observer
@@ -42,6 +50,7 @@ from estimator.joint_aware.readings import samples_in
 from estimator.kind import Cold, Options
 from estimator.lines import Stroke, here, name_at
 from estimator.probe_readings import with_probe_readings
+from estimator.states import completed
 from fesim.simulate import simulate
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
@@ -240,6 +249,30 @@ def test_a_position_that_is_none_is_missing_and_stays_what_it_was(estimator, sam
     assert np.array_equal(without.displacement, stays.displacement)
 
 
+@pytest.mark.parametrize("away", [1, 30, pytest.param(360, marks=pytest.mark.long)])
+def test_the_band_holds_what_an_axis_does_whose_position_is_missing(estimator, away):
+    assert_held(estimator, slice(40, 40 + away), [0])
+
+
+def test_a_model_without_speeds_has_the_band_of_the_place_alone(estimator, samples):
+    known = replace(estimator.model.calibrated, speeds=())
+    old = JointAware(replace(estimator.model, calibrated=known))
+    rows = np.array(samples[:60])
+    rows[30:40, -1] = np.nan
+    now, before = (estimates(one, rows.tolist())[1] for one in (estimator, old))
+    assert all(Status.UNSETTLED in one.status for one in before[30:40])
+    assert not any(Status.UNSETTLED in one.status for one in before[40:])
+    assert all(Status.UNSETTLED in one.status for one in now[40:45])
+    later = zip(now[31:], before[31:], strict=True)
+    assert all((one.band > other.band).all() for one, other in later)
+
+
+def test_a_state_from_before_positions_could_be_missing_goes_on(estimator, samples):
+    state, _ = estimates(estimator, samples[:40])
+    begins = next(at.start for name, at, _ in estimator.parts.parts if name == "position_away")
+    np.testing.assert_array_equal(completed(state[:begins], estimator.initial_state()), state)
+
+
 def test_a_log_and_a_service_name_the_position(estimator, samples):
     names = ("bearing_K", "guide_K", "table_K", "ambient_K", "y_pos_mm")
     values = np.array(samples)[:, 1:]
@@ -361,6 +394,20 @@ def test_a_control_that_interpolates_is_given_a_table(estimator, samples, tmp_pa
         assert said["offsets_um"][axis] == pytest.approx(-displacement, abs=0.06)
 
 
+def test_no_machine_of_a_service_waits_for_the_table_of_a_missing_position(
+    estimator, samples, tmp_path, monkeypatch
+):
+    write_observer(estimator.model, tmp_path / "model.h5")
+    section = ModelSection(
+        file=tmp_path / "model.h5", interval_s=estimator.model.step, reads="above-ambient"
+    )
+    model = load_model(section, tmp_path / "kept")
+    monkeypatch.setattr(unreported_motion, "unreported_motion", lambda _: pytest.fail("made late"))
+    rows = np.array(samples[:20])
+    rows[10:, -1] = np.nan
+    assert Status.UNSETTLED in estimates(model.estimator, rows.tolist())[1][-1].status
+
+
 def test_a_machine_goes_to_other_processes(machine):
     """A batch of validations marches in several of them, also after a march in the first."""
     inputs = machine.inputs(np.tile(machine.power, (3, 1)), np.array([[0.0], [0.1], [0.2]]))
@@ -416,6 +463,22 @@ def test_a_position_that_is_none_is_missing_in_its_program(estimator, samples, p
     got = as_in_python(program, estimator, given.tolist(), tmp_path)
     missing = [k for k, one in enumerate(got) if one.status & Status.READING_MISSING]
     assert missing == [10, 20, 21, 22, 30]
+    _, there = estimates(estimator, given.tolist())
+    _, wide = here(estimator.axes, estimator.details, there)
+    # The state without a reading that jumps at the onset is only near that of Python.
+    for found, known in (("band", [one.band for one in there]), ("here_band", wide)):
+        bands = np.array([list(getattr(one, found)) for one in got[5:]])
+        np.testing.assert_allclose(bands, known[5:], rtol=1e-6)
+
+
+@needs_gcc
+def test_its_function_block_has_the_band_of_a_missing_position(estimator, tmp_path):
+    pytest.importorskip("tree_sitter_iec61131_3_st", reason="needs tree-sitter-iec61131-3-st")
+    gone = slice(10, 30)
+    rows = rows_of(estimator, course(estimator, 60, gone), 0.5)
+    program = export_program(estimator, Precision.DOUBLE, "m", rows.tolist())
+    rows = without_positions(estimator, rows, gone, [0])
+    assert_function_block(program, estimator, rows, tmp_path)
 
 
 @pytest.mark.long

@@ -4,9 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from exported import SANITISED, needs_gcc, selftest, written
+from exported import SANITISED, as_in_python, needs_gcc, selftest, written
 from observed import estimates, observer
 from three_axes import coarse
+from unseen_motion import (
+    assert_function_block,
+    assert_held,
+    course,
+    followed,
+    rows_of,
+    without_positions,
+)
 
 from calibrate.joint_aware.calibration import Effort, calibrate_joint_aware, machine_of
 from calibrate.joint_aware.misfit import physics_with
@@ -206,3 +214,37 @@ def test_its_program_follows_all_axes_with_their_drives(estimator, samples, tmp_
     figures = selftest(written(found, tmp_path), "m", "-O1", *SANITISED)
     assert figures["own status words"] == 0
     assert figures["largest displacement"] > 5e-6
+
+
+@pytest.mark.parametrize("axes", [[1], [0, 1, 2]])
+def test_the_band_holds_what_axes_do_whose_positions_are_missing(estimator, axes):
+    assert_held(estimator, slice(40, 70), axes, after=60)
+
+
+@pytest.fixture(scope="module")
+def unread(estimator):
+    """Samples without the positions of two axes for a while, and the program to judge by them."""
+    gone = slice(5, 25)
+    rows = rows_of(estimator, course(estimator, 40, gone), 0.5)
+    program = export_program(estimator, Precision.DOUBLE, "m", rows.tolist())
+    return without_positions(estimator, rows, gone, [0, 2]), program
+
+
+@needs_gcc
+def test_its_program_has_the_band_of_missing_positions(estimator, unread, tmp_path):
+    rows, program = unread
+    got = as_in_python(program, estimator, rows.tolist(), tmp_path, 1e-9)
+    expected = followed(estimator, rows)
+    for name, values in (("band", expected.band), ("here_band", expected.band_here)):
+        found = np.array([list(getattr(one, name)) for one in got])
+        np.testing.assert_allclose(found, values, rtol=1e-5)
+    unsettled = [bool(one.status & Status.UNSETTLED) for one in got]
+    np.testing.assert_array_equal(unsettled, expected.unsettled)
+
+
+@pytest.mark.long
+@needs_gcc
+def test_its_function_block_has_the_band_of_missing_positions(estimator, unread, tmp_path):
+    pytest.importorskip("tree_sitter_iec61131_3_st", reason="needs tree-sitter-iec61131-3-st")
+    rows, program = unread
+    assert_function_block(program, estimator, rows, tmp_path)
