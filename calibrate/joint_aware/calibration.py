@@ -340,6 +340,9 @@ def calibrated_range(machine: ReducedMachine, responses: Mapping[str, xr.Dataset
     every = np.vstack(
         [temperatures_in(response, machine.sensor_names) for response in responses.values()]
     )
+    loads = np.vstack(
+        [recorded(one, "load_factor", machine.load_names) for one in responses.values()]
+    )
     return Calibrated(
         duration_s=max(float(response["time"].to_numpy()[-1]) for response in responses.values()),
         heat=max(
@@ -353,6 +356,7 @@ def calibrated_range(machine: ReducedMachine, responses: Mapping[str, xr.Dataset
         speeds=tuple(
             np.max([_fastest(one, machine) for one in responses.values()], axis=0).tolist()
         ),
+        loads=tuple((float(one.min()), float(one.max())) for one in loads.T),
     )
 
 

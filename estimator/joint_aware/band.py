@@ -15,7 +15,7 @@ from thermojoint.artefacts.arrays import Array
 
 #: Half-width of the 95 % interval, in standard deviations.
 WIDTH = 1.96
-#: Share by which unreported motion of axes may widen a band: as `Observer.unsettled`.
+#: Share by which unreported motion of axes, or loads, may widen a band: as `Observer.unsettled`.
 WIDENED = math.sqrt(2.0) - 1.0
 
 
@@ -62,6 +62,25 @@ def of_pending_jump(observer: Observer, after: ObserverState) -> Array:
     if not np.isfinite(after.pending.channel):
         return np.zeros(band.steady.size)
     return np.abs(band.tangent @ (after.linear - after.pending.linear))
+
+
+def of_missing_loads(observer: Observer, after: ObserverState, factors: Array) -> Array:
+    """Return the half-width (axes,), m, due to missing factors of loads.
+
+    The largest difference to the displacement under the lowest and the highest calibrated factor.
+    `factors` (l + x,) are those of the sample, NaN where missing, and then the positions.
+    """
+    found, ranges = np.zeros(observer.model.band.steady.size), observer.model.calibrated.loads
+    missing = np.flatnonzero(np.isnan(factors[: len(ranges)]))
+    if not missing.size:
+        return found
+    present = observer.displacement_under(after, after.loads)
+    for k in missing.tolist():
+        others = np.tile(after.loads, (2, 1))
+        others[:, k] = ranges[k]
+        moved = [observer.displacement_under(after, loads) for loads in others]
+        found += np.abs(np.array(moved) - present).max(axis=0)
+    return found
 
 
 def of_unreported_motion(data: Precomputed, after: ObserverState) -> Array:

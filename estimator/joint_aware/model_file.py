@@ -210,8 +210,9 @@ def _header(model: ObserverModel) -> str:
                 "duration_s": known.duration_s,
                 "heat": known.heat,
                 "temperatures": known.temperatures,
-                # States of models without moving axes, and of earlier ones, keep their fingerprint.
+                # States of earlier models, and of those without axes or loads, keep them.
                 **({"speeds_m_s": known.speeds} if known.speeds else {}),
+                **({"load_factors": known.loads} if known.loads else {}),
             },
             "factors": model.factors,
             "strokes": moving,
@@ -267,6 +268,7 @@ def _model(header: dict[str, Any], arrays: Mapping[str, Array]) -> ObserverModel
             known["heat"],
             {name: (low, high) for name, (low, high) in known["temperatures"].items()},
             tuple(map(float, known.get("speeds_m_s", ()))),
+            tuple((float(low), float(high)) for low, high in known.get("load_factors", ())),
         ),
         factors={name: (value, spread) for name, (value, spread) in header["factors"].items()},
         kind=KIND.validate_python(header["kind"]),

@@ -99,12 +99,15 @@ class Calibrated:
     speeds : tuple of float
         Speed of every moving axis in its fastest minute, m/s; empty where that is not known, as in
         models of earlier versions.
+    loads : tuple of (float, float)
+        Lowest and highest factor of every load that is read; empty where that is not known.
     """
 
     duration_s: float
     heat: float
     temperatures: dict[str, tuple[float, float]]
     speeds: tuple[float, ...] = ()
+    loads: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True, eq=False, repr=False)

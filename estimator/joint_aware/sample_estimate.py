@@ -26,18 +26,19 @@ def estimate_of(
     observer, after = data.observer, processed.after
     parts = _error_parts(observer, processed)
     usual, left = band.variances(observer, parts, after.model_error, processed.covariance_factor)
-    motion = band.of_unreported_motion(data, after)
-    half = band.WIDTH * np.sqrt(usual + left) + band.of_pending_jump(observer, after) + motion
+    unread = band.of_unreported_motion(data, after)
+    unread = unread + band.of_missing_loads(observer, after, read.factors)
+    half = band.WIDTH * np.sqrt(usual + left) + band.of_pending_jump(observer, after) + unread
     # Estimated from displacement readings, and from innovations.
     error = parts @ mean_of(after.model_error) + observer.displacement_by(after.watch.means)
     moved, line = processed.displacement + error, np.empty(0)
     if observer.model.moving_axes:
         unplaced = np.isnan(read.factors[-len(observer.model.moving_axes) :])
         lines = lines_along(observer, processed, error, half, unplaced)
-        motion = motion + lines.band_here - half
+        unread = unread + lines.band_here - half
         moved, half, line = lines.displacement, lines.band, lines.details
     unsettled = observer.unsettled(left, usual, processed.often)
-    unsettled |= bool((motion > band.WIDENED * band.WIDTH * np.sqrt(usual)).any())
+    unsettled |= bool((unread > band.WIDENED * band.WIDTH * np.sqrt(usual)).any())
     missing, distrusted = _left_out(data, read, processed.accepted)
     status = _beyond(data, processed, time, read.temperatures)
     for holds, flag in (

@@ -171,7 +171,14 @@ def test_a_load_is_read_in_percent_and_lasts_where_it_is_missing(tmp_path):
     assert found[1].missing == ("cut",)
     assert Status.READING_MISSING in found[1].status
     np.testing.assert_allclose(found[1].displacement, found[0].displacement, atol=1e-9)
-    assert np.abs(found[2].displacement - found[1].displacement).max() > 1e-7
+    off = np.abs(found[2].displacement - found[1].displacement)
+    assert off.max() > 1e-7
+    # The runs had factors from -0.2 to 1; the band holds what they all do.
+    assert (off > found[0].band).any()
+    assert (off <= found[1].band).all()
+    assert [Status.UNSETTLED in one.status for one in found] == [False, True, False]
+    write_observer(estimator.model, tmp_path / "model.h5")
+    assert read_observer(tmp_path / "model.h5").calibrated.loads == ((-0.2, 1.0),)
     with pytest.raises(InputError, match="no 'load_factor', needed for cut"):
         run_in(response.drop_vars("load_factor"), reduce_machine(case, setup, ("P",)), "run")
     with pytest.raises(InputError, match="export: the machine has loads"):
