@@ -148,7 +148,7 @@ def process_any(
     settled = observer.equilibrium(prediction, linear, loads)
     elapsed = moment.length * moment.steps
     begun = before.begun if moment.steps else np.array(moment.time)
-    absences = _absences(data, before, read, elapsed, bool(used.accepted.all()))
+    absences = _absences(data, before, moment, read, bool(used.accepted.all()))
     reported, positions = 2 * len(observer.model.ways), slice(2 * len(observer.model.ways), None)
     error = displacement_readings.later(before.model_error, elapsed, data.forgetting)
     refused = False
@@ -185,9 +185,13 @@ def process_any(
         position_back=absences.back[positions],
     )
     moved = settled.displacement
-    # One long interval is a gap; two in a row are the sampling interval.
-    often = min(moment.steps, int(before.steps) or moment.steps)
+    often = _often(before, moment)
     return Processed(after, moved, prediction.slip_knowledge, factor, used.accepted, refused, often)
+
+
+def _often(before: ObserverState, moment: Moment) -> int:
+    """Sampling interval in steps: one long interval is a gap, two in a row are the interval."""
+    return min(moment.steps, int(before.steps) or moment.steps)
 
 
 def _corrected(
@@ -214,17 +218,22 @@ def _corrected_by_probe(
 
 
 def _absences(
-    data: Precomputed, before: ObserverState, read: SampleValues, elapsed: float, whole: bool
+    data: Precomputed, before: ObserverState, moment: Moment, read: SampleValues, whole: bool
 ) -> Absences:
-    """`unreported_motion.absences_after`; the table is made at the first absence."""
+    """`unreported_motion.absences_after`; the table is made at the first absence.
+
+    In a gap of more than two sampling intervals no position is read either.
+    """
     last, positions = before.absences, len(before.position_away)
+    elapsed, often = moment.length * moment.steps, _often(before, moment)
+    gap = moment.length * (moment.steps - often) if moment.steps > 2 * often else 0.0
     unplaced = np.isnan(read.factors[read.factors.size - positions :])
-    unread = before.odometer_age > 0.0
-    missing = np.concatenate([unread, np.zeros_like(unread), unplaced])
+    unread = elapsed * (before.odometer_age > 0.0)
+    missing = np.concatenate([unread, np.zeros_like(unread), np.where(unplaced, elapsed, gap)])
     if not (last.away.any() or missing.any()) or (motion := data.unreported_motion) is None:
         return Absences(np.zeros_like(last.away), np.zeros_like(last.away))
     longest = motion.back[-1] * data.observer.model.step
-    return unreported_motion.absences_after(last, missing, elapsed, whole, longest)
+    return unreported_motion.absences_after(last, missing, elapsed * whole, longest)
 
 
 def results_of(observer: Observer, processed: Processed) -> Results:

@@ -19,7 +19,7 @@ from estimator.joint_aware.dropouts import LONGEST, SLACK, Dropouts, powers
 from estimator.joint_aware.observer import Observer
 from estimator.joint_aware.observer_state import Absences
 from fesim.axes.guideway import Place
-from thermojoint.artefacts.arrays import Array, Flags
+from thermojoint.artefacts.arrays import Array
 from thermojoint.reduced.axis_way import Way
 
 #: Absences longer than this, s, count as this long: the axis has warmed through by then.
@@ -30,18 +30,24 @@ AWAY, NEGLIGIBLE = 8.0 * 3600.0, 0.01
 NONLINEAR = 2.0
 
 
-def absences_after(
-    before: Absences, missing: Flags, elapsed: float, whole: bool, longest: float
-) -> Absences:
+def absences_after(before: Absences, missing: Array, back: float, longest: float) -> Absences:
     """Return the absences after a sample.
 
-    Zero where one has no effect any more, `longest` (s) after the return. Only samples with all
-    temperatures, `whole`, count for the return. `missing` has the order of `Absences`.
+    Parameters
+    ----------
+    before : Absences
+        After the sample before.
+    missing : ndarray, shape (2 c + x,)
+        For how long each was missing since then, s.
+    back : float
+        For how long the others are back since then, s: zero if a temperature is missing.
+    longest : float
+        Time after the return, s, from which an absence has no effect any more, and is zero.
     """
-    away = before.away + elapsed * missing
-    back = np.where(missing, 0.0, before.back + elapsed * whole)
-    counts = (away > 0.0) & (back <= longest * (1.0 + SLACK))
-    return Absences(away * counts, back * counts)
+    away = before.away + missing
+    since = np.where(missing > 0.0, 0.0, before.back + back)
+    counts = (away > 0.0) & (since <= longest * (1.0 + SLACK))
+    return Absences(away * counts, since * counts)
 
 
 def half_width(motion: Dropouts, absences: Absences, step: float, level: float) -> Array:

@@ -87,6 +87,17 @@ def assert_held(estimator, unread, axes, level=0.8, after=120):
     assert (found.band_here >= found.band).all()
 
 
+def assert_held_after_a_gap(estimator, gone, level=0.8, after=60):
+    """The band holds what the axes have done while there were no samples."""
+    rows = rows_of(estimator, course(estimator, gone.stop + after, gone), level)
+    whole = followed(estimator, rows)
+    found = followed(estimator, np.delete(rows, np.arange(gone.start, gone.stop), axis=0))
+    error = np.abs(found.here[gone.start :] - whole.here[gone.stop :])
+    assert (error <= found.band_here[gone.start :]).mean() >= 0.95
+    assert found.unsettled[gone.start]
+    assert (error > whole.band_here[gone.stop :]).any()
+
+
 def assert_function_block(program, estimator, rows, folder):
     """A function block gives the displacement, the bands and the status of Python."""
     names = [f"reading_{one.name}" for one in program.interface.inputs]

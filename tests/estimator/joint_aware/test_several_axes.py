@@ -10,6 +10,7 @@ from three_axes import coarse
 from unseen_motion import (
     assert_function_block,
     assert_held,
+    assert_held_after_a_gap,
     course,
     followed,
     rows_of,
@@ -219,6 +220,21 @@ def test_its_program_follows_all_axes_with_their_drives(estimator, samples, tmp_
 @pytest.mark.parametrize("axes", [[1], [0, 1, 2]])
 def test_the_band_holds_what_axes_do_whose_positions_are_missing(estimator, axes):
     assert_held(estimator, slice(40, 70), axes, after=60)
+
+
+@pytest.mark.parametrize("count", [4, 30])
+def test_the_band_holds_what_axes_do_in_a_gap(estimator, count):
+    assert_held_after_a_gap(estimator, slice(40, 40 + count))
+
+
+def test_a_sample_that_is_late_or_lost_is_no_gap(estimator):
+    rows = rows_of(estimator, course(estimator, 60, slice(30, 30)), 0.5)
+    late = np.delete(rows, 40, axis=0)
+    late[50:, 0] += 3.0
+    # Temperatures alone may be unsettled for a sample.
+    unsettled = followed(estimator, late).unsettled
+    assert unsettled.sum() <= 1
+    assert not unsettled[-1]
 
 
 @pytest.fixture(scope="module")
