@@ -231,10 +231,10 @@ def test_a_sample_that_is_late_or_lost_is_no_gap(estimator):
     rows = rows_of(estimator, course(estimator, 60, slice(30, 30)), 0.5)
     late = np.delete(rows, 40, axis=0)
     late[50:, 0] += 3.0
-    # Temperatures alone may be unsettled for a sample.
-    unsettled = followed(estimator, late).unsettled
-    assert unsettled.sum() <= 1
-    assert not unsettled[-1]
+    found = followed(estimator, late)
+    # Temperatures alone make the band wider in those two samples.
+    assert set(np.flatnonzero(found.unsettled)) <= {40, 50}
+    assert (found.band < 3.0 * found.band[0]).all()
 
 
 @pytest.fixture(scope="module")
