@@ -376,12 +376,15 @@ class Observer:
 
     def displacement_under(self, state: ObserverState, loads: Array) -> Array:
         """Return the displacement (axes,), m, under other loads (l,), the joint settled anew."""
-        count, known = self.model.modes.rates.size, float(state.slip_knowledge)
-        joint, probes = self._settle(state.joint, state.linear, known, loads)
-        now = Driving(state.linear[:count], state.drive)
-        relaxed = state.linear[count : self.system.decay.size]
-        moved = positioned(self.physics, now, joint, loads, probes)
-        return np.asarray(moved + self.model.discrepancy.displacement @ relaxed)
+        present = Prediction(
+            state.linear,
+            state.joint,
+            state.drive,
+            state.covariance_factor,
+            state.errors,
+            float(state.slip_knowledge),
+        )
+        return self.equilibrium(present, state.linear, loads).displacement
 
     def seen_from(self, state: ObserverState, slip_knowledge: float, places: Array) -> Array:
         """Return the displacement (n, axes), m, if the axes stood at places (n, x), m."""
