@@ -43,6 +43,22 @@ class Precomputed:
         return sample_channels(self.observer.model)
 
     @cached_property
+    def ends(self) -> tuple[int, int, int, int]:
+        """Numbers of values of a sample up to its temperatures, factors, odometers and powers."""
+        model, thermal = self.observer.model, len(self.observer.system.rows)
+        stood = thermal + len(model.loads) + len(model.positions)
+        counted = stood + len(model.ways)
+        return thermal, stood, counted, counted + len(model.powers)
+
+    @cached_property
+    def strokes(self) -> tuple[Array, Array]:
+        """Ends of the strokes of the axes, (x,) each, m; without axes, of none."""
+        way = self.observer.model.modes.way
+        ends = [] if way is None else [one[[0, -1]] for one in way.stations.positions]
+        low, high = np.reshape(ends, (len(ends), 2)).T
+        return low, high
+
+    @cached_property
     def layout(self) -> Layout:
         """Slices of the parts of the state."""
         return initial_states.at_rest(self.observer).layout

@@ -50,10 +50,7 @@ def split_sample(data: Precomputed, values: Sequence[float]) -> SampleValues:
         The number of values is wrong.
     """
     model, every = data.observer.model, len(data.channels)
-    thermal = len(data.observer.system.rows)
-    stood = thermal + len(model.loads) + len(model.positions)
-    counted = stood + len(model.ways)
-    wanted = counted + len(model.powers)
+    thermal, stood, counted, wanted = data.ends
     if len(values) not in (wanted, every):
         names = ", ".join(channel.name for channel in data.channels[:wanted])
         raise InputError(
@@ -63,18 +60,23 @@ def split_sample(data: Precomputed, values: Sequence[float]) -> SampleValues:
     given = np.full(every, np.nan)
     given[: len(values)] = values
     given[~np.isfinite(given)] = np.nan
-    given[: thermal - 1] -= model.offset
-    if model.modes.way is not None:
+    read = SampleValues(
+        given[:thermal],
+        given[thermal:stood],
+        given[stood:counted],
+        given[counted:wanted],
+        given[wanted:],
+    )
+    read.temperatures[:-1] -= model.offset
+    low, high = data.strokes
+    if low.size:
         # A position outside the stroke counts as missing.
-        ends = [one[[0, -1]] for one in model.modes.way.stations.positions]
-        low, high = np.array(ends).T
-        place = given[stood - len(ends) : stood]
+        place = read.factors[-low.size :]
         place[(place < low - OVERTRAVEL) | (place > high + OVERTRAVEL)] = np.nan
-    gone, powers = given[stood:counted], given[counted:wanted]
-    gone[(gone < 0.0) | (gone > data.observer.thresholds.farthest)] = np.nan
-    powers[np.abs(powers) > data.most_power] = np.nan
-    others = np.split(given[thermal:], np.array([stood, counted, wanted]) - thermal)
-    return SampleValues(given[:thermal], *others)
+    farthest = data.observer.thresholds.farthest
+    read.odometers[(read.odometers < 0.0) | (read.odometers > farthest)] = np.nan
+    read.powers[np.abs(read.powers) > data.most_power] = np.nan
+    return read
 
 
 def cold_ambient(data: Precomputed, temperatures: Array, ambient: float) -> float:
