@@ -47,6 +47,7 @@ from fesim.setup.discretised import (
 )
 from fesim.setup.laws import joint_laws
 from fesim.setup.mesh_errors import (
+    DualHeat,
     HeatErrors,
     MeshErrors,
     StressErrors,
@@ -289,7 +290,7 @@ def _condensed(case: Case, parts: Parts, keys: CacheKeys) -> Setup:
     )
     machine = _machine(whole, condensed, loads, modes, thermal)
     machine = replace(machine, stiffness=_variable_stiffness(whole, field, forces))
-    errors = partial(_mesh_errors, whole, keys, condensed, stress)
+    errors = partial(_mesh_errors, DualHeat(whole), keys, condensed, stress)
     bolts = None
     if parts.bolts:
         ends = whole.ends.toarray() if modes is None else whole.ends @ modes.basis
@@ -480,7 +481,7 @@ def _variable_stiffness(
 
 
 def _mesh_errors(
-    whole: Discretised,
+    dual: DualHeat,
     keys: CacheKeys,
     condensed: ElasticCondensation,
     stress: StressErrors | None,
@@ -496,10 +497,10 @@ def _mesh_errors(
     heat = remembered(
         HeatErrors,
         keys.heat,
-        lambda: heat_errors(whole, rows, conductance, duration),
+        lambda: heat_errors(dual, rows, conductance, duration),
         also=f"off by {given} in {duration!r} s",
     )
-    return MeshErrors(heat, variable_errors(whole, heat.beyond), stress)
+    return MeshErrors(heat, variable_errors(dual, heat.beyond), stress)
 
 
 def with_laws(setup: Setup, case: Case) -> Setup:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ from fesim.solid.elasticity import DIRECTIONS
 from fesim.solid.element_matrices import reference_shapes
 from fesim.solid.heat import HeatOperators, capacity_form, cell_field, heat_operators
 from fesim.solid.joint_operators import jumps
-from fesim.solid.linear_solver import checked_solve, factorise
+from fesim.solid.linear_solver import Factor, checked_solve, factorise
 from fesim.solid.materials import Material
 from fesim.solid.recovery import stress_error_rows
 from fesim.solid.round_faces import shape_error_rows
@@ -145,32 +146,76 @@ def dual_rows(condensed: ElasticCondensation, contact: ContactProblem) -> Array:
     return np.asarray(condensed.probe_thermal[:axes] + closing @ condensed.thermal_gap)
 
 
-def heat_errors(whole: Discretised, rows: Array, conducts: Array, duration: float) -> HeatErrors:
+@dataclass(frozen=True, eq=False)
+class DualHeat:
+    """The second-order heat equation of a case's duals, assembled when it is first needed.
+
+    Without what joints conduct, so that cases with other laws share it.
+    """
+
+    #: The case on its meshes.
+    whole: Discretised
+
+    @cached_property
+    def space(self) -> CellBasis:
+        """Second-order functions."""
+        # Of a copy, because it is large and not needed again.
+        return replace(self.whole.spaces).elastic
+
+    @cached_property
+    def materials(self) -> dict[str, Material]:
+        """Materials at reference conditions."""
+        return reference_materials(self.whole.case, self.whole.materials)
+
+    @cached_property
+    def operators(self) -> HeatOperators:
+        """Operators of second order, with a lumped capacity."""
+        case, parts = self.whole.case, self.whole.parts
+        loads = thermal_loads(case, parts.structure)
+        return heat_operators(parts.structure, self.space, self.materials, loads, parts.joints)
+
+    @cached_property
+    def capacity(self) -> csr_array:
+        """Capacity that is not lumped, (n_high, n_high), J/K."""
+        stored = {name: m.density * m.heat_capacity for name, m in self.materials.items()}
+        field = cell_field(self.whole.parts.structure, stored, self.space)
+        return csr_array(capacity_form.assemble(self.space, value=field))
+
+    @cached_property
+    def lifted(self) -> csr_array:
+        """First-order functions at the second-order unknowns, (n_high, n_low)."""
+        return _lifted(self.whole.spaces.heat, self.space)
+
+    @cached_property
+    def density(self) -> Factor:
+        """Factor of the capacity of first-order functions."""
+        mass, solver = self.lifted.T @ self.capacity @ self.lifted, self.whole.case.march.solver
+        return factorise(csr_array(mass), "density of the heat's dual", solver)
+
+
+def heat_errors(dual: DualHeat, rows: Array, conducts: Array, duration: float) -> HeatErrors:
     """Return the errors from `dual_rows`, with given joint conductances (m,), W/(m2 K).
 
     The dual temperatures are of second order, after one step of the length of the march,
     `duration`, s. Their difference from first order multiplies the residual of the heat equation
     (Becker & Rannacher 2001).
     """
-    structure = whole.parts.structure
-    low, solver = whole.spaces.heat, whole.case.march.solver
-    high, materials, fine = _second_order(whole)
-    stored = {name: m.density * m.heat_capacity for name, m in materials.items()}
-    capacity = csr_array(capacity_form.assemble(high, value=cell_field(structure, stored, high)))
+    whole, fine, capacity, lifted = dual.whole, dual.operators, dual.capacity, dual.lifted
+    low = whole.spaces.heat
     jump = jumps(whole.parts.joints, whole.spaces.displacement)
     through = csr_array(jump.T @ diags_array(whole.operators.area * conducts) @ jump)
-    lifted = _lifted(low, high)
     lost = csr_array(fine.conduction + fine.convection)
     # Rows are integrals of a density, here per heat capacity: the same with second-order
     # functions.
-    density = factorise(lifted.T @ capacity @ lifted, "density of the heat's dual", solver)
-    duals = capacity @ lifted @ checked_solve(density, rows.T, "density of the heat's dual")
+    density = checked_solve(dual.density, rows.T, "density of the heat's dual")
+    duals = capacity @ lifted @ density
     duals[fine.held] = 0.0
     joined = replace(fine, capacity=capacity, conduction=csr_array(fine.conduction + through))
     system, _ = eliminate_held(joined, duration)
+    solver = whole.case.march.solver
     duals = checked_solve(factorise(system, "heat's dual", solver), duals, "heat's dual")
     first = np.zeros((int(low.N), duals.shape[1]))
-    first[low.nodal_dofs[0]] = duals[high.nodal_dofs[0]]
+    first[low.nodal_dofs[0]] = duals[dual.space.nodal_dofs[0]]
     beyond = duals - lifted @ first
     lumped = whole.heat.capacity @ first - lifted.T @ (capacity @ (lifted @ first))
     return HeatErrors(
@@ -183,15 +228,16 @@ def heat_errors(whole: Discretised, rows: Array, conducts: Array, duration: floa
 
 
 def variable_errors(
-    whole: Discretised, beyond: Array
+    dual: DualHeat, beyond: Array
 ) -> Callable[[Array, Array, float, Array], Array] | None:
     """Return `MeshErrors.variable` of a case; `beyond` is that of its `HeatErrors`."""
-    if not secant_sections(whole.case):
+    case, parts = dual.whole.case, dual.whole.parts
+    if not secant_sections(case):
         return None
-    parts = whole.parts
-    high, materials, fine = _second_order(whole)
-    lifted = _lifted(whole.spaces.heat, high)
-    terms = variable_heat(whole.case, parts.structure, high, materials, parts.joints, fine)
+    lifted = dual.lifted
+    terms = variable_heat(
+        case, parts.structure, dual.space, dual.materials, parts.joints, dual.operators
+    )
 
     def variable(begun: Array, warm: Array, time: float, inputs: Array) -> Array:
         assert terms is not None
@@ -200,16 +246,6 @@ def variable_errors(
         return np.asarray(-beyond.T @ (terms.lost(there, inputs) + retained))
 
     return variable
-
-
-def _second_order(whole: Discretised) -> tuple[CellBasis, dict[str, Material], HeatOperators]:
-    """Space, materials and heat operators of second-order temperatures."""
-    case, structure = whole.case, whole.parts.structure
-    materials = reference_materials(case, whole.materials)
-    loads = thermal_loads(case, structure)
-    # Of a copy, because it is large and not needed again.
-    high = replace(whole.spaces).elastic
-    return high, materials, heat_operators(structure, high, materials, loads, whole.parts.joints)
 
 
 def _lifted(low: CellBasis, high: CellBasis) -> csr_array:
