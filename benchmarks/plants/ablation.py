@@ -76,6 +76,10 @@ def _with_exact_sensors(unlike: Unlike) -> Unlike:
     return replace(unlike, lag=np.full_like(unlike.lag, 1e-3), place=np.zeros_like(unlike.place))
 
 
+def _with_sensors_in_place(unlike: Unlike) -> Unlike:
+    return replace(unlike, place=np.zeros_like(unlike.place))
+
+
 #: What a plant is without, to the plant without it.
 WITHOUT: dict[str, Callable[[Unlike], Unlike]] = {
     "nothing": lambda unlike: unlike,
@@ -90,6 +94,7 @@ WITHOUT: dict[str, Callable[[Unlike], Unlike]] = {
     "temperature-dependent material": lambda unlike: replace(unlike, conduction=0.0, expansion=0.0),
     "elastic feet": lambda unlike: replace(unlike, feet=(1e6, 1e6)),
     "lags and places of sensors": _with_exact_sensors,
+    "places of sensors": _with_sensors_in_place,
 }
 
 

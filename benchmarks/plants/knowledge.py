@@ -1,12 +1,13 @@
-"""What is left of the error of a day if feet, films or unknown heat of a plant are known exactly.
+"""What is left of the error of a day if something about a plant is known exactly.
 
     python -m benchmarks.plants.knowledge --seed 5 --count 4 --out knowledge.json
 
 Plants of the structural family with ten thermometers, calibrated by steps and a cool-down, as
 `benchmarks.plants.ablation` does. The case has fixed supports, or feet: those of the plant, or
 `USUAL` ones. Known films are those of the plant; its heat is known if there is none beside that of
-its sources, no open door and even air. Feet that are found are those of a second fit, with films of
-patches (`thermojoint.reduced.loosened`).
+its sources, no open door and even air; the places of its sensors are known if they are those of the
+case. Feet that are found are those of a second fit, with films of patches
+(`thermojoint.reduced.loosened`).
 """
 
 from __future__ import annotations
@@ -34,6 +35,16 @@ from thermojoint.reduced.parameters import active
 SENSORS = 10
 #: Under the column and under the screw, N/um: about the middle of `benchmarks.plants.drawing.FOOT`.
 USUAL = (1700.0, 1700.0)
+FOUND = (False, "found")
+#: Whether a model has the films of the plant, and its feet.
+MODELS = (*product((False, True), ("fixed", "usual", "known")), FOUND)
+#: What a plant is without (`benchmarks.plants.ablation`), to the models that are fitted to it.
+KNOWN = {
+    "nothing": MODELS,
+    "unknown heat, all three": MODELS,
+    "places of sensors": (FOUND,),
+    "lags and places of sensors": (FOUND,),
+}
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -47,13 +58,12 @@ def _rows(seed: int, count: int) -> Iterator[dict[str, Any]]:
     machines = on_steps_of(machines, STEP)
     for number in range(count):
         plant = draw_unlike(case, machines.model.sensor_names, seed, number)
-        for heat in (False, True):
-            own = without(plant, "unknown heat, all three") if heat else plant
+        for known, models in KNOWN.items():
+            own = without(plant, known)
             exact = exact_answers(machines, own)
-            every = product((False, True), ("fixed", "usual", "known"))
-            for films, feet in (*every, (False, "found")):
+            for films, feet in models:
                 told = replace(machines, model=_told(path, plant, films, feet))
-                about = {"plant": number, "heat": heat, "films": films, "feet": feet}
+                about = {"plant": number, "known": known, "films": films, "feet": feet}
                 yield about | _errors(told, own, exact)
 
 
