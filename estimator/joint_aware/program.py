@@ -57,8 +57,11 @@ from thermojoint.reduced.physics import heat_step, simulate_known
 
 #: Status bits that no estimator in Python has.
 READING_JUMPED, NOT_SETTLED = 1 << 13, 1 << 14
-#: Most Newton steps, and how often one is halved.
-ITERATIONS, HALVINGS = 12, 6
+#: Most Newton steps with a line search, and how often one is halved; then most damped ones.
+SEARCHED, HALVINGS, CREPT = 12, 6, 24
+#: Damping of the first of these, relative to the Jacobian of a joint that sticks; its factor from
+#: one to the next is that of the residual, within bounds.
+DAMPED, LESS, MORE = 0.1, 0.25, 4.0
 #: How long one reading, or all, are left out to compute the gain and the band without them, s.
 WITHOUT_ONE, WITHOUT_ALL = 600.0, 1800.0
 #: Passes over the sources that find the heat behind a jump.
@@ -116,7 +119,9 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
     # The present position, and every position asked for.
     places = 1 + way.values["asked"]
     usual = _newton(contacts, contacts, 0).times(2) + _look(contacts)
-    worst = _newton(contacts, 3 * contacts, HALVINGS).times(ITERATIONS) + _look(contacts)
+    searched = _newton(contacts, 3 * contacts, HALVINGS).times(SEARCHED)
+    crept = _newton(contacts, 3 * contacts, 0).times(CREPT)
+    worst = searched + crept + _look(contacts).times(2)
     count = len(estimator.observer.system.rows)
     start = _start(estimator)
     slowest = 1.0 / float(model.modes.rates.min())
@@ -158,8 +163,12 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             "absences": _without(estimator).uncertainty.left.shape,
             "error_kept": estimator.observer.lasting_on(model.step),
             "followed": start.followed,
-            "iterations": ITERATIONS,
+            "searched": SEARCHED,
             "halvings": HALVINGS,
+            "crept": CREPT,
+            "damped": DAMPED,
+            "less": LESS,
+            "more": MORE,
             "tables": tables,
             "indices": way.indices,
             "tolerance": tolerance,

@@ -332,6 +332,7 @@ def test_a_joint_that_needs_more_newton_steps_stays_and_says_so(
     found = with_no_step(joint_aware_program)
     for one in list(compiled(found, tmp_path)([row[1:] for row in samples[:40]]))[1:]:
         assert one.status & NOT_SETTLED
+        assert one.status & Status.UNSETTLED
         assert one.newton_steps == -1
         assert one.lowest_pressure == one.highest_pressure > 0.0
         assert np.isfinite(list(one.displacement)).all()

@@ -109,6 +109,7 @@ def test_matiec_compiles_it_and_it_is_the_same(kind, request, tmp_path):
 def test_a_joint_that_needs_more_newton_steps_stays_and_says_so(joint_aware_program, tmp_path):
     last = called(with_no_step(joint_aware_program), tmp_path, [{}] * 40, ("newton_steps",))[-1]
     assert last["status"] & joint_aware.NOT_SETTLED
+    assert last["status"] & Status.UNSETTLED
     assert last["newton_steps"] == -1
     assert math.isfinite(last["displacement_x"])
 

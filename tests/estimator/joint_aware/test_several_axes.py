@@ -25,6 +25,8 @@ from calibrate.joint_aware.readings import run_in
 from estimator.export.program import Precision
 from estimator.exporting import export_program
 from estimator.interface import Status
+from estimator.joint_aware import guided_program
+from estimator.joint_aware import program as joint_aware_program
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.kind import KIND
 from estimator.joint_aware.model_file import fingerprint, read_observer, write_observer
@@ -235,6 +237,30 @@ def test_a_sample_that_is_late_or_lost_is_no_gap(estimator):
     # Temperatures alone make the band wider in those two samples.
     assert set(np.flatnonzero(found.unsettled)) <= {40, 50}
     assert (found.band < 3.0 * found.band[0]).all()
+
+
+@pytest.fixture(scope="module")
+def hot(estimator):
+    """Samples in which joints slide far from where they are, at the positions of the lines."""
+    rows = rows_of(estimator, course(estimator, 60, slice(40, 40)), 2.0)
+    return rows, export_program(estimator, Precision.DOUBLE, "m", rows.tolist())
+
+
+@needs_gcc
+def test_its_program_settles_joints_that_slide_far(estimator, hot, tmp_path):
+    """A line that was held since the joints began to slide was off by 4 um, and more with time."""
+    rows, program = hot
+    got = as_in_python(program, estimator, rows.tolist(), tmp_path, 1e-9)
+    assert not any(one.status & guided_program.LINE_HELD for one in got)
+    assert max(one.newton_steps for one in got) < joint_aware_program.CREPT
+
+
+@pytest.mark.long
+@needs_gcc
+def test_its_function_block_settles_joints_that_slide_far(estimator, hot, tmp_path):
+    pytest.importorskip("tree_sitter_iec61131_3_st", reason="needs tree-sitter-iec61131-3-st")
+    rows, program = hot
+    assert_function_block(program, estimator, rows, tmp_path)
 
 
 @pytest.fixture(scope="module")
