@@ -264,11 +264,9 @@ def check_silence(fleet: Fleet, now: float, clock: float) -> list[Publication]:
             )
         )
         if (latest.quality, latest.status) != machine.published_quality:
+            since = f"for {age:.0f} s" if math.isfinite(age) else "since the clock was set back"
             fleet.log.say(
-                now,
-                "silent",
-                f"{latest.quality.word}: no usable sample for {age:.0f} s",
-                state.name,
+                now, "silent", f"{latest.quality.word}: no usable sample {since}", state.name
             )
         elif not offsets_changed:
             continue
@@ -333,11 +331,14 @@ def count_qualities(fleet: Fleet) -> None:
 
 
 def last_usable_clock(last: Publication, rule: AssemblyRule, behind: float, times: Times) -> float:
-    """Return the time of the last usable sample by the service's own clock; -inf for none."""
-    if last.number == 0 or math.isnan(last.published):
+    """Return the time of the last usable sample by the service's own clock; -inf if unknown.
+
+    The age of a sample published in the future is unknown: the clock was set back meanwhile.
+    """
+    if last.number == 0 or not last.published <= times.now:
         return -math.inf
     age = age_of(rule, behind, last.time, last.published)
-    return times.clock - max(0.0, times.now - last.published) - age
+    return times.clock - (times.now - last.published) - age
 
 
 def stalled_machines(fleet: Fleet, clock: float) -> list[Machine]:

@@ -512,6 +512,15 @@ def test_a_restart_ends_no_silence(deaf, store, path, kept_at):
     assert (said.quality, said.offset_mode) == (Quality.BAD, "decay")
 
 
+def test_a_sample_from_before_the_clock_was_set_back_is_not_good(model, store, path):
+    """The computer was off, perhaps for days, and its clock is behind at the start."""
+    fleet, log = fleet_of(model, store, START), EventLog()
+    feed(fleet, store, 0, 60)
+    _, (said,) = started(model, store, path, log, 30)
+    assert (said.quality, said.offset_mode) == (Quality.BAD, "freeze")
+    assert "bad: no usable sample since the clock was set back" in [e.text for e in log.pending]
+
+
 def test_a_state_is_refused_once_and_those_after_it_are_kept(model, store, path):
     fleet, log = fleet_of(model, store, START), EventLog()
     feed(fleet, store, 0, 50)
