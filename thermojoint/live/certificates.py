@@ -145,7 +145,7 @@ def _checked(identity: Identity, where: str, remedy: str, others: int) -> Identi
 
 
 def expiry_warnings(given: ServiceFile, folder: Path, now: datetime) -> Iterator[str]:
-    """Yield one line for each certificate of a service that is unreadable or expires soon."""
+    """Yield one line for each certificate that is unreadable, expires soon or is not valid yet."""
     sections = (
         ("opcua", given.opcua, "certificate.pem"),
         ("http", given.http, "http_certificate.pem"),
@@ -155,10 +155,17 @@ def expiry_warnings(given: ServiceFile, folder: Path, now: datetime) -> Iterator
             continue
         path = section.certificate_file or folder / own
         try:
-            end = certificate_in(path).not_valid_after_utc
+            certificate = certificate_in(path)
         except InputError as error:
             yield str(error)
             continue
+        if certificate.not_valid_before_utc > now:
+            # Made while the clock was ahead. It is not renewed: the clock may be behind now.
+            yield (
+                f"{name}: {path} is valid from {span_of(certificate)}, and clients refuse it; set "
+                "the clock, or remove it and its key for a new one"
+            )
+        end = certificate.not_valid_after_utc
         if end - ANNOUNCED < now:
             yield (
                 f"{name}: {path} ends on {end:%Y-%m-%d %H:%M} UTC, in {(end - now).days} days; "

@@ -332,6 +332,12 @@ def test_the_end_of_a_certificate_is_announced_a_month_before(models, tmp_path):
     assert "plant.pem ends on" in line
 
 
+def test_a_certificate_from_a_time_when_the_clock_was_ahead_is_announced(models, tmp_path):
+    given = read_service(plant(tmp_path, models, 0)).given
+    (line,) = expiry_warnings(given, tmp_path, datetime.now(UTC) - timedelta(days=1))
+    assert "plant.pem is valid from" in line
+
+
 def test_a_service_is_backed_up_while_it_runs_and_goes_on_where_it_is_restored(models, tmp_path):
     base = tmp_path / "plant"
     base.mkdir()
