@@ -295,6 +295,14 @@ def test_a_clock_that_is_set_back_leaves_no_event_out():
     assert [limit.left_out("status", time) for time in times][AT_ONCE:] == [None, None, None, 3]
 
 
+def test_readings_that_are_late_since_the_clock_was_set_back_say_for_how_long(model, store):
+    fleet = fleet_of(model, store, START)
+    keep(fleet, store, Arrival("mill", START + 7200.0, readings(0), START))
+    processing.process(fleet, [Arrival("mill", START, readings(1), START)], START, START + 1.0)
+    (line,) = [e.text for e in fleet.log.pending if e.kind == "late"]
+    assert line.endswith("the clock was set back: the last sample is 7200 s ahead of it")
+
+
 def test_a_library_that_complains_without_end_is_a_few_lines():
     passes = limited(LineLimit())
     written = []
