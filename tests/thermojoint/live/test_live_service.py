@@ -43,6 +43,7 @@ from thermojoint.live.arrivals import Arrival
 from thermojoint.live.certificates import own_identity
 from thermojoint.live.disk_reserve import SLICE
 from thermojoint.live.opcua_session import Endpoint
+from thermojoint.live.readers import opcua
 from thermojoint.live.readers.opcua import OpcuaReader
 from thermojoint.live.service import run
 from thermojoint.live.settings import read_service
@@ -673,6 +674,32 @@ def test_a_history_is_read_to_its_end_also_if_it_is_stored_late_or_comes_in_part
         assert sorted(set(found)) == [START + k for k in range(1, 6)]
 
     asyncio.run(live())
+
+
+def test_a_subscription_that_its_server_has_ended_is_made_anew(monkeypatch):
+    """As after a pause of the computer, longer than the subscription lives without requests."""
+    monkeypatch.setattr(opcua, "_ALIVE_S", 0.2)
+
+    async def live():
+        server, port, found = Server(), free_port(), []
+        await server.init()
+        server.set_endpoint(f"opc.tcp://127.0.0.1:{port}")
+        node = await server.nodes.objects.add_variable(ua.NodeId("T", 2), "T", 0.0)
+        await server.write_attribute_value(node.nodeid, _value(0.0, START))
+        async with server:
+            endpoint = Endpoint(f"opc.tcp://127.0.0.1:{port}", None, None, None, None)
+            reader = OpcuaReader(endpoint, {"ns=2;s=T": ("mill", 0)}, {"mill": 1}, 100, 50.0)
+            async with contextlib.aclosing(reader.read({})) as arrivals:
+                async for some in arrivals:
+                    found += [one.time for one in some if isinstance(one, Arrival)]
+                    if START + 1.0 in found:
+                        break
+                    if START in found:
+                        subscriptions = server.iserver.subscription_service
+                        await subscriptions.delete_subscriptions([*subscriptions.subscriptions])
+                        await server.write_attribute_value(node.nodeid, _value(1.0, START + 1.0))
+
+    asyncio.run(asyncio.wait_for(live(), 15.0))
 
 
 def test_values_carry_the_time_of_their_sample_and_opcuas_own_status(opcua_day):

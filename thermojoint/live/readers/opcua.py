@@ -95,7 +95,7 @@ class OpcuaReader:
             delay = next_delay(delay)
 
     async def _listen(self, client: Client) -> None:
-        """Subscribe, read the missed values, and wait until the server stops responding."""
+        """Subscribe, read the missed values, and wait until server or subscription has ended."""
         nodes = [client.get_node(name) for name in self.nodes]
         places = dict(zip((node.nodeid for node in nodes), self.nodes.values(), strict=True))
         missed: list[tuple[ua.NodeId, ua.DataValue]] = []
@@ -122,7 +122,9 @@ class OpcuaReader:
         while True:
             await asyncio.sleep(_ALIVE_S)
             async with asyncio.timeout(TIMEOUT_S):
-                await client.nodes.server_state.read_value()
+                # A server may end a subscription alone: after a pause of this computer, for one.
+                (status,) = await subscription.set_publishing_mode(True)
+                status.check()
 
     async def _missed_values(
         self, client: Client, nodes: Sequence[Node], places: Mapping[ua.NodeId, tuple[str, int]]
