@@ -469,7 +469,7 @@ def prune(
     )
     store.execute("DELETE FROM events WHERE time < ?", (now - oldest,))
     store.execute("DELETE FROM holes WHERE until < ?", (now - oldest,))
-    _prune_era(store, now - oldest)
+    _prune_era(store, now - oldest, now)
     store.execute("COMMIT")
 
 
@@ -489,12 +489,17 @@ def _move_ended_eras(store: sqlite3.Connection, until: int) -> None:
         store.executemany("DELETE FROM journal WHERE id = ?", [(one,) for one in ids])
 
 
-def _prune_era(store: sqlite3.Connection, before: float) -> None:
-    """Delete part of an era whose successor began before a time (s since 1970)."""
+def _prune_era(store: sqlite3.Connection, before: float, now: float) -> None:
+    """Delete part of an era that has no samples between two times (s since 1970).
+
+    Its successor began before them; alone that tells nothing, as the clock may have been behind.
+    """
     over = store.execute(
         "SELECT one.id FROM eras AS one JOIN eras AS next "
-        "ON next.machine = one.machine AND next.id > one.id AND next.begun < ? LIMIT 1",
-        (before,),
+        "ON next.machine = one.machine AND next.id > one.id AND next.begun < ?1 "
+        "WHERE NOT EXISTS "
+        "(SELECT 1 FROM chunks WHERE era = one.id AND first BETWEEN ?1 AND ?2) LIMIT 1",
+        (before, now),
     ).fetchone()
     if over is None:
         return

@@ -565,5 +565,17 @@ def test_holes_and_eras_that_are_over_are_forgotten_like_the_rest(model, store, 
     assert not store.execute("SELECT count(*) FROM chunks").fetchone()[0]
 
 
+def test_an_era_outlasts_a_start_of_its_successor_with_the_clock_behind(model, store, fleet):
+    """A computer without a clock of its own begins in 1970, until the network tells it the time."""
+    mill = fleet.machines["mill"]
+    feed(fleet, store, 0, 10)
+    checkpoint(fleet, store)
+    era = era_of(store, "mill", "another", model.layout, 0.0)
+    for now in (START + 60.0, START + 120.0):
+        prune(store, 0, [era], 90.0, now)
+        left = [one[0] for one in store.execute("SELECT id FROM eras")]
+        assert left == ([mill.era, era] if now < START + 90.0 else [era])
+
+
 def test_no_sequence_makes_an_offset_jump_or_lie():
     offset_invariant.violations(40)
