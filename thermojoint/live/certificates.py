@@ -131,7 +131,7 @@ def _checked(identity: Identity, where: str, remedy: str, others: int) -> Identi
     certificate = certificate_in(identity.certificate)
     if not certificate.not_valid_before_utc <= datetime.now(UTC) <= certificate.not_valid_after_utc:
         valid = f"is valid from {span_of(certificate)}"
-        raise InputError(f"{identity.certificate}: {valid}; {remedy}")
+        raise InputError(f"{identity.certificate}: {valid}; set the clock, or {remedy}")
     try:
         key = serialization.load_pem_private_key(identity.key.read_bytes(), None)
     except (OSError, ValueError, TypeError) as error:
