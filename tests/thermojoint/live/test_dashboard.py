@@ -114,6 +114,12 @@ def curve(page, chart, name):
     )
 
 
+def test_a_sample_from_before_the_clock_was_set_back_has_no_age(page, floor):
+    opened(page, floor, "/")
+    ages = page.evaluate("[-3600, NaN, -30, 90].map(age)")
+    assert ages == ["–", "–", "now", "90 s ago"]
+
+
 def test_the_dashboard_asks_for_the_token(chromium, floor):
     context = chromium.new_context(viewport=PHONE)
     page = context.new_page()

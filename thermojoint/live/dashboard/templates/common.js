@@ -41,8 +41,9 @@ function shown(value, digits = 1, signed = false) {
   return signed && !zero ? `+${text}` : text;
 }
 
+// A source may be a minute ahead of the service; a sample of later is from before the clock was set back.
 function age(seconds) {
-  if (!(seconds >= 0)) return seconds < 0 ? "now" : "–";
+  if (!(seconds >= -60)) return "–";
   if (seconds < 1.5) return "now";
   if (seconds < 120) return `${Math.round(seconds)} s ago`;
   if (seconds < 7200) return `${Math.round(seconds / 60)} min ago`;
