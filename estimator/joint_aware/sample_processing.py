@@ -29,6 +29,10 @@ from estimator.joint_aware.sample_values import SampleValues
 from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.artefacts.errors import InputError
 
+#: Longest gap that counts, s. Heat of before a week has no effect any more; the steps of a longer
+#: gap would be so long that heat of its last hours was overlooked.
+_LONGEST_GAP_S = 604_800.0
+
 
 class Processed(NamedTuple):
     """Result of processing a sample."""
@@ -109,8 +113,9 @@ def moment_of(observer: Observer, last: float, time: float) -> Moment:
             f"time {time:g} s does not come after {last:g} s; drop or re-order the sample"
         )
     # An interval of one step, up to rounding, is one step.
-    steps = min(max(1, math.ceil((time - last) / step - 1e-6)), thresholds.most_steps)
-    length = (time - last) / steps
+    elapsed = min(time - last, _LONGEST_GAP_S)
+    steps = min(max(1, math.ceil(elapsed / step - 1e-6)), thresholds.most_steps)
+    length = elapsed / steps
     near = abs(length - step) <= 1e-6 * step
     return Moment(time, step if near else length, steps)
 
@@ -146,7 +151,7 @@ def process_any(
     (linear, errors), factor = _corrected(observer, used, moment, readings)
     prediction = used.prediction
     settled = observer.equilibrium(prediction, linear, loads)
-    elapsed = moment.length * moment.steps
+    elapsed = moment.time - float(before.time) if moment.steps else 0.0
     begun = before.begun if moment.steps else np.array(moment.time)
     absences = _absences(data, before, moment, read, bool(used.accepted.all()))
     reported, positions = 2 * len(observer.model.ways), slice(2 * len(observer.model.ways), None)

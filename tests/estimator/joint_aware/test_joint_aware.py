@@ -257,6 +257,18 @@ def test_a_gap_is_unsettled_while_it_makes_the_band_wider_by_more_than_41_percen
     assert unsettled[-1] == (missing > 1)
 
 
+@pytest.mark.parametrize("days", [1.0, 365.0, 20_000.0])
+def test_the_band_holds_after_a_gap_at_whose_end_the_machine_began_to_warm_up(
+    response, estimator, days
+):
+    """The clock of a source may have been in 1970 until the network told it the time."""
+    samples = list(samples_in(response, SENSORS))[100:110]
+    rows = [(0.0, *[0.0] * 5), *((86_400.0 * days + row[0], *row[1:]) for row in samples)]
+    _, found = estimates(estimator, rows)
+    wrong = np.abs(errors(estimator, response.isel(time=slice(100, 110)), found[1:]))
+    assert np.all(wrong <= [one.band for one in found[1:]])
+
+
 def test_a_warm_start_comes_to_what_a_cold_one_knows(data, setup, estimator):
     response = run(data, setup, step(1.0), 20.0)
     samples = list(samples_in(response, SENSORS))[150:]
