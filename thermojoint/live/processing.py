@@ -249,7 +249,9 @@ def check_silence(fleet: Fleet, now: float, clock: float) -> list[Publication]:
     changed = []
     limits = fleet.watchdog
     for machine in fleet.machines.values():
-        age, output = clock - machine.last_usable, machine.model.output
+        # The service's own clock stands still while the computer is suspended.
+        age = max(clock - machine.last_usable, now - machine.state.usable.published)
+        output = machine.model.output
         oldest = math.inf if output is None else output.trust.oldest
         handshake_changed = _check_handshake(fleet, machine, now, clock)
         handshake_broken = machine.handshake_state not in ("", STANDS)

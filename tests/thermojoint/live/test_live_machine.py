@@ -520,6 +520,16 @@ def test_a_restart_ends_no_silence(deaf, store, path, kept_at):
     assert (said.quality, said.offset_mode) == (Quality.BAD, "decay")
 
 
+def test_an_estimate_from_before_the_computer_was_suspended_is_not_good(model, store):
+    fleet = fleet_of(model, store, START)
+    feed(fleet, store, 0, 60)
+    assert not processing.check_silence(fleet, START + 60.0, START + 60.0)
+    (said,) = processing.check_silence(fleet, START + 660.0, START + 61.0)
+    assert (said.quality, said.offset_mode) == (Quality.BAD, "freeze")
+    feed(fleet, store, 661, 675)
+    assert fleet.machines["mill"].published_quality[0] is not Quality.BAD
+
+
 def test_a_sample_from_before_the_clock_was_set_back_is_not_good(model, store, path):
     """The computer was off, perhaps for days, and its clock is behind at the start."""
     fleet, log = fleet_of(model, store, START), EventLog()
