@@ -10,7 +10,7 @@ columns are ignored. Rows with a missing reading are skipped; gaps are allowed:
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import chain, islice
 from typing import TYPE_CHECKING
 
@@ -53,7 +53,7 @@ def samples_in(
     Raises
     ------
     InputError
-        A column is missing, or time restarts.
+        A column is missing, a temperature has two columns, or time restarts.
     """
     last = -math.inf
     for piece in pieces:
@@ -92,13 +92,24 @@ def announced(
         yield piece
 
 
-def temperatures_in(log: Log, above: bool) -> dict[str, int]:
-    """Return the columns of temperatures above the ambient, or of those as read, by their names."""
-    return {
-        column.base: k
-        for k, column in enumerate(log.columns)
-        if column.quantity == "temperature" and (column.unit == "K") == above
-    }
+def temperatures_in(log: Log, names: Collection[str], above: bool, where: str) -> dict[str, int]:
+    """Return the columns of some temperatures by name: those above the ambient, or those as read.
+
+    Raises
+    ------
+    InputError
+        A temperature has two columns, in different units.
+    """
+    found: dict[str, int] = {}
+    for k, column in enumerate(log.columns):
+        if column.base not in names or column.quantity != "temperature":
+            continue
+        if (column.unit == "K") == above and (other := found.setdefault(column.base, k)) != k:
+            raise InputError(
+                f"{where}: columns {log.columns[other].name!r} and {column.name!r} are both the "
+                f"temperature {column.base!r}; leave one out, or rename it with --column"
+            )
+    return found
 
 
 def _wanted(log: Log, sensors: Sequence[str], where: str) -> tuple[list[Column], Array]:
@@ -106,7 +117,7 @@ def _wanted(log: Log, sensors: Sequence[str], where: str) -> tuple[list[Column],
     above_ambient = ["delta_T", *sensors]
     as_read = ["a", "b", *sensors, "ambient"]
     for names, above in ((above_ambient, True), (as_read, False)):
-        at = temperatures_in(log, above)
+        at = temperatures_in(log, names, above, where)
         if set(names) <= set(at):
             return [log.columns[at[name]] for name in names], log.values[:, [at[n] for n in names]]
     raise InputError(

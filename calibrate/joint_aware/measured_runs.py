@@ -41,7 +41,8 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
     Raises
     ------
     InputError
-        A column is missing, a run starts warm, or too many readings are missing.
+        A column is missing, a temperature has two, a run starts warm, or too many readings are
+        missing.
     """
     moved = {_axis(log, name): log.at(name) for name in displacement}
     sensed = _temperatures(log, case.probes)
@@ -53,8 +54,7 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
     power = _power(log, case)
     places = {name: log.at(f"{name}_pos") for name in case.axes}
     ways = {name: log.at(f"{name}_way") for name, axis in case.axes.items() if axis.odometer}
-    rooms = (one for one in log.columns if one.quantity == "temperature" and one.base == "ambient")
-    room = next((log.at(column.name) for column in rooms), None)
+    room = _temperatures(log, ["ambient"]).get("ambient")
     every = [
         *moved.values(),
         *sensed.values(),
@@ -126,11 +126,16 @@ def _response(
 
 def _temperatures(log: Log, names: Container[str]) -> dict[str, Array]:
     """Temperature columns of a log with one of the given names, by name."""
-    return {
-        column.base: log.at(column.name)
-        for column in log.columns
-        if column.quantity == "temperature" and column.base in names
-    }
+    found: dict[str, str] = {}
+    for column in log.columns:
+        if column.quantity == "temperature" and column.base in names:
+            if column.base in found:
+                raise InputError(
+                    f"log: columns {found[column.base]!r} and {column.name!r} are both the "
+                    f"temperature {column.base!r}; leave one out, or rename it with --column"
+                )
+            found[column.base] = column.name
+    return {base: log.at(name) for base, name in found.items()}
 
 
 def _axis(log: Log, name: str) -> str:

@@ -57,9 +57,9 @@ def log_samples(
     Raises
     ------
     InputError
-        A sensor, a load, a position, a way or a power has no column, time restarts, only the
-        ambient is absolute, or absolute temperatures continue those above an ambient, or a run
-        whose cold ambient is not recorded.
+        A sensor, a load, a position, a way or a power has no column, a temperature has two, time
+        restarts, only the ambient is absolute, or absolute temperatures continue those above an
+        ambient, or a run whose cold ambient is not recorded.
     """
     known = Cold() if cold is None else cold
     units = others or {}
@@ -99,7 +99,7 @@ def log_samples(
 def _columns(log: Log, sensors: Sequence[str], where: str) -> tuple[list[int], bool]:
     """Columns of the sensors and the ambient (-1 if it is not recorded), absolute or `above` it."""
     wanted = [*sensors, "ambient"]
-    rises, read = (temperatures_in(log, above) for above in (True, False))
+    rises, read = (temperatures_in(log, wanted, above, where) for above in (True, False))
     if set(sensors) <= set(rises):
         if "ambient" in read and "ambient" not in rises:
             raise InputError(

@@ -102,9 +102,10 @@ def test_a_machine_whose_source_is_stronger_than_the_case_says_is_known_by_its_r
         ("heat_W", "heat_A", "one column of the heat in W"),
         ("s_degC,b_degC,T1_degC,T2_degC", "p_degC,q_degC,r_degC,t_degC", "no temperature of a pr"),
         ("x_um", "tip_um", "no column|named 'x_um'"),
+        ("T1_degC,T2_degC", "T1_degC,T1_degF", "both the temperature 'T1'"),
     ],
 )
-def test_a_log_that_lacks_what_the_machine_needs_is_refused(
+def test_a_log_that_does_not_say_what_the_machine_needs_is_refused(
     case, response, tmp_path, replaced, by, what
 ):
     path = log_of(response, tmp_path / "log.csv")

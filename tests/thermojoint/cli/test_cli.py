@@ -63,6 +63,9 @@ def files_at_hand(tmp_path_factory, coarse_response, hand_made_model):
     spoil("backwards.csv", "samples.csv", "\n20,", "\n18,")
     spoil("short-row.csv", "samples.csv", "\n20,0.1,", "\n20,")
     spoil("no-column.csv", "samples.csv", "T2_K", "T2_F")
+    (folder / "two-units.csv").write_text(
+        "time_s,a_degC,b_degC,T1_degC,T1_degF,T2_degC,ambient_degC\n0,20,20,20,150,20,20\n"
+    )
     spoil("open-circuit.csv", "samples.csv", "\n20,0.1,", "\n20,0.1,9.9e37,0\n21,0,")
     spoil("stray-quote.csv", "samples.csv", "\n20,0.1,", '\n20,0.1,"' + 140_000 * "0")
     (folder / "truncated.npz").write_bytes(b"PK\x03\x04 not a state")
@@ -103,6 +106,10 @@ MISTAKES = {
     ),
     "a case for a case": (["inspect", "case.toml", "--case"], "give its mesh file"),
     "column missing": (["estimate", "model.json", "no-column.csv", "--out"], "T2_K"),
+    "a temperature twice": (
+        ["estimate", "model.json", "two-units.csv", "--out"],
+        "'T1_degC' and 'T1_degF' are both the temperature 'T1'",
+    ),
     "no such samples": (["estimate", "model.json", "no.csv", "--out"], "no.csv"),
     "response for a case": (["view", "truncated.nc", "--out"], "truncated"),
     "no level": (
