@@ -280,7 +280,7 @@ def estimate(  # noqa: PLR0913 - the options of a command
                 lambda first: console.warn(plausibility.of_sample(first, where)),
                 cold,
             )
-        if kind.paced:
+        if kind.paced and not kind.assembled(given):
             # A continued run keeps its initial coefficients.
             alone = options.interval if resume else None
             nominal, samples = measured.nominal_interval(samples, interval, where, alone)

@@ -18,7 +18,9 @@ from repository import ROOT, TOP, modules
 
 from thermojoint.artefacts.response import read_response, write_response
 from thermojoint.cli.app import app
-from thermojoint.models.model_file import Provenance, write_model
+from thermojoint.models.assembly import assemble
+from thermojoint.models.assembly_file import write_assembly
+from thermojoint.models.model_file import Provenance, read_model, write_model
 from thermojoint.paper import reproduce
 from thermojoint.pictures import view
 
@@ -441,6 +443,19 @@ def test_an_estimate_resumed_on_the_streams_goes_on_as_if_never_stopped(
     first = stream(lines[:11], "--save-state", state)
     second = stream([lines[0], *lines[11:]], "--continue", state)
     assert first + second[1:] == whole
+
+
+def test_an_assembled_estimator_needs_no_second_sample_to_know_its_interval(
+    command, files_at_hand, tmp_path
+):
+    model, lines = tmp_path / "estimator.json", (files_at_hand / "samples.csv").read_text()
+    write_assembly(assemble(read_model(files_at_hand / "model.json"), 2.0, 7200.0), model)
+    one, many = tmp_path / "one.csv", files_at_hand / "samples.csv"
+    one.write_text("".join(lines.splitlines(keepends=True)[:2]))
+    assert command("estimate", model, one, "--out", tmp_path / "first.csv")[0] == 0
+    assert command("estimate", model, many, "--out", tmp_path / "all.csv")[0] == 0
+    first, every = ((tmp_path / name).read_text().splitlines() for name in ("first.csv", "all.csv"))
+    assert first == every[:2]
 
 
 def test_a_logger_stopped_by_a_signal_leaves_its_state(files_at_hand, tmp_path):
