@@ -218,6 +218,8 @@ def test_files_are_put_in_the_order_of_their_dates_and_read_once(tmp_path):
         ("time_s;x_um\n0;20,5\n1;20.5\n", "line 3: x_um is '20.5', not a number"),
         ("time;x_um\n0;1\n1;2\n", "time is '0', which is no known form of time; write seconds"),
         ("time;x_um\nMonday;1\n1;2\n", "time is 'Monday', which is no known form of time"),
+        ("time_s;x_um\n0;1\n9e300;2\n", "line 3: time_s is '9e300', which would be"),
+        ("time_s;x_um\n1764000000000000;1\n1764000001000000;2\n", "would be 5.59e+07 years"),
         ("Datum;x_um\n02.03.2026;1\n", "a date without a time of day"),
         ("time;x_um\n2026-03-02 06:00;1\nlater;2\n", "line 3: time is 'later', no time like those"),
         ("time;x_um\n31.12.2026 06:00;1\n32.12.2026 06:00;2\n", "line 3: time is '32.12.2026"),

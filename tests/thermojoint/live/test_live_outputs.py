@@ -140,6 +140,14 @@ def test_another_file_under_the_same_header_is_read_from_its_beginning(tmp_path)
     assert [one.time for one in again] == [4.0, 5.0, 6.0, 7.0, 8.0]
 
 
+def test_a_damaged_time_in_a_stream_leaves_out_its_row(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("time_s,T1_degC,T2_degC\n0,20,20\n1e18,20,20\n2,20,20\n", "utf-8")
+    arrivals, notes = read(pipe_of(path, *NAMES))
+    assert [one.time for one in arrivals] == [0.0, 2.0]
+    assert "'1e18' is not a time" in notes[1].text
+
+
 def test_a_stream_has_the_units_clocks_and_missing_readings_of_every_table(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text(

@@ -33,6 +33,8 @@ _DAY, _HOUR = 86_400.0, 3_600.0
 #: Ranges of numbers without a unit: s, ms and µs since 1970, days since 1900.
 _SECONDS, _MILLISECONDS, _MICROSECONDS = (3e8, 5e9), (3e11, 5e12), (3e14, 5e15)
 _DAYS = (20_000.0, 80_000.0)
+#: Latest time of a log, s: later ones are damaged or in another unit.
+LATEST = _SECONDS[1]
 #: Time zone abbreviations to their offset, h.
 _OFFSETS = {
     name: hours

@@ -16,7 +16,7 @@ from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.log_record import Record, with_times
 from thermojoint.artefacts.quantities import Column
 from thermojoint.artefacts.tables.cells import numbers, without_error_values
-from thermojoint.artefacts.tables.clock import FORMS, Hands, moment, passed
+from thermojoint.artefacts.tables.clock import FORMS, LATEST, Hands, moment, passed
 from thermojoint.artefacts.tables.dialect import Row, rows_of
 from thermojoint.artefacts.tables.layout import HEAD, Layout, layout_of
 
@@ -26,6 +26,7 @@ ROWS = 1 << 15
 _KELVIN = (223.0, 400.0)
 #: Limit on thermal displacements, m.
 _LARGEST_LENGTH = 0.05
+_YEAR = 3.156e7  # s
 #: A clock that returns to its start has restarted if at least this many rows precede.
 _FEWEST = 3
 
@@ -197,8 +198,21 @@ def _piece(layout: Layout, record: Record, part: _Part) -> Log:
             _check_unit(layout.where, column, good)
         values[:, j] = column.to_si(good)
     times = np.array(part.times)
+    _check_clock(layout, part.rows, times)
     record = with_times(replace(record, missing=missing), times, part.last)
     return Log(times, layout.columns, values, records=(record,))
+
+
+def _check_clock(layout: Layout, rows: Sequence[Row], times: Array) -> None:
+    """Refuse damaged times, and those in another unit than the name of their column says."""
+    for k in np.flatnonzero(np.abs(times) > LATEST)[:1].tolist():
+        names = " + ".join(layout.names[c] for c in layout.clock.columns)
+        text = " ".join(rows[k].cells[c] for c in layout.clock.columns).strip()
+        raise InputError(
+            f"{layout.where}, line {rows[k].line}: {names} is {text!r}, which would be "
+            f"{times[k] / _YEAR:.3g} years; correct it, or rename the clock with its unit, as "
+            "time if it counts ms or µs since 1970"
+        )
 
 
 def _check_unit(where: str, column: Column, values: Array) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.quantities import Place
 from thermojoint.artefacts.tables.cells import is_error_value, is_missing, number_in
-from thermojoint.artefacts.tables.clock import Hands, moment, passed
+from thermojoint.artefacts.tables.clock import LATEST, Hands, moment, passed
 from thermojoint.artefacts.tables.dialect import cells_of, values_of
 from thermojoint.artefacts.tables.layout import Layout
 
@@ -61,7 +61,7 @@ def row_of(
     decimal = layout.dialect.decimal
     clock = [cells[k] for k in layout.clock.columns]
     at = moment(layout.clock, clock, decimal)
-    if at is None or not math.isfinite(at.first):
+    if at is None or not abs(at.first) <= LATEST:
         text = " ".join(clock).strip()
         raise InputError(f"{text!r} is not a time like that of the first row" if text else _NO_TIME)
     after, note = passed(layout.clock, hands, at)
