@@ -99,8 +99,8 @@ def whole_folder(path: Path) -> Iterator[Path]:
                 write_text(new / CONTENTS, json.dumps(listed, indent=2) + "\n")
                 _put_in_place(path, place, work)
         except OSError as error:
-            # The folder beside is removed before anybody reads its name.
-            if str(error.filename).startswith(str(work)):
+            # The folder beside is removed before anybody reads its name; a full disk gives none.
+            if error.filename is None or str(error.filename).startswith(str(work)):
                 error.filename = str(path)
             raise
         finally:

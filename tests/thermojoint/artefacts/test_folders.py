@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import pytest
+import small_disk
 
 from thermojoint.artefacts import folders
 from thermojoint.artefacts.errors import InputError
@@ -87,6 +88,16 @@ def test_a_file_that_cannot_be_written_is_told_by_the_folder_that_was_wanted(tmp
     with pytest.raises(OSError, match=r"elsewhere'$"), whole_folder(out):
         (tmp_path / "elsewhere").read_text()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_is_told_by_the_folder_that_was_wanted(tmp_path):
+    """Not as 'file', which is all that the system says of it."""
+    with small_disk.mounted(tmp_path / "disk", 1) as disk:
+        small_disk.fill(disk)
+        with pytest.raises(OSError, match="No space left") as caught, whole_folder(disk / "out"):
+            pass
+        assert caught.value.filename == str(disk / "out")
+        assert [one.name for one in disk.iterdir()] == ["filler"]
 
 
 def test_a_folder_of_another_origin_is_refused_and_untouched(tmp_path):
