@@ -108,6 +108,8 @@ class Validated:
         Case to the whole run of FCHS.
     errors : dict
         Case to estimator to estimated minus actual displacement, m, shape (k, axes).
+    times : dict
+        Case to the times of its samples, s, shape (k,).
     """
 
     rows: list[Row]
@@ -116,6 +118,7 @@ class Validated:
     blocks: list[Row]
     estimates: dict[str, Signals]
     errors: dict[str, dict[str, Array]]
+    times: dict[str, Array]
 
     def figures(self) -> dict[str, list[Row]]:
         """All errors, as content of a JSON file."""
@@ -132,12 +135,13 @@ def joined(parts: Sequence[Validated]) -> Validated:
 
     A case may be in several parts, with different estimators in each; duplicates count once.
     """
-    whole = Validated([], [], [], [], {}, {})
+    whole = Validated([], [], [], [], {}, {}, {})
     for part in parts:
         new = set(part.errors) - set(whole.errors)
         whole.as_printed.extend(row for row in part.as_printed if row["case"] in new)
         whole.blocks.extend(row for row in part.blocks if row["case"] in new)
         whole.estimates.update(part.estimates)
+        whole.times.update(part.times)
         for case, errors in part.errors.items():
             every = whole.errors.get(case, {}) | errors
             whole.errors[case] = {name: every[name] for name in ESTIMATORS if name in every}
@@ -306,7 +310,7 @@ def validate_model(
     beside : Beside
         Estimators to be compared with the model.
     """
-    validated = Validated([], [], [], [], {}, {})
+    validated = Validated([], [], [], [], {}, {}, {})
     for name, response in responses.items():
         roles = None if model is None else roles_in(response, model)
         again = {f"{name}-noise": joint_noise(response)} if name in noisy else {}
@@ -318,6 +322,7 @@ def validate_model(
             validated.rows.extend({"case": case, **row} for row in judged.rows)
             validated.vectors.extend({"case": case, **row} for row in judged.vectors)
             validated.errors[case] = judged.errors
+            validated.times[case] = response["time"].to_numpy()
             if model is None or judged.estimate is None:
                 continue
             validated.estimates[case] = judged.estimate

@@ -126,9 +126,7 @@ def estimate_figures(validated: Validated) -> dict[str, Figure]:
     """Return figures of actual and estimated displacement, by file name without its suffix."""
     axes = list(dict.fromkeys(str(row["axis"]) for row in validated.rows))
     return {
-        f"estimate-{name}": estimates_figure(
-            np.asarray(validated.estimates[name].time), errors, axes, name
-        )
+        f"estimate-{name}": estimates_figure(validated.times[name], errors, axes, name)
         for name, errors in validated.errors.items()
     }
 

@@ -26,6 +26,7 @@ from thermojoint.artefacts.response import read_response
 from thermojoint.models.baselines import read_baselines
 from thermojoint.models.model_file import read_model
 from thermojoint.paper import inputs, paper_values, reproduce
+from thermojoint.paper.drawing import estimate_figures
 from thermojoint.paper.long_runs import adaptively, random_day
 from thermojoint.paper.observers import observer_case, observers_beside
 
@@ -213,6 +214,7 @@ def test_regressions_are_judged_where_they_are_given(results, model, responses):
     assert names[False] == {"none", "linear", "fchs"}
     alone = judge.validate_model(None, responses["step-1.0"], given, beside=judge.Beside(beside))
     assert {row["estimator"] for row in alone.rows} == {"none", "mlr", "ridge", "arx"}
+    assert list(estimate_figures(alone)) == ["estimate-triangle"]
     short = replace(beside, arx={"y": beside.arx["y"]})
     with pytest.raises(InputError, match="no axis named 'x'"):
         judge.validate_model(model, None, given, beside=judge.Beside(short))
@@ -266,6 +268,22 @@ def test_steps_that_cannot_be_marched_for_hours_leave_the_rest_as_it_is(
     lasting, steps, scenes = reproduce._beside_calibration(case, SHORT, tmp_path)
     assert (lasting, scenes) == ({"day": "long"}, {"temperature": "hot"})
     assert str(steps) == "no equilibrium after 3 h"
+
+
+@pytest.mark.long
+def test_a_machine_that_no_fictitious_source_describes_has_the_rest_of_its_results(
+    case_file, tmp_path, monkeypatch
+):
+    def refused(*given):
+        raise ConvergenceError("no fit")
+
+    monkeypatch.setattr(reproduce, "_calibrate", refused)
+    monkeypatch.setattr(reproduce, "reproduce", partial(reproduce.reproduce, long=SHORT))
+    assert run("reproduce", "--case", case_file, "--out", tmp_path / "out") == 0
+    left_out = json.loads((tmp_path / "out" / "validation.json").read_text())["left_out"]
+    assert left_out["fchs"] == "no fit"
+    assert (tmp_path / "out" / "figures" / "estimate-day.png").is_file()
+    assert "no fit" in (tmp_path / "out" / "report.html").read_text("utf-8")
 
 
 def test_results_stay_as_they_were_until_all_of_the_new_ones_are_there(
