@@ -83,11 +83,12 @@ def place(
         )
         reduced = fewer_modes(whole)
         seen = filter_modes(reduced)
-    with console.progress_bars() as report:
+    with console.working("drawing machines"):
         family = make_family(reduced)
         if warm:
             pasts = random_pasts(USUAL.highest, seen.power.size)
             family = with_start(family, seen, pasts)
+    with console.progress_bars() as report:
         placement = place_sensors(seen, count, kept, family, report=report)
     write_text(out, written(placement, machine, setup.probes))
     results.show_placement(console.out(), placement, reduced.axes)

@@ -16,6 +16,7 @@ from calibrate.joint_aware.misfit import physics_with
 from calibrate.placement import plant_family
 from calibrate.placement.joint_aware import place_sensors
 from fesim.case.schema import case_from_data
+from thermojoint import console
 from thermojoint.cli.app import app
 from thermojoint.reduced.physics import displaced, displaced_at, march_known, simulate_known
 
@@ -120,6 +121,10 @@ def test_the_command_places_sensors_on_a_machine_that_moves(data, tmp_path, monk
     case, out = tmp_path / "knee.toml", tmp_path / "sensors.toml"
     case.write_text(as_toml(data))
     words = ["place", case, "--count", "2", "--keep", "guide", "--warm", "--out", out]
+    # Every part may take minutes, and says that it is at work.
+    told = partial(console.progress_lines, first_s=0.001, every_s=0.01)
+    monkeypatch.setattr(console, "progress_lines", told)
     result = CliRunner().invoke(app, [str(word) for word in words], catch_exceptions=False)
     assert result.exit_code == 0
     assert out.read_text().count("[probes.") == 1
+    assert "drawing machines: " in result.stderr
