@@ -36,6 +36,8 @@ VALIDATION: dict[str, HeatInput] = {
 REFERENCE = "step-1.0"
 #: The response of Figure 7, and of the field pictures.
 PRESSURE = "step-2.0"
+#: Time at which the paper's pressures have reached most of their change, s (section 5.3.2).
+EARLY = 60.0
 #: The responses of Figures 8 and 9, and of 10 and 11 (the last one with noise for the estimate).
 EXTRAPOLATION, TRIANGLE, NOISY = "step-3.0", "triangle", "triangle-noise"
 #: Longer runs than the paper's (`thermojoint.paper.long_runs`).
@@ -50,11 +52,17 @@ def check_placeable(case: Case) -> None:
     Raises
     ------
     InputError
-        There is no joint, or the steps are too few or too long for noise on the sensors.
+        There is no joint, the march is too short to compare pressures with the paper's, or the
+        steps are too few or too long for noise on the sensors.
     """
     if not case.joints:
         raise InputError("joints: without a joint nothing is nonlinear; add [joints.NAME]")
     times = case.march.step_s * np.arange(step_count(case.march) + 1, dtype=float)
+    if times[-1] <= EARLY:
+        raise InputError(
+            f"march: it ends after {times[-1]:g} s, and pressures are compared after {EARLY:g} s; "
+            "give a longer duration_min"
+        )
     try:
         sensor_noise(times)
     except InputError as error:

@@ -524,7 +524,8 @@ def test_a_load_would_be_taken_for_the_joint(coarse_data):
 
 def test_a_case_without_a_joint_is_refused_before_it_is_set_up(coarse_case, tmp_path, monkeypatch):
     monkeypatch.setattr(reproduce, "set_up", None)
-    check_placeable(coarse_case)
+    longer = coarse_case.march.model_copy(update={"duration_min": 2.0})
+    check_placeable(coarse_case.model_copy(update={"march": longer}))
     case = Case.model_construct(**(dict(coarse_case) | {"joints": {}}))
     with pytest.raises(InputError, match="nothing is nonlinear"):
         reproduce.reproduce(case, tmp_path / "out")
@@ -535,6 +536,16 @@ def test_a_case_of_long_steps_is_refused_before_it_is_set_up(coarse_data, tmp_pa
     monkeypatch.setattr(reproduce, "set_up", None)
     march = coarse_data["march"] | {"step_s": 60.0, "duration_min": 35.0}
     with pytest.raises(InputError, match=r"march: .* 60 s apart; .* a shorter step_s"):
+        reproduce.reproduce(drivable(coarse_data, march=march), tmp_path / "out")
+
+
+def test_a_march_of_half_a_minute_is_refused_before_it_is_set_up(
+    coarse_data, tmp_path, monkeypatch
+):
+    """All was simulated, calibrated and drawn, and then there was no pressure after a minute."""
+    monkeypatch.setattr(reproduce, "set_up", None)
+    march = coarse_data["march"] | {"step_s": 1.0, "duration_min": 0.5}
+    with pytest.raises(InputError, match=r"march: it ends after 30 s, .* a longer duration_min"):
         reproduce.reproduce(drivable(coarse_data, march=march), tmp_path / "out")
 
 
