@@ -99,7 +99,7 @@ def place_sensors(
         The machine cannot be marched.
     """
     names = list(machine.sensor_names)
-    _check(machine, count, kept)
+    check_count(names, len(machine.source_names), count, kept)
     family = family or make_family(machine)
     problem = _problem(machine, family)
     done, tell = 0, report or (lambda *_: None)
@@ -121,8 +121,26 @@ def place_sensors(
     return Placement(tuple(steps), _choice(problem, names, chosen))
 
 
-def _check(machine: ReducedMachine, count: int, kept: Sequence[str]) -> None:
-    names, sources = machine.sensor_names, len(machine.source_names)
+def check_count(names: Sequence[str], sources: int, count: int, kept: Sequence[str]) -> None:
+    """Refuse a number of sensors that a placement among candidates cannot have.
+
+    Parameters
+    ----------
+    names : sequence of str
+        The candidates.
+    sources : int
+        Number of sources of the machine.
+    count : int
+        Number of sensors.
+    kept : sequence of str
+        Candidates that are among them anyway.
+
+    Raises
+    ------
+    InputError
+        A kept one is no candidate, or there are fewer sensors than sources or kept ones, or more
+        than candidates.
+    """
     for name in kept:
         if name not in names:
             raise unknown_name("candidate", name, names, "placement")

@@ -46,7 +46,7 @@ def place(
     machine = read_case(case)
     from calibrate.joint_aware.calibration import machine_on_axes
     from calibrate.joint_aware.past import random_pasts
-    from calibrate.placement.joint_aware import place_sensors
+    from calibrate.placement.joint_aware import check_count, place_sensors
     from calibrate.placement.plant_family import (
         USUAL,
         fewer_modes,
@@ -75,6 +75,7 @@ def place(
         raise InputError(
             f"--keep {unknown[0]}: neither a probe nor a candidate of {case}; correct the name"
         )
+    check_count(names, len(machine.sources), count, kept)
     with console.working("reducing"):
         whole = (
             machine_on_axes(machine, ready, names)

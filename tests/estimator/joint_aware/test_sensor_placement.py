@@ -133,6 +133,14 @@ def test_a_choice_that_cannot_be_is_refused_in_one_line(machine, count, kept, wh
     assert "\n" not in str(caught.value)
 
 
+def test_the_command_refuses_such_a_choice_before_it_draws_machines(data, tmp_path, monkeypatch):
+    monkeypatch.setattr(plant_family, "make_family", lambda _: pytest.fail("minutes of work"))
+    case = tmp_path / "machine.toml"
+    case.write_text(as_toml(data))
+    words = ["place", str(case), "--count", "0", "--out", str(tmp_path / "sensors.toml")]
+    assert "ask for 1 to" in str(CliRunner().invoke(app, words).exception)
+
+
 def test_the_command_writes_probes_that_a_case_takes(data, tmp_path):
     case, out = tmp_path / "machine.toml", tmp_path / "sensors.toml"
     case.write_text(as_toml(data))
