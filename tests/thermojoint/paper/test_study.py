@@ -294,7 +294,7 @@ def test_results_stay_as_they_were_until_all_of_the_new_ones_are_there(
     shutil.copytree(results, out)
     (out / "figures" / "notes.txt").write_text("mine")
     before = {one: one.read_bytes() for one in out.rglob("*") if one.is_file()}
-    (tmp_path / "short.toml").write_text(lasting(0.5))
+    (tmp_path / "short.toml").write_text(lasting(1.5))
 
     def failing(*given):
         [beside] = tmp_path.glob(".results.*")
