@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from skfem import Mesh
 
 from meshes.pairing import EXCESS, PairedJoint, outward_areas
 from meshes.structure import Structure
@@ -60,6 +61,32 @@ def cover_of(structure: Structure, surface: str, joints: Sequence[PairedJoint]) 
         points=points,
         weights=weights,
     )
+
+
+def area_by_facet(
+    mesh: Mesh, facets: NDArray[np.int64], weights: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the covered area of every facet, m2, from facets and area weights of points."""
+    return np.asarray(np.bincount(facets, weights, mesh.facets.shape[1]), dtype=np.float64)
+
+
+def areas_of_joints(mesh: Mesh, joints: Iterable[PairedJoint]) -> dict[str, NDArray[np.float64]]:
+    """Return the area of every facet that each joint covers, m2, by the names of the joints."""
+    return {
+        joint.name: area_by_facet(mesh, joint.facets_a, joint.weights)
+        + area_by_facet(mesh, joint.facets_b, joint.weights_b)
+        for joint in joints
+    }
+
+
+def area_of_both(mesh: Mesh, one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
+    """Return the area that two parts cover both, m2, given the covered area of every facet, m2.
+
+    As far as their sum shows it, which is larger there than a facet.
+    """
+    both = np.flatnonzero((one > 0.0) & (other > 0.0))
+    area = np.linalg.norm(outward_areas(mesh, both), axis=1) if both.size else np.zeros(0)
+    return float(np.maximum(one[both] + other[both] - (1.0 + EXCESS) * area, 0.0).sum())
 
 
 def covered_areas(

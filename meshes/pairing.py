@@ -158,8 +158,8 @@ class Covered(NamedTuple):
 
     #: Shape (3, nq): quadrature points on side b, m.
     points: NDArray[np.float64]
-    #: Shape (nq,): cells behind the facets of the points, and area weights on side a, m2.
-    cells: NDArray[np.int64]
+    #: Shape (nq,): facets of the points, and area weights on side a, m2.
+    facets: NDArray[np.int64]
     weights: NDArray[np.float64]
     #: Shape (3,): centroid on side a, m.
     centre: NDArray[np.float64]
@@ -169,8 +169,6 @@ class Covered(NamedTuple):
 class Movable:
     """A paired joint whose side a can move, with its contact elements."""
 
-    #: Mesh of the structure.
-    mesh: Mesh
     #: Its sides, as meshed.
     side_a: _Side
     side_b: _Side
@@ -187,7 +185,7 @@ class Movable:
             return None
         return Covered(
             np.ascontiguousarray((patch.points_b + shift).T),
-            self.mesh.f2t[0, self.side_b.facets[patch.owner[:, 1]]],
+            self.side_b.facets[patch.owner[:, 1]],
             patch.weights_a,
             patch.weights_a @ patch.points_a / patch.weights_a.sum() + shift,
         )
@@ -200,9 +198,7 @@ def movable_joint(
     sides = _sides(structure, joint.name)
     every = _contact_cells(structure.mesh, joint.name, sides, along, across)
     by_place = {cell.place: cell for cell in every}
-    return Movable(
-        structure.mesh, *sides, tuple(by_place[tuple(place)] for place in joint.place.tolist())
-    )
+    return Movable(*sides, tuple(by_place[tuple(place)] for place in joint.place.tolist()))
 
 
 def pair_joint(

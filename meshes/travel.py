@@ -7,13 +7,15 @@ at different positions share a station, also those of different joints on one gu
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from skfem import Mesh
 
+from meshes.covered import area_by_facet, area_of_both, areas_of_joints
 from meshes.pairing import Covered, Movable, PairedJoint, movable_joint
 from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
@@ -103,8 +105,9 @@ def stations_of(
     Raises
     ------
     InputError
-        Pads leave the guide; side a of a joint does not move or its side b does; or an axis moves
-        one side of a joint that is not on it.
+        Pads leave the guide, or cover what another joint that stands there covers; side a of a
+        joint does not move or its side b does; or an axis moves one side of a joint that is not on
+        it.
     """
     starts = np.cumsum([0, *(joint.area.size for joint in joints)])
     unit = SAME * min(float(np.sqrt(joint.area.min())) for joint in joints)
@@ -112,6 +115,8 @@ def stations_of(
     found: list[Covered] = []
     elements: list[int] = []
     places = []
+    mesh, riders = structure.mesh, {name for travel in travels for name in travel.divided}
+    standing = areas_of_joints(mesh, (joint for joint in joints if joint.name not in riders))
     for travel in travels:
         moving = np.concatenate([structure.body(name, "axes") for name in travel.bodies])
         _check_apart(structure, moving, travel)
@@ -137,9 +142,11 @@ def stations_of(
                     if row[rides.start + e] == len(found):
                         found.append(_covered(rides, e, shift))
                         elements.append(rides.start + e)
+                under = row[rides.start : rides.start + rides.joint.area.size]
+                _check_free(mesh, rides.joint, [found[k] for k in under], standing, shift)
     return Stations(
         np.hstack([one.points for one in found]),
-        np.concatenate([one.cells for one in found]),
+        mesh.f2t[0, np.concatenate([one.facets for one in found])],
         np.repeat(np.arange(len(found)), [one.weights.size for one in found]),
         np.concatenate([one.weights / one.weights.sum() for one in found]),
         np.array(elements),
@@ -202,6 +209,27 @@ def _left(joint: PairedJoint, shift: Array) -> InputError:
         f"{1e3 * float(np.linalg.norm(shift)):.6g} mm from where the mesh shows them; shorten "
         "stroke_mm, or correct mesh_position_mm or the guide"
     )
+
+
+def _check_free(
+    mesh: Mesh,
+    joint: PairedJoint,
+    under: Sequence[Covered],
+    standing: Mapping[str, Array],
+    shift: Array,
+) -> None:
+    """Refuse pads that cover, at a position, what a joint that stands on their guide covers."""
+    if not standing:
+        return
+    facets = np.concatenate([one.facets for one in under])
+    own = area_by_facet(mesh, facets, np.concatenate([one.weights for one in under]))
+    for name, area in standing.items():
+        if (both := area_of_both(mesh, own, area)) > 0.0:
+            raise InputError(
+                f"axes: {1e3 * float(np.linalg.norm(shift)):.6g} mm from where the mesh shows "
+                f"them, the pads of joint {joint.name!r} cover {1e4 * both:.4g} cm2 of joint "
+                f"{name!r}, where both would count; shorten stroke_mm, or correct the joints"
+            )
 
 
 def _check_apart(structure: Structure, moving: NDArray[np.int64], travel: Travel) -> None:

@@ -11,9 +11,9 @@ from scipy.spatial import cKDTree
 
 from fesim.case.history import read_history
 from fesim.case.schema import Case
-from meshes.covered import covered_areas
+from meshes.covered import area_of_both, areas_of_joints, covered_areas
 from meshes.inspection import TOUCHING, area_of, facing_warnings, overlap_warnings, pieces
-from meshes.pairing import EXCESS, PairedJoint, outward_areas
+from meshes.pairing import EXCESS, PairedJoint
 from meshes.structure import Structure
 from meshes.units import USUAL_SIZE
 from thermojoint.artefacts.errors import ConvergenceError, InputError, shown_point
@@ -172,23 +172,11 @@ def check_whole(structure: Structure) -> None:
 
 def check_covered_once(structure: Structure, joints: Sequence[PairedJoint]) -> None:
     """Refuse joints that cover the same part of a face: their heat flows and forces would add."""
-    count = structure.mesh.facets.shape[1]
-    covered = [
-        np.bincount(
-            np.concatenate([joint.facets_a, joint.facets_b]),
-            np.concatenate([joint.weights, joint.weights_b]),
-            count,
-        )
-        for joint in joints
-    ]
-    facets = np.flatnonzero(np.any(covered, axis=0)) if covered else np.empty(0, dtype=int)
-    area = np.linalg.norm(outward_areas(structure.mesh, facets), axis=1)
-    for (first, a), (other, b) in combinations(zip(joints, covered, strict=True), 2):
-        both = (a[facets] > 0.0) & (b[facets] > 0.0)
-        twice = np.maximum(a[facets] + b[facets] - (1.0 + EXCESS) * area, 0.0)[both].sum()
-        if twice > 0.0:
+    mesh, covered = structure.mesh, areas_of_joints(structure.mesh, joints)
+    for (first, one), (other, another) in combinations(covered.items(), 2):
+        if (both := area_of_both(mesh, one, another)) > 0.0:
             raise InputError(
-                f"joints: {first.name!r} and {other.name!r} cover the same {1e4 * twice:.4g} cm2 "
+                f"joints: {first!r} and {other!r} cover the same {1e4 * both:.4g} cm2 "
                 "of their faces, where both would count; remove one, or divide the surfaces"
             )
 

@@ -224,7 +224,7 @@ def test_a_joint_that_slides_covers_what_it_covers_where_its_pads_are_meshed(way
     there = pair_joint(shifted(machine, ["column", "ram"], shift), "foot", 3, 2)
     for e in range(len(there.area)):
         own, covered = there.element == e, movable.covered(e, shift)
-        assert np.array_equal(covered.cells, there.cells_b[own])
+        assert np.array_equal(covered.facets, there.facets_b[own])
         assert np.abs(covered.points - there.points_b[:, own]).max() < 1e-12
         assert covered.weights == pytest.approx(there.weights[own], rel=1e-9)
         assert covered.centre == pytest.approx(there.centre[e], abs=1e-12)

@@ -1,11 +1,13 @@
 """Stations: places that contact elements cover at several positions, each paired once."""
 
 import numpy as np
+import pytest
 
 from meshes.box_grid import Box, box_mesh, put_side_by_side
 from meshes.pairing import pair_joint
 from meshes.structure import Structure
 from meshes.travel import Travel, sliding, stations_of
+from thermojoint.artefacts.errors import InputError
 
 FEET = ("left", "right")
 APART, SIZE, STEPS = 4, 0.02, 7
@@ -47,3 +49,18 @@ def test_feet_that_pass_the_same_places_of_a_guide_share_their_stations():
     (place,) = found.place
     as_meshed = np.concatenate([joint.centre for joint in joints])
     assert np.allclose(centres[place], as_meshed + shifts[:, None], rtol=0.0, atol=1e-12)
+
+
+def test_a_foot_that_would_pass_over_a_joint_that_stands_is_refused():
+    """Both would press the same part of the guide; beside each other they may stand."""
+    structure, along = two_feet_on_a_guide(), np.array([1.0, 0.0, 0.0])
+    left, right = (pair_joint(structure, f"of {name}", 2, 1) for name in FEET)
+    joints = [sliding(left, along), right]
+
+    def found(steps):
+        shifts = SIZE * np.arange(steps + 1)[:, None] * along
+        return stations_of(structure, joints, [Travel("x", FEET[:1], {left.name: (2, 1)}, shifts)])
+
+    assert found(APART - 2).element.size == APART
+    with pytest.raises(InputError, match=r"60 mm .* 'of left' cover 4 cm2 of joint 'of right'"):
+        found(APART - 1)
