@@ -183,7 +183,7 @@ DOORS: dict[str, Door] = {"mqtt": mqtt_door, "csv": csv_door, "opcua": opcua_doo
 
 def fleet_of(model: LoadedModel) -> Fleet:
     """Return a fleet of one machine without a store."""
-    mill = Machine(model, 1, initial_state(MACHINE, model, START), None, 0.0)
+    mill = Machine(model, 1, initial_state(MACHINE, model, START), None, 0.0, START)
     return Fleet({MACHINE: mill}, EventLog(), fresh_metrics(), 60.0, 1e9, WatchdogSection())
 
 

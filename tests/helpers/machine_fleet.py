@@ -11,7 +11,7 @@ from thermojoint.live.store import Batch, commit, era_of
 
 def fleet_of(model, store, now):
     era = era_of(store, "mill", model.digest, model.layout, now)
-    mill = Machine(model, era, initial_state("mill", model, now), None, now)
+    mill = Machine(model, era, initial_state("mill", model, now), None, now, now)
     return Fleet({"mill": mill}, EventLog(), fresh_metrics(), 60.0, 60.0, WatchdogSection())
 
 

@@ -50,8 +50,10 @@ class Machine:
     state: MachineState
     #: Read position of its source.
     position: Any
-    #: Time of its last usable sample, by the service's own clock, s.
+    #: Time of its last usable sample, by the service's own clock, s, and by the system clock, s
+    #: since 1970.
     last_usable: float
+    last_usable_time: float
     #: Whether no sample has arrived since the service started.
     awaits_first_sample: bool = True
     #: Quality and status as last published.
@@ -165,14 +167,14 @@ def _process_sample(
     age = age_of(machine.model.rule, fleet.behind, instant, now)
     if not has_reading(machine.model, machine.model.intake.usable(sample[1])):
         # A sample without any reading counts as silence, whatever its estimate.
-        age = max(age, times.clock - machine.last_usable)
+        age = max(age, silence_of(machine, times))
     machine.state, refusal = process_sample(machine.model, machine.state, sample, times, age)
     machine.awaits_first_sample = False
     latest = machine.state.latest
     if refusal:
         fleet.log.say(now, "sample-refused", refusal, name)
     else:
-        machine.last_usable = times.clock - age
+        machine.last_usable, machine.last_usable_time = times.clock - age, now - age
         if latest.status != before.status and before.number:
             fleet.log.say(now, "status", f"{latest.status}, was {before.status}", name)
         _report_request(fleet, name, before.request, latest.request, now)
@@ -182,15 +184,23 @@ def _process_sample(
         StoredSample(machine.era, latest.number, row.tobytes(), latest.status, "{}")
     )
     published = publication_of(machine.state)
-    if times.clock - machine.last_usable >= fleet.watchdog.uncertain_s:
+    if (silence := silence_of(machine, times)) >= fleet.watchdog.uncertain_s:
         # The sample was read late: its estimate is old.
         machine.state, published = after_silence(
-            machine.model, machine.state, times.clock - machine.last_usable, times, fleet.watchdog
+            machine.model, machine.state, silence, times, fleet.watchdog
         )
     machine.published_quality = published.quality, published.status
     machine.published_mode = published.offset_mode
     results.publications[name] = published
     fleet.metrics.samples.labels(machine.model.file).inc()
+
+
+def silence_of(machine: Machine, times: Times) -> float:
+    """Return the time since the last usable sample of a machine, s, by the clock that says more.
+
+    The service's own clock stands still while the computer is suspended.
+    """
+    return max(times.clock - machine.last_usable, times.now - machine.last_usable_time)
 
 
 def has_reading(model: LoadedModel, usable: Iterable[float]) -> bool:
@@ -249,9 +259,7 @@ def check_silence(fleet: Fleet, now: float, clock: float) -> list[Publication]:
     changed = []
     limits = fleet.watchdog
     for machine in fleet.machines.values():
-        # The service's own clock stands still while the computer is suspended.
-        age = max(clock - machine.last_usable, now - machine.state.usable.published)
-        output = machine.model.output
+        age, output = silence_of(machine, Times(now, clock)), machine.model.output
         oldest = math.inf if output is None else output.trust.oldest
         handshake_changed = _check_handshake(fleet, machine, now, clock)
         handshake_broken = machine.handshake_state not in ("", STANDS)

@@ -241,7 +241,10 @@ def _restored_machines(
         )
         # Samples of another layout stay in their era.
         rows = [(np.frombuffer(taken.row), taken.status) for taken in every[eras[name]].later]
-        by_name[name] = Machine(model, eras[name], state, position, last_usable, rows=rows)
+        last_time = times.now - (times.clock - last_usable)
+        by_name[name] = Machine(
+            model, eras[name], state, position, last_usable, last_time, rows=rows
+        )
         if state.latest.number:
             log.say(now, "restored", f"{state.latest.number} samples, {len(rows)} again", name)
     if moved:

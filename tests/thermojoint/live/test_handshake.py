@@ -182,7 +182,7 @@ def test_offsets_freeze_and_fade_without_the_control_and_go_on_from_what_it_clea
     given = {"rate_um_s": 1.0, "freeze_s": 5.0, "decay_s": 10.0, "recover_s": 3.0, "oldest_s": 9.0}
     output = offset_invariant.settings_of(given, two=False)
     model = offset_invariant.model_with(output, 1.0, LIMITS)
-    mill = Machine(model, 1, initial_state("mill", model, START), None, START)
+    mill = Machine(model, 1, initial_state("mill", model, START), None, START, START)
     fleet = Fleet({"mill": mill}, EventLog(), fresh_metrics(), 60.0, 60.0, WatchdogSection())
     found, has = [], 0.0
     for k in range(120):

@@ -530,6 +530,19 @@ def test_an_estimate_from_before_the_computer_was_suspended_is_not_good(model, s
     assert fleet.machines["mill"].published_quality[0] is not Quality.BAD
 
 
+def test_a_sample_without_readings_after_that_does_not_make_it_good(deaf, store):
+    """Such a sample counts as silence, which goes on while the computer is suspended."""
+    fleet = fleet_of(deaf, store, START)
+    for k in range(60):
+        keep(fleet, store, Arrival("mill", START + k, (20.0, 0.0), START + k))
+    now, nothing = START + 660.0, (math.nan, math.nan)
+    results = processing.process(fleet, [Arrival("mill", now, nothing, now)], now, START + 61.0)
+    said = results.publications["mill"]
+    assert (said.quality, said.offset_mode) == (Quality.BAD, "freeze")
+    processing.check_silence(fleet, now + 1.0, START + 62.0)
+    assert fleet.machines["mill"].published_quality[0] is Quality.BAD
+
+
 def test_a_sample_from_before_the_clock_was_set_back_is_not_good(model, store, path):
     """The computer was off, perhaps for days, and its clock is behind at the start."""
     fleet, log = fleet_of(model, store, START), EventLog()
