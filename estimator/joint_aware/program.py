@@ -57,11 +57,12 @@ from thermojoint.reduced.physics import heat_step, simulate_known
 
 #: Status bits that no estimator in Python has.
 READING_JUMPED, NOT_SETTLED = 1 << 13, 1 << 14
-#: Most Newton steps with a line search, and how often one is halved; then most damped ones.
-SEARCHED, HALVINGS, CREPT = 12, 6, 24
-#: Damping of the first of these, relative to the Jacobian of a joint that sticks; its factor from
-#: one to the next is that of the residual, within bounds.
-DAMPED, LESS, MORE = 0.1, 0.25, 4.0
+#: Most Newton steps with a line search, and how often one is halved; then most damped steps
+#: (pseudo-transient continuation: Kelley & Keyes 1998).
+ITERATIONS, HALVINGS, DAMPED_STEPS = 12, 6, 24
+#: Damping of the first of these, relative to the Jacobian of a joint that sticks. From one to the
+#: next it changes by the ratio of the residuals, within bounds.
+DAMPING, LEAST_RATIO, MOST_RATIO = 0.1, 0.25, 4.0
 #: How long one reading, or all, are left out to compute the gain and the band without them, s.
 WITHOUT_ONE, WITHOUT_ALL = 600.0, 1800.0
 #: Passes over the sources that find the heat behind a jump.
@@ -119,9 +120,9 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
     # The present position, and every position asked for.
     places = 1 + way.values["asked"]
     usual = _newton(contacts, contacts, 0).times(2) + _look(contacts)
-    searched = _newton(contacts, 3 * contacts, HALVINGS).times(SEARCHED)
-    crept = _newton(contacts, 3 * contacts, 0).times(CREPT)
-    worst = searched + crept + _look(contacts).times(2)
+    searched = _newton(contacts, 3 * contacts, HALVINGS).times(ITERATIONS)
+    damped = _newton(contacts, 3 * contacts, 0).times(DAMPED_STEPS)
+    worst = searched + damped + _look(contacts).times(2)
     count = len(estimator.observer.system.rows)
     start = _start(estimator)
     slowest = 1.0 / float(model.modes.rates.min())
@@ -163,12 +164,12 @@ def contents(estimator: JointAware, precision: Precision) -> Contents:
             "absences": _without(estimator).uncertainty.left.shape,
             "error_kept": estimator.observer.lasting_on(model.step),
             "followed": start.followed,
-            "searched": SEARCHED,
+            "iterations": ITERATIONS,
             "halvings": HALVINGS,
-            "crept": CREPT,
-            "damped": DAMPED,
-            "less": LESS,
-            "more": MORE,
+            "damped_steps": DAMPED_STEPS,
+            "damping": DAMPING,
+            "least_ratio": LEAST_RATIO,
+            "most_ratio": MOST_RATIO,
             "tables": tables,
             "indices": way.indices,
             "tolerance": tolerance,

@@ -160,4 +160,4 @@ def operations(one):
 
 def with_no_step(program):
     """The program of a joint-aware estimator that gives up before its first Newton step."""
-    return replace(program, values=program.values | {"searched": 0, "crept": 0})
+    return replace(program, values=program.values | {"iterations": 0, "damped_steps": 0})

@@ -252,15 +252,7 @@ def test_its_program_settles_joints_that_slide_far(estimator, hot, tmp_path):
     rows, program = hot
     got = as_in_python(program, estimator, rows.tolist(), tmp_path, 1e-9)
     assert not any(one.status & guided_program.LINE_HELD for one in got)
-    assert max(one.newton_steps for one in got) < joint_aware_program.CREPT
-
-
-@pytest.mark.long
-@needs_gcc
-def test_its_function_block_settles_joints_that_slide_far(estimator, hot, tmp_path):
-    pytest.importorskip("tree_sitter_iec61131_3_st", reason="needs tree-sitter-iec61131-3-st")
-    rows, program = hot
-    assert_function_block(program, estimator, rows, tmp_path)
+    assert max(one.newton_steps for one in got) < joint_aware_program.DAMPED_STEPS
 
 
 @pytest.fixture(scope="module")
@@ -286,7 +278,10 @@ def test_its_program_has_the_band_of_missing_positions(estimator, unread, tmp_pa
 
 @pytest.mark.long
 @needs_gcc
-def test_its_function_block_has_the_band_of_missing_positions(estimator, unread, tmp_path):
+@pytest.mark.parametrize("given", ["hot", "unread"])
+def test_its_function_block_settles_far_joints_and_has_the_band_of_missing_positions(
+    estimator, given, request, tmp_path
+):
     pytest.importorskip("tree_sitter_iec61131_3_st", reason="needs tree-sitter-iec61131-3-st")
-    rows, program = unread
+    rows, program = request.getfixturevalue(given)
     assert_function_block(program, estimator, rows, tmp_path)
