@@ -10,7 +10,7 @@ columns are ignored. Rows with a missing reading are skipped; gaps are allowed:
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from itertools import chain, islice
 from typing import TYPE_CHECKING
 
@@ -92,7 +92,7 @@ def announced(
         yield piece
 
 
-def temperatures_in(log: Log, names: Collection[str], above: bool, where: str) -> dict[str, int]:
+def temperatures_in(log: Log, names: Container[str], above: bool, where: str) -> dict[str, int]:
     """Return the columns of some temperatures by name: those above the ambient, or those as read.
 
     Raises
@@ -100,14 +100,31 @@ def temperatures_in(log: Log, names: Collection[str], above: bool, where: str) -
     InputError
         A temperature has two columns, in different units.
     """
-    found: dict[str, int] = {}
-    for k, column in enumerate(log.columns):
+    columns = [column for column in log.columns if (column.unit == "K") == above]
+    return {
+        base: log.columns.index(column)
+        for base, column in temperatures_among(columns, names, where).items()
+    }
+
+
+def temperatures_among(
+    columns: Iterable[Column], names: Container[str], where: str
+) -> dict[str, Column]:
+    """Return the columns that are some temperatures, by the names of the temperatures.
+
+    Raises
+    ------
+    InputError
+        A temperature has two columns, in different units.
+    """
+    found: dict[str, Column] = {}
+    for column in columns:
         if column.base not in names or column.quantity != "temperature":
             continue
-        if (column.unit == "K") == above and (other := found.setdefault(column.base, k)) != k:
+        if (other := found.setdefault(column.base, column)) is not column:
             raise InputError(
-                f"{where}: columns {log.columns[other].name!r} and {column.name!r} are both the "
-                f"temperature {column.base!r}; leave one out, or rename it with --column"
+                f"{where}: columns {other.name!r} and {column.name!r} are both the temperature "
+                f"{column.base!r}; leave one out, or rename it with --column"
             )
     return found
 

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 from calibrate.joint_aware.readings import check_cold
+from estimator.measured import temperatures_among
 from fesim.axes.axis import gone_along
 from fesim.case.schema import Case
 from fesim.setup.loads import source_power
@@ -126,16 +127,8 @@ def _response(
 
 def _temperatures(log: Log, names: Container[str]) -> dict[str, Array]:
     """Temperature columns of a log with one of the given names, by name."""
-    found: dict[str, str] = {}
-    for column in log.columns:
-        if column.quantity == "temperature" and column.base in names:
-            if column.base in found:
-                raise InputError(
-                    f"log: columns {found[column.base]!r} and {column.name!r} are both the "
-                    f"temperature {column.base!r}; leave one out, or rename it with --column"
-                )
-            found[column.base] = column.name
-    return {base: log.at(name) for base, name in found.items()}
+    columns = temperatures_among(log.columns, names, "log")
+    return {base: log.at(column.name) for base, column in columns.items()}
 
 
 def _axis(log: Log, name: str) -> str:
