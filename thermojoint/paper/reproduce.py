@@ -188,7 +188,7 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
             convergence={
                 name: convergence(response) for name, response in (responses | lasting).items()
             },
-            share=pressure_share(responses[inputs.PRESSURE], inputs.EARLY),
+            share=pressure_share(responses[inputs.PRESSURE]),
             placement="" if calibrated is None else calibrated.sensors_text,
             fits=reports | {observer.kind: fitted_text(observer) for observer in observers},
             pictures=pictures,

@@ -12,6 +12,7 @@ import numpy as np
 from fesim.batch.summary import taken_steps
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.units import MEGA, MILLI
+from thermojoint.paper.inputs import EARLY
 from thermojoint.paper.verdict import largest_error
 
 if TYPE_CHECKING:
@@ -298,7 +299,7 @@ def covered_areas(response: AnyResponse) -> dict[str, float]:
     return areas
 
 
-def pressure_share(response: xr.Dataset, at_s: float = 60.0) -> PressureShare:
+def pressure_share(response: xr.Dataset, at_s: float = EARLY) -> PressureShare:
     """Return the fraction of the final pressure change that is reached at a time, s.
 
     The paper's elements under compression reach 75 % within one minute (section 5.3.2).
