@@ -35,6 +35,7 @@ from thermojoint.reduced.parameters import active
 SENSORS = 10
 #: Under the column and under the screw, N/um: about the middle of `benchmarks.plants.drawing.FOOT`.
 USUAL = (1700.0, 1700.0)
+#: A model whose feet, and films of patches, are found by its fit.
 FOUND = (False, "found")
 #: Whether a model has the films of the plant, and its feet.
 MODELS = (*product((False, True), ("fixed", "usual", "known")), FOUND)

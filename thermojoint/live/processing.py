@@ -230,7 +230,7 @@ def postpone(fleet: Fleet, name: str, now: float) -> Publication | None:
 
 def _report_refusal(fleet: Fleet, arrival: Arrival, verdict: str, now: float) -> None:
     last = fleet.machines[arrival.machine].state.assembly.last
-    # Readings are late until then, however long that is.
+    # Until then every reading is late.
     set_back = f"; the clock was set back: the last sample is {last - now:.0f} s ahead of it"
     reasons = {
         "late": f"a reading of {arrival.time:.3f} s came after its sample was closed"

@@ -492,7 +492,7 @@ def _move_ended_eras(store: sqlite3.Connection, until: int) -> None:
 def _prune_era(store: sqlite3.Connection, before: float, now: float) -> None:
     """Delete part of an era that has no samples between two times (s since 1970).
 
-    Its successor began before them; alone that tells nothing, as the clock may have been behind.
+    That its successor began before them is not enough: the clock may have been behind then.
     """
     over = store.execute(
         "SELECT one.id FROM eras AS one JOIN eras AS next "

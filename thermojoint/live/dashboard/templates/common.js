@@ -41,7 +41,7 @@ function shown(value, digits = 1, signed = false) {
   return signed && !zero ? `+${text}` : text;
 }
 
-// A source may be a minute ahead of the service; a sample of later is from before the clock was set back.
+// A source may be a minute ahead of the service; a sample further ahead is from before the clock was set back.
 function age(seconds) {
   if (!(seconds >= -60)) return "–";
   if (seconds < 1.5) return "now";
