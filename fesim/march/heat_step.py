@@ -46,11 +46,31 @@ def heat_step(
     """
     right_side = thermal.capacity_rate @ temperature + thermal.inputs @ inputs
     alone = thermal.factor.solve(right_side if lost is None else right_side - lost)
-    system = joint[:, None] * thermal.joint_influence
-    system.flat[:: len(joint) + 1] += 1.0
-    heat_flow = np.linalg.solve(system, joint * (thermal.jump @ alone))
+    heat_flow = joint_heat_flow(thermal.joint_influence, joint, thermal.jump @ alone)
     after: Array = alone - thermal.influence @ heat_flow
-    return after, np.asarray(heat_flow, dtype=np.float64)
+    return after, heat_flow
+
+
+def joint_heat_flow(joint_influence: Array, joint: Array, jump: Array) -> Array:
+    """Return the heat flows j of (I + diag(joint) S) j = diag(joint) jump.
+
+    Parameters
+    ----------
+    joint_influence : ndarray, shape (m, m)
+        S: temperature jump per heat flow, K/W.
+    joint : ndarray, shape (m,)
+        Conductance times area of each contact element, W/K.
+    jump : ndarray, shape (m,) or (m, k)
+        Temperature jumps without heat flow, K.
+
+    Returns
+    -------
+    ndarray, shape (m,) or (m, k)
+        W.
+    """
+    system = joint[:, None] * joint_influence
+    system.flat[:: len(joint) + 1] += 1.0
+    return np.asarray(np.linalg.solve(system, (joint * jump.T).T), dtype=np.float64)
 
 
 def each(matrix: Array | csr_array, rows: Array) -> Array:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from skfem import CellBasis
 
 from fesim.case.schema import secant_sections
 from fesim.march.contact import ContactProblem
+from fesim.march.heat_step import joint_heat_flow
 from fesim.march.machine import Step
 from fesim.setup.constraints import fixed_surfaces
 from fesim.setup.discretised import Discretised, relative_rows, thermal_loads
@@ -32,6 +33,10 @@ from fesim.solid.recovery import stress_error_rows
 from fesim.solid.round_faces import shape_error_rows
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.units import MEGA
+
+#: Most contact elements whose answers to heat are computed once for all laws: more of them take
+#: longer than the factor of another law.
+FEW = 64
 
 
 @dataclass(frozen=True)
@@ -192,6 +197,42 @@ class DualHeat:
         mass, solver = self.lifted.T @ self.capacity @ self.lifted, self.whole.case.march.solver
         return factorise(csr_array(mass), "density of the heat's dual", solver)
 
+    @property
+    def heat(self) -> HeatOperators:
+        """Operators whose capacity is not lumped."""
+        return replace(self.operators, capacity=self.capacity)
+
+    @cached_property
+    def jump(self) -> csr_array:
+        """Temperature jump of each contact element, (m, n_high)."""
+        return jumps(self.whole.parts.joints, self.whole.spaces.displacement)
+
+    @cached_property
+    def apart(self) -> Callable[[float], _Apart]:
+        """From the length of a march, s, to the step of that length without joint conduction."""
+        solver = self.whole.case.march.solver
+        return lru_cache(maxsize=1)(partial(_apart, self.heat, self.jump, solver))
+
+
+@dataclass(frozen=True)
+class _Apart:
+    """One step of the second-order heat equation without what the joints conduct."""
+
+    #: A0 = M/dt + K + H, W/K.
+    factor: Factor
+    #: Shape (n_high, m): A0^-1 B^T, K/W; zero for the held unknowns.
+    influence: Array
+    #: Shape (m, m): B A0^-1 B^T, K/W.
+    joint_influence: Array
+
+
+def _apart(heat: HeatOperators, jump: csr_array, solver: str | None, duration: float) -> _Apart:
+    factor = factorise(eliminate_held(heat, duration)[0], "heat's dual", solver)
+    driven = jump.toarray().T
+    driven[heat.held] = 0.0
+    influence = checked_solve(factor, driven, "heat's dual")
+    return _Apart(factor, influence, jump @ influence)
+
 
 def heat_errors(dual: DualHeat, rows: Array, conducts: Array, duration: float) -> HeatErrors:
     """Return the errors from `dual_rows`, with given joint conductances (m,), W/(m2 K).
@@ -202,18 +243,13 @@ def heat_errors(dual: DualHeat, rows: Array, conducts: Array, duration: float) -
     """
     whole, fine, capacity, lifted = dual.whole, dual.operators, dual.capacity, dual.lifted
     low = whole.spaces.heat
-    jump = jumps(whole.parts.joints, whole.spaces.displacement)
-    through = csr_array(jump.T @ diags_array(whole.operators.area * conducts) @ jump)
     lost = csr_array(fine.conduction + fine.convection)
     # Rows are integrals of a density, here per heat capacity: the same with second-order
     # functions.
     density = checked_solve(dual.density, rows.T, "density of the heat's dual")
-    duals = capacity @ lifted @ density
-    duals[fine.held] = 0.0
-    joined = replace(fine, capacity=capacity, conduction=csr_array(fine.conduction + through))
-    system, _ = eliminate_held(joined, duration)
-    solver = whole.case.march.solver
-    duals = checked_solve(factorise(system, "heat's dual", solver), duals, "heat's dual")
+    driven = capacity @ (lifted @ density)
+    driven[fine.held] = 0.0
+    duals = _duals(dual, driven, whole.operators.area * conducts, duration)
     first = np.zeros((int(low.N), duals.shape[1]))
     first[low.nodal_dofs[0]] = duals[dual.space.nodal_dofs[0]]
     beyond = duals - lifted @ first
@@ -222,9 +258,26 @@ def heat_errors(dual: DualHeat, rows: Array, conducts: Array, duration: float) -
         temperature=-(lifted.T @ (lost @ beyond)).T,
         rising=(lumped - lifted.T @ (capacity @ beyond)).T,
         inputs=beyond.T @ fine.inputs,
-        flow=-(jump @ beyond).T,
+        flow=-(dual.jump @ beyond).T,
         beyond=beyond,
     )
+
+
+def _duals(dual: DualHeat, driven: Array, joint: Array, duration: float) -> Array:
+    """Dual temperatures (n_high, 3) for conductances times areas `joint` (m,), W/K.
+
+    A few joint conductances are of low rank: all laws on a set-up share a factor.
+    """
+    if len(joint) <= FEW:
+        apart = dual.apart(duration)
+        alone = checked_solve(apart.factor, driven, "heat's dual")
+        flow = joint_heat_flow(apart.joint_influence, joint, dual.jump @ alone)
+        return np.asarray(alone - apart.influence @ flow)
+    through = csr_array(dual.jump.T @ diags_array(joint) @ dual.jump)
+    joined = replace(dual.heat, conduction=csr_array(dual.heat.conduction + through))
+    system, _ = eliminate_held(joined, duration)
+    factor = factorise(system, "heat's dual", dual.whole.case.march.solver)
+    return checked_solve(factor, driven, "heat's dual")
 
 
 def variable_errors(

@@ -10,7 +10,10 @@ from scipy.sparse import csr_array
 
 from fesim.accuracy.coarse_joints import _elastic
 from fesim.case.schema import case_from_data
+from fesim.setup import mesh_errors
+from fesim.setup.discretised import discretised
 from fesim.setup.machine import set_up
+from fesim.setup.parts import make_parts
 from fesim.simulate import simulate
 from fesim.solid.condensation import ElasticCondensation
 from fesim.solid.round_faces import bulges
@@ -78,6 +81,21 @@ def test_a_shared_set_up_knows_the_mesh_errors_of_each_march(tmp_path):
     short = case.replace(march={"duration_min": case.march.step_s / 30.0})
     own, shared = simulate(case).response, simulate(case, setup=set_up(short)).response
     assert parts_of(shared) == parts_of(own)
+
+
+def test_joint_laws_that_share_a_factor_have_the_errors_of_a_factor_each(coarse_case, monkeypatch):
+    dual = mesh_errors.DualHeat(discretised(coarse_case, make_parts(coarse_case)))
+    rows = np.random.default_rng(1).normal(size=(3, dual.lifted.shape[1]))
+    for conductance in (0.0, 400.0, 2e5):
+        conducts = np.full(dual.jump.shape[0], conductance)
+        shared = mesh_errors.heat_errors(dual, rows, conducts, 600.0)
+        with monkeypatch.context() as patch:
+            patch.setattr(mesh_errors, "FEW", 0)
+            own = mesh_errors.heat_errors(dual, rows, conducts, 600.0)
+        for name in ("temperature", "rising", "inputs", "flow"):
+            expected = getattr(own, name)
+            at_most = 1e-9 * np.abs(expected).max()
+            np.testing.assert_allclose(getattr(shared, name), expected, rtol=0.0, atol=at_most)
 
 
 @pytest.mark.parametrize("factor", [None, {"rise_K": [0.0, 40.0], "factor": [1.0, 1.1]}])
