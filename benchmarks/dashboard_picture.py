@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 
 from dashboard_server import TOKEN, about, keep, layout_of, published, serving
-from playwright.sync_api import sync_playwright
+from playwright.sync_api import ViewportSize, sync_playwright
 
 from benchmarks.study import options_of
 from estimator.interface import follow
@@ -28,7 +28,7 @@ from thermojoint.live.publication import Publication, Quality
 MACHINE, OFFSETS = "mill-1", ("X", "Y")
 #: Long enough to show something, s. Later the day is warmer than what was calibrated.
 LEAST = 0.75 * 3600.0
-WINDOW = {"width": 1280, "height": 1060}
+WINDOW: ViewportSize = {"width": 1280, "height": 1060}
 
 
 def day(folder: Path) -> tuple[JointAware, list[Publication]]:

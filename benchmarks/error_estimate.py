@@ -163,7 +163,7 @@ def block_case(structure: Structure, folder: Path, name: str, changes: Data) -> 
 def beams(folder: Path) -> Iterator[Judged]:
     """Cantilevers under a force, a moment and heat from one side, against a finer mesh."""
     length, height = 0.2, 0.02
-    loads = {
+    loads: dict[str, dict[str, object]] = {
         "force": {"loads": {"f": {"surface": "x1", "force_N": [0.0, 200.0, 0.0]}}},
         "heat": {
             "sources": {"hot": {"surface": "y1", "reference_power_W": 40.0}},
@@ -338,7 +338,7 @@ def main() -> None:
     parser = options_of(__doc__)
     parser.add_argument("--only", choices=PARTS, help="one part of the cases")
     only = parser.parse_args().only
-    began, rows = perf_counter(), []
+    began, rows = perf_counter(), list[Judged]()
     with temporary_folder() as folder:
         for part in [only] if only else PARTS:
             rows += PARTS[part](folder)

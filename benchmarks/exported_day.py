@@ -27,9 +27,10 @@ from estimator.export.c_source import c_files
 from estimator.export.program import Precision, Program
 from estimator.exporting import export_program
 from estimator.fchs.estimator import Fchs
-from estimator.interface import Estimator, follow
+from estimator.interface import follow
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.model_file import read_observer
+from estimator.kind import OpenedEstimator
 from estimator.learned.estimator import Learned
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.log_file import read_log
@@ -69,7 +70,12 @@ def joint_aware_samples(estimator: JointAware) -> Array:
 
 
 def in_c(
-    found: Program, folder: Path, number: type, samples: Array, axes: int, timed: bool
+    found: Program,
+    folder: Path,
+    number: type[ctypes.c_double] | type[ctypes.c_float],
+    samples: Array,
+    axes: int,
+    timed: bool,
 ) -> tuple[Array, float]:
     """Return the displacements (n, axes), m, and the processor time of a sample, s."""
     for name, text in c_files(found).items():
@@ -99,7 +105,7 @@ def learned() -> tuple[Learned, Array]:
 
 
 def compared(
-    name: str, estimator: Estimator, samples: Array, timed: bool, interval: float = INTERVAL
+    name: str, estimator: OpenedEstimator, samples: Array, timed: bool, interval: float = INTERVAL
 ) -> None:
     """Print a line for each precision."""
     begun = time.process_time()

@@ -23,6 +23,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from importlib import import_module
+from multiprocessing.context import ForkProcess
 from pathlib import Path
 
 import numpy as np
@@ -236,7 +237,7 @@ def main() -> int:
     failures: list[str] = []
     with tempfile.TemporaryDirectory() as name:
         bases = unharmed(Path(name))
-        running: dict[int, tuple[multiprocessing.Process, float, Path, Files, str]] = {}
+        running: dict[int, tuple[ForkProcess, float, Path, Files, str]] = {}
 
         def collect(block: bool) -> None:
             while True:

@@ -164,7 +164,8 @@ class Broker:
         if program is None:
             sys.exit("live_day: needs mosquitto")
         (folder / "broker.conf").write_text(_BROKER.format(port=port, folder=folder))
-        self.command, self.process = [program, "-c", str(folder / "broker.conf")], None
+        self.command = [program, "-c", str(folder / "broker.conf")]
+        self.process: subprocess.Popen[bytes] | None = None
         self.fail(False)
 
     def fail(self, failing: bool) -> None:
@@ -275,7 +276,11 @@ def control(port: int) -> tuple[paho.Client, dict[str, list[tuple[float, float]]
         heard[told["machine"]].append((told["published_s"], told["offsets_um"]["X"]))
 
     client = paho.Client(paho.CallbackAPIVersion.VERSION2)
-    client.on_connect = lambda *_: client.subscribe("thermojoint/+/displacement", 1)
+
+    def ask(*_: object) -> None:
+        client.subscribe("thermojoint/+/displacement", 1)
+
+    client.on_connect = ask
     client.on_message = take
     client.max_queued_messages_set(0)
     client.reconnect_delay_set(1, 1)

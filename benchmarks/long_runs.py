@@ -82,7 +82,7 @@ def main() -> None:
     others = {level: calibration[f"step-{level}"] for level in (0.5, 2.0)}
     calibrated = chain.calibrate_responses(base, others)
     assembly = assemble(calibrated.model, FINE, RUN_LENGTH)
-    estimators = [
+    estimators: list[Estimator] = [
         *regressions(baselines_of(calibrated, [base, *others.values()]), FINE),
         Fchs(assembly),
     ]

@@ -14,6 +14,7 @@ from pathlib import Path
 from time import perf_counter
 
 import numpy as np
+import xarray as xr
 from rich.console import Console
 from rich.table import Table
 
@@ -46,7 +47,7 @@ def run(case: Case, size: float, near: float) -> Result:
     )
     setup = set_up(case.model_copy(update={"structure": mesh}))
 
-    def response(level: float):
+    def response(level: float) -> xr.Dataset:
         heat = StepInput(kind="step", level=level)
         return simulate(case.model_copy(update={"heat_input": heat}), setup=setup).response
 

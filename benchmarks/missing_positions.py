@@ -25,7 +25,7 @@ from calibrate.joint_aware.calibration import calibrate_joint_aware
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.kind import KIND
 from estimator.lines import here
-from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.artefacts.response import columns_of
 
 HOUR = 3600.0
@@ -40,11 +40,12 @@ def without(estimator: JointAware, samples: Array, axes: str, minutes: float) ->
     columns = [first + k for k, axis in enumerate(model.moving_axes) if axis.name in axes]
     for begin in BEGINS:
         times = samples[:, 0] - begin * HOUR
-        found[np.ix_((times >= 0.0) & (times < 60.0 * minutes), columns)] = np.nan
+        away = np.flatnonzero((times >= 0.0) & (times < 60.0 * minutes))
+        found[away[:, None], columns] = np.nan
     return found
 
 
-def phases(times: Array, minutes: float) -> dict[str, Array]:
+def phases(times: Array, minutes: float) -> dict[str, Flags]:
     """Return flags of the samples meanwhile and afterwards, until the next hour."""
     hours = np.floor(times / HOUR)
     counts = np.isin(hours, BEGINS)

@@ -64,7 +64,7 @@ AT = (-100.0, 50.0, 200.0)
 
 
 def course(
-    rng: np.random.Generator, minutes: float, stroke: Sequence[float], turning: float
+    rng: np.random.Generator, minutes: float, stroke: tuple[float, float], turning: float
 ) -> str:
     """Return a history of positions: stands for 1 to 15 min, then goes to and fro.
 
@@ -78,7 +78,7 @@ def course(
         rows.append(f"{step * turning:g},{place:.1f}")
         until = step + stands / turning * MOVES / (1.0 - MOVES)
         while step < until:
-            there = rng.uniform(*stroke)
+            there = float(rng.uniform(*stroke))
             step += max(1, math.ceil(1e-3 * abs(there - place) / SPEED / turning))
             place = there
             rows.append(f"{step * turning:g},{place:.1f}")
@@ -106,7 +106,7 @@ def plant_of(case: Case, rng: np.random.Generator, number: int) -> Case:
         return plant
     joint, (body,) = case.joints["knee"], case.materials
     material, source = case.materials[body], case.sources["bearings"]
-    conductivity = float(material.conductivity_W_mK)  # type: ignore[arg-type]
+    conductivity = float(material.conductivity_W_mK)
     return plant.replace(
         convection_W_m2K={"exterior": rng.uniform(4.0, 10.0)},
         joints={

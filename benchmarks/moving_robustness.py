@@ -56,7 +56,7 @@ def drawn(number: int, folder: Path) -> tuple[str, Data]:
         own = {name: _stroke(rng, stroke) for name, stroke in strokes.items()}
         data = axis_chain.on_axes(data, {name: {"position_mm": 0.0} for name in own})
     else:
-        data, strokes = moving_axis.slide_data(folder, moving_axis.SHOWN), {"x": SLIDE}
+        data, strokes = moving_axis.slide_data(folder, moving_axis.SHOWN), {"x": [*SLIDE]}
         own = {"x": _stroke(rng, SLIDE)}
         data = moving_axis.on_axis(data, own["x"], position_mm=0.0)
     wrong = str(rng.choice(list(own)))
@@ -93,7 +93,8 @@ def drawn(number: int, folder: Path) -> tuple[str, Data]:
         "duration_min": STEPS * step / 60.0,
         "coupling": "iterated" if rng.uniform() < 0.2 else "staggered",
     }
-    points = rng.uniform(*np.transpose(list(own.values())), (POINTS, len(own)))
+    low, high = np.transpose(list(own.values()))
+    points = rng.uniform(low, high, (POINTS, len(own)))
     data["volume"] = {
         "points_mm": [dict(zip(own, point.tolist(), strict=True)) for point in points]
     }
@@ -109,7 +110,7 @@ def _stroke(rng: np.random.Generator, longest: Any) -> tuple[float, float]:
 
 def _course(rng: np.random.Generator, stroke: tuple[float, float], step: float, path: Path) -> str:
     """Stands, ways at some speed, and to and fro within steps."""
-    time, place, rows = 0.0, float(rng.uniform(*stroke)), []
+    time, place, rows = 0.0, float(rng.uniform(*stroke)), list[tuple[float, float]]()
     while time < STEPS * step and len(rows) < 2000:
         rows.append((time, place))
         if rng.uniform() < 0.3:

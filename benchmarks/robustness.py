@@ -344,7 +344,7 @@ def is_result(end: str) -> bool:
 
 def rows(found: list[tuple[Drawn, Figures | str]]) -> list[tuple[str, ...]]:
     """Return the table's rows as text: one for each structure and band of friction."""
-    lines = []
+    lines = list[tuple[str, ...]]()
     for structure in sorted({one.structure for one, _ in found}, reverse=True):
         for low, high in zip((-1.0, *BANDS), BANDS, strict=False):
             group = [

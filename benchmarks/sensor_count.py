@@ -86,7 +86,7 @@ class Plant:
 
     def __init__(self, machine: ReducedMachine, day: Array) -> None:
         count = round(CALIBRATED / STEP)
-        times = STEP * np.arange(1, count + 1)
+        times = STEP * np.arange(1.0, count + 1.0)
         self.names = machine.sensor_names
         self.runs = []
         for level in LEVELS:

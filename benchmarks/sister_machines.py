@@ -83,7 +83,7 @@ def sparse(day: Log, count: int) -> Log:
     values, first = day.values.copy(), FIRST * len(day.times)
     read = first + (np.arange(count) + 0.5) / count * (len(values) - first)
     hidden = np.setdiff1d(np.arange(len(values)), read.astype(int))
-    values[np.ix_(hidden, [day.index(name) for name in COLUMNS])] = np.nan
+    values[hidden[:, None], [day.index(name) for name in COLUMNS]] = np.nan
     return replace(day, values=values)
 
 

@@ -78,7 +78,7 @@ def plant_of(rng: np.random.Generator, number: int) -> Case:
     axes: dict[str, Any] = {name: {"ball_screw": values} for name, values in screws.items()}
     axes["z"] = {"scale": {"expansion_1_K": rng.uniform(7e-6, 9e-6)}}
     iron, spindle = plant.materials["cast_iron"], plant.sources["spindle"]
-    conductivity = float(iron.conductivity_W_mK)  # type: ignore[arg-type]
+    conductivity = float(iron.conductivity_W_mK)
     return plant.replace(
         axes=axes,
         convection_W_m2K={"exterior": rng.uniform(5.0, 12.0)},

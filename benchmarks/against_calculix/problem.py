@@ -60,7 +60,10 @@ def problem_of(case: Case) -> Problem:
     structure = build_structure(case)
     materials = body_materials(case, structure)
     ((name, section),) = case.joints.items()
-    joint = pair_joint(structure, name, section.along, section.across)
+    if section.along is None or section.across is None:
+        raise InputError(f"against_calculix: [joints.{name}] needs along and across")
+    grid = section.along, section.across
+    joint = pair_joint(structure, name, *grid)
     steps = step_count(case.march)
     loads = _constant_loads(case, steps)
     fluxes: dict[str, float] = {}
@@ -73,7 +76,7 @@ def problem_of(case: Case) -> Problem:
         structure=structure,
         materials=materials,
         joint=joint,
-        grid=(section.along, section.across),
+        grid=grid,
         law=joint_law(section, structure, materials, joint),
         convection=dict(case.convection_W_m2K),
         fluxes=fluxes,

@@ -133,7 +133,7 @@ def plain_set_up(case: Case) -> tuple[ElasticCondensation, ThermalModes]:
     operators = joint_operators(joints, spaces)
     loads = ThermalLoads(case.convection_W_m2K, heat_sources(case, structure), held_profiles(case))
     heat = heat_operators(structure, spaces.heat, materials, loads, joints)
-    symmetry = dict(case.supports.symmetry)
+    symmetry: dict[str, str] = {**case.supports.symmetry}
     elastic = plain_operators(structure, spaces, materials, fixed_surfaces(case), symmetry)
     springs = reference_springs(structure, materials, joints)
     measured = {name: structure.probes[name] for name in measured_points(case)}

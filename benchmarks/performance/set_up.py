@@ -122,10 +122,12 @@ def _against_plain(name: str, options: list[str]) -> Iterator[Row | Skipped]:
     ours, plain = (
         _size(name, [*options, *way], LARGE_LIMIT if way else 0.0) for way in ([], ["--plain"])
     )
-    for one in (ours, plain):
-        if isinstance(one, Skipped):
-            yield one
-            return
+    if isinstance(ours, Skipped):
+        yield ours
+        return
+    if isinstance(plain, Skipped):
+        yield plain
+        return
     how = (
         f"{ours.unknowns} displacements, {ours.contacts} contact elements, {ours.modes} modes, "
         "against one stiffness assembled form by form and factorised at once, reduced thermal "

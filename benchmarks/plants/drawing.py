@@ -103,7 +103,7 @@ def draw_uneven_films(case: Case, sensors: Sequence[str], seed: int, number: int
     """Return plant `number` whose films differ from surface to surface; all else is the case's."""
     rng = np.random.default_rng((seed, number))
     (film,) = case.convection_W_m2K.values()
-    outside, rear = np.exp(rng.uniform(*np.log(UNEVEN), size=2))
+    outside, rear = _spread(rng, 2)
     inside = rng.uniform(*INSIDE)
     if number < len(FIRST):
         outside, rear, inside = FIRST[number]
@@ -115,11 +115,17 @@ def draw_uneven_films(case: Case, sensors: Sequence[str], seed: int, number: int
     return _with_sensors(rng, number, factors, len(sensors))
 
 
+def _spread(rng: np.random.Generator, count: int) -> Array:
+    """Draw films, W/(m2 K), evenly in their logarithms."""
+    low, high = np.log(UNEVEN)
+    return np.exp(rng.uniform(low, high, count))
+
+
 def draw_unlike(case: Case, sensors: Sequence[str], seed: int, number: int) -> Plant:
     """Return plant `number` of those that differ from the case in structure, and in parameters."""
     plant = draw_plant(case, sensors, seed, number)
     rng = np.random.default_rng((seed, number, 1))
-    films = dict(zip(PARTS, np.exp(rng.uniform(*np.log(UNEVEN), size=len(PARTS))), strict=True))
+    films = dict(zip(PARTS, _spread(rng, len(PARTS)), strict=True))
     unlike = Unlike(
         dimensions={
             name: float(rng.integers(*ends, endpoint=True)) for name, ends in DIMENSIONS.items()

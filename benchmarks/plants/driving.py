@@ -34,7 +34,7 @@ def drives(step: float, seed: int, days: int = 0) -> dict[str, Drive]:
     """
 
     def times(length: float) -> Array:
-        return step * np.arange(1, round(length / step) + 1)
+        return step * np.arange(1.0, round(length / step) + 1.0)
 
     def still(heat: Array) -> Drive:
         return Drive(heat, np.zeros(len(heat)))

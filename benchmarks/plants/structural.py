@@ -167,7 +167,7 @@ def _marched(
 ) -> Answer:
     """March from rest with everything that the model does not know."""
     modes, length, count = physics.modes, machine.step, drive.heat.size
-    times = length * np.arange(1, count + 1)
+    times = length * np.arange(1.0, count + 1.0)
     unknown = [
         power * switched(rng, times, LASTS, (0.0, 1.0)) for power in unlike.friction.values()
     ]

@@ -37,20 +37,24 @@ def main(arguments: list[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="thermal_error", description=__doc__.splitlines()[0])
     commands = parser.add_subparsers(required=True)
-    folder = {"type": Path, "default": Path("thermal_error_data"), "help": "folder of the data"}
     make = commands.add_parser("make", help="simulate the data and check it against the hashes")
-    make.add_argument("--data", **folder)
+    _add_folder(make)
     make.add_argument("--plant", action="append", choices=list(NAMES), help="default: all")
     make.add_argument("--freeze", action="store_true", help="take these data as the frozen ones")
     make.set_defaults(run=_make)
     scored = commands.add_parser("score", help="judge methods, write the leaderboard")
-    scored.add_argument("--data", **folder)
+    _add_folder(scored)
     scored.add_argument("--plant", action="append", choices=list(NAMES), help="default: all")
     scored.add_argument("--measured", type=Path, help="CSV of the measured machine, if you have it")
     scored.add_argument("--method", action="append", help="name or package.module:function")
     scored.add_argument("--out", type=Path, default=Path("leaderboard"), help="writes .json, .md")
     scored.set_defaults(run=_score)
     return parser
+
+
+def _add_folder(parser: argparse.ArgumentParser) -> None:
+    where = Path("thermal_error_data")
+    parser.add_argument("--data", type=Path, default=where, help="folder of the data")
 
 
 def _make(options: argparse.Namespace) -> int:

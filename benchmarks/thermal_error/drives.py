@@ -34,7 +34,7 @@ def heat_input(rpm: Array) -> Array:
 
 def step(level: float) -> Drive:
     """Return a step of the heat input from rest in a still room."""
-    times = INTERVAL * np.arange(round(STEP_S / INTERVAL) + 1)
+    times = INTERVAL * np.arange(round(STEP_S / INTERVAL) + 1.0)
     rpm = np.full(times.size, round(REFERENCE_RPM * level ** (1.0 / EXPONENT), 1))
     rpm[0] = 0.0
     return Drive(times, rpm, np.full(times.size, AMBIENT_DEGC))
@@ -43,7 +43,7 @@ def step(level: float) -> Drive:
 def day(seed: int) -> Drive:
     """Return a day: speeds that last 5 to 40 min, a third of them zero, a room within 3 K."""
     rng = np.random.default_rng(seed)
-    times = INTERVAL * np.arange(round(DAY_S / INTERVAL) + 1)
+    times = INTERVAL * np.arange(round(DAY_S / INTERVAL) + 1.0)
     rpm, now = np.zeros(times.size), 0.0
     while now < DAY_S:
         speed, lasts = 100.0 * np.floor(45.0 * rng.random()), 60.0 * (5.0 + 35.0 * rng.random())

@@ -52,7 +52,7 @@ def as_given(task: Task) -> Log:
     values = task.test.values.copy()
     hidden = np.setdiff1d(np.arange(len(values)), task.read)
     lengths = [task.test.index(name) for name in task.test.of("length")]
-    values[np.ix_(hidden, lengths)] = np.nan
+    values[hidden[:, None], lengths] = np.nan
     return replace(task.test, values=values)
 
 

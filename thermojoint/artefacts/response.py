@@ -233,9 +233,9 @@ def _checked_time(variables: Mapping[str, Variable], where: str) -> np.ndarray:
 
 
 def make_response(
-    values: dict[str, np.ndarray],
-    coords: dict[str, np.ndarray | list[str]],
-    attrs: dict[str, str | float | int] | None = None,
+    values: Mapping[str, np.ndarray],
+    coords: Mapping[str, np.ndarray | list[str]],
+    attrs: Mapping[str, str | float | int] | None = None,
 ) -> xr.Dataset:
     """Return a checked response from plain arrays, with units and long names filled in.
 

@@ -126,6 +126,7 @@ def responses(log: Log, sensors: tuple[str, ...]) -> Iterator[tuple[float | None
             "probe_position": 1e-3 * np.array([PLACES[name][1] for name in sensors]),
         }
         bases = [run.columns[run.index(name)].base for name in names]
+        coords: dict[str, np.ndarray | list[str]]
         coords = {"time": run.times, "probe": list(sensors), "axis": bases, "space": list("xyz")}
         power = {"reference_power_W": REFERENCE_POWER_W}
         yield level if is_step else None, make_response(values, coords, power)
