@@ -11,6 +11,7 @@ import numpy as np
 from estimator.intake import Intake, intake
 from estimator.interface import NextReading
 from estimator.joint_aware.ageing import AgeingJointAware
+from estimator.joint_aware.channels import sample_channels
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.log import log_samples
 from estimator.joint_aware.model_file import fingerprint, read_observer
@@ -63,29 +64,28 @@ def _resumed(
 
 
 def _intake(model: ObserverModel, above_ambient: bool) -> Intake:
-    unit = "K" if above_ambient else "degC"
-    thermal = [f"{name}_{unit}" for name in (*model.sensors, "ambient")]
-    loads = [f"{name}_percent" for name in model.loads]
-    positions = [f"{name}_mm" for name in (*model.positions, *model.ways)]
-    powers = [f"{name}_W" for name in model.powers]
+    written = {
+        "K": ("K" if above_ambient else "degC", 1.0),
+        "1": ("percent", 0.01),
+        "m": ("mm", MILLI),
+        "W": ("W", 1.0),
+    }
+    channels = sample_channels(model)
+    thermal, wanted = len(model.sensors) + 1, len(channels) - len(model.axes)
+    read = [(channel.name, *written[channel.unit]) for channel in channels[:wanted]]
+    names = [f"{name}_{unit}" for name, unit, _ in read] + [f"{axis}_um" for axis in model.axes]
+    factors = [factor for _, _, factor in read] + [MICRO] * len(model.axes)
     zero_of = JointAware(model).zero_of
-    count, moved = len(thermal), len(thermal) + len(loads)
-    stood = moved + len(positions)
-    wanted = stood + len(powers)
 
     def convert(readings: Sequence[float], cold: float) -> tuple[list[float], float]:
         # The machine was cold at the first plausible ambient temperature on record.
         if math.isnan(cold):
-            *sensed, ambient = readings[:count]
+            *sensed, ambient = readings[:thermal]
             cold = 0.0 if above_ambient else zero_of(np.array(sensed), ambient)
-        temperatures = [value - cold for value in readings[:count]]
-        factors = [0.01 * value for value in readings[count:moved]]
-        places = [MILLI * value for value in readings[moved:stood]]
-        given = list(readings[stood:wanted])
-        probed = [MICRO * value for value in readings[wanted:]]
-        return [*temperatures, *factors, *places, *given, *probed], cold
+        values = [factor * value for factor, value in zip(factors, readings, strict=False)]
+        values[:thermal] = [value - cold for value in values[:thermal]]
+        return values, cold
 
-    names = [*thermal, *loads, *positions, *powers, *(f"{axis}_um" for axis in model.axes)]
     return intake(names, wanted, convert)
 
 
