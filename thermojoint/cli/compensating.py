@@ -60,7 +60,7 @@ def compensate(
         with arguments.output(out) as target:
             writer = csv.writer(target, lineterminator="\n")
             writer.writerow(header(wanted))
-            for cycle in preview(wanted, axes, rows):
+            for cycle in preview(wanted, axes, rows, str(settings)):
                 counted[cycle.state] += 1
                 writer.writerow(row_of(wanted, cycle))
     times, trust = [row.time for row in rows], wanted.trust

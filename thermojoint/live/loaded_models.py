@@ -17,10 +17,15 @@ from estimator.lines import places_in
 from estimator.ranges import Range
 from estimator.registry import kind_of_file, resumed, save_state, started
 from thermojoint.artefacts.arrays import Array
-from thermojoint.artefacts.errors import InputError, ThermojointError, unknown_name
+from thermojoint.artefacts.errors import InputError, ThermojointError
 from thermojoint.artefacts.units import MICRO
 from thermojoint.compensation.offsets.handshake import HandshakeSettings
-from thermojoint.compensation.offsets.settings import Settings, read_settings, with_slopes
+from thermojoint.compensation.offsets.settings import (
+    Settings,
+    check_axes,
+    read_settings,
+    with_slopes,
+)
 from thermojoint.live.next_reading import RequestLimits
 from thermojoint.live.publication import AxisLine, Layout
 from thermojoint.live.samples import AssemblyRule
@@ -98,7 +103,7 @@ def load_model(section: ModelSection, folder: Path) -> LoadedModel:
     axes = tuple(map(axis_name, estimator.axes))
     places = places_in(axes, [channel.name for channel in estimator.details])
     if output is not None:
-        _check_axes(output, (*axes, *places), section.offsets)
+        check_axes(output, (*axes, *places), str(section.offsets))
         _check_age(output, section)
     layout = Layout(
         axes=axes,
@@ -164,12 +169,6 @@ def _check_age(output: Settings, section: ModelSection) -> None:
             f"{section.offsets}: oldest_s {output.trust.oldest:g} is not longer than interval_s "
             f"{section.interval_s:g} of the model: offsets would never follow; make it longer"
         )
-
-
-def _check_axes(output: Settings, axes: tuple[str, ...], where: object) -> None:
-    for name in output.output.estimated:
-        if name not in axes:
-            raise unknown_name("axis", name, axes, f"{where}: axes: the estimate has")
 
 
 def _open_estimator(

@@ -564,7 +564,11 @@ def test_a_column_that_is_named_like_a_position_is_ignored():
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("at_mm = 600", "at_mm = 500", "the estimate has: no axis named 'x_at_500'"),
+        (
+            "at_mm = 600",
+            "at_mm = 500",
+            "offsets.toml: axes: the estimate has: no axis named 'x_at_500'",
+        ),
         ("at_mm = 600", "at_mm = nan", "at_mm"),
         ("at_mm = 600", 'at_mm = 600\n[axes."X 600".slope]', "leave at_mm or slope out"),
     ],

@@ -29,7 +29,12 @@ from thermojoint.compensation.loop.linear import (
 from thermojoint.compensation.loop.march import Acting, Course, Plant, check_plant, run_loop
 from thermojoint.compensation.loop.schema import HeaterSection, Loop
 from thermojoint.compensation.loop.tuning import Requirements, Tuned, feed_forward_gain, tune
-from thermojoint.compensation.offsets.settings import Settings, read_settings, with_slopes
+from thermojoint.compensation.offsets.settings import (
+    Settings,
+    check_axes,
+    read_settings,
+    with_slopes,
+)
 
 #: Standard deviation of the noise assumed in tuning, relative to its peak-to-peak value.
 RMS = 1.0 / 6.0
@@ -96,7 +101,10 @@ def close_loop(loop: Loop, progress: Progress | None = None) -> Closed:
     report = progress or (lambda _: None)
     estimator = JointAware(read_observer(loop.estimator.model))
     settings = None if loop.offsets is None else read_settings(loop.offsets)
-    _check_axes(settings, estimator)
+    if settings is not None:
+        # In a loop the machine and its model do not move their axes.
+        with_slopes(settings, {}, str(loop.offsets))
+        check_axes(settings, estimator.axes, str(loop.offsets))
     _check_age(settings, loop, estimator.model.step)
     case = plant_case(loop)
     check_plant(case, estimator)
@@ -267,14 +275,5 @@ def _check_age(settings: Settings | None, loop: Loop, step: float) -> None:
         told = f"shorter than estimator.delay_s {delay:g}"
     if told:
         raise InputError(
-            f"offsets: oldest_s {oldest:g} is {told}: no offset would follow; make it longer"
+            f"{loop.offsets}: oldest_s {oldest:g} is {told}: no offset would follow; make it longer"
         )
-
-
-def _check_axes(settings: Settings | None, estimator: JointAware) -> None:
-    if settings is not None:
-        # In a loop the machine and its model do not move their axes.
-        with_slopes(settings, {}, "offsets")
-    for name in settings.output.estimated if settings is not None else ():
-        if name not in estimator.axes:
-            raise unknown_name("axis", name, estimator.axes, "offsets: the estimate has")

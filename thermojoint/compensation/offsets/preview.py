@@ -10,7 +10,7 @@ import numpy as np
 
 from estimator.estimate_table import Row, strokes_of
 from thermojoint.artefacts.arrays import Array
-from thermojoint.artefacts.errors import InputError, unknown_name
+from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.units import MICRO, MILLI
 from thermojoint.compensation.offsets.output import (
     at_zero,
@@ -21,7 +21,7 @@ from thermojoint.compensation.offsets.output import (
     offsets_of,
     slopes_of,
 )
-from thermojoint.compensation.offsets.settings import Settings, with_slopes
+from thermojoint.compensation.offsets.settings import Settings, check_axes, with_slopes
 from thermojoint.compensation.offsets.usable import usable
 
 #: More cycles than this, tens of gigabytes of rows, indicate a wrong unit.
@@ -42,7 +42,9 @@ class Cycle(NamedTuple):
     state: str
 
 
-def preview(settings: Settings, axes: Sequence[str], rows: Sequence[Row]) -> Iterator[Cycle]:
+def preview(
+    settings: Settings, axes: Sequence[str], rows: Sequence[Row], where: str = "settings"
+) -> Iterator[Cycle]:
     """Yield the offsets that the control receives, in every cycle of the estimates.
 
     Parameters
@@ -53,6 +55,8 @@ def preview(settings: Settings, axes: Sequence[str], rows: Sequence[Row]) -> Ite
         Axes of the estimates.
     rows : sequence of Row
         Estimates, one or more.
+    where : str, optional
+        Name of the settings, for messages.
 
     Raises
     ------
@@ -60,11 +64,8 @@ def preview(settings: Settings, axes: Sequence[str], rows: Sequence[Row]) -> Ite
         The estimate lacks an axis, a position or a slope that is followed, or the cycles are too
         many to write.
     """
-    known = (*axes, *rows[0].places)
-    for name in settings.output.estimated:
-        if name not in known:
-            raise unknown_name("axis", name, known, "axes: the estimate has")
-    output = with_slopes(settings, strokes_of(axes, rows), "settings").output
+    check_axes(settings, (*axes, *rows[0].places), where)
+    output = with_slopes(settings, strokes_of(axes, rows), where).output
     references = np.array([one.reference for one in output.slopes])
     times = np.array([row.time for row in rows])
     state = at_zero(output)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -153,6 +153,16 @@ def settings_from_data(data: dict[str, Any], where: Path | str) -> Settings:
         given.cycle_s,
         {name: axis.slope for name, axis in given.axes.items() if axis.slope is not None},
     )
+
+
+def check_axes(settings: Settings, axes: Collection[str], where: str) -> None:
+    """Raise InputError if a displacement that is followed is not one of an estimate's `axes`.
+
+    `where` is the name of the settings.
+    """
+    for name in settings.output.estimated:
+        if name not in axes:
+            raise unknown_name("axis", name, axes, f"{where}: axes: the estimate has")
 
 
 def with_slopes(settings: Settings, strokes: Mapping[str, Stroke], where: str) -> Settings:
