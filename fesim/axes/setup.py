@@ -16,6 +16,7 @@ from fesim.axes.axis import Axis, Volume
 from fesim.axes.condensation import TiedCondensations, Ties, condense_apart
 from fesim.axes.guideway import GuideStations, Guideway
 from fesim.axes.machine import MovingMachine
+from fesim.axes.meeting import check_distance
 from fesim.axes.operators import GuidedOperators, guided_operators, places_at
 from fesim.axes.positioning import Drive, Screw, Surfaces, scale_of, screw_of
 from fesim.cache import remembered
@@ -94,7 +95,7 @@ def set_up_axes(case: Case) -> MovingSetup:
     ------
     InputError
         As `fesim.setup.machine.set_up`; or a position is outside the stroke, or pads leave their
-        guide.
+        guide or cover the same part of it as those of another axis.
     """
     before = thermal_key(case)
     courses = [course_of(axis, name) for name, axis in case.axes.items()]
@@ -103,6 +104,7 @@ def set_up_axes(case: Case) -> MovingSetup:
         warnings.warn(line, stacklevel=2)
     _check_guides(case, parts)
     _check_seats(case, parts)
+    check_distance(case, parts, courses)
     with explained_by_size(parts.structure):
         whole = discretised(case, parts)
         moving, modes = _moving(whole, cache_keys(case, before))
