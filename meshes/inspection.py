@@ -410,48 +410,65 @@ def facing_warnings(structure: Structure, sides: Sequence[NDArray[np.int64]]) ->
     sides : sequence of ndarray of int
         Facets of the sides of its joints.
     """
-    mesh, names = structure.mesh, list(structure.bodies)
-    free = np.setdiff1d(mesh.boundary_facets(), np.concatenate([np.empty(0, int), *sides]))
-    near = TOUCHING * float(np.ptp(mesh.p, axis=1).max())
-    owner = np.empty(mesh.nelements, dtype=int)
+    names, owner = list(structure.bodies), np.empty(structure.mesh.nelements, dtype=int)
     for k, cells in enumerate(structure.bodies.values()):
         owner[cells] = k
-    body, corners = owner[mesh.f2t[0, free]], facet_corners(mesh, free)
-    # Most facets are excluded by the bounding boxes of the other bodies.
+    return [
+        f"bodies {names[a]!r} and {names[b]!r} face each other on about "
+        f"{1e4 * area_of(structure, facets):.3g} cm2 without a joint: no heat passes there"
+        for (a, b), facets in facing_facets(structure.mesh, owner, sides).items()
+    ]
+
+
+def facing_facets(
+    mesh: Mesh, part: NDArray[np.int64], sides: Sequence[NDArray[np.int64]]
+) -> dict[tuple[int, int], NDArray[np.int64]]:
+    """Return the facets of the first of every two parts that touch without a joint.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        The mesh.
+    part : ndarray of int, shape (cells,)
+        Number of the part of each cell; -1 is of none.
+    sides : sequence of ndarray of int
+        Facets of the sides of joints.
+    """
+    free = np.setdiff1d(mesh.boundary_facets(), np.concatenate([np.empty(0, int), *sides]))
+    free = free[part[mesh.f2t[0, free]] >= 0]
+    near = TOUCHING * float(np.ptp(mesh.p, axis=1).max())
+    owner, corners = part[mesh.f2t[0, free]], facet_corners(mesh, free)
+    # Most facets are excluded by the bounding boxes of the other parts.
     close = np.zeros(len(free), dtype=bool)
-    for k, cells in enumerate(structure.bodies.values()):
-        points = mesh.p[:, np.unique(mesh.t[:, cells])]
+    for k in range(part.max() + 1):
+        points = mesh.p[:, np.unique(mesh.t[:, part == k])]
         low, high = points.min(axis=1) - near, points.max(axis=1) + near
         inside = (corners.min(axis=1) <= high).all(axis=1) & (corners.max(axis=1) >= low).all(
             axis=1
         )
-        close |= inside & (body != k)
-    free, body, corners = free[close], body[close], corners[close]
+        close |= inside & (owner != k)
+    free, owner, corners = free[close], owner[close], corners[close]
     if not free.size:
-        return []
+        return {}
     vectors = outward_areas(mesh, free)
     area = np.linalg.norm(vectors, axis=1)
     normals, centres = vectors / area[:, None], corners.mean(axis=1)
     # Meshes need not match: the centre of a touching facet is within about one facet size.
     pairs = cKDTree(centres).query_pairs(float(np.sqrt(area.max())), output_type="ndarray")
     if not pairs.size:
-        return []
+        return {}
     facet, other = pairs.T
     between = centres[other] - centres[facet]
     apart = np.abs(np.einsum("pi,pi->p", between, normals[facet]))
     beside = np.sqrt(np.maximum(np.einsum("pi,pi->p", between, between) - apart**2, 0.0))
     touching = (
-        (body[facet] != body[other])
+        (owner[facet] != owner[other])
         & (np.einsum("pi,pi->p", normals[facet], normals[other]) < -0.98)
         & (apart < near)
         & (beside < 0.5 * np.sqrt(np.maximum(area[facet], area[other])))
     )
     facing: dict[tuple[int, int], set[int]] = {}
     for i, j in pairs[touching]:
-        first, second = (i, j) if body[i] < body[j] else (j, i)
-        facing.setdefault((int(body[first]), int(body[second])), set()).add(int(first))
-    return [
-        f"bodies {names[a]!r} and {names[b]!r} face each other on about "
-        f"{1e4 * float(area[list(facets)].sum()):.3g} cm2 without a joint: no heat passes there"
-        for (a, b), facets in facing.items()
-    ]
+        first, second = (i, j) if owner[i] < owner[j] else (j, i)
+        facing.setdefault((int(owner[first]), int(owner[second])), set()).add(int(first))
+    return {both: free[sorted(facets)] for both, facets in facing.items()}

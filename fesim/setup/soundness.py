@@ -7,12 +7,20 @@ from contextlib import contextmanager
 from itertools import combinations, product
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from fesim.case.history import read_history
 from fesim.case.schema import Case
 from meshes.covered import area_of_both, areas_of_joints, covered_areas
-from meshes.inspection import TOUCHING, area_of, facing_warnings, overlap_warnings, pieces
+from meshes.inspection import (
+    TOUCHING,
+    area_of,
+    facing_facets,
+    facing_warnings,
+    overlap_warnings,
+    pieces,
+)
 from meshes.pairing import EXCESS, PairedJoint
 from meshes.structure import Structure
 from meshes.units import USUAL_SIZE
@@ -37,7 +45,7 @@ def check_sound(case: Case, structure: Structure, joints: Sequence[PairedJoint])
         cavity and surfaces that lose heat to the ambient; joints cover all of a cavity; the ambient
         of radiation differs from that of the case.
     """
-    check_whole(structure)
+    check_whole(structure, joints)
     check_covered_once(structure, joints)
     films, bare = list(case.convection_W_m2K), list(case.radiation)
     in_cavities = [name for cavity in case.cavities.values() for name in cavity.surfaces]
@@ -89,8 +97,12 @@ def suspicions(structure: Structure, joints: Sequence[PairedJoint]) -> list[str]
     structure, joints
         As for `check_sound`.
     """
-    sides = [side for joint in joints for side in (joint.facets_a, joint.facets_b)]
-    return [*facing_warnings(structure, sides), *overlap_warnings(structure)]
+    return [*facing_warnings(structure, _sides(joints)), *overlap_warnings(structure)]
+
+
+def _sides(joints: Sequence[PairedJoint]) -> list[NDArray[np.int64]]:
+    """Facets of the sides of joints."""
+    return [side for joint in joints for side in (joint.facets_a, joint.facets_b)]
 
 
 @contextmanager
@@ -148,7 +160,7 @@ def check_one_ambient(case: Case) -> None:
             )
 
 
-def check_whole(structure: Structure) -> None:
+def check_whole(structure: Structure, joints: Sequence[PairedJoint]) -> None:
     """Refuse a body whose pieces touch without common nodes: it would transfer no heat or force."""
     mesh = structure.mesh
     near = TOUCHING * float(np.ptp(mesh.p, axis=1).max())
@@ -161,12 +173,19 @@ def check_whole(structure: Structure) -> None:
         of = piece[first // len(corners)]
         pairs = cKDTree(mesh.p[:, nodes].T).query_pairs(near, output_type="ndarray")
         split = pairs[of[pairs[:, 0]] != of[pairs[:, 1]]] if pairs.size else pairs
-        if split.size:
-            where = shown_point(mesh.p[:, nodes[split[0, 0]]])
+        touching = mesh.p[:, nodes[split[:, 0]]]
+        if not touching.size:  # their meshes need not match
+            part = np.full(mesh.nelements, -1)
+            part[cells] = piece
+            faces = facing_facets(mesh, part, _sides(joints))
+            touching = mesh.p[
+                :, mesh.facets[0, np.concatenate([np.empty(0, int), *faces.values()])]
+            ]
+        if touching.size:
             raise InputError(
                 f"body {name!r} is in {1 + piece.max()} pieces that touch without a common node, "
-                f"first at {where} m: nothing passes between them; merge the nodes, or give the "
-                "pieces names of their own and a joint"
+                f"first at {shown_point(touching[:, 0])} m: nothing passes between them; merge the "
+                "nodes, or give the pieces names of their own and a joint"
             )
 
 

@@ -168,6 +168,17 @@ def test_a_body_whose_nodes_were_not_merged_is_refused(tmp_path, data):
         run(tmp_path, data, structure)
 
 
+def test_a_body_of_pieces_whose_meshes_do_not_match_is_refused(tmp_path, data):
+    """No node of one is at a node of the other, and each has its own support."""
+    top = ((0.15 * SIDE, 0.15 * SIDE, SIDE), (0.85 * SIDE, 0.85 * SIDE, 2 * SIDE), (3, 3, 2))
+    pieces = boxes({}, low=LOW, high=top)
+    del data["bodies"]["high"], data["joints"]
+    data["sources"]["s"]["body"] = "low"
+    one = replace(pieces, bodies={"low": np.arange(pieces.mesh.nelements)})
+    with pytest.raises(InputError, match=r"body 'low' is in 2 pieces .* merge the nodes"):
+        run(tmp_path, data, one)
+
+
 def test_cells_that_share_a_node_are_one_piece():
     chain = np.array([[0, 1], [1, 2], [5, 6], [2, 9]]).T
     assert pieces(chain).tolist() == [0, 0, 1, 0]
