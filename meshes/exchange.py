@@ -29,6 +29,7 @@ from xml.etree.ElementTree import ParseError
 import meshio
 import numpy as np
 from meshio._exceptions import CorruptionError
+from meshio.gmsh import _gmsh41
 from numpy.typing import NDArray
 from skfem import Mesh
 from skfem.io.meshio import to_meshio
@@ -197,12 +198,37 @@ def _read(path: Path) -> meshio.Mesh:
         # Not meshio.read, which prints and ends the process when a reader fails. Warnings of the
         # readers are covered by the checks below and in `volume_mesh`.
         with redirect_stderr(StringIO()), warnings.catch_warnings(action="ignore"):
-            return _READERS[path.suffix](str(path))
+            raw = _READERS[path.suffix](str(path))
+            if path.suffix == ".msh":
+                _add_reversed(raw, path)
+            return raw
     except _DAMAGE as error:
         raise InputError(
             f"{path}: meshio cannot read it ({' '.join(str(error).split()) or 'damaged'}); "
             "write it again, from Gmsh with the physical groups only"
         ) from error
+
+
+def _add_reversed(raw: meshio.Mesh, path: Path) -> None:
+    """Add the entities that a physical group lists with a minus sign: meshio leaves them out."""
+    ascii_file = True
+    with path.open("rb") as file:
+        for line in file:
+            if line.startswith(b"$MeshFormat"):
+                version, kind, size = next(file).split()
+                if float(version) < 4.1:
+                    return
+                ascii_file = kind == b"0"
+            elif line.startswith(b"$Entities"):
+                groups_of, _ = _gmsh41._read_entities(file, ascii_file, int(size))
+                break
+        else:
+            return
+    for name, (tag, dimension) in raw.field_data.items():
+        for k, block in enumerate(raw.cells):
+            entity = raw.cell_data["gmsh:geometrical"][k][:1]
+            if block.dim == dimension and entity.size and -tag in groups_of[dimension][entity[0]]:
+                raw.cell_sets[name][k] = np.arange(len(block))
 
 
 def _check_groups(path: Path) -> None:

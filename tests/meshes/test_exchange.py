@@ -513,6 +513,21 @@ def test_a_surface_with_the_name_of_a_body_is_refused(tmp_path, gmsh, version):
     refused(tmp_path / "bars.msh", "'left' is the name of two physical groups")
 
 
+@pytest.mark.parametrize("version", [4.1, 2.2])
+@pytest.mark.parametrize("binary", [0, 1])
+def test_a_physical_group_has_the_surfaces_that_it_lists_reversed(tmp_path, gmsh, version, binary):
+    gmsh_model(gmsh)
+    ends = [tag for _, tag in gmsh.model.getEntitiesForPhysicalName("ends")]
+    gmsh.model.addPhysicalGroup(2, [ends[0], -ends[1]], name="turned")
+    gmsh.model.addPhysicalGroup(2, [-ends[0]], name="base turned")
+    gmsh.option.setNumber("Mesh.MshFileVersion", version)
+    gmsh.option.setNumber("Mesh.Binary", binary)
+    gmsh.write(str(tmp_path / "bars.msh"))
+    surfaces = read_structure(tmp_path / "bars.msh").surfaces
+    assert np.array_equal(surfaces["turned"], surfaces["ends"])
+    assert np.array_equal(surfaces["base turned"], surfaces["base"])
+
+
 def test_curves_and_points_may_have_names_too(tmp_path, gmsh):
     gmsh_model(gmsh)
     for dimension in (0, 1):
