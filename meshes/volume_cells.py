@@ -55,7 +55,7 @@ def volume_mesh(raw: meshio.Mesh, path: Path) -> tuple[Mesh, NDArray[np.int64]]:
     Raises
     ------
     InputError
-        Cells are of several types, folded, flat or repeated, or the mesh is too large.
+        Cells are of several types, folded, flat, collapsed or repeated, or the mesh is too large.
     """
     blocks = [block for block in raw.cells if block.dim == 3 and len(block.data)]
     types = sorted({block.type for block in blocks})
@@ -142,7 +142,7 @@ def _serendipity_middles(
 
 
 def _check_cells(mesh: Mesh, path: Path) -> None:
-    """Raise InputError if a cell has no volume, is folded or occurs twice."""
+    """Raise InputError if a cell is folded, has no volume or a node twice, or occurs twice."""
     reference = mesh.elem.refdom.p
     centre = reference.mean(axis=1, keepdims=True)
     # Not detDF, which raises a bare Exception for a determinant of zero.
@@ -154,7 +154,14 @@ def _check_cells(mesh: Mesh, path: Path) -> None:
     bad = np.flatnonzero(~(one_sign & solid))
     if bad.size:
         raise InputError(f"{path}: cell {bad[0]} is folded or has no volume; mesh again")
-    _, first = np.unique(np.sort(mesh.t, axis=0), axis=1, return_index=True)
+    corners = np.sort(mesh.t, axis=0)
+    collapsed = np.flatnonzero((np.diff(corners, axis=0) == 0).any(axis=0))
+    if collapsed.size:
+        raise InputError(
+            f"{path}: cell {collapsed[0]} has the same node at two corners, as wedges written as "
+            "hexahedra do; mesh all bodies with hexahedra or all with tetrahedra"
+        )
+    _, first = np.unique(corners, axis=1, return_index=True)
     again = np.setdiff1d(np.arange(mesh.nelements), first)
     if again.size:
         raise InputError(

@@ -359,6 +359,14 @@ def test_bad_cells_are_named(tmp_path, kind):
     refused(write_grid(grid, tmp_path / "bad.vtu"), match)
 
 
+def test_wedges_written_as_hexahedra_are_refused(tmp_path):
+    """They have volume everywhere inside, but two of their faces are no quadrilaterals."""
+    grid = labelled(to_meshio(BARS.mesh, encode_cell_data=False))
+    cells = grid.cells[0].data
+    cells[3, [3, 7]] = cells[3, [2, 6]]
+    refused(write_grid(grid, tmp_path / "wedge.vtu"), "cell 3 has the same node at two corners")
+
+
 def test_bodies_need_names_and_share_no_cell(tmp_path):
     grid = to_meshio(BARS.mesh, encode_cell_data=False)
     refused(write_grid(grid, tmp_path / "bare.vtu"), "no body has a name; .*'body:NAME'")
