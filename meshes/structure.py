@@ -118,9 +118,14 @@ def _check_bodies(structure: Structure) -> None:
             raise InputError(f"structure: body {name!r} names cells that the mesh does not have")
         count[cells] += 1
     if not bool((count == 1).all()):
-        none, many = int((count == 0).sum()), int((count > 1).sum())
+        none, many = int((count == 0).sum()), np.flatnonzero(count > 1)
+        several = ""
+        if many.size:
+            names = [repr(name) for name, cells in structure.bodies.items() if many[0] in cells]
+            several = f", the first in {' and '.join(names)}"
         raise InputError(
-            f"structure: {none} cells are in no body and {many} in several; put each in exactly one"
+            f"structure: {none} cells are in no body and {many.size} in several{several}; put each "
+            "in exactly one"
         )
 
 

@@ -40,7 +40,10 @@ def test_every_cell_is_in_exactly_one_body():
     left, right = BARS.bodies["left"], BARS.bodies["right"]
     refused("1 cells are in no body and 0 in several", bodies={"left": left[1:], "right": right})
     twice = np.append(right, left[0])
-    refused("0 cells are in no body and 1 in several", bodies={"left": left, "right": twice})
+    refused(
+        "and 1 in several, the first in 'left' and 'right'; put",
+        bodies={"left": left, "right": twice},
+    )
 
 
 def test_empty_and_foreign_bodies_are_named():
