@@ -90,14 +90,37 @@ def check_stands(case: Case) -> None:
 
 
 def suspicions(structure: Structure, joints: Sequence[PairedJoint]) -> list[str]:
-    """Return a warning for each pair of bodies that touch without a joint, or overlap.
+    """Return a warning for each pair of bodies that touch without a joint, overlap, or are glued.
 
     Parameters
     ----------
     structure, joints
         As for `check_sound`.
     """
-    return [*facing_warnings(structure, _sides(joints)), *overlap_warnings(structure)]
+    return [
+        *facing_warnings(structure, _sides(joints)),
+        *overlap_warnings(structure),
+        *_glued_warnings(structure, joints),
+    ]
+
+
+def _glued_warnings(structure: Structure, joints: Sequence[PairedJoint]) -> Iterator[str]:
+    """Yield a warning for each joint of two bodies whose sides have nodes in common.
+
+    Within a body they may: a slit has a tip.
+    """
+    mesh, bodies = structure.mesh, structure.bodies
+    for joint in joints:
+        ahead, behind = (
+            {name for name, own in bodies.items() if np.isin(cells, own).any()}
+            for cells in (joint.cells_a, joint.cells_b)
+        )
+        common = np.intersect1d(mesh.facets[:, joint.facets_a], mesh.facets[:, joint.facets_b])
+        if common.size and not ahead & behind:
+            yield (
+                f"joint {joint.name!r}: its sides share {common.size} nodes, where it neither "
+                "opens nor slides and heat passes unhindered; give each side its own nodes"
+            )
 
 
 def _sides(joints: Sequence[PairedJoint]) -> list[NDArray[np.int64]]:

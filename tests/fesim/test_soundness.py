@@ -19,6 +19,7 @@ from fesim.march.state_file import load_state, save_state
 from fesim.setup.machine import set_up, with_laws
 from fesim.simulate import simulate
 from meshes.exchange import write_structure
+from meshes.faces import rows_in
 from meshes.inspection import inspect, pieces
 from meshes.structure import Probe
 from thermojoint.artefacts.errors import ConvergenceError, InputError
@@ -403,6 +404,21 @@ def test_bodies_that_touch_without_a_joint_are_said_by_every_set_up(tmp_path, da
     task = Task(case_id(case), condensation_key(case), case.model_dump_json())
     (said,) = run_task(task).warnings
     assert touching in said
+
+
+def test_sides_of_a_joint_that_share_their_rim_are_said(tmp_path, data):
+    """As Gmsh leaves it if it duplicates the nodes inside of a common face only."""
+    apart = boxes({}, low=LOW, high=HIGH)
+    mesh = apart.mesh
+    inside = np.abs(mesh.p[:2] - SIDE / 2).max(axis=0) < 1e-9
+    places = np.vstack([mesh.p, inside * np.arange(inside.size)]).round(9)
+    _, kept, number = np.unique(places, axis=1, return_index=True, return_inverse=True)
+    glued = MeshHex(mesh.p[:, kept], number.ravel()[mesh.t])
+    facets = {name: number.ravel()[mesh.facets[:, on]].T for name, on in apart.surfaces.items()}
+    surfaces = {name: rows_in(glued.facets.T, nodes) for name, nodes in facets.items()}
+    write_structure(replace(apart, mesh=glued, surfaces=surfaces), tmp_path / "boxes.vtu")
+    with pytest.warns(UserWarning, match="joint 'j': its sides share 8 nodes"):
+        set_up(case_from_data(data, "case", tmp_path))
 
 
 def test_a_cavity_that_joints_fill_is_refused(tmp_path, data):
