@@ -21,6 +21,10 @@ from thermojoint.artefacts.arrays import Array
 #: Indices of the cells that a map is applied to.
 Cells = NDArray[np.int64] | None
 
+#: Last step of Newton's method towards a point of a cell, relative to the cell; the error after it
+#: is far smaller. Thin cells far from the origin are rounded by more than scikit-fem's 1e-12.
+LAST_STEP = 1e-9
+
 _Method = Callable[[MappingIsoparametric, Array, Cells], Array]
 
 
@@ -42,7 +46,11 @@ def _last_kept(method: _Method) -> Callable[..., Array]:
 
 class _Isoparametric(MappingIsoparametric):
     invDF = _last_kept(MappingIsoparametric.invDF)
-    invF = _last_kept(MappingIsoparametric.invF)
+
+    @_last_kept
+    def invF(self, x: Array, tind: Cells = None) -> Array:
+        """Return the points of cells at positions x, m."""
+        return np.asarray(super().invF(x, tind, newton_tol=LAST_STEP))
 
     def J(self, i: int, j: int, X: Array, tind: Cells = None) -> Array:
         """Return entry (i, j) of the gradient at points X of the cells."""

@@ -5,7 +5,7 @@ import pytest
 from bars import two_bars
 from hypothesis import given
 from hypothesis import strategies as st
-from skfem import MeshHex, MeshTet
+from skfem import FacetBasis, Functional, MeshHex, MeshTet
 
 from fesim.case.schema import CandidatesSection
 from fesim.setup.structure import candidate_probes
@@ -50,6 +50,17 @@ def test_a_point_is_in_a_cell_exactly_if_it_is_in_the_cube(points, tetrahedra):
     corners = mesh.p[:, mesh.t[:, found[inside]]]
     assert (at[inside] + 1e-4 >= corners.min(axis=1).T).all()
     assert (at[inside] - 1e-4 <= corners.max(axis=1).T).all()
+
+
+@pytest.mark.parametrize("away", [1.0, 10.0])
+def test_thin_cells_may_be_far_from_the_origin(away):
+    """Their points are rounded by more than a millionth of a millionth of a cell."""
+    lines = np.linspace(0.0, 0.1, 6), np.linspace(0.0, 0.1, 6), np.linspace(0.0, 4e-4, 3)
+    mesh = MeshHex.init_tensor(*(line + away for line in lines))
+    basis = make_spaces(mesh).heat
+    faces = FacetBasis(mesh, basis.elem, basis.mapping, facets=mesh.boundary_facets())
+    area = Functional(lambda w: np.ones(w.x.shape[1:])).assemble(faces)
+    assert area == pytest.approx(2 * 0.01 + 4 * 0.1 * 4e-4, rel=1e-10, abs=0)
 
 
 def test_candidates_leave_out_what_a_body_of_tetrahedra_does_not_hold():
