@@ -107,8 +107,8 @@ def _surface_patch(structure: Structure, name: str, where: str) -> Patch:
     """A whole surface, by quadrature."""
     facets = structure.surface(name, f"{where}.surface")
     mesh = structure.mesh
-    element = make_spaces(mesh).heat.elem
-    basis = FacetBasis(mesh, element, facets=facets, intorder=4)
+    heat = make_spaces(mesh).heat
+    basis = FacetBasis(mesh, heat.elem, heat.mapping, facets=facets, intorder=4)
     weights = basis.dx.ravel()
     return Patch(
         points=np.asarray(basis.global_coordinates()).reshape(3, -1),
