@@ -118,6 +118,7 @@ def inspect(structure: Structure, riding: Collection[str] = ()) -> Inspection:
             joints[name] = _joint(structure, name)
         except InputError as error:
             warnings.append(str(error))
+    sides = [structure.surfaces[side] for pair in structure.joints.values() for side in pair]
     bodies = _bodies(structure)
     extent = _triple(np.ptp(mesh.p, axis=1))
     bare_area = area_of(structure, unnamed)
@@ -149,10 +150,8 @@ def inspect(structure: Structure, riding: Collection[str] = ()) -> Inspection:
                 structure, {name: one for name, one in joints.items() if name not in riding}
             ),
             *_partner_warnings(structure),
-            *facing_warnings(
-                structure,
-                [structure.surfaces[side] for pair in structure.joints.values() for side in pair],
-            ),
+            *facing_warnings(structure, sides),
+            *seam_warnings(structure, sides),
         ),
     )
 
@@ -398,6 +397,31 @@ def _partner_warnings(structure: Structure) -> list[str]:
         for other in [f"{name[:-1]}{partner[name[-1]]}"]
         if other not in structure.surfaces
     ]
+
+
+def seam_warnings(structure: Structure, sides: Sequence[NDArray[np.int64]]) -> list[str]:
+    """Return a warning for every body that has several nodes at one place, but for joints.
+
+    Parameters
+    ----------
+    structure, sides
+        As for `facing_warnings`.
+    """
+    mesh = structure.mesh
+    joined = mesh.facets[:, np.concatenate([np.empty(0, int), *sides])]
+    skin = np.setdiff1d(mesh.facets[:, mesh.boundary_facets()], joined)
+    near = SAME * float(np.ptp(mesh.p, axis=1).max())
+    warnings = []
+    for name, cells in structure.bodies.items():
+        own = np.intersect1d(skin, mesh.t[:, cells])
+        pairs = cKDTree(mesh.p[:, own].T).query_pairs(near, output_type="ndarray")
+        if pairs.size:
+            x, y, z = mesh.p[:, own[pairs[0, 0]]]
+            warnings.append(
+                f"body {name!r} has {len(pairs)} pairs of nodes at one place, the first at "
+                f"({x:.4g}, {y:.4g}, {z:.4g}) m: nothing passes between them; merge them"
+            )
+    return warnings
 
 
 def facing_warnings(structure: Structure, sides: Sequence[NDArray[np.int64]]) -> list[str]:

@@ -20,6 +20,7 @@ from meshes.inspection import (
     facing_warnings,
     overlap_warnings,
     pieces,
+    seam_warnings,
 )
 from meshes.pairing import EXCESS, PairedJoint
 from meshes.structure import Structure
@@ -90,7 +91,7 @@ def check_stands(case: Case) -> None:
 
 
 def suspicions(structure: Structure, joints: Sequence[PairedJoint]) -> list[str]:
-    """Return a warning for each pair of bodies that touch without a joint, overlap, or are glued.
+    """Return a warning for bodies that touch without a joint, overlap, are glued or have a seam.
 
     Parameters
     ----------
@@ -99,6 +100,7 @@ def suspicions(structure: Structure, joints: Sequence[PairedJoint]) -> list[str]
     """
     return [
         *facing_warnings(structure, _sides(joints)),
+        *seam_warnings(structure, _sides(joints)),
         *overlap_warnings(structure),
         *_glued_warnings(structure, joints),
     ]

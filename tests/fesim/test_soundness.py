@@ -180,6 +180,39 @@ def test_a_body_of_pieces_whose_meshes_do_not_match_is_refused(tmp_path, data):
         run(tmp_path, data, one)
 
 
+def test_a_seam_within_a_body_is_said(tmp_path, data):
+    """Two columns on one foot that stand side by side without common nodes above it."""
+    half, top = SIDE / 2, 2 * SIDE
+    columns = {"left": (0.0, half), "right": (half, SIDE)}
+    parts = boxes(
+        {},
+        low=LOW,
+        **{name: ((a, 0.0, SIDE), (b, SIDE, top), (1, 2, 2)) for name, (a, b) in columns.items()},
+    )
+    mesh = parts.mesh
+    above = (mesh.p[0] > half - 1e-9) & np.isin(
+        np.arange(mesh.p.shape[1]), mesh.t[:, parts.bodies["right"]]
+    )
+    places = np.vstack([mesh.p, above & (mesh.p[2] > SIDE + 1e-9)]).round(9)
+    _, kept, number = np.unique(places, axis=1, return_index=True, return_inverse=True)
+    glued = MeshHex(mesh.p[:, kept], number.ravel()[mesh.t])
+    foot = rows_in(glued.facets.T, number.ravel()[mesh.facets[:, parts.surfaces["low.z0"]]].T)
+    one = replace(
+        parts,
+        mesh=glued,
+        surfaces={"low.z0": foot},
+        bodies={"low": np.arange(glued.nelements)},
+    )
+    write_structure(one, tmp_path / "boxes.vtu")
+    del data["bodies"]["high"], data["joints"]
+    data["supports"]["fixed"] = ["low.z0"]
+    data["sources"]["s"]["body"] = "low"
+    said = "body 'low' has 6 pairs of nodes at one place"
+    assert any(said in line for line in inspect(one).warnings)
+    with pytest.warns(UserWarning, match=said):
+        set_up(case_from_data(data, "case", tmp_path))
+
+
 def test_cells_that_share_a_node_are_one_piece():
     chain = np.array([[0, 1], [1, 2], [5, 6], [2, 9]]).T
     assert pieces(chain).tolist() == [0, 0, 1, 0]
