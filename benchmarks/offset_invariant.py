@@ -61,7 +61,7 @@ from thermojoint.live.publication import Layout, Publication
 from thermojoint.live.running import restored_fleet
 from thermojoint.live.samples import AssemblyRule
 from thermojoint.live.settings import Service, service_from_data
-from thermojoint.live.store import Batch, commit, open_store
+from thermojoint.live.store import Batch, commit, new_era, open_store
 
 START = 1_772_431_200.0
 MACHINE = "mill"
@@ -326,6 +326,16 @@ class Offsets(RuleBasedStateMachine):
             return
         for one in changed:
             self.receive(one)
+        self.begin_anew()
+
+    def begin_anew(self) -> None:
+        """Take readings of the present again if the clock was set back long ago."""
+        for mill in processing.set_back_machines(self.fleet, self.times):
+            self.checkpoint()
+            model, now = self.model, self.times.now
+            era = new_era(self.store, MACHINE, model.digest, model.layout, now)
+            processing.begin_anew(self.fleet, mill, era, now)
+            self.keep(Batch(checkpoints=[processing.checkpoint_of(mill)]))
 
     @property
     def gain(self) -> float:

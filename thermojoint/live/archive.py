@@ -8,6 +8,7 @@ import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from heapq import merge
 from itertools import islice
 from pathlib import Path
 
@@ -83,6 +84,7 @@ class Archive:
         numbers = np.concatenate([np.empty(0, dtype=np.int64), *(number for number, _, _ in parts)])
         words = [word for _, _, run in parts for word in run]
         inside = np.flatnonzero((rows[:, 0] >= since) & (rows[:, 0] <= until))
+        inside = inside[np.argsort(rows[inside, 0], kind="stable")]
         return History(
             layout,
             columns_of(layout, rows[inside]),
@@ -233,14 +235,15 @@ def _in_order(
     store: sqlite3.Connection, eras: list[int], span: tuple[float, float], newest_first: bool
 ) -> Iterator[tuple[int, Array, str]]:
     """Yield number, row and status of samples in order, including some outside the span."""
-    recent = _journal(store, eras)  # the newest samples
-    if newest_first:
-        yield from reversed(recent)
     step, order = (-1, "DESC") if newest_first else (1, "ASC")
-    for first, rows, words in _chunks(store, eras, span, order):
-        yield from ((first + k, rows[k], words[k]) for k in range(len(rows))[::step])
-    if not newest_first:
-        yield from recent
+    stored = (
+        (first + k, rows[k], words[k])
+        for first, rows, words in _chunks(store, eras, span, order)
+        for k in range(len(rows))[::step]
+    )
+    recent = _journal(store, eras)[::step]
+    # After a set-back clock the samples of two eras overlap.
+    yield from merge(recent, stored, key=lambda one: one[1][0], reverse=newest_first)
 
 
 def _thinned(

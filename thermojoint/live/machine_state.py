@@ -86,6 +86,15 @@ def initial_state(name: str, model: LoadedModel, now: float) -> MachineState:
     return MachineState(name, start, math.nan, output, handshake, AssemblyState(), nothing, nothing)
 
 
+def begun_anew(model: LoadedModel, state: MachineState) -> MachineState:
+    """Return a machine whose next sample may be earlier than its last; its offsets continue."""
+    return state._replace(
+        estimator_state=model.estimator.initial_state(),
+        assembly=AssemblyState(),
+        request=state.request._replace(not_before=-math.inf),
+    )
+
+
 def _empty_publication(name: str, layout: Layout, now: float) -> Publication:
     """Return the publication of a machine without any data, at a time (s since 1970)."""
     unknown = np.full(len(layout.axes), np.nan)

@@ -19,6 +19,7 @@ from thermojoint.live.machine_state import (
     MachineState,
     Times,
     after_silence,
+    begun_anew,
     postpone_reading,
     process_sample,
     publication_of,
@@ -38,6 +39,9 @@ from thermojoint.live.store import Checkpoint, Gap, ReceivedOffsets, StoredSampl
 STALLED_S = 2.0
 #: A time longer than this many intervals is a gap in the history.
 _GAP = 1.5
+#: Time of current readings after which the clock is believed to have been set back before the
+#: service started, s: a computer without a battery is behind until the network tells it the time.
+_UNSEEN_SET_BACK_S = 3600.0
 
 
 @dataclass(eq=False, slots=True)
@@ -68,6 +72,9 @@ class Machine:
     acknowledgements: list[Callable[[], None]] = field(default_factory=list)
     #: Time of arrival of the first of them, by the service's own clock, s.
     unacknowledged_since: float = math.inf
+    #: Time, by the service's own clock, since which current readings are late because the system
+    #: clock was set back, s.
+    set_back_since: float = math.inf
 
 
 @dataclass(eq=False)
@@ -126,6 +133,7 @@ def process(fleet: Fleet, arrivals: Iterable[Arrival], now: float, clock: float)
         )
         fleet.metrics.arrivals.labels(step.verdict).inc()
         machine.position = arrival.position
+        _note_set_back(fleet, machine, arrival.time, step.verdict, Times(now, clock))
         if step.verdict != "taken":
             _report_refusal(fleet, arrival, step.verdict, now)
             if arrival.acknowledge:
@@ -240,6 +248,39 @@ def _report_refusal(fleet: Fleet, arrival: Arrival, verdict: str, now: float) ->
         "no-time": f"{arrival.time!r} is not a time",
     }
     fleet.log.say(now, verdict, reasons[verdict], arrival.machine)
+
+
+def _note_set_back(fleet: Fleet, machine: Machine, time: float, verdict: str, times: Times) -> None:
+    """Note since when current readings are late because the clock was set back."""
+    if not machine.state.assembly.last > times.now + fleet.ahead:
+        machine.set_back_since = math.inf
+    elif verdict == "late":
+        current = age_of(machine.model.rule, fleet.behind, time, times.now) == 0.0
+        machine.set_back_since = min(machine.set_back_since, times.clock) if current else math.inf
+
+
+def set_back_machines(fleet: Fleet, times: Times) -> list[Machine]:
+    """Return the machines that have to begin anew because the clock was set back for good.
+
+    The service has seen the step since the last usable sample of a machine, or it is believed after
+    a longer time.
+    """
+    found = []
+    for machine in fleet.machines.values():
+        step = machine.last_usable_time - machine.last_usable - (times.now - times.clock)
+        wait = fleet.watchdog.bad_s if step > fleet.ahead else _UNSEEN_SET_BACK_S
+        if times.clock - machine.set_back_since >= wait:
+            found.append(machine)
+    return found
+
+
+def begin_anew(fleet: Fleet, machine: Machine, era: int, now: float) -> None:
+    """Let a machine take readings of the present again, in a new era, after a set-back clock."""
+    state, ahead = machine.state, machine.state.assembly.last - now
+    text = f"the clock was set back: the last sample is {ahead:.0f} s ahead of it; the estimator "
+    fleet.log.say(now, "set-back", f"{text}starts anew, its offsets continue", state.name)
+    machine.era, machine.state = era, begun_anew(machine.model, state)
+    machine.set_back_since = math.inf
 
 
 def age_of(rule: AssemblyRule, behind: float, instant: float, now: float) -> float:

@@ -21,7 +21,7 @@ from thermojoint.live.consistency import contradictions
 from thermojoint.live.former_models import pinned, record_deployments
 from thermojoint.live.loaded_models import LoadedModel, load_models, machine_models
 from thermojoint.live.log_lines import EventLog
-from thermojoint.live.machine_state import with_held_offsets
+from thermojoint.live.machine_state import Times, with_held_offsets
 from thermojoint.live.notify import notify_systemd
 from thermojoint.live.outputs import open_outputs
 from thermojoint.live.processing import Machine
@@ -30,7 +30,7 @@ from thermojoint.live.readers.reader import Reader, readers_of
 from thermojoint.live.recovery import is_damage, recover, recover_if_replaced
 from thermojoint.live.running import Running, opened
 from thermojoint.live.settings import Service
-from thermojoint.live.store import Batch, checkpoint_wal, commit, prune
+from thermojoint.live.store import Batch, checkpoint_wal, commit, new_era, prune
 
 #: Number of arrivals that are processed at once; others wait.
 _AT_ONCE = 32
@@ -207,6 +207,8 @@ async def _process(running: Running) -> None:
         running.publisher.publish(list(results.publications.values()))
         for call in results.acknowledgements:
             call()
+        for machine in processing.set_back_machines(fleet, Times(time.time(), time.monotonic())):
+            await _begin_anew(running, machine)
         now = time.time()
         for received_at in results.receipt_times:
             running.metrics.latency.observe(max(0.0, now - received_at))
@@ -216,6 +218,16 @@ async def _process(running: Running) -> None:
         if not all(blocks):
             return
         await asyncio.sleep(_GATHER_S if queue.empty() else 0.0)
+
+
+async def _begin_anew(running: Running, machine: Machine) -> None:
+    """Begin a new era of a machine whose last sample is ahead of a clock that was set back."""
+    async with _store_maintenance(running):
+        await _checkpoint(running, [machine])
+        name, model, now = machine.state.name, machine.model, time.time()
+        era = await running.run_on_store(new_era, name, model.digest, model.layout, now)
+        processing.begin_anew(running.fleet, machine, era, now)
+        await _commit(running, Batch(checkpoints=[processing.checkpoint_of(machine)]))
 
 
 async def _monitor(running: Running) -> None:

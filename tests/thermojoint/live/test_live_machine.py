@@ -44,6 +44,7 @@ from thermojoint.live.store import (
     era_before,
     era_of,
     last_received,
+    new_era,
     open_store,
     prune,
     stored_eras,
@@ -550,6 +551,55 @@ def test_a_sample_from_before_the_clock_was_set_back_is_not_good(model, store, p
     _, (said,) = started(model, store, path, log, 30)
     assert (said.quality, said.offset_mode) == (Quality.BAD, "freeze")
     assert "bad: no usable sample since the clock was set back" in [e.text for e in log.pending]
+
+
+def late_since_set_back(fleet, first, last, start=0.0):
+    """Readings by a clock that was set back by a day, when the service's own has gone on."""
+    for k in range(first, last):
+        now, clock = START + k - 86400.0, START + k - start
+        arrival = Arrival("mill", now, readings(k), now)
+        assert not processing.process(fleet, [arrival], now, clock).samples
+        yield processing.set_back_machines(fleet, Times(now, clock))
+
+
+def test_a_machine_begins_anew_when_the_clock_was_set_back_for_good_and_its_offset_stays(
+    model, store, path
+):
+    fleet = fleet_of(model, store, START)
+    feed(fleet, store, 0, 60)
+    checkpoint(fleet, store)
+    mill, sent = fleet.machines["mill"], fleet.machines["mill"].state.output
+    *waits, due = late_since_set_back(fleet, 60, 121)
+    assert (any(waits), due) == (False, [mill])
+    now = START + 121 - 86400.0
+    processing.begin_anew(fleet, mill, new_era(store, "mill", model.digest, model.layout, now), now)
+    assert mill.state.output is sent
+    checkpoint(fleet, store)
+    again, _ = started(model, store, path, EventLog(), 121 - 86400)
+    for one in (fleet, again):
+        for k in range(121, 125):
+            now = START + k - 86400.0
+            arrival = Arrival("mill", now, readings(k), now)
+            results = processing.process(one, [arrival], now, START + k)
+            commit(store, Batch(results.samples if one is again else ()))
+        latest = one.machines["mill"].state.latest
+        assert (latest.time, latest.number) == (now, 64)
+        assert "unsettled" in latest.status
+    archive = Archive(path)
+    times = archive.history("mill", 0.0, 1e11, 1000).columns.times.tolist()
+    assert times == [START + k for k in (*range(121 - 86400, 125 - 86400), *range(60))]
+    newest = archive.samples("mill", (-math.inf, math.inf), 1000, newest_first=True)
+    assert [one.time for one in newest] == times[::-1]
+
+
+def test_a_service_that_starts_with_the_clock_behind_waits_an_hour_for_the_network(
+    model, store, path
+):
+    """A computer without a battery is told the time by the network, and then goes on as before."""
+    feed(fleet_of(model, store, START), store, 0, 60)
+    fleet, _ = started(model, store, path, EventLog(), 60 - 86400)
+    *waits, due = late_since_set_back(fleet, 60, 60 + 3601, 86400.0)
+    assert (any(waits), len(due)) == (False, 1)
 
 
 def test_a_state_is_refused_once_and_those_after_it_are_kept(model, store, path):

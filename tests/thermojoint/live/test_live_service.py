@@ -38,6 +38,7 @@ from small_disk import fill, mounted
 from benchmarks import live_kills
 from estimator.quality import Quality
 from thermojoint.artefacts.errors import InputError
+from thermojoint.live import processing
 from thermojoint.live.archive import Archive
 from thermojoint.live.arrivals import Arrival
 from thermojoint.live.certificates import own_identity
@@ -372,6 +373,34 @@ def test_a_damaged_state_begins_its_machine_anew(model, tmp_path):
         store.commit()
     asyncio.run(live(20))
     assert len(events_in(tmp_path, "state-refused")) == 1
+
+
+def test_readings_are_taken_again_after_both_clocks_were_ahead(model, tmp_path, monkeypatch):
+    monkeypatch.setattr(processing, "_UNSEEN_SET_BACK_S", 0.0)
+    log, ahead, now = tmp_path / "log.csv", day(10), day(20)
+    ahead[:, 0] += time.time() - START + 86400.0
+    now[:, 0] += time.time() - START - 100.0
+    data = file_of(model, {"kind": "csv", "path": "log.csv"})
+
+    async def live(count, **more):
+        async with serving(data | more, tmp_path) as running:
+            await until(lambda: running.publisher.newest["mill"].number == count)
+
+    log.write_text(csv_of(ahead))
+    asyncio.run(live(10, ahead_s=1e6))
+    log.write_text(csv_of(np.concatenate([ahead, now[:1]])))
+
+    async def taken_again():
+        async with serving(data, tmp_path) as running:
+            mill = running.fleet.machines["mill"]
+            await until(lambda: np.isnan(mill.state.assembly.last))
+            log.write_text(csv_of(np.concatenate([ahead, now])))
+            await until(lambda: running.publisher.newest["mill"].number == 29)
+            assert running.publisher.newest["mill"].time == pytest.approx(now[-1, 0], abs=1.0)
+
+    asyncio.run(taken_again())
+    assert len(events_in(tmp_path, "set-back")) == 1
+    asyncio.run(live(29))
 
 
 def test_a_hangup_makes_the_service_read_its_file_again(model, tmp_path):
