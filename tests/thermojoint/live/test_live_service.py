@@ -705,6 +705,42 @@ def test_a_history_is_read_to_its_end_also_if_it_is_stored_late_or_comes_in_part
     asyncio.run(live())
 
 
+def test_one_time_in_the_future_leaves_no_value_out_after_a_lost_connection(monkeypatch):
+    monkeypatch.setattr(opcua, "_ALIVE_S", 0.2)
+
+    async def live():
+        server, port, found = Server(), free_port(), []
+        await server.init()
+        server.set_endpoint(f"opc.tcp://127.0.0.1:{port}")
+        node = await server.nodes.objects.add_variable(ua.NodeId("T", 2), "T", 0.0)
+
+        async def write(time):
+            await server.write_attribute_value(node.nodeid, _value(time - START, time))
+
+        async def told(arrivals, time):
+            while time not in found:
+                found.extend(one.time for one in await anext(arrivals) if isinstance(one, Arrival))
+
+        await write(START + 1e7)
+        async with server:
+            await server.iserver.enable_history_data_change(node, timedelta(days=3650), 10_000)
+            endpoint = Endpoint(f"opc.tcp://127.0.0.1:{port}", None, None, None, None)
+            reader = OpcuaReader(endpoint, {"ns=2;s=T": ("mill", 0)}, {"mill": 1}, 100, 50.0)
+            async with contextlib.aclosing(reader.read({})) as arrivals:
+                await told(arrivals, START + 1e7)
+                await write(START)
+                await told(arrivals, START)
+                subscriptions = server.iserver.subscription_service
+                # The other one is that of the history.
+                await subscriptions.delete_subscriptions([max(subscriptions.subscriptions)])
+                for k in (1, 2, 3):
+                    await write(START + k)
+                await told(arrivals, START + 3.0)
+        assert {START + 1.0, START + 2.0} <= {*found}
+
+    asyncio.run(asyncio.wait_for(live(), 15.0))
+
+
 def test_a_subscription_that_its_server_has_ended_is_made_anew(monkeypatch):
     """As after a pause of the computer, longer than the subscription lives without requests."""
     monkeypatch.setattr(opcua, "_ALIVE_S", 0.2)

@@ -170,7 +170,8 @@ class OpcuaReader:
         machine, k = places[nodeid]
         item = item_of(machine, k, self.counts[machine], value)
         if isinstance(item, Arrival):
-            self._newest[machine, k] = max(item.time, self._newest.get((machine, k), 0.0))
+            # Not the latest time: one far in the future would leave out what is missed later.
+            self._newest[machine, k] = item.time
         else:
             item = replace(item, text=f"{nodeid.to_string()}: {item.text}")
         if len(self._queue) < self.most_waiting:
