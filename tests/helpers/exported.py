@@ -147,7 +147,7 @@ def counts(found, folder, name, body):
     written(found, folder)
     header = (folder / f"{name}.h").read_text()
     (folder / f"{name}.h").write_text(header.replace("typedef double", "typedef Counted"))
-    text = f'#define restrict\n{COUNTED}\n#include "{name}.c"\n#include <stdio.h>\n{body}'
+    text = f'{COUNTED}\n#include "{name}.c"\n#include <stdio.h>\n{body}'
     (folder / "all.cpp").write_text(text)
     subprocess.run(["g++", "-std=c++17", "-O1", "-w", "all.cpp", "-o", "c"], cwd=folder, check=True)
     done = subprocess.run(["./c"], cwd=folder, check=True, capture_output=True, text=True)

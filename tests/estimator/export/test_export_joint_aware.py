@@ -1,5 +1,6 @@
 """An exported joint-aware estimator is the one in Python, and near it where a sensor is faulty."""
 
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -357,6 +358,14 @@ def test_names_that_c_does_not_have_are_made_fit_and_no_comment_is_ended(
 
 
 @pytest.mark.long
+@needs_gxx
+def test_a_program_is_also_part_of_a_project_in_cpp(joint_aware_program, tmp_path):
+    written(joint_aware_program, tmp_path)
+    command = ["g++", "-x", "c++", "-std=c++17", "-pedantic", "-Wall", "-Wextra", "-Werror"]
+    sources = ["m.c", "m_selftest.c"]
+    subprocess.run([*command, "-fsyntax-only", *sources], cwd=tmp_path, check=True)
+
+
 @needs_gxx
 def test_no_sample_costs_more_than_is_printed(joint_aware_program, samples, tmp_path):
     found = joint_aware_program
