@@ -203,6 +203,18 @@ def test_what_is_new_is_drawn_into_the_charts_that_are_there(page, floor):
     floor.publish(again(before))
 
 
+def test_charts_go_on_after_the_clock_was_set_back(page, floor):
+    opened(page, floor, "/machines/mill-1")
+    until(page, "!!document.querySelector('#c-displacement').data")
+    before, drawn = floor.publisher.newest["mill-1"], "document.querySelector('#c-displacement')"
+    for x_um, ahead in ((77.7, 3600.0), (88.8, 0.0)):
+        ends = f"{drawn}.data.some((one) => one.y.at(-1) === {x_um})"
+        moment, displacement = time.time() + ahead, np.array([1e-6 * x_um, 0.0])
+        floor.publish(again(before, time=moment, displacement=displacement))
+        until(page, ends)
+    floor.publish(again(before))
+
+
 def test_a_page_follows_a_model_that_has_replaced_another(page, floor):
     """One without slopes, and without a reading: the page stood still at the values before."""
     opened(page, floor, "/machines/mill-1")

@@ -132,16 +132,21 @@ function interrupt(past, hole) {
 // The newest sample behind the curves; what is older than the span goes, and the rest stays bounded.
 function append(one) {
   const past = page.past, times = past.time_s;
-  if (one.time_s === null || (times.length && one.time_s <= times[times.length - 1])) return;
+  const later = times.findIndex((time) => time >= one.time_s);
+  if (one.time_s === null || times[later] === one.time_s) return;
+  // What is later is from before the clock was set back.
+  if (later >= 0) remove(past, later, times.length);
   times.push(one.time_s);
   for (const group of columns(past)) {
     for (const [key, column] of Object.entries(past[group])) column.push(valueOf(one, group, key));
   }
   const gone = times.findIndex((time) => time >= clock.now() - page.span);
-  if (gone > 0) {
-    times.splice(0, gone);
-    for (const group of columns(past)) for (const column of Object.values(past[group])) column.splice(0, gone);
-  }
+  if (gone > 0) remove(past, 0, gone);
+}
+
+function remove(past, first, count) {
+  past.time_s.splice(first, count);
+  for (const group of columns(past)) for (const column of Object.values(past[group])) column.splice(first, count);
 }
 
 function status() {
