@@ -41,6 +41,19 @@ _MARK = "unfinished"
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 
 
+def check_place(path: Path, folder: Path) -> None:
+    """Refuse a path if its folder, which may not exist yet, cannot be written.
+
+    Raises
+    ------
+    InputError
+        The folder, or the nearest one that exists, is a file or not writable.
+    """
+    nearest = next(place for place in (folder, *folder.parents) if place.exists())
+    if not nearest.is_dir() or not os.access(nearest, os.W_OK):
+        raise InputError(f"{path}: nothing can be written in {nearest}; choose another place")
+
+
 def check_replaceable(path: Path) -> None:
     """Refuse a folder that `whole_folder` would not replace.
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import math
-import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
@@ -16,7 +15,7 @@ import typer
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import whole_file
-from thermojoint.artefacts.folders import check_replaceable
+from thermojoint.artefacts.folders import check_place, check_replaceable
 from thermojoint.cli.file_kinds import Kind
 
 if TYPE_CHECKING:
@@ -70,7 +69,7 @@ def check_outputs(
             continue
         if path.is_dir():
             raise InputError(f"{path}: is a folder; give a file name")
-        _check_place(path, path.absolute().parent)
+        check_place(path, path.absolute().parent)
         for what, other in taken:
             if _same(path, other):
                 raise InputError(f"{option} {path}: is {what} of this command; give another name")
@@ -89,7 +88,7 @@ def check_outputs(
 def check_whole_folder(path: Path) -> None:
     """Refuse, before any work, a folder that cannot or must not be replaced as a whole."""
     check_replaceable(path)
-    _check_place(path, path.resolve().parent)
+    check_place(path, path.resolve().parent)
 
 
 def _same(path: Path, other: Path) -> bool:
@@ -97,12 +96,6 @@ def _same(path: Path, other: Path) -> bool:
     if path.exists() and other.exists():
         return path.samefile(other)
     return path.resolve() == other.resolve()
-
-
-def _check_place(path: Path, folder: Path) -> None:
-    nearest = next(place for place in (folder, *folder.parents) if place.exists())
-    if not nearest.is_dir() or not os.access(nearest, os.W_OK):
-        raise InputError(f"{path}: nothing can be written in {nearest}; choose another place")
 
 
 def positive(option: str, value: float) -> float:

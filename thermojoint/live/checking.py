@@ -14,6 +14,7 @@ from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 from thermojoint.artefacts.errors import InputError, ThermojointError
+from thermojoint.artefacts.folders import check_place
 from thermojoint.live.accounts import accounts_of
 from thermojoint.live.certificates import expiry_warnings, http_identity, opcua_identity
 from thermojoint.live.consistency import contradictions
@@ -59,6 +60,7 @@ def _findings(service: Service, folder: Path) -> Findings:
     usable = {name: one for name, one in service.machines.items() if one.model in models}
     service = replace(service, machines=usable)
     checks: list[Callable[[], object]] = [
+        partial(check_place, folder, folder.absolute()),
         partial(check_store, folder / "history.sqlite"),
         partial(readers_of, service, machine_models(models, service)),
         *(partial(_check_scene, service, models, name) for name in models),

@@ -272,8 +272,9 @@ def test_check_says_all_that_a_start_would_refuse_and_leaves_the_folder_alone(mo
     (tmp_path / "token").chmod(0o644)
     (tmp_path / "model.json").write_text("{}")
     (tmp_path / "plant.key").write_bytes((tmp_path / "made" / "http_certificate.pem").read_bytes())
+    (tmp_path / "state").write_text("")
     done = called("serve", file, "--check")
-    for said in ("http.token", "model.json", "plant.key"):
+    for said in ("http.token", "model.json", "plant.key", "nothing can be written in"):
         assert said in str(done.exception), said
 
 
