@@ -135,7 +135,7 @@ def read_estimate(lines: Iterable[str], where: str) -> tuple[tuple[str, ...], li
         last = rows[-1].time if rows else -math.inf
         if not last < time < math.inf:
             raise InputError(
-                f"{line}: time {time:g} s does not come after {last:g} s; drop or re-order it"
+                f"{line}: time {time:.15g} s does not come after {last:.15g} s; drop or re-order it"
             )
         values, bands = (
             MICRO

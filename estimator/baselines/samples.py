@@ -44,12 +44,12 @@ def advanced(
     dt = lead if fresh else time - clock.time
     if not 0.0 < dt < math.inf or not math.isfinite(time):
         raise InputError(
-            f"sample at t = {time:g} s: time does not increase (the last was at {clock.time:g} s); "
-            "drop or re-order the sample"
+            f"sample at t = {time:.15g} s: time does not increase (the last was at "
+            f"{clock.time:.15g} s); drop or re-order the sample"
         )
     if len(values) != len(channels) or not all(map(math.isfinite, values)):
         names = ", ".join(channel.name for channel in channels)
         raise InputError(
-            f"sample at t = {time:g} s: give {names} as finite numbers, or leave the sample out"
+            f"sample at t = {time:.15g} s: give {names} as finite numbers, or leave the sample out"
         )
     return Clock(time, time - lead if fresh else clock.begun), dt

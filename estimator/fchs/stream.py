@@ -92,12 +92,14 @@ def step(
         Time does not increase, or a value is not finite or missing. The state can be used again.
     """
     if not math.isfinite(time):
-        raise InputError(f"sample at t = {time:g} s: its time is not finite; leave the sample out")
+        raise InputError(
+            f"sample at t = {time:.15g} s: its time is not finite; leave the sample out"
+        )
     last = state[TIME]
     dt = assembly.dt_s if math.isnan(last) else time - float(last)
     if not 0.0 < dt < math.inf:
         raise InputError(
-            f"sample at t = {time:g} s: time does not increase (the last was at {last:g} s); "
+            f"sample at t = {time:.15g} s: time does not increase (the last was at {last:.15g} s); "
             "drop or re-order the sample"
         )
     measured = (delta_T, *temperatures)
@@ -219,7 +221,7 @@ def propagator(assembly: Assembly, dt: float) -> np.ndarray:
 def _unusable(assembly: Assembly, time: float, measured: tuple[float, ...]) -> InputError:
     """Return the error that names the channel."""
     names = ["ΔT", *(f"T{j + 1}" for j in range(assembly.n_sources))]
-    where = f"sample at t = {time:g} s"
+    where = f"sample at t = {time:.15g} s"
     if len(measured) != len(names):
         return InputError(f"{where}: {len(measured)} values, expected {', '.join(names)}")
     name, bad = next(pair for pair in zip(names, measured, strict=True) if not _possible(pair[1]))

@@ -105,12 +105,12 @@ def moment_of(observer: Observer, last: float, time: float) -> Moment:
     """
     step, thresholds = observer.model.step, observer.thresholds
     if not math.isfinite(time):
-        raise InputError(f"time {time:g} s is not a time; drop the sample")
+        raise InputError(f"time {time:.15g} s is not a time; drop the sample")
     if math.isnan(last):
         return Moment(time, 0.0, 0)
     if not time > last:
         raise InputError(
-            f"time {time:g} s does not come after {last:g} s; drop or re-order the sample"
+            f"time {time:.15g} s does not come after {last:.15g} s; drop or re-order the sample"
         )
     # An interval of one step, up to rounding, is one step.
     elapsed = min(time - last, _LONGEST_GAP_S)

@@ -211,7 +211,8 @@ class Learned(Described):
         last = self._continued(state_in(state, self.model), time)
         if not np.isfinite(time) or time <= last.time:
             raise InputError(
-                f"time {time:g} s does not come after {last.time:g} s; drop or re-order the sample"
+                f"time {time:.15g} s does not come after {last.time:.15g} s; drop or re-order the "
+                "sample"
             )
         places = len(self.model.positions)
         parts = np.cumsum([len(self.model.columns), places, len(self.axes), places])

@@ -658,7 +658,10 @@ def test_a_mistake_in_the_settings_is_one_line(files, old, new, told):
         ("time_s,x\n1,2\n", "no estimate"),
         (estimate_text([]), "no row"),
         (estimate_text(["0,1,a,0,,,ok"]), "'a' is not a number"),
-        (estimate_text(["0,1,0,0,,,ok", "0,1,0,0,,,ok"]), "does not come after"),
+        (
+            estimate_text(["1796056561.5,1,0,0,,,ok", "1796056560,1,0,0,,,ok"]),
+            "time 1796056560 s does not come after 1796056561.5 s",
+        ),
         (estimate_text(["0,1,0"]), "3 values"),
     ],
 )
