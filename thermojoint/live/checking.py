@@ -77,21 +77,35 @@ def _findings(service: Service, folder: Path) -> Findings:
     return Findings(refused, [*contradictions(service.given, models), *soon])
 
 
-def addresses_in_use(service: Service) -> list[str]:
-    """Return the addresses in use by other programs; none while the service itself runs."""
-    file = service.given
-    sections = (("opcua", file.opcua), ("http", file.http), ("shdr", file.shdr))
-    given = [(name, one.address, one.port) for name, one in sections if one is not None]
-    if is_locked(service.folder):
+def addresses_in_use(service: Service, present: Service | None = None) -> list[str]:
+    """Return the addresses in use by other programs.
+
+    Parameters
+    ----------
+    service : Service
+        To be started; if it runs already, nothing is returned.
+    present : Service, optional
+        A running service that is to be replaced, which has its own ports in use.
+    """
+    if present is None and is_locked(service.folder):
         return []
+    own = {port for _, _, port in _listening(present)} if present else set()
     busy = []
-    for name, address, port in given:
+    for name, address, port in _listening(service):
         family = socket.AF_INET6 if ":" in address else socket.AF_INET
         try:
-            socket.create_server((address, port), family=family).close()
+            if port not in own:
+                socket.create_server((address, port), family=family).close()
         except OSError as error:
             busy.append(f"{name}: {address}:{port}: {error.strerror}; take another port")
     return busy
+
+
+def _listening(service: Service) -> list[tuple[str, str, int]]:
+    """Return the interfaces that listen: section, address, port."""
+    file = service.given
+    sections = (("opcua", file.opcua), ("http", file.http), ("shdr", file.shdr))
+    return [(name, one.address, one.port) for name, one in sections if one is not None]
 
 
 def _copy(source: Path, target: Path) -> None:

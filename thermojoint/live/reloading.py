@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from thermojoint.artefacts.errors import ThermojointError
-from thermojoint.live.checking import checked
+from thermojoint.live.checking import addresses_in_use, checked
 from thermojoint.live.log_lines import LOGGER, line_of
 from thermojoint.live.running import Running
 from thermojoint.live.service import run
@@ -44,7 +44,7 @@ async def serve_file(
     while service is not None:
         ended = asyncio.Event()
         running = asyncio.create_task(run(service, ended, ready, reload.set))
-        fresh = asyncio.create_task(_reloaded(path, reload))
+        fresh = asyncio.create_task(_reloaded(path, reload, service))
         stopped = asyncio.create_task(stop.wait())
         await asyncio.wait({running, fresh, stopped}, return_when=asyncio.FIRST_COMPLETED)
         ended.set()
@@ -56,7 +56,7 @@ async def serve_file(
         await running
 
 
-async def _reloaded(path: Path, reload: asyncio.Event) -> Service:
+async def _reloaded(path: Path, reload: asyncio.Event, present: Service) -> Service:
     """Return the service of the file once a reload is requested and the file passes its check."""
     while True:
         await reload.wait()
@@ -64,6 +64,7 @@ async def _reloaded(path: Path, reload: asyncio.Event) -> Service:
         try:
             service = read_service(path)
             refused = (await asyncio.to_thread(checked, service)).refused
+            refused += await asyncio.to_thread(addresses_in_use, service, present)
         except (ThermojointError, OSError) as error:
             refused = str(error).splitlines()
         if not refused:

@@ -6,6 +6,7 @@ import gzip
 import json
 import shutil
 import signal
+import socket
 import ssl
 import stat
 import tempfile
@@ -234,14 +235,18 @@ def test_a_rollback_by_command_holds_from_the_next_start(life, models):
     assert kept.read_bytes() == models["new"]
 
 
-@pytest.mark.parametrize("wrong", ["users", "disk"])
+@pytest.mark.parametrize("wrong", ["users", "disk", "port"])
 def test_a_reload_that_cannot_even_be_checked_ends_no_service(models, tmp_path, monkeypatch, wrong):
     file = plant(tmp_path, models, free_port())
     users = tmp_path / "users"
 
     async def live():
         async with running(file) as (starts, reload):
-            if wrong == "users":
+            if wrong == "port":
+                taken = socket.create_server(("127.0.0.1", 0))
+                closed_at_end.callback(taken.close)
+                file.write_text(SERVICE.format(port=taken.getsockname()[1], rate=20.0))
+            elif wrong == "users":
                 users.write_bytes(users.read_bytes() + "# für die Halle\n".encode("cp1252"))
             else:
                 monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "gone"))
@@ -251,7 +256,8 @@ def test_a_reload_that_cannot_even_be_checked_ends_no_service(models, tmp_path, 
             found = starts[0].accounts.by_password("eva", "evas-secret")
             return len(starts), starts[0].stop.is_set(), found.name
 
-    assert asyncio.run(live()) == (1, False, "eva")
+    with contextlib.ExitStack() as closed_at_end:
+        assert asyncio.run(live()) == (1, False, "eva")
 
 
 def test_the_size_of_the_write_ahead_log_is_a_metric(models, tmp_path):
