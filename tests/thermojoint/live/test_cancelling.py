@@ -3,6 +3,8 @@
 import asyncio
 
 from thermojoint.live.cancelling import cancelled
+from thermojoint.live.publisher import Publisher
+from thermojoint.live.writers import mqtt
 
 
 async def deaf(times):
@@ -39,3 +41,16 @@ def test_what_has_ended_is_not_waited_for():
         return await cancelled(done), await cancelled()
 
     assert asyncio.run(live()) == (["done"], [])
+
+
+def test_a_writer_that_is_cancelled_leaves_no_task():
+    async def live():
+        watch = asyncio.get_running_loop().create_future()
+        writing = asyncio.create_task(mqtt._publish(Publisher(), None, "mill", watch))
+        for _ in range(3):
+            await asyncio.sleep(0)
+        await cancelled(writing)
+        await asyncio.sleep(0)
+        return asyncio.all_tasks() - {asyncio.current_task()}
+
+    assert asyncio.run(live()) == set()

@@ -87,9 +87,11 @@ async def _publish(
     with publisher.subscribe() as subscription:
         while True:
             news = asyncio.ensure_future(subscription.wait())
-            done, _ = await asyncio.wait({news, watch}, return_when=asyncio.FIRST_COMPLETED)
-            if watch in done:
-                news.cancel()
+            try:
+                await asyncio.wait({news, watch}, return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                news.cancel()  # without effect once there is news
+            if watch.done():
                 await watch
             for k, machine in enumerate(sorted(await news)):
                 content = json.dumps(as_json(publisher.newest[machine]), allow_nan=False)
