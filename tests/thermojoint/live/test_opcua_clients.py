@@ -21,7 +21,7 @@ from thermojoint.live.opcua_values import variables_of
 from thermojoint.live.publisher import Publisher
 from thermojoint.live.settings import OpcuaServer
 from thermojoint.live.users import add_user
-from thermojoint.live.writers.opcua import ServerContext, open_server, serve_nodes
+from thermojoint.live.writers.opcua import ServerContext, fresh_server, open_server, serve_nodes
 from thermojoint.live.writers.opcua_history import _MOST, ArchiveHistory
 
 AT = 1_772_431_200.0
@@ -137,6 +137,12 @@ async def hears(client, where=ua.ObjectIds.Server):
     subscription = await client.create_subscription(50.0, heard)
     await subscription.subscribe_alarms_and_conditions(where, KINDS)
     return heard, subscription
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1", "::1"])
+def test_a_server_listens_at_either_kind_of_address(address):
+    endpoint = fresh_server(OpcuaServer(address=address, port=4841)).endpoint
+    assert (endpoint.hostname, endpoint.port) == (address, 4841)
 
 
 def test_a_value_that_becomes_bad_is_an_alarm_to_all_who_see_the_machine(tmp_path):

@@ -249,7 +249,8 @@ def fresh_server(section: OpcuaServer) -> Server:
     server.name = "thermojoint"
     server.product_uri = server.manufacturer_name = APPLICATION
     server.application_type = ua.ApplicationType.Server
-    server.set_endpoint(f"opc.tcp://{section.address}:{section.port}/thermojoint")
+    host = f"[{section.address}]" if ":" in section.address else section.address
+    server.set_endpoint(f"opc.tcp://{host}:{section.port}/thermojoint")
     return server
 
 
