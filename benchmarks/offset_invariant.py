@@ -330,6 +330,7 @@ class Offsets(RuleBasedStateMachine):
 
     def begin_anew(self) -> None:
         """Take readings of the present again if the clock was set back long ago."""
+        assert self.store is not None
         for mill in processing.set_back_machines(self.fleet, self.times):
             self.checkpoint()
             model, now = self.model, self.times.now
