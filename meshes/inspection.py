@@ -152,6 +152,7 @@ def inspect(structure: Structure, riding: Collection[str] = ()) -> Inspection:
             *_partner_warnings(structure),
             *facing_warnings(structure, sides),
             *seam_warnings(structure, sides),
+            *hinge_warnings(structure),
         ),
     )
 
@@ -420,6 +421,27 @@ def seam_warnings(structure: Structure, sides: Sequence[NDArray[np.int64]]) -> l
             warnings.append(
                 f"body {name!r} has {len(pairs)} pairs of nodes at one place, the first at "
                 f"({x:.4g}, {y:.4g}, {z:.4g}) m: nothing passes between them; merge them"
+            )
+    return warnings
+
+
+def hinge_warnings(structure: Structure) -> list[str]:
+    """Return a warning for every body with parts that share nodes but no face."""
+    mesh = structure.mesh
+    inner = mesh.f2t[:, mesh.f2t[1] >= 0]
+    graph = coo_array((np.ones(inner.shape[1]), inner), shape=(mesh.nelements,) * 2)
+    part = connected_components(graph.tocsr(), directed=False)[1]
+    warnings = []
+    for name, cells in structure.bodies.items():
+        corners = mesh.t[:, cells]
+        nodes = np.unique([corners.ravel(), np.tile(part[cells], len(corners))], axis=1)[0]
+        shared = nodes[1:][np.diff(nodes) == 0]
+        if shared.size:
+            x, y, z = mesh.p[:, shared[0]]
+            warnings.append(
+                f"parts of body {name!r} meet in an edge or corner only, at ({x:.4g}, {y:.4g}, "
+                f"{z:.4g}) m: they turn about it, and the heat through it depends on the mesh; let "
+                "them share a face, or give them names of their own and a joint"
             )
     return warnings
 

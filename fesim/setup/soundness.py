@@ -18,6 +18,7 @@ from meshes.inspection import (
     area_of,
     facing_facets,
     facing_warnings,
+    hinge_warnings,
     overlap_warnings,
     pieces,
     seam_warnings,
@@ -91,7 +92,7 @@ def check_stands(case: Case) -> None:
 
 
 def suspicions(structure: Structure, joints: Sequence[PairedJoint]) -> list[str]:
-    """Return a warning for bodies that touch without a joint, overlap, are glued or have a seam.
+    """Return a warning for bodies that touch without a joint, overlap, are glued or hang loosely.
 
     Parameters
     ----------
@@ -101,6 +102,7 @@ def suspicions(structure: Structure, joints: Sequence[PairedJoint]) -> list[str]
     return [
         *facing_warnings(structure, _sides(joints)),
         *seam_warnings(structure, _sides(joints)),
+        *hinge_warnings(structure),
         *overlap_warnings(structure),
         *_glued_warnings(structure, joints),
     ]

@@ -17,11 +17,12 @@ from fesim.case.identity import case_id, condensation_key
 from fesim.case.schema import case_from_data
 from fesim.march.state_file import load_state, save_state
 from fesim.setup.machine import set_up, with_laws
+from fesim.setup.soundness import suspicions
 from fesim.simulate import simulate
 from meshes.exchange import write_structure
 from meshes.faces import rows_in
 from meshes.inspection import inspect, pieces
-from meshes.structure import Probe
+from meshes.structure import Probe, Structure
 from thermojoint.artefacts.errors import ConvergenceError, InputError
 from thermojoint.paper.summary import result_lines, rocking_lines
 from thermojoint.reduced.machine import diagonal_modes, reduce_machine
@@ -211,6 +212,18 @@ def test_a_seam_within_a_body_is_said(tmp_path, data):
     assert any(said in line for line in inspect(one).warnings)
     with pytest.warns(UserWarning, match=said):
         set_up(case_from_data(data, "case", tmp_path))
+
+
+def test_parts_of_a_body_that_meet_in_an_edge_only_are_said():
+    """Two of the four quarters of a block, across from each other."""
+    quarters = np.linspace(0.0, SIDE, 5)
+    block = MeshHex.init_tensor(quarters, quarters, quarters)
+    x, y, _ = block.p[:, block.t].mean(axis=1)
+    mesh = block.restrict(np.flatnonzero((x < SIDE / 2) == (y < SIDE / 2)))
+    one = Structure(mesh, {"block": np.arange(mesh.nelements)}, {}, {}, {})
+    said = "parts of body 'block' meet in an edge or corner only, at (0.01, 0.01, "
+    assert any(said in line for line in inspect(one).warnings)
+    assert any(said in line for line in suspicions(one, []))
 
 
 def test_cells_that_share_a_node_are_one_piece():
