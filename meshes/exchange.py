@@ -254,8 +254,9 @@ def _check_cards(path: Path) -> None:
     """Refuse Abaqus files that meshio silently misreads.
 
     It ends a card at a comment, keeps only the last *NODE card and the last card of an element set,
-    assigns sets of *ELEMENT cards to the first of these cards, and cannot combine sets. It does not
-    move parts to their instances, and ignores what other cards create.
+    leaves elements below a set out of it, assigns sets of *ELEMENT cards to the first of these
+    cards, and cannot combine sets. It does not move parts to their instances, and ignores what
+    other cards create.
     """
     cards: list[tuple[str, str]] = []
     comment = False
@@ -297,6 +298,13 @@ def _check_cards(path: Path) -> None:
     if often > 1:
         raise InputError(
             f"{path}: element set {name!r} is on {often} cards; define it by one *ELSET"
+        )
+    order = [card for card, _ in cards if card in ("ELEMENT", "ELSET")]
+    if order != sorted(order):
+        name = next(name for card, name in cards if card == "ELSET")
+        raise InputError(
+            f"{path}: element set {name!r} is above an *ELEMENT card, whose elements it would not "
+            "hold; move the sets below all elements"
         )
     if len({bool(name) for card, name in cards if card == "ELEMENT"}) > 1:
         raise InputError(

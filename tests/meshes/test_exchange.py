@@ -161,6 +161,10 @@ def test_cards_of_elements_are_one_surface_by_a_set_that_lists_them(tmp_path):
             ],
             "element set 'all' holds 'one', no number",
         ),
+        (
+            [f"{SOLID}\n{FIRST}{SECOND}", f"{SHELL}\n{LID}", LISTED, f"{SHELL}\n{BOTTOM}"],
+            "element set 'all' is above an .ELEMENT card",
+        ),
         ([NODES, f"{SOLID}, ELSET=all\n{FIRST}{SECOND}"], "several .NODE cards"),
         ([f"{SOLID}, ELSET=all\n", "*INCLUDE, INPUT=cells.inp\n"], "INCLUDE cannot be read"),
         ([f"{SOLID}, ELSET=all\n{FIRST}", "*NGEN\n1, 3, 1\n"], "NGEN cannot be read"),
