@@ -175,8 +175,8 @@ def check_response(response: xr.Dataset, where: str) -> xr.Dataset:
     Raises
     ------
     InputError
-        A variable, a dimension or ``time`` is missing, a unit differs, a value is not finite, or
-        time does not increase.
+        A variable, a dimension or ``time`` is missing, a unit differs, a value is not finite, a
+        name is there twice, or time does not increase.
     """
     known = {}
     # Without data arrays: creating them takes longer than checking all values.
@@ -188,6 +188,11 @@ def check_response(response: xr.Dataset, where: str) -> xr.Dataset:
             dims = tuple(map(str, variable.dims))
             known[name] = Variable(dims, variable.values, stored | variable.attrs)
     _check_variables(known, where)
+    for dim in {dim for variable in known.values() for dim in variable.dims}:
+        names = response.indexes.get(dim)
+        if names is not None and not names.is_unique:
+            twice = names[names.duplicated()][0]
+            raise InputError(f"{where}: {dim} {twice!r} is there twice; remove or rename one")
     return response
 
 

@@ -92,6 +92,7 @@ def test_samples_without_times_are_refused(tmp_path):
             "values that are not finite",
         ),
         (lambda given: given.isel(time=[0]), "two samples or more"),
+        (lambda given: given.isel(probe=[0, 0]), "probe 'a' is there twice"),
         (lambda given: given.assign_attrs(schema_version=99), "version 99"),
         (lambda given: given.assign_attrs(schema_version="one"), "version 'one', expected"),
         (lambda given: given.assign_attrs(schema_version=[1, 1]), r"version \[1, 1\], expected"),
