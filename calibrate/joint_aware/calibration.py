@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -51,6 +52,8 @@ CLEARLY = 0.95
 UNLIKE = 1.1
 #: An axis with less than this fraction of the largest displacement does not move.
 STILL = 1e-6
+#: A thermometer further than this from its place in the case is another one, mm.
+ELSEWHERE = 1.0
 
 
 @dataclass(frozen=True)
@@ -117,7 +120,24 @@ def sensors_of(case: Case, responses: Mapping[str, xr.Dataset]) -> tuple[str, ..
             "joint-aware: the case names no probe that every response has; add [probes.NAME] where "
             "the sensors are"
         )
+    for where, response in responses.items():
+        _warn_of_places(case, sensors, response, where)
     return sensors + held
+
+
+def _warn_of_places(case: Case, sensors: Sequence[str], response: xr.Dataset, where: str) -> None:
+    """Warn of probes that are somewhere else in a response than in the case."""
+    if "probe_position" not in response:
+        return
+    given = response["probe_position"].sel(probe=list(sensors)).to_numpy()
+    for name, at in zip(sensors, given, strict=True):
+        apart = float(np.linalg.norm(1e3 * at - np.asarray(case.probes[name].position_mm)))
+        if apart > ELSEWHERE:
+            warnings.warn(
+                f"joint-aware: probe {name!r} of {where} is {apart:.3g} mm from that of the case; "
+                "give both the place of the thermometer",
+                stacklevel=3,
+            )
 
 
 @threadpool_limits.wrap(limits=1)

@@ -59,6 +59,14 @@ def test_a_run_of_a_log_is_the_response_that_was_measured(case, response, tmp_pa
     assert one["displacement"].sel(axis=["x", "y"]).to_numpy() == pytest.approx(moved, abs=1e-11)
 
 
+def test_a_thermometer_that_is_elsewhere_in_the_case_is_said(case, response):
+    name = SENSORS[0]
+    moved = copy.deepcopy(case)
+    moved["probes"][name]["position_mm"][1] += 30.0
+    with pytest.warns(UserWarning, match=f"probe '{name}' of run 1 is 30 mm from that of the case"):
+        sensors_of(case_from_data(moved, "case", Path()), {"run 1": response})
+
+
 def test_the_ambient_is_known_by_its_name_in_any_unit(case, response, tmp_path):
     path = log_of(response, tmp_path / "log.csv")
     first, *rows = path.read_text("utf-8").splitlines()
