@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 #: An axis with motion below this fraction of the largest displacement is left out.
 STILL = 1e-3
+#: Powers of a source that differ by more than this share of those of all sources are different.
+SAME_POWER = 0.01
 
 
 def candidates_in(response: xr.Dataset) -> tuple[list[str], list[str]]:
@@ -92,7 +94,8 @@ def check_responses(
     ------
     InputError
         They are not steps, not sampled evenly at the same times, or too few, something other than
-        the heat input acted, or the reference lacks the positions of its probes or its power.
+        the heat input acted, the power of a source is another one, or the reference lacks the
+        positions of its probes or its power.
     """
     check_steps(reference, others)
     check_alone(reference, f"{WHERE}, reference")
@@ -110,6 +113,25 @@ def check_responses(
             "probe in m"
         )
     reference_power(reference)
+    for level, response in others.items():
+        _check_powers(reference, response, f"{WHERE}, input {level:g}")
+
+
+def _check_powers(reference: xr.Dataset, response: xr.Dataset, where: str) -> None:
+    """Refuse a step whose sources have other powers at heat input 1 than those of the reference."""
+    if "source_power" not in reference or "source_power" not in response:
+        return
+    base, power = (
+        one["source_power"][-1].to_series() / float(one["heat_input"][-1])
+        for one in (reference, response)
+    )
+    for name, given in base.items():
+        now = power.get(name, 0.0)
+        if abs(now - given) > SAME_POWER * base.sum():
+            raise InputError(
+                f"{where}: at heat input 1 source {name!r} has {now:.4g} W, in the reference "
+                f"{given:.4g} W; record all steps on one machine"
+            )
 
 
 def check_probes(others: Mapping[float, xr.Dataset], needed: Sequence[str]) -> None:

@@ -12,7 +12,7 @@ from repository import ROOT
 
 from calibrate import chain
 from calibrate.drivable import check_alone, check_drivable
-from calibrate.responses import candidates_in, moving_axes
+from calibrate.responses import candidates_in, check_responses, moving_axes
 from estimator.fchs import judging as judge
 from fesim.case.schema import CandidatesSection, Case, case_from_data, read_case
 from fesim.case.thermal_sections import StepInput
@@ -96,6 +96,21 @@ def response(level, *, probes=None, t=TIMES, **attributes):
         {"time": t, "probe": list(probes), "axis": ["x", "y", "z"]},
         {"reference_power_W": 295.0} | attributes,
     )
+
+
+def test_steps_of_sources_with_other_powers_are_refused():
+    """The case was edited between the runs."""
+    powers = {0.5: (60.0, 30.0), 1.0: (120.0, 60.0), 2.0: (300.0, 120.0)}
+    steps = {
+        level: response(level).assign(
+            source_power=(("time", "source"), np.tile(each, (TIMES.size, 1)), {"units": "W"}),
+            source=["motor", "pump"],
+        )
+        for level, each in powers.items()
+    }
+    said = "input 2: at heat input 1 source 'motor' has 150 W, in the reference 120 W"
+    with pytest.raises(InputError, match=said):
+        check_responses(steps.pop(1.0), steps, 2)
 
 
 def others(**options):
