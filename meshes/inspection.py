@@ -433,6 +433,8 @@ def hinge_warnings(structure: Structure) -> list[str]:
     part = connected_components(graph.tocsr(), directed=False)[1]
     warnings = []
     for name, cells in structure.bodies.items():
+        if (part[cells] == part[cells[0]]).all():
+            continue
         corners = mesh.t[:, cells]
         nodes = np.unique([corners.ravel(), np.tile(part[cells], len(corners))], axis=1)[0]
         shared = nodes[1:][np.diff(nodes) == 0]

@@ -120,23 +120,36 @@ def sensors_of(case: Case, responses: Mapping[str, xr.Dataset]) -> tuple[str, ..
             "joint-aware: the case names no probe that every response has; add [probes.NAME] where "
             "the sensors are"
         )
-    for where, response in responses.items():
-        _warn_of_places(case, sensors, response, where)
     return sensors + held
 
 
+def warn_of_contradictions(
+    case: Case, sensors: Sequence[str], responses: Mapping[str, xr.Dataset]
+) -> None:
+    """Warn of probes and heat of sources that are not in a response as in the case."""
+    for where, response in responses.items():
+        if "probe_position" in response:
+            _warn_of_places(case, sensors, response, where)
+        own = [repr(name) for name, one in case.sources.items() if one.heat_input is not None]
+        if own and len(case.sources) > 1 and "source_power" not in response:
+            warnings.warn(
+                f"joint-aware: {where} has no power of each source, and its heat input is divided "
+                f"as the powers of the case are, though {', '.join(own)} of the case has a heat "
+                "input of its own; record 'source_power'",
+                stacklevel=3,
+            )
+
+
 def _warn_of_places(case: Case, sensors: Sequence[str], response: xr.Dataset, where: str) -> None:
-    """Warn of probes that are somewhere else in a response than in the case."""
-    if "probe_position" not in response:
-        return
-    given = response["probe_position"].sel(probe=list(sensors)).to_numpy()
-    for name, at in zip(sensors, given, strict=True):
+    probes = [name for name in probes_of(response) if name in sensors and name in case.probes]
+    given = response["probe_position"].sel(probe=probes).to_numpy()
+    for name, at in zip(probes, given, strict=True):
         apart = float(np.linalg.norm(1e3 * at - np.asarray(case.probes[name].position_mm)))
         if apart > ELSEWHERE:
             warnings.warn(
                 f"joint-aware: probe {name!r} of {where} is {apart:.3g} mm from that of the case; "
                 "give both the place of the thermometer",
-                stacklevel=3,
+                stacklevel=4,
             )
 
 
@@ -176,6 +189,7 @@ def calibrate_joint_aware(
     if not responses:
         raise InputError("joint-aware: no response to calibrate with; give one or more")
     names = tuple(sensors) if sensors is not None else sensors_of(case, responses)
+    warn_of_contradictions(case, names, responses)
     if case.axes:
         return calibrate_machine(machine_of(case, names), responses, noise, fitted, effort)
     setup = set_up(case)

@@ -8,7 +8,12 @@ import pytest
 from observed import SENSORS, observed_data, run, step
 from typer.testing import CliRunner
 
-from calibrate.joint_aware.calibration import calibrated_range, machine_of, sensors_of
+from calibrate.joint_aware.calibration import (
+    calibrated_range,
+    machine_of,
+    sensors_of,
+    warn_of_contradictions,
+)
 from calibrate.joint_aware.measured_runs import runs_of
 from calibrate.joint_aware.readings import run_in
 from fesim.case.schema import case_from_data
@@ -64,7 +69,16 @@ def test_a_thermometer_that_is_elsewhere_in_the_case_is_said(case, response):
     moved = copy.deepcopy(case)
     moved["probes"][name]["position_mm"][1] += 30.0
     with pytest.warns(UserWarning, match=f"probe '{name}' of run 1 is 30 mm from that of the case"):
-        sensors_of(case_from_data(moved, "case", Path()), {"run 1": response})
+        warn_of_contradictions(case_from_data(moved, "case", Path()), SENSORS, {"run 1": response})
+
+
+def test_heat_that_a_response_does_not_divide_among_sources_is_said(case, response):
+    """One source of the case runs by itself, so that the heat input does not tell its power."""
+    (source,), both = case["sources"].values(), copy.deepcopy(case)
+    both["sources"]["motor"] = source | {"heat_input": {"kind": "step", "level": 0.5}}
+    several = case_from_data(both, "case", Path())
+    with pytest.warns(UserWarning, match="run 1 has no power of each source.*'motor' of the case"):
+        warn_of_contradictions(several, (), {"run 1": response.drop_vars("source_power")})
 
 
 def test_the_ambient_is_known_by_its_name_in_any_unit(case, response, tmp_path):
