@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, kron, vstack
 
 from fesim.axes.axis import Axis, Volume
+from fesim.axes.collision import check_collisions
 from fesim.axes.condensation import TiedCondensations, Ties, condense_apart
 from fesim.axes.guideway import GuideStations, Guideway
 from fesim.axes.machine import MovingMachine
-from fesim.axes.meeting import check_distance
 from fesim.axes.operators import GuidedOperators, guided_operators, places_at
 from fesim.axes.positioning import Drive, Screw, Surfaces, scale_of, screw_of
 from fesim.cache import remembered
@@ -104,7 +104,7 @@ def set_up_axes(case: Case) -> MovingSetup:
         warnings.warn(line, stacklevel=2)
     _check_guides(case, parts)
     _check_seats(case, parts)
-    check_distance(case, parts, courses)
+    check_collisions(case, parts, courses)
     with explained_by_size(parts.structure):
         whole = discretised(case, parts)
         moving, modes = _moving(whole, cache_keys(case, before))

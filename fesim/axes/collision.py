@@ -20,7 +20,7 @@ from thermojoint.artefacts.units import MILLI
 SLACK = 1e-3
 
 
-def check_distance(case: Case, parts: Parts, courses: Sequence[History]) -> None:
+def check_collisions(case: Case, parts: Parts, courses: Sequence[History]) -> None:
     """Refuse parallel axes whose pads cover the same part of a guide at one time of the march.
 
     Parameters

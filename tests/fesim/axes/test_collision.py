@@ -3,7 +3,7 @@
 import pytest
 from boxes import boxes
 
-from fesim.axes.meeting import check_distance
+from fesim.axes.collision import check_collisions
 from fesim.axes.setup import course_of
 from fesim.case.schema import case_from_data
 from fesim.setup.parts import make_parts
@@ -71,7 +71,7 @@ def check(folder, near, far, direction=1.0):
     }
     case = case_from_data(data, "slides", folder)
     courses = [course_of(axis, name) for name, axis in case.axes.items()]
-    check_distance(case, make_parts(case), courses)
+    check_collisions(case, make_parts(case), courses)
 
 
 def test_slides_that_follow_each_other_or_touch_share_a_guide(folder):
