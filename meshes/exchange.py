@@ -385,12 +385,12 @@ def _bodies(raw: meshio.Mesh, path: Path) -> dict[str, NDArray[np.int64]]:
             ".med": "a group of volumes",
         }.get(path.suffix, "a cell array 'body:NAME'")
         raise InputError(f"{path}: no body has a name; name every body by {name}")
-    for name, cells in bodies.items():
-        if path.suffix == ".msh" and not cells.size:
-            raise InputError(
-                f"{path}: body {name!r} has no cells; with Mesh.SaveAll = 1 Gmsh writes MSH 2.2 "
-                "without groups: write it again, from Gmsh with the physical groups only"
-            )
+    empty = [name for name, cells in bodies.items() if not cells.size]
+    if empty and path.suffix == ".msh":
+        raise InputError(
+            f"{path}: body {empty[0]!r} has no cells; with Mesh.SaveAll = 1 Gmsh writes MSH 2.2 "
+            "without groups: write it again with the physical groups only"
+        )
     return bodies
 
 

@@ -127,15 +127,15 @@ def warn_of_contradictions(
     case: Case, sensors: Sequence[str], responses: Mapping[str, xr.Dataset]
 ) -> None:
     """Warn of probes and heat of sources that are not in a response as in the case."""
+    own = [repr(name) for name, one in case.sources.items() if one.heat_input is not None]
     for where, response in responses.items():
         if "probe_position" in response:
             _warn_of_places(case, sensors, response, where)
-        own = [repr(name) for name, one in case.sources.items() if one.heat_input is not None]
         if own and len(case.sources) > 1 and "source_power" not in response:
             warnings.warn(
                 f"joint-aware: {where} has no power of each source, and its heat input is divided "
-                f"as the powers of the case are, though {', '.join(own)} of the case has a heat "
-                "input of its own; record 'source_power'",
+                f"in proportion to the powers in the case, although {', '.join(own)} of the case "
+                "has a heat input of its own; record 'source_power'",
                 stacklevel=3,
             )
 
@@ -148,7 +148,7 @@ def _warn_of_places(case: Case, sensors: Sequence[str], response: xr.Dataset, wh
         if apart > ELSEWHERE:
             warnings.warn(
                 f"joint-aware: probe {name!r} of {where} is {apart:.3g} mm from that of the case; "
-                "give both the place of the thermometer",
+                "correct the place in the case or in the response",
                 stacklevel=4,
             )
 

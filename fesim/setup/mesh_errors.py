@@ -1,7 +1,8 @@
 """Mesh errors of a case's displacement: rows on temperatures, tractions and loads.
 
 With the dual solutions of the displacement (`fesim.solid.recovery`) they take six right-hand sides
-in addition to the condensation, and two products in a march.
+in addition to the condensation, one more per contact element if these are few, and two products in
+a march.
 """
 
 from __future__ import annotations

@@ -19,6 +19,7 @@ from thermojoint.live.accounts import accounts_of
 from thermojoint.live.certificates import expiry_warnings, http_identity, opcua_identity
 from thermojoint.live.consistency import contradictions
 from thermojoint.live.former_models import pinned
+from thermojoint.live.ip_address import family_of
 from thermojoint.live.loaded_models import LoadedModel, load_models, machine_models
 from thermojoint.live.readers.reader import readers_of
 from thermojoint.live.scene import scene_of
@@ -92,10 +93,9 @@ def addresses_in_use(service: Service, present: Service | None = None) -> list[s
     own = {port for _, _, port in _listening(present)} if present else set()
     busy = []
     for name, address, port in _listening(service):
-        family = socket.AF_INET6 if ":" in address else socket.AF_INET
         try:
             if port not in own:
-                socket.create_server((address, port), family=family).close()
+                socket.create_server((address, port), family=family_of(address)).close()
         except OSError as error:
             busy.append(f"{name}: {address}:{port}: {error.strerror}; take another port")
     return busy

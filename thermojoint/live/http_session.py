@@ -14,6 +14,7 @@ from urllib.parse import urlsplit
 import h11
 
 from thermojoint.artefacts.errors import InputError
+from thermojoint.live.ip_address import in_url
 
 #: Timeout of a connection and of a response, s.
 TIMEOUT_S = 10.0
@@ -92,9 +93,8 @@ async def requested(address: Address, target: str, silence: float) -> AsyncItera
         )
     try:
         connection = h11.Connection(h11.CLIENT)
-        host = f"[{address.host}]" if ":" in address.host else address.host
         headers = [
-            ("Host", f"{host}:{address.port}"),
+            ("Host", f"{in_url(address.host)}:{address.port}"),
             ("Accept", "text/xml, application/xml"),
             ("Connection", "close"),
         ]

@@ -7,6 +7,7 @@ from typing import Any
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.descriptors import leaves_reserve
+from thermojoint.live.ip_address import family_of
 
 
 class LimitedSocket(socket.socket):
@@ -53,9 +54,8 @@ def listening(where: str, address: str, port: int, most: int, most_of_one: int) 
     InputError
         The address cannot be bound; `where` names the section.
     """
-    family = socket.AF_INET6 if ":" in address else socket.AF_INET
     try:
-        bound = socket.create_server((address, port), family=family)
+        bound = socket.create_server((address, port), family=family_of(address))
     except OSError as error:
         raise InputError(
             f"{where}: cannot listen at {address}:{port} ({error.strerror}); give an address of "

@@ -680,14 +680,20 @@ class Late(HistoryDict):
         await super().save_node_value(node_id, datavalue)
 
 
+async def server_of_one_variable(port):
+    """A server, not started yet, and the node of its variable T."""
+    server = Server()
+    await server.init()
+    server.set_endpoint(f"opc.tcp://127.0.0.1:{port}")
+    return server, await server.nodes.objects.add_variable(ua.NodeId("T", 2), "T", 0.0)
+
+
 @pytest.mark.parametrize("storage", [Late(), HistoryDict(max_history_data_response_size=2)])
 def test_a_history_is_read_to_its_end_also_if_it_is_stored_late_or_comes_in_parts(storage):
     async def live():
-        server, port, found = Server(), free_port(), []
-        await server.init()
+        port, found = free_port(), []
+        server, node = await server_of_one_variable(port)
         server.iserver.history_manager.set_storage(storage)
-        server.set_endpoint(f"opc.tcp://127.0.0.1:{port}")
-        node = await server.nodes.objects.add_variable(ua.NodeId("T", 2), "T", 0.0)
         await server.write_attribute_value(node.nodeid, _value(0.0, START))
         async with server:
             await server.iserver.enable_history_data_change(node, timedelta(days=3650), 10_000)
@@ -709,10 +715,8 @@ def test_one_time_in_the_future_leaves_no_value_out_after_a_lost_connection(monk
     monkeypatch.setattr(opcua, "_ALIVE_S", 0.2)
 
     async def live():
-        server, port, found = Server(), free_port(), []
-        await server.init()
-        server.set_endpoint(f"opc.tcp://127.0.0.1:{port}")
-        node = await server.nodes.objects.add_variable(ua.NodeId("T", 2), "T", 0.0)
+        port, found = free_port(), []
+        server, node = await server_of_one_variable(port)
 
         async def write(time):
             await server.write_attribute_value(node.nodeid, _value(time - START, time))
@@ -746,10 +750,8 @@ def test_a_subscription_that_its_server_has_ended_is_made_anew(monkeypatch):
     monkeypatch.setattr(opcua, "_ALIVE_S", 0.2)
 
     async def live():
-        server, port, found = Server(), free_port(), []
-        await server.init()
-        server.set_endpoint(f"opc.tcp://127.0.0.1:{port}")
-        node = await server.nodes.objects.add_variable(ua.NodeId("T", 2), "T", 0.0)
+        port, found = free_port(), []
+        server, node = await server_of_one_variable(port)
         await server.write_attribute_value(node.nodeid, _value(0.0, START))
         async with server:
             endpoint = Endpoint(f"opc.tcp://127.0.0.1:{port}", None, None, None, None)

@@ -31,6 +31,7 @@ from thermojoint.live.companion_models import (
     load_models,
     object_item,
 )
+from thermojoint.live.ip_address import in_url
 from thermojoint.live.log_lines import EventLog
 from thermojoint.live.opcua_access import AccessControl, restrict
 from thermojoint.live.opcua_internals import disconnect_ended, limit_connections, value_of
@@ -249,8 +250,7 @@ def fresh_server(section: OpcuaServer) -> Server:
     server.name = "thermojoint"
     server.product_uri = server.manufacturer_name = APPLICATION
     server.application_type = ua.ApplicationType.Server
-    host = f"[{section.address}]" if ":" in section.address else section.address
-    server.set_endpoint(f"opc.tcp://{host}:{section.port}/thermojoint")
+    server.set_endpoint(f"opc.tcp://{in_url(section.address)}:{section.port}/thermojoint")
     return server
 
 
