@@ -149,6 +149,7 @@ def observer_from_rest(
         offset=fit.offset,
         loads=machine.load_names,
         sensors=machine.sensor_names,
+        places={name: at for name, at in machine.places.items() if name in machine.sensor_names},
         axes=machine.axes,
         sources=machine.source_names,
         calibrated=calibrated,

@@ -20,7 +20,7 @@ from calibrate.joint_aware.readings import heat_in, run_in, ways_of
 from calibrate.joint_aware.recorded_days import is_day, shown_in, with_days
 from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.observer_model import Calibrated, ObserverModel
-from estimator.joint_aware.readings import recorded, temperatures_in
+from estimator.joint_aware.readings import displaced, recorded, temperatures_in
 from fesim.axes.axis import Axis, place_of
 from fesim.axes.setup import MovingSetup, set_up_axes
 from fesim.case.schema import Case
@@ -31,7 +31,7 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import ConvergenceError, InputError
 from thermojoint.artefacts.response import columns_of, probes_of
-from thermojoint.artefacts.units import MEGA
+from thermojoint.artefacts.units import MEGA, MILLI
 from thermojoint.reduced.axis_drive import displacement_probes, drives_on
 from thermojoint.reduced.loosened import Loosening, loosening_of
 from thermojoint.reduced.machine import (
@@ -52,8 +52,6 @@ CLEARLY = 0.95
 UNLIKE = 1.1
 #: An axis with less than this fraction of the largest displacement does not move.
 STILL = 1e-6
-#: A thermometer further than this from its place in the case is another one, mm.
-ELSEWHERE = 1.0
 
 
 @dataclass(frozen=True)
@@ -128,28 +126,24 @@ def warn_of_contradictions(
 ) -> None:
     """Warn of probes and heat of sources that are not in a response as in the case."""
     own = [repr(name) for name, one in case.sources.items() if one.heat_input is not None]
+    places = {
+        name: [MILLI * value for value in probe.position_mm]
+        for name, probe in case.probes.items()
+        if name in sensors
+    }
     for where, response in responses.items():
-        if "probe_position" in response:
-            _warn_of_places(case, sensors, response, where)
+        for name, apart in displaced(response, places):
+            warnings.warn(
+                f"joint-aware: probe {name!r} of {where} is {1e3 * apart:.3g} mm from that of the "
+                "case; correct the place in the case or in the response",
+                stacklevel=3,
+            )
         if own and len(case.sources) > 1 and "source_power" not in response:
             warnings.warn(
                 f"joint-aware: {where} has no power of each source, and its heat input is divided "
                 f"in proportion to the powers in the case, although {', '.join(own)} of the case "
                 "has a heat input of its own; record 'source_power'",
                 stacklevel=3,
-            )
-
-
-def _warn_of_places(case: Case, sensors: Sequence[str], response: xr.Dataset, where: str) -> None:
-    probes = [name for name in probes_of(response) if name in sensors and name in case.probes]
-    given = response["probe_position"].sel(probe=probes).to_numpy()
-    for name, at in zip(probes, given, strict=True):
-        apart = float(np.linalg.norm(1e3 * at - np.asarray(case.probes[name].position_mm)))
-        if apart > ELSEWHERE:
-            warnings.warn(
-                f"joint-aware: probe {name!r} of {where} is {apart:.3g} mm from that of the case; "
-                "correct the place in the case or in the response",
-                stacklevel=4,
             )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,7 @@ from estimator.joint_aware.model_file import fingerprint, read_observer
 from estimator.joint_aware.next_reading import narrowest_band, next_reading
 from estimator.joint_aware.observer_model import ObserverModel
 from estimator.joint_aware.observer_state import unpacked
-from estimator.joint_aware.readings import samples_in
+from estimator.joint_aware.readings import displaced, samples_in
 from estimator.joint_aware.sample_values import split_sample
 from estimator.kind import Cold, Kind, OnFirst, Options, Sample, followed
 from estimator.measured import announced
@@ -106,6 +107,12 @@ def _log(
 
 
 def _response(model: ObserverModel, response: xr.Dataset) -> Iterator[tuple[float, ...]]:
+    for name, apart in displaced(response, model.places):
+        warnings.warn(
+            f"joint-aware: probe {name!r} of the response is {1e3 * apart:.3g} mm from that of the "
+            "model; read the thermometers that the model was calibrated with",
+            stacklevel=2,
+        )
     axes = [axis.name for axis in model.moving_axes]
     counted = [axes[k] for k in model.counted]
     return samples_in(response, model.sensors, model.loads, axes, model.power_shares, counted)

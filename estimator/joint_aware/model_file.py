@@ -218,6 +218,8 @@ def _header(model: ObserverModel) -> str:
             "strokes": moving,
             "drives": [] if drives is None else [_drive_header(one) for one in drives.each],
             "power_shares": dict(model.power_shares),
+            # States of earlier models keep their fingerprint.
+            **({"places_m": dict(model.places)} if model.places else {}),
         },
         allow_nan=False,
     )
@@ -283,6 +285,7 @@ def _model(header: dict[str, Any], arrays: Mapping[str, Array]) -> ObserverModel
             for k, stroke in enumerate(header["strokes"])
         ),
         power_shares=header.get("power_shares", {}),
+        places={name: tuple(at) for name, at in header.get("places_m", {}).items()},
     )
 
 

@@ -151,6 +151,8 @@ class ObserverModel(Described):
         Its moving axes, if any.
     power_shares : mapping of str to float
         Source whose power is read to the share of that power which becomes its heat.
+    places : mapping of str to (float, float, float)
+        Sensor to its position, m; without held surfaces, and empty in models of earlier versions.
     """
 
     modes: Modes
@@ -184,6 +186,7 @@ class ObserverModel(Described):
     kind: Kind = "joint-aware"
     moving_axes: tuple[MovingAxis, ...] = ()
     power_shares: Mapping[str, float] = field(default_factory=dict)
+    places: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     def cold_drives(self, since: float) -> Array:
         """Return the variance (axes,) due to drives assumed cold at a warm start, m2.

@@ -192,6 +192,8 @@ class ReducedMachine:
     lags: tuple[float, ...] = ()
     #: Of a machine with moving axes.
     guide: Guide | None = None
+    #: Sensor that is a probe to its position, m.
+    places: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     @property
     def free(self) -> int:
@@ -405,6 +407,7 @@ def reduce_machine(
         acting=_acting(case, setup),
         held=held,
         guide=guide,
+        places={name: tuple(map(float, probe.position)) for name, probe in thermometers.items()},
     )
 
 

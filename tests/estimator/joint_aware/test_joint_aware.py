@@ -3,6 +3,7 @@
 import copy
 import json
 import math
+import warnings
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -341,6 +342,18 @@ def test_a_model_file_gives_the_same_estimates(estimator, response, tmp_path):
     assert np.array_equal(
         estimates(read, samples)[0], estimates(estimator, samples)[0], equal_nan=True
     )
+
+
+def test_a_response_whose_thermometer_is_elsewhere_is_said(estimator, response, tmp_path):
+    write_observer(estimator.model, tmp_path / "model.h5")
+    model, name = read_observer(tmp_path / "model.h5"), SENSORS[1]
+    moved = response.copy(deep=True)
+    moved["probe_position"].loc[{"probe": name}] += [0.0, 3e-3, 4e-3]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        list(KIND.response(model, response))
+    with pytest.warns(UserWarning, match=f"probe '{name}' of the response is 5 mm from that of"):
+        list(KIND.response(model, moved))
 
 
 def test_what_estimate_writes_is_what_compensate_reads(estimator, tmp_path):
