@@ -71,7 +71,7 @@ def gate_readings(
     readings : ndarray, shape (p + 1,)
         K; NaN where missing.
     channels : Channels
-        Prior knowledge of the channels (`channels_of`).
+        Prior knowledge of the channels (`gated_channels`).
     """
     rules, watch = observer.thresholds.faults, before.watch
     open_, judgement = _followed(observer, before, moment, readings)
@@ -119,7 +119,7 @@ def gate_readings(
     return GatedSample(verdict.accepted, verdict.watch, open_, attempt)
 
 
-def channels_of(observer: Observer, limits: tuple[Array, Array]) -> Channels:
+def gated_channels(observer: Observer, limits: tuple[Array, Array]) -> Channels:
     """Return the prior knowledge of an observer's channels; `limits` are the calibrated ones, K."""
     known = observer.thresholds
     low, high = possible_readings(limits, known)

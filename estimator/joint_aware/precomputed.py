@@ -84,7 +84,7 @@ class Precomputed:
     @cached_property
     def readable(self) -> sensor_faults.Channels:
         """Properties of the temperature readings."""
-        return innovation_gate.channels_of(self.observer, self.calibrated_readings)
+        return innovation_gate.gated_channels(self.observer, self.calibrated_readings)
 
     @cached_property
     def most_power(self) -> Array:

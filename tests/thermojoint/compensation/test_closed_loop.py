@@ -36,8 +36,8 @@ from thermojoint.compensation.loop.figure import runs_figure
 from thermojoint.compensation.loop.judging import as_content
 from thermojoint.compensation.loop.linear import (
     Channels,
-    channels_of,
     frequencies_of,
+    loop_channels,
     margins_of,
     open_loop,
     responses_of,
@@ -89,7 +89,7 @@ def estimator(data, setup):
 
 @pytest.fixture(scope="module")
 def channels(estimator):
-    return channels_of(estimator.model, "heater", "bearings", "x")
+    return loop_channels(estimator.model, "heater", "bearings", "x")
 
 
 @pytest.fixture(scope="module")

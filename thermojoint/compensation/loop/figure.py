@@ -12,8 +12,8 @@ from thermojoint.artefacts.figures import SHADES, WIDTH, legend_above, stacked_p
 from thermojoint.artefacts.units import MICRO
 from thermojoint.compensation.loop.judging import runs_of
 from thermojoint.compensation.loop.linear import (
-    channels_of,
     disturbed,
+    loop_channels,
     open_loop,
     python_control,
     state_space,
@@ -71,7 +71,7 @@ def step_figure(model: ObserverModel, closed: Closed) -> Figure:
     heater = closed.loop.heater
     figure, (panel,) = _panels(1)
     if heater is not None:
-        channels = channels_of(model, heater.source, heater.against, heater.axis)
+        channels = loop_channels(model, heater.source, heater.against, heater.axis)
         times = model.step * np.arange(round(_STEP / model.step) + 1)
         named = ((heater.against, channels.disturbance), (heater.source, channels.heater))
         for k, (name, source) in enumerate(named):

@@ -85,7 +85,7 @@ def python_control() -> ModuleType:
     return control
 
 
-def channels_of(model: ObserverModel, heater: str, disturbance: str, axis: str) -> Channels:
+def loop_channels(model: ObserverModel, heater: str, disturbance: str, axis: str) -> Channels:
     """Return the channels of a loop in a model.
 
     Raises

@@ -20,8 +20,8 @@ from thermojoint.compensation.loop.controller import Controller
 from thermojoint.compensation.loop.linear import (
     Margins,
     Responses,
-    channels_of,
     frequencies_of,
+    loop_channels,
     margins_of,
     open_loop,
     responses_of,
@@ -162,7 +162,7 @@ def plant_case(loop: Loop) -> Case:
 
 def _design(loop: Loop, heater: HeaterSection, estimator: JointAware) -> Design:
     model = estimator.model
-    channels = channels_of(model, heater.source, heater.against, heater.axis)
+    channels = loop_channels(model, heater.source, heater.against, heater.axis)
     responses = responses_of(model, channels, frequencies_of(model))
     start = Controller(
         gain=1.0,
