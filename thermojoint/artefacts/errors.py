@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
+
+#: Names that a message lists.
+MOST_NAMES = 20
 
 
 class ThermojointError(Exception):
@@ -33,8 +36,15 @@ def unknown_name(kind: str, name: str, known: Iterable[str], where: str) -> Inpu
     """Return the error for an unknown name of a kind; it suggests the closest known name."""
     names = sorted(known)
     near = get_close_matches(name, names, n=1, cutoff=0.5)
-    hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(names) or 'none'}"
+    hint = f"did you mean {near[0]!r}?" if near else f"known: {_listed(names)}"
     return InputError(f"{where}: no {kind} named {name!r}; {hint}")
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Names as text on one line that can be read: of many only the first."""
+    more = len(names) - MOST_NAMES
+    some = ", ".join(names[:MOST_NAMES]) or "none"
+    return some if more <= 0 else f"{some} and {more} more"
 
 
 def shown_point(point: Iterable[float]) -> str:
