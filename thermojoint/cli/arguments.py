@@ -159,7 +159,12 @@ def at_work(task: str, *streams: Path) -> Iterator[None]:
 def output(path: Path) -> Iterator[TextIO]:
     """Write a file whole or not at all, or to standard output for ``-``."""
     if str(path) == "-":
-        yield sys.stdout
+        try:
+            yield sys.stdout
+            sys.stdout.flush()
+        except OSError as error:
+            error.filename = error.filename or "standard output"
+            raise
         return
     with whole_file(path) as part, part.open("w", encoding="utf-8", newline="") as file:
         yield file

@@ -1,8 +1,11 @@
 """No command costs anybody a file: inputs and files of another kind are never overwritten."""
 
+import errno
+import io
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from own_process import OwnProcess
@@ -13,6 +16,7 @@ from benchmarks.fuzz_inputs import unharmed
 from fesim.batch import folder as batch_folder
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import write_response
+from thermojoint.cli.arguments import write_json
 from thermojoint.models.model_file import Provenance, write_model
 
 SHORT = lasting(0.1)
@@ -188,6 +192,19 @@ def test_a_full_disk_ends_in_one_line_and_leaves_nothing(at_hand, originals):
     told = "thermojoint: out.nc: File too large; choose another place\n"
     assert (done.returncode, done.stderr) == (2, told)
     assert untouched(at_hand, originals)
+
+
+class Full(io.StringIO):
+    """A stream onto a full disk: what it holds back it cannot write."""
+
+    def flush(self):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_standard_output_that_takes_no_more_is_named(monkeypatch):
+    monkeypatch.setattr(sys, "stdout", Full())
+    with pytest.raises(OSError, match="No space left on device: 'standard output'"):
+        write_json(Path("-"), {"errors": [0.1]})
 
 
 @pytest.mark.parametrize("left", [0, 8192])
