@@ -46,10 +46,10 @@ def serve(
     require("serve", "serve", *_LIBRARIES)
     if check:
         from thermojoint import console
-        from thermojoint.live.checking import addresses_in_use, checked
+        from thermojoint.live.checking import checked, used_by_others
 
         findings = checked(given)
-        refused = findings.refused + addresses_in_use(given)
+        refused = findings.refused + used_by_others(given)
         console.warn(findings.warnings)
         if refused:
             raise InputErrors("\n".join(refused))

@@ -24,7 +24,7 @@ from thermojoint.live.loaded_models import LoadedModel, load_models, machine_mod
 from thermojoint.live.readers.reader import readers_of
 from thermojoint.live.scene import scene_of
 from thermojoint.live.settings import Service
-from thermojoint.live.store import check_store, is_locked
+from thermojoint.live.store import check_store, is_locked, occupied
 from thermojoint.live.tokens import tokens_in
 from thermojoint.live.trust_list import contents_of
 
@@ -78,20 +78,23 @@ def _findings(service: Service, folder: Path) -> Findings:
     return Findings(refused, [*contradictions(service.given, models), *soon])
 
 
-def addresses_in_use(service: Service, present: Service | None = None) -> list[str]:
-    """Return the addresses in use by other programs.
+def used_by_others(service: Service, present: Service | None = None) -> list[str]:
+    """Return the folder if another service runs on it, and addresses in use by other programs.
 
     Parameters
     ----------
     service : Service
         To be started; if it runs already, nothing is returned.
     present : Service, optional
-        A running service that is to be replaced, which has its own ports in use.
+        A running service that is to be replaced, whose folder and ports are its own.
     """
     if present is None and is_locked(service.folder):
         return []
     own = {port for _, _, port in _listening(present)} if present else set()
     busy = []
+    elsewhere = present and service.folder.resolve() != present.folder.resolve()
+    if elsewhere and is_locked(service.folder):
+        busy.append(occupied(service.folder))
     for name, address, port in _listening(service):
         try:
             if port not in own:

@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from thermojoint.artefacts.errors import ThermojointError
-from thermojoint.live.checking import addresses_in_use, checked
+from thermojoint.live.checking import checked, used_by_others
 from thermojoint.live.log_lines import LOGGER, line_of
 from thermojoint.live.running import Running
 from thermojoint.live.service import run
@@ -64,7 +64,7 @@ async def _reloaded(path: Path, reload: asyncio.Event, present: Service) -> Serv
         try:
             service = read_service(path)
             refused = (await asyncio.to_thread(checked, service)).refused
-            refused += await asyncio.to_thread(addresses_in_use, service, present)
+            refused += await asyncio.to_thread(used_by_others, service, present)
         except (ThermojointError, OSError) as error:
             refused = str(error).splitlines()
         if not refused:

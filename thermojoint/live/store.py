@@ -195,13 +195,16 @@ def locked(folder: Path) -> Iterator[None]:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            raise InputError(
-                f"{folder}: another service runs on it; stop that one, or give another folder"
-            ) from error
+            raise InputError(occupied(folder)) from error
         file.truncate(0)
         file.write(str(os.getpid()))
         file.flush()
         yield
+
+
+def occupied(folder: Path) -> str:
+    """Return what is said of a folder that another service has locked."""
+    return f"{folder}: another service runs on it; stop that one, or give another folder"
 
 
 def is_locked(folder: Path) -> bool:

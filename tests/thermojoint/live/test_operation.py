@@ -29,7 +29,7 @@ from thermojoint.live.former_models import SHOWN, fingerprint_of, read_record
 from thermojoint.live.reloading import serve_file
 from thermojoint.live.service import checkpoint_store_log
 from thermojoint.live.settings import HttpServer, read_service
-from thermojoint.live.store import send_sighup
+from thermojoint.live.store import locked, send_sighup
 from thermojoint.live.targets.settings import read_target
 from thermojoint.live.users import add_user
 from thermojoint.models.assembly import assemble
@@ -235,7 +235,7 @@ def test_a_rollback_by_command_holds_from_the_next_start(life, models):
     assert kept.read_bytes() == models["new"]
 
 
-@pytest.mark.parametrize("wrong", ["users", "disk", "port"])
+@pytest.mark.parametrize("wrong", ["users", "disk", "port", "folder"])
 def test_a_reload_that_cannot_even_be_checked_ends_no_service(models, tmp_path, monkeypatch, wrong):
     file = plant(tmp_path, models, free_port())
     users = tmp_path / "users"
@@ -246,6 +246,10 @@ def test_a_reload_that_cannot_even_be_checked_ends_no_service(models, tmp_path, 
                 taken = socket.create_server(("127.0.0.1", 0))
                 closed_at_end.callback(taken.close)
                 file.write_text(SERVICE.format(port=taken.getsockname()[1], rate=20.0))
+            elif wrong == "folder":
+                (tmp_path / "other").mkdir()
+                closed_at_end.enter_context(locked(tmp_path / "other"))
+                file.write_text(file.read_text().replace('folder = "state"', 'folder = "other"'))
             elif wrong == "users":
                 users.write_bytes(users.read_bytes() + "# für die Halle\n".encode("cp1252"))
             else:
