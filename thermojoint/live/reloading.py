@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 
@@ -31,7 +31,8 @@ async def serve_file(
     stop : asyncio.Event
     reload : asyncio.Event
         Set whenever file, models or certificates have changed. If they are invalid, the service
-        continues with the present ones.
+        continues with the present ones; if they cannot be started all the same, it starts again
+        with the former ones.
     ready : callable
         Called at every start, when all interfaces are open.
 
@@ -41,19 +42,33 @@ async def serve_file(
         The first start fails.
     """
     service: Service | None = read_service(path)
+    former: Service | None = None
     while service is not None:
-        ended = asyncio.Event()
-        running = asyncio.create_task(run(service, ended, ready, reload.set))
+        ended, open_to_all = asyncio.Event(), asyncio.Event()
+
+        def told(running: Running, begun: asyncio.Event = open_to_all) -> None:
+            begun.set()
+            ready(running)
+
+        running = asyncio.create_task(run(service, ended, told, reload.set))
         fresh = asyncio.create_task(_reloaded(path, reload, service))
         stopped = asyncio.create_task(stop.wait())
         await asyncio.wait({running, fresh, stopped}, return_when=asyncio.FIRST_COMPLETED)
         ended.set()
-        service = fresh.result() if fresh.done() and not stopped.done() else None
+        following = fresh.result() if fresh.done() and not stopped.done() else None
         for task in (fresh, stopped):
             task.cancel()
         with suppress(asyncio.CancelledError):
             await fresh
-        await running
+        try:
+            await running
+            former = service
+        except (ThermojointError, OSError) as error:
+            if former is None or open_to_all.is_set():
+                raise
+            _refuse(str(error).splitlines())
+            following, former = None if stop.is_set() else former, None
+        service = following
 
 
 async def _reloaded(path: Path, reload: asyncio.Event, present: Service) -> Service:
@@ -69,5 +84,9 @@ async def _reloaded(path: Path, reload: asyncio.Event, present: Service) -> Serv
             refused = str(error).splitlines()
         if not refused:
             return service
-        for line in refused:
-            LOGGER.log(logging.INFO, "%s", line_of("reload-refused", line))
+        _refuse(refused)
+
+
+def _refuse(lines: Iterable[str]) -> None:
+    for line in lines:
+        LOGGER.log(logging.INFO, "%s", line_of("reload-refused", line))

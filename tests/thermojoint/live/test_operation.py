@@ -23,6 +23,7 @@ from typer.testing import CliRunner
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.cli.app import app
+from thermojoint.live import reloading
 from thermojoint.live.backup import back_up, restore
 from thermojoint.live.certificates import ANNOUNCED, HTTP_LASTS, expiry_warnings, own_certificate
 from thermojoint.live.former_models import SHOWN, fingerprint_of, read_record
@@ -262,6 +263,29 @@ def test_a_reload_that_cannot_even_be_checked_ends_no_service(models, tmp_path, 
 
     with contextlib.ExitStack() as closed_at_end:
         assert asyncio.run(live()) == (1, False, "eva")
+
+
+def test_a_reload_that_passes_its_check_and_does_not_start_leaves_the_former_service(
+    models, tmp_path, monkeypatch
+):
+    """The address is taken between the check and the start."""
+    file = plant(tmp_path, models, free_port())
+    monkeypatch.setattr(reloading, "used_by_others", lambda service, present: [])
+
+    async def live():
+        async with running(file) as (starts, reload):
+            for _ in range(2):
+                count = len(starts)
+                with socket.create_server(("127.0.0.1", 0)) as taken:
+                    port = taken.getsockname()[1]
+                    file.write_text(SERVICE.format(port=port, rate=20.0))
+                    reload.set()
+                    await until(lambda before=count: len(starts) > before)
+            return [one.service.given.http.port for one in starts]
+
+    ports = asyncio.run(live())
+    assert len(ports) == 3
+    assert len(set(ports)) == 1
 
 
 def test_the_size_of_the_write_ahead_log_is_a_metric(models, tmp_path):
